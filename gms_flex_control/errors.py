@@ -1,0 +1,28 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""The package's own errors: each message says what, where, the value and the way out."""
+
+
+class GmsFlexError(Exception):
+    """Anything this package refuses; a front end prints it as one sentence."""
+
+
+class ParameterError(GmsFlexError, ValueError):
+    """A physical parameter or gain is outside what the model allows."""
+
+
+class ConfigError(GmsFlexError):
+    """A parameter file cannot be read or has a wrong key, type or shape."""
+
+
+class TrajectoryError(GmsFlexError, ValueError):
+    """A trajectory cannot be built from what was asked."""
+
+
+class BagError(GmsFlexError):
+    """A bag cannot be read or written, or lacks what the analysis needs."""
+
+
+class ImportDataError(GmsFlexError):
+    """A foreign log does not fit its map or is not usable as a recording."""

@@ -1,0 +1,82 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""What every analysis works on: one experiment as plain arrays, wherever it came from."""
+
+from dataclasses import dataclass, fields
+
+from gms_flex_control.errors import BagError
+import numpy as np
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Recording:
+    """
+    One experiment on one robot, sampled at the joint states.
+
+    Parameters
+    ----------
+    joints : tuple of str
+        Link names, ``n`` of them.
+    time : ndarray, shape (T,)
+        Strictly increasing, from the first sample [s].
+    q_link, dq_link, q_motor, dq_motor : ndarray, shape (T, n)
+        Measured angles and rates [rad, rad/s]; NaN where there is none.
+    tau_motor : ndarray, shape (T, n)
+        Torque really applied over the sample that ends at ``time[k]`` [N m]; NaN if unknown.
+    command : ndarray, shape (T, n)
+        Torque command that answers the state at ``time[k]`` [N m]; NaN where none came.
+    reference : ndarray, shape (T, 5, n)
+        Desired link angle and its derivatives 1 to 4; NaN where there is none.
+    friction_hat : ndarray, shape (T, n)
+        The observer's friction estimate [N m]; NaN where there is none.
+    source : str
+        Where it came from, for messages and titles.
+
+    Raises
+    ------
+    BagError
+        If a shape does not fit or time does not increase.
+
+    """
+
+    joints: tuple
+    time: np.ndarray
+    q_link: np.ndarray
+    dq_link: np.ndarray
+    q_motor: np.ndarray
+    dq_motor: np.ndarray
+    tau_motor: np.ndarray
+    command: np.ndarray
+    reference: np.ndarray
+    friction_hat: np.ndarray
+    source: str
+
+    def __post_init__(self):
+        n, samples = len(self.joints), len(self.time)
+        for field in fields(self):
+            if field.name in ('joints', 'source'):
+                continue
+            value = np.array(getattr(self, field.name), dtype=float)
+            value.setflags(write=False)
+            object.__setattr__(self, field.name, value)
+            shape = {'time': (samples,), 'reference': (samples, 5, n)}.get(
+                field.name, (samples, n))
+            if value.shape != shape:
+                raise BagError(f'{self.source}: {field.name} has shape {value.shape}, '
+                               f'expected {shape} for {n} joints and {samples} samples')
+        steps = np.diff(self.time)
+        if samples < 2 or not np.all(steps > 0):
+            where = f' at sample {int(np.argmin(steps)) + 1}' if samples > 1 else ''
+            raise BagError(f'{self.source}: time must increase over at least 2 samples, '
+                           f'it does not{where}; sort or repair the recording first')
+
+    @property
+    def n_joints(self):
+        """Return the number of joints."""
+        return len(self.joints)
+
+    @property
+    def period(self):
+        """Return the median sample period [s]."""
+        return float(np.median(np.diff(self.time)))
