@@ -1,0 +1,196 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""The paper's Table 4 as a result object: numbers, text and JSON."""
+
+from dataclasses import dataclass
+import math
+
+import numpy as np
+
+# Table 4 as printed [rad^2], link 1 and link 2
+PAPER_WITHOUT = {'sinusoid': (0.0048029, 0.0083391), 'polynomial': (0.0010912, 0.0019605)}
+PAPER_WITH = {'sinusoid': (0.0007866, 0.0009879), 'polynomial': (0.0000352, 0.0002063)}
+WITHOUT = 'none'
+MODE_ORDER = (WITHOUT, 'gms_paper', 'gms')
+NOTE = ('The paper prints neither M, J, K nor its trajectories, so absolute errors are not '
+        'comparable with it; the ratio without / with compensation is.')
+
+
+@dataclass(frozen=True, eq=False)
+class Table4:
+    """
+    Mean square tracking errors per trajectory, compensation and link.
+
+    Parameters
+    ----------
+    runs : tuple of RunTracking
+        What was measured, in the order given.
+
+    """
+
+    runs: tuple
+
+    @property
+    def trajectories(self):
+        """Return the trajectory names, the paper's two first."""
+        names = dict.fromkeys(run.trajectory for run in self.runs)
+        return tuple(sorted(names, key=lambda name: _rank(name, tuple(PAPER_WITHOUT))))
+
+    @property
+    def compensations(self):
+        """Return the compensation names, none first."""
+        names = dict.fromkeys(run.compensation for run in self.runs)
+        return tuple(sorted(names, key=lambda name: _rank(name, MODE_ORDER)))
+
+    def joints(self, trajectory):
+        """Return the joint names of all runs of ``trajectory``, in order of appearance."""
+        return tuple(dict.fromkeys(
+            joint.joint for run in self.runs if run.trajectory == trajectory
+            for joint in run.joints))
+
+    def mse(self, trajectory, compensation, joint):
+        """Return the MSE [rad^2], averaged over repeats; NaN if there is no such run."""
+        values = [entry.mse for run in self.runs
+                  if (run.trajectory, run.compensation) == (trajectory, compensation)
+                  for entry in run.joints if entry.joint == joint]
+        return float(np.mean(values)) if values else math.nan
+
+    def ratio(self, trajectory, compensation, joint):
+        """Return MSE without compensation / MSE with ``compensation``; NaN if one lacks."""
+        with_it = self.mse(trajectory, compensation, joint)
+        if compensation == WITHOUT:
+            return math.nan
+        without = self.mse(trajectory, WITHOUT, joint)
+        return without / with_it if with_it > 0 else math.nan
+
+    def paper(self, trajectory, joint):
+        """
+        Return what the paper prints for this link.
+
+        Parameters
+        ----------
+        trajectory : str
+            'sinusoid' or 'polynomial'.
+        joint : str
+            One of the two joints of the run; the first is the paper's link 1.
+
+        Returns
+        -------
+        tuple of float or None
+            MSE without, with [rad^2] and their ratio; None for any other robot.
+
+        """
+        joints = self.joints(trajectory)
+        if trajectory not in PAPER_WITHOUT or len(joints) != 2:
+            return None
+        i = joints.index(joint)
+        without, with_it = PAPER_WITHOUT[trajectory][i], PAPER_WITH[trajectory][i]
+        return without, with_it, without / with_it
+
+    def rows(self):
+        """Return header and rows (lists of str) of the comparison with the paper."""
+        modes = [mode for mode in self.compensations if mode != WITHOUT]
+        header = ['trajectory', 'joint', WITHOUT]
+        for mode in modes:
+            header += [mode, 'ratio']
+        header += ['paper without', 'paper with', 'ratio']
+        return header, [self._row(trajectory, joint, modes)
+                        for trajectory in self.trajectories
+                        for joint in self.joints(trajectory)]
+
+    def _row(self, trajectory, joint, modes):
+        row = [trajectory, joint, _small(self.mse(trajectory, WITHOUT, joint))]
+        for mode in modes:
+            row += [_small(self.mse(trajectory, mode, joint)),
+                    _plain(self.ratio(trajectory, mode, joint))]
+        paper = self.paper(trajectory, joint) or (math.nan,) * 3
+        return row + [_small(paper[0]), _small(paper[1]), _plain(paper[2])]
+
+    def detail_rows(self):
+        """Return header and rows (lists of str) of every run's own figures."""
+        header = ['trajectory', 'compensation', 'joint', 'rms error [mrad]',
+                  'max error [mrad]', 'hold peak to peak [mrad]', 'rms torque [N m]',
+                  'duration [s]', 'samples']
+        rows = []
+        for run in self.runs:
+            for joint in run.joints:
+                rows.append([run.trajectory, run.compensation, joint.joint,
+                             _plain(1e3 * joint.rms), _plain(1e3 * joint.max_error),
+                             _plain(1e3 * joint.hold_peak_to_peak), _plain(joint.rms_torque),
+                             _plain(run.duration), str(joint.samples)])
+        return header, rows
+
+    def text(self):
+        """Return both tables as text for a terminal."""
+        return '\n'.join([
+            'Table 4: mean square error, link angle - reference [rad^2], and ratio '
+            'without / with', '', align(*self.rows()), '', NOTE, '',
+            align(*self.detail_rows())])
+
+    def as_dict(self):
+        """Return everything as JSON can hold it; what is not known is None."""
+        rows = []
+        for trajectory in self.trajectories:
+            for joint in self.joints(trajectory):
+                modes = self.compensations
+                paper = self.paper(trajectory, joint)
+                rows.append({
+                    'trajectory': trajectory, 'joint': joint,
+                    'mse': {m: _known(self.mse(trajectory, m, joint)) for m in modes},
+                    'ratio': {m: _known(self.ratio(trajectory, m, joint))
+                              for m in modes if m != WITHOUT},
+                    'paper': dict(zip(('without', 'with', 'ratio'), paper, strict=True))
+                    if paper else None})
+        return {'quantity': 'mean square of link angle - reference', 'unit': 'rad^2',
+                'note': NOTE, 'table': rows, 'runs': [_run_dict(run) for run in self.runs]}
+
+
+def align(header, rows):
+    """
+    Return rows of cells as text with aligned columns.
+
+    Parameters
+    ----------
+    header : sequence of str
+        Column titles.
+    rows : sequence of sequence of str
+        Cells; those that begin like a number are set to the right.
+
+    Returns
+    -------
+    str
+        One line per row and a rule under the header.
+
+    """
+    widths = [max(len(row[i]) for row in [header, *rows]) for i in range(len(header))]
+    numeric = [all(row[i][:1] in '-+0123456789' for row in rows) for i in range(len(header))]
+
+    def line(cells):
+        return '  '.join(cell.rjust(width) if right else cell.ljust(width) for
+                         cell, width, right in zip(cells, widths, numeric, strict=True)).rstrip()
+
+    return '\n'.join([line(header), '  '.join('-' * width for width in widths),
+                      *(line(row) for row in rows)])
+
+
+def _run_dict(run):
+    joints = [{key: _known(value) for key, value in joint._asdict().items()}
+              for joint in run.joints]
+    return run._asdict() | {'joints': joints}
+
+
+def _rank(name, order):
+    return (order.index(name), name) if name in order else (len(order), name)
+
+
+def _known(value):
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _small(value):
+    return f'{value:.3e}' if math.isfinite(value) else '-'
+
+
+def _plain(value):
+    return f'{value:#.3g}'.rstrip('.') if math.isfinite(value) else '-'

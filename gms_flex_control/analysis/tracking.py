@@ -1,0 +1,168 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""
+The paper's Table 4 from recordings: mean square tracking error with and without compensation.
+
+The absolute values of the paper cannot be reproduced: it prints neither the inertias M and J,
+nor the stiffness K, nor the trajectories. What can be compared is the ratio
+MSE without / MSE with compensation on the same robot and trajectory.
+"""
+
+from typing import NamedTuple
+
+from gms_flex_control.analysis.table4 import Table4
+from gms_flex_control.recording import Recording
+import numpy as np
+
+HOLD_SETTLING = 1.0   # a reference constant this long counts as holding still [s]
+HOLD_WINDOW = 5.0     # and the last this much of it is judged [s]
+HOLD_TOLERANCE = 1e-9  # a reference that moves less than this is constant [rad]
+
+
+class Run(NamedTuple):
+    """One experiment: what was asked of the robot, how friction was treated, what came."""
+
+    trajectory: str    # 'sinusoid', 'polynomial' or any other name
+    compensation: str  # 'none', 'gms_paper', 'gms' or any other name
+    recording: Recording
+
+
+class JointTracking(NamedTuple):
+    """How one joint followed its reference; NaN where the recording cannot tell."""
+
+    joint: str
+    mse: float          # mean of (q_link - reference)^2 [rad^2]
+    rms: float          # [rad]
+    max_error: float    # largest absolute error [rad]
+    hold_peak_to_peak: float  # largest of all holds [rad]
+    hold_start: float   # stamp at which the judged part of that hold begins [s]
+    hold_duration: float  # its length [s]
+    rms_torque: float   # of the torque applied, or commanded if that is not known [N m]
+    samples: int        # samples with both a measurement and a reference
+
+
+class RunTracking(NamedTuple):
+    """The figures of one run, one entry per joint."""
+
+    trajectory: str
+    compensation: str
+    source: str
+    duration: float  # [s]
+    joints: tuple
+
+
+def link_error(recording):
+    """
+    Return actual minus desired link angle.
+
+    Parameters
+    ----------
+    recording : Recording
+        Of T samples and n joints.
+
+    Returns
+    -------
+    ndarray, shape (T, n)
+        Tracking error [rad]; NaN where there was no reference.
+
+    """
+    return recording.q_link - recording.reference[:, 0]
+
+
+def track(run):
+    """
+    Return the tracking figures of one run.
+
+    Parameters
+    ----------
+    run : Run
+        Labels and recording.
+
+    Returns
+    -------
+    RunTracking
+        Means are over samples, as in the paper, not over time.
+
+    """
+    recording = run.recording
+    error = link_error(recording)
+    return RunTracking(
+        run.trajectory, run.compensation, recording.source,
+        float(recording.time[-1] - recording.time[0]),
+        tuple(_track_joint(recording, error[:, i], i) for i in range(recording.n_joints)))
+
+
+def table4(runs):
+    """
+    Return the paper's Table 4 for any list of runs.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        Repeats of one trajectory and compensation are averaged; combinations that
+        are missing show as '-'.
+
+    Returns
+    -------
+    Table4
+        With ``.text()``, ``.as_dict()`` and the numbers themselves.
+
+    """
+    return Table4(tuple(track(run) for run in runs))
+
+
+def hold_windows(time, q_ref):
+    """
+    Return where one joint is asked to stand still and has had time to settle.
+
+    Parameters
+    ----------
+    time, q_ref : ndarray, shape (T,)
+        Stamps [s] and reference angle [rad].
+
+    Returns
+    -------
+    list of slice
+        For each stretch of constant reference longer than ``HOLD_SETTLING``: what follows
+        the settling, at most the last ``HOLD_WINDOW`` of it.
+
+    """
+    still = np.abs(np.diff(q_ref)) <= HOLD_TOLERANCE
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(int)))
+    windows = []
+    for first, last in zip(edges[::2], edges[1::2], strict=True):
+        begin = max(time[first] + HOLD_SETTLING, time[last] - HOLD_WINDOW)
+        start = int(np.searchsorted(time, begin - 1e-9))
+        if last > start:
+            windows.append(slice(start, int(last) + 1))
+    return windows
+
+
+def _track_joint(recording, error, i):
+    valid = error[np.isfinite(error)]
+    mse = float(np.mean(valid ** 2)) if valid.size else np.nan
+    peak, start, duration = _worst_hold(recording, i)
+    return JointTracking(
+        recording.joints[i], mse, float(np.sqrt(mse)),
+        float(np.max(np.abs(valid))) if valid.size else np.nan,
+        peak, start, duration, _rms_torque(recording, i), int(valid.size))
+
+
+def _worst_hold(recording, i):
+    """Return peak to peak [rad], start and duration [s] of the hold with most motion."""
+    worst = (np.nan, np.nan, np.nan)
+    for window in hold_windows(recording.time, recording.reference[:, 0, i]):
+        angle, stamp = recording.q_link[window, i], recording.time[window]
+        peak = float(np.ptp(angle[np.isfinite(angle)])) if np.isfinite(angle).any() else np.nan
+        if not peak <= worst[0]:
+            worst = (peak, float(stamp[0]), float(stamp[-1] - stamp[0]))
+    return worst
+
+
+def _rms_torque(recording, i):
+    for torque in (recording.tau_motor[:, i], recording.command[:, i]):
+        known = torque[np.isfinite(torque)]
+        if known.size:
+            return float(np.sqrt(np.mean(known ** 2)))
+    return np.nan
