@@ -89,7 +89,7 @@ class Table4:
         return without, with_it, without / with_it
 
     def rows(self):
-        """Return header and rows (lists of str) of the comparison with the paper."""
+        """Return the header and the rows, lists of str, of the comparison with the paper."""
         modes = [mode for mode in self.compensations if mode != WITHOUT]
         header = ['trajectory', 'joint', WITHOUT]
         for mode in modes:
@@ -108,9 +108,9 @@ class Table4:
         return row + [_small(paper[0]), _small(paper[1]), _plain(paper[2])]
 
     def detail_rows(self):
-        """Return header and rows (lists of str) of every run's own figures."""
+        """Return the header and the rows, lists of str, of every run's own figures."""
         header = ['trajectory', 'compensation', 'joint', 'rms error [mrad]',
-                  'max error [mrad]', 'hold peak to peak [mrad]', 'rms torque [N m]',
+                  'max error [mrad]', 'hold p-p [mrad]', 'rms torque [N m]',
                   'duration [s]', 'samples']
         rows = []
         for run in self.runs:

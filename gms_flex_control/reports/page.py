@@ -1,0 +1,237 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""
+One HTML file with text, tables, pictures and interactive charts; it needs no network.
+
+Charts are drawn by uPlot (vendor/) from base64 arrays in the file itself; ``report.js`` adds
+pan, zoom, cursors shared by a group of charts, and min/max decimation.
+"""
+
+import base64
+from html import escape
+from importlib.resources import files
+import json
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from gms_flex_control.files import write_text
+from gms_flex_control.reports.series import decimate, merge_grids
+import numpy as np
+
+ROLES = ('reference', 'c0', 'c1', 'c2', 'c3', 'c4', 'c5', 'c6')
+MAX_POINTS = 200_000  # per series; longer ones are written as extremes per bucket
+POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
+HINT = ('Drag to pan, wheel or shift-drag to zoom, double-click to reset; click a name in the '
+        'legend to hide it. Charts of one group move together.')
+
+
+class Series(NamedTuple):
+    """One line of a chart."""
+
+    label: str
+    y: Any              # array_like, shape (T,); NaN leaves a gap
+    x: Any = None       # array_like, shape (T,), if not the chart's
+    role: str = ''      # a colour of ROLES; '' takes the next one
+    dashed: bool = False
+    hidden: bool = False  # off until clicked in the legend
+
+
+class Report:
+    """
+    Collect blocks in order and write them as one file.
+
+    Every method but ``html`` and ``write`` returns the report, so that calls chain. All
+    text is escaped here: pass it as it is.
+
+    Parameters
+    ----------
+    title : str
+        Title of the page.
+    subtitle : str
+        One line under it.
+
+    """
+
+    def __init__(self, title, subtitle=''):
+        self._title = title
+        self._subtitle = subtitle
+        self._blocks = []  # (kind, html)
+        self._headings = []
+        self._arrays = {}  # encoded array -> index, so that a shared time axis is stored once
+        self._charts = []
+
+    def heading(self, text, level=2):
+        """Add a heading of level 2 (listed at the top of the page) or 3."""
+        anchor = f'h{len(self._blocks)}'
+        if level == 2:
+            self._headings.append((anchor, text))
+        return self._add('heading', f'<h{level} id="{anchor}">{escape(text)}</h{level}>')
+
+    def text(self, text):
+        """Add a paragraph."""
+        return self._add('text', f'<p>{escape(text)}</p>')
+
+    def note(self, text, warning=False):
+        """Add a paragraph that is set off; ``warning`` colours it."""
+        kind = 'note warning' if warning else 'note'
+        return self._add('text', f'<p class="{kind}">{escape(text)}</p>')
+
+    def preformatted(self, text):
+        """Add text whose lines and blanks are kept."""
+        return self._add('text', f'<pre>{escape(text)}</pre>')
+
+    def table(self, header, rows, caption=''):
+        """
+        Add a table.
+
+        Parameters
+        ----------
+        header : sequence of str
+            Column titles.
+        rows : sequence of sequence
+            Cells, written with ``str``; columns of numbers are set to the right.
+        caption : str
+            Line above the table.
+
+        """
+        cells = [[str(cell) for cell in row] for row in rows]
+        numeric = [all(_is_number(row[i]) for row in cells) for i in range(len(header))]
+        lines = [_row('th', header, numeric)]
+        lines += [_row('td', row, numeric) for row in cells]
+        caption = f'<p class="caption">{escape(caption)}</p>' if caption else ''
+        return self._add('table', f'{caption}<div class="scroll"><table class="data">'
+                         f'<thead>{lines[0]}</thead><tbody>{"".join(lines[1:])}</tbody>'
+                         '</table></div>')
+
+    def figure(self, png, caption=''):
+        """
+        Add a picture.
+
+        Parameters
+        ----------
+        png : bytes or path
+            A PNG, embedded in the file.
+        caption : str
+            Line under it, also its text for those who cannot see it.
+
+        """
+        data = png if isinstance(png, bytes) else Path(png).read_bytes()
+        return self._add('figure', f'<figure><img alt="{escape(caption)}" src="data:image/png;'
+                         f'base64,{base64.b64encode(data).decode()}"><figcaption>'
+                         f'{escape(caption)}</figcaption></figure>')
+
+    def chart(self, title, x, series, x_label='time [s]', y_label='', group='time'):
+        """
+        Add an interactive chart.
+
+        Parameters
+        ----------
+        title : str
+            Shown above the chart.
+        x : array_like, shape (T,)
+            Increasing abscissa of all series that do not bring their own.
+        series : sequence of Series
+            The lines. Series with different abscissae are put on their union, linearly
+            between samples, which is what a line chart shows anyway.
+        x_label, y_label : str
+            Axis labels with units, ``'angle [rad]'``.
+        group : str
+            Charts of one group share cursor, pan and zoom.
+
+        Raises
+        ------
+        ValueError
+            If lengths differ, x does not increase or is not finite, or a role is unknown.
+
+        """
+        grid, values = merge_grids(x, [(item.label, item.x, item.y) for item in series])
+        shown = decimate(grid, values, MAX_POINTS)
+        if len(shown[0]) < len(grid):
+            title += f' (extremes of every {2 * len(grid) / len(shown[0]):.0f} samples)'
+        lines = []
+        for i, (item, y) in enumerate(zip(series, shown[1], strict=True)):
+            role = item.role or ROLES[1 + i % (len(ROLES) - 1)]
+            if role not in ROLES:
+                raise ValueError(f'series {item.label!r}: role {role!r} is none of {ROLES}')
+            lines.append({'label': item.label, 'y': self._store(y, '<f4'), 'role': role,
+                          'dashed': item.dashed, 'hidden': item.hidden})
+        self._charts.append({'x': self._store(shown[0], '<f8'), 'series': lines,
+                             'x_label': x_label, 'y_label': y_label, 'group': group})
+        return self._add('chart', _chart_html(len(self._charts) - 1, title))
+
+    def html(self):
+        """Return the whole page (str)."""
+        folder = files('gms_flex_control.reports')
+        style = (folder / 'vendor' / 'uPlot.min.css').read_text('utf-8') + (
+            folder / 'report.css').read_text('utf-8')
+        nav = ''.join(f'<a href="#{anchor}">{escape(text)}</a>'
+                      for anchor, text in self._headings)
+        parts = [
+            '<!DOCTYPE html><html lang="en"><head><meta charset="utf-8">',
+            f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">',
+            '<meta name="viewport" content="width=device-width, initial-scale=1">',
+            f'<title>{escape(self._title)}</title><style>{style}</style></head><body>',
+            f'<h1>{escape(self._title)}</h1>',
+            f'<p class="subtitle">{escape(self._subtitle)}</p>' if self._subtitle else '',
+            f'<nav>{nav}</nav>' if len(self._headings) > 1 else '',
+            f'<p class="hint">{HINT}</p>' if self._charts else '', *self._body()]
+        return '\n'.join([*parts, *self._scripts(folder), '</body></html>\n'])
+
+    def write(self, path):
+        """Write the page to ``path``, whole or not at all, and return the path."""
+        write_text(path, self.html())
+        return Path(path)
+
+    def _scripts(self, folder):
+        if not self._charts:
+            return []
+        payload = {'arrays': list(self._arrays), 'charts': self._charts}
+        # '<' would let a label end the script element
+        data = json.dumps(payload, separators=(',', ':')).replace('<', '\\u003c')
+        return ['<noscript><p class="note warning">The charts need JavaScript.</p></noscript>',
+                f'<script type="application/json" id="report-data">{data}</script>',
+                *(f'<script>{(folder / name).read_text("utf-8")}</script>'
+                  for name in ('vendor/uPlot.iife.min.js', 'report.js'))]
+
+    def _body(self):
+        """Yield the blocks, neighbouring charts and figures set side by side."""
+        wrapper = {'chart': 'charts', 'figure': 'figures'}
+        for i, (kind, block) in enumerate(self._blocks):
+            opens = kind in wrapper and (i == 0 or self._blocks[i - 1][0] != kind)
+            closes = kind in wrapper and (self._blocks[i + 1:i + 2] or [('',)])[0][0] != kind
+            yield (f'<div class="{wrapper[kind]}">' if opens else '') + block + (
+                '</div>' if closes else '')
+
+    def _store(self, values, dtype):
+        data = base64.b64encode(np.ascontiguousarray(values, dtype=dtype).tobytes()).decode()
+        return self._arrays.setdefault((dtype[1:], data), len(self._arrays))
+
+    def _add(self, kind, block):
+        self._blocks.append((kind, block))
+        return self
+
+
+def _chart_html(index, title):
+    buttons = ''.join(
+        f'<button type="button" data-act="{act}" title="{hint}"{pressed}>{label}</button>'
+        for act, label, hint, pressed in (
+            ('box', 'Box', 'Drag draws a zoom box (as shift-drag does)', ' aria-pressed="false"'),
+            ('large', 'Large', 'Full width', ' aria-pressed="false"'),
+            ('reset', 'Reset', 'Show everything (double-click, key 0)', '')))
+    return (f'<section class="chart" id="chart-{index}"><header><h3>{escape(title)}</h3>'
+            f'{buttons}</header><div class="plot"></div></section>')
+
+
+def _row(tag, cells, numeric):
+    return '<tr>' + ''.join(
+        f'<{tag}{" class=number" if right else ""}>{escape(str(cell))}</{tag}>'
+        for cell, right in zip(cells, numeric, strict=True)) + '</tr>'
+
+
+def _is_number(text):
+    try:
+        float(text)
+    except ValueError:
+        return text in ('-', '')
+    return True

@@ -1,0 +1,167 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Table 4 with its pictures and interactive charts, as files in one folder."""
+
+import json
+from pathlib import Path
+import re
+
+from gms_flex_control.analysis.tracking import link_error, table4
+from gms_flex_control.files import write_text
+from gms_flex_control.reports.figures import (
+    compensation_index,
+    compensation_name,
+    error_figure,
+    save_figure,
+    tracking_figure,
+)
+from gms_flex_control.reports.page import Report, Series
+import numpy as np
+
+
+def write_tracking_report(runs, folder, friction_true=None, title='Tracking report'):
+    """
+    Write table4.json, report.html and the PNGs of the paper's Figs. 6 to 10.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        Experiments of any trajectories, compensations and robots.
+    folder : str or Path
+        Made if need be; files of the same names are replaced.
+    friction_true : mapping of int to ndarray (T, n), optional
+        True friction [N m] of a simulated run, by its index in ``runs``.
+    title : str
+        Title of the page.
+
+    Returns
+    -------
+    Table4
+        The figures written to table4.json.
+
+    """
+    folder = Path(folder)
+    table = table4(runs)
+    write_text(folder / 'table4.json',
+               json.dumps(table.as_dict(), indent=2, allow_nan=False) + '\n')
+    pictures = _save_pictures(runs, folder)
+    report = Report(title, f'{len(runs)} recording{"s" if len(runs) != 1 else ""}: link angle '
+                    'against reference, with and without friction compensation')
+    add_table4(report, table)
+    _add_error_charts(report, runs)
+    for i, run in enumerate(runs):
+        add_run(report, run, (friction_true or {}).get(i))
+    if pictures:
+        report.heading("Pictures (as the paper's Figs. 6 to 10)")
+    for path, caption in pictures:
+        report.figure(path, caption)
+    report.write(folder / 'report.html')
+    return table
+
+
+def add_table4(report, table):
+    """Add both tables of a ``Table4`` to a ``Report``."""
+    report.heading('Table 4')
+    report.table(*table.rows(), caption='Mean square error, link angle − reference '
+                 '[rad²], and ratio without / with')
+    report.note(table.as_dict()['note'])
+    report.table(*table.detail_rows(), caption='Every run')
+    return report
+
+
+def add_run(report, run, friction_true=None):
+    """
+    Add the charts of one run: angle, error, torque and friction per joint.
+
+    Parameters
+    ----------
+    report : Report
+        Grows by a section.
+    run : Run
+        Quantities that were not recorded are left out.
+    friction_true : ndarray, shape (T, n), optional
+        Friction of the simulated plant [N m].
+
+    """
+    recording = run.recording
+    group = f'{run.trajectory} {run.compensation} {recording.source}'
+    report.heading(run_name(run))
+    report.text(f'{recording.source}: {len(recording.time)} samples in '
+                f'{recording.time[-1]:.6g} s, median period {1e3 * recording.period:.4g} ms.')
+    for i, joint in enumerate(recording.joints):
+        for name, unit, series in _joint_charts(recording, i, friction_true):
+            shown = [item for item in series if np.isfinite(item.y).any()]
+            if shown:
+                report.chart(f'{joint}: {name}', recording.time, shown,
+                             y_label=f'{name} [{unit}]', group=group)
+    return report
+
+
+def run_name(run):
+    """Return the title of a run, for instance 'Sinusoid: without compensation'."""
+    words = compensation_name(run.compensation)
+    return f'{run.trajectory.capitalize()}: {words}' if words else run.trajectory
+
+
+def _joint_charts(recording, i, friction_true):
+    yield 'angle', 'rad', [
+        Series('link', recording.q_link[:, i], role='c0'),
+        Series('motor', recording.q_motor[:, i], role='c4', hidden=True),
+        Series('reference', recording.reference[:, 0, i], role='reference', dashed=True)]
+    yield 'error', 'mrad', [Series('link − reference', 1e3 * link_error(recording)[:, i],
+                                   role='c1')]
+    yield 'torque', 'N m', [
+        Series('applied', recording.tau_motor[:, i], role='c0'),
+        Series('command', recording.command[:, i], role='c1', dashed=True)]
+    truth = np.full(len(recording.time), np.nan) if friction_true is None else friction_true[:, i]
+    yield 'friction', 'N m', [
+        Series('estimate', recording.friction_hat[:, i], role='c2'),
+        Series('true', truth, role='reference', dashed=True)]
+
+
+def _add_error_charts(report, runs):
+    """Overlay the errors of every trajectory that was run more than one way."""
+    drawn = [run for run in runs if np.isfinite(link_error(run.recording)).any()]
+    if drawn:
+        report.heading('Position errors')
+    for trajectory in dict.fromkeys(run.trajectory for run in drawn):
+        chosen = [run for run in drawn if run.trajectory == trajectory]
+        for joint in dict.fromkeys(name for run in chosen for name in run.recording.joints):
+            series = [_error_series(run, joint) for run in chosen
+                      if joint in run.recording.joints]
+            report.chart(f'{trajectory.capitalize()}, {joint}', chosen[0].recording.time, series,
+                         y_label='error [mrad]', group=f'errors {trajectory}')
+
+
+def _error_series(run, joint):
+    recording = run.recording
+    error = link_error(recording)[:, recording.joints.index(joint)]
+    return Series(run.compensation or recording.source, 1e3 * error, x=recording.time,
+                  role=f'c{compensation_index(run.compensation)}')
+
+
+def _save_pictures(runs, folder):
+    """Return (path, caption) of the pictures written."""
+    drawn = [run for run in runs if np.isfinite(link_error(run.recording)).any()]
+    pictures = []
+    for run in drawn:
+        path = _free(folder, f'tracking_{run.trajectory}_{run.compensation}', pictures)
+        save_figure(tracking_figure(run), path)
+        pictures.append((path, run_name(run)))
+    for trajectory in dict.fromkeys(run.trajectory for run in drawn):
+        path = _free(folder, f'errors_{trajectory}', pictures)
+        save_figure(error_figure(drawn, trajectory), path)
+        pictures.append((path, f'{trajectory.capitalize()}: position errors'))
+    return pictures
+
+
+def _free(folder, stem, pictures):
+    """Return a path safe as a file name and not used by a picture before it."""
+    stem = re.sub(r'[^A-Za-z0-9._-]+', '_', stem).strip('_')
+    taken = {path for path, _ in pictures}
+    path, count = folder / f'{stem}.png', 1
+    while path in taken:
+        count += 1
+        path = folder / f'{stem}_{count}.png'
+    return path

@@ -1,0 +1,159 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""The HTML report: self-contained, escaped, its data equal to what was put in."""
+
+import base64
+from fnmatch import fnmatch
+from html.parser import HTMLParser
+import json
+from pathlib import Path
+import re
+import shutil
+import subprocess
+
+from gms_flex_control.reports.page import Report, Series
+from gms_flex_control.reports.series import decimate, merge_grids
+import numpy as np
+import pytest
+
+EVIL = '</script><script>alert(1)</script> & "joint"'
+ROOT = Path(__file__).resolve().parents[1]
+
+
+class Page(HTMLParser):
+    """Collect tags, links and the embedded data of a report."""
+
+    def __init__(self, html):
+        super().__init__()
+        self.tags, self.urls, self.data, self.words, self._inside = [], [], '', [], None
+        self.feed(html)
+
+    def handle_starttag(self, tag, attrs):
+        attrs = dict(attrs)
+        self.tags.append(tag)
+        self.urls += [attrs[key] for key in ('src', 'href') if key in attrs]
+        self._inside = attrs.get('id') if tag == 'script' else tag
+
+    def handle_data(self, data):
+        if self._inside == 'report-data':
+            self.data += data
+        elif self._inside in ('h1', 'h2', 'h3', 'td', 'p'):
+            self.words.append(data)
+
+    def handle_endtag(self, tag):
+        self._inside = None
+
+    def arrays(self):
+        """Return the embedded arrays."""
+        return [np.frombuffer(base64.b64decode(text), dtype='<' + dtype)
+                for dtype, text in json.loads(self.data)['arrays']]
+
+
+def small_report():
+    """Return a report with every kind of block, named by someone hostile."""
+    t = np.arange(500) * 2e-3
+    return (Report(EVIL, subtitle=EVIL).heading(EVIL).text(EVIL).note(EVIL, warning=True)
+            .preformatted(EVIL).table([EVIL, 'n'], [[EVIL, '1.5'], ['x', '-']], caption=EVIL)
+            .figure(b'\x89PNG', caption=EVIL).heading('second')
+            .chart(EVIL, t, [Series(EVIL, np.sin(t)), Series('b', np.cos(t))], y_label=EVIL))
+
+
+def test_every_text_is_escaped_wherever_it_is_put():
+    html = small_report().html()
+    page = Page(html)
+    assert 'alert(1)</script> &' not in html
+    assert page.tags.count('script') == 3  # data, uPlot, report.js
+    assert page.words.count(EVIL) >= 6
+    spec = json.loads(page.data)['charts'][0]
+    assert spec['series'][0]['label'] == spec['y_label'] == EVIL
+
+
+def test_embedded_arrays_equal_the_data():
+    t = np.arange(500) * 2e-3
+    page = Page(small_report().html())
+    chart, arrays = json.loads(page.data)['charts'][0], page.arrays()
+    x, (y, other) = arrays[chart['x']], [arrays[line['y']] for line in chart['series']]
+    np.testing.assert_array_equal(x, t)
+    np.testing.assert_array_equal(y, np.sin(t).astype('f4'))
+    np.testing.assert_array_equal(other, np.cos(t).astype('f4'))
+
+
+def test_a_shared_time_axis_is_stored_once():
+    t = np.arange(100.0)
+    report = Report('r').chart('a', t, [Series('s', t ** 2)]).chart('b', t, [Series('s', t ** 3)])
+    assert len(Page(report.html()).arrays()) == 3
+
+
+def test_the_page_reaches_for_nothing_outside_itself():
+    html = small_report().html()
+    assert all(url.startswith(('data:', '#')) for url in Page(html).urls)
+    assert "default-src 'none'" in html
+    own = html.replace('https://github.com/leeoniya/uPlot', '')  # uPlot's own banner comment
+    assert not re.search(r'https?://|@import|url\(', own)
+
+
+def test_neighbouring_charts_share_a_grid_and_headings_a_table_of_contents():
+    html = small_report().html()
+    assert html.count('class="charts"') == 1 and html.count('<nav>') == 1
+
+
+def test_writing_is_whole_or_not_at_all(tmp_path):
+    path = small_report().write(tmp_path / 'deep' / 'report.html')
+    assert path.read_text('utf-8') == small_report().html()
+    assert [entry.name for entry in path.parent.iterdir()] == ['report.html']
+
+
+@pytest.mark.parametrize(('x', 'y', 'role', 'match'), [
+    ([0, 1, 1], [0, 0, 0], '', 'must be finite and increase'),
+    ([0, np.nan, 1], [0, 0, 0], '', 'must be finite and increase'),
+    ([0, 1], [0, 0, 0], '', r'y has shape \(3,\), x \(2,\)'),
+    ([0, 1], [0, 0], 'pink', "role 'pink' is none of")])
+def test_a_chart_that_cannot_be_drawn_is_refused(x, y, role, match):
+    with pytest.raises(ValueError, match=match):
+        Report('r').chart('c', x, [Series('s', y, role=role)])
+
+
+def test_series_on_different_stamps_meet_on_their_union():
+    grid, (a, b) = merge_grids([0.0, 2.0], [('a', None, [0.0, 4.0]),
+                                            ('b', [1.0, 3.0], [10.0, np.nan])])
+    np.testing.assert_array_equal(grid, [0, 1, 2, 3])
+    np.testing.assert_array_equal(a, [0, 2, 4, np.nan])
+    np.testing.assert_array_equal(b, [np.nan, 10, np.nan, np.nan])
+
+
+def test_decimation_keeps_every_peak_in_order():
+    rng = np.random.default_rng(3)
+    x, y = np.arange(10007.0), rng.standard_normal(10007)
+    y[5000:5200] = np.nan
+    y[1234], y[1240] = 50.0, -50.0
+    gx, (gy,) = decimate(x, [y], 400)
+    assert len(gx) == len(gy) == 400 and np.all(np.diff(gx) > 0)
+    assert (np.nanmax(gy), np.nanmin(gy)) == (50.0, -50.0)
+    assert np.argmax(gy == 50.0) < np.argmax(gy == -50.0)
+    assert np.isnan(gy[201:207]).any()
+
+
+def test_assets_are_part_of_the_installed_package():
+    patterns = re.search(r'package_data=\{.*?\[(.*?)\]\}', (ROOT / 'setup.py').read_text('utf-8'),
+                         re.DOTALL).group(1)
+    patterns = re.findall(r"'([^']+)'", patterns)
+    for name in ('reports/report.js', 'reports/report.css', 'reports/vendor/uPlot.iife.min.js',
+                 'reports/vendor/uPlot.min.css', 'reports/vendor/LICENSE'):
+        assert (ROOT / 'gms_flex_control' / name).is_file()
+        assert any(fnmatch(name, pattern) for pattern in patterns), name
+
+
+def test_a_browser_draws_the_charts(tmp_path):
+    browser = shutil.which('chromium') or shutil.which('chromium-browser')
+    if browser is None:
+        pytest.skip('no chromium on this machine; the page itself is checked by the other tests')
+    path = small_report().write(tmp_path / 'report.html')
+    flags = ['--headless', '--no-sandbox', '--disable-gpu', '--disable-quic', '--no-first-run',
+             '--disable-background-networking', '--disable-component-update', '--disable-sync',
+             f'--user-data-dir={tmp_path / "profile"}', '--virtual-time-budget=2000']
+    done = subprocess.run([browser, *flags, '--dump-dom', path.as_uri()], check=False,
+                          capture_output=True, text=True, timeout=60)
+    if not done.stdout:
+        pytest.skip(f'chromium does not run here: {done.stderr[-200:]}')
+    assert 'data-charts="1"' in done.stdout and '<canvas' in done.stdout

@@ -1,0 +1,72 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""The folder `gms_flex analyse` leaves behind: table, page and pictures."""
+
+import json
+import struct
+
+from gms_flex_control.analysis.tracking import Run
+from gms_flex_control.recording import Recording
+from gms_flex_control.reports.figures import error_figure, tracking_figure
+from gms_flex_control.reports.tracking import write_tracking_report
+import numpy as np
+import pytest
+
+
+def run(trajectory, compensation, error=0.01, reference=0.0, samples=2000, stamp=1e-3):
+    """Return a run of two joints with a constant error [rad]."""
+    nan = np.full((samples, 2), np.nan)
+    derivatives = np.full((samples, 5, 2), np.nan)
+    derivatives[:, 0] = reference
+    recording = Recording(
+        joints=('joint1', '<b>$_'), time=np.arange(samples) * stamp,
+        q_link=np.full((samples, 2), error),
+        dq_link=nan, q_motor=nan, dq_motor=nan, tau_motor=np.ones((samples, 2)), command=nan,
+        reference=derivatives, friction_hat=nan, source=f'bags/{trajectory}_{compensation}')
+    return Run(trajectory, compensation, recording)
+
+
+def test_table_page_and_pictures_are_written(tmp_path):
+    runs = [run('sinusoid', 'none', 0.1), run('sinusoid', 'gms', 0.01, stamp=0.9e-3)]
+    table = write_tracking_report(runs, tmp_path / 'out')
+    written = json.loads((tmp_path / 'out' / 'table4.json').read_text())
+    assert written == table.as_dict()
+    assert written['table'][0]['ratio']['gms'] == pytest.approx(100)
+    names = sorted(path.name for path in (tmp_path / 'out').iterdir())
+    assert names == ['errors_sinusoid.png', 'report.html', 'table4.json',
+                     'tracking_sinusoid_gms.png', 'tracking_sinusoid_none.png']
+    data = (tmp_path / 'out' / 'errors_sinusoid.png').read_bytes()
+    assert data[:8] == b'\x89PNG\r\n\x1a\n'
+    width, height = struct.unpack('>II', data[16:24])
+    assert width > 900 and height > 500
+    html = (tmp_path / 'out' / 'report.html').read_text()
+    assert html.count('class="chart"') == 2 + 2 * 2 * 3  # friction was not recorded
+    assert '<b>$_' not in html
+
+
+def test_a_recording_without_reference_is_summarised_all_the_same(tmp_path):
+    write_tracking_report([run('log', '', reference=np.nan)], tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ['report.html', 'table4.json']
+    assert json.loads((tmp_path / 'table4.json').read_text())['table'][0]['mse'] == {'': None}
+
+
+def test_pictures_of_repeats_and_strange_names_do_not_collide(tmp_path):
+    write_tracking_report([run('a/../b', 'x'), run('a/../b', 'x')], tmp_path)
+    assert sorted(path.name for path in tmp_path.glob('*.png')) == [
+        'errors_a_.._b.png', 'tracking_a_.._b_x.png', 'tracking_a_.._b_x_2.png']
+
+
+def test_figures_show_every_joint_with_its_unit():
+    runs = [run('sinusoid', 'none', 0.002), run('sinusoid', 'gms', 0.001)]
+    panels = error_figure(runs, 'sinusoid').axes
+    assert [panel.get_ylabel() for panel in panels] == ['joint1 [mrad]', '<b>$_ [mrad]']
+    lines = {line.get_label(): line for line in panels[0].get_lines()}
+    np.testing.assert_allclose(lines['without compensation'].get_ydata(), 2.0)
+    np.testing.assert_allclose(tracking_figure(runs[0]).axes[1].get_lines()[0].get_ydata(), 0.002)
+
+
+def test_true_friction_is_drawn_where_it_is_known(tmp_path):
+    write_tracking_report([run('sinusoid', 'none')], tmp_path,
+                          friction_true={0: np.full((2000, 2), 0.25)})
+    assert '"label":"true"' in (tmp_path / 'report.html').read_text()
