@@ -42,7 +42,7 @@ clean:  ## Remove the environment and all that was made
 # pip writes the console scripts into .venv/bin (setup.cfg's directories are colcon's), and
 # an editable installation runs the sources of this clone.
 .venv/.with-%: .venv/.created setup.py setup.cfg package.xml
-	@echo "Installing gms_flex_control[ros,$*] into .venv (once; downloads up to 250 MB)"
-	@$(BIN)/python -m pip install --quiet --no-build-isolation --use-pep517 \
+	@echo "Installing gms_flex_control for '$*' into .venv (once; downloads up to 250 MB)"
+	@$(BIN)/python -m pip install -qq --no-build-isolation --use-pep517 \
 	  -c constraints.txt --editable '.[ros,$*]'
 	@touch $@

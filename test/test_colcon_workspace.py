@@ -1,0 +1,114 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Build the package with colcon in a workspace of its own and start an installed node."""
+
+import os
+from pathlib import Path
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+PACKAGE = 'gms_flex_control'
+ROOT = Path(__file__).resolve().parents[1]
+NOT_SOURCE = shutil.ignore_patterns(
+    '.*', '__pycache__', '*.egg-info', 'build', 'install', 'log', 'demo_output')
+DOMAIN = os.getpid() % 100 + 1  # private, within the range that is safe on every system
+
+colcon = shutil.which('colcon', path=os.pathsep.join(
+    [str(Path(sys.executable).parent), os.environ.get('PATH', '')]))
+pytestmark = pytest.mark.skipif(colcon is None, reason='needs colcon: install the extra [test]')
+
+
+@pytest.fixture(scope='module')
+def environment():
+    """Return an environment in which ament finds what this Python has, and no other network."""
+    prefixes = [sys.prefix, os.environ.get('AMENT_PREFIX_PATH', '')]
+    return {**os.environ, 'AMENT_PREFIX_PATH': os.pathsep.join(filter(None, prefixes)),
+            'ROS_DOMAIN_ID': str(DOMAIN), 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
+
+
+@pytest.fixture(scope='module')
+def prefix(tmp_path_factory, environment):
+    """Build a copy of the sources once; return where colcon installed the package."""
+    workspace = tmp_path_factory.mktemp('workspace')
+    shutil.copytree(ROOT, workspace / 'src' / PACKAGE, ignore=NOT_SOURCE)
+    result = subprocess.run(
+        [colcon, 'build', '--packages-select', PACKAGE], cwd=workspace, env=environment,
+        capture_output=True, text=True, timeout=300, check=False)
+    assert result.returncode == 0, result.stdout + result.stderr
+    return workspace / 'install' / PACKAGE
+
+
+@pytest.fixture
+def plant(prefix, environment, tmp_path):
+    """Start the installed plant from the sourced workspace; yield (process, path of output)."""
+    setup = prefix.parent / 'local_setup.bash'
+    executable = prefix / 'lib' / PACKAGE / 'plant_node'
+    config = prefix / 'share' / PACKAGE / 'config'
+    command = [executable, '--ros-args', *(
+        word for name in ('robot', 'controller')
+        for word in ('--params-file', config / f'{name}.yaml'))]
+    output = tmp_path / 'output.txt'
+    with open(output, 'w', encoding='utf-8') as stream:
+        process = subprocess.Popen(
+            ['bash', '-c', '. "$0" && exec "$@"', setup, *command], cwd=tmp_path,
+            env=environment, stdout=stream, stderr=subprocess.STDOUT)
+        try:
+            yield process, output
+        finally:
+            process.kill()
+            process.wait()
+
+
+def first_joint_state(process, monkeypatch, seconds=60.0):
+    """Return the first JointState on the private domain, None if the process ends or is mute."""
+    import rclpy
+    from rclpy.executors import SingleThreadedExecutor
+    from rclpy.qos import qos_profile_sensor_data
+    from sensor_msgs.msg import JointState
+    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=DOMAIN,
+               signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
+    received = []
+    try:
+        node = rclpy.create_node('colcon_workspace_test', context=context)
+        node.create_subscription(
+            JointState, 'joint_states', received.append, qos_profile_sensor_data)
+        executor = SingleThreadedExecutor(context=context)
+        executor.add_node(node)
+        deadline = time.monotonic() + seconds
+        while not received and process.poll() is None and time.monotonic() < deadline:
+            executor.spin_once(timeout_sec=0.1)
+        executor.shutdown()
+        node.destroy_node()
+    finally:
+        rclpy.shutdown(context=context)
+    return received[0] if received else None
+
+
+def test_the_workspace_has_executables_and_resources(prefix):
+    executables = {path.name for path in (prefix / 'lib' / PACKAGE).iterdir()}
+    assert executables >= {'plant_node', 'controller_node', 'trajectory_node', 'gms_flex'}
+    share = prefix / 'share'
+    assert (share / 'ament_index' / 'resource_index' / 'packages' / PACKAGE).is_file()
+    for part in ('package.xml', 'config/robot.yaml', 'config/controller.yaml',
+                 'launch/closed_loop.launch.py'):
+        assert (share / PACKAGE / part).is_file(), part
+
+
+def test_an_installed_node_runs_and_ends_cleanly(plant, monkeypatch):
+    """Start plant_node from the workspace, hear its joint states, interrupt it: exit 0."""
+    pytest.importorskip('rclpy')
+    process, output = plant
+    state = first_joint_state(process, monkeypatch)
+    text = output.read_text(encoding='utf-8')
+    assert state is not None, f'no joint state; exit status {process.poll()}, output:\n{text}'
+    assert len(state.name) == len(state.position) > 0
+    process.send_signal(signal.SIGINT)
+    assert process.wait(timeout=20) == 0, output.read_text(encoding='utf-8')

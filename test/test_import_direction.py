@@ -1,0 +1,97 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Imports point one way, ROS stays under nodes/ and bag libraries under bags/."""
+
+import ast
+from pathlib import Path
+import re
+
+import gms_flex_control
+import pytest
+
+PACKAGE = 'gms_flex_control'
+ROOT = Path(gms_flex_control.__file__).parent
+# each may import those before it, and itself; one that does not exist yet does no harm
+LAYERS = ['errors', 'files', 'suggest', 'resources', 'compiled', 'records', 'recording',
+          'params', 'friction', 'effects', 'dynamics', 'trajectory', 'control', 'simulation',
+          'bags', 'analysis', 'identification', 'discrepancy', 'reports', 'nodes', 'cli']
+ROS = re.compile(r'rclpy|rcl_interfaces|ament_index_python|launch(_ros)?|\w+_(msgs|srvs)')
+BAGS = re.compile(r'rosbags|mcap')
+MODULES = {path.relative_to(ROOT).as_posix(): path for path in sorted(ROOT.rglob('*.py'))
+           if path != ROOT / '__init__.py'}
+
+
+def imports(tree, module, inside_function=False):
+    """Yield (absolute dotted name, inside a function?, line) of every import."""
+    for node in ast.iter_child_nodes(tree):
+        if isinstance(node, ast.Import):
+            for alias in node.names:
+                yield alias.name, inside_function, node.lineno
+        elif isinstance(node, ast.ImportFrom):
+            base = node.module or ''
+            if node.level:
+                parents = [PACKAGE, *Path(module).parts]
+                base = '.'.join([*parents[:-node.level], *filter(None, [base])])
+            if base == PACKAGE:
+                for alias in node.names:
+                    yield f'{base}.{alias.name}', inside_function, node.lineno
+            else:
+                yield base, inside_function, node.lineno
+        else:
+            inside = inside_function or isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef))
+            yield from imports(node, module, inside)
+
+
+def complaints(source, module):
+    """Return what the layers forbid in one module given by its path within the package."""
+    layer = Path(module).parts[0].removesuffix('.py')
+    if layer not in LAYERS:
+        return [f'{module}: {layer!r} has no place in LAYERS yet; put it where it belongs']
+    found = []
+    for name, lazy, line in imports(ast.parse(source), module):
+        top, _, rest = name.partition('.')
+        target = rest.partition('.')[0]
+        if ROS.fullmatch(top) and layer != 'nodes':
+            found.append(f'{module}:{line} imports {name}: ROS belongs under nodes/')
+        elif BAGS.fullmatch(top) and layer != 'bags':
+            found.append(f'{module}:{line} imports {name}: bag libraries belong under bags/')
+        elif top != PACKAGE or not target.isidentifier() or target.startswith('__'):
+            continue
+        elif target not in LAYERS or LAYERS.index(target) > LAYERS.index(layer):
+            found.append(f'{module}:{line} imports {name}, which is above {layer}')
+        elif layer == 'cli' and target == 'nodes' and not lazy:
+            found.append(f'{module}:{line} imports {name} outside a function: '
+                         'the offline verbs must start without ROS')
+    return found
+
+
+@pytest.mark.parametrize('module', MODULES)
+def test_imports_point_downwards(module):
+    assert complaints(MODULES[module].read_text(encoding='utf-8'), module) == []
+
+
+@pytest.mark.parametrize(('module', 'source', 'complaint'), [
+    ('friction/gms.py', 'from gms_flex_control.simulation import plant', 'above friction'),
+    ('friction/gms.py', 'from gms_flex_control import simulation', 'above friction'),
+    ('friction/gms.py', 'from ..simulation.plant import step', 'above friction'),
+    ('recording.py', 'from .cli.main import main', 'above recording'),
+    ('control/cascade.py', 'import rclpy.node', 'belongs under nodes/'),
+    ('analysis/tracking.py', 'def f():\n    from std_msgs.msg import String', 'under nodes/'),
+    ('analysis/tracking.py', 'if True:\n    from mcap.reader import x', 'under bags/'),
+    ('cli/demo.py', 'from gms_flex_control.nodes import ros', 'outside a function'),
+    ('novel/part.py', '', 'no place in LAYERS'),
+])
+def test_a_forbidden_import_is_found(module, source, complaint):
+    assert any(complaint in line for line in complaints(source, module))
+
+
+@pytest.mark.parametrize(('module', 'source'), [
+    ('simulation/plant.py', 'from gms_flex_control.friction.gms import step'),
+    ('simulation/plant.py', 'from .encoder import Encoder'),
+    ('nodes/recorder.py', 'import rclpy\nfrom gms_flex_control.bags.writer import Writer'),
+    ('cli/demo.py', 'def run(args):\n    from gms_flex_control.nodes import ros'),
+    ('cli/main.py', 'from gms_flex_control import __version__'),
+])
+def test_an_allowed_import_passes(module, source):
+    assert complaints(source, module) == []

@@ -1,0 +1,125 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""The package's files tell one story, and its files are found wherever it is installed."""
+
+import ast
+from importlib import import_module, util
+from pathlib import Path
+import re
+import shutil
+import sys
+from types import SimpleNamespace
+from unittest.mock import MagicMock
+import xml.etree.ElementTree as ElementTree
+
+import gms_flex_control
+from gms_flex_control import resources
+from gms_flex_control.errors import ConfigError
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def setup_argument(name):
+    """Return a literal keyword of the call of ``setup`` in setup.py."""
+    tree = ast.parse((ROOT / 'setup.py').read_text(encoding='utf-8'))
+    keywords = {k.arg: k.value for node in ast.walk(tree) if isinstance(node, ast.Call)
+                for k in node.keywords}
+    return ast.literal_eval(keywords[name])
+
+
+SCRIPTS = dict(line.split(' = ') for line in setup_argument('entry_points')['console_scripts'])
+
+
+def test_every_file_names_the_same_version():
+    """Check package.xml, setup.py, the package itself and the changelog's newest release."""
+    manifest = ElementTree.parse(ROOT / 'package.xml').getroot()
+    changelog = (ROOT / 'CHANGELOG.rst').read_text(encoding='utf-8')
+    released = re.search(r'^(\d+\.\d+\.\d+)\b', changelog, re.MULTILINE)
+    versions = {manifest.findtext('version'), setup_argument('version'),
+                gms_flex_control.__version__, released and released.group(1)}
+    assert versions == {gms_flex_control.__version__}
+
+
+@pytest.mark.parametrize('script', SCRIPTS)
+def test_every_executable_can_be_imported(script):
+    module, function = SCRIPTS[script].split(':')
+    if '.nodes.' in module and util.find_spec('rclpy') is None:
+        pytest.skip('the nodes need ROS 2: install the extra [ros]')
+    assert callable(getattr(import_module(module), function))
+
+
+def test_every_requirement_is_locked():
+    """Check that constraints.txt names each direct dependency, so that no version drifts."""
+    extras = setup_argument('extras_require')
+    wanted = {re.match(r'[\w.-]+', r).group().lower().replace('.', '-')
+              for r in sum(extras.values(), setup_argument('install_requires'))}
+    locked = {line.partition('==')[0].strip() for line in
+              (ROOT / 'constraints.txt').read_text(encoding='utf-8').splitlines() if '==' in line}
+    assert wanted <= locked, f'run make lock: {sorted(wanted - locked)} missing'
+
+
+def test_the_launch_file_starts_the_installed_executables(monkeypatch):
+    """Run the launch file on stand-ins, the launch library being no Python package."""
+    started, declared = [], []
+    stand_in = {name: MagicMock() for name in (
+        'launch', 'launch.actions', 'launch.substitutions', 'launch_ros', 'launch_ros.actions',
+        'launch_ros.substitutions')}
+    stand_in['launch_ros.actions'].Node = lambda **kwargs: started.append(SimpleNamespace(
+        **kwargs))
+    stand_in['launch.actions'].DeclareLaunchArgument = (
+        lambda name, **kwargs: declared.append(name))
+    for name, module in stand_in.items():
+        monkeypatch.setitem(sys.modules, name, module)
+    path = ROOT / 'launch' / 'closed_loop.launch.py'
+    spec = util.spec_from_file_location('closed_loop', path)
+    module = util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    module.generate_launch_description()
+    assert [node.executable for node in started] == [
+        'plant_node', 'controller_node', 'trajectory_node']
+    assert all(node.package == 'gms_flex_control' and node.executable in SCRIPTS
+               and len(node.parameters) >= 2 for node in started)
+    assert declared == ['robot_file', 'controller_file', 'mode']
+
+
+def test_parameter_files_are_found_in_the_source_tree():
+    assert resources.share_path() == ROOT
+    assert resources.robot_file() == ROOT / 'config' / 'robot.yaml'
+    assert resources.controller_file() == ROOT / 'config' / 'controller.yaml'
+
+
+@pytest.fixture
+def installed(tmp_path, monkeypatch):
+    """Pretend that the package lives in the site-packages of a prefix without its share."""
+    package = tmp_path / 'lib' / 'python3.12' / 'site-packages' / 'gms_flex_control'
+    package.mkdir(parents=True)
+    monkeypatch.setattr(resources, '__file__', str(package / 'resources.py'))
+    monkeypatch.setattr(resources.sys, 'prefix', str(tmp_path / 'elsewhere'))
+    monkeypatch.delenv('AMENT_PREFIX_PATH', raising=False)
+    return tmp_path
+
+
+def add_share(prefix):
+    """Put package.xml and config/ where setup.py's data_files go."""
+    share = prefix / 'share' / 'gms_flex_control'
+    (share / 'config').mkdir(parents=True)
+    shutil.copy(ROOT / 'package.xml', share)
+    return share
+
+
+def test_parameter_files_are_found_in_the_prefix_installed_to(installed):
+    share = add_share(installed)
+    assert resources.share_path() == share
+
+
+def test_parameter_files_are_found_through_the_ament_index(installed, monkeypatch):
+    share = add_share(installed / 'overlay')
+    monkeypatch.setenv('AMENT_PREFIX_PATH', f'{installed / "underlay"}:{installed / "overlay"}')
+    assert resources.share_path() == share
+
+
+def test_a_package_without_its_files_says_where_it_looked(installed):
+    with pytest.raises(ConfigError, match=f'none of .*{installed}.* install the package'):
+        resources.share_path()
