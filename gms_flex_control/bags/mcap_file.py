@@ -1,0 +1,378 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""
+Scan an mcap file from front to back, trusting nothing that can be checked.
+
+The index at the end is not needed, so a file whose recorder was killed reads as far as it
+goes; what fails a check is counted and named, never passed on and never dropped in silence.
+"""
+
+from dataclasses import dataclass
+from io import BytesIO
+import mmap
+import struct
+from typing import NamedTuple
+import zlib
+
+from gms_flex_control.bags.definitions import Definition
+from gms_flex_control.errors import BagError
+from mcap import records
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.stream_reader import get_chunk_data_stream
+
+MAGIC = b'\x89MCAP0\r\n'
+
+_FRAME = struct.Struct('<BQ')
+_MESSAGE = struct.Struct('<BQHIQQ')
+_CHUNK_HEAD = struct.Struct('<QQQII')
+_READERS = {
+    Opcode.HEADER: records.Header, Opcode.FOOTER: records.Footer,
+    Opcode.SCHEMA: records.Schema, Opcode.CHANNEL: records.Channel,
+    Opcode.CHUNK: records.Chunk, Opcode.MESSAGE_INDEX: records.MessageIndex,
+    Opcode.CHUNK_INDEX: records.ChunkIndex, Opcode.ATTACHMENT: records.Attachment,
+    Opcode.ATTACHMENT_INDEX: records.AttachmentIndex, Opcode.STATISTICS: records.Statistics,
+    Opcode.METADATA: records.Metadata, Opcode.METADATA_INDEX: records.MetadataIndex,
+    Opcode.SUMMARY_OFFSET: records.SummaryOffset, Opcode.DATA_END: records.DataEnd,
+}
+_FOOTER_SIZE = 20
+_MALFORMED = (McapError, ValueError, struct.error, UnicodeDecodeError, OverflowError,
+              MemoryError, RuntimeError, EOFError)
+
+
+class Topic(NamedTuple):
+    """A topic of a bag."""
+
+    name: str
+    type_name: str
+    described: Definition
+    qos: str | None  # YAML text of the offered profiles
+
+
+@dataclass
+class Damage:
+    """Something a check refused."""
+
+    where: str        # which file and chunk
+    reason: str
+    lost: int | None  # messages that cannot be had back, None if nobody knows
+
+    def __str__(self):
+        lost = {None: 'an unknown number of messages', 1: '1 message'}.get(
+            self.lost, f'{self.lost} messages')
+        return f'{self.where}: {self.reason}; ' + (
+            f'{lost} lost' if self.lost != 0 else 'no message lost')
+
+
+class McapFile:
+    """
+    One mcap file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    label : str, optional
+        Its name in messages.
+
+    Attributes
+    ----------
+    topics : dict of Topic
+        By name; complete after :meth:`batches` has ended, as the rest.
+    damage : list of Damage
+        What failed a check.
+    notes : list of str
+        What a reader should know though nothing failed.
+    checked, unchecked : int
+        Chunks whose checksum was compared, and those that have none.
+    complete : bool
+        The file has its proper end.
+
+    """
+
+    def __init__(self, path, label=None):
+        self.path, self.label = path, label or path.name
+        self.topics, self.damage, self.notes = {}, [], []
+        self.checked = self.unchecked = 0
+        self.complete = False
+        self._schemas, self._channels = {}, {}
+        self._found = self._indexed = self._chunks = 0
+        self._announced = None
+        self._loose = 0          # messages outside of chunks
+        self._open_damage = None  # damage of the chunk whose index records follow
+        self._unknown = {}
+
+    def batches(self):
+        """
+        Yield the messages in file order, some at a time.
+
+        Yields
+        ------
+        list of tuple
+            ``(topic name, log time [ns], publish time [ns], CDR bytes)``.
+
+        Raises
+        ------
+        BagError
+            If the file is empty, cannot be read or is no mcap file.
+
+        """
+        try:
+            with open(self.path, 'rb') as stream:
+                if not stream.seek(0, 2):
+                    raise BagError(f'{self.label}: is empty (0 bytes)')
+                with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
+                    yield from self._scan(data)
+        except OSError as error:
+            raise BagError(f'{self.path}: cannot be read ({error.strerror})') from error
+
+    def _scan(self, data):
+        self._check_magic(data)
+        self._preload(data)
+        at = len(MAGIC)
+        while not self.complete:
+            frame = self._frame(data, at)
+            if frame is None:
+                resumed = _next_sound(data, at + 1)
+                if resumed is None:
+                    yield self._cut_off(data, at)
+                    break
+                self._damaged('the records', f'bytes {at} to {resumed} make no sense', None)
+                at = resumed
+                continue
+            opcode, end = frame
+            if opcode == Opcode.CHUNK:
+                yield self._chunk(data[at + 9:end], at)
+            elif opcode == Opcode.MESSAGE:
+                yield self._loose_message(data, at, end)
+            else:
+                self._record(opcode, data, at, end)
+            at = end
+        self._reckon()
+
+    def _check_magic(self, data):
+        alike = sum(a == b for a, b in zip(data[:len(MAGIC)], MAGIC, strict=False))
+        if alike < min(len(MAGIC) - 1, len(data)):
+            raise BagError(f'{self.label}: is no mcap file (begins with '
+                           f'{data[:len(MAGIC)].hex(" ")})')
+        if len(data) >= len(MAGIC) and alike < len(MAGIC):
+            self._damaged('the first bytes', f'read {data[:len(MAGIC)].hex(" ")}', 0)
+
+    def _preload(self, data):
+        """Take the topics from a sound index: their first mention may be in a bad chunk."""
+        at = len(data) - len(MAGIC) - _FOOTER_SIZE - 9
+        if at < 0 or data[at] != Opcode.FOOTER:
+            return
+        footer = self._parse(Opcode.FOOTER, data[at + 9:at + 9 + _FOOTER_SIZE])
+        if footer is None or not footer.summary_crc or not _summary_is_sound(footer, data, at):
+            return
+        start = footer.summary_start
+        while start < at:
+            frame = self._frame(data, start)
+            if frame is None:
+                return
+            opcode, end = frame
+            if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                self._record(opcode, data, start, end)
+            start = end
+
+    def _frame(self, data, at):
+        """Return (opcode, end) of the record at ``at``, None if there is no whole sound one."""
+        if at + 9 > len(data):
+            return None
+        opcode, size = _FRAME.unpack_from(data, at)
+        end = at + 9 + size
+        if end > len(data):
+            return None
+        if opcode == Opcode.CHUNK:
+            return (opcode, end) if _is_chunk(data, at, size) else None
+        if opcode == Opcode.MESSAGE:
+            return (opcode, end) if size >= 22 else None
+        return (opcode, end) if self._parse(opcode, data[at + 9:end]) is not None else None
+
+    def _parse(self, opcode, body):
+        if opcode not in _READERS or (opcode == Opcode.FOOTER and len(body) != _FOOTER_SIZE):
+            return None
+        stream = ReadDataStream(BytesIO(body))
+        try:
+            record = _READERS[opcode].read(stream)
+        except _MALFORMED:
+            return None
+        return record if stream.count == len(body) else None
+
+    def _record(self, opcode, data, at, end):
+        record = self._parse(opcode, data[at + 9:end])
+        if opcode == Opcode.MESSAGE_INDEX:
+            self._indexed += len(record.records)
+            if self._open_damage is not None:
+                self._open_damage.lost = (self._open_damage.lost or 0) + len(record.records)
+            return
+        self._open_damage = None
+        if opcode == Opcode.SCHEMA:
+            self._schemas.setdefault(record.id, record)
+        elif opcode == Opcode.CHANNEL:
+            self._add_channel(record)
+        elif opcode == Opcode.STATISTICS:
+            self._announced = record.message_count
+        elif opcode == Opcode.DATA_END:
+            self._check_data_section(record.data_section_crc, data, at)
+        elif opcode == Opcode.FOOTER:
+            self._check_summary(record, data, at)
+            self.complete = True
+
+    def _check_data_section(self, expected, data, at):
+        if not expected:
+            return
+        if zlib.crc32(memoryview(data)[:at]) == expected:
+            return
+        if not self.damage:
+            # chunks carry their own checksums: what they hold is sound
+            self._damaged('the records between the chunks', 'fail the checksum of the file',
+                          None if self._loose or self.unchecked else 0)
+
+    def _check_summary(self, footer, data, at):
+        if footer.summary_crc and not _summary_is_sound(footer, data, at):
+            self._announced = None
+            self._damaged('the index at the end', 'fails its checksum', 0)
+        elif data[at + 9 + _FOOTER_SIZE:] != MAGIC:
+            self._damaged('the last bytes', 'are not those of an mcap file', 0)
+
+    def _add_channel(self, channel):
+        if channel.id in self._channels:
+            return
+        schema = self._schemas.get(channel.schema_id)
+        described = Definition('', channel.metadata.get('topic_type_hash', ''))
+        if schema is not None:
+            described = Definition(schema.data.decode(errors='replace'),
+                                   described.type_hash, schema.encoding)
+        self._channels[channel.id] = channel.topic
+        self.topics.setdefault(channel.topic, Topic(
+            channel.topic, schema.name if schema else '', described,
+            channel.metadata.get('offered_qos_profiles')))
+
+    def _chunk(self, body, at):
+        self._chunks += 1
+        name = f'chunk {self._chunks} (at byte {at})'
+        self._open_damage = None
+        try:
+            chunk = records.Chunk.read(ReadDataStream(BytesIO(body)))
+            stream, size = get_chunk_data_stream(chunk, validate_crc=True)
+            content = stream.read(size)
+            if len(content) != chunk.uncompressed_size:
+                raise ValueError(f'has {len(content)} bytes of {chunk.uncompressed_size}')
+        except Exception as error:  # noqa: B902  (each decompressor has its own errors)
+            reason = 'fails its checksum' if 'crc' in str(error) else f'cannot be read ({error})'
+            self._open_damage = self._damaged(name, reason, None)
+            return []
+        messages, end = self._messages(content)
+        if end < len(content):
+            self._open_damage = self._damaged(name, f'makes no sense from byte {end} on', None)
+            return []
+        if chunk.uncompressed_crc:
+            self.checked += 1
+        else:
+            self.unchecked += 1
+        self._found += len(messages)
+        return messages
+
+    def _messages(self, content):
+        """Return the messages of a chunk's content and where it stopped making sense."""
+        messages, at, size = [], 0, len(content)
+        topics = self._channels
+        while at + _MESSAGE.size <= size or at + 9 <= size:
+            opcode, length = _FRAME.unpack_from(content, at)
+            end = at + 9 + length
+            if end > size:
+                break
+            if opcode == Opcode.MESSAGE and length >= 22:
+                _, _, channel, _, log, publish = _MESSAGE.unpack_from(content, at)
+                if channel in topics:
+                    messages.append((topics[channel], log, publish,
+                                     content[at + _MESSAGE.size:end]))
+                else:
+                    self._unknown[channel] = self._unknown.get(channel, 0) + 1
+            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                record = self._parse(opcode, content[at + 9:end])
+                if record is None:
+                    break
+                if opcode == Opcode.SCHEMA:
+                    self._schemas.setdefault(record.id, record)
+                else:
+                    self._add_channel(record)
+            else:
+                break
+            at = end
+        return messages, at
+
+    def _loose_message(self, data, at, end):
+        self._loose += 1
+        messages, _ = self._messages(data[at:end])
+        self._found += len(messages)
+        return messages
+
+    def _cut_off(self, data, at):
+        """Return the whole messages of the chunk the file ends in."""
+        messages, note = [], ''
+        head = at + 9 + _CHUNK_HEAD.size
+        if head + 8 <= len(data) and data[at] == Opcode.CHUNK:
+            if not _CHUNK_HEAD.unpack_from(data, at + 9)[4]:
+                messages, _ = self._messages(data[head + 8:])
+            self._found += len(messages)
+            self.unchecked += bool(messages)
+            note = (f', in the middle of a chunk: its first {len(messages)} messages are whole '
+                    'but could not be checked')
+        self.notes.append(f'{self.label}: ends without its index after {self._found} messages '
+                          f'(recorder killed, or file cut off){note}')
+        return messages
+
+    def _reckon(self):
+        """Compare what was found with what the file says it holds."""
+        for channel, count in self._unknown.items():
+            self._damaged(f'channel {channel}', 'its name and type are lost', count)
+        expected = max(self._announced or 0, self._indexed)
+        open_ended = [item for item in self.damage if item.lost is None]
+        missing = expected - self._found - sum(item.lost or 0 for item in self.damage)
+        if open_ended and self._announced is not None:
+            open_ended[0].lost = max(missing, 0)
+            for item in open_ended[1:]:
+                item.lost = 0
+        elif missing > 0 and not open_ended:
+            self._damaged('somewhere', f'{expected} messages were announced and '
+                          f'{self._found} found', missing)
+
+    def _damaged(self, where, reason, lost):
+        damage = Damage(f'{self.label}: {where}', reason, lost)
+        self.damage.append(damage)
+        return damage
+
+
+def _summary_is_sound(footer, data, at):
+    start = footer.summary_start
+    return 0 < start <= at and zlib.crc32(memoryview(data)[start:at + 25]) == footer.summary_crc
+
+
+def _is_chunk(data, at, size):
+    """Return whether the chunk record at ``at`` has lengths that agree with each other."""
+    if size < _CHUNK_HEAD.size + 8:
+        return False
+    _, _, uncompressed, _, name = _CHUNK_HEAD.unpack_from(data, at + 9)
+    if name not in (0, 3, 4) or size < _CHUNK_HEAD.size + name + 8:
+        return False
+    inner, = struct.unpack_from('<Q', data, at + 9 + _CHUNK_HEAD.size + name)
+    return (inner + name + _CHUNK_HEAD.size + 8 == size
+            and (name > 0 or inner == uncompressed))
+
+
+def _next_sound(data, start):
+    """Return where the next chunk or the end of the data begins, None if there is none."""
+    end_mark = data.find(_FRAME.pack(Opcode.DATA_END, 4), start)
+    at = data.find(b'\x06', start)
+    while at != -1 and (end_mark == -1 or at < end_mark):
+        if at + 9 <= len(data):
+            _, size = _FRAME.unpack_from(data, at)
+            if at + 9 + size <= len(data) and _is_chunk(data, at, size):
+                return at
+        at = data.find(b'\x06', at + 1)
+    return None if end_mark == -1 else end_mark

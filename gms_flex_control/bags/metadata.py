@@ -1,0 +1,145 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""The metadata.yaml of a bag folder, version 9, as `ros2 bag` of Jazzy writes it."""
+
+from typing import NamedTuple
+
+from gms_flex_control.errors import BagError
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
+
+VERSION = 9
+NEVER = 2**63 - 1  # starting time of a bag without messages
+
+_FOREVER = '\n    sec: 9223372036\n    nsec: 854775807'
+
+
+def qos_profile(reliability='reliable', durability='volatile'):
+    """Return the YAML text of one offered QoS profile, as `ros2 bag record` writes it."""
+    return (f'- history: unknown\n  depth: 0\n  reliability: {reliability}\n'
+            f'  durability: {durability}\n  deadline:{_FOREVER}\n  lifespan:{_FOREVER}\n'
+            f'  liveliness: automatic\n  liveliness_lease_duration:{_FOREVER}\n'
+            '  avoid_ros_namespace_conventions: false')
+
+
+class TopicEntry(NamedTuple):
+    """One topic in the metadata."""
+
+    name: str
+    type_name: str
+    type_hash: str
+    qos: str  # YAML text of the offered profiles
+    count: int
+
+
+def render(topics, file_name, start, end, custom=None, *, storage='mcap', distro='jazzy'):
+    """
+    Return the metadata of a bag of one file.
+
+    Parameters
+    ----------
+    topics : iterable of TopicEntry
+        What is in it.
+    file_name : str
+        The storage file, relative to the folder.
+    start, end : int
+        First and last receive time [ns]; ``start`` above ``end`` where there is no message.
+    custom : dict of str, optional
+        Remarks for the reader.
+
+    Returns
+    -------
+    str
+        YAML, the mapping below ``rosbag2_bagfile_information``.
+
+    """
+    topics = list(topics)
+    count = sum(topic.count for topic in topics)
+    start, duration = (start, end - start) if count else (NEVER, 0)
+    lines = [f'version: {VERSION}', f'storage_identifier: {storage}', 'duration:',
+             f'  nanoseconds: {duration}', 'starting_time:',
+             f'  nanoseconds_since_epoch: {start}', f'message_count: {count}',
+             'topics_with_message_count:']
+    lines += [line for topic in topics for line in _topic_lines(topic)] or ['  []']
+    lines += ['compression_format: ""', 'compression_mode: ""', 'relative_file_paths:',
+              f'  - {_quoted(file_name)}', 'files:', f'  - path: {_quoted(file_name)}',
+              '    starting_time:', f'      nanoseconds_since_epoch: {start}',
+              '    duration:', f'      nanoseconds: {duration}', f'    message_count: {count}']
+    if custom:
+        lines.append('custom_data:')
+        lines += [f'  {key}: {_quoted(value)}' for key, value in custom.items()]
+    else:
+        lines.append('custom_data: ~')
+    return '\n'.join([*lines, f'ros_distro: {distro}'])
+
+
+def _topic_lines(topic):
+    yield '  - topic_metadata:'
+    yield f'      name: {_quoted(topic.name)}'
+    yield f'      type: {topic.type_name}'
+    yield '      serialization_format: cdr'
+    if topic.qos:
+        yield '      offered_qos_profiles:'
+        for line in topic.qos.splitlines():
+            yield f'        {line}'
+    else:
+        yield '      offered_qos_profiles: []'
+    yield f'      type_description_hash: {topic.type_hash}'
+    yield f'    message_count: {topic.count}'
+
+
+def _quoted(text):
+    plain = str(text).replace('\n', ' ')
+    if plain and all(c.isalnum() or c in '/_-.' for c in plain) and not plain[0].isdigit() \
+            and plain[0] not in '-.':
+        return plain
+    return "'" + plain.replace("'", "''") + "'"
+
+
+def indent_under_root(text):
+    """Return the whole metadata.yaml for the mapping ``text``."""
+    body = '\n'.join(f'  {line}' for line in text.splitlines())
+    return f'rosbag2_bagfile_information:\n{body}\n'
+
+
+class FolderMetadata(NamedTuple):
+    """What of a metadata.yaml matters for reading."""
+
+    files: tuple          # names relative to the folder
+    storage: str
+    count: int            # messages announced; 0 as long as the recorder runs
+    custom: dict
+
+
+def load(path):
+    """
+    Read a metadata.yaml.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    FolderMetadata
+        Its content.
+
+    Raises
+    ------
+    BagError
+        If it is no metadata of a bag.
+
+    """
+    try:
+        info = YAML(typ='safe').load(path.read_text(encoding='utf-8'))
+        info = info['rosbag2_bagfile_information']
+        return FolderMetadata(tuple(str(name) for name in info['relative_file_paths']),
+                              str(info['storage_identifier']), int(info['message_count']),
+                              dict(info.get('custom_data') or {}))
+    except (OSError, UnicodeDecodeError, YAMLError, KeyError, TypeError, ValueError,
+            AttributeError) as error:
+        reason = ' '.join(str(error).split())[:120]
+        raise BagError(f'{path}: is no metadata of a bag ({type(error).__name__}: {reason}); '
+                       f"run 'gms_flex repair {path.parent}' to write it anew") from error
