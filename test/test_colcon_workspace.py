@@ -102,6 +102,20 @@ def test_the_workspace_has_executables_and_resources(prefix):
         assert (share / PACKAGE / part).is_file(), part
 
 
+def test_the_workspace_runs_its_own_copy(prefix, environment):
+    """Sourced, the workspace hides an installation of the same package, and finds its files."""
+    program = ('import gms_flex_control, gms_flex_control.resources as r;'
+               'print(gms_flex_control.__file__); print(r.share_path())')
+    result = subprocess.run(
+        ['bash', '-c', '. "$0" && exec "$@"', prefix.parent / 'local_setup.bash',
+         sys.executable, '-c', program], cwd=prefix, env=environment,
+        capture_output=True, text=True, timeout=60, check=False)
+    assert result.returncode == 0, result.stderr
+    module, share = map(Path, result.stdout.split())
+    assert prefix in module.parents
+    assert share == prefix / 'share' / PACKAGE
+
+
 def test_an_installed_node_runs_and_ends_cleanly(plant, monkeypatch):
     """Start plant_node from the workspace, hear its joint states, interrupt it: exit 0."""
     pytest.importorskip('rclpy')
