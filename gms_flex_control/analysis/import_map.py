@@ -1,0 +1,231 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""
+The map of an import: which column of a foreign log is which quantity of which joint.
+
+    value = sign * scale * unit * (column + offset)
+
+then divided by ``gear_ratio`` (position, velocity) or multiplied by it (torque) where the
+column was measured on the fast side of a gear. Every mistake is named with its line.
+"""
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from gms_flex_control.analysis import units
+from gms_flex_control.analysis.map_reader import read_map
+from gms_flex_control.errors import ImportDataError
+
+# channel -> quantity
+CHANNELS = {
+    'link_position': 'position', 'link_velocity': 'velocity', 'motor_position': 'position',
+    'motor_velocity': 'velocity', 'torque': 'torque', 'command': 'torque',
+    'reference': 'position', 'reference_velocity': 'velocity'}
+POSITION_OF = {'link_velocity': 'link_position', 'motor_velocity': 'motor_position',
+               'reference_velocity': 'reference'}
+ESTIMATE_WINDOW = 0.02  # of 'velocity: estimate' without a window [s]
+DELIMITERS = {'tab': '\t', 'space': ' ', 'comma': ',', 'semicolon': ';'}
+
+_COMMON = ('column', 'unit', 'sign', 'scale', 'offset', 'gear_ratio')
+_KEYS = {'position': (*_COMMON, 'unwrap', 'counts_per_rev'),
+         'velocity': (*_COMMON, 'estimate', 'counts_per_rev'),
+         'torque': (*_COMMON, 'full_scale', 'voltage', 'torque_per_volt', 'back_emf',
+                    'torque_constant')}
+
+
+class FileFormat(NamedTuple):
+    """How the text is laid out."""
+
+    delimiter: str = ','
+    header_rows: int = 1  # the last of them names the columns
+    decimal: str = '.'
+    comment: str = ''     # lines that begin with it are skipped
+
+
+class TimeColumn(NamedTuple):
+    """Where time comes from: a column or a fixed rate."""
+
+    column: str | int | None = None
+    unit: str = 's'
+    rate: float | None = None     # [Hz]
+    drop_disorder: bool = False   # leave out samples that do not advance
+    line: int = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Channel:
+    """One quantity of one joint."""
+
+    name: str
+    quantity: str
+    line: int
+    column: str | int | None = None
+    unit: str = ''
+    sign: float = 1.0
+    scale: float = 1.0
+    offset: float = 0.0
+    gear_ratio: float = 1.0
+    counts_per_rev: float | None = None
+    unwrap: bool = False
+    estimate: float | None = None  # window of central differences [s]
+    full_scale: float | None = None
+    voltage: str | float | None = None  # a column or volts
+    torque_per_volt: float | None = None  # [N m/V]
+    back_emf: float = 0.0          # [V s/rad]
+    torque_constant: float | None = None  # [N m/A]
+
+
+class JointMap(NamedTuple):
+    """One joint: its motor's name in the bag ('' if rigid) and its channels by name."""
+
+    name: str
+    motor: str
+    channels: dict
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportMap:
+    """A whole map, checked."""
+
+    path: str
+    time: TimeColumn
+    joints: tuple
+    file: FileFormat = field(default_factory=FileFormat)
+    source: str = ''
+    resample: float | None = None  # [Hz]
+
+
+def load_map(path):
+    """
+    Read and check a map.
+
+    Parameters
+    ----------
+    path : str or Path
+        A YAML file, see ``config/import_kr300.yaml``.
+
+    Returns
+    -------
+    ImportMap
+
+    Raises
+    ------
+    ImportDataError
+        If it cannot be read, or a key, type, unit or combination is wrong.
+
+    """
+    top = read_map(path)
+    top.only('source', 'file', 'time', 'joints', 'resample')
+    joints = top.section('joints', required=True)
+    if not joints.keys():
+        raise joints.wrong('names no joint; add one, such as joint1: {link_position: {...}}')
+    result = ImportMap(
+        path=str(path), source=top.text('source', ''), file=_file(top.section('file')),
+        time=_time(top.section('time', required=True)),
+        joints=tuple(_joint(joints.section(name), name) for name in joints.keys()),
+        resample=top.number('resample', None, positive=True))
+    names = [name for joint in result.joints for name in (joint.name, joint.motor) if name]
+    for name in names:
+        if names.count(name) > 1:
+            raise joints.wrong(f'uses the name {name!r} twice; a joint and its motor need '
+                               'names of their own')
+    return result
+
+
+def _file(node):
+    if node is None:
+        return FileFormat()
+    node.only('delimiter', 'header_rows', 'decimal', 'comment')
+    delimiter = node.text('delimiter', ',')
+    delimiter = DELIMITERS.get(delimiter, delimiter)
+    if len(delimiter) != 1:
+        raise node.wrong(f'must be one character or one of {", ".join(DELIMITERS)}, '
+                         f'got {delimiter!r}', 'delimiter')
+    decimal = node.text('decimal', '.')
+    if decimal not in ('.', ',') or decimal == delimiter:
+        raise node.wrong(f"must be '.' or ',' and differ from the delimiter {delimiter!r}, "
+                         f'got {decimal!r}', 'decimal')
+    return FileFormat(delimiter, node.whole('header_rows', 1), decimal, node.text('comment', ''))
+
+
+def _time(node):
+    node.only('column', 'unit', 'rate', 'not_increasing')
+    column, rate = node.column('column'), node.number('rate', None, positive=True)
+    if (column is None) == (rate is None):
+        raise node.wrong('needs either a column or a fixed rate [Hz], not both')
+    disorder = node.text('not_increasing', 'refuse')
+    if disorder not in ('refuse', 'drop'):
+        raise node.wrong(f"must be 'refuse' or 'drop', got {disorder!r}", 'not_increasing')
+    unit = node.unit('unit', units.TIME, 's' if column is None else None)
+    return TimeColumn(column, unit, rate, disorder == 'drop', node.line())
+
+
+def _joint(node, name):
+    node.only('motor', *CHANNELS)
+    channels = {key: _channel(node, key) for key in node.keys() if key != 'motor'}
+    if 'link_position' not in channels:
+        raise node.wrong('has no link_position; a joint with one encoder only has it as its '
+                         'link_position, without motor')
+    motor = node.text('motor', '')
+    used = [key for key in channels if key.startswith('motor_')]
+    if used and not motor:
+        raise node.wrong(f'has {used[0]} but no motor name; add motor: {name}_motor')
+    if motor and 'motor_position' not in channels:
+        raise node.wrong(f'names the motor {motor!r} but has no motor_position; map it, or '
+                         'leave motor out for a rigid joint')
+    for key, channel in channels.items():
+        if channel.estimate is not None and POSITION_OF[key] not in channels:
+            raise node.wrong(f'is to be estimated from {POSITION_OF[key]}, which is not mapped',
+                             key)
+    return JointMap(name, motor, channels)
+
+
+def _channel(joint, key):
+    quantity = CHANNELS[key]
+    if quantity == 'velocity' and joint.value(key) == 'estimate':
+        return Channel(name=key, quantity=quantity, line=joint.line(key),
+                       estimate=ESTIMATE_WINDOW)
+    node = joint.section(key)
+    node.only(*_KEYS[quantity])
+    numbers = {name: node.number(name, default) for name, default in
+               (('sign', 1.0), ('scale', 1.0), ('offset', 0.0))}
+    positive = {name: node.number(name, default, positive=True) for name, default in
+                (('gear_ratio', 1.0), ('counts_per_rev', None), ('full_scale', None),
+                 ('torque_per_volt', None), ('torque_constant', None), ('estimate', None))
+                if name in _KEYS[quantity]}
+    if abs(numbers['sign']) != 1:
+        raise node.wrong(f"must be 1 or -1, got {numbers['sign']:g}; use scale for a factor",
+                         'sign')
+    channel = Channel(name=key, quantity=quantity, line=joint.line(key),
+                      column=node.column('column'), unwrap=node.flag('unwrap'),
+                      back_emf=node.number('back_emf', 0.0), voltage=node.column('voltage'),
+                      unit=_unit(node, quantity), **numbers, **positive)
+    _check(node, channel)
+    return channel
+
+
+def _unit(node, quantity):
+    if 'estimate' in node.keys() and 'unit' not in node.keys():
+        return ''
+    return node.unit('unit', units.UNITS[quantity])
+
+
+def _check(node, channel):
+    if (channel.column is None) == (channel.estimate is None):
+        raise node.wrong('needs a column' + (
+            ' or estimate: <window in s>, not both' if channel.quantity == 'velocity' else ''))
+    needs = {'counts': ['counts_per_rev'], 'counts/s': ['counts_per_rev'],
+             'A': ['torque_constant'], 'pwm': ['full_scale', 'voltage', 'torque_per_volt']}
+    for key in needs.get(channel.unit, []):
+        if getattr(channel, key) is None:
+            raise node.wrong(f'has the unit {channel.unit!r} and therefore needs {key}')
+    special = {'counts_per_rev', 'torque_constant', 'full_scale', 'voltage', 'torque_per_volt'}
+    for key in special.intersection(node.keys()).difference(needs.get(channel.unit, [])):
+        raise node.wrong(f'has no meaning with the unit {channel.unit!r}; leave it out', key)
+    if channel.scale == 0:
+        raise node.wrong('must not be 0', 'scale')
+
+
+__all__ = ['CHANNELS', 'Channel', 'FileFormat', 'ImportDataError', 'ImportMap', 'JointMap',
+           'load_map', 'POSITION_OF', 'TimeColumn']

@@ -1,0 +1,184 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Open any bag: a folder or a single file, mcap or sqlite3, plain or zstd."""
+
+from contextlib import ExitStack
+from pathlib import Path
+import re
+import tempfile
+import warnings
+
+from gms_flex_control.bags import metadata
+from gms_flex_control.bags.mcap_file import Damage, McapFile
+from gms_flex_control.bags.sqlite_file import SqliteFile
+from gms_flex_control.errors import BagError
+import zstandard
+
+_STORAGES = {'.mcap': McapFile, '.db3': SqliteFile}
+_ZSTD_MAGIC = b'\x28\xb5\x2f\xfd'  # CDR begins with 00 00 or 00 01
+
+
+class BagWarning(UserWarning):
+    """A bag was read, but its reader should know something about it."""
+
+
+class Bag:
+    """
+    A bag opened for reading.
+
+    Parameters
+    ----------
+    path : str or Path
+        A bag folder, with or without metadata.yaml, or one storage file.
+
+    Attributes
+    ----------
+    topics : dict of Topic
+        By name; complete after :meth:`batches` has ended, as the rest.
+    damage : list of Damage
+        What failed a check.
+    notes : list of str
+        What a reader should know though nothing failed.
+    checked, unchecked : int
+        Parts whose checksum was compared, and parts that have none.
+    complete : bool
+        Metadata and every file have their proper end.
+    metadata : FolderMetadata or None
+        What metadata.yaml says, if there is one.
+
+    Raises
+    ------
+    BagError
+        If there is no bag at ``path``.
+
+    """
+
+    def __init__(self, path):
+        self.path = Path(path)
+        self.topics, self.damage, self.notes = {}, [], []
+        self.checked = self.unchecked = 0
+        self.complete = False
+        self.metadata = None
+        self._files = self._locate()
+
+    def _locate(self):
+        if not self.path.exists():
+            raise BagError(f'{self.path}: there is no such bag; give the folder that '
+                           'ros2 bag or gms_flex record made')
+        if self.path.is_file():
+            if _storage_suffix(self.path) is None:
+                raise BagError(f'{self.path}: is no bag file (expected .mcap or .db3, '
+                               'also with .zstd)')
+            return [self.path]
+        present = sorted((path for path in self.path.iterdir()
+                          if path.is_file() and _storage_suffix(path)), key=_split_number)
+        if (self.path / 'metadata.yaml').is_file():
+            try:
+                self.metadata = metadata.load(self.path / 'metadata.yaml')
+            except BagError as error:
+                self.notes.append(str(error))
+        else:
+            self.notes.append(f'{self.path}: has no metadata.yaml (recorder killed?)')
+        if self.metadata is None:
+            files = present
+        else:
+            files = [self.path / Path(name).name for name in self.metadata.files]
+            files += [path for path in present if path not in files]
+        if not files:
+            raise BagError(f'{self.path}: holds no .mcap or .db3 file; it is no bag')
+        missing = [path.name for path in files if not path.is_file()]
+        for name in missing:
+            self.damage.append(Damage(f'{self.path.name}: {name}', 'is missing', None))
+        return [path for path in files if path.is_file()]
+
+    def batches(self):
+        """
+        Yield the messages file by file in the order of writing, some at a time.
+
+        Yields
+        ------
+        list of tuple
+            ``(topic name, log time [ns], publish time [ns], CDR bytes)``.
+
+        Raises
+        ------
+        BagError
+            If a file is empty, is no bag or cannot be read at all.
+
+        """
+        found, whole = 0, True
+        for path in self._files:
+            with ExitStack() as stack:
+                plain = self._plain(path, stack)
+                storage = _STORAGES[plain.suffix](plain, path.name)
+                for batch in storage.batches():
+                    found += len(batch)
+                    yield [(topic, log, publish, _decompressed(data, path))
+                           for topic, log, publish, data in batch]
+            for name, topic in storage.topics.items():
+                self.topics.setdefault(name, topic)
+            self.damage += storage.damage
+            self.notes += storage.notes
+            self.checked += storage.checked
+            self.unchecked += storage.unchecked
+            whole = whole and storage.complete
+        self._compare(found)
+        self.complete = whole and not self.damage and (
+            self.path.is_file() or (self.metadata is not None and self.metadata.count == found))
+
+    def _compare(self, found):
+        announced = self.metadata.count if self.metadata else 0
+        lost = [item.lost for item in self.damage]
+        missing = announced - found - sum(count or 0 for count in lost)
+        if missing > 0:
+            for item in self.damage:
+                if item.lost is None:
+                    item.lost, missing = missing, 0
+            if missing:
+                self.damage.append(Damage(
+                    self.path.name, f'metadata.yaml announces {announced} messages, '
+                    f'{found} were found', missing))
+
+    def _plain(self, path, stack):
+        """Return an uncompressed file with the content of ``path``."""
+        if path.suffix != '.zstd':
+            return path
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        plain = folder / path.stem
+        try:
+            with open(path, 'rb') as packed, open(plain, 'wb') as out:
+                zstandard.ZstdDecompressor().copy_stream(packed, out)
+        except (zstandard.ZstdError, OSError) as error:
+            self.damage.append(Damage(path.name, f'cannot be unpacked whole ({error})', None))
+        return plain
+
+    @property
+    def sound(self):
+        """Return whether no message is known or feared to be lost."""
+        return all(item.lost == 0 for item in self.damage)
+
+    def warn(self):
+        """Issue every note, and damage that cost no message, as a BagWarning."""
+        for text in [*self.notes, *(str(item) for item in self.damage if item.lost == 0)]:
+            warnings.warn(text, BagWarning, stacklevel=3)
+
+
+def _storage_suffix(path):
+    name = path.name.removesuffix('.zstd')
+    suffix = Path(name).suffix
+    return suffix if suffix in _STORAGES else None
+
+
+def _split_number(path):
+    numbers = re.findall(r'_(\d+)\.', path.name)
+    return (int(numbers[-1]) if numbers else -1, path.name)
+
+
+def _decompressed(data, path):
+    if data[:4] != _ZSTD_MAGIC:
+        return data
+    try:
+        return zstandard.ZstdDecompressor().decompressobj().decompress(data)
+    except zstandard.ZstdError as error:
+        raise BagError(f'{path}: a compressed message cannot be unpacked ({error})') from error

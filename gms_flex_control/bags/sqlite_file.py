@@ -1,0 +1,130 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Read the sqlite3 storage of rosbag2; it has no checksums of its own."""
+
+from contextlib import closing
+from pathlib import Path
+import shutil
+import sqlite3
+import tempfile
+
+from gms_flex_control.bags.definitions import Definition
+from gms_flex_control.bags.mcap_file import Damage, Topic
+from gms_flex_control.errors import BagError
+
+_BATCH = 2000
+_HEADER = b'SQLite format 3\0'
+
+
+class SqliteFile:
+    """
+    One db3 file, with the attributes of :class:`McapFile`.
+
+    Parameters
+    ----------
+    path : Path
+        The file; a journal or log beside it is taken into account, nothing is changed.
+    label : str, optional
+        Its name in messages.
+
+    """
+
+    def __init__(self, path, label=None):
+        self.path, self.label = path, label or path.name
+        self.topics, self.damage, self.notes = {}, [], []
+        self.checked, self.unchecked = 0, 1
+        self.complete = False
+
+    def batches(self):
+        """
+        Yield the messages in the order they were written, some at a time.
+
+        Yields
+        ------
+        list of tuple
+            ``(topic name, log time [ns], publish time [ns], message bytes)``.
+
+        Raises
+        ------
+        BagError
+            If the file is empty, cannot be read or is no bag.
+
+        """
+        try:
+            with open(self.path, 'rb') as stream:
+                head = stream.read(len(_HEADER))
+        except OSError as error:
+            raise BagError(f'{self.path}: cannot be read ({error.strerror})') from error
+        if head != _HEADER:
+            raise BagError(f'{self.label}: is empty (0 bytes)' if not head else
+                           f'{self.label}: is no sqlite3 file (begins with {head.hex(" ")})')
+        with tempfile.TemporaryDirectory() as folder:
+            location = self._settled(Path(folder))
+            try:
+                with closing(sqlite3.connect(location, uri=True)) as database:
+                    yield from self._read(database)
+            except sqlite3.Error as error:
+                self.damage.append(Damage(
+                    self.label, f'cannot be read ({error})', None))
+        self.complete = not self.damage
+
+    def _settled(self, folder):
+        """Return a database to open: a copy where a killed recorder left a journal."""
+        beside = [self.path.with_name(self.path.name + end) for end in ('-journal', '-wal')]
+        if not any(path.is_file() for path in beside):
+            return f'{self.path.absolute().as_uri()}?mode=ro&immutable=1'
+        for path in (self.path, *beside):
+            if path.is_file():
+                shutil.copy(path, folder)
+        self.notes.append(f'{self.label}: was left open by its recorder; what it had '
+                          'committed is read')
+        return f'{(folder / self.path.name).as_uri()}?mode=rw'
+
+    def _read(self, database):
+        names = self._read_topics(database)
+        rows = database.execute('SELECT topic_id, timestamp, data FROM messages ORDER BY id')
+        found = 0
+        while True:
+            try:
+                batch = rows.fetchmany(_BATCH)
+            except sqlite3.Error as error:
+                self._damaged_table(database, found, error)
+                return
+            if not batch:
+                break
+            found += len(batch)
+            yield [(names[topic], time, time, data) for topic, time, data in batch
+                   if topic in names]
+            strays = sum(topic not in names for topic, _, _ in batch)
+            if strays:
+                self.damage.append(Damage(self.label, 'messages of an unknown topic', strays))
+
+    def _read_topics(self, database):
+        definitions = {}
+        if database.execute("SELECT 1 FROM sqlite_master WHERE name = 'message_definitions'"
+                            ).fetchone():
+            for type_name, encoding, text in database.execute(
+                    'SELECT topic_type, encoding, encoded_message_definition '
+                    'FROM message_definitions'):
+                definitions[type_name] = encoding, text
+        names = {}
+        cursor = database.execute('SELECT * FROM topics')
+        columns = [column[0] for column in cursor.description]
+        for row in cursor.fetchall():
+            row = dict(zip(columns, row, strict=True))
+            encoding, text = definitions.get(row['type'], ('ros2msg', ''))
+            described = Definition(text, row.get('type_description_hash', ''), encoding)
+            names[row['id']] = row['name']
+            self.topics.setdefault(row['name'], Topic(
+                row['name'], row['type'], described, row.get('offered_qos_profiles')))
+        return names
+
+    def _damaged_table(self, database, found, error):
+        """Name how many rows lie behind the damage, if the index of times still counts them."""
+        try:
+            total, = database.execute('SELECT count(timestamp) FROM messages').fetchone()
+            lost = max(total - found, 0)
+        except sqlite3.Error:
+            lost = None
+        self.damage.append(Damage(f'{self.label}: after message {found}', str(error), lost))

@@ -1,0 +1,168 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""What is in a bag: topics, rates, gaps, joints, and whether its checksums hold."""
+
+from dataclasses import asdict, dataclass
+
+from gms_flex_control.bags.cdr import JOINT_STATE, unpack_joint_state
+from gms_flex_control.bags.source import Bag
+from gms_flex_control.errors import BagError
+import numpy as np
+
+_GAP = 2.5  # times the median interval
+
+
+@dataclass(frozen=True, kw_only=True)
+class TopicSummary:
+    """
+    One topic of a bag.
+
+    Parameters
+    ----------
+    name, type : str
+        Topic and message type.
+    count : int
+        Messages.
+    rate : float or None
+        One over the median interval between receive times [Hz]; None below 2 messages.
+    gaps : int
+        Intervals longer than 2.5 times the median.
+    longest_gap : float or None
+        The longest interval [s].
+    joints : tuple of str
+        Names in the first message of a JointState topic.
+
+    """
+
+    name: str
+    type: str
+    count: int
+    rate: float | None
+    gaps: int
+    longest_gap: float | None
+    joints: tuple
+
+
+@dataclass(frozen=True, kw_only=True)
+class BagSummary:
+    """
+    A bag as a whole.
+
+    Parameters
+    ----------
+    path : str
+        Where it is.
+    topics : tuple of TopicSummary
+        Sorted by name.
+    count : int
+        Messages in all.
+    start, duration : float or None
+        First receive time and time to the last [s]; None for an empty bag.
+    checksums : str
+        'hold', 'none in the bag', 'hold where there are any' or 'damaged'.
+    damage, notes : tuple of str
+        What failed a check, and what else a reader should know.
+    sound : bool
+        No message is known or feared to be lost.
+    complete : bool
+        The bag was closed properly and nothing failed.
+
+    """
+
+    path: str
+    topics: tuple
+    count: int
+    start: float | None
+    duration: float | None
+    checksums: str
+    damage: tuple
+    notes: tuple
+    sound: bool
+    complete: bool
+
+    def as_dict(self):
+        """Return plain dicts, lists and numbers for JSON."""
+        return asdict(self)
+
+    def text(self):
+        """Return a table for people."""
+        lines = [f'bag        {self.path}', f'messages   {self.count}']
+        if self.count:
+            lines.append(f'duration   {self.duration:.3f} s from {self.start:.3f} s')
+        lines.append(f'checksums  {self.checksums}')
+        lines.append('state      ' + (
+            'complete' if self.complete else
+            'usable, not closed properly' if self.sound else 'damaged: gms_flex repair it'))
+        width = max((len(topic.name) for topic in self.topics), default=0)
+        for topic in self.topics:
+            rate = '' if topic.rate is None else f'{topic.rate:9.1f} Hz'
+            gaps = f', {topic.gaps} gaps, longest {topic.longest_gap:.3f} s' if topic.gaps else ''
+            lines.append(f'  {topic.name:{width}}  {topic.count:8d}  {rate:12}  '
+                         f'{topic.type}{gaps}')
+            if topic.joints:
+                lines.append(f'  {"":{width}}  joints: {", ".join(topic.joints)}')
+        lines += [f'damage: {item}' for item in self.damage]
+        lines += [f'note: {item}' for item in self.notes]
+        return '\n'.join(lines)
+
+
+def summarise(path):
+    """
+    Read a whole bag and tell what is in it.
+
+    Parameters
+    ----------
+    path : str or Path
+        Bag folder or file.
+
+    Returns
+    -------
+    BagSummary
+        Also of a damaged bag, with the damage named.
+
+    Raises
+    ------
+    BagError
+        If it is no bag at all.
+
+    """
+    bag = Bag(path)
+    times, first = {}, {}
+    for batch in bag.batches():
+        for topic, log, _, data in batch:
+            times.setdefault(topic, []).append(log)
+            first.setdefault(topic, data)
+    every = [edge for log in times.values() for edge in (min(log), max(log))]
+    topics = tuple(_topic(topic, times.get(topic.name, ()), first.get(topic.name))
+                   for _, topic in sorted(bag.topics.items()))
+    return BagSummary(
+        path=str(path), topics=topics, count=sum(map(len, times.values())),
+        start=min(every) * 1e-9 if every else None,
+        duration=(max(every) - min(every)) * 1e-9 if every else None,
+        checksums=_checksums(bag), damage=tuple(map(str, bag.damage)),
+        notes=tuple(bag.notes), sound=bag.sound, complete=bag.complete)
+
+
+def _topic(topic, times, first):
+    steps = np.diff(np.sort(times)) * 1e-9
+    median = float(np.median(steps)) if len(steps) else 0.0
+    joints = ()
+    if topic.type_name == JOINT_STATE and first is not None:
+        try:
+            joints = unpack_joint_state(first)[2]
+        except BagError:
+            joints = ()
+    return TopicSummary(
+        name=topic.name, type=topic.type_name, count=len(times),
+        rate=1.0 / median if median > 0 else None,
+        gaps=int(np.sum(steps > _GAP * median)) if median > 0 else 0,
+        longest_gap=float(steps.max()) if len(steps) else None, joints=joints)
+
+
+def _checksums(bag):
+    if bag.damage:
+        return 'damaged'
+    if not bag.checked:
+        return 'none in the bag'
+    return 'hold where there are any' if bag.unchecked else 'hold'

@@ -1,0 +1,101 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""
+Compilation of the inner loops, cached on disk by the content of all kernels.
+
+numba invalidates a cached function when its own file changes, but not when a function it calls
+in another file does. The cache folder is therefore named after a hash of every kernel source.
+"""
+
+from contextlib import contextmanager
+import hashlib
+import os
+from pathlib import Path
+import tempfile
+
+import numba
+from numba import types
+from numba.core import config
+from numba.extending import intrinsic
+
+_PACKAGE = Path(__file__).parent
+_KERNEL_FOLDERS = ('friction', 'effects', 'dynamics', 'trajectory', 'control', 'simulation')
+
+_POINTER = types.CPointer(types.float64)
+# signals of the joint, parameters, memory, substep
+EFFECT_SIGNATURE = types.void(_POINTER, _POINTER, _POINTER, types.float64)
+
+
+def _kernel_hash():
+    digest = hashlib.sha256(f'{numba.__version__}'.encode())
+    sources = [Path(__file__)]
+    for folder in _KERNEL_FOLDERS:
+        sources += sorted((_PACKAGE / folder).rglob('*.py'))
+    for source in sources:
+        digest.update(source.name.encode() + source.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def _cache_folder():
+    name = f'kernels-{_kernel_hash()}'
+    home = os.environ.get('XDG_CACHE_HOME') or os.path.expanduser('~/.cache')
+    user_id = os.getuid() if hasattr(os, 'getuid') else 'user'
+    candidates = [_PACKAGE / '__pycache__', Path(home) / 'gms_flex_control',
+                  Path(tempfile.gettempdir()) / f'gms_flex_control-{user_id}']
+    if config.CACHE_DIR:
+        candidates.insert(0, Path(config.CACHE_DIR))
+    for parent in candidates:
+        try:
+            (parent / name).mkdir(parents=True, exist_ok=True)
+        except OSError:
+            continue
+        if os.access(parent / name, os.W_OK) and (parent / name).stat().st_uid == os.getuid():
+            return str(parent / name)
+    return None
+
+
+_CACHE_FOLDER = _cache_folder()
+
+
+@contextmanager
+def _cache_location():
+    previous = config.CACHE_DIR
+    config.CACHE_DIR = _CACHE_FOLDER or previous
+    try:
+        yield _CACHE_FOLDER is not None
+    finally:
+        config.CACHE_DIR = previous
+
+
+def compiled(function):
+    """
+    Compile a numerical function with numba, without the GIL, cached on disk where possible.
+
+    No fast-math: a run gives the same bits whether it is stepped from Python or in one loop.
+    """
+    with _cache_location() as cache:
+        return numba.njit(cache=cache, nogil=True, error_model='numpy')(function)
+
+
+def compiled_effect(function):
+    """Compile an effect's ``apply`` to a C function that kernels call by its address."""
+    with _cache_location() as cache:
+        return numba.cfunc(EFFECT_SIGNATURE, cache=cache)(function)
+
+
+@intrinsic
+def call_effect(typing_context, address, signals, params, memory, dt):
+    """Call the effect compiled at ``address``; all but ``dt`` are addresses (intp)."""
+    from llvmlite import ir
+
+    def codegen(context, builder, signature, args):
+        pointer = ir.PointerType(ir.DoubleType())
+        function_type = ir.FunctionType(
+            ir.VoidType(), [pointer, pointer, pointer, ir.DoubleType()])
+        function = builder.inttoptr(args[0], ir.PointerType(function_type))
+        arguments = [builder.inttoptr(arg, pointer) for arg in args[1:4]]
+        builder.call(function, [*arguments, args[4]])
+        return context.get_dummy_value()
+
+    return types.void(types.intp, types.intp, types.intp, types.intp, types.float64), codegen

@@ -1,0 +1,257 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""
+The cascade control law with friction compensation, Eqs. (8) to (12) and (27) to (30).
+
+The link law asks for an elastic torque u_ed; the motor law makes the motor follow the angle
+that gives it. The motor needs two time derivatives of u_ed: they are taken analytically from
+the model's acceleration and jerk, because encoders leave nothing of a numerical derivative.
+"""
+
+from functools import cache, lru_cache
+
+from gms_flex_control import records
+from gms_flex_control.compiled import compiled
+from gms_flex_control.control import feedforward, observer
+from gms_flex_control.dynamics import chain
+from gms_flex_control.friction import gms
+from gms_flex_control.params.gains import COMPENSATIONS
+from gms_flex_control.records import FLOAT
+import numpy as np
+
+NONE, GMS_PAPER, GMS = range(len(COMPENSATIONS))
+_GAINS = ('kd_link', 'lambda_link', 'kd_motor', 'lambda_motor', 'observer_gain', 'sign_slope',
+          'filter_bandwidth', 'torque_limit')
+
+
+@cache
+def state_layout(n, n_blocks):
+    """
+    Return the dtype of what the controller remembers and what it says, in one record.
+
+    ``command`` (n,), motor torque [N m]; ``friction_hat`` (n,), estimate it compensates [N m];
+    ``error``, ``error_rate`` (n,), tracking error actual - desired; ``observer``; ``q_before``
+    (n,), link angle of the tick before; ``saturated`` (n,); ``started``, 0 before the first tick.
+    """
+    return records.layout(
+        *((name, FLOAT, (n,)) for name in ('command', 'friction_hat', 'error', 'error_rate',
+                                           'q_before', 'saturated')),
+        ('started', FLOAT, (1,)), ('observer', observer.state_layout(n, n_blocks)))
+
+
+@cache
+def constants_layout(n, n_blocks):
+    """Return the dtype of gains and model as the controller's kernels take them."""
+    return records.layout(
+        ('compensation', np.intp, (1,)), *((name, FLOAT, (n,)) for name in _GAINS),
+        ('chain', chain.constants_layout(n)), ('friction', gms.constants_layout(n, n_blocks)))
+
+
+_VECTORS = ('displacement', 'sliding', 'dq_ref', 'ddq_ref', 'correction', 'correction_rate',
+            'smooth', 'slope', 'spring', 'spring_rate', 'acceleration', 'jerk', 'scratch')
+
+
+@cache
+def work_layout(n):
+    """Return the dtype of the work space of `tick`; nothing in it outlives a tick."""
+    return records.layout(
+        *((name, FLOAT, (n,)) for name in _VECTORS), ('torque', FLOAT, (3, n)),
+        ('estimate', FLOAT, (3, n)), ('motion', feedforward.layout(n)),
+        ('chain', chain.work_layout(n)))
+
+
+@lru_cache(maxsize=256)
+def constants_of(gains, robot):
+    """Return ControllerParams and the model of RobotParams as the record `tick` takes."""
+    values = {name: getattr(gains, name) for name in _GAINS}
+    return records.build(
+        constants_layout(*robot.friction.stiffness.shape), **values,
+        compensation=COMPENSATIONS.index(gains.compensation),
+        chain=chain.constants_of(robot.arm), friction=gms.constants_of(robot.friction))
+
+
+def init(robot):
+    """Return a controller of ``robot`` before its first tick."""
+    return records.build(state_layout(*robot.friction.stiffness.shape),
+                         observer=records.build(observer.state_layout(
+                             *robot.friction.stiffness.shape), blocks=gms.init(robot.friction)))
+
+
+def workspace(n):
+    """Return work space for n joints."""
+    return records.build(work_layout(n))
+
+
+@compiled
+def link_errors(state, measured, reference, constants, work):
+    """Form the tracking errors, the reference velocity and the sliding variable, Eq. (12)."""
+    for j in range(constants.kd_link.shape[0]):
+        if not state.started[0]:
+            state.q_before[j] = measured.q_link[j]
+        work.displacement[j] = measured.q_link[j] - state.q_before[j]
+        state.q_before[j] = measured.q_link[j]
+        state.error[j] = measured.q_link[j] - reference[0, j]
+        state.error_rate[j] = measured.dq_link[j] - reference[1, j]
+        work.dq_ref[j] = reference[1, j] - constants.lambda_link[j] * state.error[j]
+        work.ddq_ref[j] = reference[2, j] - constants.lambda_link[j] * state.error_rate[j]
+        work.sliding[j] = measured.dq_link[j] - work.dq_ref[j]
+        work.spring[j] = (constants.chain.stiffness[j]
+                          * (measured.q_motor[j] - measured.q_link[j])
+                          + constants.chain.damping[j]
+                          * (measured.dq_motor[j] - measured.dq_link[j]))
+        work.spring_rate[j] = (constants.chain.stiffness[j]
+                               * (measured.dq_motor[j] - measured.dq_link[j]))
+        if not constants.chain.flexible[j]:
+            work.spring[j] = state.command[j]
+    state.started[0] = 1.0
+
+
+@compiled
+def observe(state, measured, dt, constants, work):
+    """Advance the observer by the measured motion; leaves F_hat in work.estimate[0]."""
+    blocks = state.observer.blocks
+    for j in range(constants.kd_link.shape[0]):
+        work.correction[j] = constants.observer_gain[j] * work.sliding[j]
+        if state.saturated[j]:
+            work.correction[j] = 0.0  # the error is then not the observer's fault
+        turned = work.displacement[j] * blocks.direction[j] < 0.0
+        work.smooth[j] = -blocks.direction[j] if turned else blocks.direction[j]
+        work.slope[j] = 0.0
+        if constants.compensation[0] == GMS_PAPER:
+            slope = constants.sign_slope[j]
+            work.smooth[j] = np.tanh(slope * measured.dq_link[j])
+            work.slope[j] = slope * (1.0 - work.smooth[j] ** 2)
+    observer.advance(blocks, work.displacement, measured.dq_link, work.smooth, work.correction,
+                     dt, constants.friction)
+    gms.total(blocks, measured.dq_link, constants.friction, work.estimate[0])
+    if constants.compensation[0] == GMS:
+        filtered = state.observer.filtered
+        observer.filter_step(filtered, work.estimate[0], constants.filter_bandwidth, dt)
+
+
+@compiled
+def model_motion(state, measured, constants, work):
+    """Form acceleration and jerk of the model, and the derivatives of F_hat on the way."""
+    n = constants.kd_link.shape[0]
+    links, motion, out = constants.chain, work.motion, work.estimate
+    for j in range(n):
+        work.chain.tau[j] = work.spring[j] - out[0, j]
+    chain.accelerations(measured.q_link, measured.dq_link, links, work.chain)
+    work.acceleration[:] = work.chain.acceleration
+    if constants.compensation[0] == GMS_PAPER:
+        observer.first_derivative(state.observer.blocks, measured.dq_link, work.acceleration,
+                                  work.smooth, work.correction, constants.friction, out[1])
+    motion.cosine[:] = work.chain.cosine
+    motion.sine[:] = work.chain.sine
+    chain.multiply(links.orientation, measured.dq_link, motion.omega)
+    chain.multiply(links.orientation, work.acceleration, motion.alpha)
+    motion.jerk[:] = 0.0
+    motion.ref[0], motion.ref[1] = motion.omega, motion.alpha
+    motion.ref[2], motion.ref[3] = 0.0, 0.0
+    feedforward.inverse_dynamics(links, motion)
+    for j in range(n):
+        work.chain.tau[j] = work.spring_rate[j] - out[1, j]
+    chain.multiply_transposed(links.inverse, work.chain.tau, motion.jerk)
+    for j in range(n):
+        motion.jerk[j] -= motion.torque[1, j]
+    chain.mass_matrix(links, work.chain)
+    chain.solve_in_place(work.chain.matrix, motion.jerk)
+    chain.multiply(links.inverse, motion.jerk, work.jerk)
+
+
+@compiled
+def friction_derivatives(state, measured, reference, constants, work):
+    """Complete F_hat with the derivatives the chosen compensation defines."""
+    out = work.estimate
+    if constants.compensation[0] == GMS_PAPER:
+        for j in range(constants.kd_link.shape[0]):
+            work.correction_rate[j] = constants.observer_gain[j] * (
+                work.acceleration[j] - work.ddq_ref[j])
+        observer.second_derivative(
+            state.observer.blocks, measured.dq_link, work.acceleration, work.jerk, work.smooth,
+            work.correction, work.slope, work.correction_rate, constants.friction, out[2])
+
+
+@compiled
+def elastic_torque(measured, reference, constants, work):
+    """Write u_ed and its first two derivatives into work.torque, Eq. (11)."""
+    links, motion = constants.chain, work.motion
+    n = constants.kd_link.shape[0]
+    chain.multiply(links.orientation, work.dq_ref, motion.ref[0])
+    chain.multiply(links.orientation, work.ddq_ref, motion.ref[1])
+    for j in range(n):
+        work.scratch[j] = reference[3, j] - constants.lambda_link[j] * (
+            work.acceleration[j] - reference[2, j])
+    chain.multiply(links.orientation, work.scratch, motion.ref[2])
+    for j in range(n):  # rates of the sliding variable, before scratch is used again
+        work.torque[0, j] = -constants.kd_link[j] * work.sliding[j]
+        work.torque[1, j] = -constants.kd_link[j] * (work.acceleration[j] - work.ddq_ref[j])
+        work.torque[2, j] = -constants.kd_link[j] * (work.jerk[j] - work.scratch[j])
+        work.scratch[j] = reference[4, j] - constants.lambda_link[j] * (
+            work.jerk[j] - reference[3, j])
+    chain.multiply(links.orientation, work.scratch, motion.ref[3])
+    feedforward.inverse_dynamics(links, motion)
+    for k in range(3):
+        chain.multiply_transposed(links.orientation, motion.torque[k], work.scratch)
+        for j in range(n):
+            work.torque[k, j] += work.scratch[j] + work.estimate[k, j]
+
+
+@compiled
+def motor_law(state, measured, constants, work):
+    """Write the limited motor torque into state.command, Eqs. (9), (27) to (29)."""
+    links, torque = constants.chain, work.torque
+    for j in range(constants.kd_link.shape[0]):
+        command = torque[0, j]
+        if links.flexible[j]:
+            stiffness = links.stiffness[j]
+            q_des = measured.q_link[j] + torque[0, j] / stiffness  # Eq. (9)
+            dq_des = measured.dq_link[j] + torque[1, j] / stiffness
+            ddq_des = work.acceleration[j] + torque[2, j] / stiffness
+            error_rate = measured.dq_motor[j] - dq_des
+            sliding = error_rate + constants.lambda_motor[j] * (
+                measured.q_motor[j] - q_des)  # Eq. (28)
+            demand = ddq_des - constants.lambda_motor[j] * error_rate  # Eq. (29)
+            command = (links.motor_inertia[j] * demand + work.spring[j]
+                       - constants.kd_motor[j] * sliding)  # Eq. (27)
+        limit = constants.torque_limit[j]
+        state.saturated[j] = 1.0 if abs(command) > limit else 0.0
+        state.command[j] = min(max(command, -limit), limit)
+
+
+@compiled
+def tick(state, measured, reference, dt, constants, work):
+    """
+    Compute the torque that answers one measurement.
+
+    Parameters
+    ----------
+    state : numpy.record
+        Of `state_layout`, changed in place; ``state.command`` is the answer.
+    measured : numpy.record
+        Fields ``q_link``, ``dq_link``, ``q_motor``, ``dq_motor`` (n,).
+    reference : ndarray, shape (5, n_joints)
+        Desired link angle and derivatives 1 to 4.
+    dt : float
+        Time since the tick before [s].
+    constants, work : numpy.record
+        From `constants_of` and `workspace`.
+
+    """
+    link_errors(state, measured, reference, constants, work)
+    observe(state, measured, dt, constants, work)
+    if constants.compensation[0] == NONE:
+        work.estimate[:] = 0.0
+    elif constants.compensation[0] == GMS:
+        filtered = state.observer.filtered
+        for j in range(constants.kd_link.shape[0]):
+            bandwidth = constants.filter_bandwidth[j]
+            offset = work.estimate[0, j] - filtered[0, j]
+            work.estimate[1, j] = filtered[1, j]
+            work.estimate[2, j] = bandwidth * (bandwidth * offset - 2.0 * filtered[1, j])
+    state.friction_hat[:] = work.estimate[0]
+    model_motion(state, measured, constants, work)
+    friction_derivatives(state, measured, reference, constants, work)
+    elastic_torque(measured, reference, constants, work)
+    motor_law(state, measured, constants, work)

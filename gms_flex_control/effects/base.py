@@ -1,0 +1,152 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""What an effect is: a named term with parameters that joins the model at one stage."""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import cache
+import math
+
+from gms_flex_control.compiled import compiled_effect
+from gms_flex_control.errors import ParameterError
+
+
+class Stage(IntEnum):
+    """Where in the model an effect acts; the stages run in this order in every substep."""
+
+    ACTUATOR = 0  # torque command -> torque of the motor
+    TWIST = 1     # q_motor - q_link -> twist the spring sees
+    SPRING = 2    # twist -> spring torque
+    FRICTION = 3  # friction torque of the link
+    LINK = 4      # extra torque on the link
+    MOTOR = 5     # extra torque on the motor
+    SENSOR = 6    # what the encoders see; runs once per sample
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """
+    One parameter of an effect.
+
+    Parameters
+    ----------
+    name, unit, description : str
+        As shown in reports and YAML (``effects.<joint>.<effect>.<name>``).
+    lower, upper : float
+        Closed bounds of the values the model allows.
+
+    """
+
+    name: str
+    unit: str
+    description: str
+    lower: float = -math.inf
+    upper: float = math.inf
+
+
+class Effect(ABC):
+    """
+    A named effect a model can have or lack.
+
+    Subclasses are final: either a `Term`, which computes while the robot moves, or a
+    `Change`, which alters the parameters once, before the run.
+    """
+
+    name: str                 # catalogue name, equal to the name of its module
+    parameters: tuple         # of Parameter
+    whole_arm = False         # stands under effects.arm instead of under a joint
+
+    @classmethod
+    def values(cls, given, where):
+        """
+        Return the parameter values in declared order.
+
+        Parameters
+        ----------
+        given : dict of str to float
+            One entry per parameter.
+        where : str
+            Key of the effect in its file, for the message.
+
+        Returns
+        -------
+        tuple of float
+            Finite values within their bounds.
+
+        Raises
+        ------
+        ParameterError
+            If a parameter is missing, not finite or out of bounds.
+
+        """
+        values = []
+        for parameter in cls.parameters:
+            key = f'{where}.{parameter.name}'
+            if parameter.name not in given:
+                raise ParameterError(f'{key} [{parameter.unit}] is missing: '
+                                     f'{parameter.description}')
+            value = float(given[parameter.name])
+            if not parameter.lower <= value <= parameter.upper or not math.isfinite(value):
+                raise ParameterError(f'{key} must be a number from {parameter.lower:g} to '
+                                     f'{parameter.upper:g} {parameter.unit}, got {value:g}')
+            values.append(value)
+        return tuple(values)
+
+
+class Term(Effect):
+    """An effect that reads the signals of a joint and changes those of its stage."""
+
+    stage: Stage
+    memory_size = 0           # floats it keeps from substep to substep, zero at the start
+
+    @staticmethod
+    @abstractmethod
+    def apply(s, p, memory, dt):
+        """
+        Change the signals of one joint; compiled, so plain scalar code only.
+
+        Parameters
+        ----------
+        s : pointer to float64
+            Signals of the joint, see signals.py.
+        p : pointer to float64
+            Values of ``parameters``, in that order.
+        memory : pointer to float64
+            ``memory_size`` numbers of its own.
+        dt : float
+            Substep; the sample period in stage SENSOR [s].
+
+        """
+
+    @classmethod
+    @cache
+    def compile(cls):
+        """Return the numba C function of ``apply``; compiled once, when first used."""
+        return compiled_effect(cls.apply)
+
+
+class Change(Effect):
+    """An effect that is another value of parameters the model already has."""
+
+    @staticmethod
+    @abstractmethod
+    def change(robot, joint, values):
+        """
+        Return the robot with the effect in it.
+
+        Parameters
+        ----------
+        robot : RobotParams
+            As believed.
+        joint : int
+            Index of the joint; 0 for the whole arm.
+        values : tuple of float
+            Values of ``parameters``.
+
+        Returns
+        -------
+        RobotParams
+
+        """

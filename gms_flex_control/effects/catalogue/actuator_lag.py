@@ -1,0 +1,27 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+
+"""First-order lag of the torque loop."""
+
+from gms_flex_control.effects.base import Parameter, Stage, Term
+from gms_flex_control.effects.signals import TORQUE
+import numpy as np
+
+
+class ActuatorLag(Term):
+    """time_constant du/dt + u = command, exact for a held command."""
+
+    name = 'actuator_lag'
+    stage = Stage.ACTUATOR
+    memory_size = 1
+    parameters = (
+        Parameter('time_constant', 's', 'time constant', lower=0.0),
+    )
+
+    @staticmethod
+    def apply(s, p, memory, dt):
+        """Change the signals of one joint."""
+        if p[0] > 0.0:
+            memory[0] = s[TORQUE] + (memory[0] - s[TORQUE]) * np.exp(-dt / p[0])
+            s[TORQUE] = memory[0]

@@ -1,0 +1,25 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+
+"""Position error of a strain-wave gear, twice per motor revolution."""
+
+from gms_flex_control.effects.base import Parameter, Stage, Term
+from gms_flex_control.effects.signals import Q_MOTOR, TWIST
+import numpy as np
+
+
+class KinematicError(Term):
+    """e -> e + amplitude sin(2 q_motor + phase)."""
+
+    name = 'kinematic_error'
+    stage = Stage.TWIST
+    parameters = (
+        Parameter('amplitude', 'rad', 'amplitude of the error', lower=0.0),
+        Parameter('phase', 'rad', 'phase at q_motor = 0'),
+    )
+
+    @staticmethod
+    def apply(s, p, memory, dt):
+        """Change the signals of one joint."""
+        s[TWIST] += p[0] * np.sin(2.0 * s[Q_MOTOR] + p[1])

@@ -1,0 +1,25 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+
+"""Motor inertia other than believed."""
+
+from dataclasses import replace
+
+from gms_flex_control.effects.base import Change, Parameter
+
+
+class MotorInertiaError(Change):
+    """J -> J (1 + ratio)."""
+
+    name = 'motor_inertia_error'
+    parameters = (
+        Parameter('ratio', '1', 'relative error', lower=-0.99),
+    )
+
+    @staticmethod
+    def change(robot, joint, values):
+        """Return the robot with the effect in it."""
+        motor_inertia = robot.arm.motor_inertia.copy()
+        motor_inertia[joint] *= 1.0 + values[0]
+        return replace(robot, arm=replace(robot.arm, motor_inertia=motor_inertia))

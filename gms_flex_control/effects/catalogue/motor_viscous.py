@@ -1,0 +1,23 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+
+"""Viscous friction of the motor side."""
+
+from gms_flex_control.effects.base import Parameter, Stage, Term
+from gms_flex_control.effects.signals import DQ_MOTOR, MOTOR_TORQUE
+
+
+class MotorViscous(Term):
+    """y -= viscous dq_motor."""
+
+    name = 'motor_viscous'
+    stage = Stage.MOTOR
+    parameters = (
+        Parameter('viscous', 'N m s/rad', 'viscous coefficient', lower=0.0),
+    )
+
+    @staticmethod
+    def apply(s, p, memory, dt):
+        """Change the signals of one joint."""
+        s[MOTOR_TORQUE] -= p[0] * s[DQ_MOTOR]

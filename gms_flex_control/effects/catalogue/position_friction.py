@@ -1,0 +1,26 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+
+"""Friction that varies with the position of the link."""
+
+from gms_flex_control.effects.base import Parameter, Stage, Term
+from gms_flex_control.effects.signals import FRICTION, Q_LINK
+import numpy as np
+
+
+class PositionFriction(Term):
+    """F -> F (1 + ratio cos(order q_link + phase))."""
+
+    name = 'position_friction'
+    stage = Stage.FRICTION
+    parameters = (
+        Parameter('ratio', '1', 'relative variation'),
+        Parameter('order', '1', 'periods per revolution', lower=0.0),
+        Parameter('phase', 'rad', 'phase at q_link = 0'),
+    )
+
+    @staticmethod
+    def apply(s, p, memory, dt):
+        """Change the signals of one joint."""
+        s[FRICTION] *= 1.0 + p[0] * np.cos(p[1] * s[Q_LINK] + p[2])

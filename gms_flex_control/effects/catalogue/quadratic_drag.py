@@ -1,0 +1,23 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+
+"""Drag of a fluid."""
+
+from gms_flex_control.effects.base import Parameter, Stage, Term
+from gms_flex_control.effects.signals import DQ_LINK, LINK_TORQUE
+
+
+class QuadraticDrag(Term):
+    """x -= drag dq abs(dq)."""
+
+    name = 'quadratic_drag'
+    stage = Stage.LINK
+    parameters = (
+        Parameter('drag', 'N m s^2/rad^2', 'coefficient', lower=0.0),
+    )
+
+    @staticmethod
+    def apply(s, p, memory, dt):
+        """Change the signals of one joint."""
+        s[LINK_TORQUE] -= p[0] * s[DQ_LINK] * abs(s[DQ_LINK])

@@ -1,0 +1,23 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+
+"""Spring that stiffens or softens with twist."""
+
+from gms_flex_control.effects.base import Parameter, Stage, Term
+from gms_flex_control.effects.signals import SPRING, TWIST
+
+
+class SpringCubic(Term):
+    """s += cubic e^3."""
+
+    name = 'spring_cubic'
+    stage = Stage.SPRING
+    parameters = (
+        Parameter('cubic', 'N m/rad^3', 'cubic stiffness'),
+    )
+
+    @staticmethod
+    def apply(s, p, memory, dt):
+        """Change the signals of one joint."""
+        s[SPRING] += p[0] * s[TWIST] ** 3

@@ -1,0 +1,29 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+
+"""Rate-independent loss in the spring."""
+
+from gms_flex_control.effects.base import Parameter, Stage, Term
+from gms_flex_control.effects.signals import SPRING, TWIST
+
+
+class SpringHysteresis(Term):
+    """A Maxwell element beside the spring: it yields at a force, after a twist."""
+
+    name = 'spring_hysteresis'
+    stage = Stage.SPRING
+    memory_size = 3
+    parameters = (
+        Parameter('force', 'N m', 'torque at which the element yields', lower=0.0),
+        Parameter('yield', 'rad', 'twist at which it yields', lower=0.0),
+    )
+
+    @staticmethod
+    def apply(s, p, memory, dt):
+        """Change the signals of one joint."""
+        e_before, torque, begun = memory[0], memory[1], memory[2]
+        if begun > 0.0 and p[1] > 0.0:
+            torque += p[0] / p[1] * (s[TWIST] - e_before)
+        memory[0], memory[1], memory[2] = s[TWIST], min(max(torque, -p[0]), p[0]), 1.0
+        s[SPRING] += memory[1]

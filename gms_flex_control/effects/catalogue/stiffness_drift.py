@@ -1,0 +1,25 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+
+"""Spring that changes over the run, as by warming."""
+
+from gms_flex_control.effects.base import Parameter, Stage, Term
+from gms_flex_control.effects.signals import SPRING, TIME
+
+
+class StiffnessDrift(Term):
+    """s -> s (1 + ratio t / duration)."""
+
+    name = 'stiffness_drift'
+    stage = Stage.SPRING
+    parameters = (
+        Parameter('ratio', '1', 'relative change over the duration'),
+        Parameter('duration', 's', 'time in which the change happens', lower=0.0),
+    )
+
+    @staticmethod
+    def apply(s, p, memory, dt):
+        """Change the signals of one joint."""
+        if p[1] > 0.0:
+            s[SPRING] *= 1.0 + p[0] * s[TIME] / p[1]

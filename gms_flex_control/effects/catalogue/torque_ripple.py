@@ -1,0 +1,26 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+
+"""Ripple of motor or gear, periodic in the motor angle."""
+
+from gms_flex_control.effects.base import Parameter, Stage, Term
+from gms_flex_control.effects.signals import MOTOR_TORQUE, Q_MOTOR
+import numpy as np
+
+
+class TorqueRipple(Term):
+    """y += amplitude sin(order q_motor + phase)."""
+
+    name = 'torque_ripple'
+    stage = Stage.MOTOR
+    parameters = (
+        Parameter('amplitude', 'N m', 'amplitude', lower=0.0),
+        Parameter('order', '1', 'periods per revolution', lower=0.0),
+        Parameter('phase', 'rad', 'phase at q_motor = 0'),
+    )
+
+    @staticmethod
+    def apply(s, p, memory, dt):
+        """Change the signals of one joint."""
+        s[MOTOR_TORQUE] += p[0] * np.sin(p[1] * s[Q_MOTOR] + p[2])

@@ -1,0 +1,106 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""
+Effects as compiled kernels run them: a table of function addresses sorted by stage.
+
+Why addresses, and what the alternatives cost: docs/decisions/0001-effects-by-address.md.
+"""
+
+from dataclasses import replace
+
+from gms_flex_control import records
+from gms_flex_control.compiled import call_effect, compiled
+from gms_flex_control.effects.base import Change, Stage
+from gms_flex_control.effects.registry import find
+from gms_flex_control.effects.signals import WIDTH
+from gms_flex_control.errors import ParameterError
+from gms_flex_control.records import FLOAT
+import numpy as np
+
+_FLOAT_BYTES = 8
+# fixed, so that every combination of effects is the same type to the kernels
+MAX_TERMS, MAX_PARAMS, MEMORY_SIZE = 64, 256, 512
+
+LAYOUT = records.layout(
+    ('address', np.intp, (MAX_TERMS,)),       # of the compiled functions, sorted by stage
+    ('joint', np.intp, (MAX_TERMS,)),         # row of the signals
+    ('first_param', np.intp, (MAX_TERMS,)),   # offset into params
+    ('first_memory', np.intp, (MAX_TERMS,)),  # offset into the memory of the run
+    ('stage_start', np.intp, (len(Stage) + 1,)),  # stage k: stage_start[k]:stage_start[k + 1]
+    ('params', FLOAT, (MAX_PARAMS,)))
+
+
+def with_changes(robot):
+    """
+    Return the robot with every effect that is a `Change` put into its parameters.
+
+    Parameters
+    ----------
+    robot : RobotParams
+        With any effects.
+
+    Returns
+    -------
+    RobotParams
+        Its effects are all of kind `Term`.
+
+    """
+    changes = [spec for spec in robot.effects if issubclass(find(spec.name), Change)]
+    robot = replace(robot, effects=tuple(s for s in robot.effects if s not in changes))
+    for spec in changes:
+        kind = find(spec.name)
+        joint = 0 if kind.whole_arm else robot.joints.index(spec.joint)
+        robot = kind.change(robot, joint, spec.values)
+    return robot
+
+
+def build(effects, joints):
+    """
+    Compile the terms among ``effects`` into a table.
+
+    Parameters
+    ----------
+    effects : sequence of EffectSpec
+        Terms only, as `with_changes` leaves them.
+    joints : sequence of str
+        Link names in order.
+
+    Returns
+    -------
+    numpy.record
+        Of `LAYOUT`.
+
+    Raises
+    ------
+    ParameterError
+        If there are more terms, parameters or memory than the table holds.
+
+    """
+    terms = [(find(spec.name), spec) for spec in effects]
+    terms.sort(key=lambda term: term[0].stage)  # stable: the file's order within a stage
+    params = [value for _, spec in terms for value in spec.values]
+    sizes = [kind.memory_size for kind, _ in terms]
+    if len(terms) > MAX_TERMS or len(params) > MAX_PARAMS or sum(sizes) > MEMORY_SIZE:
+        raise ParameterError(f'{len(terms)} effects are more than the model holds '
+                             f'({MAX_TERMS} with {MAX_PARAMS} parameters); remove the smallest')
+    table = records.build(LAYOUT)
+    table.address[:len(terms)] = [kind.compile().address for kind, _ in terms]
+    table.joint[:len(terms)] = [0 if kind.whole_arm else joints.index(spec.joint)
+                                for kind, spec in terms]
+    table.first_param[:len(terms)] = np.cumsum([0, *(len(s.values) for _, s in terms)])[:-1]
+    table.first_memory[:len(terms)] = np.cumsum([0, *sizes])[:-1]
+    table.stage_start[:] = np.searchsorted([kind.stage for kind, _ in terms],
+                                           range(len(Stage) + 1))
+    table.params[:len(params)] = params
+    return table
+
+
+@compiled
+def run_stage(stage, signals, memory, dt, table):
+    """Apply the terms of one stage in place to ``signals`` (n, WIDTH) and ``memory``."""
+    for k in range(table.stage_start[stage], table.stage_start[stage + 1]):
+        call_effect(table.address[k],
+                    signals.ctypes.data + _FLOAT_BYTES * WIDTH * table.joint[k],
+                    table.params.ctypes.data + _FLOAT_BYTES * table.first_param[k],
+                    memory.ctypes.data + _FLOAT_BYTES * table.first_memory[k], dt)

@@ -1,0 +1,154 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""
+Generalized Maxwell-Slip friction, Eqs. (2) to (5), in the corrected form of docs/model.md.
+
+A joint is a parallel set of blocks. A sticking block is a spring driven by the displacement; it
+breaks away in the direction of motion at its share of the Stribeck level and then relaxes
+towards it, exactly integrated over the step. All blocks stick again when the motion turns.
+"""
+
+from functools import cache, lru_cache
+
+from gms_flex_control import records
+from gms_flex_control.compiled import compiled
+from gms_flex_control.friction.stribeck import level_and_slope
+from gms_flex_control.records import FLAG, FLOAT
+import numpy as np
+
+FORWARD, BACKWARD = 0, 1  # rows of the direction-dependent constants
+
+
+@cache
+def state_layout(n, n_blocks):
+    """
+    Return the dtype of the memory of n joints with N blocks each.
+
+    Fields: ``torque`` (n, N), torque F_bi carried by each block [N m]; ``sticking`` (n, N), 1
+    where a block sticks; ``direction`` (n,), direction of the last motion, +1 or -1.
+    """
+    return records.layout(('torque', FLOAT, (n, n_blocks)), ('sticking', FLAG, (n, n_blocks)),
+                          ('direction', FLOAT, (n,)))
+
+
+@cache
+def constants_layout(n, n_blocks):
+    """Return the dtype of the kernels' constants; see FrictionParams for the meaning."""
+    return records.layout(
+        *((name, FLOAT, (2, n)) for name in ('static', 'coulomb', 'velocity', 'viscous')),
+        ('stiffness', FLOAT, (n, n_blocks)), ('weight', FLOAT, (n, n_blocks)),
+        ('attraction', FLOAT, (n,)))
+
+
+@lru_cache(maxsize=256)
+def constants_of(params):
+    """Return a FrictionParams as the record the kernels take."""
+    pairs = {name: np.stack([getattr(params.forward, name), getattr(params.backward, name)])
+             for name in ('static', 'coulomb', 'velocity', 'viscous')}
+    return records.build(constants_layout(*params.stiffness.shape), **pairs,
+                         stiffness=params.stiffness, weight=params.weight,
+                         attraction=params.attraction)
+
+
+def init(params, torque=None, direction=None):
+    """
+    Return the friction state of joints at rest.
+
+    Parameters
+    ----------
+    params : FrictionParams
+        Gives the number of joints and blocks.
+    torque : ndarray, shape (n_joints, n_blocks), optional
+        Torque each block starts with [N m]; default none.
+    direction : ndarray, shape (n_joints,), optional
+        Direction of the motion before, +1 or -1; default +1.
+
+    Returns
+    -------
+    numpy.record
+        Of `state_layout`; all blocks sticking.
+
+    """
+    return records.build(state_layout(*params.stiffness.shape), sticking=1,
+                         torque=0.0 if torque is None else torque,
+                         direction=1.0 if direction is None else direction)
+
+
+def step(state, displacement, dt, params):
+    """
+    Advance the friction by one step of given displacement.
+
+    Parameters
+    ----------
+    state : numpy.record
+        From `init` or an earlier step; not changed.
+    displacement : ndarray, shape (n_joints,)
+        Change of the link angles over the step [rad].
+    dt : float
+        Length of the step [s].
+    params : FrictionParams
+        Friction of the same joints.
+
+    Returns
+    -------
+    state : numpy.record
+        State at the end.
+    tau_friction : ndarray, shape (n_joints,)
+        Friction torque that opposes the motion, viscous part included [N m].
+
+    Notes
+    -----
+    Eqs. (2), (3), (5). The mean velocity of the step stands for dq_link.
+
+    """
+    state = state.copy()
+    displacement = np.array(displacement, dtype=float)
+    constants = constants_of(params)
+    advance(state, displacement, displacement / dt, dt, constants)
+    tau = np.empty(len(displacement))
+    total(state, displacement / dt, constants, tau)
+    return state, tau
+
+
+@compiled
+def advance_blocks(torque, sticking, turned, sign, displacement, level, decay, stiffness,
+                   weight):
+    """Advance the blocks (N,) of one joint in place; ``decay`` = exp(-C dt / s)."""
+    for i in range(torque.shape[0]):
+        if turned:
+            sticking[i] = 1
+        limit = sign * weight[i] * level
+        if sticking[i]:
+            torque[i] += stiffness[i] * displacement  # Eq. (2), integrated over the step
+            if sign * torque[i] >= sign * limit:      # directional break-away, with clip
+                torque[i] = limit
+                sticking[i] = 0
+        else:
+            torque[i] = limit + (torque[i] - limit) * decay  # Eq. (3), exact over the step
+
+
+@compiled
+def advance(state, displacement, velocity, dt, constants):
+    """Advance all joints in place by ``displacement`` (n,) at ``velocity`` (n,) over ``dt``."""
+    for j in range(constants.attraction.shape[0]):
+        turned = displacement[j] * state.direction[j] < 0.0
+        if turned:
+            state.direction[j] = -state.direction[j]
+        sign = state.direction[j]
+        row = FORWARD if sign > 0.0 else BACKWARD
+        level, _ = level_and_slope(velocity[j], constants.static[row, j],
+                                   constants.coulomb[row, j], constants.velocity[row, j])
+        decay = np.exp(-constants.attraction[j] * dt / level)
+        advance_blocks(state.torque[j], state.sticking[j], turned, sign, displacement[j], level,
+                       decay, constants.stiffness[j], constants.weight[j])
+
+
+@compiled
+def total(state, velocity, constants, tau):
+    """Write the friction torque of all joints (n,), viscous part included, into ``tau``."""
+    for j in range(constants.attraction.shape[0]):
+        row = FORWARD if state.direction[j] > 0.0 else BACKWARD
+        tau[j] = constants.viscous[row, j] * velocity[j]  # Eq. (5)
+        for i in range(state.torque.shape[1]):
+            tau[j] += state.torque[j, i]

@@ -1,0 +1,72 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Steady-state friction: the Stribeck curve of each direction of motion."""
+
+from gms_flex_control.compiled import compiled
+import numpy as np
+
+
+@compiled
+def level_and_slope(v, static, coulomb, velocity):
+    """Return s(v) and ds/dv of one joint in one direction (Eq. 4), all scalars."""
+    x = v / velocity
+    decay = (static - coulomb) * np.exp(-x * x)
+    return coulomb + decay, -2.0 * x / velocity * decay  # Eq. (4)
+
+
+def _of_direction(dq, params, name):
+    forward, backward = getattr(params.forward, name), getattr(params.backward, name)
+    return np.where(np.asarray(dq) >= 0, forward, backward)
+
+
+def stribeck_level(dq, params):
+    """
+    Return the Stribeck level s(dq) > 0 for the direction of each velocity.
+
+    Parameters
+    ----------
+    dq : ndarray, shape (..., n_joints)
+        Link velocity [rad/s]; zero counts as forward.
+    params : FrictionParams
+        Friction of the same joints.
+
+    Returns
+    -------
+    ndarray, shape (..., n_joints)
+        ``static`` at rest, falling to ``coulomb`` at speed [N m].
+
+    Notes
+    -----
+    Eq. (4) with the direction-dependent values of Table 1. The sign of motion enters in
+    Eq. (3), not here.
+
+    """
+    static, coulomb, velocity = (
+        _of_direction(dq, params, name) for name in ('static', 'coulomb', 'velocity'))
+    return coulomb + (static - coulomb) * np.exp(-(np.asarray(dq) / velocity) ** 2)  # Eq. (4)
+
+
+def steady_friction(dq, params):
+    """
+    Return the friction torque at constant velocity.
+
+    Parameters
+    ----------
+    dq : ndarray, shape (..., n_joints)
+        Link velocity [rad/s].
+    params : FrictionParams
+        Friction of the same joints.
+
+    Returns
+    -------
+    ndarray, shape (..., n_joints)
+        ``sgn(dq) s(dq) + viscous dq`` [N m]; zero at rest.
+
+    Notes
+    -----
+    Eq. (6).
+
+    """
+    viscous = _of_direction(dq, params, 'viscous')
+    return np.sign(dq) * stribeck_level(dq, params) + viscous * np.asarray(dq)  # Eq. (6)

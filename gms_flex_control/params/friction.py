@@ -1,0 +1,95 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Friction parameters of n joints with N Maxwell-slip blocks each."""
+
+from dataclasses import dataclass
+
+from gms_flex_control.errors import ParameterError
+from gms_flex_control.params.checks import freeze_arrays, require_finite, require_shape
+import numpy as np
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StribeckParams:
+    """
+    Steady-state friction in one direction of motion (Eq. 4 and Table 1).
+
+    Parameters
+    ----------
+    static, coulomb : ndarray, shape (n_joints,)
+        F_s and F_c [N m], 0 < coulomb <= static.
+    velocity : ndarray, shape (n_joints,)
+        Stribeck velocity v_s [rad/s].
+    viscous : ndarray, shape (n_joints,)
+        sigma_2 [N m s/rad].
+
+    Raises
+    ------
+    ParameterError
+        If a value is not finite, out of range, or static lies below coulomb.
+
+    """
+
+    static: np.ndarray
+    coulomb: np.ndarray
+    velocity: np.ndarray
+    viscous: np.ndarray
+
+    def __post_init__(self):
+        freeze_arrays(self)
+        for name in ('coulomb', 'velocity', 'viscous'):
+            require_shape(name, getattr(self, name), self.static.shape)
+        for name in ('static', 'coulomb', 'velocity'):
+            require_finite(name, getattr(self, name), above=0.0)
+        require_finite('viscous', self.viscous, at_least=0.0)
+        if np.any(self.static < self.coulomb):
+            raise ParameterError(
+                f'static {self.static} is below coulomb {self.coulomb}: '
+                'the Stribeck curve would rise with speed; were they swapped?')
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FrictionParams:
+    """
+    GMS friction of n joints (Eqs. 2 to 5, Tables 1 to 3).
+
+    Parameters
+    ----------
+    forward, backward : StribeckParams
+        Steady state for positive and negative velocity.
+    stiffness : ndarray, shape (n_joints, n_blocks)
+        Stiffness k_i of the asperities [N m/rad].
+    weight : ndarray, shape (n_joints, n_blocks)
+        Share alpha_i of the Stribeck level each block carries; sums to 1 per joint.
+    attraction : ndarray, shape (n_joints,)
+        C, how fast a slipping block nears its level [N m/s].
+
+    Raises
+    ------
+    ParameterError
+        If a shape does not fit, a value is out of range or the weights do not sum to 1.
+
+    """
+
+    forward: StribeckParams
+    backward: StribeckParams
+    stiffness: np.ndarray
+    weight: np.ndarray
+    attraction: np.ndarray
+
+    def __post_init__(self):
+        freeze_arrays(self, skip=('forward', 'backward'))
+        n = len(self.forward.static)
+        require_shape('backward', self.backward.static, (n,))
+        require_shape('attraction', self.attraction, (n,))
+        if self.stiffness.ndim != 2 or len(self.stiffness) != n:
+            raise ParameterError(f'block stiffness must have shape ({n}, n_blocks), '
+                                 f'got {self.stiffness.shape}')
+        require_shape('block weight', self.weight, self.stiffness.shape)
+        require_finite('block stiffness', self.stiffness, at_least=0.0)
+        require_finite('block weight', self.weight, at_least=0.0)
+        require_finite('attraction', self.attraction, above=0.0)
+        if not np.allclose(self.weight.sum(axis=1), 1.0, atol=1e-6):
+            raise ParameterError(f'block weights must sum to 1 per joint, got sums '
+                                 f'{self.weight.sum(axis=1)}; divide them by their sum')

@@ -1,0 +1,55 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""
+Numpy records: how parameters and states reach the compiled kernels.
+
+A record is one block of memory with named fields of fixed shape, so a kernel gets a single
+pointer, knows every loop's length when it is compiled and counts no references. Reasons and
+measurements: docs/decisions/0002-records-as-kernel-arguments.md.
+"""
+
+import numpy as np
+
+FLOAT = np.float64
+FLAG = np.uint8  # numba knows no arrays of bool inside a record
+
+
+def layout(*fields):
+    """
+    Return the dtype of a record with attribute access.
+
+    Parameters
+    ----------
+    *fields : tuple
+        ``(name, type, shape)`` of each field; the type may be another layout.
+
+    Returns
+    -------
+    numpy.dtype
+
+    """
+    return np.dtype((np.record, np.dtype(list(fields), align=True)))
+
+
+def build(dtype, **values):
+    """
+    Return a new record, zero where no value is given.
+
+    Parameters
+    ----------
+    dtype : numpy.dtype
+        From `layout`.
+    **values : array_like or record
+        Field values, broadcast to the shape of the field.
+
+    Returns
+    -------
+    numpy.record
+        Owns its memory; ``.copy()`` gives an independent one.
+
+    """
+    whole = np.zeros(1, dtype)
+    for name, value in values.items():
+        whole[name][0] = value
+    return whole[0]

@@ -1,0 +1,98 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Encoders on both sides of the joints, and the velocity made from their counts."""
+
+from functools import cache, lru_cache
+
+from gms_flex_control import records
+from gms_flex_control.compiled import compiled
+from gms_flex_control.records import FLOAT
+import numpy as np
+
+
+@cache
+def state_layout(n):
+    """
+    Return the dtype of what is measured: the encoders' memory and their output in one.
+
+    ``q_link``, ``dq_link``, ``q_motor``, ``dq_motor`` (n,) are the measured values; ``started``
+    is 0 before the first sample.
+    """
+    return records.layout(
+        *((name, FLOAT, (n,)) for name in ('q_link', 'dq_link', 'q_motor', 'dq_motor')),
+        ('started', FLOAT, (1,)))
+
+
+LAYOUT = records.layout(('resolution', FLOAT, (1,)), ('noise', FLOAT, (1,)),
+                        ('velocity_cutoff', FLOAT, (1,)))
+
+
+@lru_cache(maxsize=256)
+def constants_of(encoder):
+    """Return EncoderParams as the record the kernels take."""
+    resolution = 2.0 * np.pi / float(encoder.counts) if encoder.counts > 0 else 0.0
+    return records.build(LAYOUT, resolution=resolution, noise=encoder.noise,
+                         velocity_cutoff=encoder.velocity_cutoff)
+
+
+def init(n):
+    """Return encoders of n joints before their first sample."""
+    return records.build(state_layout(n))
+
+
+@compiled
+def count(angle, constants, rng):
+    """Return what an encoder reads of ``angle``: noise first, then whole counts."""
+    if constants.noise[0] > 0.0:
+        angle += constants.noise[0] * rng.standard_normal()
+    if constants.resolution[0] > 0.0:
+        angle = np.round(angle / constants.resolution[0]) * constants.resolution[0]
+    return angle
+
+
+@compiled
+def estimate_velocity(velocity, change, true_velocity, started, period, constants):
+    """Return the low-passed difference quotient, or the true velocity without a cut-off."""
+    if constants.velocity_cutoff[0] == 0.0:
+        return true_velocity
+    if not started:
+        return 0.0
+    gain = 1.0 - np.exp(-2.0 * np.pi * constants.velocity_cutoff[0] * period)
+    return velocity + gain * (change / period - velocity)
+
+
+@compiled
+def measure(measured, seen_link, seen_motor, dq_link, dq_motor, period, constants, rng):
+    """
+    Take one sample of all encoders into ``measured``.
+
+    Parameters
+    ----------
+    measured : numpy.record
+        Of `state_layout`, changed in place.
+    seen_link, seen_motor : ndarray, shape (n_joints,)
+        Angles the encoders are given [rad].
+    dq_link, dq_motor : ndarray, shape (n_joints,)
+        True rates [rad/s], read where there is no velocity cut-off.
+    period : float
+        Time since the sample before [s].
+    constants : numpy.record
+        From `constants_of`.
+    rng : numpy.random.Generator
+        Source of the noise.
+
+    """
+    started = measured.started[0] > 0.0
+    for j in range(measured.q_link.shape[0]):
+        angle = count(seen_link[j], constants, rng)
+        measured.dq_link[j] = estimate_velocity(
+            measured.dq_link[j], angle - measured.q_link[j], dq_link[j], started, period,
+            constants)
+        measured.q_link[j] = angle
+        angle = count(seen_motor[j], constants, rng)
+        measured.dq_motor[j] = estimate_velocity(
+            measured.dq_motor[j], angle - measured.q_motor[j], dq_motor[j], started, period,
+            constants)
+        measured.q_motor[j] = angle
+    measured.started[0] = 1.0

@@ -1,0 +1,182 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""
+The simulated robot: flexible joints, GMS friction and named effects, Eq. (1).
+
+Semi-implicit Euler substeps: velocities from the torques at the old positions, positions from
+the new velocities, friction from the displacement. A sticking block is then a spring that
+neither creates nor destroys energy on average.
+"""
+
+from functools import cache, lru_cache
+
+from gms_flex_control import records
+from gms_flex_control.compiled import compiled
+from gms_flex_control.dynamics import chain
+from gms_flex_control.effects import signals as sig
+from gms_flex_control.effects import table as effect_table
+from gms_flex_control.effects.base import Stage
+from gms_flex_control.friction import gms
+from gms_flex_control.records import FLOAT
+
+_ACTUATOR, _TWIST, _SPRING, _FRICTION, _LINK, _MOTOR, _ = (int(stage) for stage in Stage)
+
+
+@cache
+def state_layout(n, n_blocks):
+    """
+    Return the dtype of the true state of a robot.
+
+    ``q_link``, ``dq_link``, ``q_motor``, ``dq_motor`` (n,) [rad, rad/s], where the motor side of
+    a rigid joint follows its link; ``friction``, the state of its blocks; ``memory``, what the
+    effects remember; ``applied`` (n,), mean torque of the actuators over the last sample [N m].
+    """
+    return records.layout(
+        *((name, FLOAT, (n,)) for name in ('q_link', 'dq_link', 'q_motor', 'dq_motor', 'applied')),
+        ('friction', gms.state_layout(n, n_blocks)),
+        ('memory', FLOAT, (effect_table.MEMORY_SIZE,)))
+
+
+@cache
+def constants_layout(n, n_blocks):
+    """Return the dtype of a robot as the plant's kernels take it."""
+    return records.layout(('chain', chain.constants_layout(n)),
+                          ('friction', gms.constants_layout(n, n_blocks)),
+                          ('effects', effect_table.LAYOUT))
+
+
+@cache
+def work_layout(n):
+    """Return the dtype of the kernels' work space; only accelerations outlive a substep."""
+    return records.layout(('signals', FLOAT, (n, sig.WIDTH)), ('friction', FLOAT, (n,)),
+                          ('displacement', FLOAT, (n,)), ('chain', chain.work_layout(n)))
+
+
+@lru_cache(maxsize=256)
+def constants_of(robot):
+    """Return a RobotParams as the record the kernels take, its effects included."""
+    changed = effect_table.with_changes(robot)
+    return records.build(
+        constants_layout(*robot.friction.stiffness.shape),
+        chain=chain.constants_of(changed.arm), friction=gms.constants_of(changed.friction),
+        effects=effect_table.build(changed.effects, changed.joints))
+
+
+def init(robot, q_link=None):
+    """
+    Return the robot at rest with unloaded springs.
+
+    Parameters
+    ----------
+    robot : RobotParams
+        The robot.
+    q_link : ndarray, shape (n_joints,), optional
+        Link angles [rad]; default zero.
+
+    Returns
+    -------
+    numpy.record
+        Of `state_layout`.
+
+    """
+    q = 0.0 if q_link is None else q_link
+    return records.build(state_layout(*robot.friction.stiffness.shape), q_link=q, q_motor=q,
+                         friction=gms.init(robot.friction))
+
+
+def workspace(n):
+    """Return work space for n joints."""
+    return records.build(work_layout(n))
+
+
+@compiled
+def fill_signals(state, command, time, work):
+    """Write what the effects may read into the signal table."""
+    s = work.signals
+    n = state.q_link.shape[0]
+    for j in range(n):
+        s[j, sig.TIME] = time
+        s[j, sig.JOINT], s[j, sig.JOINTS] = j, n
+        s[j, sig.Q_LINK], s[j, sig.DQ_LINK] = state.q_link[j], state.dq_link[j]
+        s[j, sig.Q_MOTOR], s[j, sig.DQ_MOTOR] = state.q_motor[j], state.dq_motor[j]
+        s[j, sig.TORQUE] = command[j]
+        s[j, sig.TWIST] = state.q_motor[j] - state.q_link[j]
+        s[j, sig.TWIST_RATE] = state.dq_motor[j] - state.dq_link[j]
+        s[j, sig.LINK_TORQUE], s[j, sig.MOTOR_TORQUE] = 0.0, 0.0
+
+
+@compiled
+def torques(state, dt, constants, work):
+    """Evaluate springs, friction and effects; leaves the torque on the links in work.chain.tau."""
+    s, links, effects = work.signals, constants.chain, constants.effects
+    n = state.q_link.shape[0]
+    effect_table.run_stage(_ACTUATOR, s, state.memory, dt, effects)
+    effect_table.run_stage(_TWIST, s, state.memory, dt, effects)
+    for j in range(n):
+        s[j, sig.SPRING] = 0.0
+        if links.flexible[j]:
+            s[j, sig.SPRING] = (links.stiffness[j] * s[j, sig.TWIST]
+                                + links.damping[j] * s[j, sig.TWIST_RATE])
+    effect_table.run_stage(_SPRING, s, state.memory, dt, effects)
+    gms.total(state.friction, state.dq_link, constants.friction, work.friction)
+    for j in range(n):
+        s[j, sig.FRICTION] = work.friction[j]
+    for stage in (_FRICTION, _LINK, _MOTOR):
+        effect_table.run_stage(stage, s, state.memory, dt, effects)
+    for j in range(n):
+        drive = s[j, sig.SPRING]
+        if not links.flexible[j]:
+            drive = s[j, sig.TORQUE] + s[j, sig.MOTOR_TORQUE]
+        work.chain.tau[j] = drive + s[j, sig.LINK_TORQUE] - s[j, sig.FRICTION]  # Eq. (1), link
+
+
+@compiled
+def substep(state, command, time, dt, constants, work):
+    """Advance the true state in place by one substep ``dt`` under ``command`` (n,)."""
+    s, links = work.signals, constants.chain
+    fill_signals(state, command, time, work)
+    torques(state, dt, constants, work)
+    chain.accelerations(state.q_link, state.dq_link, links, work.chain)
+    for j in range(links.moment.shape[0]):
+        s[j, sig.DDQ_LINK] = work.chain.acceleration[j]
+        state.dq_link[j] += dt * work.chain.acceleration[j]
+        work.displacement[j] = dt * state.dq_link[j]
+        state.q_link[j] += work.displacement[j]
+        if links.flexible[j]:
+            s[j, sig.DDQ_MOTOR] = (s[j, sig.TORQUE] + s[j, sig.MOTOR_TORQUE]
+                                   - s[j, sig.SPRING]) / links.motor_inertia[j]  # Eq. (1), motor
+            state.dq_motor[j] += dt * s[j, sig.DDQ_MOTOR]
+            state.q_motor[j] += dt * state.dq_motor[j]
+        else:
+            state.q_motor[j], state.dq_motor[j] = state.q_link[j], state.dq_link[j]
+    gms.advance(state.friction, work.displacement, state.dq_link, dt, constants.friction)
+
+
+@compiled
+def advance(state, command, time, period, substeps, constants, work):
+    """
+    Advance the true state in place by one sample under a held command.
+
+    Parameters
+    ----------
+    state : numpy.record
+        Changed in place; ``state.applied`` is then the mean torque the actuators gave.
+    command : ndarray, shape (n_joints,)
+        Torque command [N m].
+    time : float
+        Time of the state [s].
+    period : float
+        Length of the sample [s].
+    substeps : int
+        Integration steps in it.
+    constants, work : numpy.record
+        From `constants_of` and `workspace`.
+
+    """
+    dt = period / substeps
+    state.applied[:] = 0.0
+    for k in range(substeps):
+        substep(state, command, time + k * dt, dt, constants, work)
+        for j in range(command.shape[0]):
+            state.applied[j] += work.signals[j, sig.TORQUE] / substeps
