@@ -83,8 +83,8 @@ def repair_bag(path, out=None):
     default = path.resolve().with_name(f'{bare or path.resolve().name}_repaired')
     out = Path(out) if out is not None else default
     bag = Bag(path)
-    kept = [batch for batch in bag.batches() if batch]
-    count = sum(map(len, kept))
+    # read twice: only the first pass tells whether there is anything to repair
+    count = sum(map(len, bag.batches()))
     if bag.complete and not bag.notes:
         return _result(bag, '', count, {})
     if not count and not bag.sound:
@@ -95,7 +95,7 @@ def repair_bag(path, out=None):
         for topic in bag.topics.values():
             writer.add_topic(topic.name, topic.type_name, described=_described(topic),
                              qos=topic.qos, save=False)
-        for batch in kept:
+        for batch in Bag(path).batches():
             for name, log, publish, data in batch:
                 writer.write(name, log, data, publish)
         counts = dict(writer.counts)
