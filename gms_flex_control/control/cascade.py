@@ -49,7 +49,8 @@ def constants_layout(n, n_blocks):
 
 
 _VECTORS = ('displacement', 'sliding', 'dq_ref', 'ddq_ref', 'correction', 'correction_rate',
-            'smooth', 'slope', 'spring', 'spring_rate', 'acceleration', 'jerk', 'scratch')
+            'smooth', 'slope', 'spring', 'spring_rate', 'acceleration', 'jerk', 'scratch', 'resting',
+            'frozen')
 
 
 @cache
@@ -90,6 +91,7 @@ def link_errors(state, measured, reference, constants, work):
         if not state.started[0]:
             state.q_before[j] = measured.q_link[j]
         work.displacement[j] = measured.q_link[j] - state.q_before[j]
+        work.resting[j] = reference[1, j] == 0.0 and reference[2, j] == 0.0
         state.q_before[j] = measured.q_link[j]
         state.error[j] = measured.q_link[j] - reference[0, j]
         state.error_rate[j] = measured.dq_link[j] - reference[1, j]
@@ -115,6 +117,8 @@ def observe(state, measured, dt, constants, work):
         work.correction[j] = constants.observer_gain[j] * work.sliding[j]
         if state.saturated[j]:
             work.correction[j] = 0.0  # the error is then not the observer's fault
+        frozen = work.resting[j] and constants.compensation[0] == GMS
+        work.frozen[j] = frozen
         turned = work.displacement[j] * blocks.direction[j] < 0.0
         work.smooth[j] = -blocks.direction[j] if turned else blocks.direction[j]
         work.slope[j] = 0.0
@@ -123,7 +127,7 @@ def observe(state, measured, dt, constants, work):
             work.smooth[j] = np.tanh(slope * measured.dq_link[j])
             work.slope[j] = slope * (1.0 - work.smooth[j] ** 2)
     observer.advance(blocks, work.displacement, measured.dq_link, work.smooth, work.correction,
-                     dt, constants.friction)
+                     work.frozen, dt, constants.friction)
     gms.total(blocks, measured.dq_link, constants.friction, work.estimate[0])
     if constants.compensation[0] == GMS:
         filtered = state.observer.filtered

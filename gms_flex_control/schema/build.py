@@ -1,0 +1,176 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Checked values become the frozen objects of params/, and the other way round."""
+
+from gms_flex_control.effects import registry
+from gms_flex_control.errors import ConfigError, ParameterError
+from gms_flex_control.params.arm import ArmParams
+from gms_flex_control.params.encoder import EncoderParams
+from gms_flex_control.params.friction import FrictionParams, StribeckParams
+from gms_flex_control.params.gains import ControllerParams
+from gms_flex_control.params.robot import EffectSpec, RobotParams
+from gms_flex_control.schema.keys import controller_keys, REQUIRED, robot_keys
+from gms_flex_control.schema.values import checked, known_keys
+import numpy as np
+
+_ARM = ('mass', 'length', 'com', 'inertia', 'motor_inertia', 'stiffness', 'damping')
+_STRIBECK = ('static', 'coulomb', 'velocity', 'viscous')
+_GAINS = ('kd_link', 'lambda_link', 'kd_motor', 'lambda_motor', 'observer_gain', 'sign_slope',
+          'filter_bandwidth', 'torque_limit')
+
+
+def _complete(keys, values):
+    """Return checked values of all ``keys``, defaults filled in."""
+    complete = {}
+    for key in keys:
+        if key.name in values:
+            complete[key.name] = checked(key, values[key.name])
+        elif key.default is REQUIRED:
+            raise ConfigError(f'{key.name} is missing: {key.description}'
+                              f'{f" [{key.unit}]" if key.unit else ""}')
+        else:
+            complete[key.name] = key.default
+    return complete
+
+
+def joint_names(values):
+    """Return the link names of a flat parameter dict; ConfigError if there are none."""
+    key = robot_keys(())[0]
+    if key.name not in values:
+        raise ConfigError('joints is missing: the robot file lists the names of the link sides')
+    joints = checked(key, values[key.name])
+    if not joints:
+        raise ConfigError('joints is empty: name at least one link side')
+    return joints
+
+
+def robot_from_values(values):
+    """
+    Build the robot from flat parameters.
+
+    Parameters
+    ----------
+    values : dict of str to object
+        Such as ``{'arm.joint1.mass': 1.5, ...}``; keys of other nodes are left alone.
+
+    Returns
+    -------
+    RobotParams
+
+    Raises
+    ------
+    ConfigError
+        If a key is unknown or missing, or a value has the wrong type or range.
+    ParameterError
+        If the values together make no robot.
+
+    """
+    joints = joint_names(values)
+    known = known_keys(values, joints)
+    flat = _complete(robot_keys(joints), values)
+    motors = flat['motors'] or ('',) * len(joints)
+    arm = ArmParams(kind=flat['arm.kind'], gravity=flat['arm.gravity'],
+                    **{name: [flat[f'arm.{joint}.{name}'] for joint in joints] for name in _ARM})
+    encoder = EncoderParams(**{name: flat[f'encoder.{name}']
+                               for name in ('counts', 'noise', 'velocity_cutoff')})
+    effects = _effects({name: checked(known[name], value) for name, value in values.items()
+                        if name.startswith('effects.')})
+    return RobotParams(joints=joints, motors=tuple(motors), arm=arm, encoder=encoder,
+                       friction=_friction(flat, joints), effects=effects)
+
+
+def _friction(flat, joints):
+    directions = {
+        direction: StribeckParams(**{
+            name: [flat[f'friction.{joint}.{direction}.{name}'] for joint in joints]
+            for name in _STRIBECK}) for direction in ('forward', 'backward')}
+    blocks = {name: [flat[f'friction.{joint}.{name}'] for joint in joints]
+              for name in ('stiffness', 'weight')}
+    for joint, stiffness, weight in zip(joints, *blocks.values(), strict=True):
+        if len(stiffness) != len(weight) or not stiffness:
+            raise ConfigError(f'friction.{joint}: stiffness has {len(stiffness)} blocks and '
+                              f'weight {len(weight)}; give both the same number, at least 1')
+    most = max(len(row) for row in blocks['stiffness'])
+    padded = {name: [[*row, *[0.0] * (most - len(row))] for row in rows]
+              for name, rows in blocks.items()}  # a block of weight 0 carries nothing
+    return FrictionParams(**directions, **padded,
+                          attraction=[flat[f'friction.{joint}.attraction'] for joint in joints])
+
+
+def _effects(values):
+    grouped = {}
+    for name, value in values.items():
+        _, joint, effect, parameter = name.split('.')
+        grouped.setdefault((joint, effect), {})[parameter] = value
+    return tuple(
+        EffectSpec(name=effect, joint=joint, values=registry.find(effect).values(
+            given, f'effects.{joint}.{effect}')) for (joint, effect), given in grouped.items())
+
+
+def controller_from_values(values, joints):
+    """
+    Build the controller's gains from flat parameters.
+
+    Parameters
+    ----------
+    values : dict of str to object
+        Such as ``{'compensation': 'gms', 'gains.joint1.kd_link': 0.8, ...}``.
+    joints : sequence of str
+        Link names.
+
+    Returns
+    -------
+    ControllerParams
+
+    Raises
+    ------
+    ConfigError, ParameterError
+        As `robot_from_values`.
+
+    """
+    flat = _complete(controller_keys(joints), values)
+    try:
+        return ControllerParams(
+            compensation=flat['compensation'],
+            **{name: [flat[f'gains.{joint}.{name}'] for joint in joints] for name in _GAINS})
+    except ParameterError as error:
+        raise ParameterError(f"gains of {', '.join(joints)}: {error}") from error
+
+
+def robot_values(robot):
+    """
+    Return a robot as flat parameters, the inverse of `robot_from_values`.
+
+    Parameters
+    ----------
+    robot : RobotParams
+        Gravity must lie along -y, as files state it.
+
+    Returns
+    -------
+    dict of str to object
+
+    """
+    if robot.arm.gravity[0] != 0.0:
+        raise ParameterError(f'a robot file states gravity along -y only, got '
+                             f'{robot.arm.gravity}; describe a tilt as effects.arm.gravity_tilt')
+    values = {'joints': list(robot.joints), 'motors': list(robot.motors),
+              'arm.kind': robot.arm.kind, 'arm.gravity': -float(robot.arm.gravity[1]) + 0.0}
+    for name in ('counts', 'noise', 'velocity_cutoff'):
+        values[f'encoder.{name}'] = float(getattr(robot.encoder, name))
+    for j, joint in enumerate(robot.joints):
+        values |= {f'arm.{joint}.{name}': float(getattr(robot.arm, name)[j]) for name in _ARM}
+        for direction in ('forward', 'backward'):
+            steady = getattr(robot.friction, direction)
+            values |= {f'friction.{joint}.{direction}.{name}': float(getattr(steady, name)[j])
+                       for name in _STRIBECK}
+        for name in ('stiffness', 'weight'):
+            values[f'friction.{joint}.{name}'] = np.asarray(
+                getattr(robot.friction, name)[j]).tolist()
+        values[f'friction.{joint}.attraction'] = float(robot.friction.attraction[j])
+    for spec in robot.effects:
+        parameters = registry.find(spec.name).parameters
+        values |= {f'effects.{spec.joint}.{spec.name}.{parameter.name}': float(value)
+                   for parameter, value in zip(parameters, spec.values, strict=True)}
+    return values

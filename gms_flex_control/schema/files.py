@@ -1,0 +1,185 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""ROS parameter files: read with line numbers for messages, written whole or not at all."""
+
+import io
+from pathlib import Path
+
+from gms_flex_control.errors import ConfigError, ParameterError
+from gms_flex_control.files import write_text
+from gms_flex_control.schema import build
+from gms_flex_control.schema.values import known_keys
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
+
+LARGEST_FILE = 1_000_000  # bytes; a parameter file has a few thousand
+_WRAPPER = 'ros__parameters'
+
+
+def read_parameters(path, node=None):
+    """
+    Read a ROS parameter file.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    node : str, optional
+        Take the section of this node as well as ``/**``; default ``/**`` alone.
+
+    Returns
+    -------
+    dict of str to (object, int)
+        Flat name to value and line number (from 1).
+
+    Raises
+    ------
+    ConfigError
+        If it cannot be read or is not a ROS parameter file.
+
+    """
+    path = Path(path)
+    try:
+        if path.stat().st_size > LARGEST_FILE:
+            raise ConfigError(f'{path}: larger than {LARGEST_FILE} bytes, '
+                              'which no parameter file is')
+        document = YAML().load(path.read_text(encoding='utf-8'))
+    except OSError as error:
+        raise ConfigError(f'{path}: cannot be read ({error.strerror})') from error
+    except UnicodeDecodeError as error:
+        raise ConfigError(f'{path}: is not a text file in UTF-8') from error
+    except YAMLError as error:
+        mark = getattr(error, 'problem_mark', None)
+        line = f':{mark.line + 1}' if mark else ''
+        problem = getattr(error, 'problem', None) or str(error).splitlines()[0]
+        raise ConfigError(f'{path}{line}: is not valid YAML ({problem})') from error
+    return _flat_sections(document, path, node)
+
+
+def _flat_sections(document, path, node):
+    sections = {'/**', '**', *({node, f'/{node}'} if node else ())}
+    if not isinstance(document, dict) or not any(
+            isinstance(section, dict) and _WRAPPER in section for section in document.values()):
+        raise ConfigError(f"{path}: is not a ROS parameter file; it begins with '/**:' and "
+                          f"'{_WRAPPER}:'")
+    flat = {}
+    for name, section in document.items():
+        if name in sections and isinstance(section.get(_WRAPPER), dict):
+            _flatten(section[_WRAPPER], '', flat)
+    return flat
+
+
+def _flatten(mapping, prefix, flat):
+    for name, value in mapping.items():
+        if isinstance(value, dict):
+            _flatten(value, f'{prefix}{name}.', flat)
+        else:
+            line = mapping.lc.key(name)[0] + 1 if hasattr(mapping, 'lc') else 0
+            flat[f'{prefix}{name}'] = (value, line)
+
+
+def _read_values(paths, node=None):
+    """Return merged values of files, later ones winning, and where each key stands."""
+    values, places = {}, {}
+    for path in paths:
+        for name, (value, line) in read_parameters(path, node).items():
+            values[name], places[name] = value, f'{path}:{line}'
+    return values, places
+
+
+def _paths(paths):
+    return [paths] if isinstance(paths, (str, Path)) else list(paths)
+
+
+def _located(error, paths, places):
+    """Return the error with file and line of the key its sentence begins with."""
+    message = str(error)
+    name = message.split(' ', 1)[0].rstrip(':')
+    place = places.get(name, ', '.join(str(path) for path in paths))
+    return type(error)(f'{place}: {message}')
+
+
+def load_robot(paths):
+    """
+    Read the robot from one or more parameter files, later ones winning.
+
+    Parameters
+    ----------
+    paths : str, Path or sequence of them
+        Such as ``config/robot.yaml``, perhaps followed by an identified ``friction.yaml``.
+
+    Returns
+    -------
+    RobotParams
+
+    Raises
+    ------
+    ConfigError, ParameterError
+        One sentence that begins with file and line.
+
+    """
+    paths = _paths(paths)
+    values, places = _read_values(paths)
+    try:
+        return build.robot_from_values(values)
+    except (ConfigError, ParameterError) as error:
+        raise _located(error, paths, places) from error
+
+
+def load_controller(paths, robot):
+    """
+    Read the controller's gains for the joints of ``robot``.
+
+    Parameters
+    ----------
+    paths : str, Path or sequence of them
+        Such as ``config/controller.yaml``.
+    robot : RobotParams
+        Names the joints.
+
+    Returns
+    -------
+    ControllerParams
+
+    Raises
+    ------
+    ConfigError, ParameterError
+        One sentence that begins with file and line.
+
+    """
+    paths = _paths(paths)
+    values, places = _read_values(paths)
+    try:
+        known_keys(values, robot.joints)
+        return build.controller_from_values(values, robot.joints)
+    except (ConfigError, ParameterError) as error:
+        raise _located(error, paths, places) from error
+
+
+def save_robot(robot, path, *, comment=''):
+    """
+    Write a robot as a ROS parameter file that nodes and tools read back as it is.
+
+    Parameters
+    ----------
+    robot : RobotParams
+        What to write.
+    path : str or Path
+        Where to.
+    comment : str
+        First lines of the file, without the '#'.
+
+    """
+    tree = {}
+    for name, value in build.robot_values(robot).items():
+        branch = tree
+        *parents, leaf = name.split('.')
+        for parent in parents:
+            branch = branch.setdefault(parent, {})
+        branch[leaf] = value
+    yaml, text = YAML(), io.StringIO()
+    yaml.default_flow_style = None
+    yaml.dump({'/**': {_WRAPPER: tree}}, text)
+    header = ''.join(f'# {line}\n' for line in comment.splitlines())
+    write_text(path, header + text.getvalue())

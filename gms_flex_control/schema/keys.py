@@ -1,0 +1,204 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Every parameter of every node: name, type, unit, range, default and what it means."""
+
+from dataclasses import dataclass
+import math
+from typing import Any
+
+from gms_flex_control.params.arm import KINDS
+from gms_flex_control.params.gains import COMPENSATIONS
+
+REQUIRED = object()
+TRAJECTORIES = ('hold', 'sinusoid', 'polynomial', 'via_points', 'constant_velocity',
+                'torque_ramp', 'sliding')
+MODES = ('realtime', 'lockstep')
+
+
+@dataclass(frozen=True)
+class Key:
+    """
+    One parameter.
+
+    Parameters
+    ----------
+    name : str
+        Full name, such as ``gains.joint1.kd_link``.
+    kind : {'double', 'integer', 'string', 'double_array', 'string_array', 'boolean'}
+        Its ROS type.
+    description, unit : str
+        What it is, and in what unit.
+    default : object
+        ``REQUIRED`` if a file must give it.
+    lower, upper : float
+        Closed range of numbers.
+    choices : tuple of str
+        Allowed values of a string; empty if any.
+    live : bool
+        Whether it may change while the node runs.
+
+    """
+
+    name: str
+    kind: str
+    description: str
+    unit: str = ''
+    default: Any = REQUIRED
+    lower: float = -math.inf
+    upper: float = math.inf
+    choices: tuple = ()
+    live: bool = False
+
+
+def _arm_keys(joint):
+    prefix = f'arm.{joint}.'
+    return (
+        Key(prefix + 'mass', 'double', 'mass of the link', 'kg', 0.0, 0.0),
+        Key(prefix + 'length', 'double', 'distance to the next joint', 'm', 0.0, 0.0),
+        Key(prefix + 'com', 'double', 'centre of mass from the joint', 'm', 0.0),
+        Key(prefix + 'inertia', 'double', 'inertia about the centre of mass; of a decoupled axis '
+            'the whole inertia', 'kg m^2', lower=0.0),
+        Key(prefix + 'motor_inertia', 'double', 'motor inertia reflected to the joint',
+            'kg m^2', lower=0.0),
+        Key(prefix + 'stiffness', 'double', 'stiffness of the joint; .inf for a rigid one',
+            'N m/rad', lower=0.0),
+        Key(prefix + 'damping', 'double', 'damping of the joint', 'N m s/rad', 0.0, 0.0),
+    )
+
+
+def _friction_keys(joint):
+    keys = []
+    for direction in ('forward', 'backward'):
+        prefix = f'friction.{joint}.{direction}.'
+        keys += [
+            Key(prefix + 'static', 'double', 'static friction F_s', 'N m', lower=0.0),
+            Key(prefix + 'coulomb', 'double', 'Coulomb friction F_c', 'N m', lower=0.0),
+            Key(prefix + 'velocity', 'double', 'Stribeck velocity v_s', 'rad/s', lower=0.0),
+            Key(prefix + 'viscous', 'double', 'viscous friction sigma_2', 'N m s/rad', lower=0.0)]
+    prefix = f'friction.{joint}.'
+    keys += [
+        Key(prefix + 'stiffness', 'double_array', 'stiffness k_i of each block', 'N m/rad',
+            lower=0.0),
+        Key(prefix + 'weight', 'double_array', 'share alpha_i of each block, sum 1', '1',
+            lower=0.0),
+        Key(prefix + 'attraction', 'double', 'C of the slipping blocks', 'N m/s', lower=0.0)]
+    return keys
+
+
+def robot_keys(joints):
+    """Return the keys of a robot file for the given joint names."""
+    keys = [
+        Key('joints', 'string_array', 'names of the link sides, from the base outwards'),
+        Key('motors', 'string_array', "names of the motor sides; '' for a rigid joint",
+            default=()),
+        Key('arm.kind', 'string', 'chain in a plane, or axes without effect on each other',
+            default='planar', choices=KINDS),
+        Key('arm.gravity', 'double', 'gravity along -y of the plane; 0 if it is horizontal',
+            'm/s^2', 0.0),
+        Key('encoder.counts', 'double', 'counts per revolution; 0 is ideal', '1', 0.0, 0.0),
+        Key('encoder.noise', 'double', 'standard deviation before counting', 'rad', 0.0, 0.0),
+        Key('encoder.velocity_cutoff', 'double', 'low-pass on the differenced angle; 0 reads '
+            'the true velocity', 'Hz', 0.0, 0.0)]
+    for joint in joints:
+        keys += [*_arm_keys(joint), *_friction_keys(joint)]
+    return tuple(keys)
+
+
+def controller_keys(joints):
+    """Return the keys of a controller file for the given joint names."""
+    keys = [Key('compensation', 'string', 'friction compensation', default='gms',
+                choices=COMPENSATIONS, live=True)]
+    for joint in joints:
+        prefix = f'gains.{joint}.'
+        keys += [
+            Key(prefix + 'kd_link', 'double', 'K_D1 of the link law', 'N m s/rad', lower=0.0,
+                upper=1e9, live=True),
+            Key(prefix + 'lambda_link', 'double', 'Lambda_1 of the link law', '1/s', lower=0.0,
+                upper=1e4, live=True),
+            Key(prefix + 'kd_motor', 'double', 'K_D2 of the motor law', 'N m s/rad', lower=0.0,
+                upper=1e9, live=True),
+            Key(prefix + 'lambda_motor', 'double', 'Lambda_2 of the motor law', '1/s', lower=0.0,
+                upper=1e4, live=True),
+            Key(prefix + 'observer_gain', 'double', 'k_e, correction of slipping blocks by the '
+                'tracking error', '', 1.0, 0.0, 1e6, live=True),
+            Key(prefix + 'sign_slope', 'double', 'k_v of tanh(k_v v), gms_paper only', 's/rad',
+                50.0, 1e-3, 1e6, live=True),
+            Key(prefix + 'filter_bandwidth', 'double', 'command filter on the friction '
+                'estimate, gms only', 'rad/s', 100.0, 1e-3, 1e5, live=True),
+            Key(prefix + 'torque_limit', 'double', 'largest motor torque', 'N m', lower=0.0,
+                upper=1e9, live=True)]
+    return tuple(keys)
+
+
+def controller_node_keys():
+    """Return the keys of the controller node beyond robot and gains."""
+    return (
+        Key('mode', 'string', 'answer every state at once, or only with its own reference',
+            default='realtime', choices=MODES),
+        Key('reference_timeout', 'double', 'age of a reference that is still followed', 's', 0.1,
+            1e-3, 10.0),
+        Key('state_every', 'integer', 'publish ~/state and ~/blocks at every n-th tick', '', 1, 1,
+            1000000))
+
+
+def plant_node_keys(joints):
+    """Return the keys of the plant node beyond the robot."""
+    keys = [
+        Key('mode', 'string', 'paced by the clock, or by the commands', default='realtime',
+            choices=MODES),
+        Key('rate', 'double', 'joint states per second', 'Hz', 500.0, 1.0, 10000.0),
+        Key('substeps', 'integer', 'integration steps per joint state', '', 20, 1, 10000),
+        Key('command_timeout', 'double', 'age of a command that still acts; then zero torque',
+            's', 0.02, 1e-4, 10.0),
+        Key('seed', 'integer', 'of the encoder noise', '', 0, 0, 2**31 - 1),
+        Key('clock_rate', 'double', 'most /clock messages per simulated second, lockstep only',
+            'Hz', 100.0, 0.1, 10000.0)]
+    keys += [Key(f'initial.{joint}', 'double', 'link angle at the start', 'rad', 0.0)
+             for joint in joints]
+    return tuple(keys)
+
+
+def trajectory_keys(joints):
+    """Return the keys of the trajectory node."""
+    keys = [
+        Key('trajectory.type', 'string', 'kind of reference', default='hold',
+            choices=TRAJECTORIES, live=True),
+        Key('trajectory.autostart', 'boolean', 'start at the first joint state', default=False),
+        Key('trajectory.approach_time', 'double', 'duration of the way to its beginning', 's',
+            2.0, 1e-3, 1e4, live=True),
+        Key('trajectory.ramp_time', 'double', 'ramp of a sinusoid; settling of the others', 's',
+            3.0, 1e-3, 1e4, live=True),
+        Key('trajectory.move_time', 'double', 'duration of a move between rests', 's', 5.0, 1e-3,
+            1e4, live=True),
+        Key('trajectory.hold_time', 'double', 'duration of a rest', 's', 5.0, 0.0, 1e4,
+            live=True),
+        Key('trajectory.repeats', 'integer', 'cycles of polynomial and torque ramp', '', 1, 1,
+            100000, live=True),
+        Key('trajectory.travel', 'double', 'angle at constant velocity', 'rad', 0.5, 1e-6, 1e3,
+            live=True),
+        Key('trajectory.duration', 'double', 'of sliding', 's', 5.0, 1e-3, 1e5, live=True),
+        Key('trajectory.modulation', 'double', 'relative variation of sliding', '', 0.5, 0.0,
+            0.99, live=True),
+        Key('trajectory.rate', 'double', 'slope of a torque ramp', 'N m/s', 0.02, 1e-9, 1e6,
+            live=True)]
+    for joint in joints:
+        prefix = f'trajectory.{joint}.'
+        keys += [
+            Key(prefix + 'amplitude', 'double', 'of sinusoid, polynomial [rad], torque ramp '
+                '[N m]', 'rad', 1.0, live=True),
+            Key(prefix + 'period', 'double', 'of sinusoid and sliding', 's', 6.0, 1e-3, 1e4,
+                live=True),
+            Key(prefix + 'phase', 'double', 'of the sinusoid', 'rad', 0.0, live=True),
+            Key(prefix + 'velocity', 'double', 'of constant velocity and sliding', 'rad/s', 0.1,
+                live=True),
+            Key(prefix + 'points', 'double_array', 'via points, the first included', 'rad',
+                (0.0, 1.0, 0.0), live=True)]
+    return tuple(keys)
+
+
+def all_keys(joints):
+    """Return the keys of all nodes by name, for one file shared by all."""
+    keys = (*robot_keys(joints), *controller_keys(joints), *controller_node_keys(),
+            *plant_node_keys(joints), *trajectory_keys(joints))
+    return {key.name: key for key in keys}
