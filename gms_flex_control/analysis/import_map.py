@@ -15,7 +15,6 @@ from typing import NamedTuple
 
 from gms_flex_control.analysis import units
 from gms_flex_control.analysis.map_reader import read_map
-from gms_flex_control.errors import ImportDataError
 
 # channel -> quantity
 CHANNELS = {
@@ -31,7 +30,7 @@ _COMMON = ('column', 'unit', 'sign', 'scale', 'offset', 'gear_ratio')
 _KEYS = {'position': (*_COMMON, 'unwrap', 'counts_per_rev'),
          'velocity': (*_COMMON, 'estimate', 'counts_per_rev'),
          'torque': (*_COMMON, 'full_scale', 'voltage', 'torque_per_volt', 'back_emf',
-                    'torque_constant')}
+                    'torque_constant', 'enabled')}
 
 
 class FileFormat(NamedTuple):
@@ -74,6 +73,7 @@ class Channel:
     torque_per_volt: float | None = None  # [N m/V]
     back_emf: float = 0.0          # [V s/rad]
     torque_constant: float | None = None  # [N m/A]
+    enabled: str | int | None = None  # a column that is 0 while the drive gives no torque
 
 
 class JointMap(NamedTuple):
@@ -200,7 +200,8 @@ def _channel(joint, key):
     channel = Channel(name=key, quantity=quantity, line=joint.line(key),
                       column=node.column('column'), unwrap=node.flag('unwrap'),
                       back_emf=node.number('back_emf', 0.0), voltage=node.column('voltage'),
-                      unit=_unit(node, quantity), **numbers, **positive)
+                      enabled=node.column('enabled'), unit=_unit(node, quantity),
+                      **numbers, **positive)
     _check(node, channel)
     return channel
 
@@ -223,9 +224,8 @@ def _check(node, channel):
     special = {'counts_per_rev', 'torque_constant', 'full_scale', 'voltage', 'torque_per_volt'}
     for key in special.intersection(node.keys()).difference(needs.get(channel.unit, [])):
         raise node.wrong(f'has no meaning with the unit {channel.unit!r}; leave it out', key)
+    if channel.back_emf and channel.unit != 'pwm':
+        raise node.wrong(f'has no meaning with the unit {channel.unit!r}; leave it out',
+                         'back_emf')
     if channel.scale == 0:
         raise node.wrong('must not be 0', 'scale')
-
-
-__all__ = ['CHANNELS', 'Channel', 'FileFormat', 'ImportDataError', 'ImportMap', 'JointMap',
-           'load_map', 'POSITION_OF', 'TimeColumn']

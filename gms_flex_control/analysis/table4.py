@@ -193,4 +193,6 @@ def _small(value):
 
 
 def _plain(value):
-    return f'{value:#.3g}'.rstrip('.') if math.isfinite(value) else '-'
+    if not math.isfinite(value):
+        return '-'
+    return f'{value:.0f}' if abs(value) >= 1000 else f'{value:#.3g}'.rstrip('.')

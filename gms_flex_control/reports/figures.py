@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Pictures like the paper's Figs. 6 to 10, for print: matplotlib without a display."""
 
+from gms_flex_control.analysis.table4 import PAPER_WITHOUT
 from gms_flex_control.analysis.tracking import link_error
 from gms_flex_control.files import atomic_path
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -22,6 +23,11 @@ MAX_SAMPLES = 20_000
 def compensation_name(compensation):
     """Return the words for a compensation mode, the mode itself if it has none."""
     return NAMES.get(compensation, compensation)
+
+
+def trajectory_name(trajectory):
+    """Return the name of a trajectory as a title; names that are not ours stay as they are."""
+    return trajectory.capitalize() if trajectory in PAPER_WITHOUT else trajectory
 
 
 def compensation_index(compensation):
@@ -55,7 +61,7 @@ def tracking_figure(run):
         panel.set_ylabel(f'{recording.joints[i]} [rad]', parse_math=False)
     panels[0].legend(loc='upper right', ncols=2)
     return _finish(figure, panels,
-                   f'{run.trajectory.capitalize()}: {compensation_name(run.compensation)}')
+                   f'{trajectory_name(run.trajectory)}: {compensation_name(run.compensation)}')
 
 
 def error_figure(runs, trajectory):
@@ -85,7 +91,7 @@ def error_figure(runs, trajectory):
                 _plot_error(panel, run, run.recording.joints.index(joint))
         panel.set_ylabel(f'{joint} [mrad]', parse_math=False)
     panels[0].legend(loc='lower center', bbox_to_anchor=(0.5, 1.0), ncols=2)
-    return _finish(figure, panels, f'{trajectory.capitalize()}: position error')
+    return _finish(figure, panels, f'{trajectory_name(trajectory)}: position error')
 
 
 def _plot_error(panel, run, i):

@@ -15,6 +15,7 @@ from gms_flex_control.reports.figures import (
     error_figure,
     save_figure,
     tracking_figure,
+    trajectory_name,
 )
 from gms_flex_control.reports.page import Report, Series
 import numpy as np
@@ -72,7 +73,7 @@ def add_table4(report, table):
 
 def add_run(report, run, friction_true=None):
     """
-    Add the charts of one run: angle, error, torque and friction per joint.
+    Add the charts of one run: angle, error, torsion, torque and friction per joint.
 
     Parameters
     ----------
@@ -90,6 +91,7 @@ def add_run(report, run, friction_true=None):
     report.text(f'{recording.source}: {len(recording.time)} samples in '
                 f'{recording.time[-1]:.6g} s, median period {1e3 * recording.period:.4g} ms.')
     for i, joint in enumerate(recording.joints):
+        report.heading(joint, level=3)
         for name, unit, series in _joint_charts(recording, i, friction_true):
             shown = [item for item in series if np.isfinite(item.y).any()]
             if shown:
@@ -100,8 +102,7 @@ def add_run(report, run, friction_true=None):
 
 def run_name(run):
     """Return the title of a run, for instance 'Sinusoid: without compensation'."""
-    words = compensation_name(run.compensation)
-    return f'{run.trajectory.capitalize()}: {words}' if words else run.trajectory
+    return f'{trajectory_name(run.trajectory)}: {compensation_name(run.compensation)}'
 
 
 def _joint_charts(recording, i, friction_true):
@@ -111,6 +112,8 @@ def _joint_charts(recording, i, friction_true):
         Series('reference', recording.reference[:, 0, i], role='reference', dashed=True)]
     yield 'error', 'mrad', [Series('link − reference', 1e3 * link_error(recording)[:, i],
                                    role='c1')]
+    yield 'torsion', 'mrad', [
+        Series('motor − link', 1e3 * (recording.q_motor - recording.q_link)[:, i], role='c4')]
     yield 'torque', 'N m', [
         Series('applied', recording.tau_motor[:, i], role='c0'),
         Series('command', recording.command[:, i], role='c1', dashed=True)]
@@ -130,14 +133,14 @@ def _add_error_charts(report, runs):
         for joint in dict.fromkeys(name for run in chosen for name in run.recording.joints):
             series = [_error_series(run, joint) for run in chosen
                       if joint in run.recording.joints]
-            report.chart(f'{trajectory.capitalize()}, {joint}', chosen[0].recording.time, series,
+            report.chart(f'{trajectory_name(trajectory)}, {joint}', series[0].x, series,
                          y_label='error [mrad]', group=f'errors {trajectory}')
 
 
 def _error_series(run, joint):
     recording = run.recording
     error = link_error(recording)[:, recording.joints.index(joint)]
-    return Series(run.compensation or recording.source, 1e3 * error, x=recording.time,
+    return Series(run.compensation, 1e3 * error, x=recording.time,
                   role=f'c{compensation_index(run.compensation)}')
 
 
@@ -152,7 +155,7 @@ def _save_pictures(runs, folder):
     for trajectory in dict.fromkeys(run.trajectory for run in drawn):
         path = _free(folder, f'errors_{trajectory}', pictures)
         save_figure(error_figure(drawn, trajectory), path)
-        pictures.append((path, f'{trajectory.capitalize()}: position errors'))
+        pictures.append((path, f'{trajectory_name(trajectory)}: position errors'))
     return pictures
 
 

@@ -1,0 +1,163 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""What looks wrong in an imported log; each finding names the column and the line."""
+
+from typing import NamedTuple
+
+from gms_flex_control.analysis.import_map import POSITION_OF
+from gms_flex_control.analysis.units import unit_in_name
+import numpy as np
+
+# what a velocity is of the derivative of its position when units were mixed up
+MIX_UPS = {57.29578: 'deg/s taken as rad/s', 1 / 57.29578: 'rad/s taken as deg/s',
+           9.549297: 'rpm taken as rad/s', 1 / 9.549297: 'rad/s taken as rpm',
+           6.0: 'rpm taken as deg/s', 1 / 6.0: 'deg/s taken as rpm',
+           6.283185: 'rad/s taken as turn/s or the like', 1000.0: 'a factor of 1000',
+           1e-3: 'a factor of 1000'}
+
+
+class Suspicion(NamedTuple):
+    """One thing that looks wrong."""
+
+    kind: str   # 'gap', 'empty', 'constant', 'jump', 'velocity', 'unit', 'scale', 'rate'
+    place: str  # for instance 'axis1.link_position'
+    text: str   # a sentence
+
+
+def suspicions(table, import_map, time, keep, joints):
+    """
+    Look a log over.
+
+    Parameters
+    ----------
+    table : CsvTable
+        For line numbers.
+    import_map : ImportMap
+        What the columns are.
+    time : ndarray, shape (T,)
+        Stamps [s].
+    keep : ndarray of int, shape (T,)
+        Rows of the table they belong to.
+    joints : list of dict of ndarray, shape (T,)
+        Values in SI per joint and channel.
+
+    Returns
+    -------
+    list of Suspicion
+
+    """
+    lines = table.lines[keep]
+    found = list(_sampling(time, lines, import_map.time.rate is None))
+    for joint, values in zip(import_map.joints, joints, strict=True):
+        for name, channel in joint.channels.items():
+            place = f'{joint.name}.{name}'
+            if channel.estimate is None:
+                what = f'{place} (column {channel.column!r})'
+                found += _name_and_unit(what, place, channel)
+                found += _values(what, place, values[name], lines)
+                if channel.quantity == 'position':
+                    found += _jumps(what, place, time, values[name], lines, channel)
+                elif name in POSITION_OF and POSITION_OF[name] in values:
+                    found += _derivative(what, place, time, values[POSITION_OF[name]],
+                                         values[name])
+        found += _sides(joint.name, values)
+    return found
+
+
+def _sampling(time, lines, has_column):
+    steps = np.diff(time)
+    period = float(np.median(steps))
+    if has_column and not 1e-5 <= period <= 0.5:
+        yield Suspicion('rate', 'time', f'the median period is {period:.4g} s; is the unit of '
+                        'the time column right?')
+    gaps = np.flatnonzero(steps > 5 * period)
+    if gaps.size:
+        worst = gaps[np.argmax(steps[gaps])]
+        yield Suspicion('gap', 'time', f'{gaps.size} gaps of more than 5 periods, the longest '
+                        f'{steps[worst]:.4g} s before line {lines[worst + 1]}')
+
+
+def _name_and_unit(what, place, channel):
+    told = unit_in_name(channel.column, channel.quantity) if isinstance(
+        channel.column, str) else None
+    if told and told != channel.unit and channel.unit not in ('pwm', 'A'):
+        yield Suspicion('unit', place, f'{what} is mapped as {channel.unit!r} but its name '
+                        f'says {told!r}')
+
+
+def _values(what, place, values, lines):
+    empty = np.flatnonzero(np.isnan(values))
+    if empty.size:
+        yield Suspicion('empty', place, f'{what} has no number in {empty.size} of {len(values)} '
+                        f'rows, first in line {lines[empty[0]]}')
+    known = values[np.isfinite(values)]
+    if known.size and np.ptp(known) == 0:
+        yield Suspicion('constant', place, f'{what} is {known[0]:.6g} throughout; is it the '
+                        'right column?')
+
+
+def _jumps(what, place, time, values, lines, channel):
+    """Find single steps far above those around them."""
+    if np.isfinite(values).any() and np.ptp(values[np.isfinite(values)]) > 100:
+        yield Suspicion('scale', place, f'{what} spans {np.ptp(values[np.isfinite(values)]):.4g} '
+                        f'rad with unit {channel.unit!r} and gear_ratio '
+                        f'{channel.gear_ratio:g}; are both right?')
+    steps = np.abs(np.diff(values)) * np.median(np.diff(time)) / np.diff(time)
+    steps[np.isnan(steps)] = 0.0
+    if len(steps) < 10 or not steps.any():
+        return
+    quantum = steps[steps > 0].min()
+    padded = np.pad(steps, 2)
+    around = np.median([padded[:-4], padded[1:-3], padded[3:-1], padded[4:]], axis=0)
+    limit = np.maximum(5 * np.quantile(steps, 0.99), 3.5 * quantum)
+    jumps = np.flatnonzero((steps > limit) & (steps > 4 * around))
+    if jumps.size:
+        worst = jumps[np.argmax(steps[jumps])]
+        size = values[worst + 1] - values[worst]
+        turn = 2 * np.pi * abs(channel.scale) / channel.gear_ratio
+        wrapped = abs(abs(size) / turn - 1) < 0.05
+        hint = '; one turn: set unwrap: true' if wrapped else ''
+        yield Suspicion('jump', place, f'{what} jumps {jumps.size} times, most in line '
+                        f'{lines[worst + 1]}: {size:.4g} rad{hint}')
+
+
+def _derivative(what, place, time, position, velocity):
+    """Compare what a velocity adds up to with the way really gone, over 0.1 s or 20 samples."""
+    good = np.isfinite(position) & np.isfinite(velocity)
+    t, q, v = time[good], position[good], velocity[good]
+    if len(t) < 50:
+        return
+    width = max(20, int(np.ceil(0.1 / np.median(np.diff(t)))))
+    added = np.concatenate([[0.0], np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(t))])
+    gone, expected = q[width:] - q[:-width], added[width:] - added[:-width]
+    if len(gone) < 10 or not gone.any() or not expected.any():
+        return
+    slope = float(np.dot(gone, expected) / np.dot(gone, gone))
+    fit = float(np.dot(gone, expected)
+                / np.sqrt(np.dot(gone, gone) * np.dot(expected, expected)))
+    if abs(fit) > 0.9 and 0.85 < slope < 1.15:
+        return
+    cause = 'the sign is the other way round' if abs(fit) > 0.9 and -1.15 < slope < -0.85 else ''
+    for factor, words in MIX_UPS.items():
+        if abs(fit) > 0.9 and abs(abs(slope) / factor - 1) < 0.1:
+            cause = words + (', and the other sign' if slope < 0 else '')
+    yield Suspicion('velocity', place, f'{what} is not the derivative of its position: '
+                    f'{slope:.4g} times it, correlation {fit:.3f}'
+                    + (f' ({cause}?)' if cause else ''))
+
+
+def _sides(joint, values):
+    """Compare the way of the motor with that of the link."""
+    link, motor = values.get('link_position'), values.get('motor_position')
+    if motor is None:
+        return
+    good = np.isfinite(link) & np.isfinite(motor)
+    if not good.any():
+        return
+    x, y = link[good] - np.mean(link[good]), motor[good] - np.mean(motor[good])
+    slope = float(np.dot(x, y) / np.dot(x, x)) if x.any() else 1.0
+    if not 0.8 < slope < 1.25:
+        yield Suspicion('scale', f'{joint}.motor_position', f'{joint}: the motor moves '
+                        f'{slope:.5g} times as far as the link; check sign, unit and gear_ratio '
+                        '(motor angles are those seen at the joint)')

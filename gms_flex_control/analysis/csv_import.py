@@ -1,0 +1,251 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Turn other people's logs into recordings, and say what looks wrong in them."""
+
+from dataclasses import dataclass
+
+from gms_flex_control.analysis import csv_checks, units
+from gms_flex_control.analysis.csv_table import CsvTable
+from gms_flex_control.analysis.import_map import load_map, POSITION_OF
+from gms_flex_control.errors import ImportDataError
+from gms_flex_control.recording import Recording
+import numpy as np
+
+
+@dataclass(frozen=True, eq=False)
+class ImportedLog:
+    """
+    A recording made from a text table.
+
+    Parameters
+    ----------
+    recording : Recording
+        In SI units, time from the first sample.
+    motors : tuple of str
+        Motor name per joint, '' where the joint is rigid.
+    suspicions : tuple of Suspicion
+        What looks wrong; the data were taken as they are nevertheless.
+    remarks : tuple of str
+        What the import itself did: estimates, rows left out, resampling.
+
+    """
+
+    recording: Recording
+    motors: tuple
+    suspicions: tuple
+    remarks: tuple
+
+    def summary(self):
+        """Return a few lines of text: size, sampling, ranges, remarks and suspicions."""
+        recording = self.recording
+        steps = 1e3 * np.diff(recording.time)
+        lines = [f'{recording.source}: {len(recording.time)} samples in '
+                 f'{recording.time[-1]:.6g} s, period {np.median(steps):.4g} ms '
+                 f'({np.min(steps):.4g} to {np.max(steps):.4g} ms)']
+        for i, (joint, motor) in enumerate(zip(recording.joints, self.motors, strict=True)):
+            lines.append(f'  {joint} ({motor or "rigid"}):')
+            lines += [f'    {name:<16}{_range(values[:, i])} {unit}'
+                      for name, values, unit in _quantities(recording)
+                      if np.isfinite(values[:, i]).any()]
+        lines += [f'  note: {remark}' for remark in self.remarks]
+        lines += [f'  suspicious: {suspicion.text}' for suspicion in self.suspicions]
+        return '\n'.join(lines)
+
+
+def import_csv(path, import_map, resample=None):
+    """
+    Read a text table as a recording.
+
+    Parameters
+    ----------
+    path : str or Path
+        The log.
+    import_map : ImportMap, str or Path
+        What its columns are, or the YAML file that says so.
+    resample : float, optional
+        Put everything on a fixed rate [Hz] by linear interpolation; overrides the map.
+
+    Returns
+    -------
+    ImportedLog
+
+    Raises
+    ------
+    ImportDataError
+        If file and map do not fit, a cell is no number or time does not increase.
+
+    """
+    if not hasattr(import_map, 'joints'):
+        import_map = load_map(import_map)
+    if resample is not None and not (np.isfinite(resample) and resample > 0):
+        raise ImportDataError(f'resample must be a positive rate [Hz], got {resample}')
+    table = CsvTable(path, import_map.file)
+    remarks = []
+    time, keep = _time(table, import_map, remarks)
+    joints = [_joint_values(table, import_map, joint, time, keep, remarks)
+              for joint in import_map.joints]
+    suspicions = csv_checks.suspicions(table, import_map, time, keep, joints)
+    rate = resample or import_map.resample
+    if rate:
+        time, joints = _resampled(time, joints, rate, remarks)
+    return ImportedLog(_recording(str(path), import_map, time, joints),
+                       tuple(joint.motor for joint in import_map.joints),
+                       tuple(suspicions), tuple(remarks))
+
+
+def _time(table, import_map, remarks):
+    """Return stamps from 0 [s] and the rows they belong to."""
+    spec, rows = import_map.time, np.arange(len(table.lines))
+    if spec.rate is not None:
+        time = rows / spec.rate
+    else:
+        time = units.TIME[spec.unit] * table.column(
+            spec.column, f'time ({import_map.path}:{spec.line})')
+    missing = np.flatnonzero(np.isnan(time))
+    if missing.size:
+        raise ImportDataError(f'{table.path}:{table.lines[missing[0]]}: time column '
+                              f'{spec.column!r} is empty or no finite number; remove the line')
+    latest = np.maximum.accumulate(time)
+    ahead = np.concatenate([[True], time[1:] > latest[:-1]])
+    if not ahead.all():
+        k = int(np.argmin(ahead))
+        if not spec.drop_disorder:
+            raise ImportDataError(
+                f'{table.path}:{table.lines[k]}: time does not increase, {time[k]:.9g} s after '
+                f'{latest[k - 1]:.9g} s ({np.sum(~ahead)} such lines); correct the file or set '
+                'time.not_increasing: drop')
+        remarks.append(f'{np.sum(~ahead)} samples whose time did not increase were left out, '
+                       f'the first in line {table.lines[k]}')
+        time, rows = time[ahead], rows[ahead]
+    if len(time) < 2:
+        raise ImportDataError(f'{table.path}: has {len(time)} usable sample; at least 2 make a '
+                              'recording')
+    return time - time[0], rows
+
+
+def _joint_values(table, import_map, joint, time, keep, remarks):
+    """Return {channel: values in SI, shape (T,)} of one joint."""
+    values = {}
+    # positions first: estimates and the back-emf need them
+    for name, channel in sorted(joint.channels.items(), key=lambda item: _ORDER.index(
+            item[1].quantity)):
+        if channel.estimate is not None:
+            values[name] = estimate_velocity(time, values[POSITION_OF[name]], channel.estimate)
+            remarks.append(f'{joint.name} {name.replace("_", " ")} is estimated by central '
+                           f'differences over {1e3 * channel.estimate:.4g} ms')
+        else:
+            place = f'{joint.name}.{name} ({import_map.path}:{channel.line})'
+            raw = table.column(channel.column, place)[keep]
+            values[name] = _in_si(raw, channel, table, keep, place)
+            if channel.back_emf:
+                values[name] = values[name] - _back_emf_torque(channel, joint, values, time)
+            if channel.enabled is not None:
+                values[name] = np.where(table.column(channel.enabled, place)[keep] == 0, 0.0,
+                                        values[name])
+    return values
+
+
+_ORDER = ('position', 'velocity', 'torque')
+
+
+def _in_si(raw, channel, table, keep, place):
+    factor = units.UNITS[channel.quantity][channel.unit]
+    if channel.unit in ('counts', 'counts/s'):
+        factor = 2 * np.pi / channel.counts_per_rev
+    elif channel.unit == 'A':
+        factor = channel.torque_constant
+    elif channel.unit == 'pwm':
+        volts = channel.voltage if isinstance(channel.voltage, float) else table.column(
+            channel.voltage, place)[keep]
+        factor = channel.torque_per_volt * volts / channel.full_scale
+    values = channel.sign * channel.scale * factor * (raw + channel.offset)
+    if channel.unwrap:
+        values = _unwrapped(values, 2 * np.pi * channel.scale)
+    gear = channel.gear_ratio
+    return values * gear if channel.quantity == 'torque' else values / gear
+
+
+def _unwrapped(values, turn):
+    known = np.isfinite(values)
+    result = values.copy()
+    result[known] = np.unwrap(values[known], period=abs(turn))
+    return result
+
+
+def _back_emf_torque(channel, joint, values, time):
+    """Return the torque a voltage-driven motor loses to its own speed [N m]."""
+    side = 'motor' if joint.motor else 'link'
+    velocity = values.get(f'{side}_velocity')
+    if velocity is None:
+        velocity = estimate_velocity(time, values[f'{side}_position'], 0.02)
+    # the map's velocity is the joint's: the motor behind a gear turns gear_ratio times as fast
+    return channel.torque_per_volt * channel.back_emf * velocity * channel.gear_ratio ** 2
+
+
+def estimate_velocity(time, position, window):
+    """
+    Return velocity by central differences over a window.
+
+    Parameters
+    ----------
+    time, position : ndarray, shape (T,)
+        Stamps [s], evenly spaced or not, and angle [rad].
+    window : float
+        Length of the difference [s]; it is one-sided and shorter at the ends, and never
+        shorter than the neighbouring samples.
+
+    Returns
+    -------
+    ndarray, shape (T,)
+        [rad/s]; NaN beside missing positions.
+
+    """
+    before = np.maximum(time - window / 2, time[0])
+    after = np.minimum(time + window / 2, time[-1])
+    # at least the sample before and the one after
+    before[1:] = np.minimum(before[1:], time[:-1])
+    after[:-1] = np.maximum(after[:-1], time[1:])
+    step = np.interp(after, time, position) - np.interp(before, time, position)
+    return step / (after - before)
+
+
+def _resampled(time, joints, rate, remarks):
+    grid = np.arange(int(np.floor(time[-1] * rate * (1 + 1e-12))) + 1) / rate
+    if len(grid) < 2:
+        raise ImportDataError(f'resampling {time[-1]:.6g} s at {rate:g} Hz leaves '
+                              f'{len(grid)} sample; choose a higher rate')
+    own = 1 / float(np.median(np.diff(time)))
+    remarks.append(f'resampled from about {own:.4g} Hz to {rate:g} Hz by linear interpolation'
+                   + (', without a filter against aliasing' if rate < 0.8 * own else ''))
+    return grid, [{name: np.interp(grid, time, values) for name, values in joint.items()}
+                  for joint in joints]
+
+
+def _recording(source, import_map, time, joints):
+    def stack(name):
+        return np.stack([joint.get(name, np.full(len(time), np.nan)) for joint in joints], axis=1)
+
+    reference = np.full((len(time), 5, len(joints)), np.nan)
+    reference[:, 0] = stack('reference')
+    reference[:, 1] = stack('reference_velocity')
+    return Recording(
+        joints=tuple(joint.name for joint in import_map.joints), time=time,
+        q_link=stack('link_position'), dq_link=stack('link_velocity'),
+        q_motor=stack('motor_position'), dq_motor=stack('motor_velocity'),
+        tau_motor=stack('torque'), command=stack('command'), reference=reference,
+        friction_hat=np.full((len(time), len(joints)), np.nan), source=source)
+
+
+def _quantities(recording):
+    return (('link angle', recording.q_link, 'rad'),
+            ('link velocity', recording.dq_link, 'rad/s'),
+            ('motor angle', recording.q_motor, 'rad'),
+            ('motor velocity', recording.dq_motor, 'rad/s'),
+            ('torsion', recording.q_motor - recording.q_link, 'rad'),
+            ('torque', recording.tau_motor, 'N m'), ('command', recording.command, 'N m'),
+            ('reference', recording.reference[:, 0], 'rad'))
+
+
+def _range(values):
+    return f'{np.nanmin(values):>12.5g} to {np.nanmax(values):>12.5g}'

@@ -1,0 +1,131 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""`gms_flex analyse` and `gms_flex import-csv` from arguments to files."""
+
+import argparse
+import json
+
+from gms_flex_control.analysis.csv_import import import_csv
+from gms_flex_control.bags.experiment import write_recording
+from gms_flex_control.bags.reader import read_recording
+from gms_flex_control.cli import analyse
+from gms_flex_control.cli import import_csv as import_verb
+from gms_flex_control.errors import BagError, ImportDataError
+from gms_flex_control.recording import Recording
+import numpy as np
+import pytest
+
+MAP = """source: a bench
+time: {column: t, unit: s}
+joints:
+  axis1:
+    motor: axis1_motor
+    link_position: {column: q, unit: deg}
+    motor_position: {column: m, unit: deg}
+    torque: {column: i, unit: N m}
+    reference: {column: r, unit: deg}
+  axis2:
+    link_position: {column: p, unit: rad}
+    torque: {column: i, unit: N m}
+    reference: {column: p, unit: rad}
+"""
+
+
+def call(*words):
+    """Run a verb as the tool does; return its exit code."""
+    parser = argparse.ArgumentParser()
+    subparsers = parser.add_subparsers()
+    analyse.add_parser(subparsers)
+    import_verb.add_parser(subparsers)
+    args = parser.parse_args([str(word) for word in words])
+    return args.run(args)
+
+
+@pytest.fixture
+def log(tmp_path):
+    """Write a log and its map; return their paths."""
+    t = np.arange(200) * 5e-3
+    q = 30 * np.sin(t)
+    columns = np.column_stack([t, q, q + 0.01, np.cos(t), q * 1.001, np.cos(2 * t)])
+    np.savetxt(tmp_path / 'log.csv', columns, fmt='%.17g', delimiter=',', header='t,q,m,i,r,p',
+               comments='')
+    (tmp_path / 'map.yaml').write_text(MAP)
+    return tmp_path / 'log.csv', tmp_path / 'map.yaml'
+
+
+def bag(path, amplitude, **options):
+    """Write a bag whose error is a constant ``amplitude`` [rad]."""
+    nan = np.full((400, 2), np.nan)
+    reference = np.zeros((400, 5, 2))
+    write_recording(path, Recording(
+        joints=('joint1', 'joint2'), time=np.arange(400) * 1e-3,
+        q_link=np.full((400, 2), amplitude), dq_link=nan, q_motor=nan, dq_motor=nan,
+        tau_motor=nan, command=np.ones((400, 2)), reference=reference, friction_hat=nan,
+        source='test'), **options)
+    return path
+
+
+def test_an_imported_bag_reads_back_as_the_recording(log, tmp_path, capsys):
+    assert call('import-csv', log[0], '--map', log[1], '--out', tmp_path / 'bag') == 0
+    assert 'axis1 (axis1_motor)' in capsys.readouterr().out
+    direct, back = import_csv(*log).recording, read_recording(tmp_path / 'bag')
+    assert back.joints == direct.joints
+    for name in ('time', 'q_link', 'q_motor', 'tau_motor'):
+        np.testing.assert_allclose(getattr(back, name), getattr(direct, name), atol=1e-9)
+    np.testing.assert_array_equal(back.reference[:, 0], direct.reference[:, 0])
+
+
+def test_findings_as_json(log, tmp_path, capsys):
+    assert call('import-csv', log[0], '--map', log[1], '--out', tmp_path / 'bag',
+                '--resample', 100, '--json') == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result['motors'] == ['axis1_motor', ''] and result['samples'] == 100
+    assert 'resampled' in result['remarks'][0]
+
+
+def test_a_shipped_map_is_found_by_its_name():
+    assert import_verb.find_map('import_kr300.yaml').is_file()
+    assert str(import_verb.find_map('no_such_map.yaml')) == 'no_such_map.yaml'
+
+
+def test_nothing_is_left_behind_by_a_refused_import(log, tmp_path):
+    with pytest.raises(ImportDataError, match='resample must be a positive rate'):
+        call('import-csv', log[0], '--map', log[1], '--out', tmp_path / 'bag', '--resample', 0)
+    assert not (tmp_path / 'bag').exists()
+
+
+def test_labels_come_from_metadata_then_from_the_name(tmp_path):
+    bag(tmp_path / 'run7', 0.1, custom={'trajectory': 'sinusoid', 'compensation': 'none'})
+    bag(tmp_path / 'polynomial_gms_paper', 0.1)
+    assert analyse.bag_label(tmp_path / 'run7') == ('sinusoid', 'none')
+    assert analyse.bag_label(tmp_path / 'polynomial_gms_paper') == ('polynomial', 'gms_paper')
+    assert analyse.bag_label(tmp_path / 'anything') == ('anything', 'unlabelled')
+
+
+def test_bags_become_table_report_and_pictures(tmp_path, capsys):
+    bags = [bag(tmp_path / 'sinusoid_none', 0.1), bag(tmp_path / 'sinusoid_gms', 0.02)]
+    assert call('analyse', *bags, '--out', tmp_path / 'out') == 0
+    assert '25.0' in capsys.readouterr().out
+    assert {path.name for path in (tmp_path / 'out').iterdir()} == {
+        'table4.json', 'report.html', 'errors_sinusoid.png', 'tracking_sinusoid_none.png',
+        'tracking_sinusoid_gms.png'}
+    assert call('analyse', *bags, '--out', tmp_path / 'out', '--json') == 0
+    table = json.loads(capsys.readouterr().out)
+    assert table == json.loads((tmp_path / 'out' / 'table4.json').read_text())
+    assert table['table'][0]['ratio']['gms'] == pytest.approx(25)
+
+
+def test_labels_on_the_command_line(tmp_path, capsys):
+    bags = [bag(tmp_path / 'a', 0.1), bag(tmp_path / 'b', 0.1)]
+    assert call('analyse', *bags, '--out', tmp_path / 'out', '--label', 'x_none', '--label',
+                'x_gms') == 0
+    assert '1.00' in capsys.readouterr().out
+    with pytest.raises(BagError, match='--label was given 1 times for 2 bags'):
+        call('analyse', *bags, '--out', tmp_path / 'out', '--label', 'x_none')
+
+
+def test_an_unreadable_bag_is_refused_before_anything_is_written(tmp_path):
+    with pytest.raises(BagError, match='nothing'):
+        call('analyse', tmp_path / 'nothing', '--out', tmp_path / 'out')
+    assert not (tmp_path / 'out').exists()

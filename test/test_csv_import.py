@@ -1,0 +1,295 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Other people's logs: units against closed forms, every kind of mess named with its line."""
+
+from pathlib import Path
+
+from gms_flex_control.analysis.csv_import import estimate_velocity, import_csv
+from gms_flex_control.errors import ImportDataError
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+DATA = ROOT.parent / 'shared' / 'data'
+T = np.arange(1000) * 4e-3
+Q = 0.7 * np.sin(2 * np.pi * T)
+DQ = 0.7 * 2 * np.pi * np.cos(2 * np.pi * T)
+
+PLAIN = """
+time: {column: t, unit: s}
+joints:
+  j1:
+    link_position: {column: q, unit: rad}
+"""
+
+
+@pytest.fixture
+def load(tmp_path):
+    """Return a function that imports columns {name: values} by the text of a map."""
+    def do(columns, text=PLAIN, edit=None, **options):
+        log, import_map = tmp_path / 'log.csv', tmp_path / 'map.yaml'
+        np.savetxt(log, np.column_stack(list(columns.values())), fmt='%.17g', delimiter=',',
+                   header=','.join(columns), comments='')
+        if edit:
+            log.write_text(edit(log.read_text()))
+        import_map.write_text(text)
+        return import_csv(log, import_map, **options)
+    return do
+
+
+def change_line(number, text):
+    """Return an edit that replaces one line of the file, counted from 1."""
+    def edit(content):
+        lines = content.splitlines()
+        lines[number - 1] = text
+        return '\n'.join(lines)
+    return edit
+
+
+def kinds(log):
+    """Return the kinds of suspicion of an import."""
+    return [suspicion.kind for suspicion in log.suspicions]
+
+
+def test_a_plain_log_comes_back_bit_for_bit(load):
+    log = load({'t': T + 17.0, 'q': Q})
+    np.testing.assert_array_equal(log.recording.q_link[:, 0], Q)
+    np.testing.assert_array_equal(log.recording.time, (T + 17.0) - 17.0)
+    assert np.isnan(log.recording.dq_link).all() and log.motors == ('',)
+    assert log.suspicions == ()
+
+
+@pytest.mark.parametrize(('unit', 'factor'), [
+    ('deg', 180 / np.pi), ('mdeg', 180e3 / np.pi), ('mrad', 1e3), ('turn', 0.5 / np.pi),
+    ('degrees', 180 / np.pi)])
+def test_position_units(load, unit, factor):
+    log = load({'t': T, 'q': Q * factor}, PLAIN.replace('rad', unit))
+    np.testing.assert_allclose(log.recording.q_link[:, 0], Q, rtol=1e-13, atol=1e-15)
+
+
+def test_counts_sign_offset_scale_and_gear(load):
+    # motor encoder of 4096 counts behind a gear of 50, mounted backwards, zero at 100 counts
+    log = load({'t': T, 'q': Q, 'm': 100 - Q * 50 / (2 * np.pi) * 4096, 'i': Q}, PLAIN + """
+    motor: m1
+    motor_position: {column: m, unit: counts, counts_per_rev: 4096, offset: -100, sign: -1,
+                     gear_ratio: 50}
+    torque: {column: i, unit: A, torque_constant: 0.12, scale: 0.5, gear_ratio: 50}
+""")
+    np.testing.assert_allclose(log.recording.q_motor[:, 0], Q, atol=1e-12)
+    np.testing.assert_allclose(log.recording.tau_motor[:, 0], Q * 0.12 * 0.5 * 50, atol=1e-12)
+    assert log.motors == ('m1',) and log.suspicions == ()
+
+
+def test_velocity_units_and_time_in_milliseconds(load):
+    log = load({'t': T * 1e3, 'q': Q, 'v': DQ * 30 / np.pi}, """
+time: {column: t, unit: ms}
+joints: {j1: {link_position: {column: q, unit: rad}, link_velocity: {column: v, unit: rpm}}}
+""")
+    np.testing.assert_allclose(log.recording.dq_link[:, 0], DQ, atol=1e-12)
+    assert log.recording.period == pytest.approx(4e-3) and log.suspicions == ()
+
+
+def test_pwm_becomes_the_torque_of_a_dc_motor(load):
+    duty, volts = np.sin(T), 7.0 + 0.1 * np.cos(T)
+    log = load({'t': T, 'q': Q, 'v': DQ, 'pwm': 885 * duty, 'u': volts, 'on': T < 2}, PLAIN + """
+    link_velocity: {column: v, unit: rad/s}
+    torque: {column: pwm, unit: pwm, full_scale: 885, voltage: u, torque_per_volt: 0.1,
+             back_emf: 0.3, enabled: on}
+""")
+    expected = np.where(T < 2, 0.1 * (duty * volts - 0.3 * DQ), 0.0)
+    np.testing.assert_allclose(log.recording.tau_motor[:, 0], expected, atol=1e-12)
+
+
+def test_back_emf_behind_a_gear_counts_twice(load):
+    log = load({'t': T, 'q': Q, 'v': DQ, 'pwm': 0 * T}, PLAIN + """
+    link_velocity: {column: v, unit: rad/s}
+    torque: {column: pwm, unit: pwm, full_scale: 1, voltage: 12.0, torque_per_volt: 0.1,
+             back_emf: 0.3, gear_ratio: 10}
+""")
+    np.testing.assert_allclose(log.recording.tau_motor[:, 0], -0.1 * 0.3 * 100 * DQ, atol=1e-9)
+
+
+def test_a_german_spreadsheet(load):
+    def german(content):
+        return '\ufeffMessung 7\n' + content.replace(',', ';').replace('.', ',')
+    log = load({'t': T, 'q': Q}, "file: {delimiter: ';', decimal: ',', header_rows: 2}" + PLAIN,
+               edit=german)
+    np.testing.assert_array_equal(log.recording.q_link[:, 0], Q)
+
+
+def test_blanks_comments_and_columns_by_number(load):
+    def bare(content):
+        body = content.split('\n', 1)[1].replace(',', '   ')
+        return '% from the bench\n' + body
+    log = load({'t': T, 'q': Q}, """
+file: {delimiter: space, header_rows: 0, comment: '%'}
+time: {rate: 250}
+joints: {j1: {link_position: {column: 2, unit: rad}}}
+""", edit=bare)
+    np.testing.assert_array_equal(log.recording.q_link[:, 0], Q)
+    np.testing.assert_allclose(log.recording.time, T)
+
+
+def test_uneven_stamps_stay_and_resampling_is_linear(load):
+    rng = np.random.default_rng(5)
+    t = np.sort(rng.uniform(0, 2, 900))
+    t[0] = 0.0
+    log = load({'t': t, 'q': 3 * t})
+    np.testing.assert_array_equal(log.recording.time, t)
+    even = load({'t': t, 'q': 3 * t}, resample=100.0)
+    np.testing.assert_allclose(np.diff(even.recording.time), 0.01)
+    np.testing.assert_allclose(even.recording.q_link[:, 0], 3 * even.recording.time, atol=1e-12)
+    assert 'aliasing' in even.remarks[0]
+
+
+def test_velocity_is_estimated_over_the_stated_window(load):
+    log = load({'t': T, 'q': Q}, PLAIN + '    link_velocity: {estimate: 0.04}\n')
+    # central difference of a sinusoid: cos scaled by sin(w h) / (w h)
+    shrink = np.sinc(2 * 0.02)
+    np.testing.assert_allclose(log.recording.dq_link[5:-5, 0], shrink * DQ[5:-5], atol=1e-9)
+    assert 'central differences over 40 ms' in log.remarks[0]
+    short = load({'t': T, 'q': Q}, PLAIN + '    link_velocity: estimate\n')
+    assert 'over 20 ms' in short.remarks[0]
+
+
+def test_an_estimate_uses_at_least_the_neighbouring_samples():
+    t = np.array([0.0, 0.1, 0.3, 0.6])
+    np.testing.assert_allclose(estimate_velocity(t, t ** 2, 1e-3), [0.1, 0.3, 0.7, 0.9])
+
+
+@pytest.mark.parametrize(('columns', 'extra', 'kind', 'words'), [
+    ({'q': np.full(1000, 0.5)}, '', 'constant', 'is 0.5 throughout'),
+    ({'q': np.where(T > 2, Q + 0.2, Q)}, '', 'jump', 'jumps 1 times, most in line 503: 0.2'),
+    ({'q': (3 * T + np.pi) % (2 * np.pi) - np.pi}, '', 'jump', 'one turn: set unwrap: true'),
+    ({'q': Q, 'v': DQ * 180 / np.pi}, '    link_velocity: {column: v, unit: rad/s}', 'velocity',
+     'deg/s taken as rad/s'),
+    ({'q': Q, 'v': -DQ}, '    link_velocity: {column: v, unit: rad/s}', 'velocity',
+     'the sign is the other way round'),
+    ({'q': Q, 'v': Q}, '    link_velocity: {column: v, unit: rad/s}', 'velocity',
+     'not the derivative'),
+    ({'q': Q, 'm': 100 * Q}, '    motor: m\n    motor_position: {column: m, unit: rad}', 'scale',
+     'moves 100 times as far as the link'),
+    ({'q': Q, 'r_deg': 1.01 * Q}, '    reference: {column: r_deg, unit: rad}', 'unit',
+     "mapped as 'rad' but its name says 'deg'"),
+    ({'q': 500 * Q}, '', 'scale', 'spans 699.9 rad')])
+def test_suspicious_columns_are_named(load, columns, extra, kind, words):
+    log = load({'t': T, **columns}, PLAIN + extra)
+    assert kind in kinds(log)
+    assert words in log.summary()
+
+
+def test_a_clean_log_with_every_quantity_raises_no_suspicion(load):
+    quantised = np.round(Q / 1.5e-3) * 1.5e-3
+    log = load({'t': T, 'q': quantised, 'v': DQ, 'tau': np.sign(DQ)}, PLAIN + """
+    link_velocity: {column: v, unit: rad/s}
+    torque: {column: tau, unit: Nm}
+""")
+    assert log.suspicions == ()
+
+
+def test_unwrapping_undoes_full_turns(load):
+    wrapped = (3 * T + np.pi) % (2 * np.pi) - np.pi
+    log = load({'t': T, 'q': wrapped}, PLAIN.replace('rad', 'rad, unwrap: true'))
+    np.testing.assert_allclose(log.recording.q_link[:, 0], 3 * T, atol=1e-12)
+    assert log.suspicions == ()
+
+
+def test_gaps_and_odd_rates_are_named(load):
+    t = np.where(T > 1, T + 0.5, T)
+    assert 'longest 0.504 s before line 253' in load({'t': t, 'q': Q}).summary()
+    assert 'rate' in kinds(load({'t': T * 1e3, 'q': Q}))
+
+
+def test_empty_cells_become_nan_and_are_counted(load):
+    log = load({'t': T, 'q': Q}, edit=change_line(7, f'{T[5]},'))
+    assert np.isnan(log.recording.q_link[5, 0]) and np.isnan(log.recording.q_link).sum() == 1
+    assert 'no number in 1 of 1000 rows, first in line 7' in log.summary()
+
+
+def test_disordered_time_is_refused_or_dropped_as_asked(load):
+    t = T.copy()
+    t[10], t[20] = t[9], t[5]
+    with pytest.raises(ImportDataError, match=r'log.csv:12: time does not increase, 0.036 s '
+                                              r'after 0.036 s \(2 such lines\).*drop'):
+        load({'t': t, 'q': Q})
+    log = load({'t': t, 'q': Q}, PLAIN.replace('unit: s}', 'unit: s, not_increasing: drop}'))
+    assert len(log.recording.time) == 998 and '2 samples' in log.remarks[0]
+
+
+@pytest.mark.parametrize(('edit', 'match'), [
+    (change_line(5, '0.012,abc'), r"log.csv:5: column 'q' holds 'abc', which is no number"),
+    (change_line(5, '0.012;0.3'), r'log.csv:5: has 1 cells where there are 2 columns'),
+    (change_line(1001, '3.9'), r'log.csv:1001: .*the file seems cut off'),
+    (change_line(5, '0.012,0.3,4'), r'log.csv:5: has 3 cells'),
+    (change_line(5, ',0.3'), r'log.csv:5: time column .t. is empty'),
+    (change_line(1, 't,theta'), r"has no column 'q', which j1.link_position \(.*map.yaml:5\) "
+                                r'asks for; known: t, theta'),
+    (change_line(1, 'q,q'), r"has no column 't'"),
+    (lambda text: text.replace(',', ';'), r"one column only.*set file.delimiter: ';'"),
+    (lambda text: 't,q\n', 'has no data below 1 header rows'),
+    (lambda text: 't,q\n0,1\n', '1 usable sample'),
+    (lambda text: '', 'has no data'),
+    (lambda text: text + 'a\0b', 'NUL bytes')])
+def test_a_broken_file_is_refused_with_its_line(load, edit, match):
+    with pytest.raises(ImportDataError, match=match):
+        load({'t': T, 'q': Q}, edit=edit)
+
+
+def test_a_comma_in_a_number_points_to_the_decimal_sign(load):
+    with pytest.raises(ImportDataError, match="holds '0,5'.*set file.decimal: ','"):
+        load({'t': T, 'q': Q}, edit=change_line(4, '0.008,"0,5"'))
+
+
+def test_unreadable_files_are_named(tmp_path):
+    (tmp_path / 'map.yaml').write_text(PLAIN)
+    with pytest.raises(ImportDataError, match='none.csv: cannot be read'):
+        import_csv(tmp_path / 'none.csv', tmp_path / 'map.yaml')
+    (tmp_path / 'latin.csv').write_bytes(b't,q\n0,1\xb0\n')
+    with pytest.raises(ImportDataError, match='is not UTF-8 text .byte 7 is 0xb0'):
+        import_csv(tmp_path / 'latin.csv', tmp_path / 'map.yaml')
+
+
+REAL = [('kr300/rec_A.csv', 'import_kr300.yaml'), ('kr300/rec_B.csv', 'import_kr300.yaml'),
+        ('bam_xl330/sin_sin_kp400.csv', 'import_bam_xl330.yaml'),
+        ('bam_xl330/lift_and_drop_kp100.csv', 'import_bam_xl330.yaml')]
+
+
+def real(name):
+    """Return a recording that is not part of the project, or skip."""
+    if not (DATA / name).is_file():
+        pytest.skip(f'{DATA / name} is not on this machine')
+    return DATA / name, np.genfromtxt(DATA / name, delimiter=',', names=True)
+
+
+@pytest.mark.parametrize(('name', 'import_map'), REAL)
+def test_real_recordings_import_without_suspicion(name, import_map):
+    path, _ = real(name)
+    log = import_csv(path, ROOT / 'config' / import_map)
+    assert log.suspicions == (), log.summary()
+
+
+def test_kr300_has_both_sides_in_radians_and_torque_at_the_joint():
+    path, data = real('kr300/rec_A.csv')
+    log = import_csv(path, ROOT / 'config' / 'import_kr300.yaml')
+    recording = log.recording
+    assert recording.joints == ('axis1', 'axis2', 'axis3')
+    assert log.motors == ('axis1_motor', 'axis2_motor', 'axis3_motor')
+    for i, gear in enumerate((256.9, 267.4, 252.3)):
+        np.testing.assert_allclose(recording.q_link[:, i],
+                                   np.deg2rad(data[f'q_link{i + 1}_deg']), rtol=1e-13)
+        np.testing.assert_allclose(recording.q_motor[:, i],
+                                   np.deg2rad(data[f'q_motor{i + 1}_deg']), rtol=1e-13)
+        np.testing.assert_allclose(recording.tau_motor[:, i],
+                                   gear * data[f'tau_motor{i + 1}_nm'], rtol=1e-13)
+    np.testing.assert_allclose(recording.time, data['t_s'], atol=1e-12)
+    assert np.isnan(recording.dq_link).all()
+
+
+def test_xl330_keeps_its_uneven_stamps():
+    path, data = real('bam_xl330/sin_sin_kp400.csv')
+    recording = import_csv(path, ROOT / 'config' / 'import_bam_xl330.yaml').recording
+    np.testing.assert_array_equal(recording.time, data['t_s'])
+    np.testing.assert_array_equal(recording.dq_link[:, 0], data['speed_rad_s'])
+    expected = 0.104 * (data['pwm_of_885'] / 885 * data['volts'] - 0.354 * data['speed_rad_s'])
+    np.testing.assert_allclose(recording.tau_motor[:, 0], expected, atol=1e-12)
