@@ -195,4 +195,4 @@ def _small(value):
 def _plain(value):
     if not math.isfinite(value):
         return '-'
-    return f'{value:.0f}' if abs(value) >= 1000 else f'{value:#.3g}'.rstrip('.')
+    return f'{value:.0f}' if abs(value) >= 999.5 else f'{value:#.3g}'.rstrip('.')
