@@ -131,11 +131,14 @@ def controller_keys(joints):
     return tuple(keys)
 
 
+MODE = Key('mode', 'string', 'paced by the clock, or each sample waits for its command',
+           default='realtime', choices=MODES)
+
+
 def controller_node_keys():
     """Return the keys of the controller node beyond robot and gains."""
     return (
-        Key('mode', 'string', 'answer every state at once, or only with its own reference',
-            default='realtime', choices=MODES),
+        MODE,
         Key('reference_timeout', 'double', 'age of a reference that is still followed', 's', 0.1,
             1e-3, 10.0),
         Key('state_every', 'integer', 'publish ~/state and ~/blocks at every n-th tick', '', 1, 1,
@@ -145,8 +148,7 @@ def controller_node_keys():
 def plant_node_keys(joints):
     """Return the keys of the plant node beyond the robot."""
     keys = [
-        Key('mode', 'string', 'paced by the clock, or by the commands', default='realtime',
-            choices=MODES),
+        MODE,
         Key('rate', 'double', 'joint states per second', 'Hz', 500.0, 1.0, 10000.0),
         Key('substeps', 'integer', 'integration steps per joint state', '', 20, 1, 10000),
         Key('command_timeout', 'double', 'age of a command that still acts; then zero torque',
@@ -162,6 +164,7 @@ def plant_node_keys(joints):
 def trajectory_keys(joints):
     """Return the keys of the trajectory node."""
     keys = [
+        MODE,
         Key('trajectory.type', 'string', 'kind of reference', default='hold',
             choices=TRAJECTORIES, live=True),
         Key('trajectory.autostart', 'boolean', 'start at the first joint state', default=False),

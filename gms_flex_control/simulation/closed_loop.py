@@ -67,7 +67,9 @@ def run_loop(reference, period, substeps, plant_state, plant_constants, plant_wo
     for k in range(reference.shape[0]):
         time = k * period
         sense(measured, plant_state, time, period, plant_constants, encoders, plant_work, rng)
-        cascade.tick(control_state, measured, reference[k], period, control_constants,
+        # as a node that has no earlier state to form a difference with
+        elapsed = period if k > 0 else 0.0
+        cascade.tick(control_state, measured, reference[k], elapsed, control_constants,
                      control_work)
         plant.gms.total(plant_state.friction, plant_state.dq_link, plant_constants.friction,
                         plant_work.friction)

@@ -138,3 +138,28 @@ def sample_all(times, start, scale, poly, envelope, amplitude, omega, phase, out
             for k in range(DERIVATIVES):  # Leibniz rule
                 for r in range(k + 1):
                     out[i, k, j] += binomial[k, r] * shape[r] * wave[k - r]
+
+
+def extrapolate(reference, delay):
+    """
+    Return a sampled reference moved in time by its Taylor series.
+
+    Parameters
+    ----------
+    reference : ndarray, shape (5, n_joints)
+        Value and derivatives 1 to 4.
+    delay : float
+        How much later, a few samples at most [s].
+
+    Returns
+    -------
+    ndarray, shape (5, n_joints)
+
+    """
+    moved = np.zeros_like(reference)
+    for k in range(DERIVATIVES):
+        factor = 1.0
+        for m in range(k, DERIVATIVES):
+            moved[k] += factor * reference[m]
+            factor *= delay / (m - k + 1)
+    return moved

@@ -1,0 +1,273 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""
+Between ROS messages and arrays: names mapped, stamps kept, messages refused whole.
+
+A command says in its layout which joint state it answers (``stamp:<ns>``) and who sent it
+(``source:<name>``), as labels of dimensions of size 1; ros2_control ignores the layout.
+"""
+
+from array import array
+import math
+
+import numpy as np
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout
+
+NANOSECONDS = 1_000_000_000
+_STAMP, _SOURCE = 'stamp:', 'source:'
+EFFORT = 'effort'
+
+
+class RefusedError(ValueError):
+    """A message that is not acted on; the sentence says why."""
+
+
+def to_nanoseconds(stamp):
+    """Return a builtin_interfaces Time as integer nanoseconds."""
+    return stamp.sec * NANOSECONDS + stamp.nanosec
+
+
+def set_stamp(stamp, nanoseconds):
+    """Write integer nanoseconds into a builtin_interfaces Time."""
+    stamp.sec, stamp.nanosec = divmod(nanoseconds, NANOSECONDS)
+
+
+def all_finite(values):
+    """Return whether no number is NaN or infinite; fast for a handful of them."""
+    # NaN and both infinities turn the sum into NaN or infinity
+    return math.isfinite(sum(values)) or all(math.isfinite(value) for value in values)
+
+
+class JointStateReader:
+    """
+    Map joint states by name to arrays of links and motors.
+
+    Parameters
+    ----------
+    joints, motors : sequence of str
+        Link and motor names; '' where a joint has no motor side of its own.
+
+    """
+
+    def __init__(self, joints, motors):
+        self._wanted = [*joints, *(motor or joint
+                                   for joint, motor in zip(joints, motors, strict=True))]
+        self._n = len(joints)
+        self._names = None
+        self._order = None
+
+    def _map(self, names):
+        missing = [name for name in self._wanted if name not in names]
+        if missing:
+            raise RefusedError(f'joint states lack {missing[0]!r} (have {", ".join(names)}); '
+                               'check joints and motors in the robot file')
+        repeated = [name for name in self._wanted if names.count(name) > 1]
+        if repeated:
+            raise RefusedError(f'joint states name {repeated[0]!r} more than once')
+        self._names = list(names)
+        self._order = [names.index(name) for name in self._wanted]
+
+    def read(self, message, measured):
+        """
+        Write a JointState into the record ``measured`` (q_link, dq_link, q_motor, dq_motor).
+
+        Parameters
+        ----------
+        message : sensor_msgs.msg.JointState
+            Names in any order, others among them.
+        measured : numpy.record
+            Of simulation.encoder.state_layout.
+
+        Raises
+        ------
+        RefusedError
+            If a name is missing or repeated, a length is wrong or a value is not finite; nothing
+            is written then.
+
+        """
+        names = message.name
+        if names != self._names:
+            self._map(names)
+        position, velocity = message.position, message.velocity
+        if len(position) != len(names) or len(velocity) != len(names):
+            raise RefusedError(f'joint states have {len(names)} names, {len(position)} positions '
+                               f'and {len(velocity)} velocities; all three must agree')
+        q = [position[index] for index in self._order]
+        dq = [velocity[index] for index in self._order]
+        if not all_finite(q) or not all_finite(dq):
+            bad = next(k for k in range(len(q))
+                       if not (math.isfinite(q[k]) and math.isfinite(dq[k])))
+            raise RefusedError(f'joint states have position {q[bad]} and velocity {dq[bad]} '
+                               f'for {self._wanted[bad]!r}')
+        n = self._n
+        measured.q_link[:], measured.q_motor[:] = q[:n], q[n:]
+        measured.dq_link[:], measured.dq_motor[:] = dq[:n], dq[n:]
+
+
+class JointStateWriter:
+    """
+    Fill one reused JointState: links, then the motors there are.
+
+    Parameters
+    ----------
+    joints, motors : sequence of str
+        Link and motor names; '' where a joint has no motor side of its own.
+
+    """
+
+    def __init__(self, joints, motors):
+        self._flexible = [j for j, motor in enumerate(motors) if motor]
+        names = [*joints, *(motors[j] for j in self._flexible)]
+        self._nan = [math.nan if motor else 0.0 for motor in motors]
+        self._rigid = [j for j, motor in enumerate(motors) if not motor]
+        self.message = JointState(name=names)
+
+    def write(self, measured, applied, stamp):
+        """
+        Return the message of one sample.
+
+        Parameters
+        ----------
+        measured : numpy.record
+            What the encoders read.
+        applied : ndarray, shape (n_joints,)
+            Torque really applied in the sample that ends now [N m].
+        stamp : int
+            Time of the sample [ns].
+
+        Returns
+        -------
+        sensor_msgs.msg.JointState
+            The same object at every call. Effort of a flexible link is NaN: not measured.
+
+        """
+        message, flexible = self.message, self._flexible
+        q_motor, dq_motor = measured.q_motor.tolist(), measured.dq_motor.tolist()
+        torque = applied.tolist()
+        message.position = array('d', measured.q_link.tolist() + [q_motor[j] for j in flexible])
+        message.velocity = array('d', measured.dq_link.tolist()
+                                 + [dq_motor[j] for j in flexible])
+        link_effort = list(self._nan)
+        for j in self._rigid:
+            link_effort[j] = torque[j]
+        message.effort = array('d', link_effort + [torque[j] for j in flexible])
+        set_stamp(message.header.stamp, stamp)
+        return message
+
+
+class CommandWriter:
+    """
+    Fill one reused command message.
+
+    Parameters
+    ----------
+    n : int
+        Number of joints.
+    source : str
+        Who commands.
+
+    """
+
+    def __init__(self, n, source):
+        self._stamp = MultiArrayDimension(size=1, stride=1)
+        dims = [MultiArrayDimension(label='joint', size=n, stride=n), self._stamp,
+                MultiArrayDimension(label=_SOURCE + source, size=1, stride=1)]
+        self.message = Float64MultiArray(layout=MultiArrayLayout(dim=dims))
+
+    def write(self, torque, stamp):
+        """Return the message: ``torque`` (n,) [N m] in answer to the state of ``stamp`` [ns]."""
+        self._stamp.label = f'{_STAMP}{stamp}'
+        self.message.data = array('d', torque.tolist())
+        return self.message
+
+
+def read_stamp(message):
+    """Return the stamp [ns] in the layout of a Float64MultiArray, or None without one."""
+    for dimension in message.layout.dim:
+        label = dimension.label
+        if label.startswith(_STAMP) and label[len(_STAMP):].lstrip('-').isdigit():
+            return int(label[len(_STAMP):])
+    return None
+
+
+def read_command(message, n):
+    """
+    Return a command as a list of n torques [N m].
+
+    Raises
+    ------
+    RefusedError
+        If there are more or fewer than n, or one is not finite.
+
+    """
+    torque = message.data
+    if len(torque) != n:
+        raise RefusedError(f'command has {len(torque)} torques for {n} joints')
+    if not all_finite(torque):
+        bad = next(j for j in range(n) if not math.isfinite(torque[j]))
+        raise RefusedError(f'command for joint {bad + 1} is {torque[bad]}')
+    return torque
+
+
+class ReferenceWriter:
+    """
+    Fill one reused reference message of layout [derivative or effort, joint].
+
+    Parameters
+    ----------
+    n : int
+        Number of joints.
+
+    """
+
+    def __init__(self, n):
+        self._kind = MultiArrayDimension()
+        self._joint = MultiArrayDimension(label='joint', size=n, stride=n)
+        self._stamp = MultiArrayDimension(size=1, stride=1)
+        self.message = Float64MultiArray(layout=MultiArrayLayout(
+            dim=[self._kind, self._joint, self._stamp]))
+
+    def write(self, reference, quantity, stamp):
+        """Return the message for ``reference`` (5, n); of an effort only the first row counts."""
+        rows = reference[:1] if quantity == EFFORT else reference
+        self._kind.label = EFFORT if quantity == EFFORT else 'derivative'
+        self._kind.size, self._kind.stride = len(rows), rows.size
+        self._stamp.label = f'{_STAMP}{stamp}'
+        self.message.data = array('d', rows.ravel().tolist())
+        return self.message
+
+
+def read_reference(message, n):
+    """
+    Return a reference message as (quantity, array).
+
+    Parameters
+    ----------
+    message : std_msgs.msg.Float64MultiArray
+        Dimensions [derivative 5, joint n] or [effort 1, joint n].
+    n : int
+        Number of joints.
+
+    Returns
+    -------
+    quantity : {'motion', 'effort'}
+        What the numbers are.
+    reference : ndarray, shape (5, n) or (1, n)
+        In SI units.
+
+    Raises
+    ------
+    RefusedError
+        If layout or length does not fit, or a number is not finite.
+
+    """
+    dims = message.layout.dim
+    quantity = EFFORT if dims and dims[0].label == EFFORT else 'motion'
+    rows = 1 if quantity == EFFORT else 5
+    if len(message.data) != rows * n:
+        raise RefusedError(f'reference has {len(message.data)} numbers, expected {rows} x {n}')
+    if not all_finite(message.data):
+        raise RefusedError('reference has a number that is not finite')
+    return quantity, np.array(message.data).reshape(rows, n)

@@ -1,0 +1,157 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""The robot as a ROS 2 node: simulated, paced by the clock or stepped by its commands."""
+
+import sys
+import time
+
+from builtin_interfaces.msg import Time
+from gms_flex_control.nodes import messages, process
+from gms_flex_control.nodes.messages import NANOSECONDS
+from gms_flex_control.nodes.parameters import NodeParameters
+from gms_flex_control.schema.build import robot_from_values
+from gms_flex_control.schema.keys import plant_node_keys, robot_keys
+from gms_flex_control.simulation.stepped import SteppedPlant
+import numpy as np
+import rclpy
+from rclpy.node import Node
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+
+_REPEAT_PERIOD = 0.2     # an unanswered state is sent again in lockstep [s]
+_LATEST_START = 5        # samples the loop may be late before it gives up catching up
+_WARN_PERIOD = 5.0       # [s]
+
+
+class PlantNode(Node):
+    """Publish joint states and obey torque commands, as ros2_control's effort side does."""
+
+    def __init__(self, **kwargs):
+        super().__init__('plant', automatically_declare_parameters_from_overrides=True, **kwargs)
+        parameters = NodeParameters(
+            self, lambda joints: (*robot_keys(joints), *plant_node_keys(joints)))
+        values = parameters.values
+        robot = robot_from_values(values)
+        self._mode = values['mode']
+        self._period = round(NANOSECONDS / values['rate'])
+        self._timeout = round(NANOSECONDS * values['command_timeout'])
+        self._plant = SteppedPlant(
+            robot, period=self._period / NANOSECONDS, substeps=values['substeps'],
+            seed=values['seed'],
+            q_link=[values[f'initial.{joint}'] for joint in robot.joints])
+        self._writer = messages.JointStateWriter(robot.joints, robot.motors)
+        self._zero = np.zeros(robot.n_joints)
+        self._command = (self._zero, None, 0)  # torque, stamp answered, when it came
+        self._stamp = 0
+        self.missed = 0
+        self._state_pub = self.create_publisher(JointState, 'joint_states',
+                                                process.publisher_qos())
+        self.create_subscription(
+            Float64MultiArray, 'effort_controller/commands', self._on_command,
+            process.subscriber_qos(self._mode), event_callbacks=process.NO_EVENTS)
+        self._clock_pub = None
+        if self._mode == 'lockstep':
+            self._clock_pub = self.create_publisher(Clock, '/clock', process.publisher_qos())
+            self._clock_period = round(NANOSECONDS / values['clock_rate'])
+            self._next_clock = 0
+        parameters.watch(robot_from_values, lambda _: None)
+        self.get_logger().info(
+            f"{robot.n_joints} joints, {values['rate']:g} Hz, {self._mode}")
+
+    def run(self, executor):
+        """Simulate until the context ends or a signal raises KeyboardInterrupt."""
+        if self._mode == 'lockstep':
+            self._run_lockstep(executor)
+        else:
+            with process.BackgroundSpin(executor) as background:
+                self._run_paced(background)
+
+    def _on_command(self, message):
+        try:
+            torque = messages.read_command(message, len(self._zero))
+        except messages.RefusedError as error:
+            self.get_logger().warning(f'command refused: {error}',
+                                      throttle_duration_sec=_WARN_PERIOD)
+            return
+        self._command = (np.array(torque), messages.read_stamp(message), time.monotonic_ns())
+
+    def _publish(self):
+        plant = self._plant
+        self._state_pub.publish(self._writer.write(plant.measured, plant.applied, self._stamp))
+
+    # realtime ------------------------------------------------------------------------------
+
+    def _acting(self):
+        """Return the torque for the sample that ends now; zero if the last command is stale."""
+        torque, stamp, arrived = self._command
+        if stamp == self._stamp:
+            return torque
+        self.missed += 1
+        if stamp is None:  # a plain command acts from its arrival until the timeout
+            fresh = time.monotonic_ns() - arrived <= self._timeout
+        else:
+            fresh = 0 < self._stamp - stamp <= self._timeout
+        return torque if fresh else self._zero
+
+    def _run_paced(self, background):
+        process.tighten_timers()
+        self._stamp = self.get_clock().now().nanoseconds
+        deadline = time.monotonic_ns()
+        self._plant.measure()
+        self._publish()
+        while rclpy.ok():
+            if background.error is not None:
+                raise background.error
+            deadline += self._period
+            late = time.monotonic_ns() - deadline
+            if late < 0:
+                time.sleep(-late / NANOSECONDS)
+            elif late > _LATEST_START * self._period:
+                self.get_logger().warning(
+                    f'{late / 1e6:.1f} ms late: the machine is too busy for this rate',
+                    throttle_duration_sec=_WARN_PERIOD)
+                deadline += late
+            self._plant.advance(self._acting())
+            self._stamp += self._period
+            self._publish()
+
+    # lockstep ------------------------------------------------------------------------------
+
+    def _run_lockstep(self, executor):
+        self._plant.measure()
+        self._publish_clock()
+        self._publish()
+        repeat = time.monotonic() + _REPEAT_PERIOD
+        while rclpy.ok():
+            executor.spin_once(timeout_sec=_REPEAT_PERIOD)
+            torque, stamp, arrived = self._command
+            if arrived and (stamp is None or stamp == self._stamp):
+                self._command = (torque, None, 0)
+                self._plant.advance(torque)
+                self._stamp += self._period
+                self._publish_clock()
+                self._publish()
+                repeat = time.monotonic() + _REPEAT_PERIOD
+            elif time.monotonic() > repeat:
+                self._publish()  # a node that has just come needs the state it is to answer
+                repeat = time.monotonic() + _REPEAT_PERIOD
+
+    def _publish_clock(self):
+        if self._stamp >= self._next_clock:
+            sec, nanosec = divmod(self._stamp, NANOSECONDS)
+            self._clock_pub.publish(Clock(clock=Time(sec=sec, nanosec=nanosec)))
+            self._next_clock = self._stamp + self._clock_period
+
+    def finish(self):
+        """End: the plant itself commands nothing."""
+
+
+def main(args=None):
+    """Run the plant node until a signal; return its exit code."""
+    return process.run_node(PlantNode, args)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,240 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Record any topics into a bag that survives the recorder's own sudden end."""
+
+from collections import deque
+from contextlib import suppress
+from importlib import import_module
+import signal
+import threading
+import time
+
+from gms_flex_control.bags.metadata import qos_profile
+from gms_flex_control.bags.writer import BagWriter
+from gms_flex_control.errors import BagError
+import rclpy
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.experimental import EventsExecutor
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+
+_DEPTH = 100
+_DRAIN_PERIOD = 0.02    # [s]; with the writer's flush period this is what kill -9 can take
+_SEARCH_PERIOD = 0.1    # between looks at the graph while a topic is missing [s]
+_IDLE_PERIOD = 1.0      # and once all are there [s]
+
+
+class Recorder:
+    """
+    Subscribe to topics as they appear and hand their raw messages to a bag.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Whose subscriptions they become.
+    writer : BagWriter
+        An open bag.
+    topics : sequence of str, optional
+        What to record; None for every topic that is not hidden.
+    say : callable, optional
+        Called with a sentence when something happens.
+
+    """
+
+    def __init__(self, node, writer, topics=None, say=print):
+        self._node, self._writer, self._say = node, writer, say
+        self._wanted = None if topics is None else [_absolute(name) for name in topics]
+        self._subscriptions, self._refused = {}, set()
+        self._queue = deque()
+        self._next_search = 0.0
+        self._stop = threading.Event()
+        self._error = None
+        self._thread = threading.Thread(target=self._write, name='bag_writer', daemon=True)
+        self._thread.start()
+
+    @property
+    def missing(self):
+        """Return the wanted topics that are not recorded yet."""
+        return [name for name in self._wanted or () if name not in self._subscriptions]
+
+    def poll(self):
+        """
+        Subscribe to what has appeared; cheap to call often.
+
+        Raises
+        ------
+        BagError
+            If the bag cannot be written any more.
+
+        """
+        if self._error is not None:
+            raise self._error
+        now = time.monotonic()
+        if now < self._next_search:
+            return
+        known = len(self._subscriptions)
+        for name, types in self._node.get_topic_names_and_types():
+            if name not in self._subscriptions and name not in self._refused \
+                    and self._is_wanted(name):
+                self._subscribe(name, types)
+        if self._wanted is not None and len(self._subscriptions) > known and not self.missing:
+            self._say(f'recording {", ".join(self._wanted)}')
+        busy = self._wanted is None or self.missing
+        self._next_search = now + (_SEARCH_PERIOD if busy else _IDLE_PERIOD)
+
+    def _is_wanted(self, name):
+        if self._wanted is not None:
+            return name in self._wanted
+        return not any(part.startswith('_') for part in name.split('/'))
+
+    def _subscribe(self, name, types):
+        publishers = self._node.get_publishers_info_by_topic(name)
+        if not publishers:
+            return  # only subscribed to so far: nothing tells the quality of service
+        try:
+            if len(types) > 1:
+                raise BagError(f'topic {name!r} has the types {" and ".join(types)}; '
+                               'stop one publisher')
+            message_class = _message_class(types[0])
+            reliability, durability = offered_qos(publishers)
+            self._writer.add_topic(name, types[0], qos=qos_profile(
+                reliability.name.lower(), durability.name.lower()))
+        except BagError as error:
+            self._refused.add(name)
+            self._say(f'not recorded: {error}')
+            return
+        profile = QoSProfile(depth=_DEPTH, reliability=reliability, durability=durability)
+        queue = self._queue
+
+        def on_message(data):
+            queue.append((name, time.time_ns(), data))
+
+        # no quality-of-service events: with this executor they can deadlock
+        self._subscriptions[name] = self._node.create_subscription(
+            message_class, name, on_message, profile, raw=True,
+            event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False))
+        self._say(f'subscribed to {name} ({types[0]}, {reliability.name.lower()})')
+
+    def _write(self):
+        try:
+            while not self._stop.wait(_DRAIN_PERIOD):
+                self._drain()
+                self._writer.flush_if_due()
+            self._drain()
+        except BagError as error:
+            self._error = error
+
+    def _drain(self):
+        for _ in range(len(self._queue)):
+            self._writer.write(*self._queue.popleft())
+
+    def close(self):
+        """
+        Write what is queued and stop.
+
+        Raises
+        ------
+        BagError
+            If the bag could not be written.
+
+        """
+        self._stop.set()
+        self._thread.join()
+        if self._error is not None:
+            raise self._error
+
+
+def offered_qos(publishers):
+    """
+    Return the strictest (reliability, durability) that every publisher offers.
+
+    Parameters
+    ----------
+    publishers : sequence of rclpy.topic_endpoint_info.TopicEndpointInfo
+        All publishers of a topic.
+
+    """
+    reliable = all(info.qos_profile.reliability == ReliabilityPolicy.RELIABLE
+                   for info in publishers)
+    latched = all(info.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
+                  for info in publishers)
+    return (ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+            DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE)
+
+
+def record(out, topics=None, *, duration=None, say=print):
+    """
+    Record until SIGINT, SIGTERM or for a time; the bag is closed in every case.
+
+    Parameters
+    ----------
+    out : str or Path
+        The bag to be made.
+    topics : sequence of str, optional
+        What to record; None for every topic that is not hidden.
+    duration : float, optional
+        How long [s], from the call.
+    say : callable, optional
+        Called with a sentence when something happens.
+
+    Returns
+    -------
+    dict of int
+        Messages per topic.
+
+    Raises
+    ------
+    BagError
+        If ``out`` exists or cannot be written.
+
+    """
+    end = None if duration is None else time.monotonic() + duration
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _interrupt)
+    with suppress(KeyboardInterrupt), BagWriter(out) as writer:
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+        try:
+            _record(writer, topics, end, say)
+        finally:
+            rclpy.try_shutdown()
+    return dict(writer.counts)
+
+
+def _record(writer, topics, end, say):
+    node = rclpy.create_node(f'gms_flex_recorder_{time.time_ns() % 10**9}',
+                             enable_rosout=False, start_parameter_services=False)
+    executor = EventsExecutor()
+    executor.add_node(node)
+    recorder = Recorder(node, writer, topics, say)
+    try:
+        with suppress(KeyboardInterrupt):
+            while rclpy.ok() and (end is None or time.monotonic() < end):
+                recorder.poll()
+                executor.spin_once(timeout_sec=0.05)
+    finally:
+        recorder.close()
+        for name in recorder.missing:
+            say(f'not recorded: topic {name!r} never had a publisher')
+        executor.shutdown()
+        node.destroy_node()
+
+
+def _interrupt(_number, _frame):
+    # a second signal, which ros2 launch sends, must not interrupt the closing of the bag
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
+    raise KeyboardInterrupt
+
+
+def _absolute(name):
+    return name if name.startswith('/') else f'/{name}'
+
+
+def _message_class(type_name):
+    package, kind, name = type_name.split('/')
+    try:
+        return getattr(import_module(f'{package}.{kind}'), name)
+    except (ImportError, AttributeError) as error:
+        raise BagError(f'message type {type_name!r} is not installed for Python ({error}); '
+                       'source the workspace that defines it') from error

@@ -1,0 +1,177 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""The reference as a ROS 2 node: one message per joint state, a sample ahead."""
+
+import sys
+
+from gms_flex_control.errors import GmsFlexError
+from gms_flex_control.nodes import messages, process
+from gms_flex_control.nodes.messages import NANOSECONDS
+from gms_flex_control.nodes.parameters import NodeParameters
+from gms_flex_control.schema.keys import robot_keys, trajectory_keys
+from gms_flex_control.schema.motion import trajectory_from_values
+from gms_flex_control.trajectory import builders
+import numpy as np
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import Trigger
+
+_WARN_PERIOD = 5.0
+_SAME_STAMP = 0.2  # a stamp within this part of the period was foreseen
+
+
+def reference_names_keys(joints):
+    """Return the keys of joint names and of the trajectory."""
+    return (robot_keys(())[0], *trajectory_keys(joints))
+
+
+class TrajectoryNode(Node):
+    """Publish the reference for each joint state before that state comes."""
+
+    def __init__(self, **kwargs):
+        super().__init__('trajectory', automatically_declare_parameters_from_overrides=True,
+                         **kwargs)
+        parameters = NodeParameters(self, reference_names_keys)
+        values, self._joints = parameters.values, parameters.joints
+        self._chosen = trajectory_from_values(values, self._joints)
+        self._values = values
+        self._current = None      # Trajectory in the node's time, None before the first state
+        self._running = False
+        self._origin = self._last = self._published = None  # stamps [ns]
+        self._names = self._order = None
+        self._q_link = np.zeros(len(self._joints))
+        self._writer = messages.ReferenceWriter(len(self._joints))
+        self._reference_pub = self.create_publisher(Float64MultiArray, 'reference',
+                                                    process.publisher_qos())
+        self._chosen.sample(0.0)  # compile before the first state comes
+        self.create_subscription(
+            JointState, 'joint_states', self._on_joint_states,
+            process.subscriber_qos(values['mode']), event_callbacks=process.NO_EVENTS)
+        for name, handler in (('start', self._start), ('stop', self._stop),
+                              ('reset', self._reset)):
+            self.create_service(Trigger, f'~/{name}', handler)
+        parameters.watch(lambda new: (trajectory_from_values(new, self._joints), new),
+                         self._choose)
+        self.get_logger().info(f"{values['trajectory.type']}, call ~/start to begin"
+                               if not values['trajectory.autostart'] else
+                               f"{values['trajectory.type']} begins at the first joint state")
+
+    def run(self, executor):
+        """Publish until a signal raises KeyboardInterrupt."""
+        process.spin(executor)
+
+    def _time(self, stamp):
+        return (stamp - self._origin) / NANOSECONDS
+
+    def _read(self, message):
+        if message.name != self._names:
+            missing = [joint for joint in self._joints if joint not in message.name]
+            if missing:
+                raise messages.RefusedError(f'joint states lack {missing[0]!r}')
+            self._names = list(message.name)
+            self._order = [message.name.index(joint) for joint in self._joints]
+        if len(message.position) != len(message.name):
+            raise messages.RefusedError(f'joint states have {len(message.name)} names and '
+                                        f'{len(message.position)} positions')
+        q_link = [message.position[index] for index in self._order]
+        if not messages.all_finite(q_link):
+            raise messages.RefusedError(f'joint states have positions {q_link}')
+        self._q_link[:] = q_link
+
+    def _on_joint_states(self, message):
+        stamp = messages.to_nanoseconds(message.header.stamp)
+        try:
+            self._read(message)
+        except messages.RefusedError as error:
+            self.get_logger().warning(f'joint state refused: {error}',
+                                      throttle_duration_sec=_WARN_PERIOD)
+            return
+        if self._current is None or stamp < self._last:
+            self._begin(stamp)
+        period = stamp - self._last
+        foreseen = (self._published is not None
+                    and abs(self._published - stamp) <= _SAME_STAMP * period)
+        if not foreseen or period == 0:
+            self._publish(stamp)
+        if period > 0:
+            self._publish(stamp + period)
+        self._last = stamp
+
+    def _begin(self, stamp):
+        """Take the first state, or one after the clock was set back, as time zero."""
+        self._origin = self._last = stamp
+        self._published = None
+        self._current = builders.hold(self._q_link)
+        if self._values['trajectory.autostart']:
+            self._enter(self._chosen, 0.0)
+
+    def _publish(self, stamp):
+        reference = self._current.sample(self._time(stamp))
+        self._reference_pub.publish(
+            self._writer.write(reference, self._current.quantity, stamp))
+        self._published = stamp
+
+    def _now(self):
+        """Return the time from which on nothing has been published yet [s]."""
+        return self._time(self._published)
+
+    def _enter(self, trajectory, time):
+        """Go over to ``trajectory`` smoothly from the reference at ``time``."""
+        state = self._current.sample(time)
+        if self._current.quantity == messages.EFFORT:
+            state = builders.at_rest(self._q_link)
+        self._current = builders.approach(state, trajectory, time,
+                                          duration=self._values['trajectory.approach_time'])
+        self._running = True
+
+    def _choose(self, judged):
+        self._chosen, self._values = judged
+        if self._running and self._published is not None:
+            self._enter(self._chosen, self._now())
+
+    def _reply(self, response, action, done):
+        if self._published is None:
+            response.success, response.message = False, 'no joint state has come yet'
+            return response
+        try:
+            action()
+            response.success, response.message = True, done
+        except GmsFlexError as error:
+            response.success, response.message = False, str(error)
+        return response
+
+    def _start(self, _request, response):
+        return self._reply(response, lambda: self._enter(self._chosen, self._now()),
+                           f"{self._values['trajectory.type']} begins")
+
+    def _stop(self, _request, response):
+        def brake():
+            time, duration = self._now(), self._values['trajectory.approach_time']
+            state = self._current.sample(time)
+            if self._current.quantity == messages.EFFORT:
+                state = builders.at_rest(self._q_link)
+            goal = state[0] + 0.5 * duration * state[1]
+            self._current = builders.approach(state, builders.hold(goal), time,
+                                              duration=duration)
+            self._running = False
+        return self._reply(response, brake, 'comes to rest')
+
+    def _reset(self, _request, response):
+        def rest_here():
+            self._current = builders.hold(self._q_link)
+            self._running = False
+        return self._reply(response, rest_here, 'reference rests where the robot is')
+
+    def finish(self):
+        """End: a controller whose reference stops sends zero torque by itself."""
+
+
+def main(args=None):
+    """Run the trajectory node until a signal; return its exit code."""
+    return process.run_node(TrajectoryNode, args)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

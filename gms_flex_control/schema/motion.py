@@ -1,0 +1,72 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""The reference motion that a set of ``trajectory.*`` parameters describes."""
+
+from gms_flex_control.errors import ConfigError, TrajectoryError
+from gms_flex_control.trajectory import builders
+
+
+def trajectory_from_values(values, joints):
+    """
+    Build the trajectory chosen by ``trajectory.type``.
+
+    Parameters
+    ----------
+    values : dict of str to object
+        All trajectory parameters, see schema.keys.trajectory_keys.
+    joints : sequence of str
+        Link names.
+
+    Returns
+    -------
+    Trajectory
+        Its own time begins at 0.
+
+    Raises
+    ------
+    ConfigError
+        If the parameters make no trajectory; the sentence names the type.
+
+    """
+    kind = values['trajectory.type']
+    try:
+        return _BUILDERS[kind](_Motion(values, joints))
+    except TrajectoryError as error:
+        raise ConfigError(f'trajectory.type {kind}: {error}') from error
+
+
+class _Motion:
+    """Short access to the parameters of one motion."""
+
+    def __init__(self, values, joints):
+        self._values, self._joints = values, joints
+
+    def __getitem__(self, name):
+        return self._values[f'trajectory.{name}']
+
+    def each(self, name):
+        return [self._values[f'trajectory.{joint}.{name}'] for joint in self._joints]
+
+    def points(self):
+        points = self.each('points')
+        if len({len(row) for row in points}) != 1:
+            raise TrajectoryError(f'each joint needs the same number of points, got '
+                                  f'{[len(row) for row in points]}')
+        return [list(point) for point in zip(*points, strict=True)]
+
+
+_BUILDERS = {
+    'hold': lambda p: builders.hold([0.0 for _ in p.each('amplitude')]),
+    'sinusoid': lambda p: builders.sinusoid(p.each('amplitude'), p.each('period'),
+                                            phase=p.each('phase'), ramp_time=p['ramp_time']),
+    'polynomial': lambda p: builders.polynomial(p.each('amplitude'), p['move_time'],
+                                                p['hold_time'], p['repeats']),
+    'via_points': lambda p: builders.via_points(p.points(), p['move_time'], p['hold_time']),
+    'constant_velocity': lambda p: builders.constant_velocity(
+        p.each('velocity'), p['travel'], settle_time=p['ramp_time']),
+    'torque_ramp': lambda p: builders.torque_ramp(p.each('amplitude'), p['rate'], p['repeats']),
+    'sliding': lambda p: builders.sliding(p.each('velocity'), p['modulation'],
+                                          p.each('period')[0], p['duration'],
+                                          settle_time=p['ramp_time']),
+}
