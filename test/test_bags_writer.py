@@ -1,0 +1,217 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Bags written here are read by the libraries of others, and carry the hashes of ROS."""
+
+from pathlib import Path
+import re
+import subprocess
+import sys
+
+from gms_flex_control.bags import cdr, messages
+from gms_flex_control.bags.definitions import definition
+from gms_flex_control.bags.writer import BagWriter
+from gms_flex_control.errors import BagError
+from mcap.reader import make_reader
+import numpy as np
+import pytest
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import get_typestore, Stores
+
+REAL = Path(__file__).parent / 'data' / 'ros2_bag_record'
+STORE = get_typestore(Stores.ROS2_JAZZY)
+NAMES = ('joint1', 'joint2', 'joint1_motor')
+TYPES = {'/joint_states': cdr.JOINT_STATE, '/commands': cdr.MULTI_ARRAY, '/clock': cdr.CLOCK}
+
+
+def write_three_topics(path, count=50, **options):
+    """Write ``count`` messages on three topics; return them as (topic, time, bytes)."""
+    written = []
+    values = np.random.default_rng(1).normal(size=(count, 3))
+    with BagWriter(path, TYPES, **options) as writer:
+        for k, row in enumerate(values):
+            time = 10**18 + k * 2_000_000
+            for topic, data in (
+                    ('/joint_states', cdr.pack_joint_state(NAMES, time, row, row + 1, row * 2)),
+                    ('/commands', messages.pack_command(row[:2].tolist(), time, 'test')),
+                    ('/clock', cdr.pack_clock(time))):
+                writer.write(topic, time, data)
+                written.append((topic, time, data))
+    return written
+
+
+def read_by_mcap(path):
+    file = next(path.glob('*.mcap'))
+    with open(file, 'rb') as stream:
+        return [(channel.topic, message.log_time, message.data) for _, channel, message in
+                make_reader(stream, validate_crcs=True).iter_messages(log_time_order=False)]
+
+
+def test_rosbags_and_mcap_read_the_same_messages_that_were_written(tmp_path):
+    written = write_three_topics(tmp_path / 'bag')
+    with Reader(tmp_path / 'bag') as reader:
+        by_rosbags = [(connection.topic, time, bytes(data))
+                      for connection, time, data in reader.messages()]
+        assert {topic: info.msgtype for topic, info in reader.topics.items()} == TYPES
+        assert reader.message_count == len(written)
+        assert reader.ros_distro == 'jazzy'
+    assert sorted(by_rosbags) == sorted(written)
+    assert read_by_mcap(tmp_path / 'bag') == written
+    assert [file.name for file in sorted((tmp_path / 'bag').iterdir())] == [
+        'bag_0.mcap', 'metadata.yaml']
+
+
+def test_every_chunk_and_the_whole_file_carry_a_checksum(tmp_path):
+    write_three_topics(tmp_path / 'bag')
+    raw = bytearray((tmp_path / 'bag' / 'bag_0.mcap').read_bytes())
+    raw[len(raw) // 4] ^= 1
+    (tmp_path / 'bag' / 'bag_0.mcap').write_bytes(raw)
+    with pytest.raises(ValueError, match='crc'):
+        read_by_mcap(tmp_path / 'bag')
+
+
+def test_metadata_has_the_keys_the_hashes_and_the_order_of_the_real_recorder(tmp_path):
+    path = tmp_path / 'rosbag2_mcap'
+    types = {'/joint_states': cdr.JOINT_STATE, '/effort_cmd': cdr.MULTI_ARRAY}
+    with BagWriter(path, types):
+        pass
+
+    def shape(text):
+        return re.sub(r'(nanoseconds\w*|message_count): \d+', r'\1: N', text).strip()
+
+    real = (REAL / 'rosbag2_mcap' / 'metadata.yaml').read_text()
+    topics, files = (re.search(pattern, shape(text), re.DOTALL)[0]
+                     for pattern, text in (('.*(?=  relative)', real), ('  relative.*', real)))
+    ours = shape((path / 'metadata.yaml').read_text())
+    assert topics in ours
+    assert files in ours
+
+
+def test_the_clock_hash_is_that_of_ros():
+    clock = pytest.importorskip('rosgraph_msgs.msg').Clock
+    share = Path(sys.prefix, 'share', 'rosgraph_msgs', 'msg', 'Clock.json')
+    assert clock.__name__ == 'Clock'
+    if not share.is_file():
+        pytest.skip('the type description is not installed')
+    assert definition(cdr.CLOCK).type_hash in share.read_text()
+
+
+def test_a_type_of_an_installed_package_is_described_from_its_msg_files(tmp_path, monkeypatch):
+    folder = tmp_path / 'share' / 'my_msgs' / 'msg'
+    folder.mkdir(parents=True)
+    (folder / 'Gripper.msg').write_text('std_msgs/Header header\nFinger[2] fingers\n')
+    (folder / 'Finger.msg').write_text('float64 force 1.0  # [N]\nstring<=8 name\n')
+    monkeypatch.setenv('AMENT_PREFIX_PATH', str(tmp_path))
+    described = definition('my_msgs/msg/Gripper')
+    assert 'MSG: my_msgs/Finger' in described.text
+    assert re.fullmatch('RIHS01_[0-9a-f]{64}', described.type_hash)
+    with pytest.raises(BagError, match=r'neither a standard one nor installed as share/no_msgs'):
+        definition('no_msgs/msg/Thing')
+
+
+@pytest.mark.parametrize('velocity', [None, [3.0, 4.0, np.nan]])
+@pytest.mark.parametrize('effort', [None, [5.0, -0.0, np.inf]])
+@pytest.mark.parametrize('stamp', [0, 1_795_232_912_665_209_941])
+def test_a_packed_joint_state_is_what_two_other_libraries_read(stamp, velocity, effort):
+    data = cdr.pack_joint_state(NAMES, stamp, [1.0, 2.0, np.pi], velocity, effort)
+    decoded = [STORE.deserialize_cdr(data, cdr.JOINT_STATE)]
+    serialization = pytest.importorskip('rclpy.serialization')
+    from sensor_msgs.msg import JointState
+    decoded.append(serialization.deserialize_message(data, JointState))
+    for message in decoded:
+        assert (message.header.stamp.sec, message.header.stamp.nanosec) == divmod(stamp, 10**9)
+        assert tuple(message.name) == NAMES
+        np.testing.assert_array_equal(message.position, [1.0, 2.0, np.pi])
+        np.testing.assert_array_equal(message.velocity, velocity or [])
+        np.testing.assert_array_equal(message.effort, effort or [])
+    from_ros = bytes(serialization.serialize_message(decoded[1]))
+    expected = (stamp, '', NAMES, (1.0, 2.0, np.pi), tuple(velocity or ()), tuple(effort or ()))
+    for raw in (data, from_ros, big_endian(decoded[0])):
+        np.testing.assert_equal(cdr.unpack_joint_state(raw), expected)
+
+
+def big_endian(message):
+    return bytes(STORE.serialize_cdr(message, message.__msgtype__, little_endian=False))
+
+
+@pytest.mark.parametrize('dims', [[], [('joint', 2, 2), ('stamp:0', 1, 1), ('source:ü', 1, 1)]])
+@pytest.mark.parametrize('values', [[], [1.5, -2.5], [np.nan, np.inf]])
+def test_a_packed_multi_array_is_what_two_other_libraries_read(dims, values):
+    data = cdr.pack_multi_array(dims, values)
+    decoded = [STORE.deserialize_cdr(data, cdr.MULTI_ARRAY)]
+    serialization = pytest.importorskip('rclpy.serialization')
+    from std_msgs.msg import Float64MultiArray
+    decoded.append(serialization.deserialize_message(data, Float64MultiArray))
+    for message in decoded:
+        assert [(d.label, d.size, d.stride) for d in message.layout.dim] == dims
+        np.testing.assert_array_equal(message.data, values)
+    from_ros = bytes(serialization.serialize_message(decoded[1]))
+    known = {}
+    for raw in (data, data, from_ros, from_ros, big_endian(decoded[0])):
+        np.testing.assert_equal(cdr.unpack_multi_array(raw, known), (tuple(dims), tuple(values)))
+
+
+def test_a_packed_clock_is_what_rosbags_reads():
+    clock = STORE.deserialize_cdr(cdr.pack_clock(3_000_000_007), cdr.CLOCK).clock
+    assert (clock.sec, clock.nanosec) == (3, 7)
+
+
+def test_an_existing_bag_is_never_overwritten(tmp_path):
+    written = write_three_topics(tmp_path / 'bag')
+    for atomic in (False, True):
+        with pytest.raises(BagError, match='exists already; bags are never overwritten'):
+            with BagWriter(tmp_path / 'bag', TYPES, atomic=atomic):
+                pass
+    assert read_by_mcap(tmp_path / 'bag') == written
+
+
+def test_a_bag_is_closed_whole_when_its_block_fails(tmp_path):
+    with pytest.raises(RuntimeError):
+        with BagWriter(tmp_path / 'bag', TYPES) as writer:
+            writer.write('/clock', 5, cdr.pack_clock(5))
+            raise RuntimeError
+    assert read_by_mcap(tmp_path / 'bag') == [('/clock', 5, cdr.pack_clock(5))]
+    with Reader(tmp_path / 'bag') as reader:
+        assert reader.message_count == 1
+
+
+def test_an_atomic_bag_appears_whole_or_not_at_all(tmp_path):
+    with pytest.raises(RuntimeError):
+        with BagWriter(tmp_path / 'bag', TYPES, atomic=True) as writer:
+            writer.write('/clock', 5, cdr.pack_clock(5))
+            raise RuntimeError
+    assert list(tmp_path.iterdir()) == []
+    written = write_three_topics(tmp_path / 'bag', atomic=True)
+    assert [path.name for path in tmp_path.iterdir()] == ['bag']
+    assert read_by_mcap(tmp_path / 'bag') == written
+
+
+@pytest.mark.parametrize('topic, time, sentence', [
+    ('/other', 0, "topic '/other' was not announced (has /joint_states, /commands, /clock)"),
+    ('/clock', -1, '/clock has the time -1 ns; a bag holds none before 1970')])
+def test_a_message_without_a_place_is_refused(tmp_path, topic, time, sentence):
+    with BagWriter(tmp_path / 'bag', TYPES) as writer:
+        with pytest.raises(BagError, match=re.escape(sentence)):
+            writer.write(topic, time, b'')
+
+
+def test_a_full_disk_is_named_and_what_was_flushed_is_kept(tmp_path):
+    code = """if True:
+        import resource, signal, sys
+        from gms_flex_control.bags import cdr
+        from gms_flex_control.bags.writer import BagWriter
+        from gms_flex_control.errors import BagError
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))
+        try:
+            with BagWriter(sys.argv[1], {'/clock': cdr.CLOCK}, chunk_size=20_000) as writer:
+                for k in range(100_000):
+                    writer.write('/clock', k, cdr.pack_clock(k))
+        except BagError as error:
+            print(error)
+    """
+    result = subprocess.run([sys.executable, '-c', code, str(tmp_path / 'bag')], text=True,
+                            capture_output=True, timeout=30)
+    assert re.search(r'bag: cannot be written \(File too large\); what was flushed is kept',
+                     result.stdout), result
+    assert (tmp_path / 'bag' / 'bag_0.mcap').stat().st_size > 150_000
