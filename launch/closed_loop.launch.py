@@ -30,7 +30,7 @@ def generate_launch_description():
         Node(package=PACKAGE, executable='plant_node', output='screen',
              parameters=[*files, mode]),
         Node(package=PACKAGE, executable='controller_node', output='screen',
-             parameters=files),
+             parameters=[*files, mode]),
         Node(package=PACKAGE, executable='trajectory_node', output='screen',
-             parameters=files),
+             parameters=[*files, mode]),
     ])

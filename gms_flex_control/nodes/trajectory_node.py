@@ -126,10 +126,27 @@ class TrajectoryNode(Node):
                                           duration=self._values['trajectory.approach_time'])
         self._running = True
 
+    def _brake(self):
+        """Come to rest from wherever the reference is."""
+        time, duration = self._now(), self._values['trajectory.approach_time']
+        state = self._current.sample(time)
+        if self._current.quantity == messages.EFFORT:
+            state = builders.at_rest(self._q_link)
+        goal = state[0] + 0.5 * duration * state[1]
+        self._current = builders.approach(state, builders.hold(goal), time, duration=duration)
+        self._running = False
+
+    def _go(self):
+        """Begin the chosen motion."""
+        if self._values['trajectory.type'] == 'hold':
+            self._brake()
+        else:
+            self._enter(self._chosen, self._now())
+
     def _choose(self, judged):
         self._chosen, self._values = judged
         if self._running and self._published is not None:
-            self._enter(self._chosen, self._now())
+            self._go()
 
     def _reply(self, response, action, done):
         if self._published is None:
@@ -143,20 +160,10 @@ class TrajectoryNode(Node):
         return response
 
     def _start(self, _request, response):
-        return self._reply(response, lambda: self._enter(self._chosen, self._now()),
-                           f"{self._values['trajectory.type']} begins")
+        return self._reply(response, self._go, f"{self._values['trajectory.type']} begins")
 
     def _stop(self, _request, response):
-        def brake():
-            time, duration = self._now(), self._values['trajectory.approach_time']
-            state = self._current.sample(time)
-            if self._current.quantity == messages.EFFORT:
-                state = builders.at_rest(self._q_link)
-            goal = state[0] + 0.5 * duration * state[1]
-            self._current = builders.approach(state, builders.hold(goal), time,
-                                              duration=duration)
-            self._running = False
-        return self._reply(response, brake, 'comes to rest')
+        return self._reply(response, self._brake, 'comes to rest')
 
     def _reset(self, _request, response):
         def rest_here():

@@ -79,8 +79,8 @@ def _flatten(mapping, prefix, flat):
             flat[f'{prefix}{name}'] = (value, line)
 
 
-def _read_values(paths, node=None):
-    """Return merged values of files, later ones winning, and where each key stands."""
+def read_values(paths, node=None):
+    """Return merged flat values of files, later ones winning, and ``file:line`` of each."""
     values, places = {}, {}
     for path in paths:
         for name, (value, line) in read_parameters(path, node).items():
@@ -120,7 +120,7 @@ def load_robot(paths):
 
     """
     paths = _paths(paths)
-    values, places = _read_values(paths)
+    values, places = read_values(paths)
     try:
         return build.robot_from_values(values)
     except (ConfigError, ParameterError) as error:
@@ -149,7 +149,7 @@ def load_controller(paths, robot):
 
     """
     paths = _paths(paths)
-    values, places = _read_values(paths)
+    values, places = read_values(paths)
     try:
         known_keys(values, robot.joints)
         return build.controller_from_values(values, robot.joints)

@@ -3,7 +3,9 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Plant, encoders and controller in one compiled loop: the experiment without ROS."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+import os
 
 from gms_flex_control.compiled import compiled
 from gms_flex_control.control import cascade
@@ -13,6 +15,7 @@ from gms_flex_control.effects.base import Stage
 from gms_flex_control.simulation import encoder, plant
 import numpy as np
 
+NANOSECONDS = 1_000_000_000
 _SENSOR = int(Stage.SENSOR)
 
 
@@ -85,7 +88,7 @@ def run_loop(reference, period, substeps, plant_state, plant_constants, plant_wo
                       plant_constants, plant_work)
 
 
-def run(robot, model, gains, trajectory, *, duration, period=0.002, substeps=20, seed=0,
+def run(robot, model, gains, trajectory, *, duration, period_ns=2_000_000, substeps=20, seed=0,
         q_link=None):
     """
     Simulate the closed loop.
@@ -100,8 +103,10 @@ def run(robot, model, gains, trajectory, *, duration, period=0.002, substeps=20,
         Of the controller.
     trajectory : Trajectory
         Reference, a motion.
-    duration, period : float
-        Length of the run and of a sample [s].
+    duration : float
+        Length of the run [s].
+    period_ns : int
+        Length of a sample [ns]; an integer, as the stamps of the nodes are.
     substeps : int
         Integration steps per sample.
     seed : int
@@ -115,13 +120,13 @@ def run(robot, model, gains, trajectory, *, duration, period=0.002, substeps=20,
 
     Notes
     -----
-    Releases the GIL: a batch of parameter sets runs in threads (`run_batch`).
+    Releases the GIL: `run_batch` runs many in threads.
 
     """
-    n, samples = robot.n_joints, int(round(duration / period))
-    time = np.arange(samples) * period
+    n, period = robot.n_joints, period_ns / NANOSECONDS
+    time = np.arange(round(duration / period)) * period_ns / NANOSECONDS
     reference = trajectory.sample(time)
-    angles, torques = np.empty((samples, 8, n)), np.empty((samples, 4, n))
+    angles, torques = np.empty((len(time), 8, n)), np.empty((len(time), 4, n))
     run_loop(reference, period, substeps, plant.init(robot, q_link), plant.constants_of(robot),
              plant.workspace(n), encoder.init(n), encoder.constants_of(robot.encoder),
              np.random.default_rng(seed), cascade.init(model),
@@ -129,3 +134,24 @@ def run(robot, model, gains, trajectory, *, duration, period=0.002, substeps=20,
     return Run(time=time, reference=reference, measured=angles[:, :4], true=angles[:, 4:],
                command=torques[:, 0], applied=torques[:, 1], friction=torques[:, 2],
                friction_hat=torques[:, 3])
+
+
+def run_batch(jobs, *, workers=None):
+    """
+    Simulate many parameter sets, in threads.
+
+    Parameters
+    ----------
+    jobs : sequence of dict
+        Arguments of `run`, by name.
+    workers : int, optional
+        Threads; default one per processor.
+
+    Returns
+    -------
+    list of Run
+        In the order of the jobs.
+
+    """
+    with ThreadPoolExecutor(max_workers=workers or os.cpu_count()) as pool:
+        return list(pool.map(lambda job: run(**job), jobs))

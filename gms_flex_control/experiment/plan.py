@@ -1,0 +1,112 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""What one experiment is: robot, belief, gains, motion and timing, read from parameter files."""
+
+from dataclasses import dataclass
+
+from gms_flex_control.errors import ConfigError
+from gms_flex_control.params.gains import ControllerParams
+from gms_flex_control.params.robot import RobotParams
+from gms_flex_control.schema.build import controller_from_values, robot_from_values
+from gms_flex_control.schema.files import load_robot, read_values
+from gms_flex_control.schema.keys import plant_node_keys, trajectory_keys
+from gms_flex_control.schema.motion import trajectory_from_values
+from gms_flex_control.schema.values import checked, known_keys
+from gms_flex_control.trajectory import builders
+from gms_flex_control.trajectory.segments import Trajectory
+import numpy as np
+
+NANOSECONDS = 1_000_000_000
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Plan:
+    """
+    One closed-loop experiment.
+
+    Parameters
+    ----------
+    robot, model : RobotParams
+        The robot as it is, and as the controller believes it to be.
+    gains : ControllerParams
+        Of the controller.
+    trajectory : Trajectory
+        Reference in the time of the experiment.
+    motion : str
+        Name of the trajectory type.
+    duration : float
+        Length [s].
+    period_ns : int
+        Sample [ns].
+    substeps, seed : int
+        Integration steps per sample; seed of the encoder noise.
+    q_link : ndarray, shape (n_joints,)
+        Where the links rest at the start [rad].
+
+    """
+
+    robot: RobotParams
+    model: RobotParams
+    gains: ControllerParams
+    trajectory: Trajectory
+    motion: str
+    duration: float
+    period_ns: int
+    substeps: int
+    seed: int
+    q_link: np.ndarray
+
+
+def read_plan(files, *, model=None, overrides=None, duration=None):
+    """
+    Read an experiment from the files the nodes would get.
+
+    Parameters
+    ----------
+    files : sequence of str or Path
+        Robot, controller and trajectory parameters, later ones winning.
+    model : str or Path, optional
+        Robot file the controller believes in; default the true robot.
+    overrides : dict of str to object, optional
+        Single parameters, as ``-p name:=value`` of a node.
+    duration : float, optional
+        Length [s]; default until the trajectory ends.
+
+    Returns
+    -------
+    Plan
+
+    Raises
+    ------
+    ConfigError, ParameterError
+        One sentence with file and line where it has one.
+
+    """
+    robot = load_robot(files)
+    values, _ = read_values(files)
+    values |= overrides or {}
+    known_keys(values, robot.joints)
+    if any(name.startswith(('arm.', 'friction.', 'effects.', 'encoder.'))
+           for name in overrides or {}):
+        robot = robot_from_values(values)
+    timing = _filled(plant_node_keys(robot.joints), values)
+    motion = _filled(trajectory_keys(robot.joints), values)
+    q_link = np.array([timing[f'initial.{joint}'] for joint in robot.joints])
+    trajectory = builders.approach(
+        builders.at_rest(q_link), trajectory_from_values(motion, robot.joints), 0.0,
+        duration=motion['trajectory.approach_time'])
+    duration = trajectory.end if duration is None else duration
+    if not 0.0 < duration < np.inf:
+        raise ConfigError(f"--duration must be given for {motion['trajectory.type']}, which "
+                          f'has no end, and be above 0; got {duration}')
+    return Plan(robot=robot, model=robot if model is None else load_robot(model),
+                gains=controller_from_values(values, robot.joints), trajectory=trajectory,
+                motion=motion['trajectory.type'], duration=duration, q_link=q_link,
+                period_ns=round(NANOSECONDS / timing['rate']), substeps=timing['substeps'],
+                seed=timing['seed'])
+
+
+def _filled(keys, values):
+    return {key.name: checked(key, values[key.name]) if key.name in values else key.default
+            for key in keys}

@@ -1,0 +1,85 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Run a plan in this process and write the bag its nodes would have made."""
+
+from gms_flex_control.bags.experiment import write_recording
+from gms_flex_control.recording import Recording
+from gms_flex_control.simulation import closed_loop
+import numpy as np
+
+
+def simulate(plan):
+    """
+    Simulate a plan.
+
+    Parameters
+    ----------
+    plan : Plan
+        The experiment.
+
+    Returns
+    -------
+    Run
+        See simulation.closed_loop.
+
+    """
+    return closed_loop.run(
+        plan.robot, plan.model, plan.gains, plan.trajectory, duration=plan.duration,
+        period_ns=plan.period_ns, substeps=plan.substeps, seed=plan.seed, q_link=plan.q_link)
+
+
+def to_recording(run, plan, source='simulation'):
+    """
+    Return a simulated run as a Recording: what was measured, commanded and estimated.
+
+    Parameters
+    ----------
+    run : Run
+        From `simulate`.
+    plan : Plan
+        It was made from.
+    source : str
+        For messages and titles.
+
+    Returns
+    -------
+    Recording
+
+    """
+    q_link, dq_link, q_motor, dq_motor = np.moveaxis(run.measured, 1, 0)
+    rigid = plan.robot.arm.rigid
+    return Recording(
+        joints=plan.robot.joints, time=run.time, q_link=q_link, dq_link=dq_link,
+        q_motor=np.where(rigid, np.nan, q_motor), dq_motor=np.where(rigid, np.nan, dq_motor),
+        tau_motor=run.applied, command=run.command, reference=run.reference,
+        friction_hat=run.friction_hat, source=source)
+
+
+def simulate_to_bag(plan, path):
+    """
+    Simulate a plan and write its bag, whole or not at all.
+
+    Parameters
+    ----------
+    plan : Plan
+        The experiment.
+    path : str or Path
+        Bag folder to be made.
+
+    Returns
+    -------
+    Run
+
+    Raises
+    ------
+    BagError
+        If ``path`` exists or cannot be written.
+
+    """
+    run = simulate(plan)
+    write_recording(path, to_recording(run, plan, str(path)), plan.robot.motors,
+                    source='/cascade_controller', custom={
+                        'trajectory': plan.motion, 'compensation': plan.gains.compensation,
+                        'period_ns': str(plan.period_ns)})
+    return run
