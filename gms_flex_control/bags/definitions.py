@@ -14,7 +14,8 @@ from gms_flex_control.errors import BagError
 from rosbags.typesys import get_types_from_msg, get_typestore, Stores
 from rosbags.typesys.base import TypesysError
 
-_FIELD = re.compile(r'^([A-Za-z]\w*(?:/\w+)*)(?:<=\d+)?(?:\[[^\]]*\])?\s+[A-Za-z]\w*', re.MULTILINE)
+_FIELD = re.compile(
+    r'^([A-Za-z]\w*(?:/\w+)*)(?:<=\d+)?(?:\[[^\]]*\])?\s+[A-Za-z]\w*', re.MULTILINE)
 _PRIMITIVES = frozenset(
     'bool byte char float32 float64 int8 uint8 int16 uint16 int32 uint32 int64 uint64 '
     'string wstring'.split())

@@ -21,7 +21,8 @@ from mcap import records
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.stream_reader import get_chunk_data_stream
+from mcap.stream_reader import CRCValidationError, get_chunk_data_stream
+from zstandard import ZstdError
 
 MAGIC = b'\x89MCAP0\r\n'
 
@@ -262,9 +263,11 @@ class McapFile:
             content = stream.read(size)
             if len(content) != chunk.uncompressed_size:
                 raise ValueError(f'has {len(content)} bytes of {chunk.uncompressed_size}')
-        except Exception as error:  # noqa: B902  (each decompressor has its own errors)
-            reason = 'fails its checksum' if 'crc' in str(error) else f'cannot be read ({error})'
-            self._open_damage = self._damaged(name, reason, None)
+        except CRCValidationError:
+            self._open_damage = self._damaged(name, 'fails its checksum', None)
+            return []
+        except (*_MALFORMED, ZstdError) as error:  # lz4 raises RuntimeError
+            self._open_damage = self._damaged(name, f'cannot be read ({error})', None)
             return []
         messages, end = self._messages(content)
         if end < len(content):

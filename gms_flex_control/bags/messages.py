@@ -4,7 +4,12 @@
 """What the messages of the control loop mean: labels, layouts and tables over time."""
 
 from gms_flex_control.bags.cdr import (
-    JointStateLayout, pack_multi_array, unpack_joint_state, unpack_multi_array, VALUES)
+    JointStateLayout,
+    pack_multi_array,
+    unpack_joint_state,
+    unpack_multi_array,
+    VALUES,
+)
 from gms_flex_control.errors import BagError
 import numpy as np
 

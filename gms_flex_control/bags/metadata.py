@@ -33,9 +33,9 @@ class TopicEntry(NamedTuple):
     count: int
 
 
-def render(topics, file_name, start, end, custom=None, *, storage='mcap', distro='jazzy'):
+def render(topics, file_name, start, end, custom=None):
     """
-    Return the metadata of a bag of one file.
+    Return the metadata of a bag of one mcap file.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def render(topics, file_name, start, end, custom=None, *, storage='mcap', distro
     topics = list(topics)
     count = sum(topic.count for topic in topics)
     start, duration = (start, end - start) if count else (NEVER, 0)
-    lines = [f'version: {VERSION}', f'storage_identifier: {storage}', 'duration:',
+    lines = [f'version: {VERSION}', 'storage_identifier: mcap', 'duration:',
              f'  nanoseconds: {duration}', 'starting_time:',
              f'  nanoseconds_since_epoch: {start}', f'message_count: {count}',
              'topics_with_message_count:']
@@ -71,7 +71,7 @@ def render(topics, file_name, start, end, custom=None, *, storage='mcap', distro
         lines += [f'  {key}: {_quoted(value)}' for key, value in custom.items()]
     else:
         lines.append('custom_data: ~')
-    return '\n'.join([*lines, f'ros_distro: {distro}'])
+    return '\n'.join([*lines, 'ros_distro: jazzy'])
 
 
 def _topic_lines(topic):

@@ -83,22 +83,46 @@ class SqliteFile:
 
     def _read(self, database):
         names = self._read_topics(database)
-        rows = database.execute('SELECT topic_id, timestamp, data FROM messages ORDER BY id')
-        found = 0
-        while True:
+        rows = database.execute('SELECT id, topic_id, timestamp, data FROM messages ORDER BY id')
+        last, batch = 0, []
+        try:
+            for row in rows:
+                last = row[0]
+                batch.append(row[1:])
+                if len(batch) == _BATCH:
+                    yield self._named(batch, names)
+                    batch = []
+        except sqlite3.Error as error:
+            yield self._named(batch, names)
+            yield self._named(self._behind(database, last, error), names)
+            return
+        yield self._named(batch, names)
+
+    def _named(self, rows, names):
+        # a damaged page can yield rows of nonsense: without checksums this is all one can tell
+        good = [(names[topic], time, time, data) for topic, time, data in rows
+                if topic in names and isinstance(data, bytes) and len(data) >= 4
+                and isinstance(time, int) and time >= 0]
+        if len(good) < len(rows):
+            self.damage.append(Damage(self.label, 'rows that are no messages',
+                                      len(rows) - len(good)))
+        return good
+
+    def _behind(self, database, last, error):
+        """Return the rows behind a damaged page, asked for one by one, and count the others."""
+        rows, lost = [], 0
+        try:
+            end, = database.execute('SELECT max(id) FROM messages').fetchone()
+        except sqlite3.Error:
+            end, lost = last, None
+        for number in range(last + 1, end + 1):
             try:
-                batch = rows.fetchmany(_BATCH)
-            except sqlite3.Error as error:
-                self._damaged_table(database, found, error)
-                return
-            if not batch:
-                break
-            found += len(batch)
-            yield [(names[topic], time, time, data) for topic, time, data in batch
-                   if topic in names]
-            strays = sum(topic not in names for topic, _, _ in batch)
-            if strays:
-                self.damage.append(Damage(self.label, 'messages of an unknown topic', strays))
+                rows += database.execute('SELECT topic_id, timestamp, data FROM messages '
+                                         'WHERE id = ?', (number,)).fetchall()
+            except sqlite3.Error:
+                lost += 1
+        self.damage.append(Damage(f'{self.label}: after row {last}', str(error), lost))
+        return rows
 
     def _read_topics(self, database):
         definitions = {}
@@ -119,12 +143,3 @@ class SqliteFile:
             self.topics.setdefault(row['name'], Topic(
                 row['name'], row['type'], described, row.get('offered_qos_profiles')))
         return names
-
-    def _damaged_table(self, database, found, error):
-        """Name how many rows lie behind the damage, if the index of times still counts them."""
-        try:
-            total, = database.execute('SELECT count(timestamp) FROM messages').fetchone()
-            lost = max(total - found, 0)
-        except sqlite3.Error:
-            lost = None
-        self.damage.append(Damage(f'{self.label}: after message {found}', str(error), lost))

@@ -20,7 +20,7 @@ class TopicSummary:
 
     Parameters
     ----------
-    name, type : str
+    name, type_name : str
         Topic and message type.
     count : int
         Messages.
@@ -36,7 +36,7 @@ class TopicSummary:
     """
 
     name: str
-    type: str
+    type_name: str
     count: int
     rate: float | None
     gaps: int
@@ -99,7 +99,7 @@ class BagSummary:
             rate = '' if topic.rate is None else f'{topic.rate:9.1f} Hz'
             gaps = f', {topic.gaps} gaps, longest {topic.longest_gap:.3f} s' if topic.gaps else ''
             lines.append(f'  {topic.name:{width}}  {topic.count:8d}  {rate:12}  '
-                         f'{topic.type}{gaps}')
+                         f'{topic.type_name}{gaps}')
             if topic.joints:
                 lines.append(f'  {"":{width}}  joints: {", ".join(topic.joints)}')
         lines += [f'damage: {item}' for item in self.damage]
@@ -154,7 +154,7 @@ def _topic(topic, times, first):
         except BagError:
             joints = ()
     return TopicSummary(
-        name=topic.name, type=topic.type_name, count=len(times),
+        name=topic.name, type_name=topic.type_name, count=len(times),
         rate=1.0 / median if median > 0 else None,
         gaps=int(np.sum(steps > _GAP * median)) if median > 0 else 0,
         longest_gap=float(steps.max()) if len(steps) else None, joints=joints)
