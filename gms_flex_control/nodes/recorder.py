@@ -4,7 +4,6 @@
 """Record any topics into a bag that survives the recorder's own sudden end."""
 
 from collections import deque
-from contextlib import suppress
 from importlib import import_module
 import signal
 import threading
@@ -23,6 +22,7 @@ _DEPTH = 100
 _DRAIN_PERIOD = 0.02    # [s]; with the writer's flush period this is what kill -9 can take
 _SEARCH_PERIOD = 0.1    # between looks at the graph while a topic is missing [s]
 _IDLE_PERIOD = 1.0      # and once all are there [s]
+_GRACE_PERIOD = 0.05    # for what has been sent before the end but not yet handed over [s]
 
 
 class Recorder:
@@ -189,29 +189,36 @@ def record(out, topics=None, *, duration=None, say=print):
         If ``out`` exists or cannot be written.
 
     """
-    end = None if duration is None else time.monotonic() + duration
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _interrupt)
-    with suppress(KeyboardInterrupt), BagWriter(out) as writer:
-        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-        try:
-            _record(writer, topics, end, say)
-        finally:
-            rclpy.try_shutdown()
+    end = float('inf') if duration is None else time.monotonic() + duration
+    stopped = threading.Event()
+    previous = _stop_on_signals(stopped)
+    try:
+        with BagWriter(out) as writer:
+            rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+            try:
+                _record(writer, topics, lambda: stopped.is_set() or time.monotonic() > end, say)
+            finally:
+                rclpy.try_shutdown()
+    finally:
+        if not stopped.is_set():
+            for number, handler in previous.items():
+                signal.signal(number, handler)
     return dict(writer.counts)
 
 
-def _record(writer, topics, end, say):
+def _record(writer, topics, is_over, say):
     node = rclpy.create_node(f'gms_flex_recorder_{time.time_ns() % 10**9}',
                              enable_rosout=False, start_parameter_services=False)
     executor = EventsExecutor()
     executor.add_node(node)
     recorder = Recorder(node, writer, topics, say)
     try:
-        with suppress(KeyboardInterrupt):
-            while rclpy.ok() and (end is None or time.monotonic() < end):
-                recorder.poll()
-                executor.spin_once(timeout_sec=0.05)
+        while rclpy.ok() and not is_over():
+            recorder.poll()
+            executor.spin_once(timeout_sec=0.05)
+        grace = time.monotonic() + _GRACE_PERIOD
+        while rclpy.ok() and time.monotonic() < grace:
+            executor.spin_once(timeout_sec=0.01)
     finally:
         recorder.close()
         for name in recorder.missing:
@@ -220,11 +227,18 @@ def _record(writer, topics, end, say):
         node.destroy_node()
 
 
-def _interrupt(_number, _frame):
-    # a second signal, which ros2 launch sends, must not interrupt the closing of the bag
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.SIG_IGN)
-    raise KeyboardInterrupt
+def _stop_on_signals(stopped):
+    """Let SIGINT and SIGTERM set ``stopped``; return the handlers they had."""
+    numbers = (signal.SIGINT, signal.SIGTERM)
+
+    def stop(_number, _frame):
+        # no exception: it would hit the callback of a message and lose it; and the second
+        # signal that ros2 launch sends must not disturb the closing of the bag
+        for number in numbers:
+            signal.signal(number, signal.SIG_IGN)
+        stopped.set()
+
+    return {number: signal.signal(number, stop) for number in numbers}
 
 
 def _absolute(name):
