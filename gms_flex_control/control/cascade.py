@@ -21,6 +21,13 @@ from gms_flex_control.records import FLOAT
 import numpy as np
 
 NONE, GMS_PAPER, GMS = range(len(COMPENSATIONS))
+
+# Mode gms. Where the reference rests, a stuck link is a stiff, hardly damped spring, and velocity
+# feedback that comes through the motor too late shakes it: only this part of it is kept at
+# speeds well below REST_VELOCITY [rad/s]. docs/model.md has the measurements.
+REST_DAMPING, REST_VELOCITY = 0.3, 0.05
+# How fast a deviation from the reference moves the observer's blocks [rad/s].
+DEVIATION_BANDWIDTH = 10.0
 _GAINS = ('kd_link', 'lambda_link', 'kd_motor', 'lambda_motor', 'observer_gain', 'sign_slope',
           'filter_bandwidth', 'torque_limit')
 
@@ -32,11 +39,13 @@ def state_layout(n, n_blocks):
 
     ``command`` (n,), motor torque [N m]; ``friction_hat`` (n,), estimate it compensates [N m];
     ``error``, ``error_rate`` (n,), tracking error actual - desired; ``observer``; ``q_before``
-    (n,), link angle of the tick before; ``saturated`` (n,); ``started``, 0 before the first tick.
+    (n,), link angle the observer saw at the tick before; ``deviation`` (n,), low-passed error;
+    ``saturated`` (n,); ``started``, 0 before the first tick.
     """
     return records.layout(
         *((name, FLOAT, (n,)) for name in ('command', 'friction_hat', 'error', 'error_rate',
-                                           'q_before', 'saturated')),
+                                           'q_before', 'deviation',
+                                           'saturated')),
         ('started', FLOAT, (1,)), ('observer', observer.state_layout(n, n_blocks)))
 
 
@@ -49,8 +58,7 @@ def constants_layout(n, n_blocks):
 
 
 _VECTORS = ('displacement', 'sliding', 'dq_ref', 'ddq_ref', 'correction', 'correction_rate',
-            'smooth', 'slope', 'spring', 'spring_rate', 'acceleration', 'jerk', 'scratch', 'resting',
-            'frozen')
+            'smooth', 'slope', 'spring', 'spring_rate', 'acceleration', 'jerk', 'scratch', 'resting')
 
 
 @cache
@@ -88,37 +96,69 @@ def workspace(n):
 def link_errors(state, measured, reference, constants, work):
     """Form the tracking errors, the reference velocity and the sliding variable, Eq. (12)."""
     for j in range(constants.kd_link.shape[0]):
-        if not state.started[0]:
-            state.q_before[j] = measured.q_link[j]
-        work.displacement[j] = measured.q_link[j] - state.q_before[j]
-        work.resting[j] = reference[1, j] == 0.0 and reference[2, j] == 0.0
-        state.q_before[j] = measured.q_link[j]
+        work.resting[j] = (constants.compensation[0] == GMS and reference[1, j] == 0.0
+                           and reference[2, j] == 0.0)
         state.error[j] = measured.q_link[j] - reference[0, j]
         state.error_rate[j] = measured.dq_link[j] - reference[1, j]
+        rate = state.error_rate[j]
+        if work.resting[j]:
+            rate *= rest_damping(measured.dq_link[j])
         work.dq_ref[j] = reference[1, j] - constants.lambda_link[j] * state.error[j]
-        work.ddq_ref[j] = reference[2, j] - constants.lambda_link[j] * state.error_rate[j]
-        work.sliding[j] = measured.dq_link[j] - work.dq_ref[j]
-        work.spring[j] = (constants.chain.stiffness[j]
-                          * (measured.q_motor[j] - measured.q_link[j])
-                          + constants.chain.damping[j]
-                          * (measured.dq_motor[j] - measured.dq_link[j]))
-        work.spring_rate[j] = (constants.chain.stiffness[j]
-                               * (measured.dq_motor[j] - measured.dq_link[j]))
-        if not constants.chain.flexible[j]:
+        work.ddq_ref[j] = reference[2, j] - constants.lambda_link[j] * rate
+        work.sliding[j] = rate + constants.lambda_link[j] * state.error[j]
+
+
+@compiled
+def rest_damping(velocity):
+    """Return the part of the velocity feedback that stays at rest, see REST_DAMPING."""
+    x = velocity / REST_VELOCITY
+    return (REST_DAMPING + x * x) / (1.0 + x * x)
+
+
+@compiled
+def spring_torques(state, measured, constants, work):
+    """Write the torque of the joint springs and its rate, as the model has them."""
+    links = constants.chain
+    for j in range(constants.kd_link.shape[0]):
+        twist = measured.q_motor[j] - measured.q_link[j]
+        twist_rate = measured.dq_motor[j] - measured.dq_link[j]
+        work.spring[j] = links.stiffness[j] * twist + links.damping[j] * twist_rate
+        work.spring_rate[j] = links.stiffness[j] * twist_rate
+        if not links.flexible[j]:
             work.spring[j] = state.command[j]
+
+
+@compiled
+def observed_displacement(state, measured, reference, dt, constants, work):
+    """
+    Write the link's displacement since the tick before, as the observer takes it.
+
+    Mode gms trusts the reference for fast motion and the encoder for slow deviation from it:
+    one encoder count can be longer than the whole presliding range.
+    """
+    gain = 1.0 - np.exp(-DEVIATION_BANDWIDTH * dt)
+    for j in range(constants.kd_link.shape[0]):
+        seen = measured.q_link[j]
+        if constants.compensation[0] == GMS:
+            if not state.started[0]:
+                state.deviation[j] = state.error[j]
+            state.deviation[j] += gain * (state.error[j] - state.deviation[j])
+            seen = reference[0, j] + state.deviation[j]
+        if not state.started[0]:
+            state.q_before[j] = seen
+        work.displacement[j] = seen - state.q_before[j]
+        state.q_before[j] = seen
     state.started[0] = 1.0
 
 
 @compiled
 def observe(state, measured, dt, constants, work):
-    """Advance the observer by the measured motion; leaves F_hat in work.estimate[0]."""
+    """Advance the observer by the observed motion; leaves F_hat in work.estimate[0]."""
     blocks = state.observer.blocks
     for j in range(constants.kd_link.shape[0]):
         work.correction[j] = constants.observer_gain[j] * work.sliding[j]
         if state.saturated[j]:
             work.correction[j] = 0.0  # the error is then not the observer's fault
-        frozen = work.resting[j] and constants.compensation[0] == GMS
-        work.frozen[j] = frozen
         turned = work.displacement[j] * blocks.direction[j] < 0.0
         work.smooth[j] = -blocks.direction[j] if turned else blocks.direction[j]
         work.slope[j] = 0.0
@@ -127,7 +167,7 @@ def observe(state, measured, dt, constants, work):
             work.smooth[j] = np.tanh(slope * measured.dq_link[j])
             work.slope[j] = slope * (1.0 - work.smooth[j] ** 2)
     observer.advance(blocks, work.displacement, measured.dq_link, work.smooth, work.correction,
-                     work.frozen, dt, constants.friction)
+                     work.resting, dt, constants.friction)
     gms.total(blocks, measured.dq_link, constants.friction, work.estimate[0])
     if constants.compensation[0] == GMS:
         filtered = state.observer.filtered
@@ -165,7 +205,7 @@ def model_motion(state, measured, constants, work):
 
 
 @compiled
-def friction_derivatives(state, measured, reference, constants, work):
+def friction_derivatives(state, measured, constants, work):
     """Complete F_hat with the derivatives the chosen compensation defines."""
     out = work.estimate
     if constants.compensation[0] == GMS_PAPER:
@@ -244,6 +284,8 @@ def tick(state, measured, reference, dt, constants, work):
 
     """
     link_errors(state, measured, reference, constants, work)
+    spring_torques(state, measured, constants, work)
+    observed_displacement(state, measured, reference, dt, constants, work)
     observe(state, measured, dt, constants, work)
     if constants.compensation[0] == NONE:
         work.estimate[:] = 0.0
@@ -256,6 +298,6 @@ def tick(state, measured, reference, dt, constants, work):
             work.estimate[2, j] = bandwidth * (bandwidth * offset - 2.0 * filtered[1, j])
     state.friction_hat[:] = work.estimate[0]
     model_motion(state, measured, constants, work)
-    friction_derivatives(state, measured, reference, constants, work)
+    friction_derivatives(state, measured, constants, work)
     elastic_torque(measured, reference, constants, work)
     motor_law(state, measured, constants, work)

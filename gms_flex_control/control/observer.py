@@ -22,7 +22,6 @@ import numpy as np
 # Part of a block's break-away level that the correction k_e s_1 / C may take away: below 1, so
 # that the level of Eq. (19) stays positive.
 LARGEST_CORRECTION = 0.5
-# Below this a direction is what encoder noise makes, not motion: half the change needed to slip.
 
 
 @cache
@@ -33,12 +32,6 @@ def state_layout(n, n_blocks):
     ``blocks``, the GMS state; ``filtered`` (2, n), command filter: estimate [N m] and its rate.
     """
     return records.layout(('blocks', gms.state_layout(n, n_blocks)), ('filtered', FLOAT, (2, n)))
-
-
-@cache
-def estimate_layout(n):
-    """Return the dtype of an estimate: ``torque`` (3, n), F_hat and two derivatives [N m]."""
-    return records.layout(('torque', FLOAT, (3, n)))
 
 
 @compiled
@@ -72,14 +65,15 @@ def advance_blocks(torque, sticking, turned, sign, smooth, displacement, level, 
 
 
 @compiled
-def advance(blocks, displacement, velocity, smooth, correction, frozen, dt, friction):
+def advance(blocks, displacement, velocity, smooth, correction, resting, dt, friction):
     """
     Advance the observed blocks of all joints in place.
 
-    ``smooth`` (n,) is r(v) of Eq. (20), ``correction`` (n,) is k_e s_1 [N m/s].
+    ``smooth`` (n,) is r(v) of Eq. (20), ``correction`` (n,) is k_e s_1 [N m/s]; blocks of a
+    joint that is ``resting`` stay as they are: fed back at rest, too much friction hunts.
     """
     for j in range(friction.attraction.shape[0]):
-        if frozen[j]:
+        if resting[j]:
             continue
         turned = displacement[j] * blocks.direction[j] < 0.0
         if turned:
