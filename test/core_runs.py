@@ -1,0 +1,140 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""What several tests of the physics core need: small robots, prescribed motions, model errors."""
+
+from dataclasses import replace
+
+from gms_flex_control.compiled import compiled
+from gms_flex_control.friction import gms
+from gms_flex_control.params.arm import ArmParams
+from gms_flex_control.params.encoder import EncoderParams
+from gms_flex_control.params.friction import FrictionParams, StribeckParams
+from gms_flex_control.params.robot import RobotParams
+from gms_flex_control.simulation import plant
+import numpy as np
+
+
+def stribeck(source, **changes):
+    """Return Stribeck parameters with some fields replaced."""
+    names = ('static', 'coulomb', 'velocity', 'viscous')
+    return StribeckParams(**{name: getattr(source, name) for name in names} | changes)
+
+
+def scaled_friction(friction, ratio):
+    """Return friction whose torques are all ``ratio`` times as large at every motion."""
+    forward, backward = (
+        stribeck(steady, **{name: ratio * getattr(steady, name)
+                            for name in ('static', 'coulomb', 'viscous')})
+        for steady in (friction.forward, friction.backward))
+    return FrictionParams(forward=forward, backward=backward, weight=friction.weight,
+                          stiffness=ratio * friction.stiffness,
+                          attraction=ratio * friction.attraction)
+
+
+def model_with_error(robot, *, friction=1.0, stiffness=1.0, inertia=1.0):
+    """Return what a controller might believe of ``robot``: its parameters times ratios."""
+    arm = replace(robot.arm, stiffness=stiffness * robot.arm.stiffness,
+                  mass=inertia * robot.arm.mass, inertia=inertia * robot.arm.inertia)
+    return replace(robot, arm=arm, friction=scaled_friction(robot.friction, friction))
+
+
+def joint_friction(friction, joint):
+    """Return the friction of one joint alone."""
+    def take(steady):
+        return stribeck(steady, **{name: getattr(steady, name)[[joint]] for name in
+                                   ('static', 'coulomb', 'velocity', 'viscous')})
+    return FrictionParams(forward=take(friction.forward), backward=take(friction.backward),
+                          stiffness=friction.stiffness[[joint]],
+                          weight=friction.weight[[joint]], attraction=friction.attraction[[joint]])
+
+
+def single_axis(friction, inertia, *, stiffness=np.inf, motor_inertia=0.0, **options):
+    """Return a robot of one axis; rigid unless a stiffness is given."""
+    arm = ArmParams(kind='decoupled', mass=[0.0], length=[0.0], com=[0.0], inertia=[inertia],
+                    motor_inertia=[motor_inertia], stiffness=[stiffness], damping=[0.0])
+    motor = '' if np.isinf(stiffness) else 'axis_motor'
+    return RobotParams(joints=('axis',), motors=(motor,), arm=arm, friction=friction,
+                       encoder=EncoderParams(), **options)
+
+
+@compiled
+def _drive(state, displacement, dt, constants, torque):
+    for k in range(displacement.shape[0]):
+        gms.advance(state, displacement[k], displacement[k] / dt, dt, constants)
+        for j in range(torque.shape[1]):
+            torque[k, j] = state.torque[j].sum()
+
+
+def drive_friction(friction, angle, dt, state=None):
+    """
+    Move friction along angles.
+
+    Parameters
+    ----------
+    friction : FrictionParams
+        Of n joints.
+    angle : ndarray, shape (T,) or (T, n)
+        Angles after each step, the first step beginning where it ends [rad].
+    dt : float
+        Length of a step [s].
+    state : numpy.record, optional
+        Friction state at the beginning.
+
+    Returns
+    -------
+    torque : ndarray, shape (T, n)
+        Sum of the blocks, without viscous friction [N m].
+    state : numpy.record
+        At the end.
+
+    """
+    angle = np.broadcast_to(np.asarray(angle).reshape(len(angle), -1),
+                            (len(angle), len(friction.attraction)))
+    state = gms.init(friction) if state is None else state.copy()
+    torque = np.empty(angle.shape)
+    steps = np.diff(angle, axis=0, prepend=angle[:1])
+    _drive(state, steps, dt, gms.constants_of(friction), torque)
+    return torque, state
+
+
+@compiled
+def _push(state, command, period, substeps, constants, work, out):
+    for k in range(command.shape[0]):
+        plant.advance(state, command[k], k * period, period, substeps, constants, work)
+        for j in range(command.shape[1]):
+            out[k, 0, j], out[k, 1, j] = state.q_link[j], state.dq_link[j]
+            out[k, 2, j], out[k, 3, j] = state.q_motor[j], state.dq_motor[j]
+        plant.gms.total(state.friction, state.dq_link, constants.friction, work.friction)
+        out[k, 4] = work.friction
+
+
+def push_plant(robot, command, period, *, substeps=1, state=None):
+    """
+    Drive the plant by torques, open loop.
+
+    Parameters
+    ----------
+    robot : RobotParams
+        Of n joints.
+    command : ndarray, shape (T, n)
+        Torque of each sample [N m].
+    period : float
+        Length of a sample [s].
+    substeps : int
+        Integration steps per sample.
+    state : numpy.record, optional
+        Where it begins; changed in place.
+
+    Returns
+    -------
+    ndarray, shape (T, 5, n)
+        q_link, dq_link, q_motor, dq_motor and friction torque after each sample.
+
+    """
+    state = plant.init(robot) if state is None else state
+    command = np.ascontiguousarray(command, dtype=float)
+    out = np.empty((len(command), 5, robot.n_joints))
+    _push(state, command, period, substeps, plant.constants_of(robot),
+          plant.workspace(robot.n_joints), out)
+    return out

@@ -1,0 +1,354 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Friction: what the Generalized Maxwell-Slip model must do, against closed forms."""
+
+from core_runs import drive_friction, joint_friction, push_plant, single_axis, stribeck
+from gms_flex_control.errors import ParameterError
+from gms_flex_control.friction import gms, steady_friction, stribeck_level
+from gms_flex_control.params.friction import FrictionParams, StribeckParams
+from gms_flex_control.simulation import plant
+import numpy as np
+import pytest
+
+ARM_STRAIGHT = 0.41675  # M11 of the default arm with its elbow straight [kg m^2]
+
+
+@pytest.fixture
+def friction(robot):
+    """Return the friction of the default robot (Tables 1 to 3)."""
+    return robot.friction
+
+
+@pytest.fixture
+def maxwell(friction):
+    """Return link 1 with F_s = F_c both ways: a Maxwell-slip (Iwan) model."""
+    level = stribeck(joint_friction(friction, 0).forward, static=[0.1], coulomb=[0.1],
+                     viscous=[0.0])
+    return FrictionParams(forward=level, backward=level, stiffness=friction.stiffness[[0]],
+                          weight=friction.weight[[0]], attraction=[1.5])
+
+
+def virgin_curve(friction, x):
+    """Return the closed form of the first loading: each block a spring up to its share."""
+    share = friction.weight[0] * friction.forward.static[0]
+    return np.minimum(friction.stiffness[0] * np.abs(x)[:, None], share).sum(axis=1) * np.sign(x)
+
+
+def path(*corners, steps=500):
+    """Return angles along straight legs between corners, beginning at the first."""
+    legs = [np.linspace(a, b, steps + 1)[1:] for a, b in zip(corners[:-1], corners[1:],
+                                                             strict=True)]
+    return np.concatenate([[corners[0]], *legs])
+
+
+def python_blocks(angle, dt, friction, *, clip=True, directed=True, printed_slip=False):
+    """
+    Step the blocks of one joint in plain Python, as corrected or in the wrong ways of the print.
+
+    Without ``clip`` a block keeps what it has at break-away; undirected it breaks away at
+    abs(F) > alpha s (Eq. 2 as printed); ``printed_slip`` is Eq. (3) as printed.
+    """
+    torque, sticking, sign = np.zeros(friction.stiffness.shape[1]), np.ones(6, bool), 1.0
+    out = []
+    for step in np.diff(angle, prepend=angle[:1]):
+        if step * sign < 0:
+            sign, sticking[:] = -sign, True
+        steady = friction.forward if sign > 0 else friction.backward
+        v = step / dt
+        s = steady.coulomb[0] + (steady.static[0] - steady.coulomb[0]) * np.exp(
+            -(v / steady.velocity[0]) ** 2)
+        share = friction.weight[0] * s
+        slipping = ~sticking
+        rate = friction.attraction[0] / s * (sign if printed_slip else 1.0)
+        goal = share if printed_slip else sign * share
+        torque[slipping] = (goal + (torque - goal) * np.exp(-rate * dt))[slipping]
+        torque[sticking] += friction.stiffness[0][sticking] * step
+        broken = sticking & ((sign * torque if directed else np.abs(torque)) >= share)
+        if clip:
+            torque[broken] = (np.sign(torque) * share)[broken]
+        sticking &= ~broken
+        out.append(torque.sum())
+    return np.array(out)
+
+
+@pytest.mark.parametrize('direction', [1, -1])
+def test_first_loading_is_the_sum_of_springs_each_up_to_its_share(maxwell, direction):
+    x = direction * path(0.0, 0.02)
+    torque, _ = drive_friction(maxwell, x, 1e-3)
+    np.testing.assert_allclose(torque[:, 0], virgin_curve(maxwell, x), rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize('reach', [1e-4, 1e-3, 5e-3, 2e-2])
+def test_unloading_doubles_the_first_loading_after_masing(maxwell, reach):
+    """With F_s = F_c a branch after a reversal is the first loading at twice the scale."""
+    up, down, again = (path(a, b) for a, b in ((0, reach), (reach, -reach), (-reach, reach)))
+    _, top = drive_friction(maxwell, up, 1e-3)
+    unloading, bottom = drive_friction(maxwell, down, 1e-3, top)
+    peak = virgin_curve(maxwell, np.array([reach]))
+    masing = peak - 2.0 * virgin_curve(maxwell, 0.5 * (reach - down))
+    np.testing.assert_allclose(unloading[:, 0], masing, rtol=0, atol=1e-14)
+    loading, _ = drive_friction(maxwell, again, 1e-3, bottom)
+    np.testing.assert_allclose(loading[:, 0], -masing, rtol=0, atol=1e-14)
+
+
+def test_a_minor_loop_closes_and_leaves_no_trace(maxwell):
+    """Back at the corner where a minor loop began, each block carries what it did before."""
+    x = path(0.0, 4e-3, 1e-3)
+    _, corner = drive_friction(maxwell, x, 1e-3)
+    for inner in (2e-3, 3e-3, 3.9e-3):
+        _, closed = drive_friction(maxwell, path(1e-3, inner, 1e-3), 1e-3, corner)
+        np.testing.assert_allclose(closed.torque, corner.torque, rtol=0, atol=1e-14)
+    onward = path(1e-3, -4e-3)
+    np.testing.assert_allclose(drive_friction(maxwell, onward, 1e-3, closed)[0],
+                               drive_friction(maxwell, onward, 1e-3, corner)[0],
+                               rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize('joint', [0, 1])
+def test_presliding_does_not_depend_on_the_rate(friction, joint):
+    """A loop of 1 mrad with legs of 10 s and of 100 s: the same torque within 1e-5 N m."""
+    x = path(0.0, 1e-3, -1e-3, 1e-3, steps=5000)
+    one = joint_friction(friction, joint)
+    loops = [drive_friction(one, x, leg / 5000)[0] for leg in (10.0, 100.0)]
+    assert np.abs(loops[0] - loops[1]).max() <= 1e-5
+
+
+@pytest.mark.parametrize('speed', [1e-3, 5e-3, 0.02, 0.1, 1.0])
+@pytest.mark.parametrize('direction', [1, -1])
+def test_constant_velocity_settles_on_the_steady_curve(friction, speed, direction):
+    """Sliding either way ends on Eq. (6) with the values of its direction, to six digits."""
+    state, v = gms.init(friction), np.full(2, direction * speed)
+    for _ in range(2000):
+        state, tau = gms.step(state, 1e-3 * np.sign(v), 1e-3 / speed, friction)
+    np.testing.assert_allclose(tau, steady_friction(v, friction), rtol=1e-6)
+
+
+def test_the_steady_curve_is_the_printed_one(friction):
+    """Table 1 by hand: at rest F_s, at the Stribeck velocity F_c + (F_s - F_c) / e."""
+    assert stribeck_level(np.zeros(2), friction) == pytest.approx([0.10787, 0.10697])
+    at = stribeck_level(np.array([0.00846, -0.05795]), friction)
+    assert at == pytest.approx([0.09393 + 0.01394 / np.e, 0.08363 + 0.01107 / np.e])
+    assert steady_friction(np.array([1.0, -1.0]), friction) == pytest.approx(
+        [0.09393 + 0.06589, -0.08363 - 0.00530])
+    assert steady_friction(np.zeros(2), friction) == pytest.approx([0.0, 0.0])
+
+
+@pytest.mark.parametrize('joint', [0, 1])
+@pytest.mark.parametrize('direction', [1, -1])
+def test_friction_lags_behind_the_velocity(friction, joint, direction):
+    """At equal speed without reversal, friction is higher speeding up than slowing down."""
+    period, dt = 0.5, 1e-4
+    t = np.arange(0.0, 4 * period, dt)
+    one = joint_friction(friction, joint)
+    mean = 2.0 * one.forward.velocity[0]
+    x = direction * (mean * t - 0.9 * mean * period / (2 * np.pi) * np.cos(2 * np.pi * t / period))
+    torque = direction * drive_friction(one, x, dt)[0][-int(period / dt):, 0]
+    phase = np.arange(len(torque)) * dt / period
+    v = np.sin(2 * np.pi * phase)
+    rising, falling = np.cos(2 * np.pi * phase) > 0.1, np.cos(2 * np.pi * phase) < -0.1
+    for level in (-0.5, 0.0, 0.5):
+        near = np.abs(v - level) < 0.02
+        assert torque[near & rising].mean() > torque[near & falling].mean() + 1e-4
+
+
+def break_away(friction, rate):
+    """Return the friction torque of link 1 when it first moves at twice the Stribeck velocity."""
+    period = min(1e-3, 2e-3 / rate)
+    command = rate * period * np.arange(int((0.25 / rate + 0.3) / period))[:, None]
+    axis = single_axis(joint_friction(friction, 0), ARM_STRAIGHT)
+    run = push_plant(axis, command, period, substeps=20)
+    first = np.argmax(run[:, 1, 0] > 2.0 * friction.forward.velocity[0])
+    assert first > 0
+    return run[first, 4, 0]
+
+
+def test_the_break_away_torque_falls_as_the_torque_rises_faster(friction):
+    """Link 1: 0.097 N m at 0.01 N m/s, 0.038 N m at 10 N m/s, within 3 %."""
+    found = [break_away(friction, rate) for rate in (0.01, 0.1, 1.0, 10.0)]
+    assert np.all(np.diff(found) < 0)
+    assert found[0] == pytest.approx(0.097, rel=0.03)
+    assert found[-1] == pytest.approx(0.038, rel=0.03)
+
+
+def lugre_drift(friction, inertia, torque, dt):
+    """Return the angles of a mass with LuGre friction of the same steady curve and stiffness."""
+    steady, bristle = friction.forward, friction.stiffness[0].sum()
+    q = v = z = 0.0
+    angles = []
+    for tau in torque:
+        level = steady.coulomb[0] + (steady.static[0] - steady.coulomb[0]) * np.exp(
+            -(v / steady.velocity[0]) ** 2)
+        dz = v - abs(v) * bristle * z / level
+        v += dt * (tau - bristle * z - 0.5 * dz - steady.viscous[0] * v) / inertia
+        z += dt * dz
+        q += dt * v
+        angles.append(q)
+    return np.array(angles)
+
+
+def test_bias_and_vibration_below_break_away_do_not_make_it_drift(friction):
+    """The Maxwell blocks remember the branch they are on; the one bristle of LuGre does not."""
+    dt = 2e-4
+    t = np.arange(0.0, 12.0, dt)
+    torque = np.minimum(t, 1.0) * (0.03 + 0.02 * np.sin(2 * np.pi * 10.0 * t))
+    one = joint_friction(friction, 0)
+    axis = push_plant(single_axis(one, 0.05), torque[:, None], dt)[:, 0, 0]
+    lugre = lugre_drift(one, 0.05, torque, dt)
+    cycle = int(0.1 / dt)
+    means = [[x[int(2.0 / dt):][:cycle].mean(), x[-cycle:].mean()] for x in (axis, lugre)]
+    drift = np.abs(np.diff(means)[:, 0]) * 1e3
+    assert drift[0] < 1e-3  # mrad in 10 s
+    assert drift[1] > 10.0
+
+
+def dragged(friction, speed):
+    """Return rates of the last 60 s of an axis behind a soft spring pulled at ``speed``."""
+    stiffness = 0.5
+    robot = single_axis(friction, 0.05, stiffness=stiffness, motor_inertia=1e9)
+    state = plant.init(robot)
+    state.dq_motor[:] = speed  # nothing slows an inertia this large: it is the belt
+    state.q_motor[:] = 0.09 / stiffness
+    return push_plant(robot, np.zeros((100000, 1)), 1e-3, substeps=5, state=state)[40000:, 1, 0]
+
+
+def test_a_soft_spring_on_a_moving_belt_sticks_and_slips(friction):
+    """Pulled slowly it rests most of the time and jumps; pulled fast it slides evenly."""
+    slow, fast = (dragged(joint_friction(friction, 0), speed) for speed in (2e-3, 0.1))
+    assert np.mean(np.abs(slow) < 0.2 * 2e-3) > 0.7
+    assert slow.max() > 10.0 * 2e-3
+    assert slow.mean() == pytest.approx(2e-3, rel=0.2)
+    assert np.ptp(fast[-10000:]) < 0.01 * 0.1
+
+
+@pytest.mark.parametrize('seed', range(5))
+def test_a_closed_presliding_loop_creates_no_energy(friction, seed):
+    """Random loops, gone through until their torque repeats, always take work."""
+    rng = np.random.default_rng(seed)
+    corners = rng.uniform(-2e-3, 2e-3, 8)
+    loop = path(*corners, corners[0], steps=200)
+    for joint in (0, 1):
+        one = joint_friction(friction, joint)
+        _, state = drive_friction(one, np.concatenate([path(0.0, corners[0]), loop]), 1e-2)
+        before = np.sum(state.torque)
+        torque, state = drive_friction(one, loop, 1e-2, state)
+        middle = 0.5 * (torque[1:, 0] + torque[:-1, 0])
+        assert np.sum(state.torque) == pytest.approx(before, abs=1e-9)
+        assert np.sum(middle * np.diff(loop)) > 0.0
+
+
+@pytest.mark.parametrize('motion', ['fast', 'slow'])
+def test_the_kernel_is_the_corrected_model_in_plain_python(friction, motion):
+    t = np.arange(0.0, 3.0, 1e-3)
+    x = np.sin(2 * np.pi * t / 1.5) if motion == 'fast' else 0.01 * np.sin(2 * np.pi * t)
+    for joint in (0, 1):
+        one = joint_friction(friction, joint)
+        np.testing.assert_allclose(drive_friction(one, x, 1e-3)[0][:, 0],
+                                   python_blocks(x, 1e-3, one), rtol=0, atol=1e-13)
+
+
+def test_one_millisecond_is_as_good_as_twenty_microseconds(friction):
+    """RMS error 2e-5 N m; without the clip at break-away it is 0.01 N m."""
+    fine, coarse = np.arange(0.0, 6.0, 20e-6), np.arange(0.0, 6.0, 1e-3)
+
+    def motion(t):
+        return np.sin(2 * np.pi * t / 6.0)
+    truth = drive_friction(friction, motion(fine), 20e-6)[0][::50]
+    error = drive_friction(friction, motion(coarse), 1e-3)[0] - truth
+    assert np.all(np.sqrt(np.mean(error ** 2, axis=0)) < 2e-5)
+    unclipped = python_blocks(motion(coarse), 1e-3, joint_friction(friction, 0), clip=False)
+    assert np.sqrt(np.mean((unclipped - truth[:, 0]) ** 2)) > 5e-3
+
+
+def test_the_exact_slip_step_holds_where_explicit_euler_blows_up(friction):
+    """Steps of three times s / C: Euler grows without bound, the exponential settles."""
+    one = joint_friction(friction, 0)
+    level, weight, attraction = one.forward.coulomb[0], one.weight[0, 0], 1.5
+    dt = 3.0 * level / attraction
+    euler, state = 0.9 * weight * level, gms.init(one)
+    for _ in range(40):
+        euler += dt * attraction * (weight - euler / level)
+        state, tau = gms.step(state, [0.1 * dt], dt, one)
+    assert abs(euler) > 1e6
+    assert tau == pytest.approx(steady_friction(np.array([0.1]), one), rel=1e-9)
+
+
+def test_the_printed_slip_equation_diverges_backwards(friction):
+    """Eq. (3) as printed has a pole at +C/s for v < 0."""
+    one = joint_friction(friction, 0)
+    x = -0.1 * np.arange(0.0, 2.0, 1e-3)
+    assert np.abs(python_blocks(x, 1e-3, one, printed_slip=True)).max() > 1e6
+    assert np.abs(python_blocks(x, 1e-3, one)).max() <= one.backward.static[0]
+    np.testing.assert_array_equal(python_blocks(-x, 1e-3, one, printed_slip=True),
+                                  python_blocks(-x, 1e-3, one))
+
+
+def test_undirected_break_away_is_wrong_after_reversals(friction):
+    """Eq. (2) as printed slips blocks that are only being unloaded: wrong by over 0.012 N m."""
+    t = np.arange(0.0, 6.0, 1e-3)
+    for joint in (0, 1):
+        one = joint_friction(friction, joint)
+        for amplitude in (0.05, 0.3, 1.0):
+            x = amplitude * np.sin(2 * np.pi * t / 2.0)
+            wrong = python_blocks(x, 1e-3, one, directed=False)
+            assert np.abs(python_blocks(x, 1e-3, one) - wrong).max() > 0.012
+
+
+def test_a_rest_keeps_the_direction_of_the_last_motion(friction):
+    """A step of no displacement neither turns the friction nor makes slipping blocks stick."""
+    for direction in (1.0, -1.0):
+        state, moving = gms.init(friction), np.full(2, 0.1 * direction)
+        for _ in range(5):
+            state, _ = gms.step(state, moving, 1e-2, friction)
+        assert not state.sticking.any()
+        rested, _ = gms.step(state, np.zeros(2), 1e-2, friction)
+        assert not rested.sticking.any()
+        np.testing.assert_array_equal(rested.direction, [direction] * 2)
+
+
+def test_a_reversal_makes_all_blocks_stick_again(friction):
+    state, _ = gms.step(gms.init(friction), np.full(2, 0.5), 1e-2, friction)
+    assert not state.sticking.any()
+    state, _ = gms.step(state, np.full(2, -1e-6), 1e-2, friction)
+    assert state.sticking.all()
+    np.testing.assert_array_equal(state.direction, [-1.0, -1.0])
+
+
+def test_a_step_leaves_the_state_it_was_given(friction):
+    state = gms.init(friction, torque=np.full((2, 6), 0.01), direction=[-1.0, 1.0])
+    before = state.copy()
+    after, _ = gms.step(state, [0.5, -0.5], 1e-3, friction)
+    assert state == before
+    assert after != before
+    np.testing.assert_array_equal(before.torque, np.full((2, 6), 0.01))
+    np.testing.assert_array_equal(before.direction, [-1.0, 1.0])
+
+
+@pytest.mark.parametrize(('changes', 'sentence'), [
+    ({'static': [0.08]}, r'static \[0.08\] is below coulomb .*were they swapped\?'),
+    ({'coulomb': [0.0]}, r'coulomb must be above 0, got \[0.\]'),
+    ({'velocity': [-0.01]}, r'velocity must be above 0, got \[-0.01\]'),
+    ({'viscous': [-0.01]}, r'viscous must be at least 0, got \[-0.01\]'),
+    ({'static': [np.nan]}, r'static must be finite, got \[nan\]'),
+    ({'viscous': [0.1, 0.2]}, r'viscous must have shape \(1,\) .* got shape \(2,\)'),
+    ({'velocity': ['fast']}, r"velocity must be numbers, got \['fast'\]"),
+])
+def test_an_impossible_steady_curve_is_refused(changes, sentence):
+    good = {'static': [0.1], 'coulomb': [0.09], 'velocity': [0.01], 'viscous': [0.0]}
+    with pytest.raises(ParameterError, match=sentence):
+        StribeckParams(**good | changes)
+
+
+@pytest.mark.parametrize(('changes', 'sentence'), [
+    ({'weight': [[0.5, 0.6]]}, r'weights must sum to 1 per joint, got sums \[1.1\]'),
+    ({'weight': [[0.5, 0.25, 0.25]]}, r'block weight must have shape \(1, 2\)'),
+    ({'stiffness': [[1.0, -1.0]]}, r'block stiffness must be at least 0'),
+    ({'stiffness': [1.0, 1.0]}, r'block stiffness must have shape \(1, n_blocks\)'),
+    ({'attraction': [0.0]}, r'attraction must be above 0'),
+    ({'attraction': [1.0, 1.0]}, r'attraction must have shape \(1,\)'),
+])
+def test_impossible_blocks_are_refused(changes, sentence):
+    steady = StribeckParams(static=[0.1], coulomb=[0.09], velocity=[0.01], viscous=[0.0])
+    good = {'stiffness': [[1.0, 2.0]], 'weight': [[0.5, 0.5]], 'attraction': [1.0]}
+    with pytest.raises(ParameterError, match=sentence):
+        FrictionParams(forward=steady, backward=steady, **good | changes)
