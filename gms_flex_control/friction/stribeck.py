@@ -6,11 +6,16 @@
 from gms_flex_control.compiled import compiled
 import numpy as np
 
+# exp(-50) vanishes beside 1 in double precision, and is slow to compute
+_FULLY_DECAYED = 50.0
+
 
 @compiled
 def level_and_slope(v, static, coulomb, velocity):
     """Return s(v) and ds/dv of one joint in one direction (Eq. 4), all scalars."""
     x = v / velocity
+    if x * x > _FULLY_DECAYED:
+        return coulomb, 0.0
     decay = (static - coulomb) * np.exp(-x * x)
     return coulomb + decay, -2.0 * x / velocity * decay  # Eq. (4)
 

@@ -52,15 +52,15 @@ class Run:
 
 
 @compiled
-def sense(measured, state, time, period, constants, encoders, work, rng):
-    """Take one sample: sensor effects first, then the encoders."""
+def sense(measured, state, time, period, constants, encoders, work):
+    """Take one sample with the noise drawn before: sensor effects first, then encoders."""
     s = work.signals
     plant.fill_signals(state, state.applied, time, work)
     for j in range(state.q_link.shape[0]):
         s[j, sig.SENSED_LINK], s[j, sig.SENSED_MOTOR] = state.q_link[j], state.q_motor[j]
     effect_table.run_stage(_SENSOR, s, state.memory, period, constants.effects)
     encoder.measure(measured, s[:, sig.SENSED_LINK], s[:, sig.SENSED_MOTOR], state.dq_link,
-                    state.dq_motor, period, encoders, rng)
+                    state.dq_motor, period, encoders)
 
 
 @compiled
@@ -69,7 +69,8 @@ def run_loop(reference, period, substeps, plant_state, plant_constants, plant_wo
     """Run T samples; fills ``angles`` (T, 8, n) and ``torques`` (T, 4, n)."""
     for k in range(reference.shape[0]):
         time = k * period
-        sense(measured, plant_state, time, period, plant_constants, encoders, plant_work, rng)
+        encoder.draw(measured, encoders, rng)
+        sense(measured, plant_state, time, period, plant_constants, encoders, plant_work)
         # as a node that has no earlier state to form a difference with
         elapsed = period if k > 0 else 0.0
         cascade.tick(control_state, measured, reference[k], elapsed, control_constants,

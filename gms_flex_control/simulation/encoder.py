@@ -17,11 +17,12 @@ def state_layout(n):
     Return the dtype of what is measured: the encoders' memory and their output in one.
 
     ``q_link``, ``dq_link``, ``q_motor``, ``dq_motor`` (n,) are the measured values; ``started``
-    is 0 before the first sample.
+    is 0 before the first sample; ``normal`` (n, 2), standard normal numbers for the noise of
+    link and motor side.
     """
     return records.layout(
         *((name, FLOAT, (n,)) for name in ('q_link', 'dq_link', 'q_motor', 'dq_motor')),
-        ('started', FLOAT, (1,)))
+        ('started', FLOAT, (1,)), ('normal', FLOAT, (n, 2)))
 
 
 LAYOUT = records.layout(('resolution', FLOAT, (1,)), ('noise', FLOAT, (1,)),
@@ -42,10 +43,19 @@ def init(n):
 
 
 @compiled
-def count(angle, constants, rng):
+def draw(measured, constants, rng):
+    """Draw the numbers of one sample's noise, if there is any, from a random generator."""
+    if constants.noise[0] > 0.0:
+        for j in range(measured.q_link.shape[0]):
+            measured.normal[j, 0] = rng.standard_normal()
+            measured.normal[j, 1] = rng.standard_normal()
+
+
+@compiled
+def count(angle, normal, constants):
     """Return what an encoder reads of ``angle``: noise first, then whole counts."""
     if constants.noise[0] > 0.0:
-        angle += constants.noise[0] * rng.standard_normal()
+        angle += constants.noise[0] * normal
     if constants.resolution[0] > 0.0:
         angle = np.round(angle / constants.resolution[0]) * constants.resolution[0]
     return angle
@@ -63,14 +73,14 @@ def estimate_velocity(velocity, change, true_velocity, started, period, constant
 
 
 @compiled
-def measure(measured, seen_link, seen_motor, dq_link, dq_motor, period, constants, rng):
+def measure(measured, seen_link, seen_motor, dq_link, dq_motor, period, constants):
     """
     Take one sample of all encoders into ``measured``.
 
     Parameters
     ----------
     measured : numpy.record
-        Of `state_layout`, changed in place.
+        Of `state_layout`, changed in place; the noise is in it, from `draw`.
     seen_link, seen_motor : ndarray, shape (n_joints,)
         Angles the encoders are given [rad].
     dq_link, dq_motor : ndarray, shape (n_joints,)
@@ -79,18 +89,16 @@ def measure(measured, seen_link, seen_motor, dq_link, dq_motor, period, constant
         Time since the sample before [s].
     constants : numpy.record
         From `constants_of`.
-    rng : numpy.random.Generator
-        Source of the noise.
 
     """
     started = measured.started[0] > 0.0
     for j in range(measured.q_link.shape[0]):
-        angle = count(seen_link[j], constants, rng)
+        angle = count(seen_link[j], measured.normal[j, 0], constants)
         measured.dq_link[j] = estimate_velocity(
             measured.dq_link[j], angle - measured.q_link[j], dq_link[j], started, period,
             constants)
         measured.q_link[j] = angle
-        angle = count(seen_motor[j], constants, rng)
+        angle = count(seen_motor[j], measured.normal[j, 1], constants)
         measured.dq_motor[j] = estimate_velocity(
             measured.dq_motor[j], angle - measured.q_motor[j], dq_motor[j], started, period,
             constants)

@@ -3,9 +3,29 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Plant, controller and reference one sample at a time, as the nodes run them."""
 
+from gms_flex_control.compiled import compiled
 from gms_flex_control.control import cascade
+from gms_flex_control.records import boxed
 from gms_flex_control.simulation import closed_loop, encoder, plant
 import numpy as np
+
+
+@compiled
+def advance_boxed(state, command, time, period, substeps, constants, work):
+    """Advance a plant by one sample; records come boxed, as Python can hand them over fast."""
+    plant.advance(state[0], command, time, period, substeps, constants[0], work[0])
+
+
+@compiled
+def sense_boxed(measured, state, time, period, constants, encoders, work):
+    """Read the encoders; records come boxed."""
+    closed_loop.sense(measured[0], state[0], time, period, constants[0], encoders[0], work[0])
+
+
+@compiled
+def tick_boxed(state, measured, reference, dt, constants, work):
+    """Tick the controller; records come boxed."""
+    cascade.tick(state[0], measured[0], reference, dt, constants[0], work[0])
 
 
 class SteppedPlant:
@@ -29,26 +49,31 @@ class SteppedPlant:
 
     def __init__(self, robot, *, period, substeps, seed=0, q_link=None):
         self._period, self._substeps, self._ticks = period, substeps, 0
-        self._constants = plant.constants_of(robot)
-        self._encoders = encoder.constants_of(robot.encoder)
-        self._work = plant.workspace(robot.n_joints)
-        self._rng = np.random.default_rng(seed)
-        self.state = plant.init(robot, q_link)
-        self.measured = encoder.init(robot.n_joints)
+        self._constants = boxed(plant.constants_of(robot))
+        self._encoders = boxed(encoder.constants_of(robot.encoder))
+        self._work = boxed(plant.workspace(robot.n_joints))
+        self._state = boxed(plant.init(robot, q_link))
+        self._measured = boxed(encoder.init(robot.n_joints))
+        self._noisy, self._rng = bool(robot.encoder.noise > 0), np.random.default_rng(seed)
+        self.state, self.measured = self._state[0], self._measured[0]
+        # a field of a record takes Python a microsecond to look up
+        self._normal, self._applied = self.measured.normal, self.state.applied
 
     @property
     def applied(self):
         """Return the torque really applied over the last sample (n_joints,) [N m]."""
-        return self.state.applied
+        return self._applied
 
     def measure(self):
         """Read the encoders into ``measured``."""
-        closed_loop.sense(self.measured, self.state, self._ticks * self._period, self._period,
-                          self._constants, self._encoders, self._work, self._rng)
+        if self._noisy:
+            self._rng.standard_normal(out=self._normal)
+        sense_boxed(self._measured, self._state, self._ticks * self._period, self._period,
+                    self._constants, self._encoders, self._work)
 
     def advance(self, command):
         """Hold ``command`` (n_joints,) [N m] for one sample, then read the encoders."""
-        plant.advance(self.state, command, self._ticks * self._period, self._period,
+        advance_boxed(self._state, command, self._ticks * self._period, self._period,
                       self._substeps, self._constants, self._work)
         self._ticks += 1
         self.measure()
@@ -69,20 +94,23 @@ class SteppedController:
 
     def __init__(self, gains, model):
         self._model = model
-        self._work = cascade.workspace(model.n_joints)
-        self.measured = encoder.init(model.n_joints)
+        self._work = boxed(cascade.workspace(model.n_joints))
+        self._measured = boxed(encoder.init(model.n_joints))
+        self.measured = self._measured[0]
         self.use(gains)
         self.reset()
 
     def use(self, gains):
         """Take other gains from the next tick on."""
-        self._constants = cascade.constants_of(gains, self._model)
+        self._constants = boxed(cascade.constants_of(gains, self._model))
 
     def reset(self):
         """Forget the motion so far: observer and filters begin anew."""
-        self.state = cascade.init(self._model)
+        self._state = boxed(cascade.init(self._model))
+        self.state = self._state[0]
+        self._command = self.state.command
 
     def tick(self, reference, dt):
         """Answer ``measured`` with a torque (n_joints,) [N m]; see control.cascade.tick."""
-        cascade.tick(self.state, self.measured, reference, dt, self._constants, self._work)
-        return self.state.command
+        tick_boxed(self._state, self._measured, reference, dt, self._constants, self._work)
+        return self._command
