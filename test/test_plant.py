@@ -1,0 +1,189 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""The simulated robot against textbook equations of motion integrated by scipy."""
+
+from dataclasses import replace
+
+from core_runs import joint_friction, push_plant, scaled_friction, single_axis
+from gms_flex_control.dynamics import chain
+from gms_flex_control.errors import ParameterError
+from gms_flex_control.friction import steady_friction
+from gms_flex_control.params.encoder import EncoderParams
+from gms_flex_control.simulation import closed_loop, plant
+from gms_flex_control.trajectory.builders import sinusoid
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+
+@pytest.fixture(scope='module')
+def smooth_robot(ideal_robot):
+    """Return the default arm upright in gravity, its friction made immeasurably small."""
+    return replace(ideal_robot, friction=scaled_friction(ideal_robot.friction, 1e-12),
+                   arm=replace(ideal_robot.arm, gravity=2.0))
+
+
+def textbook(t, x, arm):
+    """Return the rates of a two-link arm with flexible joints, by the textbook's formulas."""
+    (q1, q2), (v1, v2), motor, dmotor = x.reshape(4, 2)
+    m1, m2 = arm.mass
+    l1, (c1, c2), (i1, i2) = arm.length[0], arm.com, arm.inertia
+    g = -arm.gravity[1]
+    a = i1 + m1 * c1 ** 2 + m2 * l1 ** 2 + i2 + m2 * c2 ** 2
+    b, d = m2 * l1 * c2, i2 + m2 * c2 ** 2
+    mass = np.array([[a + 2 * b * np.cos(q2), d + b * np.cos(q2)], [d + b * np.cos(q2), d]])
+    speed = b * np.sin(q2) * np.array([-(2 * v1 * v2 + v2 ** 2), v1 ** 2])
+    weight = g * np.array([(m1 * c1 + m2 * l1) * np.cos(q1) + m2 * c2 * np.cos(q1 + q2),
+                           m2 * c2 * np.cos(q1 + q2)])
+    spring = (arm.stiffness * (motor - x[:2]) + arm.damping * (dmotor - x[2:4]))
+    return np.concatenate([x[2:4], np.linalg.solve(mass, spring - speed - weight), dmotor,
+                           -spring / arm.motor_inertia])
+
+
+def free_run(robot, dt, duration):
+    """Return angles and rates (T, 4, n) of a robot let go with its links turned."""
+    state = plant.init(robot, [0.3, -0.4])
+    state.q_motor[:] = [0.1, 0.2]
+    command = np.zeros((int(round(duration / 1e-3)), 2))
+    return push_plant(robot, command, 1e-3, substeps=int(round(1e-3 / dt)), state=state)[:, :4]
+
+
+def test_without_friction_it_moves_as_the_textbook_arm(smooth_robot):
+    """The error against a high-order integration is of first order in the substep."""
+    truth = solve_ivp(textbook, (0.0, 1.0), [0.3, -0.4, 0.0, 0.0, 0.1, 0.2, 0.0, 0.0],
+                      args=(smooth_robot.arm,), rtol=1e-10, atol=1e-12).y[:, -1].reshape(4, 2)
+    errors = [np.abs(free_run(smooth_robot, dt, 1.0)[-1] - truth).max()
+              for dt in (2e-5, 1e-5)]
+    assert errors[1] < 1e-3
+    assert errors[0] / errors[1] == pytest.approx(2.0, rel=0.1)
+
+
+def energies(run, arm):
+    """Return the mechanical energy at each sample."""
+    return np.array([chain.energy(*x, arm) for x in run])
+
+
+def test_without_friction_it_keeps_its_energy(smooth_robot):
+    """For 20 s at the default substep of 0.1 ms, within 0.2 % of what swings to and fro."""
+    energy = energies(free_run(smooth_robot, 1e-4, 20.0), smooth_robot.arm)
+    down = np.array([-np.pi / 2, 0.0])
+    lowest = chain.energy(down, np.zeros(2), down, np.zeros(2), smooth_robot.arm)
+    swing = energy[0] - lowest
+    assert np.ptp(energy) < 2e-3 * swing
+    assert abs(energy[-1000:].mean() - energy[:1000].mean()) < 1e-3 * swing
+
+
+def test_work_put_in_is_energy_and_friction_heat(ideal_robot):
+    """Over 3 s of driven motion: torque work = mechanical energy + work against friction."""
+    arm = replace(ideal_robot.arm, damping=[0.0, 0.0])
+    robot, period = replace(ideal_robot, arm=arm), 2e-5
+    t = np.arange(0.0, 3.0, period)
+    command = 0.4 * np.stack([np.sin(2.0 * t), np.sin(3.0 * t)], axis=1)
+    run = push_plant(robot, command, period)
+    work = np.sum(command * run[:, 3]) * period
+    heat = np.sum(run[:, 4] * run[:, 1]) * period
+    assert heat > 0.1 * work
+    assert energies(run[-1:, :4], arm)[0] == pytest.approx(work - heat, abs=2e-3 * work)
+
+
+def test_damping_only_takes_energy(smooth_robot):
+    robot = replace(smooth_robot, arm=replace(smooth_robot.arm, damping=[0.02, 0.01]))
+    energy = energies(free_run(robot, 1e-5, 2.0), robot.arm)
+    assert np.all(np.diff(energy[::20]) < 1e-4 * np.abs(energy).max())
+    assert energy[-1] < energy[0]
+
+
+def test_a_rigid_joint_is_the_limit_of_a_stiff_one(ideal_robot):
+    """Motor and link of 2e5 N m/rad move together as the rigid joint with both inertias."""
+    period = 1e-3
+    t = np.arange(0.0, 2.0, period)
+    command = 0.5 * np.stack([np.sin(3.0 * t), np.cos(2.0 * t)], axis=1)
+    stiff = replace(ideal_robot, arm=replace(ideal_robot.arm, stiffness=[2e5, 2e5],
+                                             damping=[5.0, 5.0]))
+    rigid = replace(ideal_robot, motors=('', ''),
+                    arm=replace(ideal_robot.arm, stiffness=[np.inf, np.inf]))
+    runs = [push_plant(robot, command, period, substeps=200) for robot in (stiff, rigid)]
+    assert np.abs(runs[1][:, 0]).max() > 0.5
+    np.testing.assert_allclose(runs[0][:, 0], runs[1][:, 0], atol=1e-3)
+    np.testing.assert_array_equal(runs[1][:, 2], runs[1][:, 0])
+
+
+def test_decoupled_axes_are_as_many_single_axes(ideal_robot):
+    arm = replace(ideal_robot.arm, kind='decoupled')
+    both = replace(ideal_robot, arm=arm)
+    command = 0.4 * np.random.default_rng(1).standard_normal((500, 2)).cumsum(axis=0) / 10.0
+    run = push_plant(both, command, 2e-3, substeps=20)
+    for j in range(2):
+        axis = single_axis(joint_friction(both.friction, j),
+                           arm.inertia[j] + arm.mass[j] * arm.com[j] ** 2,
+                           stiffness=arm.stiffness[j], motor_inertia=arm.motor_inertia[j])
+        alone = push_plant(axis, command[:, [j]], 2e-3, substeps=20)
+        np.testing.assert_allclose(alone[:, :, 0], run[:, :, j], rtol=0, atol=1e-13)
+
+
+def test_a_single_axis_slides_where_torque_and_steady_friction_balance(ideal_robot):
+    one = joint_friction(ideal_robot.friction, 0)
+    for sign in (1.0, -1.0):
+        run = push_plant(single_axis(one, 0.05), np.full((20000, 1), 0.12 * sign), 1e-3)
+        assert steady_friction(run[-1, 1], one) == pytest.approx([0.12 * sign], rel=1e-6)
+
+
+def test_at_rest_without_torque_nothing_moves(robot):
+    state = plant.init(robot, [0.5, -1.0])
+    run = push_plant(robot, np.zeros((100, 2)), 2e-3, substeps=20, state=state)
+    np.testing.assert_array_equal(run[:, 0], np.broadcast_to([0.5, -1.0], (100, 2)))
+    np.testing.assert_array_equal(run[:, 1], np.zeros((100, 2)))
+
+
+@pytest.mark.parametrize('joints', [1, 2, 3])
+def test_a_step_of_many_substeps_is_as_many_short_steps(ideal_robot, joints):
+    """Holding the command, 10 samples of one substep are one sample of 10."""
+    pick = [0, 1, 1][:joints]
+    names = ('mass', 'length', 'com', 'inertia', 'motor_inertia', 'stiffness', 'damping')
+    arm = replace(ideal_robot.arm, **{name: getattr(ideal_robot.arm, name)[pick]
+                                      for name in names})
+    friction = ideal_robot.friction
+    steady = [replace(side, **{name: getattr(side, name)[pick] for name in (
+        'static', 'coulomb', 'velocity', 'viscous')})
+        for side in (friction.forward, friction.backward)]
+    friction = replace(friction, forward=steady[0], backward=steady[1], **{
+        name: getattr(friction, name)[pick] for name in ('stiffness', 'weight', 'attraction')})
+    robot = replace(ideal_robot, joints=tuple('abc'[:joints]), motors=tuple('xyz'[:joints]),
+                    arm=arm, friction=friction)
+    command = np.full((40, joints), 0.3)
+    coarse = push_plant(robot, command, 1e-3, substeps=10)
+    fine = push_plant(robot, np.repeat(command, 10, axis=0), 1e-4)
+    np.testing.assert_allclose(coarse, fine[9::10], rtol=1e-12, atol=1e-14)
+
+
+def test_a_run_repeats_bit_by_bit_and_its_seed_is_the_noise(robot, gains):
+    noisy = replace(robot, encoder=EncoderParams(counts=20000, noise=1e-4, velocity_cutoff=50))
+    runs = [closed_loop.run(noisy, robot, gains, sinusoid([1.0, 1.0], 6.0), duration=0.5,
+                            seed=seed) for seed in (3, 3, 4)]
+    for name in ('measured', 'true', 'command', 'applied', 'friction', 'friction_hat'):
+        np.testing.assert_array_equal(getattr(runs[0], name), getattr(runs[1], name))
+    assert np.any(runs[0].measured != runs[2].measured)
+
+
+def test_the_applied_torque_of_a_sample_is_the_command_of_the_one_before(ideal_robot, gains):
+    run = closed_loop.run(ideal_robot, ideal_robot, gains, sinusoid([1.0, 1.0], 6.0),
+                          duration=0.5)
+    np.testing.assert_allclose(run.applied[1:], run.command[:-1], rtol=1e-13)
+    np.testing.assert_array_equal(run.applied[0], [0.0, 0.0])
+
+
+@pytest.mark.parametrize(('changes', 'sentence'), [
+    ({'joints': ('joint1', 'joint1')}, 'joints and motors need names of their own'),
+    ({'joints': ('joint1', 'arm')}, "a joint cannot be called 'arm'"),
+    ({'joints': ('joint1',)}, 'arm describes 2 joints, but joints names 1'),
+    ({'motors': ('motor1', '')}, "joint 'joint2' is flexible but motors has no name for it"),
+])
+def test_names_that_make_no_robot_are_refused(robot, changes, sentence):
+    with pytest.raises(ParameterError, match=sentence):
+        replace(robot, **changes)
+
+
+def test_a_rigid_joint_with_a_motor_name_is_refused(robot):
+    with pytest.raises(ParameterError, match="joint 'joint2' is rigid .* but has motor"):
+        replace(robot, arm=replace(robot.arm, stiffness=[1.5, np.inf]))
