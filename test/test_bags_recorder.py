@@ -43,7 +43,8 @@ RECORD = """if True:
 def environment():
     paths = [str(HERE.parent), *filter(None, [os.environ.get('PYTHONPATH')])]
     return dict(os.environ, PYTHONPATH=os.pathsep.join(paths),
-                ROS_DOMAIN_ID=str(101 + os.getpid() % 100),
+                # above 101 the ports of DDS are those Linux hands out to anyone
+                ROS_DOMAIN_ID=str(1 + os.getpid() % 100),
                 ROS_AUTOMATIC_DISCOVERY_RANGE='LOCALHOST')
 
 
@@ -97,7 +98,8 @@ class Recording:
         """Wait until the bag file has grown by ``size`` bytes."""
         end, goal = time.monotonic() + PATIENCE, self.file.stat().st_size + size
         while self.file.stat().st_size < goal:
-            assert time.monotonic() < end and self.process.poll() is None
+            assert time.monotonic() < end and self.process.poll() is None, (
+                self.file.stat().st_size, list(self._lines.queue))
             time.sleep(0.005)
 
     def finish(self):

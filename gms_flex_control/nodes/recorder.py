@@ -18,10 +18,11 @@ from rclpy.experimental import EventsExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 
-_DEPTH = 100
+_DEPTH = 5000  # half a second of the fastest lockstep run; memory is taken as it is needed
 _DRAIN_PERIOD = 0.02    # [s]; with the writer's flush period this is what kill -9 can take
 _SEARCH_PERIOD = 0.1    # between looks at the graph while a topic is missing [s]
 _IDLE_PERIOD = 1.0      # and once all are there [s]
+_PATIENCE = 5.0         # before a topic without messages is named [s]
 _GRACE_PERIOD = 0.05    # for what has been sent before the end but not yet handed over [s]
 
 
@@ -46,6 +47,7 @@ class Recorder:
         self._node, self._writer, self._say = node, writer, say
         self._wanted = None if topics is None else [_absolute(name) for name in topics]
         self._subscriptions, self._refused = {}, set()
+        self._silent = {}  # topics without a message yet, and when to say so
         self._queue = deque()
         self._next_search = 0.0
         self._stop = threading.Event()
@@ -80,8 +82,17 @@ class Recorder:
                 self._subscribe(name, types)
         if self._wanted is not None and len(self._subscriptions) > known and not self.missing:
             self._say(f'recording {", ".join(self._wanted)}')
+        self._name_silent(now)
         busy = self._wanted is None or self.missing
         self._next_search = now + (_SEARCH_PERIOD if busy else _IDLE_PERIOD)
+
+    def _name_silent(self, now):
+        for name, due in list(self._silent.items()):
+            if self._writer.counts[name]:
+                del self._silent[name]
+            elif now > due:
+                del self._silent[name]
+                self._say(f'no message on {name} in {_PATIENCE:.0f} s, though it has a publisher')
 
     def _is_wanted(self, name):
         if self._wanted is not None:
@@ -114,6 +125,7 @@ class Recorder:
         self._subscriptions[name] = self._node.create_subscription(
             message_class, name, on_message, profile, raw=True,
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False))
+        self._silent[name] = time.monotonic() + _PATIENCE
         self._say(f'subscribed to {name} ({types[0]}, {reliability.name.lower()})')
 
     def _write(self):
