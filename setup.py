@@ -27,7 +27,7 @@ setup(
     install_requires=[
         'setuptools',
         'matplotlib>=3.6,<4',
-        'mcap>=1.2,<2',
+        'mcap>=1.5,<2',
         'numba>=0.58,<1',
         'numpy>=1.26,<3',
         'rosbags>=0.11,<0.12',

@@ -68,7 +68,7 @@ class ControllerNode(Node):
         self._blocks = Float64MultiArray(layout=MultiArrayLayout(dim=[
             MultiArrayDimension(label='joint', size=n, stride=n * blocks),
             MultiArrayDimension(label='block', size=blocks, stride=blocks)]))
-        qos, depth = process.subscriber_qos(mode), process.publisher_qos()
+        qos, depth = process.subscriber_qos(mode), process.publisher_qos(mode)
         self._command_pub = self.create_publisher(
             Float64MultiArray, 'effort_controller/commands', depth)
         self._state_pub = self.create_publisher(JointState, '~/state', depth)
@@ -121,6 +121,10 @@ class ControllerNode(Node):
             if self._lockstep:  # sent again: the answer was lost or came before the plant
                 self._publish_command(self._controller.state.command, stamp)
             return
+        if self._lockstep and stamp == self._waiting:  # sent again while we wait
+            self.get_logger().info('waiting for a reference; is trajectory_node running?',
+                                   throttle_duration_sec=_WARN_PERIOD, skip_first=True)
+            return
         try:
             self._reader.read(message, self._controller.measured)
         except messages.RefusedError as error:
@@ -128,8 +132,6 @@ class ControllerNode(Node):
             return
         if self._lockstep and stamp not in self._references:
             self._waiting = stamp
-            self.get_logger().info('waiting for a reference; is trajectory_node running?',
-                                   throttle_duration_sec=_WARN_PERIOD, skip_first=True)
             return
         self._answer(stamp)
 

@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """The robot as a ROS 2 node: simulated, paced by the clock or stepped by its commands."""
 
+from functools import partial
 import sys
 import time
 
@@ -20,7 +21,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-_REPEAT_PERIOD = 0.2     # an unanswered state is sent again in lockstep [s]
+_REPEAT_PERIOD = 1.0     # an unanswered state is sent again in lockstep [s]
 _LATEST_START = 5        # samples the loop may be late before it gives up catching up
 _WARN_PERIOD = 5.0       # [s]
 
@@ -37,23 +38,28 @@ class PlantNode(Node):
         self._mode = values['mode']
         self._period = round(NANOSECONDS / values['rate'])
         self._timeout = round(NANOSECONDS * values['command_timeout'])
-        self._plant = SteppedPlant(
-            robot, period=self._period / NANOSECONDS, substeps=values['substeps'],
+        self._duration = round(NANOSECONDS * values['duration']) or None
+        self._listeners = values['wait_for_subscribers']
+        make_plant = partial(
+            SteppedPlant, robot, period=self._period / NANOSECONDS, substeps=values['substeps'],
             seed=values['seed'],
             q_link=[values[f'initial.{joint}'] for joint in robot.joints])
+        make_plant().advance(np.zeros(robot.n_joints))  # compile before the clock runs
+        self._plant = make_plant()
         self._writer = messages.JointStateWriter(robot.joints, robot.motors)
         self._zero = np.zeros(robot.n_joints)
         self._command = (self._zero, None, 0)  # torque, stamp answered, when it came
         self._stamp = 0
-        self.missed = 0
+        self._ticks = 0
+        self._missed = 0
         self._state_pub = self.create_publisher(JointState, 'joint_states',
-                                                process.publisher_qos())
+                                                process.publisher_qos(self._mode))
         self.create_subscription(
             Float64MultiArray, 'effort_controller/commands', self._on_command,
             process.subscriber_qos(self._mode), event_callbacks=process.NO_EVENTS)
         self._clock_pub = None
         if self._mode == 'lockstep':
-            self._clock_pub = self.create_publisher(Clock, '/clock', process.publisher_qos())
+            self._clock_pub = self.create_publisher(Clock, '/clock', process.publisher_qos(self._mode))
             self._clock_period = round(NANOSECONDS / values['clock_rate'])
             self._next_clock = 0
         parameters.watch(robot_from_values, lambda _: None)
@@ -61,7 +67,9 @@ class PlantNode(Node):
             f"{robot.n_joints} joints, {values['rate']:g} Hz, {self._mode}")
 
     def run(self, executor):
-        """Simulate until the context ends or a signal raises KeyboardInterrupt."""
+        """Simulate until the duration is over or a signal raises KeyboardInterrupt."""
+        while self._state_pub.get_subscription_count() < self._listeners and rclpy.ok():
+            executor.spin_once(timeout_sec=0.02)
         if self._mode == 'lockstep':
             self._run_lockstep(executor)
         else:
@@ -77,6 +85,17 @@ class PlantNode(Node):
             return
         self._command = (np.array(torque), messages.read_stamp(message), time.monotonic_ns())
 
+    def _advance(self, torque):
+        """Simulate one sample and publish what is measured at its end."""
+        self._plant.advance(torque)
+        self._ticks += 1
+        self._stamp += self._period
+        self._publish()
+
+    def _goes_on(self):
+        return rclpy.ok() and (self._duration is None
+                               or (self._ticks + 1) * self._period < self._duration)
+
     def _publish(self):
         plant = self._plant
         self._state_pub.publish(self._writer.write(plant.measured, plant.applied, self._stamp))
@@ -88,7 +107,7 @@ class PlantNode(Node):
         torque, stamp, arrived = self._command
         if stamp == self._stamp:
             return torque
-        self.missed += 1
+        self._missed += 1
         if stamp is None:  # a plain command acts from its arrival until the timeout
             fresh = time.monotonic_ns() - arrived <= self._timeout
         else:
@@ -101,7 +120,7 @@ class PlantNode(Node):
         deadline = time.monotonic_ns()
         self._plant.measure()
         self._publish()
-        while rclpy.ok():
+        while self._goes_on():
             if background.error is not None:
                 raise background.error
             deadline += self._period
@@ -113,9 +132,9 @@ class PlantNode(Node):
                     f'{late / 1e6:.1f} ms late: the machine is too busy for this rate',
                     throttle_duration_sec=_WARN_PERIOD)
                 deadline += late
-            self._plant.advance(self._acting())
-            self._stamp += self._period
-            self._publish()
+            self._advance(self._acting())
+        if self._missed:
+            self.get_logger().info(f'{self._missed} of {self._ticks} samples had no fresh command')
 
     # lockstep ------------------------------------------------------------------------------
 
@@ -124,15 +143,13 @@ class PlantNode(Node):
         self._publish_clock()
         self._publish()
         repeat = time.monotonic() + _REPEAT_PERIOD
-        while rclpy.ok():
-            executor.spin_once(timeout_sec=_REPEAT_PERIOD)
+        while self._goes_on():
+            executor.spin_once(timeout_sec=0.1)
             torque, stamp, arrived = self._command
             if arrived and (stamp is None or stamp == self._stamp):
                 self._command = (torque, None, 0)
-                self._plant.advance(torque)
-                self._stamp += self._period
+                self._advance(torque)
                 self._publish_clock()
-                self._publish()
                 repeat = time.monotonic() + _REPEAT_PERIOD
             elif time.monotonic() > repeat:
                 self._publish()  # a node that has just come needs the state it is to answer

@@ -22,9 +22,13 @@ _PR_SET_TIMERSLACK = 29
 NO_EVENTS = SubscriptionEventCallbacks(use_default_callbacks=False)
 
 
-def publisher_qos():
-    """Return the quality of service of what we publish: anyone can subscribe to it."""
-    return QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=10,
+def publisher_qos(mode):
+    """
+    Return the quality of service of what we publish: anyone can subscribe to it.
+
+    In lockstep a recorder may fall behind by many samples before it catches up.
+    """
+    return QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=1000 if mode == 'lockstep' else 10,
                       reliability=ReliabilityPolicy.RELIABLE)
 
 

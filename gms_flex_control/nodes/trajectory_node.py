@@ -44,7 +44,7 @@ class TrajectoryNode(Node):
         self._q_link = np.zeros(len(self._joints))
         self._writer = messages.ReferenceWriter(len(self._joints))
         self._reference_pub = self.create_publisher(Float64MultiArray, 'reference',
-                                                    process.publisher_qos())
+                                                    process.publisher_qos(values['mode']))
         self._chosen.sample(0.0)  # compile before the first state comes
         self.create_subscription(
             JointState, 'joint_states', self._on_joint_states,

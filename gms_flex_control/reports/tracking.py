@@ -21,7 +21,8 @@ from gms_flex_control.reports.page import Report, Series
 import numpy as np
 
 
-def write_tracking_report(runs, folder, friction_true=None, title='Tracking report'):
+def write_tracking_report(runs, folder, friction_true=None, title='Tracking report', *,
+                          subtitle=None, beside=None):
     """
     Write table4.json, report.html and the PNGs of the paper's Figs. 6 to 10.
 
@@ -33,8 +34,11 @@ def write_tracking_report(runs, folder, friction_true=None, title='Tracking repo
         Made if need be; files of the same names are replaced.
     friction_true : mapping of int to ndarray (T, n), optional
         True friction [N m] of a simulated run, by its index in ``runs``.
-    title : str
-        Title of the page.
+    title, subtitle : str, optional
+        Of the page.
+    beside : mapping of str to sequence of Run, optional
+        Further runs of which only the table is given, under their name; the key in
+        table4.json is the name with '_' for blanks.
 
     Returns
     -------
@@ -44,12 +48,17 @@ def write_tracking_report(runs, folder, friction_true=None, title='Tracking repo
     """
     folder = Path(folder)
     table = table4(runs)
-    write_text(folder / 'table4.json',
-               json.dumps(table.as_dict(), indent=2, allow_nan=False) + '\n')
+    others = {name: table4(some) for name, some in (beside or {}).items()}
+    everything = table.as_dict() | {
+        name.replace(' ', '_'): other.as_dict() for name, other in others.items()}
+    write_text(folder / 'table4.json', json.dumps(everything, indent=2, allow_nan=False) + '\n')
     pictures = _save_pictures(runs, folder)
-    report = Report(title, f'{len(runs)} recording{"s" if len(runs) != 1 else ""}: link angle '
-                    'against reference, with and without friction compensation')
+    report = Report(title, subtitle or f'{len(runs)} recording{"s" if len(runs) != 1 else ""}: '
+                    'link angle against reference, with and without friction compensation')
     add_table4(report, table)
+    for name, other in others.items():
+        report.heading(f'The same with the {name}', level=3)
+        report.table(*other.rows())
     _add_error_charts(report, runs)
     for i, run in enumerate(runs):
         add_run(report, run, (friction_true or {}).get(i))

@@ -154,6 +154,10 @@ def plant_node_keys(joints):
         Key('command_timeout', 'double', 'age of a command that still acts; then zero torque',
             's', 0.02, 1e-4, 10.0),
         Key('seed', 'integer', 'of the encoder noise', '', 0, 0, 2**31 - 1),
+        Key('duration', 'double', 'simulated time after which the node ends; 0 is never', 's',
+            0.0, 0.0, 1e7),
+        Key('wait_for_subscribers', 'integer', 'begin only when so many listen to the joint '
+            'states', '', 0, 0, 100),
         Key('clock_rate', 'double', 'most /clock messages per simulated second, lockstep only',
             'Hz', 100.0, 0.1, 10000.0)]
     keys += [Key(f'initial.{joint}', 'double', 'link angle at the start', 'rad', 0.0)
