@@ -188,6 +188,9 @@ class ControllerNode(Node):
 
     def _publish_state(self, stamp):
         state, message = self._controller.state, self._state
+        if not self._state_pub.get_subscription_count() and \
+                not self._blocks_pub.get_subscription_count():
+            return  # three messages a tick cost more than one
         messages.set_stamp(message.header.stamp, stamp)
         message.position = messages.array('d', state.error.tolist())
         message.velocity = messages.array('d', state.error_rate.tolist())

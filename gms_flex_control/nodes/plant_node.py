@@ -9,6 +9,7 @@ import time
 
 from builtin_interfaces.msg import Time
 from gms_flex_control.nodes import messages, process
+from gms_flex_control.nodes.loop_timing import LoopTiming
 from gms_flex_control.nodes.messages import NANOSECONDS
 from gms_flex_control.nodes.parameters import NodeParameters
 from gms_flex_control.schema.build import robot_from_values
@@ -39,6 +40,7 @@ class PlantNode(Node):
         self._period = round(NANOSECONDS / values['rate'])
         self._timeout = round(NANOSECONDS * values['command_timeout'])
         self._duration = round(NANOSECONDS * values['duration']) or None
+        self._timing = LoopTiming(values['timing_file'], self._period, self._duration)
         self._listeners = values['wait_for_subscribers']
         make_plant = partial(
             SteppedPlant, robot, period=self._period / NANOSECONDS, substeps=values['substeps'],
@@ -49,7 +51,7 @@ class PlantNode(Node):
         self._writer = messages.JointStateWriter(robot.joints, robot.motors)
         self._zero = np.zeros(robot.n_joints)
         self._command = (self._zero, None, 0)  # torque, stamp answered, when it came
-        self._stamp = 0
+        self._stamp = self._first = 0  # [ns]
         self._ticks = 0
         self._missed = 0
         self._state_pub = self.create_publisher(JointState, 'joint_states',
@@ -83,7 +85,10 @@ class PlantNode(Node):
             self.get_logger().warning(f'command refused: {error}',
                                       throttle_duration_sec=_WARN_PERIOD)
             return
-        self._command = (np.array(torque), messages.read_stamp(message), time.monotonic_ns())
+        stamp, now = messages.read_stamp(message), time.monotonic_ns()
+        self._command = (np.array(torque), stamp, now)
+        if stamp is not None and self._mode == 'realtime':
+            self._timing.answered((stamp - self._first) // self._period, now)
 
     def _advance(self, torque):
         """Simulate one sample and publish what is measured at its end."""
@@ -99,6 +104,7 @@ class PlantNode(Node):
     def _publish(self):
         plant = self._plant
         self._state_pub.publish(self._writer.write(plant.measured, plant.applied, self._stamp))
+        self._timing.published()
 
     # realtime ------------------------------------------------------------------------------
 
@@ -116,7 +122,7 @@ class PlantNode(Node):
 
     def _run_paced(self, background):
         process.tighten_timers()
-        self._stamp = self.get_clock().now().nanoseconds
+        self._stamp = self._first = self.get_clock().now().nanoseconds
         deadline = time.monotonic_ns()
         self._plant.measure()
         self._publish()
@@ -163,6 +169,7 @@ class PlantNode(Node):
 
     def finish(self):
         """End: the plant itself commands nothing."""
+        self._timing.save()
 
 
 def main(args=None):

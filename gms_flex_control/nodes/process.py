@@ -5,6 +5,7 @@
 
 from contextlib import suppress
 import ctypes
+import gc
 import signal
 import sys
 import threading
@@ -87,6 +88,7 @@ def run_node(make_node, args=None):
             node = make_node()
             executor = EventsExecutor()
             executor.add_node(node)
+            gc.freeze()  # what start-up left is never searched again while the loop runs
             node.run(executor)
     except GmsFlexError as error:
         return _refuse(error)

@@ -156,6 +156,7 @@ def plant_node_keys(joints):
         Key('seed', 'integer', 'of the encoder noise', '', 0, 0, 2**31 - 1),
         Key('duration', 'double', 'simulated time after which the node ends; 0 is never', 's',
             0.0, 0.0, 1e7),
+        Key('timing_file', 'string', 'JSON file for the timing of a realtime run', default=''),
         Key('wait_for_subscribers', 'integer', 'begin only when so many listen to the joint '
             'states', '', 0, 0, 100),
         Key('clock_rate', 'double', 'most /clock messages per simulated second, lockstep only',
