@@ -58,7 +58,8 @@ def constants_layout(n, n_blocks):
 
 
 _VECTORS = ('displacement', 'sliding', 'dq_ref', 'ddq_ref', 'correction', 'correction_rate',
-            'smooth', 'slope', 'spring', 'spring_rate', 'acceleration', 'jerk', 'scratch', 'resting')
+            'smooth', 'slope', 'spring', 'spring_rate', 'acceleration', 'jerk', 'scratch',
+            'resting')
 
 
 @cache

@@ -122,7 +122,7 @@ class Term(Effect):
 
     @classmethod
     @cache
-    def compile(cls):
+    def compiled(cls):
         """Return the numba C function of ``apply``; compiled once, when first used."""
         return compiled_effect(cls.apply)
 

@@ -41,7 +41,8 @@ def find(name):
 
     """
     if name not in names():
-        raise ParameterError(f'effect {name!r} is not in the catalogue{did_you_mean(name, names())}')
+        raise ParameterError(
+            f'effect {name!r} is not in the catalogue{did_you_mean(name, names())}')
     module = import_module(f'{catalogue.__name__}.{name}')
     return next(entry for entry in vars(module).values()
                 if isinstance(entry, type) and issubclass(entry, Effect)

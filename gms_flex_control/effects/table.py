@@ -85,7 +85,7 @@ def build(effects, joints):
         raise ParameterError(f'{len(terms)} effects are more than the model holds '
                              f'({MAX_TERMS} with {MAX_PARAMS} parameters); remove the smallest')
     table = records.build(LAYOUT)
-    table.address[:len(terms)] = [kind.compile().address for kind, _ in terms]
+    table.address[:len(terms)] = [kind.compiled().address for kind, _ in terms]
     table.joint[:len(terms)] = [0 if kind.whole_arm else joints.index(spec.joint)
                                 for kind, spec in terms]
     table.first_param[:len(terms)] = np.cumsum([0, *(len(s.values) for _, s in terms)])[:-1]

@@ -8,7 +8,11 @@ from gms_flex_control.schema import build
 from gms_flex_control.schema.keys import REQUIRED
 from gms_flex_control.schema.values import checked, known_keys
 from rcl_interfaces.msg import (
-    FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult)
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
 from rclpy.parameter import Parameter
 
 _BUILT_IN = ('use_sim_time', 'start_type_description_service', 'qos_overrides')

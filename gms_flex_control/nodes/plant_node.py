@@ -61,7 +61,8 @@ class PlantNode(Node):
             process.subscriber_qos(self._mode), event_callbacks=process.NO_EVENTS)
         self._clock_pub = None
         if self._mode == 'lockstep':
-            self._clock_pub = self.create_publisher(Clock, '/clock', process.publisher_qos(self._mode))
+            self._clock_pub = self.create_publisher(Clock, '/clock',
+                                                    process.publisher_qos(self._mode))
             self._clock_period = round(NANOSECONDS / values['clock_rate'])
             self._next_clock = 0
         parameters.watch(robot_from_values, lambda _: None)

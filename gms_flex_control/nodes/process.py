@@ -110,7 +110,7 @@ def _refuse(error):
 
 
 def spin(executor):
-    """Run callbacks in this thread; EventsExecutor.spin() itself runs none."""
+    """Run callbacks in this thread, which the executor's own spin does not do."""
     while rclpy.ok():
         executor.spin_once(timeout_sec=0.1)
 

@@ -80,10 +80,10 @@ class RobotParams:
                 raise ParameterError(f'{part} describes {count} joints, but joints names {n}')
         for joint, motor, rigid in zip(self.joints, self.motors, self.arm.rigid, strict=True):
             if rigid and motor:
-                raise ParameterError(f"joint {joint!r} is rigid (stiffness .inf) but has motor "
-                                     f"{motor!r}: leave its motor name '' or give a stiffness")
+                raise ParameterError(f'joint {joint!r} is rigid (stiffness .inf) but has motor '
+                                     f'{motor!r}: leave its motor name empty or give a stiffness')
             if not rigid and not motor:
-                raise ParameterError(f"joint {joint!r} is flexible but motors has no name for "
+                raise ParameterError(f'joint {joint!r} is flexible but motors has no name for '
                                      'it: name its motor side or set its stiffness to .inf')
 
     @property
