@@ -9,6 +9,7 @@ A command says in its layout which joint state it answers (``stamp:<ns>``) and w
 """
 
 from array import array
+from contextlib import suppress
 import math
 
 import numpy as np
@@ -186,9 +187,9 @@ class CommandWriter:
 def read_stamp(message):
     """Return the stamp [ns] in the layout of a Float64MultiArray, or None without one."""
     for dimension in message.layout.dim:
-        label = dimension.label
-        if label.startswith(_STAMP) and label[len(_STAMP):].lstrip('-').isdigit():
-            return int(label[len(_STAMP):])
+        if dimension.label.startswith(_STAMP):
+            with suppress(ValueError):  # anyone may have written the label
+                return int(dimension.label[len(_STAMP):])
     return None
 
 

@@ -39,8 +39,10 @@ class PlantNode(Node):
         self._mode = values['mode']
         self._period = round(NANOSECONDS / values['rate'])
         self._timeout = round(NANOSECONDS * values['command_timeout'])
-        self._duration = round(NANOSECONDS * values['duration']) or None
-        self._timing = LoopTiming(values['timing_file'], self._period, self._duration)
+        # as many samples as a run in one process has
+        self._samples = round(values['duration'] / (self._period / NANOSECONDS)) or None
+        self._timing = LoopTiming(values['timing_file'], self._period,
+                                  self._samples and self._samples * self._period)
         self._listeners = values['wait_for_subscribers']
         make_plant = partial(
             SteppedPlant, robot, period=self._period / NANOSECONDS, substeps=values['substeps'],
@@ -99,8 +101,7 @@ class PlantNode(Node):
         self._publish()
 
     def _goes_on(self):
-        return rclpy.ok() and (self._duration is None
-                               or (self._ticks + 1) * self._period < self._duration)
+        return rclpy.ok() and (self._samples is None or self._ticks + 1 < self._samples)
 
     def _publish(self):
         plant = self._plant

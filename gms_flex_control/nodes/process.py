@@ -6,6 +6,7 @@
 from contextlib import suppress
 import ctypes
 import gc
+import re
 import signal
 import sys
 import threading
@@ -95,7 +96,8 @@ def run_node(make_node, args=None):
     except RuntimeError as error:  # rcl: a parameter file or argument it cannot read
         if node is not None:
             raise
-        return _refuse(error)
+        sentence = re.sub(r', at /\S+:\d+', '', str(error))  # leave out places in rcl's sources
+        return _refuse(f'arguments or parameter file refused: {sentence}')
     finally:
         if node is not None:
             node.finish()

@@ -70,6 +70,9 @@ class TrajectoryNode(Node):
             missing = [joint for joint in self._joints if joint not in message.name]
             if missing:
                 raise messages.RefusedError(f'joint states lack {missing[0]!r}')
+            repeated = [joint for joint in self._joints if message.name.count(joint) > 1]
+            if repeated:
+                raise messages.RefusedError(f'joint states name {repeated[0]!r} more than once')
             self._names = list(message.name)
             self._order = [message.name.index(joint) for joint in self._joints]
         if len(message.position) != len(message.name):
@@ -104,6 +107,7 @@ class TrajectoryNode(Node):
         self._origin = self._last = stamp
         self._published = None
         self._current = builders.hold(self._q_link)
+        self._running = False
         if self._values['trajectory.autostart']:
             self._enter(self._chosen, 0.0)
 
