@@ -6,6 +6,8 @@ Conditions on the gains, Eqs. (34) to (43) in the corrected form of docs/model.m
 
 The error vector is rho = (q1~, dq1~, q2~, dq2~, F~ of every block) and mixes units as the paper
 does, so the matrices and the bound are numbers without one. A rigid joint has no motor rows.
+The theory knows neither sampling nor delay nor encoders, nor the softer velocity feedback of mode
+gms at rest.
 """
 
 from dataclasses import dataclass

@@ -14,8 +14,7 @@ from functools import cache
 from gms_flex_control import records
 from gms_flex_control.compiled import compiled
 from gms_flex_control.friction import gms
-from gms_flex_control.friction.gms import BACKWARD, FORWARD
-from gms_flex_control.friction.stribeck import level_and_slope
+from gms_flex_control.friction.gms import BACKWARD, FORWARD, level_of
 from gms_flex_control.records import FLOAT
 import numpy as np
 
@@ -79,9 +78,7 @@ def advance(blocks, displacement, velocity, smooth, correction, resting, dt, fri
         if turned:
             blocks.direction[j] = -blocks.direction[j]
         sign = blocks.direction[j]
-        row = FORWARD if sign > 0.0 else BACKWARD
-        level, _ = level_and_slope(velocity[j], friction.static[row, j],
-                                   friction.coulomb[row, j], friction.velocity[row, j])
+        level, _ = level_of(j, sign, velocity[j], friction)
         advance_blocks(blocks.torque[j], blocks.sticking[j], turned, sign, smooth[j],
                        displacement[j], level, correction[j], friction.attraction[j], dt,
                        friction.stiffness[j], friction.weight[j])
@@ -92,8 +89,7 @@ def first_derivative(blocks, velocity, acceleration, smooth, correction, frictio
     """Write dF_hat/dt (n,) of the analytic observer into ``out``, Eqs. (19) and (20)."""
     for j in range(friction.attraction.shape[0]):
         row = FORWARD if blocks.direction[j] > 0.0 else BACKWARD
-        level, _ = level_and_slope(velocity[j], friction.static[row, j],
-                                   friction.coulomb[row, j], friction.velocity[row, j])
+        level, _ = level_of(j, blocks.direction[j], velocity[j], friction)
         total = friction.viscous[row, j] * acceleration[j]
         for i in range(friction.weight.shape[1]):
             if blocks.sticking[j, i]:
@@ -121,8 +117,7 @@ def second_derivative(blocks, velocity, acceleration, jerk, smooth, correction, 
     """
     for j in range(friction.attraction.shape[0]):
         row = FORWARD if blocks.direction[j] > 0.0 else BACKWARD
-        level, level_slope = level_and_slope(velocity[j], friction.static[row, j],
-                                             friction.coulomb[row, j], friction.velocity[row, j])
+        level, level_slope = level_of(j, blocks.direction[j], velocity[j], friction)
         total = friction.viscous[row, j] * jerk[j]
         for i in range(friction.weight.shape[1]):
             if blocks.sticking[j, i]:

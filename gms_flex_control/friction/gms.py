@@ -112,6 +112,14 @@ def step(state, displacement, dt, params):
 
 
 @compiled
+def level_of(j, direction, velocity, constants):
+    """Return s(v) and ds/dv of joint ``j`` moving in ``direction`` (+1 or -1), scalars."""
+    row = FORWARD if direction > 0.0 else BACKWARD
+    return level_and_slope(velocity, constants.static[row, j], constants.coulomb[row, j],
+                           constants.velocity[row, j])
+
+
+@compiled
 def advance_blocks(torque, sticking, turned, sign, displacement, level, decay, stiffness,
                    weight):
     """Advance the blocks (N,) of one joint in place; ``decay`` = exp(-C dt / s)."""
@@ -136,9 +144,7 @@ def advance(state, displacement, velocity, dt, constants):
         if turned:
             state.direction[j] = -state.direction[j]
         sign = state.direction[j]
-        row = FORWARD if sign > 0.0 else BACKWARD
-        level, _ = level_and_slope(velocity[j], constants.static[row, j],
-                                   constants.coulomb[row, j], constants.velocity[row, j])
+        level, _ = level_of(j, sign, velocity[j], constants)
         decay = np.exp(-constants.attraction[j] * dt / level)
         advance_blocks(state.torque[j], state.sticking[j], turned, sign, displacement[j], level,
                        decay, constants.stiffness[j], constants.weight[j])

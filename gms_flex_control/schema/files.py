@@ -88,8 +88,14 @@ def read_values(paths, node=None):
     return values, places
 
 
-def _paths(paths):
-    return [paths] if isinstance(paths, (str, Path)) else list(paths)
+def _built(paths, make):
+    """Return ``make(values)`` of parameter files; its errors then begin with file and line."""
+    paths = [paths] if isinstance(paths, (str, Path)) else list(paths)
+    values, places = read_values(paths)
+    try:
+        return make(values)
+    except (ConfigError, ParameterError) as error:
+        raise _located(error, paths, places) from error
 
 
 def _located(error, paths, places):
@@ -119,12 +125,7 @@ def load_robot(paths):
         One sentence that begins with file and line.
 
     """
-    paths = _paths(paths)
-    values, places = read_values(paths)
-    try:
-        return build.robot_from_values(values)
-    except (ConfigError, ParameterError) as error:
-        raise _located(error, paths, places) from error
+    return _built(paths, build.robot_from_values)
 
 
 def load_controller(paths, robot):
@@ -148,13 +149,11 @@ def load_controller(paths, robot):
         One sentence that begins with file and line.
 
     """
-    paths = _paths(paths)
-    values, places = read_values(paths)
-    try:
+    def make(values):
         known_keys(values, robot.joints)
         return build.controller_from_values(values, robot.joints)
-    except (ConfigError, ParameterError) as error:
-        raise _located(error, paths, places) from error
+
+    return _built(paths, make)
 
 
 def save_robot(robot, path, *, comment=''):
