@@ -9,6 +9,8 @@ from gms_flex_control.errors import ParameterError
 from gms_flex_control.params.checks import freeze_arrays, require_finite, require_shape
 import numpy as np
 
+WEIGHT_TOLERANCE = 1e-6  # of the sum of a joint's weights
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StribeckParams:
@@ -90,6 +92,6 @@ class FrictionParams:
         require_finite('block stiffness', self.stiffness, at_least=0.0)
         require_finite('block weight', self.weight, at_least=0.0)
         require_finite('attraction', self.attraction, above=0.0)
-        if not np.allclose(self.weight.sum(axis=1), 1.0, atol=1e-6):
+        if not np.allclose(self.weight.sum(axis=1), 1.0, atol=WEIGHT_TOLERANCE):
             raise ParameterError(f'block weights must sum to 1 per joint, got sums '
                                  f'{self.weight.sum(axis=1)}; divide them by their sum')

@@ -3,11 +3,13 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Checked values become the frozen objects of params/, and the other way round."""
 
+from contextlib import contextmanager
+
 from gms_flex_control.effects import registry
 from gms_flex_control.errors import ConfigError, ParameterError
 from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.params.encoder import EncoderParams
-from gms_flex_control.params.friction import FrictionParams, StribeckParams
+from gms_flex_control.params.friction import FrictionParams, StribeckParams, WEIGHT_TOLERANCE
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.robot import EffectSpec, RobotParams
 from gms_flex_control.schema.keys import controller_keys, REQUIRED, robot_keys
@@ -80,17 +82,40 @@ def robot_from_values(values):
                        friction=_friction(flat, joints), effects=effects)
 
 
+@contextmanager
+def _about(prefix):
+    """Begin the sentence of a ParameterError with the key it is about."""
+    try:
+        yield
+    except ParameterError as error:
+        raise ParameterError(f'{prefix}: {error}') from error
+
+
+def _steady(flat, joints, direction):
+    """Return the StribeckParams of one direction; an error names the joint."""
+    columns = {name: [] for name in _STRIBECK}
+    for joint in joints:
+        prefix = f'friction.{joint}.{direction}'
+        values = {name: flat[f'{prefix}.{name}'] for name in _STRIBECK}
+        with _about(prefix):
+            StribeckParams(**values)
+        for name, value in values.items():
+            columns[name].append(value)
+    return StribeckParams(**columns)
+
+
 def _friction(flat, joints):
-    directions = {
-        direction: StribeckParams(**{
-            name: [flat[f'friction.{joint}.{direction}.{name}'] for joint in joints]
-            for name in _STRIBECK}) for direction in ('forward', 'backward')}
+    directions = {direction: _steady(flat, joints, direction)
+                  for direction in ('forward', 'backward')}
     blocks = {name: [flat[f'friction.{joint}.{name}'] for joint in joints]
               for name in ('stiffness', 'weight')}
     for joint, stiffness, weight in zip(joints, *blocks.values(), strict=True):
         if len(stiffness) != len(weight) or not stiffness:
             raise ConfigError(f'friction.{joint}: stiffness has {len(stiffness)} blocks and '
                               f'weight {len(weight)}; give both the same number, at least 1')
+        if abs(sum(weight) - 1.0) > WEIGHT_TOLERANCE:
+            raise ParameterError(f'friction.{joint}.weight sums to {sum(weight):g}, not to 1; '
+                                 'divide each weight by the sum')
     most = max(len(row) for row in blocks['stiffness'])
     padded = {name: [[*row, *[0.0] * (most - len(row))] for row in rows]
               for name, rows in blocks.items()}  # a block of weight 0 carries nothing

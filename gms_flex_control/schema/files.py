@@ -102,7 +102,8 @@ def _located(error, paths, places):
     """Return the error with file and line of the key its sentence begins with."""
     message = str(error)
     name = message.split(' ', 1)[0].rstrip(':')
-    place = places.get(name, ', '.join(str(path) for path in paths))
+    below = (key for key in places if key == name or key.startswith(f'{name}.'))
+    place = places.get(next(below, ''), ', '.join(str(path) for path in paths))
     return type(error)(f'{place}: {message}')
 
 
