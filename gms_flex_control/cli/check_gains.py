@@ -14,10 +14,10 @@ def add_parser(subparsers):
         'check-gains', help='conditions on the gains: value, limit, verdict',
         description='Check the gains against Eq. (39), all rows, against the exact condition per '
                     'joint, and bound the residual set (43). Exit code 1 if a condition fails.')
-    parser.add_argument('--robot', required=True, action='append', metavar='YAML',
-                        help='robot parameter file; may be given more than once')
-    parser.add_argument('--controller', required=True, action='append', metavar='YAML',
-                        help='controller parameter file; may be given more than once')
+    parser.add_argument('--robot', nargs='+', metavar='FILE',
+                        help='robot files, later ones winning; default: the arm of the paper')
+    parser.add_argument('--controller', nargs='+', metavar='FILE',
+                        help='controller files, likewise; default: the gains of the paper')
     parser.add_argument('--json', action='store_true', help='print JSON')
     parser.set_defaults(run=run)
 
@@ -25,10 +25,11 @@ def add_parser(subparsers):
 def run(args):
     """Print the report; return 0, or 1 where a condition does not hold."""
     from gms_flex_control.control.gain_conditions import check
+    from gms_flex_control.resources import controller_file, robot_file
     from gms_flex_control.schema.files import load_controller, load_robot
 
-    robot = load_robot(args.robot)
-    report = check(load_controller(args.controller, robot), robot)
+    robot = load_robot(args.robot or robot_file())
+    report = check(load_controller(args.controller or controller_file(), robot), robot)
     if args.json:
         print(json.dumps(as_dict(report), indent=2, allow_nan=False))
     else:

@@ -1,0 +1,129 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""The benchmark: what it compares is the same, and its figures come out; no time is asserted."""
+
+import argparse
+from dataclasses import replace
+import json
+
+from gms_flex_control.benchmarks import (
+    core,
+    effect_dispatch,
+    kernel_arguments,
+    mujoco_arm,
+    numpy_loop,
+    suites,
+)
+from gms_flex_control.benchmarks.timing import interleaved, Measurement
+from gms_flex_control.cli import bench
+from gms_flex_control.dynamics.chain import matrices
+from gms_flex_control.errors import ConfigError
+from gms_flex_control.params.encoder import EncoderParams
+from gms_flex_control.resources import controller_file, robot_file
+from gms_flex_control.schema.files import load_controller, load_robot
+from gms_flex_control.simulation import closed_loop, plant
+from gms_flex_control.trajectory.builders import sinusoid
+import numpy as np
+import pytest
+
+
+@pytest.fixture(scope='module')
+def robot():
+    return replace(load_robot(robot_file()), encoder=EncoderParams())
+
+
+@pytest.fixture(scope='module')
+def gains(robot):
+    return load_controller(controller_file(), robot)
+
+
+@pytest.mark.parametrize('compensation', ['none', 'gms_paper'])
+@pytest.mark.parametrize(('period', 'limit'), [(1.0, 2.0), (6.0, 100.0)])
+def test_plain_numpy_and_the_kernels_compute_the_same(robot, gains, compensation, period,
+                                                      limit):
+    """Two implementations of all equations, with reversals; a low torque limit saturates."""
+    gains = replace(gains, compensation=compensation, torque_limit=[limit, limit])
+    damped = replace(robot, arm=replace(robot.arm, damping=[0.02, 0.01], gravity=0.5))
+    run = closed_loop.run(damped, robot, gains, sinusoid([1.0, 0.7], period, ramp_time=0.2),
+                          duration=0.7, period_ns=1_000_000, substeps=4)
+    q, command = numpy_loop.run(damped, robot, gains, run.reference, 1e-3, 4)
+    assert np.ptp(q, axis=0).min() > 0.05
+    if limit == 2.0:
+        assert np.any(np.abs(command) == limit)
+    np.testing.assert_allclose(q, run.true[:, 0], rtol=0, atol=1e-10)
+    np.testing.assert_allclose(command, run.command, rtol=0, atol=1e-8)
+
+
+def test_the_mechanism_in_mujoco_is_the_same(robot):
+    """Same inertias at any angle, and without friction the same motion of the free springs."""
+    pytest.importorskip('mujoco')
+    q = np.array([0.4, -0.8])
+    expected = np.diag([0.0, 0.0, *robot.arm.motor_inertia])
+    expected[:2, :2] = matrices(q, *np.zeros((3, 2)), robot.arm).mass
+    np.testing.assert_allclose(mujoco_arm.MujocoArm(robot, 1e-4).mass_matrix(q), expected,
+                               atol=1e-9)
+    slippery = replace(robot.friction, **{way: replace(
+        getattr(robot.friction, way), static=[1e-9, 1e-9], coulomb=[1e-9, 1e-9],
+        viscous=[0.02, 0.01]) for way in ('forward', 'backward')})
+    free = replace(robot, friction=slippery)
+    arm, command = mujoco_arm.MujocoArm(free, 1e-4), np.array([0.1, -0.05])
+    arm.advance(command, 3000)
+    ours = numpy_loop.NumpyPlant(free)
+    ours.advance(command, 1e-4, 3000)
+    np.testing.assert_allclose(arm.data.qpos, [*ours.q, *ours.q_motor], rtol=2e-3)
+
+
+def test_a_robot_mujoco_cannot_compare_with_is_refused(robot):
+    decoupled = replace(robot, arm=replace(robot.arm, kind='decoupled'))
+    with pytest.raises(ConfigError, match='needs a planar arm'):
+        mujoco_arm.mjcf(decoupled, 1e-4)
+
+
+@pytest.mark.parametrize('count', [0, 1, 10])
+@pytest.mark.filterwarnings('ignore:First-class function')
+def test_all_ways_to_join_effects_give_the_same_signals(count, tmp_path, monkeypatch):
+    monkeypatch.setenv('NUMBA_CACHE_DIR', str(tmp_path))
+    results = []
+    for build in effect_dispatch.ALTERNATIVES.values():
+        signals, memory = np.linspace(0.1, 0.9, 36), np.zeros(16)
+        build(core.EFFECTS[:count])(2, signals, memory, 1e-4)
+        results.append(signals)
+    # the package runs stage by stage; the entries of EFFECTS do not read what others change
+    for signals in results[1:4]:
+        np.testing.assert_array_equal(signals, results[0])
+    if count < 2:
+        np.testing.assert_array_equal(results[4], results[0])
+
+
+def test_records_as_tuples_hold_the_same_values(robot):
+    record = plant.constants_of(robot)
+    fields = kernel_arguments.as_tuples(record)
+    np.testing.assert_array_equal(fields.chain.coupling, record.chain.coupling)
+    assert fields.chain.coupling is not record.chain.coupling
+
+
+def test_interleaved_returns_the_median_of_each_case():
+    calls = []
+    times = interleaved({'a': lambda: calls.append('a'), 'b': lambda: calls.append('b')}, 3)
+    assert calls == ['a', 'b'] * 4
+    assert set(times) == {'a', 'b'}
+
+
+@pytest.mark.parametrize(('value', 'at_least', 'verdict'), [
+    (501.0, True, 'ok'), (499.0, True, 'missed'), (499.0, False, 'ok')])
+def test_a_target_gives_a_verdict(value, at_least, verdict):
+    m = Measurement(suite='s', name='n', value=value, unit='u', target=500.0, at_least=at_least)
+    assert m.verdict == verdict
+    assert verdict in suites.table([m])
+
+
+def test_the_command_prints_the_suites_asked_for(capsys):
+    parser = argparse.ArgumentParser()
+    bench.add_parser(parser.add_subparsers())
+    args = parser.parse_args(['bench', '--quick', '--only', 'step', 'tick', '--json'])
+    assert args.run(args) in (0, 1)
+    found = json.loads(capsys.readouterr().out)
+    assert {'step', 'tick'} == {m['suite'] for m in found}
+    assert all(np.isfinite(m['value']) and m['value'] > 0 for m in found)
+    assert set(bench.SUITES) == set(suites.SUITES)
