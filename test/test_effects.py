@@ -1,0 +1,330 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Effects: each against its equation, compiled by address and as the plain Python it is."""
+
+from dataclasses import replace
+from pathlib import Path
+
+from core_runs import push_plant
+from gms_flex_control.dynamics import chain
+from gms_flex_control.effects import catalogue, registry, table
+from gms_flex_control.effects import signals as sig
+from gms_flex_control.effects.base import Change, Stage, Term
+from gms_flex_control.errors import ParameterError
+from gms_flex_control.params.robot import EffectSpec
+from gms_flex_control.simulation import closed_loop, plant
+from gms_flex_control.trajectory.builders import hold
+import numpy as np
+import pytest
+
+DT = 1e-4
+TERMS = [name for name in registry.names() if issubclass(registry.find(name), Term)]
+CHANGES = [name for name in registry.names() if issubclass(registry.find(name), Change)]
+
+
+def clip(x, limit):
+    """Return ``x`` between minus and plus ``limit``."""
+    return np.clip(x, -limit, limit)
+
+
+# values of the parameters, the signal changed, and what it becomes of signals s and values p
+EQUATIONS = {
+    'actuator_deadzone': ([0.02], sig.TORQUE, lambda s, p: s[sig.TORQUE] - clip(
+        s[sig.TORQUE], p[0])),
+    'actuator_lag': ([0.005], sig.TORQUE, lambda s, p: s[sig.TORQUE] * -np.expm1(-DT / p[0])),
+    'actuator_saturation': ([0.1], sig.TORQUE, lambda s, p: clip(s[sig.TORQUE], p[0])),
+    'backlash': ([0.03], sig.TWIST, lambda s, p: s[sig.TWIST] - clip(s[sig.TWIST], p[0])),
+    'constant_link_torque': ([-0.02], sig.LINK_TORQUE, lambda s, p: s[sig.LINK_TORQUE] + p[0]),
+    'end_stop': ([0.5, 30.0], sig.LINK_TORQUE, lambda s, p: s[sig.LINK_TORQUE] - p[1] * max(
+        s[sig.Q_LINK] - p[0], 0.0)),
+    'friction_asymmetry': ([0.2], sig.FRICTION, lambda s, p: s[sig.FRICTION] * (
+        1 + p[0] * np.sign(s[sig.DQ_LINK]))),
+    'friction_drift': ([0.3, 50.0], sig.FRICTION, lambda s, p: s[sig.FRICTION] * (
+        1 + p[0] * s[sig.TIME] / p[1])),
+    'kinematic_error': ([0.01, 0.4], sig.TWIST, lambda s, p: s[sig.TWIST] + p[0] * np.sin(
+        2 * s[sig.Q_MOTOR] + p[1])),
+    'link_encoder_eccentricity': ([0.02, 0.3], sig.SENSED_LINK, lambda s, p: (
+        s[sig.SENSED_LINK] + p[0] * np.sin(s[sig.Q_LINK] + p[1]))),
+    'load_friction': ([0.1, 0.5], sig.FRICTION, lambda s, p: s[sig.FRICTION] * (
+        1 + p[0] * abs(s[sig.SPRING]) / p[1])),
+    'motor_coulomb': ([0.02], sig.MOTOR_TORQUE, lambda s, p: s[sig.MOTOR_TORQUE] - p[0] * clip(
+        s[sig.DQ_MOTOR] / 1e-3, 1.0)),
+    'motor_torque_bias': ([0.01], sig.MOTOR_TORQUE, lambda s, p: s[sig.MOTOR_TORQUE] + p[0]),
+    'motor_viscous': ([0.03], sig.MOTOR_TORQUE, lambda s, p: (
+        s[sig.MOTOR_TORQUE] - p[0] * s[sig.DQ_MOTOR])),
+    'position_friction': ([0.2, 3.0, 0.5], sig.FRICTION, lambda s, p: s[sig.FRICTION] * (
+        1 + p[0] * np.cos(p[1] * s[sig.Q_LINK] + p[2]))),
+    'quadratic_drag': ([0.05], sig.LINK_TORQUE, lambda s, p: (
+        s[sig.LINK_TORQUE] - p[0] * s[sig.DQ_LINK] * abs(s[sig.DQ_LINK]))),
+    'spring_cubic': ([12.0], sig.SPRING, lambda s, p: s[sig.SPRING] + p[0] * s[sig.TWIST] ** 3),
+    'spring_damping': ([0.02], sig.SPRING, lambda s, p: (
+        s[sig.SPRING] + p[0] * s[sig.TWIST_RATE])),
+    'spring_hysteresis': ([0.01, 0.005], sig.SPRING, lambda s, p: s[sig.SPRING]),  # begins so
+    'spring_offset': ([0.01], sig.TWIST, lambda s, p: s[sig.TWIST] + p[0]),
+    'stiffness_drift': ([0.2, 50.0], sig.SPRING, lambda s, p: s[sig.SPRING] * (
+        1 + p[0] * s[sig.TIME] / p[1])),
+    'torque_gain': ([0.1], sig.TORQUE, lambda s, p: s[sig.TORQUE] * (1 + p[0])),
+    'torque_ripple': ([0.01, 12.0, 0.3], sig.MOTOR_TORQUE, lambda s, p: (
+        s[sig.MOTOR_TORQUE] + p[0] * np.sin(p[1] * s[sig.Q_MOTOR] + p[2]))),
+}
+# values with which an effect does nothing
+NOTHING = {name: [0.0] * len(registry.find(name).parameters) for name in TERMS}
+NOTHING |= {'actuator_saturation': [1e6], 'end_stop': [10.0, 0.0], 'load_friction': [0.0, 1.0]}
+
+
+def random_signals(n, seed):
+    """Return signals of n joints, some of them small and some large."""
+    rng = np.random.default_rng(seed)
+    s = rng.standard_normal((n, sig.WIDTH)) * 10.0 ** rng.uniform(-3, 0, (n, sig.WIDTH))
+    s[:, sig.TIME], s[:, sig.JOINT], s[:, sig.JOINTS] = rng.uniform(0, 30), range(n), n
+    return s
+
+
+def run_compiled(name, values, signals, joint=1, memory=None):
+    """Return the signals after the compiled stage, dispatched by address."""
+    entry = table.build([EffectSpec(name=name, joint=f'j{joint}', values=tuple(values))],
+                        ('j0', 'j1', 'j2'))
+    out = signals.copy()
+    memory = np.zeros(table.MEMORY_SIZE) if memory is None else memory
+    table.run_stage(int(registry.find(name).stage), out, memory, DT, entry)
+    return out
+
+
+def test_every_effect_of_the_catalogue_has_its_equation_here():
+    """A new term needs an entry in EQUATIONS, so that it is never only believed."""
+    assert sorted(EQUATIONS) == TERMS
+    assert CHANGES == ['gravity_tilt', 'motor_inertia_error', 'stiffness_error', 'tip_payload']
+
+
+@pytest.mark.parametrize('name', TERMS)
+def test_a_term_does_what_its_equation_says(name):
+    """On its joint and its signal alone, over many random states."""
+    values, changed, equation = EQUATIONS[name]
+    for seed in range(50):
+        before = random_signals(3, seed)
+        after = run_compiled(name, values, before)
+        assert after[1, changed] == pytest.approx(equation(before[1], values), rel=1e-12,
+                                                  abs=1e-15)
+        if name == 'backlash' and abs(before[1, sig.TWIST]) < values[0]:
+            assert after[1, sig.TWIST_RATE] == 0.0
+            after[1, sig.TWIST_RATE] = before[1, sig.TWIST_RATE]
+        after[1, changed] = before[1, changed]
+        np.testing.assert_array_equal(after, before)
+
+
+@pytest.mark.parametrize('name', TERMS)
+def test_the_compiled_term_is_the_plain_python_one(name):
+    """Bit for bit but for the last digit of a sine, memory included, over several steps."""
+    kind, values = registry.find(name), np.array(EQUATIONS[name][0])
+    compiled_memory, memory = np.zeros(table.MEMORY_SIZE), np.zeros(max(kind.memory_size, 1))
+    for seed in range(20):
+        signals = random_signals(3, seed)
+        compiled = run_compiled(name, values, signals, memory=compiled_memory)
+        plain = signals.copy()
+        kind.apply(plain[1], values, memory, DT)
+        np.testing.assert_allclose(compiled, plain, rtol=1e-14, atol=0)
+        np.testing.assert_allclose(compiled_memory[:len(memory)], memory, rtol=1e-14, atol=0)
+
+
+@pytest.mark.parametrize('name', TERMS)
+def test_a_term_with_values_of_nothing_leaves_the_run_as_it_is(ideal_robot, name):
+    spec = EffectSpec(name=name, joint='joint1', values=tuple(NOTHING[name]))
+    command = 0.3 * np.sin(np.arange(400)[:, None] * [0.01, 0.02])
+    runs = [push_plant(robot, command, 2e-3, substeps=4)
+            for robot in (ideal_robot, replace(ideal_robot, effects=(spec,)))]
+    np.testing.assert_array_equal(runs[0], runs[1])
+
+
+@pytest.mark.parametrize('name', sorted(set(TERMS) - {'link_encoder_eccentricity', 'end_stop'}))
+def test_a_term_with_values_changes_the_run(ideal_robot, name):
+    """It is wired into the plant, not only into the table."""
+    values = {'actuator_saturation': [0.05], 'backlash': [0.05]}.get(name, EQUATIONS[name][0])
+    spec = EffectSpec(name=name, joint='joint1', values=tuple(values))
+    command = 0.4 * np.sin(np.arange(400)[:, None] * [0.01, 0.02])
+    runs = [push_plant(robot, command, 2e-3, substeps=4)
+            for robot in (ideal_robot, replace(ideal_robot, effects=(spec,)))]
+    assert np.abs(runs[0][-1, 0] - runs[1][-1, 0]).max() > 1e-6
+
+
+def test_a_lag_follows_a_step_exponentially():
+    memory, values = np.zeros(table.MEMORY_SIZE), [0.01]
+    signals = np.zeros((3, sig.WIDTH))
+    signals[1, sig.TORQUE] = 0.5
+    for k in range(1, 300):
+        out = run_compiled('actuator_lag', values, signals, memory=memory)
+        assert out[1, sig.TORQUE] == pytest.approx(-0.5 * np.expm1(-k * DT / 0.01), rel=1e-12)
+
+
+def test_hysteresis_yields_at_its_force_and_springs_back():
+    """Up: force / yield per radian, then flat; back: the full slope again."""
+    memory, values = np.zeros(table.MEMORY_SIZE), [0.01, 0.004]
+    twist = np.concatenate([np.linspace(0, 0.01, 101), np.linspace(0.01, 0.002, 81)[1:]])
+    torque = []
+    for e in twist:
+        signals = np.zeros((3, sig.WIDTH))
+        signals[1, sig.TWIST] = e
+        torque.append(run_compiled('spring_hysteresis', values, signals,
+                                   memory=memory)[1, sig.SPRING])
+    up = np.minimum(2.5 * twist[:101], 0.01)
+    down = np.maximum(0.01 - 2.5 * (0.01 - twist[101:]), -0.01)
+    np.testing.assert_allclose(torque, np.concatenate([up, down]), atol=1e-14)
+
+
+def test_an_end_stop_pushes_back_on_its_side_of_zero_only():
+    for angle, q, torque in ((0.5, 0.7, -6.0), (0.5, 0.4, 0.0), (0.5, -9.0, 0.0),
+                             (-0.5, -0.7, 6.0), (-0.5, -0.4, 0.0), (-0.5, 9.0, 0.0)):
+        signals = np.zeros((3, sig.WIDTH))
+        signals[1, sig.Q_LINK] = q
+        out = run_compiled('end_stop', [angle, 30.0], signals)
+        assert out[1, sig.LINK_TORQUE] == pytest.approx(torque)
+
+
+@pytest.mark.parametrize('name', registry.names())
+def test_an_effect_is_named_as_its_module_and_describes_its_parameters(name):
+    kind = registry.find(name)
+    assert kind.name == name == kind.__module__.rsplit('.', 1)[1]
+    assert kind.__doc__.strip().endswith('.')
+    assert kind.parameters
+    assert len({parameter.name for parameter in kind.parameters}) == len(kind.parameters)
+    for parameter in kind.parameters:
+        assert parameter.unit and parameter.description
+        assert parameter.lower < parameter.upper
+    if issubclass(kind, Term):
+        assert kind.stage in Stage
+
+
+def test_the_catalogue_is_its_folder():
+    files = {path.stem for path in Path(catalogue.__path__[0]).glob('*.py')} - {'__init__'}
+    assert set(registry.names()) == files
+    assert len(files) >= 27
+
+
+@pytest.mark.parametrize(('wrong', 'sentence'), [
+    ('backlsh', "effect 'backlsh' is not in the catalogue; did you mean 'backlash'?"),
+    ('cubic_spring', "did you mean 'spring_cubic'?"),
+    ('zzz', 'is not in the catalogue; known: actuator_deadzone, '),
+])
+def test_an_unknown_effect_is_refused_with_the_nearest(wrong, sentence):
+    with pytest.raises(ParameterError) as error:
+        registry.find(wrong)
+    assert sentence in str(error.value)
+
+
+@pytest.mark.parametrize(('given', 'sentence'), [
+    ({}, r'effects.j.backlash.half_gap \[rad\] is missing: half width of the play'),
+    ({'half_gap': -0.1}, 'half_gap must be a number from 0 to inf rad, got -0.1'),
+    ({'half_gap': np.nan}, 'must be a number from 0 to inf rad, got nan'),
+    ({'half_gap': np.inf}, 'must be a number from 0 to inf rad, got inf'),
+])
+def test_values_an_effect_does_not_allow_are_refused(given, sentence):
+    with pytest.raises(ParameterError, match=sentence):
+        registry.find('backlash').values(given, 'effects.j.backlash')
+
+
+def test_terms_run_in_the_order_of_stages_then_of_the_file():
+    """Gain before saturation as written; the spring after the twist, wherever written."""
+    joints = ('j0', 'j1', 'j2')
+    names = (('spring_cubic', [100.0]), ('spring_offset', [0.1]), ('torque_gain', [1.0]),
+             ('actuator_saturation', [0.5]))
+    specs = [EffectSpec(name=name, joint='j1', values=tuple(values)) for name, values in names]
+    for order, torque in ((specs, 0.5), ([*specs[:2], specs[3], specs[2]], 1.0)):
+        entry, signals = table.build(order, joints), np.zeros((3, sig.WIDTH))
+        signals[:, sig.TORQUE] = 0.7
+        memory = np.zeros(table.MEMORY_SIZE)
+        for stage in Stage:
+            table.run_stage(int(stage), signals, memory, DT, entry)
+        np.testing.assert_allclose(signals[:, sig.TORQUE], [0.7, torque, 0.7])
+        np.testing.assert_allclose(signals[:, sig.SPRING], [0.0, 100.0 * 0.1 ** 3, 0.0])
+
+
+def test_terms_with_memory_do_not_share_it():
+    """The same lag twice on one joint and once on another: three filters."""
+    joints = ('j0', 'j1', 'j2')
+    lag = [EffectSpec(name='actuator_lag', joint=joint, values=(0.01,))
+           for joint in ('j1', 'j1', 'j0')]
+    entry, memory = table.build(lag, joints), np.zeros(table.MEMORY_SIZE)
+    for _ in range(100):
+        signals = np.zeros((3, sig.WIDTH))
+        signals[:, sig.TORQUE] = 1.0
+        table.run_stage(int(Stage.ACTUATOR), signals, memory, DT, entry)
+    once = -np.expm1(-100 * DT / 0.01)
+    assert signals[0, sig.TORQUE] == pytest.approx(once, rel=1e-12)
+    assert signals[1, sig.TORQUE] < 0.6 * once
+    assert signals[2, sig.TORQUE] == 1.0
+
+
+def test_more_effects_than_the_table_holds_are_refused():
+    many = [EffectSpec(name='torque_gain', joint='j0', values=(0.1,))] * (table.MAX_TERMS + 1)
+    with pytest.raises(ParameterError, match='65 effects are more than the model holds '):
+        table.build(many, ('j0',))
+    table.build(many[1:], ('j0',))
+    large = type('LargeMemory', (registry.find('actuator_lag'),), {'memory_size': 600})
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(table, 'find', lambda name: large)
+        with pytest.raises(ParameterError, match='1 effects are more than the model holds'):
+            table.build(many[:1], ('j0',))
+
+
+def with_effect(robot, name, joint, *values):
+    """Return the robot with one change put into its parameters."""
+    return table.with_changes(replace(
+        robot, effects=(EffectSpec(name=name, joint=joint, values=values),)))
+
+
+def test_changes_are_other_parameters(ideal_robot):
+    """And leave no effect behind, nor touch the robot they started from."""
+    changed = with_effect(ideal_robot, 'stiffness_error', 'joint2', 0.2)
+    np.testing.assert_allclose(changed.arm.stiffness, ideal_robot.arm.stiffness * [1.0, 1.2])
+    assert changed.effects == ()
+    changed = with_effect(ideal_robot, 'motor_inertia_error', 'joint1', -0.5)
+    np.testing.assert_allclose(changed.arm.motor_inertia, [0.003, 0.005])
+    np.testing.assert_array_equal(ideal_robot.arm.motor_inertia, [0.006, 0.005])
+    changed = with_effect(ideal_robot, 'gravity_tilt', 'arm', np.radians(1.0), np.pi / 2)
+    np.testing.assert_allclose(changed.arm.gravity, [0.0, 9.80665 * np.sin(np.radians(1.0))],
+                               atol=1e-15)
+
+
+def test_a_payload_adds_the_energy_of_a_mass_at_the_tip(ideal_robot):
+    rng = np.random.default_rng(0)
+    q, dq = rng.standard_normal(2), rng.standard_normal(2)
+    loaded = with_effect(ideal_robot, 'tip_payload', 'arm', 0.25).arm
+    theta, omega = np.cumsum(q), np.cumsum(dq)
+    tip = (ideal_robot.arm.length * omega) @ np.stack([-np.sin(theta), np.cos(theta)], axis=1)
+    added = chain.energy(q, dq, q, dq, loaded) - chain.energy(q, dq, q, dq, ideal_robot.arm)
+    assert added == pytest.approx(0.5 * 0.25 * tip @ tip, rel=1e-12)
+
+
+def test_the_plant_takes_changes_and_terms_together(ideal_robot):
+    effects = (EffectSpec(name='torque_gain', joint='joint1', values=(0.1,)),
+               EffectSpec(name='stiffness_error', joint='joint1', values=(0.2,)))
+    command = np.full((200, 2), 0.3)
+    both = push_plant(replace(ideal_robot, effects=effects), command, 2e-3)
+    softer = replace(ideal_robot, arm=replace(ideal_robot.arm, stiffness=[1.8, 1.5]))
+    by_hand = push_plant(softer, command * [1.1, 1.0], 2e-3)
+    np.testing.assert_allclose(both, by_hand, rtol=0, atol=1e-12)
+
+
+def test_a_sensor_effect_changes_what_is_measured_and_not_what_is_true(ideal_robot, gains):
+    spec = EffectSpec(name='link_encoder_eccentricity', joint='joint2', values=(0.02, 0.5))
+    robot = replace(ideal_robot, effects=(spec,))
+    run = closed_loop.run(robot, ideal_robot, gains, hold([0.0, 0.0]), duration=0.1)
+    measured, true = run.measured[:, 0], run.true[:, 0]
+    np.testing.assert_allclose(measured[:, 1], true[:, 1] + 0.02 * np.sin(true[:, 1] + 0.5),
+                               rtol=1e-14)
+    np.testing.assert_array_equal(measured[:, 0], true[:, 0])
+
+
+def test_stepping_gives_the_same_bits_as_the_compiled_loop(ideal_robot):
+    """A plant with effects stepped from Python, sample by sample."""
+    effects = tuple(EffectSpec(name=name, joint='joint1', values=tuple(EQUATIONS[name][0]))
+                    for name in ('actuator_lag', 'spring_cubic', 'spring_hysteresis',
+                                 'position_friction', 'torque_ripple'))
+    robot = replace(ideal_robot, effects=effects)
+    command = 0.3 * np.sin(np.arange(100)[:, None] * [0.02, 0.03])
+    run = push_plant(robot, command, 2e-3, substeps=5)
+    state, work = plant.init(robot), plant.workspace(2)
+    for k in range(100):
+        plant.advance(state, command[k], k * 2e-3, 2e-3, 5, plant.constants_of(robot), work)
+        np.testing.assert_array_equal(state.q_link, run[k, 0])
+        np.testing.assert_array_equal(state.dq_motor, run[k, 3])
