@@ -23,7 +23,10 @@ def generate_launch_description():
             description='Parameter file of the robot'),
         DeclareLaunchArgument(
             'controller_file', default_value=PathJoinSubstitution([config, 'controller.yaml']),
-            description='Parameter file of the controller and the trajectory'),
+            description='Parameter file of the controller'),
+        DeclareLaunchArgument(
+            'trajectory_file', default_value=PathJoinSubstitution([config, 'sinusoid.yaml']),
+            description='Parameter file of the trajectory; call /trajectory/start to begin'),
         DeclareLaunchArgument(
             'mode', default_value='realtime', choices=['realtime', 'lockstep'],
             description='Pace of the plant: the wall clock, or one step per command'),
@@ -32,5 +35,5 @@ def generate_launch_description():
         Node(package=PACKAGE, executable='controller_node', output='screen',
              parameters=[*files, mode]),
         Node(package=PACKAGE, executable='trajectory_node', output='screen',
-             parameters=[*files, mode]),
+             parameters=[*files, LaunchConfiguration('trajectory_file'), mode]),
     ])

@@ -81,7 +81,7 @@ def test_the_launch_file_starts_the_installed_executables(monkeypatch):
         'plant_node', 'controller_node', 'trajectory_node']
     assert all(node.package == 'gms_flex_control' and node.executable in SCRIPTS
                and len(node.parameters) >= 2 for node in started)
-    assert declared == ['robot_file', 'controller_file', 'mode']
+    assert declared == ['robot_file', 'controller_file', 'trajectory_file', 'mode']
 
 
 def test_parameter_files_are_found_in_the_source_tree():
