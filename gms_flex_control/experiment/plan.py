@@ -13,6 +13,7 @@ from gms_flex_control.schema.files import load_robot, read_values
 from gms_flex_control.schema.keys import plant_node_keys, trajectory_keys
 from gms_flex_control.schema.motion import trajectory_from_values
 from gms_flex_control.schema.values import checked, known_keys
+from gms_flex_control.simulation.stepped import SteppedPlant
 from gms_flex_control.trajectory import builders
 from gms_flex_control.trajectory.segments import Trajectory
 import numpy as np
@@ -93,9 +94,10 @@ def read_plan(files, *, model=None, overrides=None, duration=None):
     timing = _filled(plant_node_keys(robot.joints), values)
     motion = _filled(trajectory_keys(robot.joints), values)
     q_link = np.array([timing[f'initial.{joint}'] for joint in robot.joints])
-    trajectory = builders.approach(
-        builders.at_rest(q_link), trajectory_from_values(motion, robot.joints), 0.0,
-        duration=motion['trajectory.approach_time'])
+    period_ns = round(NANOSECONDS / timing['rate'])
+    trajectory = _reference(motion, robot, SteppedPlant(
+        robot, period=period_ns / NANOSECONDS, substeps=timing['substeps'], seed=timing['seed'],
+        q_link=q_link))
     duration = trajectory.end if duration is None else duration
     if not 0.0 < duration < np.inf:
         raise ConfigError(f"--duration must be given for {motion['trajectory.type']}, which "
@@ -103,8 +105,18 @@ def read_plan(files, *, model=None, overrides=None, duration=None):
     return Plan(robot=robot, model=robot if model is None else load_robot(model),
                 gains=controller_from_values(values, robot.joints), trajectory=trajectory,
                 motion=motion['trajectory.type'], duration=duration, q_link=q_link,
-                period_ns=round(NANOSECONDS / timing['rate']), substeps=timing['substeps'],
-                seed=timing['seed'])
+                period_ns=period_ns, substeps=timing['substeps'], seed=timing['seed'])
+
+
+def _reference(motion, robot, plant):
+    """Return the reference from where the encoders see the robot, as trajectory_node does."""
+    chosen = trajectory_from_values(motion, robot.joints)
+    if chosen.quantity != 'motion':
+        raise ConfigError(f"trajectory.type {motion['trajectory.type']} is an open-loop torque, "
+                          'which the closed loop cannot follow; run the nodes')
+    plant.measure()
+    return builders.approach(builders.at_rest(plant.measured.q_link), chosen, 0.0,
+                             duration=motion['trajectory.approach_time'])
 
 
 def _filled(keys, values):
