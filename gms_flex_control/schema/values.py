@@ -23,7 +23,10 @@ def _is_number(value):
 def _typed(kind, value):
     """Return ``value`` as its Python type, or None where it is of another type."""
     if kind == 'double' and _is_number(value):
-        return float(value)
+        try:
+            return float(value)
+        except OverflowError:  # a whole number beyond all doubles
+            return math.inf if value > 0 else -math.inf
     if kind == 'integer' and isinstance(value, int) and not isinstance(value, bool):
         return int(value)
     if kind == 'boolean' and isinstance(value, bool):
