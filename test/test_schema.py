@@ -1,0 +1,275 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Parameter files: what they say comes through, and what is wrong is said with its line."""
+
+from dataclasses import fields, replace
+from pathlib import Path
+import re
+
+from core_runs import stribeck
+from gms_flex_control.errors import ConfigError, ParameterError
+from gms_flex_control.params.robot import EffectSpec
+from gms_flex_control.schema.files import load_controller, load_robot, save_robot
+import numpy as np
+import pytest
+
+CONFIG = Path(__file__).parents[1] / 'config'
+ROBOT = (CONFIG / 'robot.yaml').read_text(encoding='utf-8')
+CONTROLLER = (CONFIG / 'controller.yaml').read_text(encoding='utf-8')
+EFFECTS = ROBOT + '    effects:\n      {}:\n        {}\n'
+
+
+def written(folder, text, name='robot.yaml'):
+    """Write a file and return its path."""
+    path = folder / name
+    if isinstance(text, bytes):
+        path.write_bytes(text)
+    else:
+        path.write_text(text, encoding='utf-8')
+    return path
+
+
+def changed(old, new, text=ROBOT):
+    """Return the text with the first ``old`` replaced, which must be there."""
+    assert old in text
+    return text.replace(old, new, 1)
+
+
+def line_of(fragment, text):
+    """Return the line number, from 1, of the first line with ``fragment``."""
+    return next(k for k, line in enumerate(text.splitlines(), 1) if fragment in line)
+
+
+def test_the_default_robot_is_the_papers(robot):
+    """Tables 1 to 3; the arm is assumed and says so in its file."""
+    assert robot.joints == ('joint1', 'joint2')
+    assert robot.motors == ('joint1_motor', 'joint2_motor')
+    forward, backward = robot.friction.forward, robot.friction.backward
+    np.testing.assert_array_equal(forward.static, [0.10787, 0.10697])
+    np.testing.assert_array_equal(forward.coulomb, [0.09393, 0.09087])
+    np.testing.assert_array_equal(forward.velocity, [0.00846, 0.07819])
+    np.testing.assert_array_equal(forward.viscous, [0.06589, 0.00374])
+    np.testing.assert_array_equal(backward.static, [0.10433, 0.09470])
+    np.testing.assert_array_equal(backward.coulomb, [0.08997, 0.08363])
+    np.testing.assert_array_equal(backward.velocity, [0.00489, 0.05795])
+    np.testing.assert_array_equal(backward.viscous, [0.07410, 0.00530])
+    np.testing.assert_array_equal(robot.friction.stiffness[0],
+                                  [2.26, 5.93, 6.95, 64.24, 11.45, 111.41])
+    np.testing.assert_array_equal(robot.friction.stiffness[1],
+                                  [0.12, 16.08, 19.81, 75.86, 138.10, 150.58])
+    np.testing.assert_allclose(robot.friction.weight, 1 / 6, rtol=1e-15)
+    np.testing.assert_array_equal(robot.friction.attraction, [1.5, 1.0])
+    np.testing.assert_array_equal(robot.arm.gravity, [0.0, 0.0])
+    for name in ('mass', 'length', 'motor_inertia', 'stiffness'):
+        assert '(assumed' in ROBOT.splitlines()[line_of(f' {name}:', ROBOT) - 1]
+
+
+def test_the_default_gains_are_the_papers(gains):
+    """Section 6; k_e is another one, as its file says."""
+    assert gains.compensation == 'gms'
+    np.testing.assert_array_equal(gains.kd_link, [0.8, 0.8])
+    np.testing.assert_array_equal(gains.lambda_link, [3.0, 3.0])
+    np.testing.assert_array_equal(gains.kd_motor, [0.2, 0.22])
+    np.testing.assert_array_equal(gains.lambda_motor, [30.0, 40.0])
+    np.testing.assert_array_equal(gains.sign_slope, [50.0, 50.0])
+
+
+def assert_same(one, other):
+    """Compare two parameter objects field by field, to the last bit."""
+    for field in fields(one):
+        a, b = getattr(one, field.name), getattr(other, field.name)
+        if hasattr(a, '__dataclass_fields__'):
+            assert_same(a, b)
+        else:
+            np.testing.assert_array_equal(a, b, err_msg=field.name)
+
+
+def test_a_saved_robot_is_read_back_as_it_was(robot, tmp_path):
+    """To the last bit, effects, gravity and a rigid joint included."""
+    rng = np.random.default_rng(0)
+    arm = replace(robot.arm, gravity=9.81, stiffness=[np.inf, 1.0 / 3.0],
+                  mass=rng.uniform(0.1, 1.0, 2))
+    friction = replace(robot.friction, forward=stribeck(
+        robot.friction.forward, viscous=rng.uniform(0.0, 0.1, 2)))
+    effects = (EffectSpec(name='backlash', joint='joint2', values=(0.1 / 3,)),
+               EffectSpec(name='torque_ripple', joint='joint1', values=(0.01, 12.0, -0.3)),
+               EffectSpec(name='gravity_tilt', joint='arm', values=(0.01, 1.0)))
+    before = replace(robot, motors=('', 'joint2_motor'), arm=arm, friction=friction,
+                     effects=effects)
+    save_robot(before, tmp_path / 'saved.yaml', comment='Found by identification\nof a bag')
+    after = load_robot(tmp_path / 'saved.yaml')
+    assert_same(replace(after, effects=()), replace(before, effects=()))
+    assert set(after.effects) == set(before.effects)
+    text = (tmp_path / 'saved.yaml').read_text(encoding='utf-8')
+    assert text.startswith('# Found by identification\n# of a bag\n/**:\n')
+
+
+def test_a_later_file_wins_key_by_key(robot, tmp_path):
+    later = written(tmp_path, '/**:\n  ros__parameters:\n    arm:\n      joint2:\n'
+                              '        stiffness: 2.5\n', 'later.yaml')
+    both = load_robot([CONFIG / 'robot.yaml', later])
+    np.testing.assert_array_equal(both.arm.stiffness, [1.5, 2.5])
+    np.testing.assert_array_equal(both.arm.mass, robot.arm.mass)
+
+
+def test_whole_numbers_are_taken_for_doubles(tmp_path):
+    path = written(tmp_path, changed('mass: 1.0 ', 'mass: 2 '))
+    assert load_robot(path).arm.mass[1] == 2.0
+
+
+def test_a_file_may_hold_robot_and_controller_and_settings_of_nodes(robot, tmp_path):
+    whole = ROBOT + CONTROLLER.split('ros__parameters:\n')[1] + '    rate: 1000.0\n'
+    path = written(tmp_path, whole)
+    assert_same(load_robot(path), robot)
+    assert load_controller(path, robot).compensation == 'gms'
+
+
+# what is wrong: (old text, new text), the line it stands on, the sentence
+WRONG = {
+    'text for a number': ('mass: 2.3 ', 'mass: heavy ',
+                          "arm.joint1.mass must be a number [kg], got 'heavy'"),
+    'truth for a number': ('mass: 2.3 ', 'mass: true ',
+                           'arm.joint1.mass must be a number [kg], got True'),
+    'no value': ('mass: 2.3 ', 'mass: ', 'arm.joint1.mass must be a number [kg], got None'),
+    'a date': ('mass: 2.3 ', 'mass: 2020-01-01 ', 'arm.joint1.mass must be a number [kg], got '),
+    'not a number': ('mass: 2.3 ', 'mass: .nan ', 'arm.joint1.mass must be finite, got nan'),
+    'infinite': ('mass: 2.3 ', 'mass: .inf ', 'arm.joint1.mass must be finite, got inf'),
+    'beyond all doubles': ('mass: 2.3 ', f'mass: 1{400 * "0"} ',
+                           'arm.joint1.mass must be finite, got inf'),
+    'negative inertia': ('inertia: 0.0075 ', 'inertia: -0.0075 ',
+                         'arm.joint2.inertia must be from 0 to inf kg m^2, got -0.0075'),
+    'a misspelt key': ('motor_inertia: 0.006 ', 'motor_inertai: 0.006 ',
+                       'arm.joint1.motor_inertai is not a known parameter; did you mean '
+                       "'arm.joint1.motor_inertia'?"),
+    'a misspelt group': ('counts: 20000.0 ', 'count: 20000.0 ',
+                         "encoder.count is not a known parameter; did you mean 'encoder.counts'?"),
+    'an unknown joint': ('      joint2:\n        mass: 1.0 ', '      joint3:\n        mass: 1.0 ',
+                         "arm.joint3.mass is not a known parameter; unknown joint 'joint3'; "
+                         "did you mean 'joint2'?"),
+    'swapped friction': ('static: 0.10787 ', 'static: 0.08 ',
+                         'friction.joint1.forward: static 0.08 is below coulomb 0.09393: the '
+                         'Stribeck curve would rise with speed; were they swapped?'),
+    'weights off one': ('weight: [0.16666666666666666', 'weight: [0.2',
+                        'friction.joint1.weight sums to 1.03333, not to 1; divide each weight'),
+    'text in a list': ('[2.26, ', '[two, ', 'friction.joint1.stiffness must be a list of numbers '
+                       "[N m/rad], got ['two', 5.93"),
+    'nan in a list': ('[2.26, ', '[.nan, ', 'friction.joint1.stiffness must be finite, got nan'),
+    'a list in a list': ('[2.26, ', '[[2.26], ', 'friction.joint1.stiffness must be a list of '),
+    'a text for a list': ('joints: [joint1, joint2]', 'joints: joint1',
+                          "joints must be a list of texts, got 'joint1'"),
+    'no joints': ('joints: [joint1, joint2]', 'joints: []', 'joints is empty: name at least one'),
+    'too few motors': ('motors: [joint1_motor, joint2_motor]', 'motors: [joint1_motor]',
+                       'motors describes 1 joints, but joints names 2'),
+    'an unknown kind': ('kind: planar', 'kind: planer', 'arm.kind must be one of planar, '
+                        "decoupled, got 'planer'; did you mean 'planar'?"),
+    'a tab': ('    arm:', '\tarm:', 'is not valid YAML (found character'),
+    'a key twice': ('        length: 0.35 ', '        mass: 0.35 ',
+                    'is not valid YAML (found duplicate key "mass"'),
+}
+
+
+@pytest.mark.parametrize('what', WRONG)
+def test_what_is_wrong_in_a_robot_file_is_said_with_its_line(what, tmp_path):
+    old, new, sentence = WRONG[what]
+    text = changed(old, new)
+    path = written(tmp_path, text)
+    with pytest.raises((ConfigError, ParameterError)) as error:
+        load_robot(path)
+    message = str(error.value)
+    assert sentence in message
+    found = re.match(re.escape(str(path)) + r':(\d+): ', message)
+    assert found, message
+    assert abs(int(found[1]) - line_of(new.splitlines()[-1].rstrip(), text)) <= 1
+    assert '\n' not in message
+
+
+@pytest.mark.parametrize(('joint', 'lines', 'sentence'), [
+    ('joint1', 'backlsh: {half_gap: 0.1}', "effects.joint1.backlsh.half_gap: effect 'backlsh' is "
+     "not in the catalogue; did you mean 'backlash'?"),
+    ('joint9', 'backlash: {half_gap: 0.1}', "unknown joint 'joint9'; did you mean 'joint"),
+    ('joint1', 'backlash: {half_gp: 0.1}', "backlash has no parameter 'half_gp'; did you mean "
+     "'half_gap'?"),
+    ('joint1', 'backlash: {half_gap: -0.1}', 'half_gap must be from 0 to inf rad, got -0.1'),
+    ('joint1', 'backlash: {half_gap: wide}', "half_gap must be a number [rad], got 'wide'"),
+    ('joint1', 'backlash: 0.1', 'must have the form effects.<joint>.<effect>.<parameter>'),
+    ('joint1', 'tip_payload: {mass: 0.1}', 'tip_payload belongs under effects.arm'),
+    ('arm', 'backlash: {half_gap: 0.1}', 'backlash belongs under effects.<joint>'),
+    ('joint1', 'torque_ripple: {amplitude: 0.1}', 'effects.joint1.torque_ripple.order [1] is '
+     'missing: periods per revolution'),
+])
+def test_what_is_wrong_with_an_effect_is_said(joint, lines, sentence, tmp_path):
+    path = written(tmp_path, EFFECTS.format(joint, lines))
+    with pytest.raises((ConfigError, ParameterError)) as error:
+        load_robot(path)
+    assert sentence in str(error.value)
+    assert str(error.value).startswith(str(path))
+
+
+@pytest.mark.parametrize(('text', 'sentence'), [
+    ('', "is not a ROS parameter file; it begins with '/**:' and 'ros__parameters:'"),
+    ('a: 1\n', 'is not a ROS parameter file'),
+    ('- 1\n', 'is not a ROS parameter file'),
+    ("'/**': 3\n", 'is not a ROS parameter file'),
+    ('/**:\n  ros__parameters:\n', 'joints is missing: the robot file lists the names of'),
+    ('#' * 1_000_001, 'larger than 1000000 bytes, which no parameter file is'),
+    (b'\xff\xfe\x00', 'is not a text file in UTF-8'),
+    (changed('joint1:\n        mass', 'joint1: [\n        mass'), 'is not valid YAML'),
+    (changed('        motor_inertia: 0.006 ', '        # '),
+     'arm.joint1.motor_inertia is missing: motor inertia reflected to the joint [kg m^2]'),
+    (changed('[2.26, 5.93,', '[5.93,'), 'friction.joint1: stiffness has 5 blocks and weight 6'),
+    (changed('attraction: 1.5', 'attraction: 0.0'), 'attraction must be above 0, got [0. 1.]'),
+    (changed('stiffness: 1.5 ', 'stiffness: .inf '), "joint 'joint1' is rigid (stiffness .inf) "
+     "but has motor 'joint1_motor'"),
+])
+def test_a_file_that_is_no_robot_is_refused_by_name(text, sentence, tmp_path):
+    path = written(tmp_path, text)
+    with pytest.raises((ConfigError, ParameterError)) as error:
+        load_robot(path)
+    assert str(error.value).startswith(str(path))
+    assert sentence in str(error.value)
+
+
+@pytest.mark.parametrize('place', ['nowhere.yaml', '.'])
+def test_a_file_that_cannot_be_read_is_named(place, tmp_path):
+    with pytest.raises(ConfigError, match=r'cannot be read \((No such file|Is a directory)'):
+        load_robot(tmp_path / place)
+
+
+@pytest.mark.parametrize(('old', 'new', 'sentence'), [
+    ('kd_link: 0.8 ', 'kd_link: -0.8 ', 'gains.joint1.kd_link must be from 0 to 1e+09'),
+    ('kd_link: 0.8 ', 'kd_lnk: 0.8 ', "did you mean 'gains.joint1.kd_link'?"),
+    ('compensation: gms ', 'compensation: gsm ', 'compensation must be one of none, gms_paper, '
+     "gms, got 'gsm'; did you mean 'gms'?"),
+    ('      joint2:', '      joint3:', "unknown joint 'joint3'; did you mean 'joint2'?"),
+    ('torque_limit: 2.0 ', '# ', 'gains.joint1.torque_limit is missing: largest motor torque'),
+    ('filter_bandwidth: 100.0 ', 'filter_bandwidth: 0.0 ', 'must be from 0.001 to 100000 rad/s'),
+])
+def test_what_is_wrong_in_a_controller_file_is_said(robot, old, new, sentence, tmp_path):
+    path = written(tmp_path, changed(old, new, CONTROLLER), 'controller.yaml')
+    with pytest.raises((ConfigError, ParameterError)) as error:
+        load_controller(path, robot)
+    assert str(error.value).startswith(str(path))
+    assert sentence in str(error.value)
+
+
+def test_reordered_joints_keep_their_values(robot, tmp_path):
+    """The order is that of ``joints``; values go by name."""
+    text = changed('[joint1, joint2]', '[joint2, joint1]')
+    path = written(tmp_path, changed('[joint1_motor, joint2_motor]',
+                                     '[joint2_motor, joint1_motor]', text))
+    swapped = load_robot(path)
+    np.testing.assert_array_equal(swapped.arm.mass, robot.arm.mass[::-1])
+    np.testing.assert_array_equal(swapped.friction.stiffness, robot.friction.stiffness[::-1])
+
+
+def test_joints_may_have_different_numbers_of_blocks(robot, tmp_path):
+    """The shorter row is filled with blocks that carry nothing."""
+    weights = ROBOT[ROBOT.index('weight: ['):ROBOT.index(']  # 1/N') + 1]
+    text = changed(weights, 'weight: [0.25, 0.75]')
+    path = written(tmp_path, changed('[2.26, 5.93, 6.95, 64.24, 11.45, 111.41]', '[5.0, 50.0]',
+                                     text))
+    friction = load_robot(path).friction
+    assert friction.stiffness.shape == (2, 6)
+    np.testing.assert_array_equal(friction.stiffness[0], [5.0, 50.0, 0.0, 0.0, 0.0, 0.0])
+    np.testing.assert_array_equal(friction.weight[0], [0.25, 0.75, 0.0, 0.0, 0.0, 0.0])
