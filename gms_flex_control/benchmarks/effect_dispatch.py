@@ -25,7 +25,15 @@ from gms_flex_control.compiled import compiled
 from gms_flex_control.effects import table
 from gms_flex_control.effects.base import Stage, Term
 from gms_flex_control.effects.registry import find, names
-from gms_flex_control.effects.signals import WIDTH
+from gms_flex_control.effects.signals import (
+    DQ_LINK,
+    DQ_MOTOR,
+    Q_LINK,
+    Q_MOTOR,
+    SPRING,
+    TORQUE,
+    WIDTH,
+)
 from gms_flex_control.params.robot import EffectSpec
 import numba
 from numba import types
@@ -72,8 +80,17 @@ def pointer_at(typing_context, address):
     return types.CPointer(types.float64)(types.intp), codegen
 
 
+@numba.njit(cache=True)
+def move(signals, dt):
+    """Change what effects read, so that nothing they compute is the same in the next round."""
+    for first in range(0, signals.shape[0], WIDTH):
+        for k in (Q_LINK, DQ_LINK, Q_MOTOR, DQ_MOTOR):
+            signals[first + k] += dt
+        signals[first + TORQUE] = signals[first + SPRING] = signals[first + Q_LINK]
+
+
 def _imports(chosen):
-    lines = ['from numba import njit', f'from {__name__} import pointer_at',
+    lines = ['from numba import njit', f'from {__name__} import move, pointer_at',
              'from gms_flex_control.effects.registry import find']
     return [*lines, *(f'f_{name} = njit(cache=True)(find({name!r}).apply)' for name in chosen)]
 
@@ -84,7 +101,7 @@ def specialised(effects):
     module = _generated([
         *_imports(sorted({name for name, _ in effects})), '@njit(cache=True)',
         'def loop(count, signals, params, memory, dt):', '    for _ in range(count):',
-        '        signals[0] += dt',
+        '        move(signals, dt)',
         *(f'        f_{name}(pointer_at(signals.ctypes.data + {8 * s}), '
           f'pointer_at(params.ctypes.data + {8 * p}), '
           f'pointer_at(memory.ctypes.data + {8 * m}), dt)'
@@ -104,7 +121,7 @@ def switch(effects):
     module = _generated([
         *_imports(terms), '@njit(cache=True)',
         'def loop(count, codes, offsets, signals, params, memory, dt):',
-        '    for _ in range(count):', '        signals[0] += dt',
+        '    for _ in range(count):', '        move(signals, dt)',
         '        for k in range(len(codes)):', '            code = codes[k]',
         '            s = pointer_at(signals.ctypes.data + 8 * offsets[k, 0])',
         '            p = pointer_at(params.ctypes.data + 8 * offsets[k, 1])',
@@ -117,7 +134,7 @@ def switch(effects):
 def first_class_loop(count, functions, offsets, signals, params, memory, dt):
     """Loop over a tuple of first-class functions."""
     for _ in range(count):
-        signals[0] += dt
+        move(signals, dt)
         for k in range(len(functions)):
             functions[k](signals[offsets[k, 0]:], params[offsets[k, 1]:],
                          memory[offsets[k, 2]:], dt)
@@ -155,7 +172,7 @@ def call_with_arrays(typing_context, address, signals, params, memory, dt):
 def address_array_loop(count, addresses, offsets, signals, params, memory, dt):
     """Loop over addresses of functions with array arguments."""
     for _ in range(count):
-        signals[0] += dt
+        move(signals, dt)
         for k in range(len(addresses)):
             call_with_arrays(addresses[k], signals[offsets[k, 0]:], params[offsets[k, 1]:],
                              memory[offsets[k, 2]:], dt)
@@ -174,7 +191,7 @@ def address_arrays(effects):
 def table_loop(count, signals, memory, dt, terms):
     """Loop as the plant does: every stage of the effect table, which comes boxed."""
     for _ in range(count):
-        signals[0, 0] += dt
+        move(signals.reshape(len(JOINTS) * WIDTH), dt)
         for stage in range(_STAGES):
             table.run_stage(stage, signals, memory, dt, terms[0])
 

@@ -51,7 +51,7 @@ def tracking_figure(run):
 
     """
     recording = run.recording
-    figure, panels = _panels(recording.n_joints)
+    figure, panels = stacked_panels(recording.n_joints)
     keep = _thin(recording.time)
     for i, panel in enumerate(panels):
         panel.plot(recording.time[keep], recording.q_link[keep, i], color=COLOURS[0],
@@ -60,8 +60,8 @@ def tracking_figure(run):
                    label='reference')
         panel.set_ylabel(f'{recording.joints[i]} [rad]', parse_math=False)
     panels[0].legend(loc='upper right', ncols=2)
-    return _finish(figure, panels,
-                   f'{trajectory_name(run.trajectory)}: {compensation_name(run.compensation)}')
+    return finished(figure, panels,
+                    f'{trajectory_name(run.trajectory)}: {compensation_name(run.compensation)}')
 
 
 def error_figure(runs, trajectory):
@@ -83,7 +83,7 @@ def error_figure(runs, trajectory):
     """
     chosen = [run for run in runs if run.trajectory == trajectory]
     joints = list(dict.fromkeys(name for run in chosen for name in run.recording.joints))
-    figure, panels = _panels(len(joints))
+    figure, panels = stacked_panels(len(joints))
     for panel, joint in zip(panels, joints, strict=True):
         panel.axhline(0.0, color='0.6', linewidth=0.6)
         for run in chosen:
@@ -91,7 +91,7 @@ def error_figure(runs, trajectory):
                 _plot_error(panel, run, run.recording.joints.index(joint))
         panel.set_ylabel(f'{joint} [mrad]', parse_math=False)
     panels[0].legend(loc='lower center', bbox_to_anchor=(0.5, 1.0), ncols=2)
-    return _finish(figure, panels, f'{trajectory_name(trajectory)}: position error')
+    return finished(figure, panels, f'{trajectory_name(trajectory)}: position error')
 
 
 def _plot_error(panel, run, i):
@@ -118,14 +118,16 @@ def save_figure(figure, path):
         figure.savefig(temporary, dpi=150)
 
 
-def _panels(count):
+def stacked_panels(count):
+    """Return a figure and ``count`` axes one above the other, with a common abscissa."""
     figure = Figure(figsize=(WIDTH, 0.8 + 1.75 * count), layout='constrained')
     FigureCanvasAgg(figure)
     panels = figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0]
     return figure, panels
 
 
-def _finish(figure, panels, title):
+def finished(figure, panels, title):
+    """Return the figure of `stacked_panels` with title, grid, ticks and time label."""
     figure.suptitle(title, fontsize=11, parse_math=False)
     for panel in panels:
         panel.grid(color='0.9', linewidth=0.6)

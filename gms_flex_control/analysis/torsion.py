@@ -1,0 +1,214 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""
+A first model of one recorded axis: decoupled flexible joint, Coulomb and viscous friction.
+
+Eq. (1) of one decoupled axis, ``M ddq + F + K (q1 - q2) = 0`` and ``J ddq2 = tau + K (q1 - q2)``,
+with ``F = sgn(dq) Fc + sigma dq``. Inertia and friction come from the torque by least squares,
+the stiffness is given; how well the twist of the spring then explains the measured torsion, and
+how well a mere delay between the two encoders does, is what this analysis tells.
+"""
+
+from dataclasses import dataclass
+
+from gms_flex_control.errors import BagError
+import numpy as np
+from scipy.signal import savgol_filter
+
+WINDOW = 0.084       # of the derivatives [s]
+MOVING = 0.01        # below this part of the top speed the direction of friction is not known
+_POLYNOMIAL = 3
+_FEWEST = 50         # moving samples
+
+
+@dataclass(frozen=True, kw_only=True)
+class Explanation:
+    """
+    How much of the measured torsion one explanation leaves over.
+
+    Parameters
+    ----------
+    name : str
+        In words.
+    stiffness : float
+        Of the spring in it [N m/rad]; infinite without a spring.
+    delay : float
+        How much older the link encoder's reading is than the motor encoder's [s].
+    rms_error : float
+        Measured less modelled torsion, without its mean [rad].
+    relative_error : float
+        That over the rms of the measured torsion.
+
+    """
+
+    name: str
+    stiffness: float
+    delay: float
+    rms_error: float
+    relative_error: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TorsionStudy:
+    """
+    One axis, measured and modelled, at the samples whose derivatives are known.
+
+    Parameters
+    ----------
+    joint, source : str
+        What was studied.
+    time : ndarray, shape (T,)
+        [s].
+    velocity, acceleration : ndarray, shape (T,)
+        Of the motor side, seen at the joint [rad/s, rad/s^2].
+    torque, torque_model : ndarray, shape (T,)
+        Measured at the motor, and of inertia and friction [N m].
+    torsion : ndarray, shape (T,)
+        Motor less link angle, without its mean [rad].
+    torsion_model : ndarray, shape (T,)
+        Spring torque over stiffness, without its mean [rad].
+    torsion_offset : float
+        The mean taken off: zero error of the encoders, not twist [rad].
+    inertia : float
+        M + J, from the torque [kg m^2].
+    motor_inertia : float
+        J as given; this part of the torque does not load the spring [kg m^2].
+    coulomb : tuple of float
+        Forward and backward [N m].
+    viscous : float
+        [N m s/rad].
+    moving : ndarray of bool, shape (T,)
+        Samples used for the fit.
+    explanations : tuple of Explanation
+        The given spring first.
+
+    """
+
+    joint: str
+    source: str
+    time: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+    torque: np.ndarray
+    torque_model: np.ndarray
+    torsion: np.ndarray
+    torsion_model: np.ndarray
+    torsion_offset: float
+    inertia: float
+    motor_inertia: float
+    coulomb: tuple
+    viscous: float
+    moving: np.ndarray
+    explanations: tuple
+
+    @property
+    def torque_error(self):
+        """Return (rms measured, rms error) of the torque over the moving samples [N m]."""
+        return (float(np.std(self.torque[self.moving])),
+                rms((self.torque - self.torque_model)[self.moving]))
+
+
+def study(recording, joint, stiffness, motor_inertia=0.0):
+    """
+    Put one joint of a recording through the flexible-joint model of a decoupled axis.
+
+    Parameters
+    ----------
+    recording : Recording
+        With angles of both sides and the motor's torque, reflected to the joint.
+    joint : str
+        Link name.
+    stiffness : float
+        K of the joint [N m/rad].
+    motor_inertia : float
+        J, reflected to the joint [kg m^2]; 0 if not known, the spring then carries all torque.
+
+    Returns
+    -------
+    TorsionStudy
+
+    Raises
+    ------
+    BagError
+        If the joint, its motor side or the torque is missing, or it hardly moves.
+
+    """
+    if not (np.isfinite(stiffness) and stiffness > 0):
+        raise BagError(f'stiffness must be above 0 and finite [N m/rad], got {stiffness}')
+    time, q_link, q_motor, torque = _channels(recording, joint)
+    dt = float(time[1] - time[0])
+    samples = max(2 * round(WINDOW / dt / 2) + 1, _POLYNOMIAL + 2)
+    edge = slice(samples // 2, len(time) - samples // 2)
+    if len(time[edge]) < _FEWEST:
+        raise BagError(f'{recording.source}: {len(time)} samples are too few for derivatives '
+                       f'over {samples} samples')
+    velocity, acceleration = (
+        savgol_filter(q_motor, samples, _POLYNOMIAL, deriv=k, delta=dt)[edge] for k in (1, 2))
+    torque, torsion = torque[edge], (q_motor - q_link)[edge]
+    moving = np.abs(velocity) > MOVING * np.abs(velocity).max()
+    columns = np.stack([acceleration, np.where(velocity > 0, 1.0, 0.0),
+                        np.where(velocity < 0, -1.0, 0.0), velocity], axis=1)
+    if moving.sum() < _FEWEST or np.linalg.matrix_rank(columns[moving]) < columns.shape[1]:
+        raise BagError(f'{recording.source}: {joint} must move both ways, at changing speed, to '
+                       'tell inertia from friction')
+    fit, *_ = np.linalg.lstsq(columns[moving], torque[moving], rcond=None)
+    load = torque - motor_inertia * acceleration  # what the spring carries, Eq. (1), motor
+    return TorsionStudy(
+        joint=joint, source=recording.source, time=time[edge], velocity=velocity,
+        acceleration=acceleration, torque=torque, torque_model=columns @ fit,
+        torsion=torsion - torsion.mean(), torsion_model=(load - load.mean()) / stiffness,
+        torsion_offset=float(torsion.mean()), inertia=float(fit[0]),
+        motor_inertia=float(motor_inertia), coulomb=(float(fit[1]), float(fit[2])),
+        viscous=float(fit[3]), moving=moving,
+        explanations=tuple(_explain(torsion, load, velocity, stiffness)))
+
+
+def _channels(recording, joint):
+    """Return time, both angles and the torque of a joint on an even grid."""
+    if joint not in recording.joints:
+        known = ', '.join(recording.joints)
+        raise BagError(f'{recording.source}: has no joint {joint!r}; it has {known}')
+    j = recording.joints.index(joint)
+    channels = {'motor angle': recording.q_motor[:, j], 'link angle': recording.q_link[:, j],
+                'motor torque': recording.tau_motor[:, j]}
+    known = np.all([np.isfinite(values) for values in channels.values()], axis=0)
+    if known.sum() < _FEWEST:
+        missing = min(channels, key=lambda name: np.isfinite(channels[name]).sum())
+        raise BagError(f'{recording.source}: {joint} has {known.sum()} samples with both angles '
+                       f'and torque, mostly the {missing} is missing; a torsion study needs '
+                       'encoders on both sides and the torque of the motor')
+    time = recording.time[known]
+    grid = time[0] + recording.period * np.arange(
+        int((time[-1] - time[0]) / recording.period * (1 + 1e-9)) + 1)
+    return grid, *(np.interp(grid, time, channels[name][known])
+                   for name in ('link angle', 'motor angle', 'motor torque'))
+
+
+def _explain(torsion, load, velocity, stiffness):
+    """Yield what is left of the torsion after one explanation and the other."""
+    measured = torsion - torsion.mean()
+    spring = (load - load.mean()) / stiffness
+    speed = velocity - velocity.mean()
+
+    def delay_of(rest):
+        return float(speed @ rest / (speed @ speed))
+
+    both = delay_of(measured - spring)
+    free = np.stack([load - load.mean(), speed], axis=1)
+    (compliance, lag), *_ = np.linalg.lstsq(free, measured, rcond=None)
+    for name, k, delay, model in (
+            ('spring of the given stiffness', stiffness, 0.0, spring),
+            ('delay between the encoders alone', np.inf, delay_of(measured),
+             delay_of(measured) * speed),
+            ('given spring and delay', stiffness, both, spring + both * speed),
+            ('free spring and delay', 1.0 / compliance, float(lag),
+             free @ [compliance, lag])):
+        error = rms(measured - model)
+        yield Explanation(name=name, stiffness=float(k), delay=delay, rms_error=error,
+                          relative_error=error / rms(measured))
+
+
+def rms(values):
+    """Return the root of the mean square."""
+    return float(np.sqrt(np.mean(np.square(values))))

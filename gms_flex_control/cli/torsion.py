@@ -1,0 +1,55 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""`gms_flex torsion`: how well a flexible joint explains one recorded axis."""
+
+from dataclasses import asdict
+import json
+import math
+
+
+def add_parser(subparsers):
+    """Add the verb to the tool's parser."""
+    parser = subparsers.add_parser(
+        'torsion', help='a first flexible-joint model of one recorded axis',
+        description='Fit inertia, Coulomb and viscous friction to the torque of one axis, turn '
+                    'the torque into twist by a given stiffness, and compare with the measured '
+                    'difference of motor and link encoder. For axes that do not act on each '
+                    'other and carry no gravity.')
+    parser.add_argument('bag', help='bag with angles of both sides and the torque of the motor')
+    parser.add_argument('--joint', required=True, help='link name')
+    parser.add_argument('--stiffness', required=True, type=float, metavar='K',
+                        help='of the joint [N m/rad]')
+    parser.add_argument('--motor-inertia', type=float, default=0.0, metavar='J',
+                        help='reflected to the joint [kg m^2]; default 0, not known')
+    parser.add_argument('--out', metavar='DIR', help='folder for report.html and pictures')
+    parser.add_argument('--json', action='store_true', help='print JSON')
+    parser.set_defaults(run=run)
+
+
+def run(args):
+    """Print the study, write the report if asked to, and return the exit code."""
+    from gms_flex_control.analysis.torsion import study
+    from gms_flex_control.bags.reader import read_recording
+    from gms_flex_control.reports.torsion import text, write_torsion_report
+
+    found = study(read_recording(args.bag), args.joint, args.stiffness, args.motor_inertia)
+    print(json.dumps(as_dict(found), indent=2, allow_nan=False) if args.json else text(found))
+    if args.out:
+        page = write_torsion_report(found, args.out)
+        if not args.json:
+            print(f'\nreport: {page}')
+    return 0
+
+
+def as_dict(study):
+    """Return the figures of a TorsionStudy as plain values; no spring is stiffness None."""
+    measured, error = study.torque_error
+    explanations = [{**asdict(e), 'stiffness': e.stiffness if math.isfinite(e.stiffness)
+                     else None} for e in study.explanations]
+    return {'joint': study.joint, 'source': study.source, 'samples': len(study.time),
+            'inertia': study.inertia, 'motor_inertia': study.motor_inertia,
+            'coulomb': study.coulomb, 'viscous': study.viscous,
+            'torque': {'rms_measured': measured, 'rms_error': error,
+                       'relative_error': error / measured},
+            'torsion_offset': study.torsion_offset, 'explanations': explanations}

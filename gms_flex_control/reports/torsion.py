@@ -1,0 +1,139 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""A torsion study as text, pictures and an interactive page."""
+
+from pathlib import Path
+
+from gms_flex_control.analysis.torsion import rms
+from gms_flex_control.reports.figures import COLOURS, finished, save_figure, stacked_panels
+from gms_flex_control.reports.page import Report, Series
+import numpy as np
+
+
+def text(study):
+    """Return a TorsionStudy as lines of text."""
+    measured, error = study.torque_error
+    torsion, first = rms(study.torsion), study.explanations[0]
+    header, rows = explanation_rows(study)
+    widths = [max(len(row[i]) for row in [header, *rows]) for i in range(len(header))]
+    table = ['  '.join(f'{cell:<{w}}' if i == 0 else f'{cell:>{w}}'
+                       for i, (cell, w) in enumerate(zip(row, widths, strict=True)))
+             for row in [header, *rows]]
+    return '\n'.join([
+        f'{study.source}, {study.joint}: {len(study.time)} samples, '
+        f'{int(study.moving.sum())} of them moving',
+        f'inertia M + J {study.inertia:.5g} kg m^2, J taken as {study.motor_inertia:.5g}; '
+        f'Coulomb {study.coulomb[0]:.4g} / {study.coulomb[1]:.4g} N m forward / backward, '
+        f'viscous {study.viscous:.4g} N m s/rad',
+        f'motor torque: rms measured {measured:.4g} N m, rms error {error:.4g} N m, relative '
+        f'error {error / measured:.3f}',
+        f'torsion: rms measured {1e3 * np.degrees(torsion):.4g} mdeg, rms error '
+        f'{1e3 * np.degrees(first.rms_error):.4g} mdeg, relative error '
+        f'{first.relative_error:.3f} (mean of {1e3 * np.degrees(study.torsion_offset):.4g} mdeg '
+        'taken off)', '', *table, '', verdict(study)])
+
+
+def explanation_rows(study):
+    """Return header and rows of the table of explanations."""
+    header = ('torsion explained by', 'stiffness [N m/rad]', 'delay [ms]', 'rms error [mdeg]',
+              'relative error')
+    return header, [
+        (e.name, f'{e.stiffness:.4g}' if np.isfinite(e.stiffness) else '-',
+         f'{1e3 * e.delay:.3f}', f'{1e3 * np.degrees(e.rms_error):.3f}',
+         f'{e.relative_error:.3f}') for e in study.explanations]
+
+
+def verdict(study):
+    """Return in a sentence or two what the torsion shows."""
+    spring, delay, both, free = study.explanations
+    lines = []
+    if delay.relative_error < spring.relative_error:
+        lines.append(f'A delay of {1e3 * delay.delay:.2f} ms between the encoders explains the '
+                     'torsion better than the spring does: it is not flexibility.')
+    if both.relative_error >= delay.relative_error:
+        lines.append('Beside the delay the given spring does not improve the model; these data '
+                     'do not confirm its stiffness.')
+    if free.stiffness < 0:
+        lines.append('The best spring beside the delay has negative stiffness: what is left '
+                     'is not the twist of a spring.')
+    return ' '.join(lines) or 'The given spring explains the torsion better than a delay does.'
+
+
+def write_torsion_report(study, folder):
+    """
+    Write report.html, torque.png and torsion.png.
+
+    Parameters
+    ----------
+    study : TorsionStudy
+        What to show.
+    folder : str or Path
+        Made if need be; files of the same names are replaced.
+
+    Returns
+    -------
+    Path
+        The page.
+
+    """
+    folder = Path(folder)
+    save_figure(_torque_figure(study), folder / 'torque.png')
+    save_figure(_torsion_figure(study), folder / 'torsion.png')
+    report = Report(f'Torsion of {study.joint}',
+                    f'{study.source}: flexible joint of a decoupled axis, measured and modelled')
+    report.note(verdict(study)).preformatted(text(study))
+    group = f'torsion {study.source}'
+    report.heading('Motor torque').chart(
+        'torque', study.time, [
+            Series('measured', study.torque, role='c0'),
+            Series('inertia and friction', study.torque_model, role='reference', dashed=True),
+            Series('error', study.torque - study.torque_model, role='c1', hidden=True)],
+        y_label='torque [N m]', group=group)
+    report.heading('Torsion').chart(
+        'motor − link, without its mean', study.time, [
+            Series('measured', _mdeg(study.torsion), role='c0'),
+            Series('spring torque / stiffness', _mdeg(study.torsion_model), role='reference',
+                   dashed=True),
+            Series('delay between the encoders', _mdeg(_delayed(study)), role='c2')],
+        y_label='torsion [mdeg]', group=group)
+    report.table(*explanation_rows(study), caption='What explains the torsion')
+    return report.write(folder / 'report.html')
+
+
+def _mdeg(values):
+    return 1e3 * np.degrees(values)
+
+
+def _delayed(study):
+    return study.explanations[1].delay * (study.velocity - study.velocity.mean())
+
+
+def _torque_figure(study):
+    figure, (above, below) = stacked_panels(2)
+    above.plot(study.time, study.torque, color=COLOURS[0], label='measured')
+    above.plot(study.time, study.torque_model, 'k--', linewidth=1.0,
+               label='inertia and friction')
+    above.set_ylabel('torque [N m]')
+    above.legend(loc='upper right', ncols=2)
+    below.plot(study.time, study.torque - study.torque_model, color=COLOURS[1])
+    below.set_ylabel('error [N m]')
+    return finished(figure, [above, below], f'{study.joint}: motor torque')
+
+
+def _torsion_figure(study):
+    figure, (above, below) = stacked_panels(2)
+    above.plot(study.time, _mdeg(study.torsion), color=COLOURS[0], label='measured')
+    above.plot(study.time, _mdeg(study.torsion_model), 'k--', linewidth=1.0,
+               label='spring torque / stiffness')
+    above.plot(study.time, _mdeg(_delayed(study)), ':', color=COLOURS[2],
+               label='delay between the encoders')
+    above.legend(loc='lower center', bbox_to_anchor=(0.5, 1.0), ncols=3)
+    above.set_ylabel('torsion [mdeg]')
+    below.plot(study.time, _mdeg(study.torsion - study.torsion_model), color=COLOURS[1],
+               label='left by the spring')
+    below.plot(study.time, _mdeg(study.torsion - _delayed(study)), color=COLOURS[2],
+               label='left by the delay')
+    below.legend(loc='upper right', ncols=2)
+    below.set_ylabel('error [mdeg]')
+    return finished(figure, [above, below], f'{study.joint}: torsion')
