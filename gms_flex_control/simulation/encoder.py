@@ -62,13 +62,12 @@ def count(angle, normal, constants):
 
 
 @compiled
-def estimate_velocity(velocity, change, true_velocity, started, period, constants):
-    """Return the low-passed difference quotient, or the true velocity without a cut-off."""
-    if constants.velocity_cutoff[0] == 0.0:
+def estimate_velocity(velocity, change, true_velocity, started, period, gain):
+    """Return the low-passed difference quotient, or the true velocity without a filter gain."""
+    if gain == 0.0:
         return true_velocity
     if not started:
         return 0.0
-    gain = 1.0 - np.exp(-2.0 * np.pi * constants.velocity_cutoff[0] * period)
     return velocity + gain * (change / period - velocity)
 
 
@@ -92,15 +91,16 @@ def measure(measured, seen_link, seen_motor, dq_link, dq_motor, period, constant
 
     """
     started = measured.started[0] > 0.0
+    gain = 1.0 - np.exp(-2.0 * np.pi * constants.velocity_cutoff[0] * period)
     for j in range(measured.q_link.shape[0]):
         angle = count(seen_link[j], measured.normal[j, 0], constants)
         measured.dq_link[j] = estimate_velocity(
             measured.dq_link[j], angle - measured.q_link[j], dq_link[j], started, period,
-            constants)
+            gain)
         measured.q_link[j] = angle
         angle = count(seen_motor[j], measured.normal[j, 1], constants)
         measured.dq_motor[j] = estimate_velocity(
             measured.dq_motor[j], angle - measured.q_motor[j], dq_motor[j], started, period,
-            constants)
+            gain)
         measured.q_motor[j] = angle
     measured.started[0] = 1.0

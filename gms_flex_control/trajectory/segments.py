@@ -105,8 +105,9 @@ class Trajectory:
 
 
 @compiled
-def poly_derivatives(coefficients, x, scale, out):
-    """Write value and derivatives 1 to 4 in time of a polynomial in ``x`` into ``out`` (5,)."""
+def poly_derivatives(coefficients, x, rate, out):
+    """Write value and time derivatives 1 to 4 of a polynomial in x, dx/dt = rate, to ``out``."""
+    scale = 1.0
     for k in range(DERIVATIVES):
         total = 0.0
         for power in range(DEGREE, k - 1, -1):
@@ -114,7 +115,17 @@ def poly_derivatives(coefficients, x, scale, out):
             for m in range(k):
                 factor *= power - m
             total = total * x + factor * coefficients[power]
-        out[k] = total / scale ** k
+        out[k] = total * scale
+        scale *= rate
+
+
+@compiled
+def wave_derivatives(amplitude, omega, angle, out):
+    """Write ``amplitude sin(angle)`` and its time derivatives 1 to 4 to ``out`` (5,)."""
+    sine, cosine = amplitude * np.sin(angle), amplitude * np.cos(angle)
+    for k in range(DERIVATIVES):
+        out[k] = sine
+        sine, cosine = omega * cosine, -omega * sine
 
 
 @compiled
@@ -126,15 +137,14 @@ def sample_all(times, start, scale, poly, envelope, amplitude, omega, phase, out
     for i in range(times.shape[0]):
         m = max(np.searchsorted(start, times[i], side='right') - 1, 0)
         local = max(times[i] - start[m], 0.0)
-        x = local / scale[m]
+        rate = 1.0 / scale[m]
         for j in range(poly.shape[2]):
-            poly_derivatives(poly[m, :, j], x, scale[m], out[i, :, j])
+            poly_derivatives(poly[m, :, j], local * rate, rate, out[i, :, j])
             if amplitude[m, j] == 0.0:
                 continue
-            poly_derivatives(envelope[m], x, scale[m], shape)
-            for k in range(DERIVATIVES):
-                wave[k] = amplitude[m, j] * omega[m, j] ** k * np.sin(
-                    omega[m, j] * local + phase[m, j] + 0.5 * np.pi * k)
+            poly_derivatives(envelope[m], local * rate, rate, shape)
+            wave_derivatives(amplitude[m, j], omega[m, j], omega[m, j] * local + phase[m, j],
+                             wave)
             for k in range(DERIVATIVES):  # Leibniz rule
                 for r in range(k + 1):
                     out[i, k, j] += binomial[k, r] * shape[r] * wave[k - r]
