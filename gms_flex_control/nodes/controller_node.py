@@ -97,14 +97,12 @@ class ControllerNode(Node):
         for sentence in violations(gains, self._robot):
             self.get_logger().warning(sentence)
 
-    def _refuse(self, what, error):
-        self.get_logger().warning(f'{what} refused: {error}', throttle_duration_sec=_WARN_PERIOD)
-
     def _on_reference(self, message):
         try:
             reference = Reference(*messages.read_reference(message, self._robot.n_joints))
         except messages.RefusedError as error:
-            self._refuse('reference', error)
+            self.get_logger().warning(f'reference refused: {error}',
+                                      throttle_duration_sec=_WARN_PERIOD)
             return
         stamp = messages.read_stamp(message)
         if stamp is None:
@@ -128,7 +126,8 @@ class ControllerNode(Node):
         try:
             self._reader.read(message, self._controller.measured)
         except messages.RefusedError as error:
-            self._refuse('joint state', error)
+            self.get_logger().warning(f'joint state refused: {error}',
+                                      throttle_duration_sec=_WARN_PERIOD)
             return
         if self._lockstep and stamp not in self._references:
             self._waiting = stamp
