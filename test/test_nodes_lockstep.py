@@ -1,0 +1,114 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Three processes in lockstep over DDS give the numbers of one process, to the last bit."""
+
+from dataclasses import fields
+
+from gms_flex_control.bags.cdr import unpack_joint_state
+from gms_flex_control.bags.reader import read_recording
+from gms_flex_control.bags.source import Bag
+from gms_flex_control.experiment.driven import drive, DrivenPlan
+from gms_flex_control.experiment.plan import read_plan
+from gms_flex_control.experiment.simulated import simulate_to_bag
+from gms_flex_control.schema.files import load_robot, save_robot
+from node_harness import CONFIG, DISCOVERY, FILES, STATES, take_domain, write_parameters
+import numpy as np
+import pytest
+
+RIGID = """
+motors: ['', '']
+arm:
+  joint1: {stiffness: .inf}
+  joint2: {stiffness: .inf}
+"""
+ONE_AXIS = """
+joints: [slide]
+motors: [slide_motor]
+arm:
+  kind: decoupled
+  slide: {inertia: 0.05, motor_inertia: 0.006, stiffness: 5.0}
+encoder: {counts: 20000.0, velocity_cutoff: 50.0}
+friction:
+  slide:
+    forward: {static: 0.108, coulomb: 0.094, velocity: 0.0085, viscous: 0.066}
+    backward: {static: 0.104, coulomb: 0.090, velocity: 0.0049, viscous: 0.074}
+    stiffness: [2.26, 5.93, 6.95, 64.24, 11.45, 111.41]
+    weight: [0.1, 0.1, 0.2, 0.2, 0.2, 0.2]
+    attraction: 1.5
+gains:
+  slide: {kd_link: 0.8, lambda_link: 3.0, kd_motor: 0.2, lambda_motor: 30.0, torque_limit: 2.0}
+"""
+
+
+def both(tmp_path, monkeypatch, files, *, duration, compensation, rate=500.0):
+    """Return the recording of three nodes, that of one process, and the plan."""
+    domain, lock = take_domain()
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
+    monkeypatch.setenv(DISCOVERY, 'LOCALHOST')
+    with lock:
+        drive(DrivenPlan(files=tuple(files), model=files[0], compensation=compensation,
+                         duration=duration, rate=rate),
+              tmp_path / 'driven', log=tmp_path / 'log')
+    plan = read_plan(files, duration=duration,
+                     overrides={'compensation': compensation, 'rate': rate})
+    simulate_to_bag(plan, tmp_path / 'simulated')
+    names = plan.robot.joints, plan.robot.motors
+    return (read_recording(tmp_path / 'driven', *names),
+            read_recording(tmp_path / 'simulated', *names), plan)
+
+
+def assert_equal(driven, simulated):
+    for field in fields(driven):
+        if field.name != 'source':
+            np.testing.assert_array_equal(getattr(driven, field.name),
+                                          getattr(simulated, field.name), err_msg=field.name)
+
+
+@pytest.mark.parametrize('compensation, noise, rate, start', [
+    ('gms', 1e-4, 500.0, 0.4), ('gms_paper', 0.0, 300.0, 0.0)])
+def test_nodes_and_one_process_agree(tmp_path, monkeypatch, compensation, noise, rate, start):
+    """At 300 Hz the period is no whole number of nanoseconds; noise comes from the same seed."""
+    extra = write_parameters(tmp_path / 'extra.yaml', (
+        f'encoder: {{noise: {noise}}}\nseed: 7\ninitial: {{joint1: {start}}}\n'
+        'trajectory: {joint1: {amplitude: 0.7}, ramp_time: 1}'))
+    driven, simulated, plan = both(
+        tmp_path, monkeypatch, [*FILES, CONFIG / 'sinusoid.yaml', extra],
+        duration=3.0, compensation=compensation, rate=rate)
+    assert len(driven.time) == round(3.0 * rate)
+    assert np.all(np.isfinite(driven.reference)) and np.all(np.isfinite(driven.command))
+    assert np.all(np.isfinite(driven.friction_hat)) and np.all(np.isfinite(driven.q_motor))
+    assert np.all(np.diff(np.rint(driven.time * 1e9)) == plan.period_ns)
+    assert np.ptp(driven.q_link[:, 0]) > 0.3  # it moved
+    assert_equal(driven, simulated)
+
+
+def assert_moves_alike(tmp_path, monkeypatch, files):
+    joints = load_robot(files).joints
+    motion = write_parameters(tmp_path / 'motion.yaml', (
+        'trajectory: {type: polynomial, move_time: 0.8, hold_time: 0.1}\n'
+        + ''.join(f'trajectory.{joint}.amplitude: 0.2\n' for joint in joints)))
+    driven, simulated, _ = both(tmp_path, monkeypatch, [*files, motion], duration=1.0,
+                                compensation='gms')
+    assert len(driven.time) == 500
+    assert np.all(np.isfinite(driven.tau_motor)) and np.ptp(driven.tau_motor) > 0.05
+    assert abs(driven.q_link[-1, 0] - 0.2) < 0.05
+    assert_equal(driven, simulated)
+    return driven
+
+
+def test_a_rigid_robot_runs_and_its_links_carry_the_effort(tmp_path, monkeypatch):
+    """A rigid joint has no motor side and no motor name."""
+    rigid = write_parameters(tmp_path / 'rigid.yaml', RIGID)
+    save_robot(load_robot([FILES[0], rigid]), tmp_path / 'robot.yaml')
+    driven = assert_moves_alike(tmp_path, monkeypatch, [tmp_path / 'robot.yaml', FILES[1]])
+    assert np.all(np.isnan(driven.q_motor))
+    names = {tuple(unpack_joint_state(data)[2]) for batch in Bag(tmp_path / 'driven').batches()
+             for topic, _, _, data in batch if topic == STATES}
+    assert names == {('joint1', 'joint2')}
+
+
+def test_a_robot_of_one_decoupled_axis_runs(tmp_path, monkeypatch):
+    robot = write_parameters(tmp_path / 'robot.yaml', ONE_AXIS)
+    driven = assert_moves_alike(tmp_path, monkeypatch, [robot])
+    assert np.all(np.isfinite(driven.q_motor))

@@ -1,0 +1,223 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Plant, controller and trajectory as three processes in real time: topics and live parameters."""
+
+from itertools import pairwise
+import math
+import random
+
+from node_harness import (
+    COMMANDS,
+    CONFIG,
+    FILES,
+    Float64MultiArray,
+    interfaces,
+    JOINTS,
+    JointState,
+    Lab,
+    NAMES,
+    REFERENCE,
+    services,
+    stamp_of,
+    STATES,
+)
+import numpy as np
+import pytest
+
+RATE = 200.0
+PERIOD = 5_000_000  # [ns]
+CONTROLLER, PLANT, TRAJECTORY = '/cascade_controller', '/plant', '/trajectory'
+KD = 'gains__joint1__kd_link'
+
+
+@pytest.fixture(scope='module')
+def loop(tmp_path_factory):
+    """Run the three nodes, moving along the sinusoid; yield a Lab that listens to them."""
+    with Lab(tmp_path_factory.mktemp('loop')) as lab:
+        files = [*FILES, CONFIG / 'sinusoid.yaml']
+        lab.controller = lab.start('controller_node', files=files)
+        lab.trajectory = lab.start('trajectory_node', files=files, trajectory__autostart=True)
+        lab.plant = lab.start('plant_node', files=files, rate=RATE)
+        lab.states = lab.listen(JointState, STATES)
+        lab.commands = lab.listen(Float64MultiArray, COMMANDS)
+        lab.references = lab.listen(Float64MultiArray, REFERENCE)
+        lab.errors = lab.listen(JointState, '/cascade_controller/state')
+        lab.blocks = lab.listen(Float64MultiArray, '/cascade_controller/blocks')
+        lab.until(lambda: len(lab.errors) > 20 and any(lab.commands[-1].data))
+        yield lab
+
+
+@pytest.fixture(autouse=True)
+def everything_runs_on(loop):
+    """Whatever a test does, all three nodes go on answering."""
+    yield
+    loop.more(loop.errors, 5)
+    for process in (loop.plant, loop.controller, loop.trajectory):
+        assert process.runs and 'Traceback' not in process.printed()
+
+
+def sizes(message):
+    return [(dim.label, dim.size) for dim in message.layout.dim]
+
+
+def test_joint_states_name_links_then_motors(loop):
+    state = loop.more(loop.states, 1)[0]
+    assert list(state.name) == NAMES
+    assert len(state.position) == len(state.velocity) == len(state.effort) == 4
+    assert all(map(math.isnan, state.effort[:2])) and all(map(math.isfinite, state.effort[2:]))
+    assert all(map(math.isfinite, [*state.position, *state.velocity]))
+
+
+def test_effort_of_a_motor_is_the_torque_applied_in_the_sample_before(loop):
+    """The command that answers one state acts until the next."""
+    start = len(loop.states)
+    loop.more(loop.states, 100)
+    commands = {stamp_of(message): message for message in loop.commands}
+    efforts = [(commands[stamp_of(before)], after)
+               for before, after in pairwise(loop.states[start:])
+               if stamp_of(before) in commands]
+    same = [list(command.data) == pytest.approx(list(state.effort[2:]), abs=1e-12)
+            for command, state in efforts]
+    assert len(same) > 90 and np.mean(same) > 0.8  # a busy machine may answer some too late
+
+
+def test_stamps_of_realtime_are_whole_periods_apart(loop):
+    states = loop.more(loop.states, 100)
+    assert set(np.diff([stamp_of(state) for state in states])) == {PERIOD}
+
+
+def test_reference_and_command_carry_layout_stamp_and_source(loop):
+    reference, command = loop.more(loop.references, 1)[0], loop.more(loop.commands, 1)[0]
+    assert sizes(reference) == [('derivative', 5), ('joint', 2),
+                                (f'stamp:{stamp_of(reference)}', 1)]
+    assert len(reference.data) == 10
+    (joint, stamp, source) = sizes(command)
+    assert joint == ('joint', 2) and stamp == (f'stamp:{stamp_of(command)}', 1)
+    assert source == (f'source:/cascade_controller#{loop.controller.process.pid}', 1)
+    stamps = {stamp_of(state) for state in loop.states}
+    assert stamp_of(command) in stamps and stamp_of(reference) - PERIOD in stamps
+
+
+def test_controller_publishes_error_estimate_and_blocks(loop):
+    error = loop.more(loop.errors, 1)[0]
+    assert list(error.name) == JOINTS
+    # each has arrived by itself; the state and the reference of that stamp come around it
+    stamp = stamp_of(error)
+    loop.until(lambda: stamp in map(stamp_of, loop.states)
+               and stamp in map(stamp_of, loop.references))
+    state = next(state for state in loop.states if stamp_of(state) == stamp)
+    reference = next(one for one in loop.references if stamp_of(one) == stamp)
+    assert list(error.position) == pytest.approx(
+        [state.position[j] - reference.data[j] for j in range(2)], abs=1e-12)
+    assert list(error.velocity) == pytest.approx(
+        [state.velocity[j] - reference.data[2 + j] for j in range(2)], abs=1e-12)
+    assert all(map(math.isfinite, error.effort))
+    blocks = loop.more(loop.blocks, 1)[0]
+    assert sizes(blocks) == [('joint', 2), ('block', 6)] and len(blocks.data) == 12
+
+
+# live parameters -----------------------------------------------------------------------------
+
+
+def test_a_gain_changes_and_a_whole_number_is_taken_for_a_double(loop):
+    assert loop.set_parameters(CONTROLLER, **{KD: 0.9}).successful
+    assert loop.get(CONTROLLER, 'gains.joint1.kd_link') == 0.9
+    assert loop.set_parameters(CONTROLLER, **{KD: 1}).successful
+    assert loop.get(CONTROLLER, 'gains.joint1.kd_link') == 1.0
+    assert loop.set_parameters(CONTROLLER, **{KD: 0.8}).successful
+
+
+@pytest.mark.parametrize('node, name, value, reason', [
+    (CONTROLLER, KD, math.nan, 'range'),
+    (CONTROLLER, KD, math.inf, 'range'),
+    (CONTROLLER, KD, -0.1, 'range'),
+    (CONTROLLER, KD, 'stiff', 'type'),
+    (CONTROLLER, KD, True, 'type'),
+    (CONTROLLER, KD, [0.8], 'type'),
+    (CONTROLLER, KD, None, 'cannot be undeclared'),
+    (CONTROLLER, 'gains__joint1__filter_bandwidth', 0, 'range'),
+    (CONTROLLER, 'compensation', 'gsm', "one of none, gms_paper, gms, got 'gsm'"),
+    (CONTROLLER, 'compensation', 3, 'type'),
+    (CONTROLLER, 'arm__joint1__mass', 2.0, 'read-only'),
+    (CONTROLLER, 'mode', 'lockstep', 'read-only'),
+    (CONTROLLER, 'gains__joint1__kd_lnk', 1.0, 'declared'),
+    (PLANT, 'rate', 100.0, 'read-only'),
+    (TRAJECTORY, 'trajectory__type', 'sinus', "did you mean 'sinusoid'"),
+    (TRAJECTORY, 'trajectory__joint1__period', 0.0, 'range'),
+    (TRAJECTORY, 'trajectory__joint1__amplitude', math.nan, 'must be finite, got nan'),
+    (TRAJECTORY, 'trajectory__repeats', 0, 'range')])
+def test_a_bad_value_is_refused_with_a_reason_and_the_old_one_stays(loop, node, name, value,
+                                                                    reason):
+    before = loop.get(node, name.replace('__', '.'))
+    result = loop.set_parameters(node, **{name: value})
+    assert not result.successful and reason in result.reason
+    assert loop.get(node, name.replace('__', '.')) == before
+
+
+def test_a_group_is_taken_whole_or_not_at_all(loop):
+    group = {KD: 0.7, 'gains__joint2__kd_link': -1.0}
+    assert not loop.set_parameters(CONTROLLER, together=True, **group).successful
+    assert loop.get(CONTROLLER, 'gains.joint1.kd_link') == 0.8
+    first, second = loop.set_parameters(CONTROLLER, **group)  # one by one
+    assert first.successful and not second.successful
+    back = {KD: 0.8, 'gains__joint2__kd_link': 0.8}
+    assert loop.set_parameters(CONTROLLER, together=True, **back).successful
+    points = {'trajectory__type': 'via_points', 'trajectory__joint1__points': [0.0, 0.1]}
+    result = loop.set_parameters(TRAJECTORY, together=True, **points)  # joint2 has three
+    assert not result.successful and 'the same number of points' in result.reason
+    assert loop.get(TRAJECTORY, 'trajectory.type') == 'sinusoid'
+
+
+def test_descriptors_tell_meaning_unit_and_range(loop):
+    kind = services.DescribeParameters
+    names = ['gains.joint1.kd_link', 'compensation', 'arm.joint1.mass', 'state_every']
+    gain, mode, mass, every = loop.call(
+        kind, f'{CONTROLLER}/describe_parameters', kind.Request(names=names)).descriptors
+    assert gain.description == 'K_D1 of the link law [N m s/rad]' and not gain.read_only
+    assert (gain.floating_point_range[0].from_value, gain.floating_point_range[0].to_value) == (
+        0.0, 1e9)
+    assert mode.additional_constraints == 'one of none, gms_paper, gms'
+    assert mass.read_only and mass.description == 'mass of the link [kg]'
+    assert every.integer_range[0].from_value == 1
+    assert every.type == interfaces.ParameterType.PARAMETER_INTEGER
+
+
+def test_compensation_changes_while_it_moves(loop):
+    assert loop.set_parameters(CONTROLLER, compensation='none').successful
+    changed = stamp_of(loop.states[-1]) + 10 * PERIOD
+    loop.until(lambda: stamp_of(loop.errors[-1]) > changed)
+    assert list(loop.errors[-1].effort) == [0.0, 0.0]
+    assert loop.set_parameters(CONTROLLER, compensation='gms').successful
+    loop.until(lambda: all(loop.errors[-1].effort))
+    limit = 2.0
+    assert all(abs(torque) <= limit for message in loop.commands for torque in message.data)
+
+
+def test_breaking_the_gain_condition_warns_once_with_the_numbers(loop):
+    before = loop.controller.printed().count('does not hold')
+    assert loop.set_parameters(CONTROLLER, **{KD: 0.1}).successful
+    loop.until(lambda: loop.controller.printed().count('does not hold') > before)
+    loop.more(loop.commands, 50)
+    new = [line for line in loop.controller.printed().splitlines() if 'does not hold' in line]
+    new = new[before:]
+    assert all('WARN' in line and 'joint1' in line for line in new)
+    assert len(new) == len({line.split(']: ', 1)[1] for line in new})
+    assert any('is not above' in line and '0.1' in line for line in new)
+    assert loop.set_parameters(CONTROLLER, **{KD: 0.8}).successful
+
+
+def test_fifty_bad_settings_stop_nothing(loop):
+    rng = random.Random(50)
+    names = [f'gains__{joint}__{gain}' for joint in (*JOINTS, 'joint3') for gain in (
+        'kd_link', 'lambda_motor', 'torque_limit', 'sign_slope', 'kd')]
+    bad = [math.nan, -math.inf, -1.0, 1e300, 'x', True, [math.nan], None, -7]
+    for _ in range(50):
+        together = rng.random() < 0.5
+        group = {rng.choice(names): rng.choice(bad) for _ in range(rng.randint(1, 3))}
+        begin = len(loop.commands)
+        results = loop.set_parameters(CONTROLLER, together=together, **group)
+        refused = [results] if together or len(group) == 1 else results
+        assert not any(result.successful for result in refused)
+        assert all(result.reason for result in refused)
+        loop.until(lambda begin=begin: len(loop.commands) > begin)

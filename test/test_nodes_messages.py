@@ -1,0 +1,280 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""What single nodes do with the messages of others: reordered, wrong, stale, plain."""
+
+from itertools import pairwise
+import math
+import time
+
+from node_harness import (
+    array_message,
+    COMMANDS,
+    Float64MultiArray,
+    joint_state,
+    JointState,
+    Lab,
+    NAMES,
+    REFERENCE,
+    stamp_of,
+    STATES,
+)
+import pytest
+
+PERIOD = 2_000_000   # [ns]
+Clock = pytest.importorskip('rosgraph_msgs.msg').Clock
+POSITION = (0.1, 0.2, 0.15, 0.25)
+INF, NAN = math.inf, math.nan
+
+
+@pytest.fixture(scope='module')
+def alone(tmp_path_factory):
+    """Run controller and trajectory in lockstep on states that the test makes."""
+    with Lab(tmp_path_factory.mktemp('alone')) as lab:
+        lab.controller = lab.start('controller_node', mode='lockstep')
+        lab.trajectory = lab.start('trajectory_node', mode='lockstep')
+        lab.states = lab.speak(JointState, STATES)
+        lab.extra_reference = lab.speak(Float64MultiArray, REFERENCE)
+        lab.commands = lab.listen(Float64MultiArray, COMMANDS)
+        lab.references = lab.listen(Float64MultiArray, REFERENCE)
+        lab.until(lambda: lab.states.get_subscription_count() == 2
+                  and lab.extra_reference.get_subscription_count() == 2)
+        lab.stamp = 0
+        assert answer(lab, joint_state(0, POSITION))
+        yield lab
+        assert lab.controller.runs and lab.trajectory.runs
+
+
+@pytest.fixture(scope='module')
+def plant(tmp_path_factory):
+    """Run a plant in real time at 200 Hz on commands that the test makes."""
+    with Lab(tmp_path_factory.mktemp('plant')) as lab:
+        lab.plant = lab.start('plant_node', rate=200.0, command_timeout=0.1)
+        lab.commands = lab.speak(Float64MultiArray, COMMANDS)
+        lab.states = lab.listen(JointState, STATES)
+        lab.until(lambda: lab.states and lab.commands.get_subscription_count())
+        yield lab
+        assert lab.plant.runs
+
+
+def answer(lab, state):
+    """Send a state, again each second as the plant does, and return its command."""
+    stamp, due = stamp_of(state), 0.0
+
+    def answered():
+        nonlocal due
+        if time.monotonic() > due:
+            lab.states.publish(state)
+            due = time.monotonic() + 1.0
+        return [command for command in lab.commands if stamp_of(command) == stamp]
+    return lab.until(answered)[0]
+
+
+def following(lab, *arguments, **options):
+    """Return the joint state that follows the last one made."""
+    lab.stamp += PERIOD
+    return joint_state(lab.stamp, *arguments, **options)
+
+
+# controller and trajectory ---------------------------------------------------------------------
+
+
+def test_names_are_mapped_whatever_their_order(alone):
+    """Both robots stand still at the same angles: the same commands, and none that is zero."""
+    answer(alone, following(alone, POSITION))
+    first = answer(alone, following(alone, POSITION))
+    mixed = ['joint2_motor', 'gripper', 'joint1', 'joint2', 'joint1_motor']
+    second = answer(alone, following(alone, (0.25, NAN, 0.1, 0.2, 0.15), names=mixed,
+                                     velocity=(0.0, NAN, 0.0, 0.0, 0.0)))
+    assert list(second.data) == pytest.approx(list(first.data), abs=1e-3)
+    assert all(abs(torque) > 0.01 for torque in first.data)
+    reference = next(one for one in alone.references if stamp_of(one) == alone.stamp)
+    assert list(reference.data[:2]) == [0.1, 0.2]
+
+
+WRONG_STATES = [
+    (NAMES[:3], POSITION[:3], None, "lack 'joint2_motor'"),
+    (['joint1', *NAMES[2:]], POSITION[:3], None, "lack 'joint2'"),
+    ([*NAMES, 'joint1'], (*POSITION, 0.1), None, "name 'joint1' more than once"),
+    (NAMES, POSITION[:3], None, 'have 4 names, 3 positions'),
+    (NAMES, (), None, 'have 4 names, 0 positions'),
+    (NAMES, POSITION, (0.0,), '1 velocities'),
+    (NAMES, (NAN, *POSITION[1:]), None, 'position nan'),
+    (NAMES, POSITION, (0.0, 0.0, 0.0, -INF), "velocity -inf for 'joint2_motor'"),
+    ([], (), None, "lack 'joint1'")]
+
+
+def test_a_wrong_state_is_refused_whole_and_the_next_one_answered(alone):
+    """Warnings come at most every five seconds, so the reason is read from the first alone."""
+    for names, position, velocity, _ in WRONG_STATES:
+        before = answer(alone, following(alone, POSITION))
+        state = following(alone, position, names=names, velocity=velocity)
+        alone.states.publish(state)
+        after = answer(alone, following(alone, POSITION))
+        assert list(after.data) == pytest.approx(list(before.data), abs=1e-3)
+        assert stamp_of(state) not in [stamp_of(command) for command in alone.commands]
+    assert "joint state refused: joint states lack 'joint2_motor'" in alone.controller.printed()
+    assert "joint state refused: joint states lack 'joint2'" in alone.trajectory.printed()
+
+
+@pytest.mark.parametrize('names, position, velocity, reason', WRONG_STATES)
+def test_the_reason_of_a_refused_state_names_the_culprit(names, position, velocity, reason):
+    messages = pytest.importorskip('gms_flex_control.nodes.messages')
+    reader = messages.JointStateReader(NAMES[:2], NAMES[2:])
+    state = joint_state(0, position, names=names, velocity=velocity)
+    with pytest.raises(messages.RefusedError, match=reason):
+        reader.read(state, None)  # nothing is written
+
+
+@pytest.mark.parametrize('data, labels', [
+    ((), ()), ((0.5,), ()), ((0.5,) * 3, ()), ((0.5,) * 11, ()), ((NAN,) * 10, ()),
+    ((INF,) * 10, ()), ((0.5, INF), ('effort',)), ((0.5,) * 10, ('effort',))])
+def test_a_wrong_reference_is_refused_whole(alone, data, labels):
+    before = answer(alone, following(alone, POSITION))
+    alone.extra_reference.publish(array_message(data, *labels, f'stamp:{alone.stamp + PERIOD}'))
+    after = answer(alone, following(alone, POSITION))
+    assert list(after.data) == pytest.approx(list(before.data), abs=1e-3)
+    alone.until(lambda: 'reference refused: ' in alone.controller.printed())
+
+
+@pytest.mark.parametrize('label', ['stamp:', 'stamp:--5', 'stamp:1e9', 'stamp:²',
+                                   'stamp:' + 5000 * '9', 'stamp:-7'])
+def test_a_label_that_is_no_stamp_harms_nobody(alone, label):
+    alone.extra_reference.publish(array_message((0.5,) * 10, label))
+    answer(alone, following(alone, POSITION))
+    assert 'Traceback' not in alone.controller.printed()
+
+
+def test_a_state_sent_again_gets_the_same_answer(alone):
+    state = following(alone, POSITION)
+    answer(alone, state)
+    alone.states.publish(state)
+    same = alone.until(lambda: [command for command in alone.commands
+                                if stamp_of(command) == alone.stamp][1:])
+    assert list(same[0].data) == list(alone.commands[-2].data)
+
+
+def test_time_set_back_begins_anew(alone):
+    """As when the simulated robot is started again."""
+    alone.stamp = -PERIOD
+    count = len(alone.commands)
+    alone.states.publish(following(alone, (0.3, 0.2, 0.3, 0.2)))
+    alone.until(lambda: len(alone.commands) > count)
+    alone.until(lambda: list(alone.references[-1].data[:2]) == [0.3, 0.2])
+    assert stamp_of(alone.commands[-1]) == 0
+    assert 'observer begins anew' in alone.controller.printed()
+
+
+# plant -------------------------------------------------------------------------------------------
+
+
+def efforts(lab, count=1):
+    return [list(state.effort[2:]) for state in lab.more(lab.states, count)]
+
+
+def rest(lab):
+    """Wait until the plant applies nothing, though it publishes on."""
+    lab.until(lambda: not any(lab.states[-1].effort[2:]))
+
+
+def test_a_plain_command_acts_from_its_arrival_until_the_timeout(plant):
+    plant.commands.publish(Float64MultiArray(data=[0.03, -0.02]))
+    plant.until(lambda: list(plant.states[-1].effort[2:]) == pytest.approx([0.03, -0.02]))
+    rest(plant)
+    acted = [state for state in plant.states if any(state.effort[2:])]
+    # 0.1 s at 200 Hz, on a machine that may be busy
+    assert 10 <= len(acted) <= 25
+
+
+def test_a_stale_command_is_never_acted_on(plant):
+    """Its stamp counts, not when it arrives; a stamp to come is no better."""
+    rest(plant)
+    begin = len(plant.states)
+    for _ in range(20):
+        now = stamp_of(plant.more(plant.states, 1)[0])
+        for age in (105_000_000, 10**9, now, -60 * 10**9):
+            plant.commands.publish(array_message([0.5, 0.5], f'stamp:{now - age}', 'source:old'))
+    efforts(plant, 5)
+    assert not any(any(state.effort[2:]) for state in plant.states[begin:])
+
+
+def test_a_fresh_command_acts_and_ends(plant):
+    rest(plant)
+    for _ in range(10):
+        now = stamp_of(plant.more(plant.states, 1)[0])
+        plant.commands.publish(array_message([0.04, 0.0], f'stamp:{now}', 'source:test'))
+    plant.until(lambda: plant.states[-1].effort[2] == pytest.approx(0.04))
+    rest(plant)
+
+
+@pytest.mark.parametrize('data', [(), (0.5,), (0.5,) * 3, (NAN, 0.5), (0.5, INF), (-INF, INF)])
+def test_a_wrong_command_is_refused_whole_and_the_one_before_acts_on(plant, data):
+    rest(plant)
+    seen = []
+    end = len(plant.states) + 10
+    while len(plant.states) < end:
+        now = stamp_of(plant.more(plant.states, 1)[0])
+        plant.commands.publish(array_message([0.01, 0.02], f'stamp:{now}'))
+        plant.commands.publish(array_message(data, f'stamp:{now}'))
+        seen.append(list(plant.states[-1].effort[2:]))
+    assert [0.01, 0.02] == pytest.approx(seen[-1])
+    assert all(effort == [0.0, 0.0] or effort == pytest.approx([0.01, 0.02]) for effort in seen)
+    assert 'command refused: command has 0 torques for 2 joints' in plant.plant.printed()
+
+
+def test_stamps_go_on_in_whole_periods_through_all_of_this(plant):
+    stamps = [stamp_of(state) for state in plant.states]
+    assert {later - sooner for sooner, later in pairwise(stamps)} == {
+        5_000_000}
+
+
+@pytest.fixture(scope='module')
+def stepped(tmp_path_factory):
+    """Run a plant in lockstep, 1 kHz, on commands that the test makes."""
+    with Lab(tmp_path_factory.mktemp('stepped')) as lab:
+        lab.states, lab.clock = lab.listen(JointState, STATES), lab.listen(Clock, '/clock')
+        lab.commands = lab.speak(Float64MultiArray, COMMANDS)
+        lab.plant = lab.start('plant_node', mode='lockstep', rate=1000.0, wait_for_subscribers=1)
+        lab.until(lambda: lab.states and lab.commands.get_subscription_count())
+        yield lab
+        assert lab.plant.runs
+
+
+def test_lockstep_begins_at_zero_and_waits_for_the_command_of_its_state(stepped):
+    assert stamp_of(stepped.states[0]) == 0
+    repeated = stepped.more(stepped.states, 1)[0]  # it asks again rather than step alone
+    assert stamp_of(repeated) == 0
+    for wrong in ('stamp:-1000000', 'stamp:1000000', 'stamp:77'):
+        stepped.commands.publish(array_message([0.5, 0.5], wrong))
+    assert stamp_of(stepped.more(stepped.states, 1)[0]) == 0
+    stepped.commands.publish(array_message([0.05, 0.0], 'stamp:0'))
+    stepped.until(lambda: stamp_of(stepped.states[-1]) == 1_000_000)
+    assert list(stepped.states[-1].effort[2:]) == pytest.approx([0.05, 0.0])
+
+
+def test_lockstep_obeys_plain_commands_and_keeps_the_clock_at_100_hz(stepped):
+    begin = stamp_of(stepped.states[-1])
+    for k in range(1, 101):
+        stepped.commands.publish(Float64MultiArray(data=[0.001 * k, 0.0]))
+        stepped.until(lambda k=k: stamp_of(stepped.states[-1]) == begin + k * 1_000_000)
+        assert stepped.states[-1].effort[2] == pytest.approx(0.001 * k)
+    stepped.until(lambda: clock_of(stepped.clock[-1]) >= begin + 90_000_000)
+    times = [clock_of(message) for message in stepped.clock]
+    assert times[0] == 0
+    assert {later - sooner for sooner, later in pairwise(times)} == {
+        10_000_000}
+
+
+def clock_of(message):
+    """Return the time of a Clock [ns]."""
+    return message.clock.sec * 10**9 + message.clock.nanosec
+
+
+def test_lockstep_refuses_wrong_commands_and_steps_on_the_next_good_one(stepped):
+    stamp = stamp_of(stepped.states[-1])
+    for data in ((), (0.5,), (0.5,) * 3, (NAN, 0.0), (0.0, -INF)):
+        stepped.commands.publish(array_message(data, f'stamp:{stamp}'))
+    stepped.commands.publish(array_message([0.02, 0.03], f'stamp:{stamp}'))
+    stepped.until(lambda: stamp_of(stepped.states[-1]) > stamp)
+    assert list(stepped.states[-1].effort[2:]) == pytest.approx([0.02, 0.03])
+    assert 'command refused: ' in stepped.plant.printed()
