@@ -188,10 +188,10 @@ def address_arrays(effects):
 
 
 @compiled
-def table_loop(count, signals, memory, dt, terms):
+def table_loop(count, flat, signals, memory, dt, terms):
     """Loop as the plant does: every stage of the effect table, which comes boxed."""
     for _ in range(count):
-        move(signals.reshape(len(JOINTS) * WIDTH), dt)
+        move(flat, dt)
         for stage in range(_STAGES):
             table.run_stage(stage, signals, memory, dt, terms[0])
 
@@ -202,7 +202,7 @@ def address_pointers(effects):
              for k, (name, values) in enumerate(effects)]
     terms = np.array([table.build(specs, JOINTS)])
     return lambda count, signals, memory, dt: table_loop(
-        count, signals.reshape(len(JOINTS), WIDTH), memory, dt, terms)
+        count, signals, signals.reshape(len(JOINTS), WIDTH), memory, dt, terms)
 
 
 ALTERNATIVES = {'A specialised': specialised, 'B switch': switch, 'C first-class': first_class,
