@@ -39,14 +39,13 @@ def state_layout(n, n_blocks):
 
     ``command`` (n,), motor torque [N m]; ``friction_hat`` (n,), estimate it compensates [N m];
     ``error``, ``error_rate`` (n,), tracking error actual - desired; ``observer``; ``q_before``
-    (n,), link angle the observer saw at the tick before, ``q_measured`` (n,), the measured one;
-    ``deviation`` (n,), low-passed error; ``resting_friction`` (n,), torque of the blocks when the
-    reference came to rest [N m]; ``saturated`` (n,); ``started``, 0 before the first tick.
+    (n,), link angle the observer saw at the tick before; ``deviation`` (n,), low-passed error;
+    ``saturated`` (n,); ``started``, 0 before the first tick.
     """
     return records.layout(
         *((name, FLOAT, (n,)) for name in ('command', 'friction_hat', 'error', 'error_rate',
-                                           'q_before', 'deviation', 'q_measured',
-                                           'resting_friction', 'saturated')),
+                                           'q_before', 'deviation',
+                                           'saturated')),
         ('started', FLOAT, (1,)), ('observer', observer.state_layout(n, n_blocks)))
 
 
@@ -60,7 +59,7 @@ def constants_layout(n, n_blocks):
 
 _VECTORS = ('displacement', 'sliding', 'dq_ref', 'ddq_ref', 'correction', 'correction_rate',
             'smooth', 'slope', 'spring', 'spring_rate', 'acceleration', 'jerk', 'scratch',
-            'resting', 'acting')
+            'resting')
 
 
 @cache
@@ -147,11 +146,9 @@ def observed_displacement(state, measured, reference, dt, constants, work):
             state.deviation[j] += gain * (state.error[j] - state.deviation[j])
             seen = reference[0, j] + state.deviation[j]
         if not state.started[0]:
-            state.q_before[j], state.q_measured[j] = seen, measured.q_link[j]
+            state.q_before[j] = seen
         work.displacement[j] = seen - state.q_before[j]
-        if work.resting[j]:  # the presliding spring in which the link really moves
-            work.displacement[j] = measured.q_link[j] - state.q_measured[j]
-        state.q_before[j], state.q_measured[j] = seen, measured.q_link[j]
+        state.q_before[j] = seen
     state.started[0] = 1.0
 
 
@@ -171,14 +168,8 @@ def observe(state, measured, dt, constants, work):
             work.smooth[j] = np.tanh(slope * measured.dq_link[j])
             work.slope[j] = slope * (1.0 - work.smooth[j] ** 2)
     observer.advance(blocks, work.displacement, measured.dq_link, work.smooth, work.correction,
-                     dt, constants.friction)
+                     work.resting, dt, constants.friction)
     gms.total(blocks, measured.dq_link, constants.friction, work.estimate[0])
-    for j in range(constants.kd_link.shape[0]):
-        work.acting[j] = work.estimate[0, j]
-        if work.resting[j]:  # compensating the presliding that acts then would hunt
-            work.estimate[0, j] = state.resting_friction[j]
-        else:
-            state.resting_friction[j] = blocks.torque[j].sum()
     if constants.compensation[0] == GMS:
         filtered = state.observer.filtered
         observer.filter_step(filtered, work.estimate[0], constants.filter_bandwidth, dt)
@@ -190,8 +181,7 @@ def model_motion(state, measured, constants, work):
     n = constants.kd_link.shape[0]
     links, motion, out = constants.chain, work.motion, work.estimate
     for j in range(n):
-        acting = work.acting[j] if work.resting[j] else out[0, j]
-        work.chain.tau[j] = work.spring[j] - acting
+        work.chain.tau[j] = work.spring[j] - out[0, j]
     chain.accelerations(measured.q_link, measured.dq_link, links, work.chain)
     work.acceleration[:] = work.chain.acceleration
     if constants.compensation[0] == GMS_PAPER:

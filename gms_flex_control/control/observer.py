@@ -64,13 +64,16 @@ def advance_blocks(torque, sticking, turned, sign, smooth, displacement, level, 
 
 
 @compiled
-def advance(blocks, displacement, velocity, smooth, correction, dt, friction):
+def advance(blocks, displacement, velocity, smooth, correction, resting, dt, friction):
     """
     Advance the observed blocks of all joints in place.
 
-    ``smooth`` (n,) is r(v) of Eq. (20), ``correction`` (n,) is k_e s_1 [N m/s].
+    ``smooth`` (n,) is r(v) of Eq. (20), ``correction`` (n,) is k_e s_1 [N m/s]; blocks of a
+    joint that is ``resting`` stay as they are: fed back at rest, too much friction hunts.
     """
     for j in range(friction.attraction.shape[0]):
+        if resting[j]:
+            continue
         turned = displacement[j] * blocks.direction[j] < 0.0
         if turned:
             blocks.direction[j] = -blocks.direction[j]
