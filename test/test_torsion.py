@@ -14,6 +14,7 @@ from gms_flex_control.cli import torsion
 from gms_flex_control.errors import BagError
 from gms_flex_control.recording import Recording
 from gms_flex_control.reports.torsion import text, verdict, write_torsion_report
+from gms_flex_control.schema.files import load_robot
 import numpy as np
 import pytest
 
@@ -94,6 +95,11 @@ def test_what_cannot_be_studied_is_refused(joint, stiffness, changed, message):
         study(axis(**changed), joint, stiffness)
 
 
+def test_a_torque_of_the_wrong_sign_fits_no_axis():
+    with pytest.raises(BagError, match='is its sign or scale wrong'):
+        study(axis(tau_motor=-axis().tau_motor), 'axis1', K, J)
+
+
 def test_the_command_prints_numbers_and_writes_a_report(tmp_path, capsys):
     write_recording(tmp_path / 'bag', axis(delay=0.003), ('axis1_motor',))
     parser = argparse.ArgumentParser()
@@ -105,7 +111,10 @@ def test_the_command_prints_numbers_and_writes_a_report(tmp_path, capsys):
     for part in ('rms measured', 'rms error', 'relative error', 'delay [ms]', 'report.html'):
         assert part in out
     assert sorted(p.name for p in (tmp_path / 'out').iterdir()) == [
-        'report.html', 'torque.png', 'torsion.png']
+        'report.html', 'robot.yaml', 'torque.png', 'torsion.png']
+    robot = load_robot(tmp_path / 'out' / 'robot.yaml')
+    assert (robot.arm.kind, robot.arm.stiffness[0]) == ('decoupled', K)
+    assert robot.arm.inertia[0] + robot.arm.motor_inertia[0] == pytest.approx(M + J, rel=0.02)
     args = parser.parse_args([*base, '--json'])
     assert args.run(args) == 0
     result = json.loads(capsys.readouterr().out)

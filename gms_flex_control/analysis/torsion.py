@@ -12,7 +12,13 @@ how well a mere delay between the two encoders does, is what this analysis tells
 
 from dataclasses import dataclass
 
-from gms_flex_control.errors import BagError
+from gms_flex_control.dynamics.chain import matrices
+from gms_flex_control.errors import BagError, ParameterError
+from gms_flex_control.friction.stribeck import steady_friction
+from gms_flex_control.params.arm import ArmParams
+from gms_flex_control.params.encoder import EncoderParams
+from gms_flex_control.params.friction import FrictionParams, StribeckParams
+from gms_flex_control.params.robot import RobotParams
 import numpy as np
 from scipy.signal import savgol_filter
 
@@ -20,6 +26,11 @@ WINDOW = 0.084       # of the derivatives [s]
 MOVING = 0.01        # below this part of the top speed the direction of friction is not known
 _POLYNOMIAL = 3
 _FEWEST = 50         # moving samples
+# What a torque at speed does not tell, and a robot file needs all the same:
+ASSUMED_MOTOR_SHARE = 0.5  # of M + J, where J is not given
+PRESLIDING = 1e-4          # displacement to break-away [rad]
+PRESLIDING_SPEED = 1e-3    # Stribeck velocity; without effect, static = coulomb [rad/s]
+PRESLIDING_TIME = 1e-2     # of the slipping block towards its level [s]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,6 +91,8 @@ class TorsionStudy:
         [N m s/rad].
     moving : ndarray of bool, shape (T,)
         Samples used for the fit.
+    robot : RobotParams
+        The axis as a decoupled flexible joint with this friction, see `first_model`.
     explanations : tuple of Explanation
         The given spring first.
 
@@ -100,6 +113,7 @@ class TorsionStudy:
     coulomb: tuple
     viscous: float
     moving: np.ndarray
+    robot: RobotParams
     explanations: tuple
 
     @property
@@ -153,15 +167,73 @@ def study(recording, joint, stiffness, motor_inertia=0.0):
         raise BagError(f'{recording.source}: {joint} must move both ways, at changing speed, to '
                        'tell inertia from friction')
     fit, *_ = np.linalg.lstsq(columns[moving], torque[moving], rcond=None)
+    robot = first_model(joint, stiffness, motor_inertia, fit, recording.source)
+    torque_model = motor_torque(robot, velocity, acceleration)
     load = torque - motor_inertia * acceleration  # what the spring carries, Eq. (1), motor
     return TorsionStudy(
         joint=joint, source=recording.source, time=time[edge], velocity=velocity,
-        acceleration=acceleration, torque=torque, torque_model=columns @ fit,
+        acceleration=acceleration, torque=torque, torque_model=torque_model,
         torsion=torsion - torsion.mean(), torsion_model=(load - load.mean()) / stiffness,
         torsion_offset=float(torsion.mean()), inertia=float(fit[0]),
         motor_inertia=float(motor_inertia), coulomb=(float(fit[1]), float(fit[2])),
-        viscous=float(fit[3]), moving=moving,
+        viscous=float(fit[3]), moving=moving, robot=robot,
         explanations=tuple(_explain(torsion, load, velocity, stiffness)))
+
+
+def first_model(joint, stiffness, motor_inertia, fit, source):
+    """
+    Return the fitted axis as a robot that plant and controller take.
+
+    Parameters
+    ----------
+    joint : str
+        Link name.
+    stiffness : float
+        K [N m/rad].
+    motor_inertia : float
+        J [kg m^2]; where it is 0, ASSUMED_MOTOR_SHARE of M + J stands in the robot.
+    fit : sequence of float
+        M + J [kg m^2], Coulomb friction forward and backward [N m], viscous [N m s/rad].
+    source : str
+        For messages.
+
+    Returns
+    -------
+    RobotParams
+        Of kind ``decoupled``, one joint, Coulomb and viscous friction in one stiff block.
+
+    Raises
+    ------
+    BagError
+        If the fit is not physical: no positive inertia or friction.
+
+    """
+    whole, forward, backward, viscous = (float(value) for value in fit)
+    motor = motor_inertia or ASSUMED_MOTOR_SHARE * whole
+    try:
+        steady = [StribeckParams(static=[level], coulomb=[level], velocity=[PRESLIDING_SPEED],
+                                 viscous=[viscous]) for level in (forward, backward)]
+        friction = FrictionParams(
+            forward=steady[0], backward=steady[1], weight=[[1.0]],
+            stiffness=[[max(forward, backward) / PRESLIDING]],
+            attraction=[max(forward, backward) / PRESLIDING_TIME])
+        zero = [0.0]
+        arm = ArmParams(kind='decoupled', mass=zero, length=zero, com=zero,
+                        inertia=[whole - motor], motor_inertia=[motor], stiffness=[stiffness],
+                        damping=zero)
+    except ParameterError as error:
+        raise BagError(f'{source}: the torque of {joint} fits no axis with inertia, Coulomb and '
+                       f'viscous friction ({error}); is its sign or scale wrong?') from error
+    return RobotParams(joints=(joint,), motors=(f'{joint}_motor',), arm=arm, friction=friction,
+                       encoder=EncoderParams())
+
+
+def motor_torque(robot, velocity, acceleration):
+    """Return the motor torque (T,) of a one-joint robot sliding at given rates, Eqs. (1), (6)."""
+    still = np.zeros(1)
+    inertia = matrices(still, still, still, still, robot.arm).mass[0, 0]
+    whole = inertia + robot.arm.motor_inertia[0]
+    return whole * acceleration + steady_friction(velocity[:, None], robot.friction)[:, 0]
 
 
 def _channels(recording, joint):

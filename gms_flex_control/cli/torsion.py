@@ -6,6 +6,7 @@
 from dataclasses import asdict
 import json
 import math
+from pathlib import Path
 
 
 def add_parser(subparsers):
@@ -22,7 +23,7 @@ def add_parser(subparsers):
                         help='of the joint [N m/rad]')
     parser.add_argument('--motor-inertia', type=float, default=0.0, metavar='J',
                         help='reflected to the joint [kg m^2]; default 0, not known')
-    parser.add_argument('--out', metavar='DIR', help='folder for report.html and pictures')
+    parser.add_argument('--out', metavar='DIR', help='folder for report.html, pictures and robot.yaml')
     parser.add_argument('--json', action='store_true', help='print JSON')
     parser.set_defaults(run=run)
 
@@ -32,14 +33,25 @@ def run(args):
     from gms_flex_control.analysis.torsion import study
     from gms_flex_control.bags.reader import read_recording
     from gms_flex_control.reports.torsion import text, write_torsion_report
+    from gms_flex_control.schema.files import save_robot
 
     found = study(read_recording(args.bag), args.joint, args.stiffness, args.motor_inertia)
     print(json.dumps(as_dict(found), indent=2, allow_nan=False) if args.json else text(found))
     if args.out:
         page = write_torsion_report(found, args.out)
+        robot = Path(args.out) / 'robot.yaml'
+        save_robot(found.robot, robot, comment=comment(found))
         if not args.json:
-            print(f'\nreport: {page}')
+            print(f'\nreport: {page}\nrobot:  {robot}')
     return 0
+
+
+def comment(study):
+    """Return the head of the robot file: what was fitted and what is assumed."""
+    given = 'as given' if study.motor_inertia else 'ASSUMED to be half of M + J'
+    return (f'First model of {study.joint} from {study.source}, by gms_flex torsion.\n'
+            f'M + J, coulomb and viscous were fitted to the torque; stiffness as given; J {given};\n'
+            'Stribeck velocity, block stiffness and attraction are ASSUMED, the data lack them.')
 
 
 def as_dict(study):
