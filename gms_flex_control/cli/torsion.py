@@ -23,7 +23,8 @@ def add_parser(subparsers):
                         help='of the joint [N m/rad]')
     parser.add_argument('--motor-inertia', type=float, default=0.0, metavar='J',
                         help='reflected to the joint [kg m^2]; default 0, not known')
-    parser.add_argument('--out', metavar='DIR', help='folder for report.html, pictures and robot.yaml')
+    parser.add_argument('--out', metavar='DIR',
+                        help='folder for report.html, pictures and robot.yaml')
     parser.add_argument('--json', action='store_true', help='print JSON')
     parser.set_defaults(run=run)
 
@@ -50,8 +51,9 @@ def comment(study):
     """Return the head of the robot file: what was fitted and what is assumed."""
     given = 'as given' if study.motor_inertia else 'ASSUMED to be half of M + J'
     return (f'First model of {study.joint} from {study.source}, by gms_flex torsion.\n'
-            f'M + J, coulomb and viscous were fitted to the torque; stiffness as given; J {given};\n'
-            'Stribeck velocity, block stiffness and attraction are ASSUMED, the data lack them.')
+            'M + J, coulomb and viscous were fitted to the torque; stiffness as given;\n'
+            f'J {given}; Stribeck velocity, block stiffness and attraction are ASSUMED:\n'
+            'the data do not tell them.')
 
 
 def as_dict(study):
