@@ -78,9 +78,9 @@ class ControllerNode(Node):
         self.create_subscription(JointState, 'joint_states', self._on_joint_states, qos,
                                  event_callbacks=process.NO_EVENTS)
 
-    def run(self, executor):
-        """Answer joint states until a signal raises KeyboardInterrupt."""
-        process.spin(executor)
+    def run(self, spinner):
+        """Answer joint states until a signal comes."""
+        spinner.spin()
 
     def _warm_up(self):
         """Compile before the first state comes."""

@@ -16,7 +16,6 @@ from gms_flex_control.schema.build import robot_from_values
 from gms_flex_control.schema.keys import plant_node_keys, robot_keys
 from gms_flex_control.simulation.stepped import SteppedPlant
 import numpy as np
-import rclpy
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
@@ -71,15 +70,15 @@ class PlantNode(Node):
         self.get_logger().info(
             f"{robot.n_joints} joints, {values['rate']:g} Hz, {self._mode}")
 
-    def run(self, executor):
-        """Simulate until the duration is over or a signal raises KeyboardInterrupt."""
-        while self._state_pub.get_subscription_count() < self._listeners and rclpy.ok():
-            executor.spin_once(timeout_sec=0.02)
+    def run(self, spinner):
+        """Simulate until the duration is over or a signal comes."""
+        while self._state_pub.get_subscription_count() < self._listeners and spinner.goes_on():
+            spinner.spin_once(0.02)
         if self._mode == 'lockstep':
-            self._run_lockstep(executor)
+            self._run_lockstep(spinner)
         else:
-            with process.BackgroundSpin(executor) as background:
-                self._run_paced(background)
+            with process.BackgroundSpin(spinner) as background:
+                self._run_paced(spinner, background)
 
     def _on_command(self, message):
         try:
@@ -100,8 +99,8 @@ class PlantNode(Node):
         self._stamp += self._period
         self._publish()
 
-    def _goes_on(self):
-        return rclpy.ok() and (self._samples is None or self._ticks + 1 < self._samples)
+    def _goes_on(self, spinner):
+        return spinner.goes_on() and (self._samples is None or self._ticks + 1 < self._samples)
 
     def _publish(self):
         plant = self._plant
@@ -122,13 +121,13 @@ class PlantNode(Node):
             fresh = 0 < self._stamp - stamp <= self._timeout
         return torque if fresh else self._zero
 
-    def _run_paced(self, background):
+    def _run_paced(self, spinner, background):
         process.tighten_timers()
         self._stamp = self._first = self.get_clock().now().nanoseconds
         deadline = time.monotonic_ns()
         self._plant.measure()
         self._publish()
-        while self._goes_on():
+        while self._goes_on(spinner):
             if background.error is not None:
                 raise background.error
             deadline += self._period
@@ -146,13 +145,13 @@ class PlantNode(Node):
 
     # lockstep ------------------------------------------------------------------------------
 
-    def _run_lockstep(self, executor):
+    def _run_lockstep(self, spinner):
         self._plant.measure()
         self._publish_clock()
         self._publish()
         repeat = time.monotonic() + _REPEAT_PERIOD
-        while self._goes_on():
-            executor.spin_once(timeout_sec=0.1)
+        while self._goes_on(spinner):
+            spinner.spin_once()
             torque, stamp, arrived = self._command
             if arrived and (stamp is None or stamp == self._stamp):
                 self._command = (torque, None, 0)

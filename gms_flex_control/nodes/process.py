@@ -53,11 +53,47 @@ def tighten_timers():
         ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
 
 
-def _interrupt(_number, _frame):
-    # a second signal, which ros2 launch sends, must not interrupt the last zero
+def _handle_signals(handler):
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.SIG_IGN)
-    raise KeyboardInterrupt
+        signal.signal(number, handler)
+
+
+class Spinner:
+    """
+    Runs the callbacks of one node until SIGINT or SIGTERM.
+
+    From the first spin on a signal raises nothing: it would hit a callback, which the executor
+    reports as fatal, or the last zero, which a second signal from ros2 launch must not interrupt.
+    """
+
+    def __init__(self):
+        self._executor = None
+        self._stopped = False
+        _handle_signals(self._on_signal)
+
+    def _on_signal(self, _number, _frame):
+        starting = self._executor is None and not self._stopped
+        self._stopped = True
+        if starting:  # there may be seconds of compiling ahead
+            raise KeyboardInterrupt
+
+    def add(self, node):
+        """Take the node whose callbacks are run."""
+        self._executor = EventsExecutor()
+        self._executor.add_node(node)
+
+    def goes_on(self):
+        """Return whether the node is to go on."""
+        return not self._stopped and rclpy.ok()
+
+    def spin_once(self, timeout=0.1):
+        """Run the callbacks that are due, or wait ``timeout`` seconds for one."""
+        self._executor.spin_once(timeout_sec=timeout)
+
+    def spin(self):
+        """Run callbacks in this thread, which EventsExecutor.spin() does not do."""
+        while self.goes_on():
+            self.spin_once()
 
 
 def run_node(make_node, args=None):
@@ -67,8 +103,8 @@ def run_node(make_node, args=None):
     Parameters
     ----------
     make_node : callable
-        Returns the node; it has ``run(executor)``, which blocks, and ``finish()``, which
-        publishes what must be last.
+        Returns the node; it has ``run(spinner)``, which returns when ``spinner.goes_on()`` is
+        false, and ``finish()``, which publishes what must be last.
     args : list of str, optional
         Command line; default ``sys.argv``.
 
@@ -79,18 +115,15 @@ def run_node(make_node, args=None):
 
     """
     sys.setswitchinterval(5e-4)  # a busy thread may delay the loop by this, not by 5 ms
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _interrupt)
-    node = None
+    spinner, node = Spinner(), None
     try:
         with suppress(KeyboardInterrupt):
             # own handlers: with rclpy's, a node cannot publish any more when SIGTERM came
             rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
             node = make_node()
-            executor = EventsExecutor()
-            executor.add_node(node)
+            spinner.add(node)
             gc.freeze()  # what start-up left is never searched again while the loop runs
-            node.run(executor)
+            node.run(spinner)
     except GmsFlexError as error:
         return _refuse(error)
     except RuntimeError as error:  # rcl: a parameter file or argument it cannot read
@@ -103,6 +136,7 @@ def run_node(make_node, args=None):
             node.finish()
             node.destroy_node()
         rclpy.try_shutdown()
+        _handle_signals(signal.SIG_IGN)  # Python resets its own handlers before it ends
     return 0
 
 
@@ -111,17 +145,11 @@ def _refuse(error):
     return BAD_INPUT
 
 
-def spin(executor):
-    """Run callbacks in this thread, which the executor's own spin does not do."""
-    while rclpy.ok():
-        executor.spin_once(timeout_sec=0.1)
-
-
 class BackgroundSpin:
     """Run callbacks in a second thread while the first one keeps deadlines."""
 
-    def __init__(self, executor):
-        self._executor = executor
+    def __init__(self, spinner):
+        self._spinner = spinner
         self._stop = threading.Event()
         self.error = None
         self._thread = threading.Thread(target=self._spin, name='executor', daemon=True)
@@ -133,7 +161,7 @@ class BackgroundSpin:
     def _spin(self):
         try:
             while rclpy.ok() and not self._stop.is_set():
-                self._executor.spin_once(timeout_sec=0.1)
+                self._spinner.spin_once()
         except Exception as error:  # noqa: B902  the first thread raises it again
             self.error = error
 

@@ -58,9 +58,9 @@ class TrajectoryNode(Node):
                                if not values['trajectory.autostart'] else
                                f"{values['trajectory.type']} begins at the first joint state")
 
-    def run(self, executor):
-        """Publish until a signal raises KeyboardInterrupt."""
-        process.spin(executor)
+    def run(self, spinner):
+        """Publish until a signal comes."""
+        spinner.spin()
 
     def _time(self, stamp):
         return (stamp - self._origin) / NANOSECONDS
