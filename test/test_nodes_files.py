@@ -1,0 +1,116 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""What nodes say of parameter files they cannot use: one sentence, exit code 2, no traceback."""
+
+from concurrent.futures import ThreadPoolExecutor
+
+from node_harness import CONFIG, FILES, Lab, PATIENCE, write_parameters
+import pytest
+
+# node, text of a file after the usual two (None: it is missing), what the sentence says
+REFUSED = {
+    'unknown key': (
+        'controller_node', 'gains: {joint1: {kd_lnk: 0.8}}',
+        "gains.joint1.kd_lnk is not a known parameter; did you mean 'gains.joint1.kd_link'?"),
+    'key of another node': (
+        'plant_node', 'trajectory: {tpye: hold}', "did you mean 'trajectory.type'?"),
+    'unknown joint': (
+        'trajectory_node', 'gains: {joint3: {kd_link: 0.8}}', "unknown joint 'joint3'"),
+    'unknown effect': (
+        'plant_node', 'effects: {joint1: {backlas: {gap: 0.1}}}', "'backlash'"),
+    'text for a number': (
+        'controller_node', 'gains: {joint1: {kd_link: stiff}}',
+        "gains.joint1.kd_link must be a number [N m s/rad], got 'stiff'"),
+    'array for a number': (
+        'controller_node', 'gains: {joint1: {kd_link: [0.8, 0.9]}}', 'must be a number'),
+    'boolean for a number': (
+        'controller_node', 'gains: {joint1: {kd_link: yes}}', 'must be a number'),
+    'fraction for a whole number': (
+        'plant_node', 'substeps: 2.5', 'substeps must be a whole number, got 2.5'),
+    'NaN': (
+        'plant_node', 'arm: {joint1: {inertia: .nan}}',
+        'arm.joint1.inertia must be finite, got nan'),
+    'infinite gain': (
+        'controller_node', 'gains: {joint2: {lambda_link: .inf}}', 'must be finite, got inf'),
+    'negative inertia': (
+        'plant_node', 'arm: {joint1: {inertia: -0.01}}', 'arm.joint1.inertia must be from 0'),
+    'static below coulomb': (
+        'controller_node', 'friction: {joint1: {forward: {static: 0.09, coulomb: 0.11}}}',
+        'swapped'),
+    'blocks and weights': (
+        'plant_node', 'friction: {joint1: {weight: [0.5, 0.5]}}',
+        'friction.joint1: stiffness has 6 blocks and weight 2'),
+    'unknown mode': (
+        'trajectory_node', 'mode: lockstp', "did you mean 'lockstep'?"),
+    'via points': (
+        'trajectory_node', 'trajectory: {type: via_points, joint1: {points: [0.0, 1.0]}}',
+        'each joint needs the same number of points, got [2, 3]'),
+    'array of mixed types': (
+        'plant_node', 'friction: {joint1: {weight: [0.8, 1]}}',
+        'Sequence should be of same type'),
+    'no YAML': ('controller_node', 'gains: [', "Couldn't parse params file"),
+    'null': ('controller_node', 'mode:', 'No value at line'),
+    'missing file': ('plant_node', None, 'Error opening YAML file'),
+}
+
+
+@pytest.fixture(scope='module')
+def outcomes(tmp_path_factory):
+    """Start every node with its bad file, two at a time; return what became of each."""
+    folder = tmp_path_factory.mktemp('files')
+    with Lab(folder) as lab:
+        def start(case, name, text, files=FILES, **parameters):
+            path = folder / f'{case.replace(" ", "_")}.yaml'
+            if text is not None:
+                write_parameters(path, text)
+            node = lab.start(f'{name}.{case}', files=[*files, path], **parameters)
+            return node.wait(PATIENCE), node.printed(), path
+
+        with ThreadPoolExecutor(2) as pool:
+            running = {case: pool.submit(start, case, name, text)
+                       for case, (name, text, _) in REFUSED.items()}
+            running['no robot'] = pool.submit(
+                start, 'no robot', 'controller_node', 'mode: realtime', files=[FILES[1]])
+            running['no gains'] = pool.submit(
+                start, 'no gains', 'controller_node', 'mode: realtime', files=[FILES[0]])
+            # whole numbers where doubles belong, and parameters of ROS itself
+            running['whole numbers'] = pool.submit(
+                start, 'whole numbers', 'plant_node',
+                'arm: {joint1: {mass: 2}}\nrate: 500\nfriction: {joint1: {stiffness: '
+                '[2, 6, 7, 64, 11, 111]}}\nuse_sim_time: false', duration=0.02)
+            return {case: result.result() for case, result in running.items()}
+
+
+@pytest.mark.parametrize('case', REFUSED)
+def test_a_bad_file_is_refused_in_one_sentence(outcomes, case):
+    code, printed, path = outcomes[case]
+    sentence = REFUSED[case][2]
+    assert code == 2 and 'Traceback' not in printed
+    # rcl logs 'Failed to parse global arguments' by itself
+    lines = [line for line in printed.splitlines() if '[rcl]' not in line]
+    assert len(lines) == 1 and sentence in lines[0], printed
+    assert lines[0].startswith(('plant_node', 'controller_node', 'trajectory_node'))
+    if case in ('array of mixed types', 'no YAML', 'null', 'missing file'):
+        assert str(path) in lines[0]
+
+
+def test_a_missing_robot_or_controller_file_is_named(outcomes):
+    code, printed, _ = outcomes['no robot']
+    assert code == 2 and 'joints is missing' in printed
+    code, printed, _ = outcomes['no gains']
+    assert code == 2 and 'gains.joint1.kd_link is missing' in printed
+
+
+def test_whole_numbers_are_taken_for_doubles(outcomes):
+    code, printed, _ = outcomes['whole numbers']
+    assert code == 0 and 'Traceback' not in printed, printed
+
+
+def test_every_shipped_file_is_accepted_by_every_node(tmp_path):
+    with Lab(tmp_path) as lab:
+        files = [*FILES, CONFIG / 'sinusoid.yaml', CONFIG / 'polynomial.yaml']
+        nodes = [lab.start(name, files=files)
+                 for name in ('plant_node', 'controller_node', 'trajectory_node')]
+        lab.until(lambda: all('[INFO]' in node.printed() for node in nodes))
+        assert all(node.runs for node in nodes)

@@ -1,0 +1,74 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Every node ends by a signal with exit code 0, and the controller's last torque is zero."""
+
+import signal
+
+from node_harness import (
+    COMMANDS,
+    CONFIG,
+    FILES,
+    Float64MultiArray,
+    JointState,
+    Lab,
+    REFERENCE,
+    stamp_of,
+    STATES,
+)
+import pytest
+
+INT, TERM = signal.SIGINT, signal.SIGTERM
+NODES = ('controller_node', 'trajectory_node', 'plant_node')
+
+
+@pytest.mark.parametrize('mode, numbers', [
+    ('realtime', (INT,)), ('realtime', (TERM,)), ('realtime', (INT, INT)),
+    ('lockstep', (INT,)), ('lockstep', (INT, TERM))])
+def test_a_signal_ends_each_node_and_leaves_zero_torque(tmp_path, mode, numbers):
+    """A second signal comes at once, as ros2 launch sends it after a Ctrl-C of the terminal."""
+    with Lab(tmp_path) as lab:
+        files, common = [*FILES, CONFIG / 'sinusoid.yaml'], {'mode': mode}
+        controller = lab.start('controller_node', files=files, **common)
+        trajectory = lab.start('trajectory_node', files=files, trajectory__autostart=True,
+                               **common)
+        commands = lab.listen(Float64MultiArray, COMMANDS)
+        references = lab.listen(Float64MultiArray, REFERENCE)
+        states = lab.listen(JointState, STATES)
+        plant = lab.start('plant_node', files=files, wait_for_subscribers=3, **common)
+        lab.until(lambda: len(commands) > 100 and any(commands[-1].data))
+        assert controller.signal(*numbers) == 0
+        lab.until(lambda: list(commands[-1].data) == [0.0, 0.0])
+        answered = stamp_of(commands[-1])
+        assert answered in map(stamp_of, states)
+        if mode == 'realtime':  # the plant goes on without torque, and without a controller
+            lab.until(lambda: not any(states[-1].effort[2:]))
+            lab.more(references, 10)
+        assert trajectory.signal(*numbers) == 0
+        lab.more(states, 1)
+        assert plant.signal(*numbers) == 0
+        for process in (controller, trajectory, plant):
+            printed = process.printed()
+            assert 'Traceback' not in printed and 'rror' not in printed, printed
+
+
+@pytest.mark.parametrize('numbers', [(INT,), (TERM,), (INT, INT), (INT, TERM)])
+def test_nodes_that_wait_for_others_end_as_well(tmp_path, numbers):
+    with Lab(tmp_path) as lab:
+        nodes = [lab.start(name, **({'wait_for_subscribers': 5} if name == 'plant_node' else {}))
+                 for name in NODES]
+        for node in nodes:
+            lab.until(lambda node=node: '[INFO]' in node.printed())
+            assert node.signal(*numbers) == 0
+            assert 'Traceback' not in node.printed() and 'rror' not in node.printed()
+
+
+def test_a_signal_during_the_start_ends_it_without_an_error(tmp_path):
+    """The node is still compiling or looking for others."""
+    with Lab(tmp_path) as lab:
+        nodes = [lab.start(name) for name in NODES]
+        for node in nodes:
+            # its log file of ROS is opened by rclpy.init, after the handlers are there
+            lab.until(lambda node=node: any(tmp_path.glob(f'*_{node.process.pid}_*.log')))
+            assert node.signal(INT) == 0
+            assert 'Traceback' not in node.printed() and 'rror' not in node.printed()
