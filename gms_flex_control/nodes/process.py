@@ -91,7 +91,7 @@ class Spinner:
         self._executor.spin_once(timeout_sec=timeout)
 
     def spin(self):
-        """Run callbacks in this thread, which EventsExecutor.spin() does not do."""
+        """Run callbacks in this thread; the spin of EventsExecutor itself runs none."""
         while self.goes_on():
             self.spin_once()
 
