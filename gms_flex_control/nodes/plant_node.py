@@ -99,8 +99,8 @@ class PlantNode(Node):
         self._stamp += self._period
         self._publish()
 
-    def _goes_on(self, spinner):
-        return spinner.goes_on() and (self._samples is None or self._ticks + 1 < self._samples)
+    def _is_last(self):
+        return self._samples is not None and self._ticks + 1 >= self._samples
 
     def _publish(self):
         plant = self._plant
@@ -127,7 +127,7 @@ class PlantNode(Node):
         deadline = time.monotonic_ns()
         self._plant.measure()
         self._publish()
-        while self._goes_on(spinner):
+        while spinner.goes_on() and not self._is_last():
             if background.error is not None:
                 raise background.error
             deadline += self._period
@@ -150,10 +150,12 @@ class PlantNode(Node):
         self._publish_clock()
         self._publish()
         repeat = time.monotonic() + _REPEAT_PERIOD
-        while self._goes_on(spinner):
+        while spinner.goes_on():
             spinner.spin_once()
             torque, stamp, arrived = self._command
             if arrived and (stamp is None or stamp == self._stamp):
+                if self._is_last():  # answered too: a recording lacks nothing
+                    break
                 self._command = (torque, None, 0)
                 self._advance(torque)
                 self._publish_clock()
