@@ -212,9 +212,8 @@ def record(out, topics=None, *, duration=None, say=print):
             finally:
                 rclpy.try_shutdown()
     finally:
-        if not stopped.is_set():
-            for number, handler in previous.items():
-                signal.signal(number, handler)
+        for number, handler in previous.items():
+            signal.signal(number, signal.SIG_IGN if stopped.is_set() else handler)
     return dict(writer.counts)
 
 
@@ -244,10 +243,9 @@ def _stop_on_signals(stopped):
     numbers = (signal.SIGINT, signal.SIGTERM)
 
     def stop(_number, _frame):
-        # no exception: it would hit the callback of a message and lose it; and the second
-        # signal that ros2 launch sends must not disturb the closing of the bag
-        for number in numbers:
-            signal.signal(number, signal.SIG_IGN)
+        # no exception: it would hit the callback of a message and lose it, or the closing of the
+        # bag at the second signal that ros2 launch sends; nor SIG_IGN before that is over: of
+        # signals that come together Python would complain with a traceback
         stopped.set()
 
     return {number: signal.signal(number, stop) for number in numbers}
