@@ -14,6 +14,7 @@ MOTIONS = ('sinusoid', 'polynomial')
 MODES = ('none', 'gms_paper', 'gms')
 RATE = 500.0  # joint states per second [Hz]
 SINUSOID_DURATION = 20.0  # [s]
+MARKER = '.gms_flex_demo'
 
 
 def add_parser(subparsers):
@@ -27,30 +28,44 @@ def add_parser(subparsers):
                     'with the exact model is simulated in this process for comparison.')
     parser.add_argument('--out', default='demo_output', metavar='DIR',
                         help='folder for everything; made anew (default: demo_output)')
+    parser.add_argument('--motions', nargs='+', default=MOTIONS, choices=MOTIONS,
+                        help='trajectories (default: all)')
+    parser.add_argument('--modes', nargs='+', default=MODES, choices=MODES,
+                        help='compensations (default: all)')
+    parser.add_argument('--duration', type=float, metavar='S',
+                        help=f'simulated length of each run (default: sinusoid '
+                             f'{SINUSOID_DURATION:g}, polynomial to its end)')
     parser.set_defaults(run=run)
 
 
 def run(args):
     """Drive, simulate, analyse and print; return 0."""
-    begin = time.monotonic()
-    out = prepare(Path(args.out))
-    driven = drive_all(out)
-    exact = simulate_all(out)
+    begin, out = time.monotonic(), Path(args.out)
+    refuse_foreign(out)
+    say('compiling the inner loops (once)')
+    plans = {(motion, mode): plan_of(motion, mode, args.duration)
+             for motion, mode in product(args.motions, args.modes)}
+    prepare(out)
+    driven = drive_all(plans, out)
+    exact = simulate_all(plans, out)
     table = report_all(driven, exact, out)
     print(f'\n{table}\n\nreport   {out / "report.html"}\nnumbers  {out / "table4.json"}\n'
           f'bags     {out / "bags"}\ndone in {time.monotonic() - begin:.0f} s')
     return 0
 
 
-def prepare(out):
-    """Return the emptied output folder; refuse one that holds anything but a demo."""
-    marker = out / '.gms_flex_demo'
-    if out.exists() and (not out.is_dir() or (any(out.iterdir()) and not marker.exists())):
+def refuse_foreign(out):
+    """Raise BagError if ``out`` holds anything but an earlier demo."""
+    if out.exists() and not (out.is_dir() and ((out / MARKER).exists()
+                                               or not any(out.iterdir()))):
         raise BagError(f'{out} exists and was not made by gms_flex demo: name another --out')
+
+
+def prepare(out):
+    """Make the output folder anew."""
     shutil.rmtree(out, ignore_errors=True)
     out.mkdir(parents=True)
-    marker.touch()
-    return out
+    (out / MARKER).touch()
 
 
 def files_of(motion):
@@ -60,15 +75,16 @@ def files_of(motion):
     return robot_file(), controller_file(), trajectory_file(motion)
 
 
-def plan_of(motion, mode, model=None):
+def plan_of(motion, mode, duration=None):
     """Return the in-process Plan of one motion and compensation."""
     from gms_flex_control.experiment.plan import read_plan
-    duration = SINUSOID_DURATION if motion == 'sinusoid' else None
-    return read_plan(files_of(motion), model=model, duration=duration,
+    if duration is None and motion == 'sinusoid':
+        duration = SINUSOID_DURATION
+    return read_plan(files_of(motion), duration=duration,
                      overrides={'compensation': mode, 'rate': RATE})
 
 
-def drive_all(out):
+def drive_all(plans, out):
     """Run every combination over DDS and return its runs, labelled, with their recordings."""
     from gms_flex_control.analysis.tracking import Run
     from gms_flex_control.bags.reader import read_recording
@@ -76,9 +92,7 @@ def drive_all(out):
     from gms_flex_control.experiment.driven import drive, DrivenPlan
     from gms_flex_control.schema.files import load_robot, save_robot
 
-    say('compiling the inner loops (once)')
-    plans = {pair: plan_of(*pair) for pair in product(MOTIONS, MODES)}
-    warm_up(plans[MOTIONS[0], MODES[0]])
+    warm_up(next(iter(plans.values())))
     model = out / 'believed_robot.yaml'
     save_robot(mixed_error(load_robot(files_of(MOTIONS[0])[0])), model, comment=(
         'The robot as the controller of the demo believes it to be:\n'
@@ -110,13 +124,12 @@ def warm_up(plan):
     SteppedController(plan.gains, plan.model).tick(plan.trajectory.sample(0.0), 0.0)
 
 
-def simulate_all(out):
+def simulate_all(plans, out):
     """Simulate every combination with the exact model; its bags stand beside the others."""
     from gms_flex_control.analysis.tracking import Run
     from gms_flex_control.experiment.simulated import simulate_to_bag, to_recording
     runs = []
-    for motion, mode in product(MOTIONS, MODES):
-        plan = plan_of(motion, mode)
+    for (motion, mode), plan in plans.items():
         bag = out / 'bags' / 'exact_model' / f'{motion}_{mode}'
         runs.append(Run(motion, mode, to_recording(simulate_to_bag(plan, bag), plan, str(bag))))
     say(f'simulated the same {len(runs)} with the exact model in this process')

@@ -1,0 +1,115 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""The demo, shortened: three node processes, a recorder, bags, Table 4 and the report."""
+
+import json
+import os
+from pathlib import Path
+import subprocess
+import sys
+
+from gms_flex_control.bags.reader import read_recording
+from gms_flex_control.bags.summary import summarise
+from gms_flex_control.cli.main import main
+import numpy as np
+import pytest
+
+MODES = ('none', 'gms')
+
+
+def demo(*options, domain):
+    """Return the finished process of ``gms_flex demo`` with these options."""
+    paths = [str(Path(__file__).parents[1]), *filter(None, [os.environ.get('PYTHONPATH')])]
+    return subprocess.run(
+        [sys.executable, '-m', 'gms_flex_control.cli.main', 'demo', *options], text=True,
+        capture_output=True, timeout=200, check=False,
+        env=dict(os.environ, PYTHONPATH=os.pathsep.join(paths), ROS_DOMAIN_ID=str(domain)))
+
+
+@pytest.fixture(scope='module')
+def outcome(tmp_path_factory):
+    """Run two compensations for 3 s each; return the folder and what was printed."""
+    harness = pytest.importorskip('node_harness')
+    domain, lock = harness.take_domain()
+    out = tmp_path_factory.mktemp('demo') / 'output'
+    process = demo('--out', str(out), '--motions', 'sinusoid', '--modes', *MODES,
+                   '--duration', '3', domain=domain)
+    lock.close()
+    assert process.returncode == 0, process.stdout + process.stderr
+    return out, process
+
+
+def test_the_progress_and_both_tables_are_printed(outcome):
+    _, process = outcome
+    assert process.stderr == ''
+    for text in ('[1/2] three nodes over DDS: sinusoid, none, 3 s simulated',
+                 '[2/2] three nodes over DDS: sinusoid, gms', '1500 joint states',
+                 'Table 4', 'Exact model', 'report.html', 'table4.json'):
+        assert text in process.stdout
+
+
+@pytest.mark.parametrize('mode', MODES)
+def test_each_bag_has_every_sample_of_every_topic(outcome, mode):
+    bag = outcome[0] / 'bags' / f'sinusoid_{mode}'
+    counts = {topic.name: topic.count for topic in summarise(bag).topics}
+    assert counts['/joint_states'] == 1500
+    assert counts['/cascade_controller/state'] == 1500
+    assert counts['/effort_controller/commands'] == 1501  # the controller ends with a zero
+    assert counts['/reference'] in (1500, 1501)  # it is a sample ahead
+    recording = read_recording(bag)
+    for field in ('q_link', 'q_motor', 'tau_motor', 'command', 'reference', 'friction_hat'):
+        assert np.all(np.isfinite(getattr(recording, field))), field
+    exact = read_recording(outcome[0] / 'bags' / 'exact_model' / f'sinusoid_{mode}')
+    np.testing.assert_array_equal(exact.time, recording.time)
+    np.testing.assert_array_equal(exact.reference, recording.reference)
+
+
+def test_the_table_and_the_report_are_made(outcome):
+    out, _ = outcome
+    table = json.loads((out / 'table4.json').read_text())
+    assert table
+    mse = {mode: np.mean((recording.q_link - recording.reference[:, 0]) ** 2, axis=0)
+           for mode in MODES
+           for recording in [read_recording(out / 'bags' / f'sinusoid_{mode}')]}
+    assert np.all(mse['none'] > 3.0 * mse['gms'])
+    for value in (*mse['none'], *mse['gms']):
+        assert any(number == pytest.approx(value) for number in numbers_in(table))
+    report = (out / 'report.html').read_text()
+    assert 'friction x 0.85' in report and len(report) > 50_000
+    assert list(out.glob('*.png'))
+
+
+def numbers_in(tree):
+    """Yield every number in nested lists and dicts."""
+    for value in tree.values() if isinstance(tree, dict) else tree:
+        if isinstance(value, (dict, list)):
+            yield from numbers_in(value)
+        elif isinstance(value, float):
+            yield value
+
+
+def test_nothing_of_the_nodes_is_hidden(outcome):
+    """What the processes printed stays, and there is no traceback in it."""
+    logs = sorted((outcome[0] / 'log').glob('*/*.log'))
+    assert [path.name for path in logs] == 2 * [
+        'controller.log', 'plant.log', 'recorder.log', 'trajectory.log']
+    assert not any('Traceback' in path.read_text() for path in logs)
+
+
+def test_a_folder_it_did_not_make_is_left_alone(tmp_path, capsys):
+    (tmp_path / 'thesis.tex').write_text('years of work')
+    assert main(['demo', '--out', str(tmp_path)]) == 2
+    assert capsys.readouterr().err == (
+        f'gms_flex demo: {tmp_path} exists and was not made by gms_flex demo: '
+        'name another --out\n')
+    assert main(['demo', '--out', str(tmp_path / 'thesis.tex')]) == 2
+    assert (tmp_path / 'thesis.tex').read_text() == 'years of work'
+
+
+def test_a_bad_duration_leaves_an_earlier_demo(tmp_path, capsys):
+    (tmp_path / '.gms_flex_demo').touch()
+    (tmp_path / 'report.html').write_text('of yesterday')
+    assert main(['demo', '--out', str(tmp_path), '--duration', '-1']) == 2
+    assert '--duration' in capsys.readouterr().err
+    assert (tmp_path / 'report.html').is_file()
