@@ -12,7 +12,20 @@ from gms_flex_control.experiment.driven import drive, DrivenPlan
 from gms_flex_control.experiment.plan import read_plan
 from gms_flex_control.experiment.simulated import simulate_to_bag
 from gms_flex_control.schema.files import load_robot, save_robot
-from node_harness import CONFIG, DISCOVERY, FILES, STATES, take_domain, write_parameters
+from node_harness import (
+    array_message,
+    COMMANDS,
+    CONFIG,
+    DISCOVERY,
+    FILES,
+    Float64MultiArray,
+    JointState,
+    Lab,
+    stamp_of,
+    STATES,
+    take_domain,
+    write_parameters,
+)
 import numpy as np
 import pytest
 
@@ -81,6 +94,23 @@ def test_nodes_and_one_process_agree(tmp_path, monkeypatch, compensation, noise,
     assert np.all(np.diff(np.rint(driven.time * 1e9)) == plan.period_ns)
     assert np.ptp(driven.q_link[:, 0]) > 0.3  # it moved
     assert_equal(driven, simulated)
+
+
+def test_the_last_sample_is_answered_before_the_plant_ends(tmp_path):
+    """A recording of N states has N commands; unanswered the plant would wait."""
+    with Lab(tmp_path) as lab:
+        states = lab.listen(JointState, STATES)
+        commands = lab.speak(Float64MultiArray, COMMANDS)
+        plant = lab.start('plant_node', mode='lockstep', rate=100.0, duration=0.03,
+                          wait_for_subscribers=1)
+        lab.until(lambda: states and commands.get_subscription_count())
+        for stamp in (0, 10_000_000):
+            commands.publish(array_message([0.0, 0.0], f'stamp:{stamp}'))
+            lab.until(lambda stamp=stamp: stamp_of(states[-1]) == stamp + 10_000_000)
+        lab.more(states, 1)  # the last one, sent again
+        assert plant.runs and stamp_of(states[-1]) == 20_000_000
+        commands.publish(array_message([0.0, 0.0], 'stamp:20000000'))
+        assert plant.wait() == 0
 
 
 def assert_moves_alike(tmp_path, monkeypatch, files):
