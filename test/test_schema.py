@@ -138,7 +138,7 @@ WRONG = {
     'beyond all doubles': ('mass: 2.3 ', f'mass: 1{400 * "0"} ',
                            'arm.joint1.mass must be finite, got inf'),
     'negative inertia': ('inertia: 0.0075 ', 'inertia: -0.0075 ',
-                         'arm.joint2.inertia must be from 0 to inf kg m^2, got -0.0075'),
+                         'arm.joint2.inertia must be at least 0 kg m^2, got -0.0075'),
     'a misspelt key': ('motor_inertia: 0.006 ', 'motor_inertai: 0.006 ',
                        'arm.joint1.motor_inertai is not a known parameter; did you mean '
                        "'arm.joint1.motor_inertia'?"),
@@ -190,7 +190,7 @@ def test_what_is_wrong_in_a_robot_file_is_said_with_its_line(what, tmp_path):
     ('joint9', 'backlash: {half_gap: 0.1}', "unknown joint 'joint9'; did you mean 'joint"),
     ('joint1', 'backlash: {half_gp: 0.1}', "backlash has no parameter 'half_gp'; did you mean "
      "'half_gap'?"),
-    ('joint1', 'backlash: {half_gap: -0.1}', 'half_gap must be from 0 to inf rad, got -0.1'),
+    ('joint1', 'backlash: {half_gap: -0.1}', 'half_gap must be at least 0 rad, got -0.1'),
     ('joint1', 'backlash: {half_gap: wide}', "half_gap must be a number [rad], got 'wide'"),
     ('joint1', 'backlash: 0.1', 'must have the form effects.<joint>.<effect>.<parameter>'),
     ('joint1', 'tip_payload: {mass: 0.1}', 'tip_payload belongs under effects.arm'),
@@ -218,7 +218,9 @@ def test_what_is_wrong_with_an_effect_is_said(joint, lines, sentence, tmp_path):
     (changed('        motor_inertia: 0.006 ', '        # '),
      'arm.joint1.motor_inertia is missing: motor inertia reflected to the joint [kg m^2]'),
     (changed('[2.26, 5.93,', '[5.93,'), 'friction.joint1: stiffness has 5 blocks and weight 6'),
-    (changed('attraction: 1.5', 'attraction: 0.0'), 'attraction must be above 0, got [0. 1.]'),
+    (changed('attraction: 1.5', 'attraction: 0.0'),
+     'friction.joint1.attraction must be above 0 N m/s, got 0'),
+    (changed('        mass: 2.3 ', '        # '), 'arm.joint1.mass is missing: a planar chain'),
     (changed('stiffness: 1.5 ', 'stiffness: .inf '), "joint 'joint1' is rigid (stiffness .inf) "
      "but has motor 'joint1_motor'"),
 ])

@@ -71,6 +71,7 @@ def robot_from_values(values):
     joints = joint_names(values)
     known = known_keys(values, joints)
     flat = _complete(robot_keys(joints), values)
+    _require_links(flat['arm.kind'], joints, values)
     motors = flat['motors'] or ('',) * len(joints)
     arm = ArmParams(kind=flat['arm.kind'], gravity=flat['arm.gravity'],
                     **{name: [flat[f'arm.{joint}.{name}'] for joint in joints] for name in _ARM})
@@ -80,6 +81,18 @@ def robot_from_values(values):
                         if name.startswith('effects.')})
     return RobotParams(joints=joints, motors=tuple(motors), arm=arm, encoder=encoder,
                        friction=_friction(flat, joints), effects=effects)
+
+
+def _require_links(kind, joints, values):
+    """Refuse a planar chain whose file leaves out what a default would change silently."""
+    if kind != 'planar':
+        return
+    needed = [f'arm.{joint}.{name}' for joint in joints for name in ('mass', 'com')]
+    needed += [f'arm.{joint}.length' for joint in joints[:-1]]
+    missing = [name for name in needed if name not in values]
+    if missing:
+        raise ConfigError(f'{missing[0]} is missing: a planar chain needs mass and com of each '
+                          'link and the length of all but the last')
 
 
 @contextmanager

@@ -95,11 +95,11 @@ def _built(paths, make):
     try:
         return make(values)
     except (ConfigError, ParameterError) as error:
-        raise _located(error, paths, places) from error
+        raise located(error, paths, places) from error
 
 
-def _located(error, paths, places):
-    """Return the error with file and line of the key its sentence begins with."""
+def located(error, paths, places):
+    """Return the error with file and line of the key its sentence begins with; see read_values."""
     message = str(error)
     name = message.split(' ', 1)[0].rstrip(':')
     below = (key for key in places if key == name or key.startswith(f'{name}.'))

@@ -11,6 +11,7 @@ from gms_flex_control.params.arm import KINDS
 from gms_flex_control.params.gains import COMPENSATIONS
 
 REQUIRED = object()
+SMALLEST = 1e-12  # of what must be above zero
 TRAJECTORIES = ('hold', 'sinusoid', 'polynomial', 'via_points', 'constant_velocity',
                 'torque_ramp', 'sliding')
 MODES = ('realtime', 'lockstep')
@@ -62,7 +63,7 @@ def _arm_keys(joint):
         Key(prefix + 'motor_inertia', 'double', 'motor inertia reflected to the joint',
             'kg m^2', lower=0.0),
         Key(prefix + 'stiffness', 'double', 'stiffness of the joint; .inf for a rigid one',
-            'N m/rad', lower=0.0),
+            'N m/rad', lower=SMALLEST),
         Key(prefix + 'damping', 'double', 'damping of the joint', 'N m s/rad', 0.0, 0.0),
     )
 
@@ -72,9 +73,9 @@ def _friction_keys(joint):
     for direction in ('forward', 'backward'):
         prefix = f'friction.{joint}.{direction}.'
         keys += [
-            Key(prefix + 'static', 'double', 'static friction F_s', 'N m', lower=0.0),
-            Key(prefix + 'coulomb', 'double', 'Coulomb friction F_c', 'N m', lower=0.0),
-            Key(prefix + 'velocity', 'double', 'Stribeck velocity v_s', 'rad/s', lower=0.0),
+            Key(prefix + 'static', 'double', 'static friction F_s', 'N m', lower=SMALLEST),
+            Key(prefix + 'coulomb', 'double', 'Coulomb friction F_c', 'N m', lower=SMALLEST),
+            Key(prefix + 'velocity', 'double', 'Stribeck velocity v_s', 'rad/s', lower=SMALLEST),
             Key(prefix + 'viscous', 'double', 'viscous friction sigma_2', 'N m s/rad', lower=0.0)]
     prefix = f'friction.{joint}.'
     keys += [
@@ -82,7 +83,7 @@ def _friction_keys(joint):
             lower=0.0),
         Key(prefix + 'weight', 'double_array', 'share alpha_i of each block, sum 1', '1',
             lower=0.0),
-        Key(prefix + 'attraction', 'double', 'C of the slipping blocks', 'N m/s', lower=0.0)]
+        Key(prefix + 'attraction', 'double', 'C of the slipping blocks', 'N m/s', lower=SMALLEST)]
     return keys
 
 

@@ -8,7 +8,7 @@ import math
 from gms_flex_control.effects import registry
 from gms_flex_control.errors import ConfigError, ParameterError
 from gms_flex_control.params.robot import WHOLE_ARM
-from gms_flex_control.schema.keys import all_keys, Key
+from gms_flex_control.schema.keys import all_keys, Key, SMALLEST
 from gms_flex_control.suggest import did_you_mean
 
 _NAMES = {'double': 'a number', 'integer': 'a whole number', 'string': 'a text',
@@ -82,8 +82,14 @@ def _check_range(key, number):
     if math.isnan(number) or (math.isinf(number) and not infinite_allowed):
         raise ConfigError(f'{key.name} must be finite, got {number}')
     if not key.lower <= number <= key.upper:
-        raise ConfigError(f'{key.name} must be from {key.lower:g} to {key.upper:g}'
+        raise ConfigError(f'{key.name} must be {_range_in_words(key)}'
                           f'{f" {key.unit}" if key.unit else ""}, got {number:g}')
+
+
+def _range_in_words(key):
+    if math.isfinite(key.upper):
+        return f'from {key.lower:g} to {key.upper:g}'
+    return 'above 0' if key.lower == SMALLEST else f'at least {key.lower:g}'
 
 
 def effect_key(name, joints):
