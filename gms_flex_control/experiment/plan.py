@@ -5,11 +5,11 @@
 
 from dataclasses import dataclass
 
-from gms_flex_control.errors import ConfigError
+from gms_flex_control.errors import ConfigError, ParameterError
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.robot import RobotParams
 from gms_flex_control.schema.build import controller_from_values, robot_from_values
-from gms_flex_control.schema.files import load_robot, read_values
+from gms_flex_control.schema.files import load_robot, located, read_values
 from gms_flex_control.schema.keys import plant_node_keys, trajectory_keys
 from gms_flex_control.schema.motion import trajectory_from_values
 from gms_flex_control.schema.values import checked, known_keys
@@ -85,14 +85,19 @@ def read_plan(files, *, model=None, overrides=None, duration=None):
 
     """
     robot = load_robot(files)
-    values, _ = read_values(files)
+    values, places = read_values(files)
     values |= overrides or {}
-    known_keys(values, robot.joints)
-    if any(name.startswith(('arm.', 'friction.', 'effects.', 'encoder.'))
-           for name in overrides or {}):
-        robot = robot_from_values(values)
-    timing = _filled(plant_node_keys(robot.joints), values)
-    motion = _filled(trajectory_keys(robot.joints), values)
+    places |= dict.fromkeys(overrides or {}, 'override')
+    try:
+        known_keys(values, robot.joints)
+        if any(name.startswith(('arm.', 'friction.', 'effects.', 'encoder.'))
+               for name in overrides or {}):
+            robot = robot_from_values(values)
+        gains = controller_from_values(values, robot.joints)
+        timing = _filled(plant_node_keys(robot.joints), values)
+        motion = _filled(trajectory_keys(robot.joints), values)
+    except (ConfigError, ParameterError) as error:
+        raise located(error, files, places) from error
     q_link = np.array([timing[f'initial.{joint}'] for joint in robot.joints])
     period_ns = round(NANOSECONDS / timing['rate'])
     trajectory = _reference(motion, robot, SteppedPlant(
@@ -103,7 +108,7 @@ def read_plan(files, *, model=None, overrides=None, duration=None):
         raise ConfigError(f"--duration must be given for {motion['trajectory.type']}, which "
                           f'has no end, and be above 0; got {duration}')
     return Plan(robot=robot, model=robot if model is None else load_robot(model),
-                gains=controller_from_values(values, robot.joints), trajectory=trajectory,
+                gains=gains, trajectory=trajectory,
                 motion=motion['trajectory.type'], duration=duration, q_link=q_link,
                 period_ns=period_ns, substeps=timing['substeps'], seed=timing['seed'])
 
