@@ -34,7 +34,7 @@ REFUSED = {
     'infinite gain': (
         'controller_node', 'gains: {joint2: {lambda_link: .inf}}', 'must be finite, got inf'),
     'negative inertia': (
-        'plant_node', 'arm: {joint1: {inertia: -0.01}}', 'arm.joint1.inertia must be from 0'),
+        'plant_node', 'arm: {joint1: {inertia: -0.01}}', 'arm.joint1.inertia must be'),
     'static below coulomb': (
         'controller_node', 'friction: {joint1: {forward: {static: 0.09, coulomb: 0.11}}}',
         'swapped'),

@@ -1,0 +1,227 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""The front end of the tool, and `gms_flex simulate`: bags out, one sentence for what is bad."""
+
+import json
+import os
+from pathlib import Path
+import subprocess
+import sys
+
+from gms_flex_control.bags.reader import read_recording
+from gms_flex_control.cli.main import main, VERBS
+from gms_flex_control.errors import GmsFlexError
+from gms_flex_control.experiment.plan import read_plan
+from gms_flex_control.schema.files import load_robot
+import numpy as np
+import pytest
+
+CONFIG = Path(__file__).parents[1] / 'config'
+ROBOT, CONTROLLER = CONFIG / 'robot.yaml', CONFIG / 'controller.yaml'
+HERE = Path(__file__).parents[1]
+
+
+def tool(*arguments):
+    """Return the finished process of ``gms_flex``."""
+    paths = [str(HERE), *filter(None, [os.environ.get('PYTHONPATH')])]
+    return subprocess.run([sys.executable, '-m', 'gms_flex_control.cli.main', *arguments],
+                          text=True, capture_output=True, timeout=120, check=False,
+                          env=dict(os.environ, PYTHONPATH=os.pathsep.join(paths)))
+
+
+def parameters(path, text):
+    """Write ``text`` as the parameters of all nodes; return the path."""
+    path.write_text('/**:\n  ros__parameters:\n' + ''.join(
+        f'    {line}\n' for line in text.splitlines()))
+    return path
+
+
+@pytest.fixture
+def simulate(tmp_path, capsys):
+    """Yield a function: options -> (exit code, printed, complaint)."""
+    def run(*options, out=tmp_path / 'bag'):
+        code = main(['simulate', *map(str, options), '--out', str(out)])
+        return (code, *capsys.readouterr())
+    return run
+
+
+# the front end ---------------------------------------------------------------------------------
+
+
+def test_every_verb_is_listed_and_explains_itself(capsys):
+    with pytest.raises(SystemExit) as end:
+        main(['--help'])
+    listed = capsys.readouterr().out
+    assert end.value.code == 0 and 'Exit codes: 0 done, 1 a finding says no, 2 bad input' in listed
+    for verb in VERBS:
+        name = verb.replace('_', '-')
+        assert name in listed
+        with pytest.raises(SystemExit) as end:
+            main([name, '--help'])
+        helped = capsys.readouterr().out
+        assert end.value.code == 0 and f'usage: gms_flex {name}' in helped
+        assert len(helped.split()) > 20  # more than the options argparse adds
+
+
+@pytest.mark.parametrize('arguments', [
+    [], ['simluate'], ['simulate'], ['simulate', '--out', 'x', '--duration', 'long'],
+    ['demo', '--modes', 'gsm'], ['demo', '--wings']])
+def test_wrong_arguments_exit_2(arguments, capsys):
+    with pytest.raises(SystemExit) as end:
+        main(arguments)
+    assert end.value.code == 2 and 'usage: gms_flex' in capsys.readouterr().err
+
+
+def test_the_process_exits_0_1_and_2(tmp_path):
+    """As a shell sees it: version, gains that break a condition, a bag that is not there."""
+    assert tool('--version').returncode == 0
+    weak = tmp_path / 'weak.yaml'
+    weak.write_text(CONTROLLER.read_text().replace('kd_link: 0.8', 'kd_link: 0.1'))
+    said_no = tool('check-gains', '--robot', str(ROBOT), '--controller', str(weak))
+    assert said_no.returncode == 1 and said_no.stderr == ''
+    assert 'joint1' in said_no.stdout and 'verdict' in said_no.stdout
+    absent = tool('info', str(tmp_path / 'absent'))
+    assert absent.returncode == 2 and absent.stdout == ''
+    assert len(absent.stderr.splitlines()) == 1
+    assert absent.stderr.startswith('gms_flex info: ') and 'absent' in absent.stderr
+
+
+def test_a_reader_that_has_seen_enough_is_no_error(tmp_path):
+    """As with ``gms_flex ... | head -0``."""
+    read, write = os.pipe()
+    os.close(read)
+    process = subprocess.Popen(
+        [sys.executable, '-m', 'gms_flex_control.cli.main', 'simulate', '--duration', '0.1',
+         '--out', str(tmp_path / 'bag')], stdout=write, stderr=subprocess.PIPE, text=True,
+        env=dict(os.environ, PYTHONPATH=os.pathsep.join(
+            [str(HERE), os.environ.get('PYTHONPATH', '')])))
+    os.close(write)
+    _, complaint = process.communicate(timeout=120)
+    assert process.returncode == 0 and complaint == ''
+
+
+# simulate --------------------------------------------------------------------------------------
+
+
+def test_a_simulation_is_a_bag_and_a_line(simulate, tmp_path):
+    code, printed, complaint = simulate('--duration', 1.5, '--compensation', 'none')
+    assert code == 0 and complaint == ''
+    assert printed.startswith(f'{tmp_path / "bag"}: sinusoid, none, 1.5 s, MSE per link')
+    recording = read_recording(tmp_path / 'bag')
+    assert recording.joints == ('joint1', 'joint2') and len(recording.time) == 750
+    assert np.all(recording.friction_hat == 0.0)
+
+
+def test_several_motions_and_modes_make_a_bag_each(simulate, tmp_path):
+    code, printed, _ = simulate('--duration', 0.4, '--trajectory', 'sinusoid', 'polynomial',
+                                '--compensation', 'none', 'gms', '--json')
+    results = json.loads(printed)
+    assert code == 0 and [Path(result['bag']).name for result in results] == [
+        'sinusoid_none', 'sinusoid_gms', 'polynomial_none', 'polynomial_gms']
+    for result in results:
+        recording = read_recording(result['bag'])
+        error = recording.q_link - recording.reference[:, 0]
+        assert np.mean(error ** 2, axis=0).tolist() == pytest.approx(result['mse'])
+
+
+def test_a_polynomial_ends_by_itself(simulate, tmp_path):
+    short = parameters(tmp_path / 'short.yaml',
+                       'trajectory: {type: polynomial, move_time: 0.3, hold_time: 0.1}')
+    assert simulate('--trajectory', short)[0] == 0
+    assert len(read_recording(tmp_path / 'bag').time) == round(500 * (3 * 0.1 + 2 * 0.3))
+
+
+def test_single_parameters_are_set_as_of_a_node(simulate, tmp_path):
+    code, printed, _ = simulate(
+        '--duration', 0.5, '--set', 'rate=250', 'initial.joint1=0.4', 'compensation=gms_paper',
+        'encoder.counts=0', 'encoder.noise=1e-4', 'trajectory.joint1.amplitude=0.2')
+    assert code == 0 and 'gms_paper' in printed
+    recording = read_recording(tmp_path / 'bag')
+    assert len(recording.time) == 125 and recording.q_link[0, 0] == pytest.approx(0.4, abs=1e-3)
+    assert len(set(recording.q_link[:50, 0])) == 50  # noise without counts
+    # the reference begins where the encoder sees the robot
+    assert recording.reference[0, 0].tolist() == recording.q_link[0].tolist()
+
+
+def test_the_same_seed_gives_the_same_run_and_another_does_not(simulate, tmp_path):
+    runs = []
+    for name, seed in (('a', 1), ('b', 1), ('c', 2)):
+        assert simulate('--duration', 0.2, '--set', 'encoder.noise=1e-4', f'seed={seed}',
+                        out=tmp_path / name)[0] == 0
+        runs.append(read_recording(tmp_path / name).q_link)
+    assert np.array_equal(runs[0], runs[1]) and not np.array_equal(runs[0], runs[2])
+
+
+def test_the_controller_may_believe_another_robot(simulate, tmp_path):
+    light = tmp_path / 'light.yaml'
+    light.write_text(ROBOT.read_text().replace('mass: 2.3 ', 'mass: 1.3 '))
+    assert simulate('--duration', 2, out=tmp_path / 'true')[0] == 0
+    assert simulate('--duration', 2, '--model', light, out=tmp_path / 'light')[0] == 0
+    true, wrong = (read_recording(tmp_path / name) for name in ('true', 'light'))
+    np.testing.assert_array_equal(true.reference, wrong.reference)
+    assert not np.array_equal(true.command, wrong.command)
+
+
+def test_motor_names_may_be_left_out_of_a_rigid_robot(tmp_path):
+    text = ROBOT.read_text().replace('stiffness: 1.5  ', 'stiffness: .inf')
+    (tmp_path / 'named.yaml').write_text(text.replace(
+        'motors: [joint1_motor, joint2_motor]', "motors: ['', '']"))
+    (tmp_path / 'bare.yaml').write_text(text.replace(
+        'motors: [joint1_motor, joint2_motor]', ''))
+    assert load_robot(tmp_path / 'bare.yaml').motors == ('', '')
+    plans = [read_plan([tmp_path / name, CONTROLLER, CONFIG / 'sinusoid.yaml'], duration=0.2)
+             for name in ('named.yaml', 'bare.yaml')]
+    assert all(np.all(plan.robot.arm.rigid) for plan in plans)
+
+
+@pytest.mark.parametrize('options, sentence', [
+    ([], '--duration must be given for sinusoid, which has no end'),
+    (['--duration', '0'], '--duration must be'),
+    (['--duration', 'nan'], '--duration must be'),
+    (['--duration', 'inf'], '--duration must be'),
+    (['--duration', '1', '--set', 'gains.joint1.kd_lnk=1'],
+     "gains.joint1.kd_lnk is not a known parameter; did you mean 'gains.joint1.kd_link'?"),
+    (['--duration', '1', '--set', 'gains.joint1.kd_link'], 'must have the form NAME=VALUE'),
+    (['--duration', '1', '--set', 'gains.joint1.kd_link=[1'], "'[1' is not a YAML value"),
+    (['--duration', '1', '--set', 'gains.joint1.kd_link=-1'], 'gains.joint1.kd_link must be'),
+    (['--duration', '1', '--set', 'rate=fast'], "rate must be a number [Hz], got 'fast'"),
+    (['--duration', '1', '--set', 'rate=.nan'], 'rate must be finite, got nan'),
+    (['--duration', '1', '--compensation', 'gsm'], "did you mean 'gms'?"),
+    (['--duration', '1', '--trajectory', 'sinus'], '--trajectory sinus: no such file'),
+    (['--duration', '1', '--trajectory', 'absent.yaml'], 'absent.yaml: cannot be read'),
+    (['--duration', '1', '--set', 'trajectory.type=torque_ramp'], 'is an open-loop torque'),
+    (['--duration', '1', '--robot', 'absent.yaml'], 'absent.yaml: cannot be read'),
+    (['--duration', '1', '--robot', str(CONFIG)], 'cannot be read')])
+def test_what_cannot_be_simulated_is_said_in_one_sentence(simulate, tmp_path, options, sentence):
+    code, printed, complaint = simulate(*options)
+    assert code == 2 and printed == ''
+    assert complaint.startswith('gms_flex simulate: ') and len(complaint.splitlines()) == 1
+    assert sentence in complaint
+    assert not (tmp_path / 'bag').exists()
+
+
+@pytest.mark.parametrize('text, sentence', [
+    ('gains: {joint1: {kd_link: stiff}}', 'gains.joint1.kd_link must be a number'),
+    ('arm: {joint1: {inertia: -1.0}}', 'arm.joint1.inertia must be'),
+    ('arm: {joint1: {inertia: .nan}}', 'arm.joint1.inertia must be finite, got nan'),
+    ('friction: {joint1: {forward: {static: 0.09, coulomb: 0.11}}}', 'swapped'),
+    ('friction: {joint3: {attraction: 1.0}}', "unknown joint 'joint3'"),
+    ('gains: [', 'is not valid YAML')])
+def test_a_bad_file_is_named(simulate, tmp_path, text, sentence):
+    bad = parameters(tmp_path / 'bad.yaml', text)
+    code, _, complaint = simulate('--duration', 1, '--trajectory', bad)
+    assert code == 2 and sentence in complaint and len(complaint.splitlines()) == 1
+    assert str(bad) in complaint
+
+
+def test_a_bag_is_never_overwritten(simulate, tmp_path):
+    (tmp_path / 'bag').mkdir()
+    code, _, complaint = simulate('--duration', 0.1)
+    assert code == 2 and 'exists already' in complaint
+    assert list((tmp_path / 'bag').iterdir()) == []
+
+
+def test_errors_of_the_library_are_of_one_family():
+    with pytest.raises(GmsFlexError):
+        read_plan([ROBOT, CONTROLLER])  # hold has an end at once
