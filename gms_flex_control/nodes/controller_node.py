@@ -56,6 +56,7 @@ class ControllerNode(Node):
         self._last = None        # stamp of the state answered last
         self._waiting = None     # stamp of a state that waits for its reference, lockstep only
         self._ticks = 0
+        self._warned = []        # sentences on the gains as they are
         self._warm_up()
         self._create_topics(values['mode'])
         parameters.watch(lambda new: controller_from_values(new, joints), self._use)
@@ -94,8 +95,11 @@ class ControllerNode(Node):
 
     def _warn_of_conditions(self, gains):
         from gms_flex_control.control.gain_conditions import violations
-        for sentence in violations(gains, self._robot):
-            self.get_logger().warning(sentence)
+        broken = violations(gains, self._robot)
+        for sentence in broken:
+            if sentence not in self._warned:
+                self.get_logger().warning(sentence)
+        self._warned = broken
 
     def _on_reference(self, message):
         try:
