@@ -30,7 +30,7 @@ Float64MultiArray = std_msgs.Float64MultiArray
 
 CONFIG = Path(__file__).parents[1] / 'config'
 FILES = (CONFIG / 'robot.yaml', CONFIG / 'controller.yaml')
-PATIENCE = 30.0  # for whatever has to come [s]
+PATIENCE = 60.0  # for whatever has to come, kernels that must be compiled included [s]
 JOINTS = ['joint1', 'joint2']
 NAMES = [*JOINTS, 'joint1_motor', 'joint2_motor']
 COMMANDS, STATES, REFERENCE = '/effort_controller/commands', '/joint_states', '/reference'

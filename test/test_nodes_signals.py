@@ -52,6 +52,24 @@ def test_a_signal_ends_each_node_and_leaves_zero_torque(tmp_path, mode, numbers)
             assert 'Traceback' not in printed and 'rror' not in printed, printed
 
 
+def test_without_a_reference_the_controller_sends_zero_and_takes_up_the_next_one(tmp_path):
+    with Lab(tmp_path) as lab:
+        files = [*FILES, CONFIG / 'sinusoid.yaml']
+        controller = lab.start('controller_node', files=files)
+        trajectory = lab.start('trajectory_node', files=files, trajectory__autostart=True)
+        commands = lab.listen(Float64MultiArray, COMMANDS)
+        states = lab.listen(JointState, STATES)
+        lab.start('plant_node', files=files, wait_for_subscribers=3)
+        lab.until(lambda: len(commands) > 100 and any(commands[-1].data))
+        trajectory.kill()  # no last word
+        lab.until(lambda: not any(commands[-1].data) and not any(states[-1].effort[2:]))
+        lab.more(commands, 100)
+        assert not any(any(command.data) for command in commands[-100:])
+        lab.start('trajectory_node', files=files, trajectory__autostart=True)
+        lab.until(lambda: any(commands[-1].data))
+        assert controller.runs
+
+
 @pytest.mark.parametrize('numbers', [(INT,), (TERM,), (INT, INT), (INT, TERM)])
 def test_nodes_that_wait_for_others_end_as_well(tmp_path, numbers):
     with Lab(tmp_path) as lab:
