@@ -42,8 +42,10 @@ def take_domain():
     """Return a ROS domain id that no process here uses, and the lock that keeps it."""
     ids = list(range(1, 101))  # above 101 the ports of DDS are those Linux hands out
     random.SystemRandom().shuffle(ids)
+    folder = Path(tempfile.gettempdir()) / f'gms_flex_test_domains_{os.getuid()}'
+    folder.mkdir(exist_ok=True)
     for domain in ids:
-        lock = open(Path(tempfile.gettempdir()) / f'gms_flex_test_domain_{domain}', 'w')
+        lock = open(folder / f'{domain}.lock', 'w')
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
