@@ -104,10 +104,11 @@ def cpu_time(pid):
 
 
 def _measurements(rate, timing, processor):
+    """Return what one run measured; the targets hold at 1 kHz."""
     def figure(name, key, value, unit, note=''):
         target, at_least = _TARGETS.get(key, (None, True)) if rate == 1000.0 else (None, True)
-        return Measurement('ros', f'{rate:g} Hz: {name}', value, unit, target=target,
-                           at_least=at_least, note=note)
+        return Measurement(suite='ros', name=f'{rate:g} Hz: {name}', value=value, unit=unit,
+                           target=target, at_least=at_least, note=note)
 
     shares = ', '.join(f'{name} {processor[name]:.0f}' for name in _NODES)
     return [
