@@ -104,8 +104,9 @@ class PlantNode(Node):
 
     def _publish(self):
         plant = self._plant
-        self._state_pub.publish(self._writer.write(plant.measured, plant.applied, self._stamp))
+        message = self._writer.write(plant.measured, plant.applied, self._stamp)
         self._timing.published()
+        self._state_pub.publish(message)
 
     # realtime ------------------------------------------------------------------------------
 
