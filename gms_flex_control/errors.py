@@ -20,6 +20,10 @@ class TrajectoryError(GmsFlexError, ValueError):
     """A trajectory cannot be built from what was asked."""
 
 
+class SimulationError(GmsFlexError):
+    """A simulation left the finite numbers."""
+
+
 class BagError(GmsFlexError):
     """A bag cannot be read or written, or lacks what the analysis needs."""
 

@@ -176,7 +176,6 @@ def test_motor_names_may_be_left_out_of_a_rigid_robot(tmp_path):
 
 
 @pytest.mark.parametrize('options, sentence', [
-    ([], '--duration must be given for sinusoid, which has no end'),
     (['--duration', '0'], '--duration must be'),
     (['--duration', 'nan'], '--duration must be'),
     (['--duration', 'inf'], '--duration must be'),
@@ -190,7 +189,10 @@ def test_motor_names_may_be_left_out_of_a_rigid_robot(tmp_path):
     (['--duration', '1', '--compensation', 'gsm'], "did you mean 'gms'?"),
     (['--duration', '1', '--trajectory', 'sinus'], '--trajectory sinus: no such file'),
     (['--duration', '1', '--trajectory', 'absent.yaml'], 'absent.yaml: cannot be read'),
-    (['--duration', '1', '--set', 'trajectory.type=torque_ramp'], 'is an open-loop torque'),
+    (['--duration', '1', '--set', 'trajectory.type=torque_ramp', 'trajectory.joint1.torque=0.1'],
+     'is an open-loop torque'),
+    (['--duration', '1', '--set', 'trajectory.type=torque_ramp'], 'trajectory.<joint>.torque'),
+    (['--duration', '1', '--set', 'arm.joint1.stiffness=1e7'], 'the simulation diverged at'),
     (['--duration', '1', '--robot', 'absent.yaml'], 'absent.yaml: cannot be read'),
     (['--duration', '1', '--robot', str(CONFIG)], 'cannot be read')])
 def test_what_cannot_be_simulated_is_said_in_one_sentence(simulate, tmp_path, options, sentence):
@@ -224,4 +226,11 @@ def test_a_bag_is_never_overwritten(simulate, tmp_path):
 
 def test_errors_of_the_library_are_of_one_family():
     with pytest.raises(GmsFlexError):
-        read_plan([ROBOT, CONTROLLER])  # hold has an end at once
+        read_plan([ROBOT, CONTROLLER], duration=0.0)
+
+
+def test_a_motion_without_end_lasts_20_s_unless_a_duration_is_given():
+    files = [ROBOT, CONTROLLER, CONFIG / 'sinusoid.yaml']
+    assert read_plan(files).duration == 20.0
+    assert read_plan(files, overrides={'duration': 3.0}).duration == 3.0
+    assert read_plan(files, duration=1.0, overrides={'duration': 3.0}).duration == 1.0

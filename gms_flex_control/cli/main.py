@@ -46,9 +46,15 @@ def main(argv=None):
     """
     args = build_parser().parse_args(argv)
     try:
-        return args.run(args)
+        code = args.run(args)
+        sys.stdout.flush()  # here, where a closed pipe is understood
+        return code
     except GmsFlexError as error:
         print(f'gms_flex {args.verb}: {error}', file=sys.stderr)
+        return BAD_INPUT
+    except MemoryError:
+        print(f'gms_flex {args.verb}: not enough memory for so many samples; ask for a shorter '
+              'time or a lower rate', file=sys.stderr)
         return BAD_INPUT
     except KeyboardInterrupt:
         return 128 + 2  # as a shell reports SIGINT

@@ -29,7 +29,7 @@ def add_parser(subparsers):
     parser.add_argument('--set', nargs='+', default=[], metavar='NAME=VALUE', dest='overrides',
                         help='single parameters, such as gains.joint1.kd_link=1.0')
     parser.add_argument('--duration', type=float, metavar='S',
-                        help='default: until the trajectory ends')
+                        help='default: until the trajectory ends, 20 s if it has no end')
     parser.add_argument('--out', required=True, metavar='DIR', help='the bag, or their folder')
     parser.add_argument('--json', action='store_true', help='print the results as JSON')
     parser.set_defaults(run=run)

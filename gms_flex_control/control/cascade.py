@@ -26,6 +26,8 @@ NONE, GMS_PAPER, GMS = range(len(COMPENSATIONS))
 # feedback that comes through the motor too late shakes it: only this part of it is kept at
 # speeds well below REST_VELOCITY [rad/s]. docs/model.md has the measurements.
 REST_DAMPING, REST_VELOCITY = 0.3, 0.05
+# A reference slower than this rests [rad/s, rad/s^2].
+RESTING_SPEED, RESTING_ACCELERATION = 1e-6, 1e-5
 # How fast a deviation from the reference moves the observer's blocks [rad/s].
 DEVIATION_BANDWIDTH = 10.0
 _GAINS = ('kd_link', 'lambda_link', 'kd_motor', 'lambda_motor', 'observer_gain', 'sign_slope',
@@ -97,8 +99,9 @@ def workspace(n):
 def link_errors(state, measured, reference, constants, work):
     """Form the tracking errors, the reference velocity and the sliding variable, Eq. (12)."""
     for j in range(constants.kd_link.shape[0]):
-        work.resting[j] = (constants.compensation[0] == GMS and reference[1, j] == 0.0
-                           and reference[2, j] == 0.0)
+        work.resting[j] = (constants.compensation[0] == GMS
+                           and abs(reference[1, j]) < RESTING_SPEED
+                           and abs(reference[2, j]) < RESTING_ACCELERATION)
         state.error[j] = measured.q_link[j] - reference[0, j]
         state.error_rate[j] = measured.dq_link[j] - reference[1, j]
         rate = state.error_rate[j]

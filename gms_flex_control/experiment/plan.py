@@ -19,6 +19,7 @@ from gms_flex_control.trajectory.segments import Trajectory
 import numpy as np
 
 NANOSECONDS = 1_000_000_000
+ENDLESS_DURATION = 20.0  # of a motion without end where none is asked for [s]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -72,7 +73,8 @@ def read_plan(files, *, model=None, overrides=None, duration=None):
     overrides : dict of str to object, optional
         Single parameters, as ``-p name:=value`` of a node.
     duration : float, optional
-        Length [s]; default until the trajectory ends.
+        Length [s]; default the parameter ``duration``, else until the trajectory ends, else
+        `ENDLESS_DURATION`.
 
     Returns
     -------
@@ -90,7 +92,7 @@ def read_plan(files, *, model=None, overrides=None, duration=None):
     places |= dict.fromkeys(overrides or {}, 'override')
     try:
         known_keys(values, robot.joints)
-        if any(name.startswith(('arm.', 'friction.', 'effects.', 'encoder.'))
+        if any(name.startswith(('arm.', 'friction.', 'effects.', 'encoder.', 'joints', 'motors'))
                for name in overrides or {}):
             robot = robot_from_values(values)
         gains = controller_from_values(values, robot.joints)
@@ -103,10 +105,12 @@ def read_plan(files, *, model=None, overrides=None, duration=None):
     trajectory = _reference(motion, robot, SteppedPlant(
         robot, period=period_ns / NANOSECONDS, substeps=timing['substeps'], seed=timing['seed'],
         q_link=q_link))
-    duration = trajectory.end if duration is None else duration
-    if not 0.0 < duration < np.inf:
-        raise ConfigError(f"--duration must be given for {motion['trajectory.type']}, which "
-                          f'has no end, and be above 0; got {duration}')
+    if duration is None:
+        duration = timing['duration'] or (
+            trajectory.end if 0.0 < trajectory.end < np.inf else ENDLESS_DURATION)
+    if not 2 * period_ns / NANOSECONDS <= duration < np.inf:
+        raise ConfigError(f'--duration must be at least two samples '
+                          f'({2e-9 * period_ns:g} s) and finite, got {duration}')
     return Plan(robot=robot, model=robot if model is None else load_robot(model),
                 gains=gains, trajectory=trajectory,
                 motion=motion['trajectory.type'], duration=duration, q_link=q_link,
@@ -120,6 +124,8 @@ def _reference(motion, robot, plant):
         raise ConfigError(f"trajectory.type {motion['trajectory.type']} is an open-loop torque, "
                           'which the closed loop cannot follow; run the nodes')
     plant.measure()
+    if motion['trajectory.type'] == 'hold':
+        return builders.hold(plant.measured.q_link)
     return builders.approach(builders.at_rest(plant.measured.q_link), chosen, 0.0,
                              duration=motion['trajectory.approach_time'])
 

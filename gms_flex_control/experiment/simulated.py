@@ -4,6 +4,7 @@
 """Run a plan in this process and write the bag its nodes would have made."""
 
 from gms_flex_control.bags.experiment import write_recording
+from gms_flex_control.errors import SimulationError
 from gms_flex_control.recording import Recording
 from gms_flex_control.simulation import closed_loop
 import numpy as np
@@ -23,10 +24,20 @@ def simulate(plan):
     Run
         See simulation.closed_loop.
 
+    Raises
+    ------
+    SimulationError
+        If it diverges; the sentence says when.
+
     """
-    return closed_loop.run(
+    run = closed_loop.run(
         plan.robot, plan.model, plan.gains, plan.trajectory, duration=plan.duration,
         period_ns=plan.period_ns, substeps=plan.substeps, seed=plan.seed, q_link=plan.q_link)
+    sound = np.isfinite(run.true).all(axis=(1, 2)) & np.isfinite(run.command).all(axis=1)
+    if not sound.all():
+        raise SimulationError(f'the simulation diverged at {run.time[np.argmin(sound)]:g} s; '
+                              'raise substeps, or check stiffness, inertia and gains')
+    return run
 
 
 def to_recording(run, plan, source='simulation'):

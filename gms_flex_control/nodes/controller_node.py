@@ -5,6 +5,7 @@
 
 import os
 import sys
+import time
 from typing import NamedTuple
 
 from gms_flex_control.nodes import messages, process
@@ -20,6 +21,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout
 
 _LONGEST_TICK = 0.5  # a longer gap between states starts the observer anew [s]
+_LONGEST_SILENCE = 0.03  # of the joint states; then zero torque, real time only [s]
 _WARN_PERIOD = 5.0   # [s]
 _KEPT_REFERENCES = 4
 
@@ -54,6 +56,7 @@ class ControllerNode(Node):
         self._zero = np.zeros(robot.n_joints)
         self._references = {}
         self._last = None        # stamp of the state answered last
+        self._answered = None    # when the last state was answered [s]; None after a silence
         self._waiting = None     # stamp of a state that waits for its reference, lockstep only
         self._ticks = 0
         self._warned = []        # sentences on the gains as they are
@@ -81,7 +84,9 @@ class ControllerNode(Node):
 
     def run(self, spinner):
         """Answer joint states until a signal comes."""
-        spinner.spin()
+        while spinner.goes_on():
+            spinner.spin_once(0.5 * _LONGEST_SILENCE)
+            self._watch()
 
     def _warm_up(self):
         """Compile before the first state comes."""
@@ -168,10 +173,9 @@ class ControllerNode(Node):
         self._waiting = None
         elapsed = self._elapsed(stamp)
         reference = self._reference_at(stamp)
-        self._last = stamp
+        self._last, self._answered = stamp, time.monotonic()
         if reference is None:
-            self._controller.reset()
-            self._publish_command(self._zero, stamp)
+            self._give_zero(stamp)
             self.get_logger().warning('no reference: zero torque; is trajectory_node running?',
                                       throttle_duration_sec=_WARN_PERIOD, skip_first=True)
             return
@@ -181,10 +185,30 @@ class ControllerNode(Node):
                                                         self._limit)
         else:
             self._controller.tick(reference.value, elapsed)
+        if not messages.all_finite(self._controller.state.command.tolist()):
+            self._give_zero(stamp)
+            self.get_logger().error('the law gave no finite torque: zero torque; are state or '
+                                    'reference plausible?', throttle_duration_sec=_WARN_PERIOD)
+            return
         self._publish_command(self._controller.state.command, stamp)
         self._ticks += 1
         if self._ticks % self._every == 0:
             self._publish_state(stamp)
+
+    def _give_zero(self, stamp):
+        """Command nothing and forget the motion so far."""
+        self._controller.reset()
+        self._publish_command(self._zero, stamp)
+
+    def _watch(self):
+        """Command nothing once states have stopped or have all been refused."""
+        if (self._answered is None or self._lockstep
+                or time.monotonic() - self._answered <= _LONGEST_SILENCE):
+            return
+        self._answered = None
+        self._give_zero(self._last)
+        self.get_logger().warning(f'no usable joint state for {_LONGEST_SILENCE * 1e3:g} ms: '
+                                  'zero torque', throttle_duration_sec=_WARN_PERIOD)
 
     def _publish_command(self, torque, stamp):
         self._command_pub.publish(self._command.write(torque, stamp))

@@ -18,7 +18,7 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayou
 
 NANOSECONDS = 1_000_000_000
 _STAMP, _SOURCE = 'stamp:', 'source:'
-EFFORT = 'effort'
+EFFORT, DERIVATIVE = 'effort', 'derivative'
 
 
 class RefusedError(ValueError):
@@ -233,7 +233,7 @@ class ReferenceWriter:
     def write(self, reference, quantity, stamp):
         """Return the message for ``reference`` (5, n); of an effort only the first row counts."""
         rows = reference[:1] if quantity == EFFORT else reference
-        self._kind.label = EFFORT if quantity == EFFORT else 'derivative'
+        self._kind.label = EFFORT if quantity == EFFORT else DERIVATIVE
         self._kind.size, self._kind.stride = len(rows), rows.size
         self._stamp.label = f'{_STAMP}{stamp}'
         self.message.data = array('d', rows.ravel().tolist())
@@ -267,6 +267,11 @@ def read_reference(message, n):
     dims = message.layout.dim
     quantity = EFFORT if dims and dims[0].label == EFFORT else 'motion'
     rows = 1 if quantity == EFFORT else 5
+    sizes = [dimension.size for dimension in dims[:2]]
+    if dims and (dims[0].label not in (EFFORT, DERIVATIVE) or sizes != [rows, n]):
+        labels = ', '.join(f'{dimension.label} {dimension.size}' for dimension in dims[:2])
+        raise RefusedError(f'reference has the layout [{labels}], expected [{DERIVATIVE} 5, '
+                           f'joint {n}] or [{EFFORT} 1, joint {n}]')
     if len(message.data) != rows * n:
         raise RefusedError(f'reference has {len(message.data)} numbers, expected {rows} x {n}')
     if not all_finite(message.data):

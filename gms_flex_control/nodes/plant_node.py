@@ -8,6 +8,7 @@ import sys
 import time
 
 from builtin_interfaces.msg import Time
+from gms_flex_control.errors import SimulationError
 from gms_flex_control.nodes import messages, process
 from gms_flex_control.nodes.loop_timing import LoopTiming
 from gms_flex_control.nodes.messages import NANOSECONDS
@@ -39,7 +40,9 @@ class PlantNode(Node):
         self._period = round(NANOSECONDS / values['rate'])
         self._timeout = round(NANOSECONDS * values['command_timeout'])
         # as many samples as a run in one process has
-        self._samples = round(values['duration'] / (self._period / NANOSECONDS)) or None
+        self._samples = None
+        if values['duration'] > 0.0:
+            self._samples = max(1, round(values['duration'] / (self._period / NANOSECONDS)))
         self._timing = LoopTiming(values['timing_file'], self._period,
                                   self._samples and self._samples * self._period)
         self._listeners = values['wait_for_subscribers']
@@ -88,6 +91,9 @@ class PlantNode(Node):
                                       throttle_duration_sec=_WARN_PERIOD)
             return
         stamp, now = messages.read_stamp(message), time.monotonic_ns()
+        held = self._command[1]
+        if stamp is not None and (stamp > self._stamp or (held is not None and stamp < held)):
+            return  # answers a state that never was, or was overtaken on its way
         self._command = (np.array(torque), stamp, now)
         if stamp is not None and self._mode == 'realtime':
             self._timing.answered((stamp - self._first) // self._period, now)
@@ -95,6 +101,9 @@ class PlantNode(Node):
     def _advance(self, torque):
         """Simulate one sample and publish what is measured at its end."""
         self._plant.advance(torque)
+        if not np.isfinite(self._plant.measured.q_link).all():
+            raise SimulationError(f'the simulation diverged under the torque '
+                                  f'{torque.tolist()} N m; more substeps or a softer robot')
         self._ticks += 1
         self._stamp += self._period
         self._publish()

@@ -5,7 +5,7 @@
 
 import sys
 
-from gms_flex_control.errors import GmsFlexError
+from gms_flex_control.errors import GmsFlexError, TrajectoryError
 from gms_flex_control.nodes import messages, process
 from gms_flex_control.nodes.messages import NANOSECONDS
 from gms_flex_control.nodes.parameters import NodeParameters
@@ -19,6 +19,7 @@ from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
 _WARN_PERIOD = 5.0
+_STANDING = 1e-3    # slower than this counts as rest [rad/s]
 _SAME_STAMP = 0.2  # a stamp within this part of the period was foreseen
 
 
@@ -41,7 +42,7 @@ class TrajectoryNode(Node):
         self._running = False
         self._origin = self._last = self._published = None  # stamps [ns]
         self._names = self._order = None
-        self._q_link = np.zeros(len(self._joints))
+        self._q_link, self._dq_link = np.zeros((2, len(self._joints)))
         self._writer = messages.ReferenceWriter(len(self._joints))
         self._reference_pub = self.create_publisher(Float64MultiArray, 'reference',
                                                     process.publisher_qos(values['mode']))
@@ -82,6 +83,10 @@ class TrajectoryNode(Node):
         if not messages.all_finite(q_link):
             raise messages.RefusedError(f'joint states have positions {q_link}')
         self._q_link[:] = q_link
+        self._dq_link[:] = 0.0
+        if len(message.velocity) == len(message.name):
+            dq_link = [message.velocity[index] for index in self._order]
+            self._dq_link[:] = dq_link if messages.all_finite(dq_link) else 0.0
 
     def _on_joint_states(self, message):
         stamp = messages.to_nanoseconds(message.header.stamp)
@@ -108,7 +113,7 @@ class TrajectoryNode(Node):
         self._published = None
         self._current = builders.hold(self._q_link)
         self._running = False
-        if self._values['trajectory.autostart']:
+        if self._values['trajectory.autostart'] and self._values['trajectory.type'] != 'hold':
             self._enter(self._chosen, 0.0)
 
     def _publish(self, stamp):
@@ -123,19 +128,31 @@ class TrajectoryNode(Node):
 
     def _enter(self, trajectory, time):
         """Go over to ``trajectory`` smoothly from the reference at ``time``."""
-        state = self._current.sample(time)
-        if self._current.quantity == messages.EFFORT:
-            state = builders.at_rest(self._q_link)
+        state = self._state(time)
+        if (trajectory.quantity == messages.EFFORT
+                and np.abs(state[1]).max() > _STANDING):
+            raise TrajectoryError('a torque ramp begins at rest: call ~/stop first')
         self._current = builders.approach(state, trajectory, time,
                                           duration=self._values['trajectory.approach_time'])
         self._running = True
 
+    def _state(self, time):
+        """Return the reference at ``time``, or the robot's motion if there is none to follow."""
+        if self._current.quantity == messages.EFFORT:
+            return self._robot_state()
+        return self._current.sample(time)
+
+    def _robot_state(self):
+        state = builders.at_rest(self._q_link)
+        state[1] = self._dq_link
+        return state
+
     def _brake(self):
         """Come to rest from wherever the reference is."""
+        self._brake_from(self._state(self._now()))
+
+    def _brake_from(self, state):
         time, duration = self._now(), self._values['trajectory.approach_time']
-        state = self._current.sample(time)
-        if self._current.quantity == messages.EFFORT:
-            state = builders.at_rest(self._q_link)
         goal = state[0] + 0.5 * duration * state[1]
         self._current = builders.approach(state, builders.hold(goal), time, duration=duration)
         self._running = False
@@ -149,8 +166,13 @@ class TrajectoryNode(Node):
 
     def _choose(self, judged):
         self._chosen, self._values = judged
-        if self._running and self._published is not None:
+        if not self._running or self._published is None or self._now() > self._current.end:
+            return
+        try:
             self._go()
+        except TrajectoryError as error:
+            self.get_logger().warning(f'{error}; the reference comes to rest')
+            self._brake()
 
     def _reply(self, response, action, done):
         if self._published is None:
@@ -170,10 +192,10 @@ class TrajectoryNode(Node):
         return self._reply(response, self._brake, 'comes to rest')
 
     def _reset(self, _request, response):
-        def rest_here():
-            self._current = builders.hold(self._q_link)
-            self._running = False
-        return self._reply(response, rest_here, 'reference rests where the robot is')
+        def forget():
+            """Take the robot's own motion for the reference and bring that to rest."""
+            self._brake_from(self._robot_state())
+        return self._reply(response, forget, 'reference comes to rest from where the robot is')
 
     def finish(self):
         """End: a controller whose reference stops sends zero torque by itself."""

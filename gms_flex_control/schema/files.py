@@ -65,7 +65,8 @@ def _flat_sections(document, path, node):
                           f"'{_WRAPPER}:'")
     flat = {}
     for name, section in document.items():
-        if name in sections and isinstance(section.get(_WRAPPER), dict):
+        if (name in sections and isinstance(section, dict)
+                and isinstance(section.get(_WRAPPER), dict)):
             _flatten(section[_WRAPPER], '', flat)
     return flat
 

@@ -194,8 +194,10 @@ def trajectory_keys(joints):
     for joint in joints:
         prefix = f'trajectory.{joint}.'
         keys += [
-            Key(prefix + 'amplitude', 'double', 'of sinusoid, polynomial [rad], torque ramp '
-                '[N m]', 'rad', 1.0, live=True),
+            Key(prefix + 'amplitude', 'double', 'of sinusoid and polynomial', 'rad', 1.0,
+                live=True),
+            Key(prefix + 'torque', 'double', 'amplitude of a torque ramp', 'N m', 0.0,
+                live=True),
             Key(prefix + 'period', 'double', 'of sinusoid and sliding', 's', 6.0, 1e-3, 1e4,
                 live=True),
             Key(prefix + 'phase', 'double', 'of the sinusoid', 'rad', 0.0, live=True),

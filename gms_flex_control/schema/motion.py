@@ -46,12 +46,21 @@ class _Motion:
         return self._values[f'trajectory.{name}']
 
     def each(self, name):
+        """Return one parameter of every joint (list)."""
         return [self._values[f'trajectory.{joint}.{name}'] for joint in self._joints]
 
+    def torques(self):
+        """Return the amplitudes of a torque ramp; one at least is not zero."""
+        torques = self.each('torque')
+        if not any(torques):
+            raise TrajectoryError('give trajectory.<joint>.torque [N m] of a joint at least')
+        return torques
+
     def points(self):
+        """Return the via points, a list of angles each; as many of every joint."""
         points = self.each('points')
-        if len({len(row) for row in points}) != 1:
-            raise TrajectoryError(f'each joint needs the same number of points, got '
+        if len({len(row) for row in points}) != 1 or not points[0]:
+            raise TrajectoryError(f'each joint needs the same number of points, at least 1, got '
                                   f'{[len(row) for row in points]}')
         return [list(point) for point in zip(*points, strict=True)]
 
@@ -65,7 +74,7 @@ _BUILDERS = {
     'via_points': lambda p: builders.via_points(p.points(), p['move_time'], p['hold_time']),
     'constant_velocity': lambda p: builders.constant_velocity(
         p.each('velocity'), p['travel'], settle_time=p['ramp_time']),
-    'torque_ramp': lambda p: builders.torque_ramp(p.each('amplitude'), p['rate'], p['repeats']),
+    'torque_ramp': lambda p: builders.torque_ramp(p.torques(), p['rate'], p['repeats']),
     'sliding': lambda p: builders.sliding(p.each('velocity'), p['modulation'],
                                           p.each('period')[0], p['duration'],
                                           settle_time=p['ramp_time']),
