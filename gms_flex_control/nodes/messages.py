@@ -268,7 +268,8 @@ def read_reference(message, n):
     quantity = EFFORT if dims and dims[0].label == EFFORT else 'motion'
     rows = 1 if quantity == EFFORT else 5
     sizes = [dimension.size for dimension in dims[:2]]
-    if dims and (dims[0].label not in (EFFORT, DERIVATIVE) or sizes != [rows, n]):
+    described = dims and not dims[0].label.startswith(_STAMP)
+    if described and (dims[0].label not in (EFFORT, DERIVATIVE) or sizes != [rows, n]):
         labels = ', '.join(f'{dimension.label} {dimension.size}' for dimension in dims[:2])
         raise RefusedError(f'reference has the layout [{labels}], expected [{DERIVATIVE} 5, '
                            f'joint {n}] or [{EFFORT} 1, joint {n}]')
