@@ -60,7 +60,7 @@ class _Motion:
         """Return the via points, a list of angles each; as many of every joint."""
         points = self.each('points')
         if len({len(row) for row in points}) != 1 or not points[0]:
-            raise TrajectoryError(f'each joint needs the same number of points, at least 1, got '
+            raise TrajectoryError(f'each joint needs the same number of points, got '
                                   f'{[len(row) for row in points]}')
         return [list(point) for point in zip(*points, strict=True)]
 
