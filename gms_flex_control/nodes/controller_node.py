@@ -8,6 +8,7 @@ import sys
 import time
 from typing import NamedTuple
 
+from gms_flex_control.control.gain_conditions import violations
 from gms_flex_control.nodes import messages, process
 from gms_flex_control.nodes.messages import NANOSECONDS
 from gms_flex_control.nodes.parameters import NodeParameters
@@ -99,7 +100,6 @@ class ControllerNode(Node):
         self._warn_of_conditions(gains)
 
     def _warn_of_conditions(self, gains):
-        from gms_flex_control.control.gain_conditions import violations
         broken = violations(gains, self._robot)
         for sentence in broken:
             if sentence not in self._warned:

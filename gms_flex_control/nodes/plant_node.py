@@ -69,7 +69,6 @@ class PlantNode(Node):
                                                     process.publisher_qos(self._mode))
             self._clock_period = round(NANOSECONDS / values['clock_rate'])
             self._next_clock = 0
-        parameters.watch(robot_from_values, lambda _: None)
         self.get_logger().info(
             f"{robot.n_joints} joints, {values['rate']:g} Hz, {self._mode}")
 
