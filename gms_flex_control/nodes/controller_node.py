@@ -17,12 +17,14 @@ from gms_flex_control.schema.keys import controller_keys, controller_node_keys, 
 from gms_flex_control.simulation.stepped import SteppedController
 from gms_flex_control.trajectory.segments import extrapolate
 import numpy as np
+from rclpy.duration import Duration
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout
 
 _LONGEST_TICK = 0.5  # a longer gap between states starts the observer anew [s]
 _LONGEST_SILENCE = 0.03  # of the joint states; then zero torque, real time only [s]
+_LONGEST_GOODBYE = Duration(seconds=0.5)  # a subscriber may be frozen
 _WARN_PERIOD = 5.0   # [s]
 _KEPT_REFERENCES = 4
 
@@ -227,9 +229,10 @@ class ControllerNode(Node):
         self._blocks_pub.publish(self._blocks)
 
     def finish(self):
-        """Leave zero torque on the wire."""
+        """Leave zero torque on the wire, and stay until those who acknowledge have it."""
         stamp = self._last if self._last is not None else 0
         self._publish_command(self._zero, stamp)
+        self._command_pub.wait_for_all_acked(_LONGEST_GOODBYE)
 
 
 def main(args=None):
