@@ -36,7 +36,7 @@ def test_a_signal_ends_each_node_and_leaves_zero_torque(tmp_path, mode, numbers)
         references = lab.listen(Float64MultiArray, REFERENCE)
         states = lab.listen(JointState, STATES)
         plant = lab.start('plant_node', files=files, wait_for_subscribers=3, **common)
-        lab.until(lambda: len(commands) > 100 and any(commands[-1].data))
+        lab.until(lambda: len(commands) > 100 and any(commands[-1].data) and states)
         assert controller.signal(*numbers) == 0
         lab.until(lambda: list(commands[-1].data) == [0.0, 0.0])
         answered = stamp_of(commands[-1])
