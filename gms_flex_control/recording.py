@@ -4,9 +4,34 @@
 """What every analysis works on: one experiment as plain arrays, wherever it came from."""
 
 from dataclasses import dataclass, fields
+from typing import NamedTuple
 
 from gms_flex_control.errors import BagError
 import numpy as np
+
+
+class Phase(NamedTuple):
+    """
+    What an identification experiment was doing from a time on.
+
+    Parameters
+    ----------
+    time_ns : int
+        Since the first sample of the recording [ns].
+    phase : str
+        constant_velocity, break_away, presliding, sliding, approach or idle.
+    joint, step : str
+        Which joint, and the name of the step; '' in idle.
+    value : float
+        Signed velocity [rad/s] or torque amplitude [N m] of the step.
+
+    """
+
+    time_ns: int
+    phase: str
+    joint: str
+    step: str
+    value: float
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -12,8 +12,9 @@ from gms_flex_control.params.gains import COMPENSATIONS
 
 REQUIRED = object()
 SMALLEST = 1e-12  # of what must be above zero
+EXPERIMENTS = ('constant_velocity', 'break_away', 'presliding', 'sliding')
 TRAJECTORIES = ('hold', 'sinusoid', 'polynomial', 'via_points', 'constant_velocity',
-                'torque_ramp', 'sliding')
+                'velocity_levels', 'torque_ramp', 'torque_levels', 'sliding')
 MODES = ('realtime', 'lockstep')
 
 
@@ -189,8 +190,10 @@ def trajectory_keys(joints):
         Key('trajectory.duration', 'double', 'of sliding', 's', 5.0, 1e-3, 1e5, live=True),
         Key('trajectory.modulation', 'double', 'relative variation of sliding', '', 0.5, 0.0,
             0.99, live=True),
-        Key('trajectory.rate', 'double', 'slope of a torque ramp', 'N m/s', 0.02, 1e-9, 1e6,
-            live=True)]
+        Key('trajectory.rate', 'double', 'slope of a torque ramp, mean slope between torque '
+            'levels', 'N m/s', 0.02, 1e-9, 1e6, live=True),
+        Key('trajectory.durations', 'double_array', 'of the velocity levels', 's', (1.0,), 1e-3,
+            1e5, live=True)]
     for joint in joints:
         prefix = f'trajectory.{joint}.'
         keys += [
@@ -203,13 +206,92 @@ def trajectory_keys(joints):
             Key(prefix + 'phase', 'double', 'of the sinusoid', 'rad', 0.0, live=True),
             Key(prefix + 'velocity', 'double', 'of constant velocity and sliding', 'rad/s', 0.1,
                 live=True),
+            Key(prefix + 'velocities', 'double_array', 'velocity levels', 'rad/s', (0.0,),
+                live=True),
+            Key(prefix + 'offset', 'double', 'where constant velocity, velocity levels and '
+                'sliding begin', 'rad', 0.0, live=True),
+            Key(prefix + 'levels', 'double_array', 'torque levels, from zero and back to zero',
+                'N m', (0.0,), live=True),
+            Key(prefix + 'bias', 'double', 'added to torque ramp and torque levels, against '
+                'gravity', 'N m', 0.0, live=True),
             Key(prefix + 'points', 'double_array', 'via points, the first included', 'rad',
                 (0.0, 1.0, 0.0), live=True)]
     return tuple(keys)
 
 
+def identification_keys(joints):
+    """Return the keys of the identification experiment."""
+    prefix = 'identification.'
+    keys = [
+        Key(prefix + 'experiments', 'string_array', 'which of '
+            f"{', '.join(EXPERIMENTS)}, in this order", default=EXPERIMENTS),
+        Key(prefix + 'joints', 'string_array', 'joints to identify, in this order; empty is all',
+            default=()),
+        Key(prefix + 'compensation', 'string', 'friction compensation of the controller '
+            'meanwhile', default='gms', choices=COMPENSATIONS),
+        Key(prefix + 'margin', 'double', 'between planned angles and the range of a joint',
+            'rad', 0.1, 0.0, 10.0),
+        Key(prefix + 'rest_time', 'double', 'rest after each step', 's', 0.3, 0.0, 60.0),
+        Key(prefix + 'relax_time', 'double', 'for the springs to unload before a torque step',
+            's', 0.6, 0.05, 60.0),
+        Key(prefix + 'settle_time', 'double', 'shortest change of velocity', 's', 0.3, 0.01,
+            60.0),
+        Key(prefix + 'speeds', 'integer', 'constant velocities per direction', '', 10, 2, 1000),
+        Key(prefix + 'repeats', 'integer', 'of each constant velocity', '', 3, 1, 1000),
+        Key(prefix + 'dwell_time', 'double', 'at each constant velocity, less where the range '
+            'ends', 's', 1.0, 0.05, 1e4),
+        Key(prefix + 'longest_dwell', 'double', 'at the slowest', 's', 10.0, 0.05, 1e4),
+        Key(prefix + 'counts', 'double', 'least travel at constant velocity, in encoder counts',
+            '', 20.0, 0.0, 1e6),
+        Key(prefix + 'lead_in', 'double', 'sliding before a slow velocity, so that every block '
+            'slips', 'rad', 0.35, 0.0, 100.0),
+        Key(prefix + 'lead_in_speed', 'double', 'how fast that is', 'rad/s', 0.3, 1e-4, 100.0),
+        Key(prefix + 'torque_rate', 'double', 'mean slope of torques, in F_s per second', '1/s',
+            0.3, 1e-4, 100.0),
+        Key(prefix + 'break_away_level', 'double', 'largest torque, in F_s', '', 1.3, 1.0, 3.0),
+        Key(prefix + 'break_away_repeats', 'integer', 'per direction', '', 3, 1, 1000),
+        Key(prefix + 'break_away_travel', 'double', 'this far moved is broken away', 'rad', 0.03,
+            1e-5, 10.0),
+        Key(prefix + 'presliding_levels', 'double_array', 'amplitudes, in F_s', '',
+            (0.3, 0.5, 0.65, 0.8), 0.01, 0.99),
+        Key(prefix + 'presliding_travel', 'double', 'this far moved is no presliding any more: '
+            'the step ends', 'rad', 0.05, 1e-5, 10.0),
+        Key(prefix + 'presliding_cycles', 'integer', 'of each amplitude', '', 2, 1, 1000),
+        Key(prefix + 'minor_loop', 'double', 'amplitude of the loops nested in a cycle, 0 for '
+            'none', '', 0.5, 0.0, 0.95),
+        Key(prefix + 'shift', 'double', 'move between amplitudes, so that the angle within an '
+            'encoder count differs', 'rad', 0.0501, 0.0, 1.0),
+        Key(prefix + 'sliding_speeds', 'double_array', 'mean velocities, in v_s', '',
+            (1.0, 2.0, 5.0), 0.01, 1000.0),
+        Key(prefix + 'sliding_duration', 'double', 'less where the range ends', 's', 10.0, 0.1,
+            1e4),
+        Key(prefix + 'sliding_period', 'double', 'of the variation', 's', 0.8, 0.01, 100.0),
+        Key(prefix + 'modulation', 'double', 'relative variation', '', 0.7, 0.0, 0.99)]
+    for joint in joints:
+        keys += _identified_joint_keys(f'{prefix}{joint}.')
+    return tuple(keys)
+
+
+def _identified_joint_keys(prefix):
+    return (
+        Key(prefix + 'lower', 'double', 'least angle allowed', 'rad', -1.0),
+        Key(prefix + 'upper', 'double', 'largest angle allowed', 'rad', 1.0),
+        Key(prefix + 'velocity', 'double', 'largest speed allowed', 'rad/s', 1.0, SMALLEST),
+        Key(prefix + 'acceleration', 'double', 'largest planned', 'rad/s^2', 2.0, SMALLEST),
+        Key(prefix + 'torque', 'double', 'largest motor torque allowed; 0 takes the torque limit '
+            'of the controller', 'N m', 0.0, 0.0),
+        Key(prefix + 'slowest', 'double', 'constant velocity; 0 takes a third of v_s', 'rad/s',
+            0.0, 0.0),
+        Key(prefix + 'fastest', 'double', 'constant velocity; 0 takes 0.9 of the limit',
+            'rad/s', 0.0, 0.0),
+        Key(prefix + 'static', 'double', 'expected F_s; 0 takes that of the robot file', 'N m',
+            0.0, 0.0),
+        Key(prefix + 'stribeck_velocity', 'double', 'expected v_s; 0 takes that of the robot '
+            'file', 'rad/s', 0.0, 0.0))
+
+
 def all_keys(joints):
     """Return the keys of all nodes by name, for one file shared by all."""
     keys = (*robot_keys(joints), *controller_keys(joints), *controller_node_keys(),
-            *plant_node_keys(joints), *trajectory_keys(joints))
+            *plant_node_keys(joints), *trajectory_keys(joints), *identification_keys(joints))
     return {key.name: key for key in keys}

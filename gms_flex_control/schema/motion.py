@@ -4,7 +4,7 @@
 """The reference motion that a set of ``trajectory.*`` parameters describes."""
 
 from gms_flex_control.errors import ConfigError, TrajectoryError
-from gms_flex_control.trajectory import builders
+from gms_flex_control.trajectory import builders, levels
 
 
 def trajectory_from_values(values, joints):
@@ -56,13 +56,21 @@ class _Motion:
             raise TrajectoryError('give trajectory.<joint>.torque [N m] of a joint at least')
         return torques
 
-    def points(self):
-        """Return the via points, a list of angles each; as many of every joint."""
-        points = self.each('points')
-        if len({len(row) for row in points}) != 1 or not points[0]:
-            raise TrajectoryError(f'each joint needs the same number of points, got '
-                                  f'{[len(row) for row in points]}')
-        return [list(point) for point in zip(*points, strict=True)]
+    def rows(self, name):
+        """Return a list per joint as one of all joints per entry; as many of every joint."""
+        columns = self.each(name)
+        if len({len(column) for column in columns}) != 1 or not columns[0]:
+            raise TrajectoryError(f'each joint needs the same number of {name}, got '
+                                  f'{[len(column) for column in columns]}')
+        return [list(row) for row in zip(*columns, strict=True)]
+
+    def moved(self, trajectory):
+        """Return a motion from zero as one from where it is to begin."""
+        return levels.displaced(trajectory, self.each('offset'))
+
+    def held(self, trajectory):
+        """Return a torque with what holds the arm against gravity."""
+        return levels.displaced(trajectory, self.each('bias'))
 
 
 _BUILDERS = {
@@ -71,11 +79,15 @@ _BUILDERS = {
                                             phase=p.each('phase'), ramp_time=p['ramp_time']),
     'polynomial': lambda p: builders.polynomial(p.each('amplitude'), p['move_time'],
                                                 p['hold_time'], p['repeats']),
-    'via_points': lambda p: builders.via_points(p.points(), p['move_time'], p['hold_time']),
-    'constant_velocity': lambda p: builders.constant_velocity(
-        p.each('velocity'), p['travel'], settle_time=p['ramp_time']),
-    'torque_ramp': lambda p: builders.torque_ramp(p.torques(), p['rate'], p['repeats']),
-    'sliding': lambda p: builders.sliding(p.each('velocity'), p['modulation'],
-                                          p.each('period')[0], p['duration'],
-                                          settle_time=p['ramp_time']),
+    'via_points': lambda p: builders.via_points(p.rows('points'), p['move_time'], p['hold_time']),
+    'constant_velocity': lambda p: p.moved(builders.constant_velocity(
+        p.each('velocity'), p['travel'], settle_time=p['ramp_time'])),
+    'velocity_levels': lambda p: p.moved(levels.velocity_levels(
+        p.rows('velocities'), p['durations'], settle_time=p['ramp_time'])),
+    'torque_ramp': lambda p: p.held(builders.torque_ramp(p.torques(), p['rate'],
+                                                         p['repeats'])),
+    'torque_levels': lambda p: p.held(levels.torque_levels(p.rows('levels'), p['rate'])),
+    'sliding': lambda p: p.moved(builders.sliding(
+        p.each('velocity'), p['modulation'], p.each('period')[0], p['duration'],
+        settle_time=p['ramp_time'])),
 }

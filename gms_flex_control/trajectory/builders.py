@@ -11,6 +11,8 @@ from gms_flex_control.errors import TrajectoryError
 from gms_flex_control.trajectory.segments import COEFFICIENTS, DERIVATIVES, Trajectory
 import numpy as np
 
+_ALREADY_THERE = 1e-8  # what rounding leaves of a state and its derivatives
+
 
 @cache
 def _hermite_inverse():
@@ -55,8 +57,8 @@ def _positive(**values):
             raise TrajectoryError(f'{name} must be above 0, got {value}')
 
 
-def _polynomials(starts, scales, polys, **options):
-    """Return a trajectory of polynomial segments alone."""
+def polynomials(starts, scales, polys, **options):
+    """Return a trajectory of polynomial segments alone, see Trajectory."""
     m, _, n = np.shape(polys)
     flat = np.zeros((m, n))
     envelope = np.zeros((m, COEFFICIENTS))
@@ -64,13 +66,14 @@ def _polynomials(starts, scales, polys, **options):
                       omega=flat, phase=flat, **options)
 
 
-def _constant(q):
+def constant(q):
+    """Return the coefficients (10, n_joints) of staying at ``q`` (n_joints,)."""
     return np.vstack([np.asarray(q, dtype=float), np.zeros((COEFFICIENTS - 1, len(q)))])
 
 
 def hold(q):
     """Return a reference that stays at ``q`` (n_joints,) [rad]."""
-    return _polynomials([0.0], [1.0], [_constant(q)], end=0.0)
+    return polynomials([0.0], [1.0], [constant(q)], end=0.0)
 
 
 def via_points(points, move_time, hold_time):
@@ -94,13 +97,13 @@ def via_points(points, move_time, hold_time):
     _positive(move_time=move_time)
     if not hold_time >= 0:
         raise TrajectoryError(f'hold_time must be at least 0, got {hold_time}')
-    starts, scales, polys, time = [0.0], [1.0], [_constant(points[0])], hold_time
+    starts, scales, polys, time = [0.0], [1.0], [constant(points[0])], hold_time
     for begin, end in zip(points[:-1], points[1:], strict=True):
         starts += [time, time + move_time]
         scales += [move_time, 1.0]
-        polys += [hermite(at_rest(begin), at_rest(end), move_time), _constant(end)]
+        polys += [hermite(at_rest(begin), at_rest(end), move_time), constant(end)]
         time += move_time + hold_time
-    return _polynomials(starts, scales, polys, end=time)
+    return polynomials(starts, scales, polys, end=time)
 
 
 def polynomial(amplitude, move_time, hold_time, repeats=1):
@@ -154,7 +157,7 @@ def sinusoid(amplitude, period, *, phase=0.0, ramp_time=None):
     ramp = hermite(at_rest([0.0]), at_rest([1.0]), ramp_time)[:, 0]
     return Trajectory(
         start=[0.0, ramp_time], scale=[ramp_time, 1.0], poly=np.zeros((2, COEFFICIENTS, n)),
-        envelope=np.stack([ramp, _constant([1.0])[:, 0]]), amplitude=[amplitude] * 2,
+        envelope=np.stack([ramp, constant([1.0])[:, 0]]), amplitude=[amplitude] * 2,
         omega=[omega] * 2, phase=[phase, phase + omega * ramp_time])
 
 
@@ -186,13 +189,13 @@ def constant_velocity(velocity, travel, *, settle_time=0.5):
     leaving = moving.copy()
     leaving[0] += velocity * cruise
     end = at_rest(leaving[0] + 0.5 * velocity * settle_time)
-    straight = _constant(moving[0])
+    straight = constant(moving[0])
     straight[1] = velocity
     stop = settle_time + cruise
-    return _polynomials(
+    return polynomials(
         [0.0, settle_time, stop, stop + settle_time], [settle_time, 1.0, settle_time, 1.0],
         [hermite(state, moving, settle_time), straight, hermite(leaving, end, settle_time),
-         _constant(end[0])], end=stop + settle_time)
+         constant(end[0])], end=stop + settle_time)
 
 
 def sliding(velocity, modulation, period, duration, *, settle_time=1.0):
@@ -225,9 +228,9 @@ def sliding(velocity, modulation, period, duration, *, settle_time=1.0):
                               'the motion would reverse')
     omega = 2.0 * np.pi / period
     swing = -velocity * modulation / omega  # integral of the variation, cosine phase
-    line = _constant(np.zeros_like(velocity))
+    line = constant(np.zeros_like(velocity))
     line[1] = velocity
-    body = Trajectory(start=[0.0], scale=[1.0], poly=[line], envelope=[_constant([1.0])[:, 0]],
+    body = Trajectory(start=[0.0], scale=[1.0], poly=[line], envelope=[constant([1.0])[:, 0]],
                       amplitude=[swing], omega=[np.full_like(velocity, omega)],
                       phase=[np.full_like(velocity, 0.5 * np.pi)])
     return _between_rests(body, duration, settle_time)
@@ -238,10 +241,10 @@ def _between_rests(body, duration, settle_time):
     first, last = body.sample(0.0), body.sample(duration)
     into = at_rest(first[0] - 0.5 * settle_time * first[1])
     out = at_rest(last[0] + 0.5 * settle_time * last[1])
-    ways = _polynomials(
+    ways = polynomials(
         [0.0, settle_time + duration, 2 * settle_time + duration],
         [settle_time, settle_time, 1.0],
-        [hermite(into, first, settle_time), hermite(last, out, settle_time), _constant(out[0])])
+        [hermite(into, first, settle_time), hermite(last, out, settle_time), constant(out[0])])
     parts = [_take(ways, slice(0, 1)), body.shifted(settle_time), _take(ways, slice(1, 3))]
     return _joined(parts, end=2 * settle_time + duration)
 
@@ -271,12 +274,12 @@ def torque_ramp(amplitude, rate, repeats=1):
     levels = [0.0, *[1.0, -1.0] * int(repeats), 0.0]
     starts, polys, time = [], [], 0.0
     for begin, end in zip(levels[:-1], levels[1:], strict=True):
-        line = _constant(begin * amplitude)
+        line = constant(begin * amplitude)
         line[1] = np.sign(end - begin) * amplitude / quarter
         starts, polys = [*starts, time], [*polys, line]
         time += abs(end - begin) * quarter
-    return _polynomials([*starts, time], np.ones(len(starts) + 1),
-                        [*polys, _constant(0.0 * amplitude)], end=time, quantity='effort')
+    return polynomials([*starts, time], np.ones(len(starts) + 1),
+                       [*polys, constant(0.0 * amplitude)], end=time, quantity='effort')
 
 
 def _take(trajectory, segments):
@@ -312,9 +315,10 @@ def approach(state, trajectory, time, *, duration=2.0):
 
     """
     begin = trajectory.sample(0.0)
-    if trajectory.quantity == 'effort' or np.array_equal(state, begin):
+    there = np.allclose(state, begin, rtol=0.0, atol=_ALREADY_THERE)
+    if trajectory.quantity == 'effort' or there:
         return trajectory.shifted(time)
     _positive(duration=duration)
-    way = _polynomials([time], [duration], [hermite(state, begin, duration)])
+    way = polynomials([time], [duration], [hermite(state, begin, duration)])
     moved = trajectory.shifted(time + duration)
     return _joined([way, moved], end=moved.end)

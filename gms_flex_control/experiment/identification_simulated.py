@@ -1,0 +1,143 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""The identification experiment in this process: the same steps without ROS, and fast."""
+
+from dataclasses import replace
+
+from gms_flex_control.errors import SimulationError
+from gms_flex_control.experiment.identification_steps import BRAKING_TIME
+from gms_flex_control.recording import Phase, Recording
+from gms_flex_control.simulation.stretches import StretchedLoop
+from gms_flex_control.trajectory import builders
+import numpy as np
+
+NANOSECONDS = 1_000_000_000
+IDLE = 'idle'
+_INTEGRATION_STEP = 1e-4  # [s]
+
+
+def simulate_identification(plan, robot, gains, seed, *, rate=1000, torque_noise=1e-3,
+                            model=None):
+    """
+    Run the experiment on a simulated robot.
+
+    Parameters
+    ----------
+    plan : IdentificationPlan
+        What to do.
+    robot : RobotParams
+        The robot as it is.
+    gains : ControllerParams
+        Of the controller; the plan chooses the compensation.
+    seed : int
+        Of encoder and torque noise.
+    rate : float, optional
+        Samples per second [Hz].
+    torque_noise : float, optional
+        Standard deviation of the recorded torque, beyond what acts [N m].
+    model : RobotParams, optional
+        The robot as the controller believes it to be; default as it is.
+
+    Returns
+    -------
+    recording : Recording
+        As the nodes would have recorded it.
+    phases : tuple of Phase
+        When each step began; 'idle' at the end.
+
+    Raises
+    ------
+    SimulationError
+        If it diverges.
+
+    """
+    experiment = _Experiment(plan, robot, gains, model or robot, seed, rate)
+    for step in plan.steps():
+        experiment.do(step)
+    experiment.phase(IDLE, '', '', 0.0)
+    return experiment.recording(torque_noise, np.random.default_rng([seed, 1])), \
+        tuple(experiment.phases)
+
+
+class _Experiment:
+    """Takes the part of trajectory node, controller node and identification node."""
+
+    def __init__(self, plan, robot, gains, model, seed, rate):
+        self._plan, self._robot = plan, robot
+        self._gains = replace(gains, compensation=plan.compensation)
+        self._relaxed = replace(gains, compensation='none')
+        self._period_ns = round(NANOSECONDS / rate)
+        self._period = self._period_ns / NANOSECONDS
+        self._loop = StretchedLoop(robot, model, period=self._period, seed=seed,
+                                   substeps=max(1, round(self._period / _INTEGRATION_STEP)))
+        self._state = builders.at_rest(np.zeros(robot.n_joints))
+        self._q_link = self._state[0].copy()
+        self._stretches, self._references, self.phases = [], [], []
+
+    def phase(self, name, joint, step, value):
+        """Note that a phase begins with the next sample."""
+        self.phases.append(Phase(self._loop.samples * self._period_ns, name, joint, step, value))
+
+    def do(self, step):
+        """Carry out one step."""
+        self.phase(step.phase, step.joint, step.name, step.value)
+        if step.kind == 'relax':
+            for _ in range(2):
+                self._state = builders.at_rest(self._q_link)
+                self._follow(builders.hold(self._q_link), self._plan.relax_time, self._relaxed)
+        elif step.kind == 'torque':
+            self._open_loop(step)
+            self._brake()
+        else:
+            self._move(step)
+
+    def _move(self, step):
+        time, chosen = 0.0, self._plan.trajectory(step)
+        if step.kind == 'approach':
+            time = self._plan.approach_time(self._state[0], step.end)
+        moved = builders.approach(self._state, chosen, 0.0, duration=time)
+        self._follow(moved, moved.end + self._plan.rest_time, self._gains)
+        self._state = builders.at_rest(chosen.sample(chosen.end)[0])
+
+    def _open_loop(self, step):
+        trajectory, travel = self._plan.trajectory(step), np.full(len(self._q_link), np.inf)
+        travel[self._robot.joints.index(step.joint)] = step.travel or np.inf
+        self._keep(trajectory, trajectory.end, self._relaxed, is_effort=True, travel=travel)
+
+    def _brake(self):
+        state = builders.at_rest(self._q_link)
+        state[1] = self._stretches[-1].measured[-1, 1]
+        goal = self._q_link + 0.5 * BRAKING_TIME * state[1]
+        way = builders.approach(state, builders.hold(goal), 0.0, duration=BRAKING_TIME)
+        self._state = builders.at_rest(goal)
+        self._follow(way, BRAKING_TIME + self._plan.rest_time, self._gains)
+
+    def _follow(self, trajectory, duration, gains):
+        self._keep(trajectory, duration, gains, is_effort=False, travel=None)
+
+    def _keep(self, trajectory, duration, gains, *, is_effort, travel):
+        time = self._period * np.arange(max(1, round(duration / self._period)))
+        reference = trajectory.sample(time)
+        stretch = self._loop.run(reference, gains, is_effort=is_effort, travel=travel)
+        reference = reference[:len(stretch.command)]
+        self._q_link = stretch.measured[-1, 0].copy()
+        if not np.isfinite(stretch.measured).all():
+            raise SimulationError(f'the simulated experiment diverged in '
+                                  f'{self.phases[-1].step}; check gains, inertia and stiffness')
+        self._stretches.append(stretch)
+        self._references.append(np.full_like(reference, np.nan) if is_effort else reference)
+
+    def recording(self, torque_noise, rng):
+        """Return all samples as a Recording."""
+        measured, command, applied = (np.concatenate(parts) for parts in zip(
+            *self._stretches, strict=True))
+        q_link, dq_link, q_motor, dq_motor = np.moveaxis(measured, 1, 0)
+        rigid = self._robot.arm.rigid
+        noise = torque_noise * rng.standard_normal(applied.shape)
+        return Recording(
+            joints=self._robot.joints, time=self._period * np.arange(len(command)),
+            q_link=q_link, dq_link=dq_link, q_motor=np.where(rigid, np.nan, q_motor),
+            dq_motor=np.where(rigid, np.nan, dq_motor), tau_motor=applied + noise,
+            command=command, reference=np.concatenate(self._references),
+            friction_hat=np.full_like(command, np.nan), source='simulated identification')

@@ -1,0 +1,283 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""The steps of each identification experiment, planned to keep the limits of every joint."""
+
+from dataclasses import dataclass
+
+from gms_flex_control.dynamics import chain
+from gms_flex_control.errors import ConfigError
+from gms_flex_control.friction.stribeck import steady_friction
+from gms_flex_control.schema.keys import EXPERIMENTS, trajectory_keys
+from gms_flex_control.schema.motion import trajectory_from_values
+import numpy as np
+
+__all__ = ['EXPERIMENTS', 'Limits', 'Planner']
+
+_STEEPEST = 2.1875  # acceleration of a change of velocity by 1 in unit time
+_FASTEST = 0.9      # of the velocity limit
+_SLOWEST = 1.0 / 3  # of v_s
+_SHORTEST_DWELL = 0.1  # at a constant velocity [s]
+_LEAST_PERIODS = 3  # of a sliding step
+_BROKEN_AWAY = 0.6  # of the ramp's duration, when break-away is expected
+_TOLERANCE = 1e-9
+BRAKING_TIME = 0.5  # after an open-loop torque [s]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Limits:
+    """Limits of each joint, and what is believed of its friction; all (n_joints,)."""
+
+    lower: np.ndarray
+    upper: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+    torque: np.ndarray
+    slowest: np.ndarray
+    fastest: np.ndarray
+    static: np.ndarray
+    weakest_static: np.ndarray
+    stribeck_velocity: np.ndarray
+
+    @classmethod
+    def read(cls, flat, robot, gains):
+        """Return the limits of checked parameters, zeros replaced by what they stand for."""
+        names = ('lower', 'upper', 'velocity', 'acceleration', 'torque', 'slowest', 'fastest',
+                 'static', 'stribeck_velocity')
+        own = {name: np.array([flat[f'identification.{joint}.{name}'] for joint in robot.joints])
+               for name in names}
+        for joint, lower, upper in zip(robot.joints, own['lower'], own['upper'], strict=True):
+            if not lower + 2 * flat['identification.margin'] < upper:
+                raise ConfigError(f'identification.{joint}.upper must be above lower by more '
+                                  f'than two margins, got {lower:g} to {upper:g} rad with '
+                                  f'identification.margin {flat["identification.margin"]:g}')
+        forward, backward = robot.friction.forward, robot.friction.backward
+
+        def default(name, value):
+            own[name] = np.where(own[name] > 0.0, own[name], value)
+
+        own['weakest_static'] = np.where(own['static'] > 0.0, own['static'],
+                                         np.minimum(forward.static, backward.static))
+        default('static', np.maximum(forward.static, backward.static))
+        default('stribeck_velocity', 0.5 * (forward.velocity + backward.velocity))
+        default('torque', gains.torque_limit)
+        own['torque'] = np.minimum(own['torque'], gains.torque_limit)
+        default('slowest', _SLOWEST * own['stribeck_velocity'])
+        default('fastest', _FASTEST * own['velocity'])
+        return cls(**own)
+
+
+class Planner:
+    """
+    Plans the steps of one robot.
+
+    Parameters
+    ----------
+    flat : dict of str to object
+        Checked ``identification.*`` parameters.
+    robot : RobotParams
+        As believed.
+    limits : Limits
+        To keep.
+
+    """
+
+    def __init__(self, flat, robot, limits):
+        self._flat, self._robot, self._limits = flat, robot, limits
+        self._margin = flat['identification.margin']
+        self._rest = 0.5 * (limits.lower + limits.upper)
+        self._friction = robot.friction
+        counts = robot.encoder.counts
+        self._count = 2.0 * np.pi / float(counts) if counts > 0 else 0.0
+        self._gravity = {}
+
+    def __getitem__(self, name):
+        return self._flat[f'identification.{name}']
+
+    def plan(self, experiment, joint):
+        """Yield the fields of each Step of one experiment on one joint."""
+        yield from getattr(self, f'_{experiment}')(joint, self._robot.joints.index(joint))
+
+    # motion --------------------------------------------------------------------------------
+
+    def _constant_velocity(self, joint, j):
+        slowest, fastest = self._limits.slowest[j], self._limits.fastest[j]
+        if not slowest < fastest:
+            raise ConfigError(f'identification.{joint}.slowest is {slowest:g} rad/s, which is '
+                              f'not below the fastest, {fastest:g}')
+        speeds = np.geomspace(slowest, fastest, self['speeds'])
+        for speed in speeds[::-1]:
+            for repeat in range(self['repeats']):
+                for sign, mark in ((1.0, '+'), (-1.0, '-')):
+                    name = (f'constant_velocity/{joint}/{mark}{speed:.4g}'
+                            f'/{repeat + 1}of{self["repeats"]}')
+                    yield self._stroke(name, joint, j, sign * speed)
+
+    def _stroke(self, name, joint, j, velocity):
+        """Return a stroke at one velocity; a slow one begins with faster sliding."""
+        speed, sign = abs(velocity), np.sign(velocity)
+        dwell = max(self['dwell_time'], self['counts'] * self._count / speed)
+        if dwell > self['longest_dwell']:
+            self._refuse(joint, name, f'needs {dwell:.3g} s for {self["counts"]:g} encoder '
+                         f'counts, the limit longest_dwell is {self["longest_dwell"]:g} s',
+                         f'raise it, or identification.{joint}.slowest')
+        lead_speed = min(self['lead_in_speed'], 0.5 * self._limits.velocity[j])
+        levels, durations = [velocity], [dwell]
+        settle = self._settle(j, max(speed, lead_speed))
+        if speed < lead_speed and self['lead_in'] > 0.0:
+            levels = [sign * lead_speed, velocity]
+            durations = [max(_SHORTEST_DWELL, self['lead_in'] / lead_speed - settle), dwell]
+        room = self._room(j)
+        while np.abs(levels) @ (np.array(durations) + settle) > room - _TOLERANCE:
+            shorter = durations[-1] - (np.abs(levels) @ (np.array(durations) + settle) - room
+                                       + 2 * _TOLERANCE) / speed
+            if len(levels) > 1 or shorter < min(_SHORTEST_DWELL, dwell):
+                need = np.abs(levels) @ (np.array(durations) + settle)
+                self._refuse(joint, name, f'needs {need:.3g} rad, the range within the margins '
+                             f'is {room:.3g} rad', 'widen lower and upper, allow more '
+                             'acceleration, or lower fastest or lead_in')
+            durations[-1] = shorter
+        values = {'trajectory.type': 'velocity_levels', 'trajectory.ramp_time': float(settle),
+                  'trajectory.durations': [float(duration) for duration in durations]}
+        for i, other in enumerate(self._robot.joints):
+            values[f'trajectory.{other}.velocities'] = [
+                float(level) if i == j else 0.0 for level in levels]
+        return self._motion(name, 'constant_velocity', joint, j, values, velocity)
+
+    def _sliding(self, joint, j):
+        settle_of = 1.0 + self['modulation']
+        for multiple in self['sliding_speeds']:
+            mean = multiple * self._limits.stribeck_velocity[j]
+            for sign, mark in ((1.0, '+'), (-1.0, '-')):
+                name = f'sliding/{joint}/{mark}{mean:.4g}'
+                settle = self._settle(j, settle_of * mean)
+                swing = mean * self['modulation'] * self['sliding_period'] / np.pi
+                longest = ((self._room(j) - swing) / mean
+                           - settle * (1.0 + 0.5 * self['modulation']))
+                duration = min(self['sliding_duration'], longest)
+                if duration < _LEAST_PERIODS * self['sliding_period']:
+                    self._refuse(joint, name, f'has room for {max(duration, 0.0):.3g} s of '
+                                 f'sliding, needs {_LEAST_PERIODS} periods of '
+                                 f'{self["sliding_period"]:g} s', 'widen lower and upper, or '
+                                 'lower sliding_speeds or sliding_period')
+                values = {'trajectory.type': 'sliding', 'trajectory.duration': float(duration),
+                          'trajectory.ramp_time': float(settle),
+                          'trajectory.modulation': self['modulation']}
+                for i, other in enumerate(self._robot.joints):
+                    values[f'trajectory.{other}.period'] = self['sliding_period']
+                    values[f'trajectory.{other}.velocity'] = float(sign * mean if i == j else 0)
+                yield self._motion(name, 'sliding', joint, j, values, sign * mean)
+
+    def _settle(self, j, change):
+        return max(self['settle_time'], _STEEPEST * change / self._limits.acceleration[j])
+
+    def _room(self, j):
+        return self._limits.upper[j] - self._limits.lower[j] - 2 * self._margin
+
+    def _motion(self, name, phase, joint, j, values, value):
+        """Return the step with its stroke in the middle of the range, its limits checked."""
+        joints = self._robot.joints
+        values |= {f'trajectory.{other}.offset': 0.0 for other in joints}
+        trajectory = self._trajectory(values)
+        time = np.linspace(0.0, trajectory.end, 400)
+        angle = trajectory.sample(time)[:, 0, j]
+        offset = self._rest.copy()
+        offset[j] -= 0.5 * (angle.min() + angle.max())
+        values |= {f'trajectory.{other}.offset': float(offset[i])
+                   for i, other in enumerate(joints)}
+        samples = self._trajectory(values).sample(time)
+        self._check(joint, name, j, samples)
+        return (name, phase, joint, 'motion', values, float(value),
+                trajectory.end + self['rest_time'], tuple(samples[0, 0].tolist()),
+                tuple(samples[-1, 0].tolist()), 0.0)
+
+    def _trajectory(self, values):
+        defaults = {key.name: key.default for key in trajectory_keys(self._robot.joints)}
+        return trajectory_from_values(defaults | values, self._robot.joints)
+
+    def _check(self, joint, name, j, samples):
+        """Refuse a motion beyond a limit; ``samples`` (T, 5, n)."""
+        limits, angle = self._limits, samples[:, 0, j]
+        for value, limit, beyond in (
+                (angle.min(), limits.lower[j] + self._margin, -1.0),
+                (angle.max(), limits.upper[j] - self._margin, 1.0)):
+            if beyond * (value - limit) > 1e-6:
+                self._refuse(joint, name, f'reaches {value:.4g} rad, the limit within the '
+                             f'margin is {limit:.4g} rad', 'widen lower and upper')
+        for row, kind, unit, limit in ((1, 'velocity', 'rad/s', limits.velocity[j]),
+                                       (2, 'acceleration', 'rad/s^2', limits.acceleration[j])):
+            value = np.abs(samples[:, row, j]).max()
+            if value > limit * (1.0 + 1e-3):
+                self._refuse(joint, name, f'reaches {value:.4g} {unit}, the limit of '
+                             f'{kind} is {limit:.4g} {unit}', f'raise identification.{joint}.'
+                             f'{kind} or ask for a slower step')
+        torque = np.abs([self._torque(sample) for sample in samples[::8]]).max(axis=0)
+        for i, other in enumerate(self._robot.joints):
+            if torque[i] > limits.torque[i]:
+                self._refuse(joint, name, f'needs {torque[i]:.3g} N m of the motor of {other}, '
+                             f'the limit is {limits.torque[i]:.3g} N m', 'lower acceleration or '
+                             'velocity, or raise torque and gains.*.torque_limit')
+
+    def _torque(self, sample):
+        """Return the motor torque a reference (5, n) needs."""
+        arm = self._robot.arm
+        q, dq, ddq, d3q = sample[:4]
+        links = chain.matrices(q, dq, ddq, d3q, arm)
+        friction = steady_friction(dq, self._friction)
+        torque = links.mass @ ddq + links.coriolis @ dq + links.gravity + friction
+        return torque + np.where(arm.rigid, 0.0, arm.motor_inertia) * ddq
+
+    # torque --------------------------------------------------------------------------------
+
+    def _break_away(self, joint, j):
+        top = self['break_away_level'] * self._limits.static[j]
+        for repeat in range(self['break_away_repeats']):
+            for sign, mark in ((1.0, '+'), (-1.0, '-')):
+                name = f'break_away/{joint}/{mark}{top:.4g}/{repeat + 1}of' \
+                       f'{self["break_away_repeats"]}'
+                yield self._open_loop(name, 'break_away', joint, j, [sign * top], sign * top,
+                                      self._rest, self['break_away_travel'])
+
+    def _presliding(self, joint, j):
+        room = 0.5 * self._room(j)
+        shift = min(self['shift'], room / len(self['presliding_levels']))
+        for k, level in enumerate(self['presliding_levels']):
+            top = level * self._limits.weakest_static[j]
+            inner = self['minor_loop'] * top
+            cycle = [top, -inner, 0.5 * inner, -top, inner, -0.5 * inner]
+            if inner == 0.0:
+                cycle = [top, -top]
+            place = self._rest.copy()
+            place[j] += k * shift
+            yield self._open_loop(f'presliding/{joint}/{top:.4g}', 'presliding', joint, j,
+                                  [*cycle * self['presliding_cycles'], top], top, place,
+                                  self['presliding_travel'])
+
+    def _open_loop(self, name, phase, joint, j, levels, value, place, travel):
+        rate = self['torque_rate'] * self._limits.static[j]
+        bias = self._gravity_torque(place)
+        values = {'trajectory.type': 'torque_levels', 'trajectory.rate': float(rate),
+                  'trajectory.approach_time': BRAKING_TIME}
+        for i, other in enumerate(self._robot.joints):
+            values[f'trajectory.{other}.levels'] = [
+                float(level) if i == j else 0.0 for level in levels]
+            values[f'trajectory.{other}.bias'] = float(bias[i])
+        need = np.abs(bias)
+        need[j] += np.max(np.abs(levels))
+        for i, other in enumerate(self._robot.joints):
+            if need[i] > self._limits.torque[i]:
+                self._refuse(joint, name, f'needs {need[i]:.3g} N m of the motor of {other}, the '
+                             f'limit is {self._limits.torque[i]:.3g} N m', 'raise torque and '
+                             'gains.*.torque_limit, or lower the level')
+        duration = self._trajectory(values).end
+        if phase == 'break_away':
+            duration *= 0.5 * _BROKEN_AWAY
+        return (name, phase, joint, 'torque', values, float(value),
+                duration + BRAKING_TIME + self['rest_time'], tuple(place.tolist()), None, travel)
+
+    def _gravity_torque(self, q):
+        zero = np.zeros_like(q)
+        return chain.matrices(q, zero, zero, zero, self._robot.arm).gravity
+
+    def _refuse(self, joint, name, finding, way_out):
+        raise ConfigError(f'identification.{joint}: step {name} {finding}; {way_out}')
