@@ -240,18 +240,21 @@ class Planner:
 
     def _presliding(self, joint, j):
         room = 0.5 * self._room(j)
-        shift = min(self['shift'], room / len(self['presliding_levels']))
+        places = self['presliding_places']
+        shift = min(self['shift'], room / (places * len(self['presliding_levels'])))
         for k, level in enumerate(self['presliding_levels']):
             top = level * self._limits.weakest_static[j]
             inner = self['minor_loop'] * top
             cycle = [top, -inner, 0.5 * inner, -top, inner, -0.5 * inner]
             if inner == 0.0:
                 cycle = [top, -top]
-            place = self._rest.copy()
-            place[j] += k * shift
-            yield self._open_loop(f'presliding/{joint}/{top:.4g}', 'presliding', joint, j,
-                                  [*cycle * self['presliding_cycles'], top], top, place,
-                                  self['presliding_travel'])
+            for number in range(places):
+                place = self._rest.copy()
+                place[j] += (places * k + number) * shift
+                yield self._open_loop(
+                    f'presliding/{joint}/{top:.4g}/{number + 1}of{places}', 'presliding', joint,
+                    j, [*cycle * self['presliding_cycles'], top], top, place,
+                    self['presliding_travel'])
 
     def _open_loop(self, name, phase, joint, j, levels, value, place, travel):
         rate = self['torque_rate'] * self._limits.static[j]

@@ -278,3 +278,24 @@ def read_reference(message, n):
     if not all_finite(message.data):
         raise RefusedError('reference has a number that is not finite')
     return quantity, np.array(message.data).reshape(rows, n)
+
+
+def phase_message(phase):
+    """
+    Return what an experiment does from a joint state on, as a message.
+
+    Parameters
+    ----------
+    phase : Phase
+        Its ``time_ns`` is the stamp of that joint state.
+
+    Returns
+    -------
+    std_msgs.msg.Float64MultiArray
+        The value, and the rest as labels of dimensions of size 1.
+
+    """
+    labels = (f'{_STAMP}{phase.time_ns}', f'phase:{phase.phase}', f'joint:{phase.joint}',
+              f'step:{phase.step}')
+    return Float64MultiArray(data=[float(phase.value)], layout=MultiArrayLayout(
+        dim=[MultiArrayDimension(label=label, size=1, stride=1) for label in labels]))

@@ -11,7 +11,7 @@ from gms_flex_control.nodes.messages import NANOSECONDS
 from gms_flex_control.nodes.parameters import NodeParameters
 from gms_flex_control.schema.keys import robot_keys, trajectory_keys
 from gms_flex_control.schema.motion import trajectory_from_values
-from gms_flex_control.trajectory import builders
+from gms_flex_control.trajectory import builders, levels
 import numpy as np
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
@@ -51,7 +51,7 @@ class TrajectoryNode(Node):
             JointState, 'joint_states', self._on_joint_states,
             process.subscriber_qos(values['mode']), event_callbacks=process.NO_EVENTS)
         for name, handler in (('start', self._start), ('stop', self._stop),
-                              ('reset', self._reset)):
+                              ('reset', self._reset), ('release', self._release)):
             self.create_service(Trigger, f'~/{name}', handler)
         parameters.watch(lambda new: (trajectory_from_values(new, self._joints), new),
                          self._choose)
@@ -196,6 +196,13 @@ class TrajectoryNode(Node):
             """Take the robot's own motion for the reference and bring that to rest."""
             self._brake_from(self._robot_state())
         return self._reply(response, forget, 'reference comes to rest from where the robot is')
+
+    def _release(self, _request, response):
+        def let_go():
+            """Ask for zero torque from the next state on, until ~/start, ~/stop or ~/reset."""
+            self._current = levels.torque_levels(np.zeros((1, len(self._joints))), 1.0)
+            self._running = False
+        return self._reply(response, let_go, 'zero torque')
 
     def finish(self):
         """End: a controller whose reference stops sends zero torque by itself."""

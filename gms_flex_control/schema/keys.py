@@ -247,7 +247,7 @@ def identification_keys(joints):
             'slips', 'rad', 0.35, 0.0, 100.0),
         Key(prefix + 'lead_in_speed', 'double', 'how fast that is', 'rad/s', 0.3, 1e-4, 100.0),
         Key(prefix + 'torque_rate', 'double', 'mean slope of torques, in F_s per second', '1/s',
-            0.3, 1e-4, 100.0),
+            0.4, 1e-4, 100.0),
         Key(prefix + 'break_away_level', 'double', 'largest torque, in F_s', '', 1.3, 1.0, 3.0),
         Key(prefix + 'break_away_repeats', 'integer', 'per direction', '', 3, 1, 1000),
         Key(prefix + 'break_away_travel', 'double', 'this far moved is broken away', 'rad', 0.03,
@@ -256,10 +256,12 @@ def identification_keys(joints):
             (0.3, 0.5, 0.65, 0.8), 0.01, 0.99),
         Key(prefix + 'presliding_travel', 'double', 'this far moved is no presliding any more: '
             'the step ends', 'rad', 0.05, 1e-5, 10.0),
-        Key(prefix + 'presliding_cycles', 'integer', 'of each amplitude', '', 2, 1, 1000),
+        Key(prefix + 'presliding_places', 'integer', 'at which each amplitude is applied, a '
+            'shift apart', '', 3, 1, 1000),
+        Key(prefix + 'presliding_cycles', 'integer', 'at each place', '', 1, 1, 1000),
         Key(prefix + 'minor_loop', 'double', 'amplitude of the loops nested in a cycle, 0 for '
             'none', '', 0.5, 0.0, 0.95),
-        Key(prefix + 'shift', 'double', 'move between amplitudes, so that the angle within an '
+        Key(prefix + 'shift', 'double', 'move between places, so that the angle within an '
             'encoder count differs', 'rad', 0.0501, 0.0, 1.0),
         Key(prefix + 'sliding_speeds', 'double_array', 'mean velocities, in v_s', '',
             (1.0, 2.0, 5.0), 0.01, 1000.0),
@@ -290,8 +292,31 @@ def _identified_joint_keys(prefix):
             'file', 'rad/s', 0.0, 0.0))
 
 
+def identification_node_keys():
+    """Return the keys of the identification node beyond robot, gains and experiment."""
+    prefix = 'identification.'
+    return (
+        MODE,
+        Key(prefix + 'bag', 'string', 'recording to be made; a journal of the finished steps '
+            'stands beside it', default='identification'),
+        Key(prefix + 'resume', 'boolean', 'go on with the first step the journal lacks, into a '
+            'bag beside the first', default=False),
+        Key(prefix + 'autostart', 'boolean', 'begin as soon as all nodes are there',
+            default=True),
+        Key(prefix + 'exit_when_done', 'boolean', 'end when the last step is finished',
+            default=True),
+        Key(prefix + 'trajectory_node', 'string', 'name of the trajectory node',
+            default='/trajectory'),
+        Key(prefix + 'controller_node', 'string', 'name of the controller node',
+            default='/cascade_controller'),
+        Key(prefix + 'patience', 'double', 'for the other nodes to come', 's', 60.0, 0.1, 1e5),
+        Key(prefix + 'silence', 'double', 'of states or commands that ends the experiment', 's',
+            3.0, 0.1, 1e4))
+
+
 def all_keys(joints):
     """Return the keys of all nodes by name, for one file shared by all."""
     keys = (*robot_keys(joints), *controller_keys(joints), *controller_node_keys(),
-            *plant_node_keys(joints), *trajectory_keys(joints), *identification_keys(joints))
+            *plant_node_keys(joints), *trajectory_keys(joints), *identification_keys(joints),
+            *identification_node_keys())
     return {key.name: key for key in keys}

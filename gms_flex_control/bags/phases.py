@@ -1,0 +1,80 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Read what an identification experiment was doing, from the phase topic of its bag."""
+
+import struct
+
+from gms_flex_control.bags.cdr import JOINT_STATE, MULTI_ARRAY, unpack_multi_array
+from gms_flex_control.bags.messages import STAMP_LABEL, stamp_of
+from gms_flex_control.bags.source import Bag
+from gms_flex_control.errors import BagError
+from gms_flex_control.recording import Phase
+
+PHASE_TOPIC = '/identification/phase'
+_LABELS = ('phase', 'joint', 'step')
+
+
+def read_phases(path, *, topic=PHASE_TOPIC, joint_states='/joint_states'):
+    """
+    Read the phases of an identification experiment.
+
+    Parameters
+    ----------
+    path : str or Path
+        Bag folder or file, as for read_recording.
+    topic, joint_states : str, optional
+        Topic names.
+
+    Returns
+    -------
+    tuple of Phase
+        In the order of time; their time counts from the first sample of the recording, as
+        ``Recording.time`` does. Empty where the bag has no such topic.
+
+    Raises
+    ------
+    BagError
+        If a message is no phase, or the bag cannot be read.
+
+    """
+    bag, found, first = Bag(path), [], None
+    for batch in bag.batches():
+        for name, _, _, data in batch:
+            if name == topic:
+                found.append(data)
+            elif name == joint_states:
+                stamp = _stamp(path, joint_states, data)
+                first = stamp if first is None else min(first, stamp)
+    if found and bag.topics[topic].type_name != MULTI_ARRAY:
+        raise BagError(f'{path}: topic {topic!r} is a {bag.topics[topic].type_name}, expected '
+                       f'{MULTI_ARRAY}')
+    phases = [_phase(path, topic, k, data) for k, data in enumerate(found)]
+    return tuple(phase._replace(time_ns=phase.time_ns - (first or 0))
+                 for phase in sorted(phases, key=lambda phase: phase.time_ns))
+
+
+def _phase(path, topic, number, data):
+    """Return the Phase of one message, its time still a stamp."""
+    try:
+        dims, values = unpack_multi_array(data)
+        stamp = stamp_of(dims)
+    except BagError as error:
+        raise BagError(f'{path}: topic {topic!r} message {number} {error}') from None
+    texts = dict(label.split(':', 1) for label, _, _ in dims if ':' in label)
+    missing = [f'{name}:' for name in _LABELS if name not in texts]
+    missing += [STAMP_LABEL] if stamp is None else []
+    if missing or len(values) != 1:
+        raise BagError(f'{path}: topic {topic!r} message {number} has {len(values)} values and '
+                       f'lacks the labels {missing}; a phase has one value and the labels '
+                       f'{STAMP_LABEL}, phase:, joint: and step:')
+    return Phase(stamp, *(texts[name] for name in _LABELS), float(values[0]))
+
+
+def _stamp(path, topic, data):
+    """Return the header stamp of a JointState [ns]."""
+    if len(data) < 12:
+        raise BagError(f'{path}: topic {topic!r} has a message of {len(data)} bytes, which is '
+                       f'no {JOINT_STATE}')
+    seconds, nanoseconds = struct.unpack_from('<iI' if data[1] & 1 else '>iI', data, 4)
+    return seconds * 1_000_000_000 + nanoseconds

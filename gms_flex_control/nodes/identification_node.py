@@ -1,0 +1,256 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""The identification experiment as a ROS 2 node: it drives trajectory and controller."""
+
+from pathlib import Path
+import sys
+import time
+
+from gms_flex_control.errors import GmsFlexError
+from gms_flex_control.experiment.identification_plan import plan_identification
+from gms_flex_control.experiment.journal import ExperimentError, Journal, require_space
+from gms_flex_control.nodes import messages, process
+from gms_flex_control.nodes.experiment_bag import (
+    COMMANDS,
+    ExperimentBag,
+    REFERENCE,
+    STATES,
+)
+from gms_flex_control.nodes.experiment_watch import Watch
+from gms_flex_control.nodes.parameters import NodeParameters
+from gms_flex_control.nodes.remote import RemoteNode
+from gms_flex_control.nodes.step_runner import StepRunner
+from gms_flex_control.recording import Phase
+from gms_flex_control.schema.build import controller_from_values, robot_from_values
+from gms_flex_control.schema.keys import (
+    controller_keys,
+    identification_keys,
+    identification_node_keys,
+    robot_keys,
+)
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import Trigger
+
+PHASE = '/identification/phase'
+_BYTES_PER_SAMPLE = 1000  # state, command and reference with their frames, generously
+_RATE_SAMPLES = 20        # joint states that tell the rate
+_GOODBYE = 1.0            # for a last call to be answered [s]
+_LATCHED = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=100,
+                      reliability=ReliabilityPolicy.RELIABLE,
+                      durability=DurabilityPolicy.TRANSIENT_LOCAL)
+# the experiment reads each state, however far it falls behind a plant in lockstep
+_ALL = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=5000,
+                  reliability=ReliabilityPolicy.RELIABLE)
+
+
+class StoppedError(Exception):
+    """Somebody called ~/stop, or the process is to end."""
+
+
+class IdentificationNode(Node):
+    """Carry out the steps of an identification plan and record them."""
+
+    def __init__(self, **kwargs):
+        super().__init__('identification', automatically_declare_parameters_from_overrides=True,
+                         **kwargs)
+        parameters = NodeParameters(self, lambda joints: (
+            *robot_keys(joints), *controller_keys(joints), *identification_keys(joints),
+            *identification_node_keys()))
+        values, joints = parameters.values, parameters.joints
+        self._values = values
+        robot = robot_from_values(values)
+        self.plan = plan_identification(values, robot, controller_from_values(values, joints))
+        self._journal = Journal(self['bag'], self.plan, resume=self['resume'])
+        self.trajectory = RemoteNode(self, self['trajectory_node'],
+                                     ('start', 'stop', 'reset', 'release'))
+        self.controller = RemoteNode(self, self['controller_node'])
+        self.watch = Watch(self.plan)
+        self._bag = self._spinner = self._pending = None
+        self._runner = StepRunner(self, self._journal)
+        self._ordered, self._stopped = self['autostart'], False
+        self._phase_pub = self.create_publisher(Float64MultiArray, PHASE, _LATCHED)
+        self.create_subscription(JointState, STATES, self._on_joint_states, _ALL,
+                                 event_callbacks=process.NO_EVENTS)
+        for name, handler in (('start', self._start), ('stop', self._stop),
+                              ('resume', self._resume)):
+            self.create_service(Trigger, f'~/{name}', handler)
+        left = self.plan.duration(self._journal.finished)
+        self.say(f'{len(self.plan.experiments)} steps, {len(self._journal.finished)} finished; '
+                 f'about {left:.0f} s to go')
+
+    def __getitem__(self, name):
+        return self._values[f'identification.{name}']
+
+    def say(self, sentence):
+        """Log a sentence."""
+        self.get_logger().info(sentence)
+
+    # callbacks -----------------------------------------------------------------------------
+
+    def _on_joint_states(self, message):
+        try:
+            self.watch.take(message)
+        except messages.RefusedError as error:
+            self.get_logger().warning(f'joint state refused: {error}', throttle_duration_sec=5.0)
+        if self.watch.fault is not None and not self._stopped:
+            self._release()
+
+    def _start(self, _request, response):
+        return self._order(response, 'begins')
+
+    def _resume(self, _request, response):
+        return self._order(response, 'goes on')
+
+    def _order(self, response, words):
+        response.success = not self._ordered
+        response.message = words if response.success else 'runs already'
+        self._ordered = True
+        return response
+
+    def _stop(self, _request, response):
+        self._release()
+        self._ordered = False
+        response.success, response.message = True, 'zero torque; ~/resume goes on'
+        return response
+
+    def _release(self):
+        """Ask for zero torque at once; what waits for the robot is told by StoppedError."""
+        self._stopped = True
+        return self.trajectory.trigger('release')
+
+    # waiting -------------------------------------------------------------------------------
+
+    def spin(self):
+        """Handle what has come; raise what ends the step that is waiting."""
+        self._spinner.spin_once(0.02)
+        if not self._spinner.goes_on():
+            raise StoppedError
+        if self._bag is None:
+            return
+        if self.watch.fault is not None:
+            raise ExperimentError(self.watch.fault)
+        self._bag.poll()
+        if self._stopped:
+            raise StoppedError
+
+    def until(self, condition):
+        """Spin until ``condition()`` while the loop lives."""
+        while not condition():
+            self.spin()
+            silent = self._bag.silent(self['silence'])
+            if silent:
+                raise ExperimentError(
+                    f'no {" and no ".join(silent)} for {self["silence"]:g} s: the robot is left '
+                    'without torque; is every node running? Start again with '
+                    'identification.resume to go on')
+
+    def answer(self, future, who):
+        """Return the answer of a call."""
+        end, self._pending = time.monotonic() + self['patience'], future
+        while not future.done():
+            self.spin()
+            if time.monotonic() > end:
+                raise ExperimentError(f'{who} did not answer in {self["patience"]:g} s')
+        return future.result()
+
+    def _come(self, condition, words):
+        """Spin until others are there."""
+        end = time.monotonic() + self['patience']
+        while not condition():
+            self.spin()
+            if time.monotonic() > end:
+                raise ExperimentError(f'{words()} in {self["patience"]:g} s')
+
+    def phase(self, name, step=None):
+        """Publish what is done from the next joint state on."""
+        phase = Phase(self.watch.stamp, name, step.joint if step else '',
+                      step.name if step else '', step.value if step else 0.0)
+        self._phase_pub.publish(messages.phase_message(phase))
+
+    # run -----------------------------------------------------------------------------------
+
+    def run(self, spinner):
+        """Carry out what is unfinished; return when done or when a signal comes."""
+        self._spinner = spinner
+        try:
+            self._prepare()
+            self._record(self._journal.next_bag())
+        except StoppedError:
+            self.say('ended by a signal; start again with identification.resume to go on')
+
+    def _prepare(self):
+        for remote in (self.trajectory, self.controller):
+            self._come(remote.is_ready, lambda remote=remote: (
+                f'the services of {remote.name} did not appear'))
+        self._come(lambda: self.watch.samples > _RATE_SAMPLES, lambda: f'no state on {STATES}')
+        samples = self.plan.duration(self._journal.finished) / self.watch.period
+        require_space(Path(self['bag']).parent, samples * _BYTES_PER_SAMPLE)
+
+    def _record(self, path):
+        topics = (STATES, COMMANDS, REFERENCE, PHASE)
+        with ExperimentBag(self, path, topics, self.say) as bag:
+            self._come(lambda: bag.poll() or not bag.missing
+                       and self._phase_pub.get_subscription_count(),
+                       lambda: f'nobody publishes {", ".join(bag.missing)}')
+            self._bag = bag
+            try:
+                self._carry_out()
+            except (GmsFlexError, StoppedError):
+                self._let_go()
+                raise
+            finally:
+                self._bag = None
+        self.say(f'recorded {path}')
+        while not self['exit_when_done'] and self._spinner.goes_on():
+            self._spinner.spin_once()
+
+    def _carry_out(self):
+        """Run steps, again after each ~/stop, until all are finished."""
+        while True:
+            if not self._ordered:
+                self.say('waiting for ~/start')
+            while not self._ordered:
+                self._stopped = False
+                self.spin()
+            self._stopped = False
+            try:
+                self._runner.run()
+                return
+            except StoppedError:
+                if not self._spinner.goes_on():
+                    raise
+                self._let_go()
+                self.say('stopped: zero torque; ~/resume goes on with the next unfinished step')
+
+    def _let_go(self):
+        """Ask for zero torque once more, after all calls before, and see it out."""
+        self.phase('idle')
+        self.get_logger().warning('zero torque')
+        self.watch.guard(False)
+        if self._pending is not None:
+            self._see_out(self._pending)  # a ~/start that overtakes it would undo it
+        if self.trajectory.is_ready():
+            self._see_out(self._release())
+        if self.controller.is_ready():
+            self._runner.give_back()
+
+    def _see_out(self, future):
+        end = time.monotonic() + _GOODBYE
+        while not future.done() and time.monotonic() < end:
+            self._spinner.spin_once(0.02)
+
+    def finish(self):
+        """End: whatever stopped the experiment has asked for zero torque."""
+
+
+def main(args=None):
+    """Run the identification node; return its exit code."""
+    return process.run_node(IdentificationNode, args)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,136 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""The steps of an experiment, one after the other, by the parameters of the other nodes."""
+
+from gms_flex_control.experiment.identification_steps import BRAKING_TIME
+from gms_flex_control.experiment.journal import ExperimentError
+from gms_flex_control.nodes.messages import NANOSECONDS
+from gms_flex_control.nodes.remote import value_of
+
+_LATENESS = 0.05  # a step may begin that much after the state at which its call was answered [s]
+
+
+class StepRunner:
+    """
+    Carries out what a journal lacks of a plan.
+
+    Parameters
+    ----------
+    node : IdentificationNode
+        Knows the plan, the other nodes and the robot, and how to wait.
+    journal : Journal
+        Of the finished steps.
+
+    """
+
+    def __init__(self, node, journal):
+        self._node, self._journal, self._plan = node, journal, node.plan
+        self._compensation = self._before = None
+
+    def run(self):
+        """Carry out all unfinished steps; the controller then is as it was."""
+        node, plan = self._node, self._plan
+        self._take_over()
+        steps = plan.steps(self._journal.finished, node.watch.q_link)
+        begin, expected, passed = node.watch.stamp, sum(s.duration_estimate for s in steps), 0.0
+        node.watch.guard(True)
+        for step in steps:
+            if step in plan.experiments:
+                node.say(f'{100.0 * passed / expected:3.0f} %, {expected - passed:.0f} s to go: '
+                         f'{step.name}')
+            node.phase(step.phase, step)
+            self._carry_out(step)
+            passed += step.duration_estimate
+            if step in plan.experiments:
+                self._journal.finish(step.name)
+        node.watch.guard(False)
+        node.phase('idle')
+        self._set(node.controller, self._before)
+        taken = (node.watch.stamp - begin) / NANOSECONDS
+        node.say(f'100 %, done in {taken:.1f} s, estimated {expected:.1f} s')
+
+    def _take_over(self):
+        """Limit the controller's torque; note the parameters to leave it with."""
+        limits = {f'gains.{joint}.torque_limit': float(limit) for joint, limit in zip(
+            self._plan.joints, self._plan.torque, strict=True)}
+        names = ['compensation', *limits]
+        remote = self._node.controller
+        answer = self._node.answer(remote.get_parameters(names), remote.name)
+        before = dict(zip(names, map(value_of, answer.values), strict=False))
+        if len(before) != len(names) or None in before.values():
+            raise ExperimentError(f'{remote.name} lacks one of the parameters '
+                                  f'{", ".join(names)}; is it the controller node, and of this '
+                                  'robot?')
+        self._before, self._compensation = self._before or before, None
+        self._set(remote, {name: min(limit, before[name]) for name, limit in limits.items()})
+
+    def give_back(self):
+        """Leave the controller as it was, without waiting for its answer."""
+        if self._before is not None:
+            self._node.controller.set_parameters(self._before)
+
+    def _set(self, remote, values):
+        answer = self._node.answer(remote.set_parameters(values), remote.name)
+        if not answer.result.successful:
+            raise ExperimentError(f'{remote.name} refused {", ".join(values)}: '
+                                  f'{answer.result.reason}')
+
+    def _trigger(self, service):
+        remote = self._node.trajectory
+        answer = self._node.answer(remote.trigger(service), remote.name)
+        if not answer.success:
+            raise ExperimentError(f'{remote.name}/{service} refused: {answer.message}')
+
+    def _pass(self, seconds):
+        """Let simulated or real time pass, by the stamps of the joint states."""
+        end = self._node.watch.stamp + round(NANOSECONDS * seconds)
+        self._node.until(lambda: self._node.watch.stamp >= end)
+
+    def _compensate(self, compensation):
+        if compensation != self._compensation:
+            self._set(self._node.controller, {'compensation': compensation})
+            self._compensation = compensation
+
+    def _carry_out(self, step):
+        {'approach': self._approach, 'relax': self._relax, 'motion': self._move,
+         'torque': self._push}[step.kind](step)
+
+    def _approach(self, step):
+        time = self._plan.approach_time(self._node.watch.q_link, step.end)
+        self._compensate(self._plan.compensation)
+        self._begin(step.trajectory_parameters | {'trajectory.approach_time': time})
+        self._pass(time + _LATENESS + self._plan.rest_time)
+
+    def _move(self, step):
+        self._compensate(self._plan.compensation)
+        self._begin(step.trajectory_parameters)
+        self._pass(self._plan.trajectory(step).end + _LATENESS + self._plan.rest_time)
+
+    def _relax(self, _step):
+        """Unload the springs: no compensation, and the reference where the links come to rest."""
+        self._compensate('none')
+        for _ in range(2):
+            self._trigger('reset')
+            self._pass(self._plan.relax_time)
+
+    def _push(self, step):
+        node, j = self._node, self._plan.joints.index(step.joint)
+        node.watch.mark()
+        self._begin(step.trajectory_parameters)
+        end = node.watch.stamp + round(NANOSECONDS * (
+            self._plan.trajectory(step).end + _LATENESS))
+        node.until(lambda: node.watch.stamp >= end or node.watch.travel(j) > step.travel > 0.0)
+        moved = node.watch.travel(j) > step.travel
+        self._trigger('reset')
+        if step.phase == 'break_away' and not moved:
+            node.say(f'{step.joint} did not break away at {abs(step.value):.4g} N m: its F_s is '
+                     f'above that; raise identification.{step.joint}.static')
+        elif step.phase == 'presliding' and moved:
+            node.say(f'{step.joint} broke away below {step.value:.4g} N m; the step ends early. '
+                     f'Lower identification.presliding_levels or .{step.joint}.static')
+        self._pass(BRAKING_TIME + self._plan.rest_time)
+
+    def _begin(self, values):
+        self._set(self._node.trajectory, values)
+        self._trigger('start')
