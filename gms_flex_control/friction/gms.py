@@ -137,17 +137,23 @@ def advance_blocks(torque, sticking, turned, sign, displacement, level, decay, s
 
 
 @compiled
+def advance_joint(j, state, displacement, velocity, dt, constants):
+    """Advance joint ``j`` in place by ``displacement`` at ``velocity`` over ``dt``, scalars."""
+    turned = displacement * state.direction[j] < 0.0
+    if turned:
+        state.direction[j] = -state.direction[j]
+    sign = state.direction[j]
+    level, _ = level_of(j, sign, velocity, constants)
+    decay = np.exp(-constants.attraction[j] * dt / level)
+    advance_blocks(state.torque[j], state.sticking[j], turned, sign, displacement, level, decay,
+                   constants.stiffness[j], constants.weight[j])
+
+
+@compiled
 def advance(state, displacement, velocity, dt, constants):
     """Advance all joints in place by ``displacement`` (n,) at ``velocity`` (n,) over ``dt``."""
     for j in range(constants.attraction.shape[0]):
-        turned = displacement[j] * state.direction[j] < 0.0
-        if turned:
-            state.direction[j] = -state.direction[j]
-        sign = state.direction[j]
-        level, _ = level_of(j, sign, velocity[j], constants)
-        decay = np.exp(-constants.attraction[j] * dt / level)
-        advance_blocks(state.torque[j], state.sticking[j], turned, sign, displacement[j], level,
-                       decay, constants.stiffness[j], constants.weight[j])
+        advance_joint(j, state, displacement[j], velocity[j], dt, constants)
 
 
 @compiled
