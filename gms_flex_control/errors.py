@@ -30,3 +30,7 @@ class BagError(GmsFlexError):
 
 class ImportDataError(GmsFlexError):
     """A foreign log does not fit its map or is not usable as a recording."""
+
+
+class IdentificationError(GmsFlexError):
+    """A recording cannot tell what is asked of it, or would tell it wrongly."""

@@ -1,0 +1,184 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""What signals say of themselves: resolution, derivatives without lag, signs of torque."""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import nnls
+from scipy.signal import upfirdn
+
+MOVING = 0.02        # below this part of the top speed a direction is not relied on
+_ORDER_STEPS = 20    # resolution steps a derivative window should travel at top speed
+_SHORTEST, _LONGEST = 0.1, 1.0  # of a derivative window [s]
+
+
+class Derivatives(NamedTuple):
+    """A signal and its first two derivatives, all through the same zero-phase filter."""
+
+    value: np.ndarray
+    first: np.ndarray
+    second: np.ndarray
+
+
+class Fit(NamedTuple):
+    """How much of a signal columns of one sign explain, as it is and with its sign reversed."""
+
+    as_is: float          # share of the variance, 0 to 1
+    opposite: float       # the same of the reversed signal
+    weights: np.ndarray   # of the columns, as it is; 0 or above
+
+
+def quantum(values):
+    """Return the smallest step of a signal (T,), 0 if it never changes; rounding is no step."""
+    known = values[np.isfinite(values)]
+    steps = np.abs(np.diff(known))
+    steps = steps[steps > 1e-9 * np.ptp(known)] if known.size else steps
+    return float(steps.min()) if steps.size else 0.0
+
+
+def derivative_window(time, position):
+    """
+    Return the length of a filter window that sees motion through the encoder's steps.
+
+    Parameters
+    ----------
+    time, position : ndarray, shape (T,)
+        Stamps [s] and angle [rad].
+
+    Returns
+    -------
+    float
+        From 0.1 to 1 s, longer for slow motion and coarse encoders [s].
+
+    """
+    known = np.isfinite(position)
+    at = np.arange(time[known][0], time[known][-1], _LONGEST / 2) if known.any() else []
+    if len(at) < 3:
+        return _SHORTEST
+    travel = np.abs(np.diff(np.interp(at, time[known], position[known]))) / (_LONGEST / 2)
+    top = np.quantile(travel, 0.9)
+    wanted = _ORDER_STEPS * quantum(position) / top if top > 0 else _LONGEST
+    return float(np.clip(wanted, _SHORTEST, _LONGEST))
+
+
+def smoothed(time, signals, window):
+    """
+    Filter signals alike and without lag, with their derivatives, on a coarse even grid.
+
+    Parameters
+    ----------
+    time : ndarray, shape (T,)
+        Stamps [s]; uneven ones are interpolated.
+    signals : sequence of ndarray, shape (T,)
+        NaN is bridged by interpolation.
+    window : float
+        Length of the bell-shaped filter (four moving averages in a row) [s].
+
+    Returns
+    -------
+    list of Derivatives
+        Each of shape (S,), one value per quarter window; S is 0 for a short recording.
+
+    Notes
+    -----
+    A linear relation between signals and derivatives holds for the filtered ones exactly, so
+    nothing is lost by filtering them, and noise is never differentiated by itself.
+
+    """
+    step = float(np.median(np.diff(time)))
+    count = int((time[-1] - time[0]) / step * (1 + 1e-12)) + 1
+    grid = time[0] + step * np.arange(count)
+    short = max(3, round(window / 4 / step))
+    box = np.full(short, 1.0 / short)
+    bell = np.convolve(np.convolve(box, box), np.convolve(box, box))
+    kernels = (np.pad(bell, 1), np.convolve(bell, [0.5, 0.0, -0.5]) / step,
+               np.convolve(bell, [1.0, -2.0, 1.0]) / step ** 2)
+    inside = np.arange(-(-(len(kernels[0]) - 1) // short), (count - 1) // short + 1)
+    result = []
+    for signal in signals:
+        known = np.isfinite(signal)
+        even = np.interp(grid, time[known], signal[known]) if known.any() else np.zeros(count)
+        # the mean is taken off: the second derivative of a large offset is rounding
+        mean = even.mean()
+        parts = [upfirdn(kernel, even - mean, 1, short)[inside] for kernel in kernels]
+        result.append(Derivatives(parts[0] + mean, parts[1], parts[2]))
+    return result
+
+
+def sign_fit(signal, positive, free):
+    """
+    Fit columns whose weights cannot be negative to a signal, and to its reverse.
+
+    Parameters
+    ----------
+    signal : ndarray, shape (S,)
+        What is to be explained.
+    positive : sequence of ndarray, shape (S,)
+        Columns with weights of 0 or above.
+    free : sequence of ndarray, shape (S,)
+        Columns with any weight; their part is taken off before shares are counted.
+
+    Returns
+    -------
+    Fit
+
+    """
+    basis = np.linalg.qr(np.stack(free, axis=1))[0]
+    both = np.stack([signal, *positive], axis=1)
+    both = both - basis @ (basis.T @ both)
+    norms = np.sqrt(np.sum(both ** 2, axis=0))
+    if norms[0] < 1e-12 * np.sqrt(len(signal)) or norms[0] == 0:
+        return Fit(0.0, 0.0, np.zeros(len(positive)))
+    scale = np.where(norms > 0, norms, 1.0)
+    unit = both / scale
+    weights, rest = nnls(unit[:, 1:], unit[:, 0])
+    _, rest_reversed = nnls(unit[:, 1:], -unit[:, 0])
+    return Fit(1 - rest ** 2, 1 - rest_reversed ** 2, weights * norms[0] / scale[1:])
+
+
+def friction_columns(velocity):
+    """Return sign, softened below MOVING of the top speed, and value of a velocity (S,)."""
+    top = float(np.abs(velocity).max(initial=0.0))
+    return np.tanh(velocity / (MOVING * top)) if top > 0 else velocity, velocity
+
+
+def is_moving(velocity):
+    """Return where a velocity (S,) is above MOVING of its largest."""
+    return np.abs(velocity) > MOVING * np.abs(velocity).max(initial=0.0)
+
+
+def derivative_slope(time, position, velocity):
+    """
+    Compare what a velocity adds up to with the way gone, over 0.1 s, 20 samples or 20 steps.
+
+    Parameters
+    ----------
+    time, position, velocity : ndarray, shape (T,)
+        Stamps [s], angle [rad] and its alleged rate [rad/s].
+
+    Returns
+    -------
+    tuple of float or None
+        What the velocity is of the derivative, and the correlation; None where there is too
+        little motion for the encoder's steps to tell.
+
+    """
+    good = np.isfinite(position) & np.isfinite(velocity)
+    t, q, v = time[good], position[good], velocity[good]
+    if len(t) < 50:
+        return None
+    step = float(np.median(np.diff(t)))
+    width = max(20, int(np.ceil(derivative_window(t, q) / step)))
+    added = np.concatenate([[0.0], np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(t))])
+    gone, expected = q[width:] - q[:-width], added[width:] - added[:-width]
+    whole = t[width:] - t[:-width] < 1.5 * width * step  # without gaps
+    gone, expected = gone[whole], expected[whole]
+    if len(gone) < 10 or not gone.any() or not expected.any():
+        return None
+    if np.sqrt(np.mean(gone ** 2)) < 3 * quantum(q):
+        return None
+    return (float(np.dot(gone, expected) / np.dot(gone, gone)),
+            float(np.dot(gone, expected)
+                  / np.sqrt(np.dot(gone, gone) * np.dot(expected, expected))))
