@@ -212,6 +212,39 @@ def matrices(q, dq, ddq, d3q, arm):
                          *(transform.T @ vector for vector in vectors))
 
 
+def inverse_dynamics(q, dq, ddq, arm):
+    """
+    Return the torque on the links that a motion takes without friction.
+
+    Parameters
+    ----------
+    q, dq, ddq : ndarray, shape (..., n_joints)
+        Link angles and their derivatives.
+    arm : ArmParams
+        The arm; motor inertia of rigid joints is part of M.
+
+    Returns
+    -------
+    ndarray, shape (..., n_joints)
+        ``M ddq + C dq + g`` [N m].
+
+    Notes
+    -----
+    Left side of the link equation (1), in absolute angles.
+
+    """
+    chain = constants_of(arm)
+    turn = chain.orientation.T
+    theta, omega, alpha = (np.asarray(x, dtype=float) @ turn for x in (q, dq, ddq))
+    between = theta[..., :, None] - theta[..., None, :]
+    inertia = chain.coupling * np.cos(between) + chain.rigid_inertia
+    gx, gy = chain.gravity
+    torque = (np.einsum('...ij,...j->...i', inertia, alpha)
+              + np.einsum('...ij,...j->...i', chain.coupling * np.sin(between), omega ** 2)
+              + chain.moment * (gx * np.sin(theta) - gy * np.cos(theta)))
+    return torque @ chain.orientation
+
+
 def energy(q_link, dq_link, q_motor, dq_motor, arm):
     """
     Return the mechanical energy of links, motors, springs and gravity.

@@ -1,0 +1,201 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""
+The numbers a fit moves, and the friction parameters of one joint that they stand for.
+
+All are free of bounds: logarithms of what must be positive, of the drop F_s - F_c instead of
+F_s, of the yield displacement of each block instead of its stiffness, and log-ratios of the
+weights. A block's stiffness is then ``k_i = alpha_i F_s / yield_i``, F_s the mean of both
+directions.
+"""
+
+from gms_flex_control.friction import gms
+from gms_flex_control.records import build
+from gms_flex_control.simulation.predictor import (
+    ATTRACTION,
+    BLOCKS,
+    COULOMB,
+    parameter_rows,
+    PER_DIRECTION,
+    STATIC,
+    VELOCITY,
+    VISCOUS,
+)
+import numpy as np
+
+MOST_BLOCKS = 8   # of one joint; records of all joints have this many, so that one kernel serves
+N_STEADY = 9      # numbers of Stribeck curves and attraction
+
+
+class Coordinates:
+    """
+    One joint's parameters as free numbers.
+
+    Parameters
+    ----------
+    n_blocks : int
+        N, up to MOST_BLOCKS.
+    yields : ndarray, shape (n_blocks,), optional
+        Fixed yield displacements [rad]; by default they are fitted.
+    free_weights : bool
+        Whether the weights are fitted; else they are 1/N, as in the paper.
+    n_extra : int
+        Number of further linear coefficients.
+
+    """
+
+    def __init__(self, n_blocks, *, yields=None, free_weights=False, n_extra=0):
+        self.n_blocks, self.n_extra = n_blocks, n_extra
+        self._fixed = None if yields is None else np.asarray(yields, dtype=float)
+        self._yields = slice(N_STEADY, N_STEADY + (n_blocks if yields is None else 0))
+        self._weights = slice(self._yields.stop,
+                              self._yields.stop + (n_blocks - 1 if free_weights else 0))
+        self._extra = slice(self._weights.stop, self._weights.stop + n_extra)
+
+    @property
+    def size(self):
+        """Return how many numbers there are."""
+        return self._extra.stop
+
+    @property
+    def free_weights(self):
+        """Return whether the weights are fitted."""
+        return self._weights.stop > self._weights.start
+
+    def pack(self, static, coulomb, velocity, viscous, attraction, yields, weights=None,
+             extra=()):
+        """
+        Return the free numbers of given parameters.
+
+        Parameters
+        ----------
+        static, coulomb, velocity, viscous : array_like, shape (2,)
+            Forward and backward.
+        attraction : float
+            C [N m/s].
+        yields, weights : array_like, shape (n_blocks,)
+            Yield displacements [rad] and alpha_i; not used where they are fixed.
+        extra : array_like, shape (n_extra,)
+            Further coefficients.
+
+        Returns
+        -------
+        ndarray, shape (size,)
+
+        """
+        free = np.zeros(self.size)
+        drop = np.maximum(np.subtract(static, coulomb), 1e-3 * np.asarray(coulomb))
+        for k in range(2):
+            free[4 * k:4 * k + 4] = np.log([coulomb[k], drop[k], velocity[k], viscous[k]])
+        free[N_STEADY - 1] = np.log(attraction)
+        if self._fixed is None:
+            free[self._yields] = np.log(yields)
+        if self.free_weights:
+            weights = np.full(self.n_blocks, 1.0) if weights is None else np.asarray(weights)
+            free[self._weights] = np.log(weights[:-1] / weights[-1])
+        free[self._extra] = extra
+        return free
+
+    def unpack(self, free):
+        """
+        Return the parameters and their derivatives.
+
+        Parameters
+        ----------
+        free : ndarray, shape (size,)
+            From `pack` or a fit.
+
+        Returns
+        -------
+        theta : ndarray, shape (9 + 2 MOST_BLOCKS + n_extra,)
+            In the order of simulation.predictor; blocks beyond ``n_blocks`` carry nothing.
+        directions : ndarray, shape (9 + 2 MOST_BLOCKS + n_extra, size)
+            Derivative of each.
+
+        """
+        rows = parameter_rows(MOST_BLOCKS, self.n_extra)
+        theta, directions = np.zeros(rows), np.zeros((rows, self.size))
+        for k in range(2):
+            coulomb, drop, velocity, viscous = np.exp(free[4 * k:4 * k + 4])
+            at = PER_DIRECTION * k
+            for row, value, column in ((COULOMB, coulomb, 0), (VELOCITY, velocity, 2),
+                                       (VISCOUS, viscous, 3)):
+                theta[at + row] = directions[at + row, at + column] = value
+            theta[at + STATIC] = coulomb + drop
+            directions[at + STATIC, at:at + 2] = coulomb, drop
+        theta[ATTRACTION] = directions[ATTRACTION, N_STEADY - 1] = np.exp(free[N_STEADY - 1])
+        self._unpack_blocks(free, theta, directions)
+        at = BLOCKS + 2 * MOST_BLOCKS
+        theta[at:] = free[self._extra]
+        directions[at:, self._extra] = np.eye(self.n_extra)
+        return theta, directions
+
+    def _unpack_blocks(self, free, theta, directions):
+        n = self.n_blocks
+        stiffness, weight = (slice(BLOCKS + k * MOST_BLOCKS, BLOCKS + k * MOST_BLOCKS + n)
+                             for k in range(2))
+        alpha, d_alpha = np.full(n, 1.0 / n), np.zeros((n, 0))
+        if self.free_weights:
+            odds = np.append(free[self._weights], 0.0)
+            alpha = np.exp(odds - odds.max())
+            alpha /= alpha.sum()
+            d_alpha = (np.diag(alpha) - np.outer(alpha, alpha))[:, :-1]
+        yields = np.exp(free[self._yields]) if self._fixed is None else self._fixed
+        statics = [STATIC, PER_DIRECTION + STATIC]
+        static, d_static = theta[statics].mean(), directions[statics].mean(axis=0)
+        theta[weight], theta[stiffness] = alpha, alpha * static / yields
+        directions[weight, self._weights] = d_alpha
+        directions[stiffness] = np.outer(alpha / yields, d_static)
+        directions[stiffness, self._weights] += d_alpha * (static / yields)[:, None]
+        if self._fixed is None:
+            directions[stiffness, self._yields] -= np.diag(theta[stiffness])
+
+
+def friction_record(thetas):
+    """
+    Return the kernels' constants of all joints.
+
+    Parameters
+    ----------
+    thetas : sequence of ndarray
+        Parameters of each joint, from `Coordinates.unpack`.
+
+    Returns
+    -------
+    numpy.record
+        Of friction.gms.constants_layout with MOST_BLOCKS blocks.
+
+    """
+    table = np.stack([theta[:parameter_rows(MOST_BLOCKS, 0)] for theta in thetas], axis=1)
+    both = {name: table[[row, PER_DIRECTION + row]] for name, row in (
+        ('static', STATIC), ('coulomb', COULOMB), ('velocity', VELOCITY), ('viscous', VISCOUS))}
+    blocks = table[BLOCKS:].reshape(2, MOST_BLOCKS, -1)
+    return build(gms.constants_layout(table.shape[1], MOST_BLOCKS), **both,
+                 stiffness=blocks[0].T, weight=blocks[1].T, attraction=table[ATTRACTION])
+
+
+def presliding_curve(theta, displacement):
+    """
+    Return the torque of a joint pushed from rest with unloaded blocks.
+
+    Parameters
+    ----------
+    theta : ndarray
+        Parameters of the joint.
+    displacement : ndarray, shape (D,)
+        [rad], 0 or above.
+
+    Returns
+    -------
+    ndarray, shape (D,)
+        [N m]; F_s, the mean of both directions, where all blocks slip.
+
+    Notes
+    -----
+    Eq. (2) with the break-away of each block at ``alpha_i F_s``.
+
+    """
+    stiffness, weight = theta[BLOCKS:BLOCKS + 2 * MOST_BLOCKS].reshape(2, MOST_BLOCKS)
+    static = theta[[STATIC, PER_DIRECTION + STATIC]].mean()
+    return np.minimum(np.outer(displacement, stiffness), weight * static).sum(axis=1)

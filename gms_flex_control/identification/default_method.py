@@ -1,0 +1,271 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""
+The method of this project: all friction parameters of a joint refined together.
+
+First blocks with fixed yield displacements, spread over decades, and free weights: a smooth
+problem that finds the shape of the presliding curve from far away. Then blocks of equal weight
+at the quantiles of that shape, for several N; the data held out choose among them. The observer
+of the predictor is stiff at first and soft in the end: stiff, each innovation depends on the
+last moments only and the cost has hardly any local minimum; soft, it tells the most.
+"""
+
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+from gms_flex_control.identification.coordinates import Coordinates, MOST_BLOCKS, N_STEADY
+from gms_flex_control.identification.objective import BLOCK_TIME, Objective
+from gms_flex_control.identification.refine import Prior, refine
+from gms_flex_control.simulation.predictor import BLOCKS
+import numpy as np
+
+CANDIDATES = (1, 2, 3, 4, 6, 8)  # numbers of blocks that are tried
+_SPREAD_SHARPNESS = (8.0, 4.0, 2.0)
+_SHARPNESS = (4.0, 2.0, 1.0)
+_HELD_OUT = 4         # one in so many blocks of time is held out
+_STEADY_DOUBT, _BLOCK_DOUBT = 1.0, 3.0  # spread of the prior, of logarithms
+_SWEEPS = 2           # over joints that move each other
+
+
+class Candidate(NamedTuple):
+    """One number of blocks that was tried."""
+
+    n_blocks: int
+    free_weights: bool
+    cost: float          # robust cost per held-out sample
+    error: float         # standard error of the difference to the best
+    coordinates: Coordinates
+    free: np.ndarray
+
+
+class JointFit(NamedTuple):
+    """What the fit of one joint ended with."""
+
+    coordinates: Coordinates
+    free: np.ndarray
+    prior: Prior
+    evaluation: object     # Evaluation on all data
+    held_out: object       # Candidate that was chosen, fitted without the data held out
+    candidates: tuple      # of Candidate
+    settled: bool
+
+
+def prior_of(coordinates, free):
+    """Return the weak Prior around free numbers."""
+    precision = np.full(coordinates.size, _BLOCK_DOUBT ** -2)
+    precision[:N_STEADY] = _STEADY_DOUBT ** -2
+    precision[coordinates.size - coordinates.n_extra:] = 0.0
+    return Prior(free.copy(), precision)
+
+
+def held_out(period):
+    """Return a function Stretch -> bool (T,) of the samples not to be fitted."""
+    length = max(round(BLOCK_TIME / period), 1)
+    return lambda stretch: (np.arange(len(stretch.angle)) // length) % _HELD_OUT == _HELD_OUT - 1
+
+
+def train(period):
+    """Return a function Stretch -> bool (T,) of the samples to be fitted."""
+    out = held_out(period)
+    return lambda stretch: ~out(stretch)
+
+
+def spread(objective, start, extra):
+    """Return Coordinates and free numbers of the blocks with fixed yields, fitted."""
+    coordinates = Coordinates(len(start.yields), yields=start.yields, free_weights=True,
+                              n_extra=len(extra))
+    both = np.array([start.forward, start.backward]).T
+    free = coordinates.pack(*both, start.attraction, None, extra=extra)
+    prior = prior_of(coordinates, free)
+    for sharpness in _SPREAD_SHARPNESS:
+        free = refine(objective, coordinates, free, prior, sharpness=sharpness).free
+    return coordinates, free
+
+
+def yield_quantiles(theta, n_blocks):
+    """
+    Return yields of blocks of equal weight that make the same presliding curve.
+
+    Parameters
+    ----------
+    theta : ndarray
+        Parameters of a joint.
+    n_blocks : int
+        How many blocks.
+
+    Returns
+    -------
+    ndarray, shape (n_blocks,)
+        Increasing [rad].
+
+    """
+    stiffness, weight = theta[BLOCKS:BLOCKS + 2 * MOST_BLOCKS].reshape(2, MOST_BLOCKS)
+    used = weight > 0.0
+    yields = weight[used] * theta[[0, 4]].mean() / stiffness[used]
+    order = np.argsort(yields)
+    yields, share = np.log(yields[order]), weight[used][order]
+    middle = np.cumsum(share) - 0.5 * share
+    at = (np.arange(n_blocks) + 0.5) / n_blocks
+    return np.exp(np.interp(at, np.concatenate([[0.0], middle, [1.0]]),
+                            np.concatenate([yields[:1], yields, yields[-1:]])))
+
+
+def equal_blocks(theta, n_blocks, n_extra):
+    """Return Coordinates and free numbers of N equal blocks like those of ``theta``."""
+    coordinates = Coordinates(n_blocks, n_extra=n_extra)
+    return coordinates, coordinates.pack(
+        theta[[0, 4]], theta[[1, 5]], theta[[2, 6]], theta[[3, 7]], theta[8],
+        yield_quantiles(theta, n_blocks), extra=theta[len(theta) - n_extra:])
+
+
+def fit_candidate(bundle, joint, thetas, theta, n_blocks, n_extra):
+    """Return the Candidate of one number of blocks, fitted without the data held out."""
+    objective = Objective(bundle, joint, thetas, train(bundle.period))
+    coordinates, free = equal_blocks(theta, n_blocks, n_extra)
+    prior = prior_of(coordinates, free)
+    for sharpness in _SHARPNESS:
+        free = refine(objective, coordinates, free, prior, sharpness=sharpness).free
+    return coordinates, free
+
+
+def choose(bundle, joint, thetas, fits):
+    """
+    Return the candidates, and the one whose held-out error no other beats beyond chance.
+
+    Parameters
+    ----------
+    bundle : Bundle
+        All data.
+    joint : int
+        Which joint.
+    thetas : sequence of ndarray
+        Parameters of all joints.
+    fits : sequence of (Coordinates, ndarray)
+        Fitted without the data held out.
+
+    Returns
+    -------
+    candidates : tuple of Candidate
+        In the order of ``fits``.
+    chosen : int
+        The fewest blocks within one standard error of the best.
+
+    """
+    objective = Objective(bundle, joint, thetas, held_out(bundle.period))
+    evaluations, scale = [], None
+    for coordinates, free in reversed(fits):  # the largest sets the scale
+        evaluations.insert(0, objective.evaluate(coordinates, free, 1.0, scale))
+        scale = evaluations[0].scale
+    count = evaluations[0].count.sum()
+    costs = np.array([evaluation.cost for evaluation in evaluations])
+    best = int(np.argmin(costs.sum(axis=1)))
+    off = costs - costs[best]
+    errors = off.std(axis=1) * np.sqrt(off.shape[1])
+    candidates = tuple(
+        Candidate(coordinates.n_blocks, coordinates.free_weights, float(cost.sum() / count),
+                  float(error / count), coordinates, free)
+        for (coordinates, free), cost, error in zip(fits, costs, errors, strict=True))
+    within = np.flatnonzero(off.sum(axis=1) <= errors)
+    return candidates, int(within[0])
+
+
+def fit_joint(bundle, joint, thetas, start, extra, blocks):
+    """
+    Fit one joint, the others as they are.
+
+    Parameters
+    ----------
+    bundle : Bundle
+        All data.
+    joint : int
+        Which joint.
+    thetas : sequence of ndarray
+        Parameters of all joints.
+    start : Start
+        Where to begin.
+    extra : ndarray, shape (R,)
+        Further coefficients to begin with.
+    blocks : sequence of int
+        Numbers of blocks to try.
+
+    Returns
+    -------
+    JointFit
+
+    """
+    training = Objective(bundle, joint, thetas, train(bundle.period))
+    coordinates, free = spread(training, start, extra)
+    theta, _ = coordinates.unpack(free)
+    fits = [fit_candidate(bundle, joint, thetas, theta, n, len(extra)) for n in blocks]
+    candidates, chosen = choose(bundle, joint, thetas, fits)
+    return finish(bundle, joint, thetas, candidates, chosen)
+
+
+def finish(bundle, joint, thetas, candidates, chosen):
+    """Refine the chosen candidate on all data."""
+    coordinates, free = candidates[chosen].coordinates, candidates[chosen].free
+    prior = prior_of(coordinates, free)
+    refined = refine(Objective(bundle, joint, thetas), coordinates, free, prior)
+    return JointFit(coordinates, refined.free, prior, refined.evaluation, candidates[chosen],
+                    candidates, refined.settled)
+
+
+def fit_all(bundle, starts, extras, *, blocks=CANDIDATES, say=None):
+    """
+    Fit all joints, in as many threads.
+
+    Parameters
+    ----------
+    bundle : Bundle
+        All data.
+    starts : sequence of Start
+        One per joint; None leaves a joint out.
+    extras : sequence of ndarray
+        Further coefficients of each joint to begin with.
+    blocks : sequence of int
+        Numbers of blocks to try.
+    say : callable, optional
+        Told what is being done.
+
+    Returns
+    -------
+    list of JointFit
+        None where ``starts`` has None.
+
+    """
+    thetas = [rough_theta(start, extra) for start, extra in zip(starts, extras, strict=True)]
+    fits = [None] * len(starts)
+    coupled = bundle.arm.kind == 'planar' and len(starts) > 1
+    with ThreadPoolExecutor(max_workers=len(starts)) as pool:
+        for sweep in range(_SWEEPS if coupled else 1):
+            def work(joint, sweep=sweep):
+                if sweep == 0:
+                    return fit_joint(bundle, joint, thetas, starts[joint], extras[joint], blocks)
+                return again(bundle, joint, thetas, fits[joint])
+
+            if say:
+                say('refining each joint' if sweep == 0 else
+                    'refining again, the other joints as they were found')
+            fits = list(pool.map(work, range(len(starts))))
+            thetas = [fit.coordinates.unpack(fit.free)[0] for fit in fits]
+    return fits
+
+
+def again(bundle, joint, thetas, fit):
+    """Refine a fit once more now that the other joints are known better."""
+    training = Objective(bundle, joint, thetas, train(bundle.period))
+    coordinates = fit.coordinates
+    held = refine(training, coordinates, fit.held_out.free, fit.prior, sharpness=2.0).free
+    held = refine(training, coordinates, held, fit.prior).free
+    refined = refine(Objective(bundle, joint, thetas), coordinates, held, fit.prior)
+    return fit._replace(free=refined.free, evaluation=refined.evaluation,
+                        held_out=fit.held_out._replace(free=held), settled=refined.settled)
+
+
+def rough_theta(start, extra):
+    """Return parameters as the start has them, blocks of equal weight over the spread."""
+    coordinates = Coordinates(len(start.yields), n_extra=len(extra))
+    both = np.array([start.forward, start.backward]).T
+    return coordinates.unpack(coordinates.pack(*both, start.attraction, start.yields,
+                                               extra=extra))[0]

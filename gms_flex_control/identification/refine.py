@@ -1,0 +1,96 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Levenberg-Marquardt on the robust cost, with a weak pull towards where it began."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+_LARGEST_STEP = 0.7   # of a logarithm
+_TRIALS = 6
+_RESCALINGS = 3
+_SAME_SCALE = 0.1
+_ENOUGH = 1e-5        # relative gain below which a fit has settled
+
+
+class Prior(NamedTuple):
+    """Where the numbers are believed to lie."""
+
+    mean: np.ndarray       # (P,)
+    precision: np.ndarray  # (P,), inverse variance; 0 knows nothing
+
+
+class Refined(NamedTuple):
+    """Outcome of a fit."""
+
+    free: np.ndarray       # (P,)
+    evaluation: object     # Evaluation there
+    iterations: int
+    settled: bool
+
+
+def refine(objective, coordinates, free, prior, *, sharpness=1.0, iterations=25):
+    """
+    Move free numbers to the nearest minimum of the cost.
+
+    Parameters
+    ----------
+    objective : Objective
+        What to make small.
+    coordinates : Coordinates
+        What the numbers stand for.
+    free : ndarray, shape (P,)
+        Where to begin.
+    prior : Prior
+        Belief; it keeps in place what the data cannot tell.
+    sharpness : float
+        Factor on the observer's bandwidth: above 1 the cost has fewer local minima and tells
+        less.
+    iterations : int
+        At most.
+
+    Returns
+    -------
+    Refined
+
+    """
+    now, count = objective.evaluate(coordinates, free, sharpness), 0
+    for _ in range(_RESCALINGS):
+        free, now, used, settled = _descend(objective, coordinates, free, now, prior, sharpness,
+                                            iterations - count)
+        count += used
+        scale = objective.scale_of(now)
+        if count >= iterations or abs(scale / now.scale - 1.0) < _SAME_SCALE:
+            break
+        now = objective.evaluate(coordinates, free, sharpness, scale)
+    return Refined(free, now, count, settled)
+
+
+def _descend(objective, coordinates, free, now, prior, sharpness, iterations):
+    """Return free numbers, their Evaluation, iterations taken and whether the fit settled."""
+    damping = 1e-3
+    for count in range(1, iterations + 1):
+        curvature = now.curvature.sum(axis=0) + np.diag(prior.precision)
+        slope = now.gradient.sum(axis=0) - prior.precision * (free - prior.mean)
+        cost = total_cost(now, free, prior)
+        for _ in range(_TRIALS):
+            step = np.linalg.solve(curvature + damping * np.diag(np.diag(curvature) + 1e-12),
+                                   slope)
+            step = np.clip(step, -_LARGEST_STEP, _LARGEST_STEP)
+            trial = objective.evaluate(coordinates, free + step, sharpness, now.scale)
+            gain = cost - total_cost(trial, free + step, prior)
+            if gain > 0.0:
+                break
+            damping *= 5.0
+        else:
+            return free, now, count, True
+        free, now, damping = free + step, trial, max(damping / 5.0, 1e-9)
+        if gain < _ENOUGH * cost:
+            return free, now, count, True
+    return free, now, iterations, False
+
+
+def total_cost(evaluation, free, prior):
+    """Return the cost of all data and of the distance from the prior."""
+    return evaluation.cost.sum() + np.sum(prior.precision * (free - prior.mean) ** 2)

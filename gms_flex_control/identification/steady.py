@@ -1,0 +1,156 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Friction against velocity at steady motion, and the Stribeck curve through it (Fig. 3)."""
+
+from typing import NamedTuple
+
+from gms_flex_control.dynamics.chain import inverse_dynamics
+import numpy as np
+from scipy.optimize import least_squares
+
+_WINDOW = 0.25      # of one point of the map [s]
+_UNSTEADY = 0.25    # relative change of velocity within a window that still counts as steady
+_SLOWEST_STEPS = 3  # encoder steps a window must travel
+_FEWEST = 4         # points of a direction for a Stribeck curve; below, Coulomb and viscous only
+
+
+class FrictionMap(NamedTuple):
+    """Mean friction torque in windows of motion."""
+
+    velocity: np.ndarray  # (W,) [rad/s]
+    torque: np.ndarray    # (W,) [N m]
+    steady: np.ndarray    # (W,) bool, the velocity hardly changes
+
+
+class Stribeck(NamedTuple):
+    """Steady friction of one direction, Eq. (6)."""
+
+    static: float    # F_s [N m]
+    coulomb: float   # F_c [N m]
+    velocity: float  # v_s [rad/s]
+    viscous: float   # sigma_2 [N m s/rad]
+
+
+def friction_torque(stretch, arm):
+    """
+    Return the friction torque of each link by its equation of motion.
+
+    Parameters
+    ----------
+    stretch : Stretch
+        Smoothed without lag.
+    arm : ArmParams
+        Inertia and gravity; rigid where the motor's torque drives the link.
+
+    Returns
+    -------
+    ndarray, shape (T, n_joints)
+        Torque that opposes positive motion [N m].
+
+    Notes
+    -----
+    Eq. (1), link: ``F_f = K (q2 - q1) - M q1'' - C q1' - g``.
+
+    """
+    angle = _filled(stretch.angle)
+    torque = 0.5 * (stretch.torque + np.roll(stretch.torque, 1, axis=0))  # at the sample
+    torque[0] = stretch.torque[0]
+    return torque - inverse_dynamics(angle, stretch.rate, stretch.acceleration, arm)
+
+
+def _filled(angle):
+    filled = angle.copy()
+    rows = np.arange(len(angle))
+    for j in range(angle.shape[1]):
+        lost = ~np.isfinite(angle[:, j])
+        filled[lost, j] = np.interp(rows[lost], rows[~lost], angle[~lost, j])
+    return filled
+
+
+def friction_map(stretches, arm, joint, period, half):
+    """
+    Return the friction of one joint in short windows of motion in one direction.
+
+    Parameters
+    ----------
+    stretches : sequence of Stretch
+        All data.
+    arm : ArmParams
+        The arm.
+    joint : int
+        Which joint.
+    period : float
+        Sample [s].
+    half : float
+        Half an encoder count [rad].
+
+    Returns
+    -------
+    FrictionMap
+
+    """
+    size = max(round(_WINDOW / period), 4)
+    rows = []
+    for stretch in stretches:
+        torque = friction_torque(stretch, arm)[:, joint]
+        rate, tested = stretch.rate[:, joint], stretch.tested[:, joint]
+        angle = _filled(stretch.angle[:, joint:joint + 1])[:, 0]
+        count = len(rate) // size
+        if not count:
+            continue
+        cut = slice(0, count * size)
+        rates = rate[cut].reshape(count, size)
+        travel = np.ptp(angle[cut].reshape(count, size), axis=1)
+        mean = rates.mean(axis=1)
+        spread = np.ptp(rates, axis=1)
+        one_way = (np.abs(rates).min(axis=1) > 0.0) & (np.abs(np.sign(rates).sum(axis=1)) == size)
+        good = one_way & (travel > 2 * _SLOWEST_STEPS * half) & tested[cut].reshape(
+            count, size).all(axis=1)
+        steady = spread < _UNSTEADY * np.abs(mean) + 4.0 * half / _WINDOW
+        middle = torque[cut].reshape(count, size).mean(axis=1)
+        rows.append(np.stack([mean, middle, steady], axis=1)[good])
+    table = np.concatenate(rows) if rows else np.zeros((0, 3))
+    return FrictionMap(table[:, 0], table[:, 1], table[:, 2] > 0)
+
+
+def fit_stribeck(velocity, torque):
+    """
+    Fit the steady friction of one direction.
+
+    Parameters
+    ----------
+    velocity, torque : ndarray, shape (W,)
+        Absolute values [rad/s, N m].
+
+    Returns
+    -------
+    Stribeck
+        All positive; without enough points static equals coulomb.
+
+    Notes
+    -----
+    Eq. (6), by trust-region least squares with a soft-L1 loss (section 4's LSQCURVEFIT).
+
+    """
+    top, level = velocity.max(), max(float(np.median(torque)), 1e-12)
+    slow = max(float(np.quantile(velocity, 0.1)), 1e-9)
+    if len(velocity) < _FEWEST:
+        return Stribeck(1.02 * level, level, slow, 1e-3 * level / top)
+    scale = np.array([level, level, 1.0, level / top])
+    noise = max(1.5 * float(np.median(np.abs(torque - np.median(torque)))), 1e-3 * level)
+
+    def residual(x):
+        coulomb, drop, viscous = x[0] * level, x[1] * level, x[3] * level / top
+        decay = np.exp(-np.minimum((velocity / np.exp(x[2])) ** 2, 50.0))
+        return coulomb + drop * decay + viscous * velocity - torque
+
+    best = None
+    for start in np.geomspace(slow, top, 4):
+        fit = least_squares(
+            residual, [0.9, 0.1, np.log(start), 0.1], loss='soft_l1', f_scale=0.3 * noise,
+            bounds=([1e-3, 1e-4, np.log(0.3 * slow), 0.0], [3.0, 3.0, np.log(top), 3.0]))
+        if best is None or fit.cost < best.cost:
+            best = fit
+    coulomb, drop = best.x[0] * scale[0], best.x[1] * scale[1]
+    return Stribeck(coulomb + drop, coulomb, float(np.exp(best.x[2])), best.x[3] * scale[3])

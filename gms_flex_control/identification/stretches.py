@@ -1,0 +1,293 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""A recording as the predictor takes it: even pieces of link angles and drive torques."""
+
+from dataclasses import dataclass, replace
+import warnings
+
+from gms_flex_control.analysis.signals import quantum
+from gms_flex_control.errors import IdentificationError
+from gms_flex_control.identification.smoothing import derivatives, smoothing_window
+import numpy as np
+
+SHORTEST = 2.0         # a piece below this is left out [s]
+_BRIDGED = 0.02        # torque is interpolated across gaps up to this, or two periods [s]
+_SPRING_DOUBT = 0.5    # of the torque's rms: a spring torque further off is not believed
+_EVEN = 0.02           # stamps within this part of a period of an even grid count as even
+
+
+class TorqueWarning(UserWarning):
+    """The torque on the links was not taken from where one would expect."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Stretch:
+    """
+    One evenly sampled piece without gaps in torque.
+
+    Parameters
+    ----------
+    begin : float
+        Time of the first sample in the recording [s].
+    angle : ndarray, shape (T, n)
+        Link angles [rad]; NaN where a sample was lost.
+    rate : ndarray, shape (T, n)
+        Link velocities, smoothed without lag [rad/s].
+    acceleration : ndarray, shape (T, n)
+        Link accelerations, smoothed likewise [rad/s^2].
+    torque : ndarray, shape (T, n)
+        Mean drive torque on each link from sample k to k + 1 [N m].
+    tested : ndarray of bool, shape (T, n)
+        Where the sample belongs to an experiment on that joint; all true if not known.
+    phase : ndarray of str, shape (T,)
+        Name of the phase; '' if not known.
+    source : str
+        Recording it comes from.
+
+    """
+
+    begin: float
+    angle: np.ndarray
+    rate: np.ndarray
+    acceleration: np.ndarray
+    torque: np.ndarray
+    tested: np.ndarray
+    phase: np.ndarray
+    source: str
+
+
+def drive_sides(recording, robot):
+    """
+    Choose for each joint what moves its link: the spring, or the motor's torque directly.
+
+    Parameters
+    ----------
+    recording : Recording
+        Joints in the robot's order.
+    robot : RobotParams
+        Names the flexible joints.
+
+    Returns
+    -------
+    tuple of {'spring', 'motor'}
+        'spring' where the joint is flexible, both sides were measured, and the spring's torque
+        agrees with the motor equation as far as a torque was recorded.
+
+    Raises
+    ------
+    IdentificationError
+        If a joint has neither.
+
+    Warns
+    -----
+    TorqueWarning
+        If spring and motor torque contradict each other.
+
+    """
+    sides = []
+    for j, joint in enumerate(robot.joints):
+        two_sided = not robot.arm.rigid[j] and np.isfinite(recording.q_motor[:, j]).any()
+        has_torque = np.isfinite(recording.tau_motor[:, j]).any()
+        if not two_sided and not has_torque:
+            raise IdentificationError(
+                f'{recording.source}: {joint} has neither a motor torque (effort) nor angles of '
+                'both sides of a spring; record the effort, or the motor side as well')
+        if two_sided and has_torque:
+            off = _spring_mismatch(recording, robot, j)
+            if off > _SPRING_DOUBT:
+                warnings.warn(
+                    f'{recording.source}: the spring torque K (q_motor - q_link) of {joint} '
+                    f'differs from the motor equation by {100 * off:.0f} % of the torque; K, J, '
+                    'or the timing of the two encoders is wrong. The joint is taken as rigid and '
+                    'driven by the motor torque', TorqueWarning, stacklevel=3)
+                two_sided = False
+        sides.append('spring' if two_sided else 'motor')
+    return tuple(sides)
+
+
+def _spring_mismatch(recording, robot, j):
+    """Return rms of spring torque less motor equation, over that of the motor torque."""
+    known = np.isfinite(recording.q_motor[:, j]) & np.isfinite(recording.q_link[:, j]) \
+        & np.isfinite(recording.tau_motor[:, j])
+    if known.sum() < 100:
+        return 0.0
+    grid, (q_link, q_motor, tau) = _even(recording.time[known], (
+        recording.q_link[known, j], recording.q_motor[known, j], recording.tau_motor[known, j]))
+    window = smoothing_window(grid[1] - grid[0], q_motor)
+    smooth = [derivatives(x, grid[1] - grid[0], window) for x in (q_link, q_motor, tau)]
+    spring = robot.arm.stiffness[j] * (smooth[1][0] - smooth[0][0]) + robot.arm.damping[j] * (
+        smooth[1][1] - smooth[0][1])
+    motor = smooth[2][0] - robot.arm.motor_inertia[j] * smooth[1][2]
+    edge = slice(window, -window)
+    rest = spring[edge] - motor[edge]
+    return float(np.std(rest) / max(np.std(motor[edge]), 1e-300))
+
+
+def _even(time, channels):
+    period = float(np.median(np.diff(time)))
+    grid = time[0] + period * np.arange(int((time[-1] - time[0]) / period * (1 + 1e-9)) + 1)
+    return grid, [np.interp(grid, time, channel) for channel in channels]
+
+
+def rigid_where(robot, sides):
+    """
+    Return the robot with joints driven by their motor torque made rigid.
+
+    Parameters
+    ----------
+    robot : RobotParams
+        As described.
+    sides : sequence of {'spring', 'motor'}
+        From `drive_sides`.
+
+    Returns
+    -------
+    RobotParams
+        Its arm's M then holds the motor inertia of those joints, Eq. (1) added up.
+
+    """
+    motor = np.array([side == 'motor' for side in sides])
+    arm = replace(robot.arm, stiffness=np.where(motor, np.inf, robot.arm.stiffness))
+    names = tuple('' if rigid else name for rigid, name in zip(motor, robot.motors, strict=True))
+    return replace(robot, arm=arm, motors=names)
+
+
+def stretches_of(recording, robot, sides, phases=()):
+    """
+    Cut a recording into even pieces.
+
+    Parameters
+    ----------
+    recording : Recording
+        Joints in the robot's order.
+    robot : RobotParams
+        Stiffness and damping of the springs.
+    sides : sequence of {'spring', 'motor'}
+        From `drive_sides`.
+    phases : sequence of Phase
+        What the experiment was doing; empty if not known.
+
+    Returns
+    -------
+    list of Stretch
+
+    Raises
+    ------
+    IdentificationError
+        If no piece is long enough.
+
+    """
+    period = recording.period
+    stamps = np.round((recording.time - recording.time[0]) / period).astype(int)
+    jitter = np.abs((recording.time - recording.time[0]) / period - stamps)
+    even = np.quantile(jitter, 0.99) < _EVEN + 1e-9 * stamps[-1]
+    bridged = max(round(_BRIDGED / period), 2)
+    gap = np.diff(recording.time) > (bridged + 0.5) * period
+    cuts = np.flatnonzero(gap | _handed_over(phases, recording)) + 1
+    pieces = []
+    for rows in np.split(np.arange(len(stamps)), cuts):
+        if len(rows) * period >= SHORTEST:
+            pieces.append(_stretch(recording, robot, sides, phases, rows, even))
+    if not pieces:
+        raise IdentificationError(
+            f'{recording.source}: no piece of {SHORTEST:g} s without a gap; record longer')
+    return pieces
+
+
+def _handed_over(phases, recording):
+    """Return where the experiment goes on with another joint, bool (T - 1,)."""
+    turns = [(phase.time_ns * 1e-9, phase.joint) for phase in phases if phase.joint]
+    begins = [time for (time, joint), (_, before) in zip(turns[1:], turns[:-1], strict=True)
+              if joint != before]
+    since = recording.time - recording.time[0]
+    return np.histogram(np.searchsorted(since, np.array(begins) - 1e-9) - 1,
+                        np.arange(len(since)) - 0.5)[0] > 0
+
+
+def _stretch(recording, robot, sides, phases, rows, even):
+    period, time = recording.period, recording.time[rows]
+    slots = np.round((time - time[0]) / period).astype(int)
+    grid = time[0] + period * np.arange(slots[-1] + 1)
+    n = robot.n_joints
+    angle = np.full((len(grid), n), np.nan)
+    if even:
+        angle[slots] = recording.q_link[rows]
+    filled = np.stack([_interpolated(grid, time, recording.q_link[rows, j]) for j in range(n)], 1)
+    if not even:
+        angle[:] = filled
+    smooth = [derivatives(filled[:, j], period, smoothing_window(period, filled[:, j]))
+              for j in range(n)]
+    torque = np.stack([
+        _spring(recording, robot, j, grid, time, rows, filled[:, j]) if side == 'spring'
+        else _motor(recording, j, grid, time, rows) for j, side in enumerate(sides)], axis=1)
+    tested, phase = _tested(phases, recording, grid, robot.joints)
+    return Stretch(begin=float(time[0]), angle=angle, rate=np.stack([s[1] for s in smooth], 1),
+                   acceleration=np.stack([s[2] for s in smooth], 1), torque=torque,
+                   tested=tested, phase=phase, source=recording.source)
+
+
+def _interpolated(grid, time, values):
+    known = np.isfinite(values)
+    if not known.any():
+        raise IdentificationError('a link angle has no number at all in a piece of the recording')
+    return np.interp(grid, time[known], values[known])
+
+
+def _spring(recording, robot, j, grid, time, rows, q_link):
+    """Return the mean spring torque of each period, from the angles at its ends."""
+    q_motor = _interpolated(grid, time, recording.q_motor[rows, j])
+    torque = robot.arm.stiffness[j] * (q_motor - q_link)
+    if robot.arm.damping[j] > 0.0:
+        period = grid[1] - grid[0]
+        twist = q_motor - q_link
+        torque = torque + robot.arm.damping[j] * derivatives(
+            twist, period, smoothing_window(period, q_motor))[1]
+    return np.append(0.5 * (torque[1:] + torque[:-1]), torque[-1])
+
+
+def _motor(recording, j, grid, time, rows):
+    """Return the torque held over each period; a state tells that of the period before it."""
+    torque = _interpolated(grid, time, recording.tau_motor[rows, j])
+    return np.append(torque[1:], torque[-1])
+
+
+def _tested(phases, recording, grid, joints):
+    if not phases:
+        return np.ones((len(grid), len(joints)), dtype=bool), np.full(len(grid), '', dtype='U20')
+    begins = np.array([phase.time_ns * 1e-9 for phase in phases])
+    index = np.searchsorted(begins, grid - recording.time[0] + 1e-9, side='right') - 1
+    names = np.array([*(phase.phase for phase in phases), ''], dtype='U20')
+    owners = np.array([*(phase.joint for phase in phases), ''])
+    phase, owner = names[index], owners[index]
+    return np.stack([owner == joint for joint in joints], axis=1), phase
+
+
+def half_count(recording, robot):
+    """
+    Return half the step of each link encoder as the data show it.
+
+    Parameters
+    ----------
+    recording : Recording
+        Joints in the robot's order.
+    robot : RobotParams
+        Gives the number of joints.
+
+    Returns
+    -------
+    ndarray, shape (n_joints,)
+        [rad]; 0 where readings do not repeat, so that noise hides the step.
+
+    """
+    half = np.zeros(robot.n_joints)
+    for j in range(robot.n_joints):
+        values = recording.q_link[np.isfinite(recording.q_link[:, j]), j]
+        step = quantum(values)
+        if step > 0.0:
+            counts = np.diff(values) / step
+            whole = np.abs(counts - np.round(counts)) < 0.02
+            repeats = np.mean(counts == 0.0)
+            if whole.mean() > 0.99 and repeats > 0.02:
+                half[j] = 0.5 * step
+    return half
