@@ -3,7 +3,7 @@ SHELL := /bin/bash
 BIN := .venv/bin
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo test lint bench lock clean
+.PHONY: help demo demo-identify test lint bench lock clean
 
 # A ROS installation or another environment in the caller's shell must not leak in.
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH COLCON_PREFIX_PATH
@@ -13,10 +13,13 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export ROS_LOG_DIR ?= $(CURDIR)/.venv/ros_log
 
 help:  ## Show this list
-	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' Makefile | expand -t 16
+	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' Makefile | expand -t 24
 
 demo: .venv/.with-ros  ## Run the paper's experiment over ROS 2 into demo_output/
 	@$(BIN)/gms_flex demo --out demo_output
+
+demo-identify: .venv/.with-ros  ## Run identification over ROS 2 into demo_identify_output/
+	@$(BIN)/gms_flex demo-identify --out demo_identify_output
 
 test: lint  ## Run the linters, the tests and a colcon build
 	@$(BIN)/python -m pytest test
@@ -34,7 +37,7 @@ lock: .venv/.created  ## Write constraints.txt anew from the newest versions set
 	  --output-file constraints.txt setup.py -
 
 clean:  ## Remove the environment and all that was made
-	rm -rf .venv demo_output build install log .pytest_cache .ruff_cache *.egg-info
+	rm -rf .venv demo_output demo_identify_output build install log .pytest_cache .ruff_cache *.egg-info
 
 # A new lock starts a new environment, so that nothing of the old one stays.
 .venv/.created: constraints.txt scripts/create_venv.sh

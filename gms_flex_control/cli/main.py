@@ -12,8 +12,8 @@ from gms_flex_control import __version__
 from gms_flex_control.errors import GmsFlexError
 
 OK, FINDING_SAYS_NO, BAD_INPUT = 0, 1, 2
-VERBS = ('demo', 'simulate', 'record', 'info', 'repair', 'analyse', 'import_csv', 'check_gains',
-         'bench', 'torsion')
+VERBS = ('demo', 'demo_identify', 'simulate', 'record', 'info', 'repair', 'analyse', 'import_csv',
+         'check_gains', 'bench', 'torsion')
 
 
 def build_parser():

@@ -1,19 +1,21 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""Run a plan as three ROS 2 nodes over DDS, recorded into a bag."""
+"""Run a plan as ROS 2 nodes over DDS, recorded into a bag."""
 
 from dataclasses import dataclass
 import os
 from pathlib import Path
 import random
+import re
 
 from gms_flex_control.experiment.processes import executable, Processes, ros_arguments
 
 TOPICS = ('/joint_states', '/effort_controller/commands', '/reference',
           '/cascade_controller/state')
-_LISTENERS = 3        # controller, trajectory and recorder
+_LISTENERS = 3        # controller, trajectory and recorder or identification
 _SLOWEST_STEPS = 100  # simulated samples per second on the slowest machine we wait for
+_PROGRESS = re.compile(r'\[identification\]: +(\d+ %, .*)')
 _START_BOUND = 120.0  # for processes to start, compiling included [s]
 
 
@@ -91,4 +93,79 @@ def drive(plan, bag, *, log):
                                   *ros_arguments(plan.files, timing)])
         processes.wait('plant', bound)
         for name in ('trajectory', 'controller', 'recorder'):
+            processes.stop(name)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DrivenIdentification:
+    """
+    One identification experiment over DDS in lockstep.
+
+    Parameters
+    ----------
+    files : tuple of Path
+        Robot as it is, and controller parameters.
+    model : Path
+        Robot file that controller and experiment believe in.
+    plan : Path
+        Parameters of the experiment, such as ``config/identification.yaml``.
+    duration : float
+        Expected simulated length [s].
+    rate : float
+        Joint states per simulated second [Hz].
+
+    """
+
+    files: tuple
+    model: Path
+    plan: Path
+    duration: float
+    rate: float
+
+
+def drive_identification(experiment, bag, *, log, say=print):
+    """
+    Run plant, controller, trajectory and identification node until the experiment is over.
+
+    Parameters
+    ----------
+    experiment : DrivenIdentification
+        What to run.
+    bag : Path
+        Where the recording goes.
+    log : Path
+        Folder for what the processes print.
+    say : callable, optional
+        Called with a line of progress for each step.
+
+    Raises
+    ------
+    ProcessError
+        If a process fails or does not end in time.
+
+    """
+    mode = {'mode': 'lockstep'}
+    believed = [*experiment.files, experiment.model]
+    bound = _START_BOUND + experiment.duration * experiment.rate / _SLOWEST_STEPS
+    said = 0
+    with Processes(private_environment(), log) as processes:
+        def tell():
+            nonlocal said
+            lines = _PROGRESS.findall(processes.printed('identification'))
+            for line in lines[said:]:
+                say(line)
+            said = len(lines)
+
+        processes.start('controller', [*executable('controller_node'),
+                                       *ros_arguments(believed, mode)])
+        processes.start('trajectory', [*executable('trajectory_node'),
+                                       *ros_arguments(experiment.files, mode)])
+        processes.start('identification', [
+            *executable('identification_node'), *ros_arguments(
+                [*believed, experiment.plan], {**mode, 'identification.bag': bag})])
+        processes.start('plant', [*executable('plant_node'), *ros_arguments(
+            experiment.files, {**mode, 'rate': experiment.rate,
+                               'wait_for_subscribers': _LISTENERS})])
+        processes.wait('identification', bound, tell)
+        for name in ('plant', 'trajectory', 'controller'):
             processes.stop(name)

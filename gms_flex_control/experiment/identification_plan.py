@@ -19,6 +19,7 @@ import numpy as np
 # of a move of degree 9 from rest to rest over unit distance in unit time
 _PEAK_VELOCITY, _PEAK_ACCELERATION = 2.461, 9.372
 _SHORTEST_APPROACH = 1.0  # [s]
+_RESET_TIME = 0.2         # for the reference to come to rest where the links are [s]
 _APPROACH_SPEED = 0.5     # of the velocity limit
 APPROACH = 'approach'
 
@@ -143,7 +144,8 @@ class IdentificationPlan:
                     time + self.rest_time, end=step.begin)
 
     def _relax(self, step):
-        return Step(f'{step.name}/relax', APPROACH, step.joint, 'relax', {}, 0.0,
+        return Step(f'{step.name}/relax', APPROACH, step.joint, 'relax',
+                    {'trajectory.approach_time': _RESET_TIME}, 0.0,
                     2 * self.relax_time, begin=step.begin)
 
     def trajectory(self, step):

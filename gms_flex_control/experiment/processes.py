@@ -109,9 +109,18 @@ class Processes:
                                    f'{self._where(name)}')
             time.sleep(0.02)
 
-    def wait(self, name, bound):
+    def wait(self, name, bound, meanwhile=None):
         """
         Wait until ``name`` ends by itself with exit code 0 while the others run.
+
+        Parameters
+        ----------
+        name : str
+            The process.
+        bound : float
+            How long to wait [s].
+        meanwhile : callable, optional
+            Called without arguments now and then, and once in the end.
 
         Raises
         ------
@@ -120,13 +129,16 @@ class Processes:
 
         """
         end = time.monotonic() + bound
+        meanwhile = meanwhile or (lambda: None)
         while self._running[name].poll() is None:
+            meanwhile()
             for other, process in self._running.items():
                 if other != name and process.poll() not in (None, 0):
                     raise ProcessError(self._ended(other))
             if time.monotonic() > end:
                 raise ProcessError(f'{name} did not end within {bound:g} s{self._where(name)}')
             time.sleep(0.02)
+        meanwhile()
         if self._running[name].returncode != 0:
             raise ProcessError(self._ended(name))
 

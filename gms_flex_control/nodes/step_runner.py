@@ -107,9 +107,10 @@ class StepRunner:
         self._begin(step.trajectory_parameters)
         self._pass(self._plan.trajectory(step).end + _LATENESS + self._plan.rest_time)
 
-    def _relax(self, _step):
+    def _relax(self, step):
         """Unload the springs: no compensation, and the reference where the links come to rest."""
         self._compensate('none')
+        self._set(self._node.trajectory, step.trajectory_parameters)
         for _ in range(2):
             self._trigger('reset')
             self._pass(self._plan.relax_time)

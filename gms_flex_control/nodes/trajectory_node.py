@@ -20,6 +20,7 @@ from std_srvs.srv import Trigger
 
 _WARN_PERIOD = 5.0
 _STANDING = 1e-3    # slower than this counts as rest [rad/s]
+_CREEP = 0.1        # a single encoder count looks as fast as that to a reset [rad/s]
 _SAME_STAMP = 0.2  # a stamp within this part of the period was foreseen
 
 
@@ -194,7 +195,9 @@ class TrajectoryNode(Node):
     def _reset(self, _request, response):
         def forget():
             """Take the robot's own motion for the reference and bring that to rest."""
-            self._brake_from(self._robot_state())
+            state = self._robot_state()
+            state[1, np.abs(state[1]) < _CREEP] = 0.0
+            self._brake_from(state)
         return self._reply(response, forget, 'reference comes to rest from where the robot is')
 
     def _release(self, _request, response):

@@ -233,7 +233,7 @@ def identification_keys(joints):
             'rad', 0.1, 0.0, 10.0),
         Key(prefix + 'rest_time', 'double', 'rest after each step', 's', 0.3, 0.0, 60.0),
         Key(prefix + 'relax_time', 'double', 'for the springs to unload before a torque step',
-            's', 0.6, 0.05, 60.0),
+            's', 0.6, 0.3, 60.0),
         Key(prefix + 'settle_time', 'double', 'shortest change of velocity', 's', 0.3, 0.01,
             60.0),
         Key(prefix + 'speeds', 'integer', 'constant velocities per direction', '', 10, 2, 1000),

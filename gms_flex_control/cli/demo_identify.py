@@ -1,0 +1,101 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""`gms_flex demo-identify`: the identification experiment over real ROS 2, from nothing."""
+
+from pathlib import Path
+import shutil
+import time
+
+from gms_flex_control.errors import BagError
+
+RATE = 500.0  # joint states per second [Hz]
+BELIEVED_FRICTION = 0.8  # of the true one, before identification
+MARKER = '.gms_flex_demo_identify'
+
+
+def add_parser(subparsers):
+    """Add the verb to the command line."""
+    parser = subparsers.add_parser(
+        'demo-identify', help='the identification experiment over ROS 2',
+        description='Start plant, controller, trajectory and identification node as processes '
+                    'in lockstep, faster than real time, and record the identification '
+                    f'experiment. Controller and experiment believe friction x '
+                    f'{BELIEVED_FRICTION:g}.')
+    parser.add_argument('--out', default='demo_identify_output', metavar='DIR',
+                        help='folder for everything; made anew (default: %(default)s)')
+    parser.add_argument('--plan', metavar='YAML',
+                        help='parameters of the experiment (default: '
+                             'config/identification_demo.yaml)')
+    parser.set_defaults(run=run)
+
+
+def run(args):
+    """Drive the experiment and print where everything is; return 0."""
+    begin, out = time.monotonic(), Path(args.out)
+    refuse_foreign(out)
+    prepare(out)
+    bag = drive(out, args.plan)
+    # the fit and the comparison of tracking belong here
+    print(f'\nbag      {bag}\nlogs     {out / "log"}\n'
+          f'done in {time.monotonic() - begin:.0f} s')
+    return 0
+
+
+def refuse_foreign(out):
+    """Raise BagError if ``out`` holds anything but an earlier demo."""
+    if out.exists() and not (out.is_dir() and ((out / MARKER).exists()
+                                               or not any(out.iterdir()))):
+        raise BagError(f'{out} exists and was not made by gms_flex demo-identify: '
+                       'name another --out')
+
+
+def prepare(out):
+    """Make the output folder anew."""
+    shutil.rmtree(out, ignore_errors=True)
+    out.mkdir(parents=True)
+    (out / MARKER).touch()
+
+
+def drive(out, plan_file=None):
+    """Run the experiment over DDS; return its bag (Path)."""
+    from dataclasses import replace
+
+    from gms_flex_control.experiment.believed import scaled_friction
+    from gms_flex_control.experiment.driven import drive_identification, DrivenIdentification
+    from gms_flex_control.experiment.identification_plan import read_identification_plan
+    from gms_flex_control.resources import controller_file, robot_file, share_path
+    from gms_flex_control.schema.files import load_controller, load_robot, save_robot
+
+    robot = load_robot(robot_file())
+    believed = replace(robot, friction=scaled_friction(robot.friction, BELIEVED_FRICTION))
+    gains = load_controller(controller_file(), robot)
+    plan_file = Path(plan_file or share_path() / 'config' / 'identification_demo.yaml')
+    plan = read_identification_plan([plan_file], believed, gains)
+    model = out / 'believed_robot.yaml'
+    save_robot(believed, model, comment='The robot as it is believed to be before '
+               f'identification: friction x {BELIEVED_FRICTION:g}.')
+    say('compiling the inner loops (once)')
+    warm_up(plan, believed, gains)
+    say(f'{len(plan.experiments)} steps on {len(plan.joints)} joints over DDS, '
+        f'{plan.duration():.0f} s simulated')
+    bag = out / 'bag'
+    drive_identification(
+        DrivenIdentification(files=(robot_file(), controller_file()), model=model,
+                             plan=plan_file, duration=plan.duration(), rate=RATE),
+        bag, log=out / 'log', say=lambda line: say(f'  {line}'))
+    return bag
+
+
+def warm_up(plan, robot, gains):
+    """Compile all kernels into the cache that the node processes share."""
+    from gms_flex_control.simulation.stepped import SteppedController, SteppedPlant
+    import numpy as np
+    plant = SteppedPlant(robot, period=1e-3, substeps=1)
+    plant.advance(np.zeros(robot.n_joints))
+    SteppedController(gains, robot).tick(plan.trajectory(plan.experiments[0]).sample(0.0), 0.0)
+
+
+def say(text):
+    """Print progress at once, also through a pipe."""
+    print(text, flush=True)

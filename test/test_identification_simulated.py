@@ -1,0 +1,121 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""The identification experiment in one process shows the friction that it is to identify."""
+
+from dataclasses import replace
+from pathlib import Path
+
+from gms_flex_control.experiment.believed import scaled_friction
+from gms_flex_control.experiment.identification_plan import read_identification_plan
+from gms_flex_control.experiment.identification_simulated import simulate_identification
+from gms_flex_control.schema.files import load_controller, load_robot
+import numpy as np
+import pytest
+
+CONFIG = Path(__file__).parents[1] / 'config'
+ROBOT = load_robot(CONFIG / 'robot.yaml')
+GAINS = load_controller(CONFIG / 'controller.yaml', ROBOT)
+PLAN = read_identification_plan([CONFIG / 'identification_demo.yaml'], ROBOT, GAINS)
+K = 1.5  # N m/rad, of both springs
+
+
+@pytest.fixture(scope='module')
+def experiment():
+    return simulate_identification(PLAN, ROBOT, GAINS, 3)
+
+
+def parts(experiment, phase):
+    """Yield each Phase of a kind with its samples (slice) and joint number."""
+    recording, phases = experiment
+    for now, after in zip(phases, phases[1:], strict=False):
+        if now.phase == phase and 'relax' not in now.step and 'approach' not in now.step:
+            begin, end = np.searchsorted(recording.time, [now.time_ns * 1e-9,
+                                                          after.time_ns * 1e-9])
+            yield now, slice(begin, end), recording.joints.index(now.joint)
+
+
+def elastic_torque(recording, j):
+    return K * (recording.q_motor[:, j] - recording.q_link[:, j])
+
+
+def test_phases_are_the_steps_of_the_plan_and_their_time_is_that_of_the_recording(experiment):
+    recording, phases = experiment
+    assert [phase.step for phase in phases[:-1]] == [step.name for step in PLAN.steps()]
+    assert phases[-1].phase == 'idle' and phases[0].time_ns == 0
+    times = np.array([phase.time_ns for phase in phases]) * 1e-9
+    assert np.all(np.diff(times) > 0) and times[-1] <= recording.time[-1] + 2e-3
+
+
+def test_the_estimate_is_near_what_it_took(experiment):
+    assert experiment[0].time[-1] == pytest.approx(PLAN.duration(), rel=0.05)
+
+
+@pytest.mark.parametrize('joint', ROBOT.joints)
+def test_the_spring_carries_the_stribeck_curve_at_constant_velocity(experiment, joint):
+    """Equation (6) from Table 1, against the mean elastic torque in the last half."""
+    j, seen = ROBOT.joints.index(joint), 0
+    for phase, part, number in parts(experiment, 'constant_velocity'):
+        recording = experiment[0]
+        held = np.flatnonzero(np.abs(recording.reference[part, 1, j] - phase.value) < 1e-9)
+        if number != j or abs(phase.value) < 0.04:
+            continue
+        late = part.start + held[len(held) // 2:]
+        v = np.polyfit(recording.time[late], recording.q_link[late, j], 1)[0]
+        steady = getattr(ROBOT.friction, 'forward' if v > 0 else 'backward')
+        level = steady.coulomb[j] + (steady.static[j] - steady.coulomb[j]) * np.exp(
+            -(v / steady.velocity[j]) ** 2)
+        expected = np.sign(v) * level + steady.viscous[j] * v
+        assert elastic_torque(recording, j)[late].mean() == pytest.approx(expected, rel=0.05)
+        seen += 1
+    assert seen >= 8
+
+
+def test_break_away_stops_soon_after_it_has_broken_away(experiment):
+    found = list(parts(experiment, 'break_away'))
+    assert len(found) == 4
+    for phase, part, j in found:
+        moved = np.sign(phase.value) * (experiment[0].q_link[part, j]
+                                        - experiment[0].q_link[part.start, j])
+        assert 0.03 < moved.max() < 0.1
+        gone = part.start + np.argmax(moved > 0.03)
+        peak = np.abs(elastic_torque(experiment[0], j)[part.start:gone]).max()
+        assert 0.6 < peak / abs(phase.value) < 1.1
+
+
+def test_springs_are_unloaded_before_a_torque_and_presliding_stays_small(experiment):
+    recording, _ = experiment
+    for kind in ('presliding', 'break_away'):
+        for _, part, j in parts(experiment, kind):
+            assert abs(elastic_torque(recording, j)[part.start]) < 0.01
+    for phase, part, j in parts(experiment, 'presliding'):
+        assert np.ptp(recording.q_link[part, j]) < 0.02
+        assert np.abs(elastic_torque(recording, j)[part]).max() < phase.value + 0.015
+        others = np.delete(recording.q_link[part], j, axis=1)
+        assert np.ptp(others) < 2e-3
+
+
+def test_a_joint_that_breaks_away_in_presliding_ends_the_step(experiment):
+    """The friction is half of what was believed: the arm does not run away."""
+    weak = replace(ROBOT, friction=scaled_friction(ROBOT.friction, 0.5))
+    recording, phases = simulate_identification(PLAN, weak, GAINS, 3, model=ROBOT, rate=500)
+    spans = [np.ptp(recording.q_link[part, j])
+             for _, part, j in parts((recording, phases), 'presliding')]
+    assert 0.05 < max(spans) < 0.25
+    assert np.all(np.abs(recording.q_link) < PLAN.upper)
+
+
+def test_torque_noise_is_recorded_but_does_not_act():
+    quiet, noisy = (simulate_identification(PLAN, ROBOT, GAINS, 5, rate=500, torque_noise=noise)[0]
+                    for noise in (0.0, 1e-3))
+    assert np.array_equal(quiet.q_link, noisy.q_link)
+    assert np.std(noisy.tau_motor - quiet.tau_motor) == pytest.approx(1e-3, rel=0.02)
+    assert np.all(np.abs(quiet.command) <= PLAN.torque)
+    assert np.allclose(quiet.tau_motor[1:], quiet.command[:-1])
+
+
+def test_the_reference_is_continuous_but_for_torques(experiment):
+    reference = experiment[0].reference[:, 0]
+    steps = np.abs(np.diff(reference, axis=0))
+    assert np.nanmax(steps) < 0.06  # a reset takes the measured angle
+    assert np.isnan(reference).any() and not np.isnan(reference[0]).any()

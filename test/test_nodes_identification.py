@@ -1,0 +1,273 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""The identification node with real nodes over DDS: whole runs, and every way one can end."""
+
+import json
+import resource
+import signal
+import warnings
+
+from gms_flex_control.bags.phases import read_phases
+from gms_flex_control.bags.reader import read_recording
+from gms_flex_control.experiment.identification_plan import read_identification_plan
+from gms_flex_control.schema.files import load_controller, load_robot
+from node_harness import (
+    COMMANDS,
+    FILES,
+    Float64MultiArray,
+    INT,
+    interfaces,
+    JointState,
+    Lab,
+    services,
+    stamp_of,
+    STATES,
+    traceback_free,
+    Trigger,
+    write_parameters,
+)
+import numpy as np
+import pytest
+
+RATE = 250.0
+SHORT = """identification:
+  joints: [joint2]
+  compensation: gms
+  speeds: 2
+  repeats: 1
+  dwell_time: 0.3
+  counts: 10.0
+  lead_in: 0.0
+  rest_time: 0.05
+  relax_time: 0.3
+  torque_rate: 2.0
+  break_away_repeats: 1
+  presliding_levels: [0.4]
+  presliding_places: 1
+  minor_loop: 0.0
+  sliding_speeds: [2.0]
+  sliding_duration: 1.0
+  sliding_period: 0.3
+  joint1: {lower: -1.0, upper: 1.0, velocity: 1.0}
+  joint2: {lower: -1.0, upper: 1.0, velocity: 1.0, acceleration: 4.0, slowest: 0.1}
+"""
+
+
+class Experiment(Lab):
+    """Plant, controller and trajectory in lockstep, and the identification node."""
+
+    def __init__(self, folder, **changes):
+        super().__init__(folder)
+        self.file = write_parameters(folder / 'short.yaml', SHORT)
+        self.bag = folder / 'bag'
+        self._plant = changes
+
+    @property
+    def plan(self):
+        robot = load_robot(FILES[0])
+        return read_identification_plan([self.file], robot, load_controller(FILES[1], robot))
+
+    def begin(self, **parameters):
+        """Start all four; the plant when three listen."""
+        self.others = {name: self.start(name, mode='lockstep')
+                       for name in ('controller_node', 'trajectory_node')}
+        node = self.identify(**parameters)
+        self.others['plant_node'] = self.start(
+            'plant_node', mode='lockstep', rate=RATE, wait_for_subscribers=3, **self._plant)
+        return node
+
+    def identify(self, name='identification_node', **parameters):
+        given = {f'identification__{key}': value for key, value in parameters.items()}
+        return self.start(name, files=(*FILES, self.file), mode='lockstep',
+                          identification__bag=self.bag, **given)
+
+    def until_step(self, process, words):
+        """Wait until the node says that it begins a step with ``words`` in its name."""
+        self.until(lambda: words in process.printed() or not process.runs)
+        assert process.runs, process.printed()
+
+    def journal(self):
+        return json.loads(self.bag.with_name('bag.journal.json').read_text())
+
+
+@pytest.fixture
+def lab(tmp_path):
+    with Experiment(tmp_path) as experiment:
+        yield experiment
+
+
+def read(path):
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore')
+        return read_recording(path), read_phases(path)
+
+
+def measured_steps(phases):
+    return [phase.step for phase in phases
+            if not phase.step.endswith(('/approach', '/relax', '')) or phase.value]
+
+
+def test_a_whole_experiment_is_recorded_with_its_phases(lab):
+    node = lab.begin()
+    assert node.wait() == 0, node.printed()
+    recording, phases = read(lab.bag)
+    steps = lab.plan.steps()
+    # where the arm is after a torque only the node knows: it may add or spare no step
+    assert [phase.step for phase in phases] == [*(step.name for step in steps), '']
+    assert phases[-1].phase == 'idle' and phases[0].time_ns >= 0
+    assert np.isfinite(recording.tau_motor).all() and np.isfinite(recording.command[:-1]).all()
+    assert recording.period == pytest.approx(1 / RATE)
+    assert np.all(np.diff(recording.time) < 1.5 / RATE)  # none was lost
+    for now, after in zip(phases, phases[1:], strict=False):
+        part = slice(*np.searchsorted(recording.time, [now.time_ns * 1e-9, after.time_ns * 1e-9]))
+        if now.phase == 'constant_velocity':
+            reference = recording.reference[part, 1, 1]
+            assert np.isclose(reference, now.value, rtol=1e-9).sum() > 0.2 * RATE
+        if now.phase == 'break_away':
+            assert np.ptp(recording.q_link[part, 1]) > 0.03
+    assert lab.journal()['finished'] == [step.name for step in lab.plan.experiments]
+    assert '100 %, done in' in node.printed() and 'estimated' in node.printed()
+    estimate = lab.plan.duration()
+    assert recording.time[-1] == pytest.approx(estimate, rel=0.3)
+    assert lab.get('/cascade_controller', 'compensation') == 'gms'
+    assert traceback_free(node, *lab.others.values())
+
+
+def test_stop_gives_zero_torque_at_once_and_resume_finishes(lab):
+    node = lab.begin(exit_when_done=True)
+    commands = lab.listen(Float64MultiArray, COMMANDS)
+    lab.until_step(node, 'constant_velocity/joint2/-0.9')
+    assert lab.call(Trigger, '/identification/stop').success
+    states = lab.listen(JointState, STATES)
+    lab.until(lambda: 'stopped: zero torque' in node.printed())
+    lab.more(states, 1)
+    late = [command for command in lab.more(commands, 100)][-50:]
+    assert all(not np.any(command.data) for command in late)
+    assert lab.call(Trigger, '/identification/resume').success
+    assert not lab.call(Trigger, '/identification/start').success  # it runs already
+    assert node.wait() == 0, node.printed()
+    recording, phases = read(lab.bag)
+    names = measured_steps(phases)
+    assert set(names) == {step.name for step in lab.plan.experiments}
+    stop = next(phase for phase in phases if phase.phase == 'idle')
+    after = np.searchsorted(recording.time, stop.time_ns * 1e-9)
+    # the phase is told once the trajectory node has let go
+    assert np.all(recording.command[after + 50:after + 80] == 0.0)
+
+
+def test_after_a_kill_the_rest_is_recorded_into_a_second_bag(lab):
+    node = lab.begin()
+    lab.until_step(node, 'break_away')
+    node.process.send_signal(signal.SIGKILL)
+    node.wait()
+    finished = lab.journal()['finished']
+    assert finished and len(finished) < len(lab.plan.experiments)
+    _, phases = read(lab.bag)
+    assert set(finished) <= set(measured_steps(phases))
+    refused = lab.identify('identification_node.again')
+    assert refused.wait() == 2 and 'identification.resume' in refused.printed()
+    second = lab.identify('identification_node.resumed', resume=True)
+    assert second.wait() == 0, second.printed()
+    names = measured_steps(read(lab.folder / 'bag_2')[1])
+    assert names == [step.name for step in lab.plan.experiments if step.name not in finished]
+    assert lab.journal()['bags'] == ['bag', 'bag_2']
+
+
+@pytest.mark.parametrize(('lost', 'sentence'), [
+    ('controller_node', 'no commands of the controller for 2.5 s'),
+    ('trajectory_node', 'no references of the trajectory node for 2.5 s'),
+    ('plant_node', 'no joint states ')])
+def test_a_lost_node_ends_the_experiment_with_a_sentence(lab, lost, sentence):
+    node = lab.begin(silence=2.5)
+    lab.until_step(node, 'constant_velocity/joint2/+0.9')
+    lab.others[lost].kill()
+    assert node.wait() == 2 and sentence in node.printed(), node.printed()
+    assert traceback_free(node)
+    recording, _ = read(lab.bag)
+    assert len(recording.time) > 100
+
+
+def test_a_signal_ends_it_with_zero_torque(lab):
+    node = lab.begin()
+    commands = lab.listen(Float64MultiArray, COMMANDS)
+    lab.until_step(node, 'constant_velocity/joint2/+0.9')
+    node.process.send_signal(INT)
+    lab.until(lambda: not node.runs)
+    assert node.wait() == 0
+    assert all(not np.any(command.data) for command in lab.more(commands, 100)[-50:])
+    assert 'identification.resume' in node.printed() and traceback_free(node)
+    assert read(lab.bag)[1][-1].phase == 'idle'
+
+
+def test_a_full_disk_ends_it_with_zero_torque_and_a_readable_bag(lab):
+    node = lab.begin()
+    commands = lab.listen(Float64MultiArray, COMMANDS)
+    lab.until_step(node, 'constant_velocity/joint2/+0.9')
+    size = max(path.stat().st_size for path in lab.bag.iterdir())
+    resource.prlimit(node.process.pid, resource.RLIMIT_FSIZE, (size + 500_000,) * 2)
+    lab.until(lambda: not node.runs)
+    assert node.wait() == 2, node.printed()
+    assert 'cannot be written (File too large)' in node.printed() and traceback_free(node)
+    assert all(not np.any(command.data) for command in lab.more(commands, 100)[-50:])
+    recording, phases = read(lab.bag)
+    assert len(recording.time) > 100 and phases
+
+
+def test_parameters_that_are_refused_end_it_with_the_reason(lab):
+    def refuse(request, response):
+        response.result.reason = 'too bold'
+        return response
+
+    def answer(request, response):
+        response.values = [interfaces.ParameterValue(type=3, double_value=1.0)
+                           for _ in request.names]
+        return response
+
+    lab.node.create_service(services.SetParametersAtomically,
+                            '/picky/set_parameters_atomically', refuse)
+    lab.node.create_service(services.GetParameters, '/picky/get_parameters', answer)
+    node = lab.begin(controller_node='/picky')
+    lab.until(lambda: not node.runs)
+    assert node.wait() == 2
+    assert '/picky refused gains.joint1.torque_limit' in node.printed()
+    assert 'too bold' in node.printed() and traceback_free(node)
+
+
+def test_a_node_without_the_parameters_is_no_controller(lab):
+    node = lab.begin(controller_node='/trajectory')
+    assert node.wait() == 2
+    assert 'lacks one of the parameters compensation' in node.printed()
+
+
+def test_an_arm_outside_its_range_is_not_moved(tmp_path):
+    with Experiment(tmp_path, initial__joint2=1.2) as lab:
+        node = lab.begin()
+        assert node.wait() == 2
+        assert 'joint2 is at 1.2 rad, outside its range -1 to 1 rad' in node.printed()
+        recording, _ = read(lab.bag)
+        assert np.ptp(recording.q_link[:, 1]) < 0.01
+
+
+def test_it_waits_for_start_when_told_to(lab):
+    node = lab.begin(autostart=False)
+    lab.until(lambda: 'waiting for ~/start' in node.printed())
+    assert lab.call(Trigger, '/identification/start').success
+    lab.until_step(node, 'constant_velocity')
+    assert node.signal(INT) == 0
+
+
+def test_without_other_nodes_it_says_whom_it_misses(lab):
+    node = lab.identify(patience=0.5)
+    assert node.wait() == 2
+    assert 'the services of /trajectory did not appear in 0.5 s' in node.printed()
+
+
+def test_stamps_of_phases_are_those_of_joint_states(lab):
+    node = lab.begin()
+    states = lab.listen(JointState, STATES)
+    phases = lab.listen(Float64MultiArray, '/identification/phase')
+    lab.until_step(node, 'constant_velocity/joint2/-0.9')
+    lab.until(lambda: len(phases) >= 2)
+    assert node.signal(INT) == 0
+    assert {stamp_of(phase) for phase in phases} <= {stamp_of(state) for state in states}
