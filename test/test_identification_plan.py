@@ -12,6 +12,7 @@ from gms_flex_control.experiment.identification_plan import (
     read_identification_plan,
 )
 from gms_flex_control.schema.files import load_controller, load_robot, read_values
+from gms_flex_control.trajectory import builders
 import numpy as np
 import pytest
 
@@ -40,11 +41,11 @@ def motions(plan):
         if step.kind == 'motion':
             trajectory = plan.trajectory(step)
             time = np.linspace(0.0, trajectory.end, 3000)
-            yield step, plan.joints.index(step.joint), time, trajectory.sample(time)
+            yield step, plan.joints.index(step.joint), trajectory.sample(time)
 
 
 def test_every_motion_keeps_the_limits_of_its_joint(plan):
-    for step, j, _, reference in motions(plan):
+    for step, j, reference in motions(plan):
         q, dq, ddq = reference[:, 0, j], reference[:, 1, j], reference[:, 2, j]
         assert plan.lower[j] < q.min() and q.max() < plan.upper[j], step.name
         assert np.abs(dq).max() <= plan.velocity[j] * 1.001, step.name
@@ -80,7 +81,7 @@ def test_there_are_as_many_velocities_per_direction_and_repeats_as_the_paper_has
 
 def test_each_constant_velocity_is_held_and_covers_enough_encoder_counts(plan):
     slow = 0
-    for step, j, time, reference in motions(plan):
+    for step, j, reference in motions(plan):
         if step.phase != 'constant_velocity':
             continue
         held = np.abs(reference[:, 1, j] - step.value) < 1e-9
@@ -97,7 +98,7 @@ def test_each_constant_velocity_is_held_and_covers_enough_encoder_counts(plan):
 def test_sliding_never_reverses_and_reaches_the_stribeck_velocity(plan):
     for joint, velocity in zip(ROBOT.joints, (0.0067, 0.068), strict=True):
         slowest = np.inf
-        for step, j, time, reference in motions(plan):
+        for step, j, reference in motions(plan):
             if step.phase == 'sliding' and step.joint == joint:
                 rate = np.sign(step.value) * reference[:, 1, j]
                 assert rate.min() > -1e-12
@@ -114,7 +115,7 @@ def test_names_are_unique_and_all_four_experiments_are_there(plan):
 
 
 def test_a_motion_begins_where_the_step_before_ended(plan):
-    place = None
+    place = kind = None
     for step in plan.steps():
         if step.kind == 'motion':
             assert np.allclose(step.begin, place, rtol=0, atol=1e-9)
@@ -128,7 +129,6 @@ def test_a_motion_begins_where_the_step_before_ended(plan):
 def test_approaches_keep_the_limits(plan):
     begin, end = np.array([-1.0, -1.0]), np.array([1.0, 1.2])
     time = plan.approach_time(begin, end)
-    from gms_flex_control.trajectory import builders
     way = builders.approach(builders.at_rest(begin), builders.hold(end), 0.0, duration=time)
     samples = way.sample(np.linspace(0.0, time, 2000))
     assert np.all(np.abs(samples[:, 1]).max(axis=0) <= 0.51 * plan.velocity)
@@ -175,7 +175,8 @@ def test_gravity_is_held_by_a_bias():
     ({'joint1__acceleration': 20.0}, r'step constant_velocity/joint1/\+1.08/1of3 needs .* N m of '
      'the motor of joint1, the limit is 2 N m'),
     ({'joint2__torque': 0.12}, r'step .* needs .* of the motor of joint2, the limit is 0.12 N m'),
-    ({'joint1__slowest': 1e-5}, r'\+0.0004762/1of3 needs 13.2 s for 20 encoder counts, the limit longest_dwell is 10 s'),
+    ({'joint1__slowest': 1e-5}, r'\+0.0004762/1of3 needs 13.2 s for 20 encoder counts, the '
+     'limit longest_dwell is 10 s'),
     ({'joint1__slowest': 2.0}, r'slowest is 2 rad/s, which is not below the fastest'),
     ({'sliding_speeds': [400.0]}, r'step sliding/joint1/\+2.67 has room for'),
     ({'joints': ['joint3']}, r"unknown joint 'joint3' \(robot has joint1, joint2\)"),

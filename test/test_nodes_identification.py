@@ -142,7 +142,7 @@ def test_stop_gives_zero_torque_at_once_and_resume_finishes(lab):
     states = lab.listen(JointState, STATES)
     lab.until(lambda: 'stopped: zero torque' in node.printed())
     lab.more(states, 1)
-    late = [command for command in lab.more(commands, 100)][-50:]
+    late = lab.more(commands, 100)[-50:]
     assert all(not np.any(command.data) for command in late)
     assert lab.call(Trigger, '/identification/resume').success
     assert not lab.call(Trigger, '/identification/start').success  # it runs already
