@@ -50,7 +50,6 @@ def test_shipped_maps_load(path):
     ('unit: deg', 'unit: deg, unwrap: 1', 5, 'must be true or false'),
     ('unit: deg', 'unit: deg, counts_per_rev: 9', 5, "no meaning with the unit 'deg'"),
     (', counts_per_rev: 4096', '', 6, "unit 'counts' and therefore needs counts_per_rev"),
-    (', torque_constant: 0.1', '', 7, "unit 'A' and therefore needs torque_constant"),
     ('unit: A, torque_constant: 0.1', 'unit: pwm, full_scale: 100', 7, 'needs voltage'),
     ('torque_constant: 0.1', 'torque_constant: 0.1, back_emf: 1', 7, 'leave it out'),
     ('motor: m1', 'motor: j1', 2, "uses the name 'j1' twice"),
@@ -69,6 +68,7 @@ def test_shipped_maps_load(path):
     ('time: {column: t, unit: s}\n', '', 1, "lacks 'time'"),
     ('time:', 'file: {delimiter: ";;"}\ntime:', 1, 'must be one character'),
     ('time:', 'file: {decimal: ","}\ntime:', 1, "differ from the delimiter ','"),
+    ('time:', 'file: {encoding: ebcdic}\ntime:', 1, 'one of utf-8, utf-16, latin-1'),
     ('time:', 'file: {header_rows: -1}\ntime:', 1, 'whole number from 0'),
     ('time:', 'resample: fast\ntime:', 1, 'must be a number'),
     ('torque:', 'link_position:', 7, 'no valid YAML'),
@@ -103,7 +103,9 @@ def test_a_map_that_cannot_be_read_is_named(tmp_path):
     ('q_link1_deg', 'position', 'deg'), ('speed [rpm]', 'velocity', 'rpm'),
     ('speed_rad_s', 'velocity', 'rad/s'), ('v (deg/s)', 'velocity', 'deg/s'),
     ('tau_nm', 'torque', 'N m'), ('stamp_ns', 'time', 'ns'), ('position', 'position', None),
-    ('rad', 'position', None), ('q_link1_deg', 'torque', None)])
+    ('rad', 'position', None), ('q_link1_deg', 'torque', None), ('q_m', 'position', None),
+    ('q [m]', 'position', 'm'), ('x_mm', 'position', 'mm'), ('v (mm/s)', 'velocity', 'mm/s'),
+    ('force [N]', 'torque', 'N'), ('tau_a', 'torque', None), ('current (A)', 'torque', 'A')])
 def test_units_in_column_names(column, quantity, unit):
     assert unit_in_name(column, quantity) == unit
 

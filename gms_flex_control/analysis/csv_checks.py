@@ -6,7 +6,16 @@
 from typing import NamedTuple
 
 from gms_flex_control.analysis.import_map import POSITION_OF
-from gms_flex_control.analysis.units import unit_in_name
+from gms_flex_control.analysis.signals import (
+    derivative_slope,
+    derivative_window,
+    friction_columns,
+    is_moving,
+    quantum,
+    sign_fit,
+    smoothed,
+)
+from gms_flex_control.analysis.units import FORCE, LENGTH, POSITION, TORQUE, unit_in_name
 import numpy as np
 
 # what a velocity is of the derivative of its position when units were mixed up
@@ -15,12 +24,13 @@ MIX_UPS = {57.29578: 'deg/s taken as rad/s', 1 / 57.29578: 'rad/s taken as deg/s
            6.0: 'rpm taken as deg/s', 1 / 6.0: 'deg/s taken as rpm',
            6.283185: 'rad/s taken as turn/s or the like', 1000.0: 'a factor of 1000',
            1e-3: 'a factor of 1000'}
+FRICTION = (1e-5, 1e5)  # of a recorded machine [N m]
 
 
 class Suspicion(NamedTuple):
     """One thing that looks wrong."""
 
-    kind: str   # 'gap', 'empty', 'constant', 'jump', 'velocity', 'unit', 'scale', 'rate'
+    kind: str   # 'gap', 'empty', 'constant', 'jump', 'velocity', 'unit', 'scale', 'rate', 'sign'
     place: str  # for instance 'axis1.link_position'
     text: str   # a sentence
 
@@ -62,6 +72,9 @@ def suspicions(table, import_map, time, keep, joints):
                     found += _derivative(what, place, time, values[POSITION_OF[name]],
                                          values[name])
         found += _sides(joint.name, values)
+        found += _mixed_units(joint)
+    for judged in _torques(import_map, time, joints):
+        found += _torque(judged)
     return found
 
 
@@ -123,21 +136,11 @@ def _jumps(what, place, time, values, lines, channel):
 
 
 def _derivative(what, place, time, position, velocity):
-    """Compare what a velocity adds up to with the way really gone, over 0.1 s or 20 samples."""
-    good = np.isfinite(position) & np.isfinite(velocity)
-    t, q, v = time[good], position[good], velocity[good]
-    if len(t) < 50:
+    """Compare what a velocity adds up to with the way really gone."""
+    judged = derivative_slope(time, position, velocity)
+    if judged is None or (abs(judged[1]) > 0.9 and 0.85 < judged[0] < 1.15):
         return
-    width = max(20, int(np.ceil(0.1 / np.median(np.diff(t)))))
-    added = np.concatenate([[0.0], np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(t))])
-    gone, expected = q[width:] - q[:-width], added[width:] - added[:-width]
-    if len(gone) < 10 or not gone.any() or not expected.any():
-        return
-    slope = float(np.dot(gone, expected) / np.dot(gone, gone))
-    fit = float(np.dot(gone, expected)
-                / np.sqrt(np.dot(gone, gone) * np.dot(expected, expected)))
-    if abs(fit) > 0.9 and 0.85 < slope < 1.15:
-        return
+    slope, fit = judged
     cause = 'the sign is the other way round' if abs(fit) > 0.9 and -1.15 < slope < -0.85 else ''
     for factor, words in MIX_UPS.items():
         if abs(fit) > 0.9 and abs(abs(slope) / factor - 1) < 0.1:
@@ -156,8 +159,105 @@ def _sides(joint, values):
     if not good.any():
         return
     x, y = link[good] - np.mean(link[good]), motor[good] - np.mean(motor[good])
-    slope = float(np.dot(x, y) / np.dot(x, x)) if x.any() else 1.0
-    if not 0.8 < slope < 1.25:
+    if not (x.any() and y.any()):
+        return
+    slope = float(np.dot(x, y) / np.dot(x, x))
+    alike = slope * np.dot(x, y) / np.dot(y, y)
+    # a soft joint twists as far as it moves, but then the two do not move alike
+    if not 0.5 < slope < 2.0 and alike > 0.97:
         yield Suspicion('scale', f'{joint}.motor_position', f'{joint}: the motor moves '
                         f'{slope:.5g} times as far as the link; check sign, unit and gear_ratio '
                         '(motor angles are those seen at the joint)')
+
+
+def _mixed_units(joint):
+    """Find a linear position beside a torque, or an angle beside a force."""
+    position = joint.channels['link_position']
+    for name in ('torque', 'command'):
+        channel = joint.channels.get(name)
+        if channel is None or channel.gear_ratio != 1 or position.gear_ratio != 1:
+            continue
+        if position.unit in LENGTH and channel.unit in TORQUE and TORQUE[
+                channel.unit] and channel.unit not in FORCE:
+            yield Suspicion('unit', f'{joint.name}.{name}', f'{joint.name}: the position is in '
+                            f'{position.unit!r} but {name} in {channel.unit!r}; give the force '
+                            'at the slide: gear_ratio: 2 pi over the lead of the screw [rad/m]')
+        elif position.unit in POSITION and position.unit not in LENGTH and channel.unit in FORCE:
+            yield Suspicion('unit', f'{joint.name}.{name}', f'{joint.name}: the position is an '
+                            f'angle ({position.unit!r}) but {name} a force ({channel.unit!r}); '
+                            'give the torque: scale: the lever arm [m]')
+
+
+class _Judged(NamedTuple):
+    """What a torque says of its joint."""
+
+    place: str
+    what: str
+    fit: object       # sign_fit of inertia, Coulomb and viscous friction
+    friction: float   # at the largest speed [N m]
+    speed: float      # [rad/s]
+
+
+def _torques(import_map, time, joints):
+    """Yield a _Judged for every torque or command beside enough motion."""
+    for joint, values in zip(import_map.joints, joints, strict=True):
+        name = 'torque' if 'torque' in values else 'command'
+        if name not in values:
+            continue
+        q, tau = values.get('motor_position', values['link_position']), values[name]
+        if min(np.isfinite(q).sum(), np.isfinite(tau).sum()) < 100:
+            continue
+        others = [other.get('motor_position', other['link_position'])
+                  for other in joints if other is not values]
+        angle, torque, *beside = smoothed(time, [q, tau, *others], derivative_window(time, q))
+        rows = is_moving(angle.first)
+        if rows.sum() < 40 or np.ptp(angle.value) < 20 * quantum(q):
+            continue
+        # gravity, springs and balancers may pull either way
+        free = [np.ones(int(rows.sum())), angle.value[rows], np.sin(angle.value[rows]),
+                np.cos(angle.value[rows]), *(other.second[rows] for other in beside)]
+        fit = sign_fit(torque.value[rows], [angle.second[rows], *friction_columns(
+            angle.first[rows])], free)
+        if fit.left > 0.01:
+            speed = float(np.abs(angle.first).max())
+            yield _Judged(f'{joint.name}.{name}', f'{joint.name}.{name} (column '
+                          f'{joint.channels[name].column!r})', fit,
+                          float(fit.weights[1] + fit.weights[2] * speed), speed)
+
+
+def _torque(judged):
+    """Find a torque that accelerates and overcomes friction only with its sign reversed."""
+    fit = judged.fit
+    if fit.opposite > 0.5 and fit.opposite > fit.as_is + 0.3:
+        yield Suspicion('sign', judged.place, f'{judged.what} has the wrong sign: only reversed '
+                        'does it accelerate the joint and overcome friction; set sign: -1')
+    elif fit.as_is > 0.5 and judged.friction > 0 and not (
+            FRICTION[0] < judged.friction < FRICTION[1]):
+        yield Suspicion('scale', judged.place, f'{judged.what} would mean a friction of '
+                        f'{judged.friction:.3g} N m at {judged.speed:.2g} rad/s; check its unit '
+                        'and gear_ratio')
+
+
+def torque_remarks(import_map, time, joints):
+    """
+    Say what friction the torques amount to, for a user who knows the machine.
+
+    Parameters
+    ----------
+    import_map : ImportMap
+        What the columns are.
+    time : ndarray, shape (T,)
+        Stamps [s].
+    joints : list of dict of ndarray, shape (T,)
+        Values in SI per joint and channel.
+
+    Returns
+    -------
+    list of str
+
+    """
+    levels = [f'{judged.place} {judged.friction:.2g} N m at {judged.speed:.2g} rad/s'
+              for judged in _torques(import_map, time, joints)
+              if judged.fit.as_is > 0.5 and judged.friction > 0]
+    return levels and [f'friction by the motion, about: {"; ".join(levels)}. If that is not the '
+                       'size of this machine, check unit and gear_ratio']

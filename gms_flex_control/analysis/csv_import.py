@@ -85,7 +85,9 @@ def import_csv(path, import_map, resample=None):
     time, keep = _time(table, import_map, remarks)
     joints = [_joint_values(table, import_map, joint, time, keep, remarks)
               for joint in import_map.joints]
+    remarks += _units_kept(import_map)
     suspicions = csv_checks.suspicions(table, import_map, time, keep, joints)
+    remarks += csv_checks.torque_remarks(import_map, time, joints)
     rate = resample or import_map.resample
     if rate:
         time, joints = _resampled(time, joints, rate, remarks)
@@ -147,14 +149,30 @@ def _joint_values(table, import_map, joint, time, keep, remarks):
 
 
 _ORDER = ('position', 'velocity', 'torque')
+CURRENT = {'A': 1.0, 'mA': 1e-3}
+
+
+def _units_kept(import_map):
+    """Yield what is not in the units the bag's topics are meant for."""
+    currents = [f'{joint.name}.{name}' for joint in import_map.joints
+                for name, channel in joint.channels.items()
+                if channel.unit in CURRENT and channel.torque_constant is None]
+    if currents:
+        yield (f'no torque_constant for {", ".join(currents)}: a current stays a current, so '
+               'read A for N m in every torque, friction and inertia made from this bag')
+    linear = [joint.name for joint in import_map.joints
+              if joint.channels['link_position'].unit in units.LENGTH]
+    if linear:
+        yield (f'{", ".join(linear)}: linear axis, so read m for rad, N for N m and kg for '
+               'kg m^2')
 
 
 def _in_si(raw, channel, table, keep, place):
     factor = units.UNITS[channel.quantity][channel.unit]
     if channel.unit in ('counts', 'counts/s'):
         factor = 2 * np.pi / channel.counts_per_rev
-    elif channel.unit == 'A':
-        factor = channel.torque_constant
+    elif channel.unit in CURRENT:
+        factor = CURRENT[channel.unit] * (channel.torque_constant or 1.0)
     elif channel.unit == 'pwm':
         volts = channel.voltage if isinstance(channel.voltage, float) else table.column(
             channel.voltage, place)[keep]

@@ -24,6 +24,7 @@ CHANNELS = {
 POSITION_OF = {'link_velocity': 'link_position', 'motor_velocity': 'motor_position',
                'reference_velocity': 'reference'}
 ESTIMATE_WINDOW = 0.02  # of 'velocity: estimate' without a window [s]
+ENCODINGS = ('utf-8', 'utf-16', 'latin-1')
 DELIMITERS = {'tab': '\t', 'space': ' ', 'comma': ',', 'semicolon': ';'}
 
 _COMMON = ('column', 'unit', 'sign', 'scale', 'offset', 'gear_ratio')
@@ -40,6 +41,7 @@ class FileFormat(NamedTuple):
     header_rows: int = 1  # the last of them names the columns
     decimal: str = '.'
     comment: str = ''     # lines that begin with it are skipped
+    encoding: str = 'utf-8'
 
 
 class TimeColumn(NamedTuple):
@@ -72,7 +74,7 @@ class Channel:
     voltage: str | float | None = None  # a column or volts
     torque_per_volt: float | None = None  # [N m/V]
     back_emf: float = 0.0          # [V s/rad]
-    torque_constant: float | None = None  # [N m/A]
+    torque_constant: float | None = None  # [N m/A]; None: the torque stays in A
     enabled: str | int | None = None  # a column that is 0 while the drive gives no torque
 
 
@@ -136,7 +138,7 @@ def load_map(path):
 def _file(node):
     if node is None:
         return FileFormat()
-    node.only('delimiter', 'header_rows', 'decimal', 'comment')
+    node.only('delimiter', 'header_rows', 'decimal', 'comment', 'encoding')
     delimiter = node.text('delimiter', ',')
     delimiter = DELIMITERS.get(delimiter, delimiter)
     if len(delimiter) != 1:
@@ -146,7 +148,11 @@ def _file(node):
     if decimal not in ('.', ',') or decimal == delimiter:
         raise node.wrong(f"must be '.' or ',' and differ from the delimiter {delimiter!r}, "
                          f'got {decimal!r}', 'decimal')
-    return FileFormat(delimiter, node.whole('header_rows', 1), decimal, node.text('comment', ''))
+    encoding = node.text('encoding', 'utf-8')
+    if encoding not in ENCODINGS:
+        raise node.wrong(f'must be one of {", ".join(ENCODINGS)}, got {encoding!r}', 'encoding')
+    return FileFormat(delimiter, node.whole('header_rows', 1), decimal, node.text('comment', ''),
+                      encoding)
 
 
 def _time(node):
@@ -217,12 +223,13 @@ def _check(node, channel):
         raise node.wrong('needs a column' + (
             ' or estimate: <window in s>, not both' if channel.quantity == 'velocity' else ''))
     needs = {'counts': ['counts_per_rev'], 'counts/s': ['counts_per_rev'],
-             'A': ['torque_constant'], 'pwm': ['full_scale', 'voltage', 'torque_per_volt']}
+             'pwm': ['full_scale', 'voltage', 'torque_per_volt']}
     for key in needs.get(channel.unit, []):
         if getattr(channel, key) is None:
             raise node.wrong(f'has the unit {channel.unit!r} and therefore needs {key}')
     special = {'counts_per_rev', 'torque_constant', 'full_scale', 'voltage', 'torque_per_volt'}
-    for key in special.intersection(node.keys()).difference(needs.get(channel.unit, [])):
+    allowed = ['torque_constant'] if channel.unit in ('A', 'mA') else needs.get(channel.unit, [])
+    for key in special.intersection(node.keys()).difference(allowed):
         raise node.wrong(f'has no meaning with the unit {channel.unit!r}; leave it out', key)
     if channel.back_emf and channel.unit != 'pwm':
         raise node.wrong(f'has no meaning with the unit {channel.unit!r}; leave it out',

@@ -12,6 +12,7 @@ from scipy.signal import upfirdn
 MOVING = 0.02        # below this part of the top speed a direction is not relied on
 _ORDER_STEPS = 20    # resolution steps a derivative window should travel at top speed
 _SHORTEST, _LONGEST = 0.1, 1.0  # of a derivative window [s]
+_BLOCK = 0.25        # in which a speed is looked for [s]
 
 
 class Derivatives(NamedTuple):
@@ -28,6 +29,7 @@ class Fit(NamedTuple):
     as_is: float          # share of the variance, 0 to 1
     opposite: float       # the same of the reversed signal
     weights: np.ndarray   # of the columns, as it is; 0 or above
+    left: float           # share of the variance that the free columns leave to be explained
 
 
 def quantum(values):
@@ -54,11 +56,12 @@ def derivative_window(time, position):
 
     """
     known = np.isfinite(position)
-    at = np.arange(time[known][0], time[known][-1], _LONGEST / 2) if known.any() else []
-    if len(at) < 3:
+    t, q = time[known], position[known]
+    blocks = np.flatnonzero(np.diff(np.floor(t / _BLOCK), prepend=-1.0)) if len(t) else t
+    if len(blocks) < 3:
         return _SHORTEST
-    travel = np.abs(np.diff(np.interp(at, time[known], position[known]))) / (_LONGEST / 2)
-    top = np.quantile(travel, 0.9)
+    travel = np.maximum.reduceat(q, blocks) - np.minimum.reduceat(q, blocks)
+    top = np.quantile(travel, 0.9) / _BLOCK
     wanted = _ORDER_STEPS * quantum(position) / top if top > 0 else _LONGEST
     return float(np.clip(wanted, _SHORTEST, _LONGEST))
 
@@ -127,15 +130,17 @@ def sign_fit(signal, positive, free):
     """
     basis = np.linalg.qr(np.stack(free, axis=1))[0]
     both = np.stack([signal, *positive], axis=1)
+    whole = np.sum((signal - signal.mean()) ** 2)
     both = both - basis @ (basis.T @ both)
     norms = np.sqrt(np.sum(both ** 2, axis=0))
-    if norms[0] < 1e-12 * np.sqrt(len(signal)) or norms[0] == 0:
-        return Fit(0.0, 0.0, np.zeros(len(positive)))
+    if norms[0] ** 2 <= 1e-18 * np.sum(signal ** 2):
+        return Fit(0.0, 0.0, np.zeros(len(positive)), 0.0)
     scale = np.where(norms > 0, norms, 1.0)
     unit = both / scale
     weights, rest = nnls(unit[:, 1:], unit[:, 0])
     _, rest_reversed = nnls(unit[:, 1:], -unit[:, 0])
-    return Fit(1 - rest ** 2, 1 - rest_reversed ** 2, weights * norms[0] / scale[1:])
+    return Fit(1 - rest ** 2, 1 - rest_reversed ** 2, weights * norms[0] / scale[1:],
+               float(norms[0] ** 2 / whole) if whole > 0 else 1.0)
 
 
 def friction_columns(velocity):
