@@ -77,7 +77,7 @@ def test_break_away_stops_soon_after_it_has_broken_away(experiment):
     for phase, part, j in found:
         moved = np.sign(phase.value) * (experiment[0].q_link[part, j]
                                         - experiment[0].q_link[part.start, j])
-        assert 0.03 < moved.max() < 0.1
+        assert 0.03 < moved.max() < 0.2
         gone = part.start + np.argmax(moved > 0.03)
         peak = np.abs(elastic_torque(experiment[0], j)[part.start:gone]).max()
         assert 0.6 < peak / abs(phase.value) < 1.1
@@ -95,14 +95,36 @@ def test_springs_are_unloaded_before_a_torque_and_presliding_stays_small(experim
         assert np.ptp(others) < 2e-3
 
 
-def test_a_joint_that_breaks_away_in_presliding_ends_the_step(experiment):
-    """The friction is half of what was believed: the arm does not run away."""
-    weak = replace(ROBOT, friction=scaled_friction(ROBOT.friction, 0.5))
-    recording, phases = simulate_identification(PLAN, weak, GAINS, 3, model=ROBOT, rate=500)
-    spans = [np.ptp(recording.q_link[part, j])
-             for _, part, j in parts((recording, phases), 'presliding')]
-    assert 0.05 < max(spans) < 0.25
-    assert np.all(np.abs(recording.q_link) < PLAN.upper)
+@pytest.mark.parametrize('factor', [0.4, 2.5])
+def test_wrong_beliefs_of_friction_change_the_amplitudes_and_keep_the_range(factor):
+    """The first presliding step stays presliding and is not much too small either."""
+    true = replace(ROBOT, friction=scaled_friction(ROBOT.friction, factor))
+    recording, phases = simulate_identification(PLAN, true, GAINS, 3, model=ROBOT, rate=500)
+    assert np.all((np.abs(recording.q_link) < PLAN.upper)[:, :])
+    for phase, part, j in parts((recording, phases), 'presliding'):
+        weaker = min(true.friction.forward.static[j], true.friction.backward.static[j])
+        if '0.04695' in phase.step or '0.04262' in phase.step:
+            assert 0.2 < phase.value / weaker < 0.85
+            assert np.ptp(recording.q_link[part, j]) < 0.05
+        assert np.ptp(recording.q_link[part, j]) < 0.3
+
+
+def test_a_rigid_axis_is_identified_by_its_own_torque():
+    """No motor side: what is recorded is the torque on the joint."""
+    arm = replace(ROBOT.arm, stiffness=np.full(2, np.inf))
+    rigid = replace(ROBOT, arm=arm, motors=('', ''))
+    plan = read_identification_plan(
+        [CONFIG / 'identification_demo.yaml'], rigid, GAINS,
+        overrides={'identification.joints': ['joint2'],
+                   'identification.experiments': ['constant_velocity', 'break_away']})
+    recording, phases = simulate_identification(plan, rigid, GAINS, 1)
+    assert np.isnan(recording.q_motor).all() and np.isfinite(recording.tau_motor).all()
+    for phase, part, j in parts((recording, phases), 'constant_velocity'):
+        if phase.value > 0.2:
+            held = np.abs(recording.reference[part, 1, j] - phase.value) < 1e-9
+            late = part.start + np.flatnonzero(held)[held.sum() // 2:]
+            expected = 0.09087 + 0.00374 * phase.value
+            assert recording.tau_motor[late, j].mean() == pytest.approx(expected, rel=0.06)
 
 
 def test_torque_noise_is_recorded_but_does_not_act():

@@ -165,6 +165,21 @@ def test_a_torque_ramp_is_sent_as_effort_and_stop_ends_it(moving):
     assert rows.shape == (5, 5, 2) and np.all(rows[:, 0] == place)
 
 
+def test_release_asks_for_zero_torque_at_once_and_until_told_otherwise(moving):
+    assert moving.set_parameters('/trajectory', trajectory__type='sinusoid').successful
+    assert moving.trigger('start').success
+    moving.steps(SECOND // 4)
+    response = moving.trigger('release')
+    assert response.success and response.message == 'zero torque'
+    moving.steps(1)  # its reference was sent a sample ahead
+    rows = moving.steps(50)
+    assert rows.shape == (50, 1, 2) and not rows.any()
+    moving.steps(1, (0.1, 0.2))
+    assert moving.trigger('reset').success
+    moving.steps(1, (0.1, 0.2))
+    assert moving.steps(5, (0.1, 0.2)).shape == (5, 5, 2)
+
+
 def test_stamps_set_back_begin_anew_at_rest(moving):
     """As when the simulated robot is started again; what ran does not go on by itself."""
     assert moving.set_parameters('/trajectory', trajectory__type='sinusoid').successful

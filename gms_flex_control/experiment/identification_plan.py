@@ -79,6 +79,8 @@ class IdentificationPlan:
         Mode of the controller in motion steps.
     lower, upper, velocity, acceleration, torque : ndarray, shape (n_joints,)
         Limits [rad, rad/s, rad/s^2, N m].
+    static : ndarray, shape (n_joints,)
+        Expected static friction of the weaker direction [N m].
     rest_time, relax_time : float
         Rest after each step; time for the springs to unload [s].
 
@@ -92,6 +94,7 @@ class IdentificationPlan:
     velocity: np.ndarray
     acceleration: np.ndarray
     torque: np.ndarray
+    static: np.ndarray
     rest_time: float
     relax_time: float
 
@@ -201,7 +204,8 @@ def plan_identification(values, robot, gains):
         joints=robot.joints, experiments=tuple(experiments),
         compensation=flat['identification.compensation'], lower=limits.lower,
         upper=limits.upper, velocity=limits.velocity, acceleration=limits.acceleration,
-        torque=limits.torque, rest_time=flat['identification.rest_time'],
+        torque=limits.torque, static=limits.weakest_static,
+        rest_time=flat['identification.rest_time'],
         relax_time=flat['identification.relax_time'])
 
 

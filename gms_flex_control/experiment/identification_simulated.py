@@ -6,6 +6,7 @@
 from dataclasses import replace
 
 from gms_flex_control.errors import SimulationError
+from gms_flex_control.experiment.adaptation import Adaptation, LEAVING
 from gms_flex_control.experiment.identification_steps import BRAKING_TIME
 from gms_flex_control.recording import Phase, Recording
 from gms_flex_control.simulation.stretches import StretchedLoop
@@ -64,7 +65,7 @@ class _Experiment:
     """Takes the part of trajectory node, controller node and identification node."""
 
     def __init__(self, plan, robot, gains, model, seed, rate):
-        self._plan, self._robot = plan, robot
+        self._plan, self._robot, self._adaptation = plan, robot, Adaptation(plan)
         self._gains = replace(gains, compensation=plan.compensation)
         self._relaxed = replace(gains, compensation='none')
         self._period_ns = round(NANOSECONDS / rate)
@@ -81,6 +82,7 @@ class _Experiment:
 
     def do(self, step):
         """Carry out one step."""
+        step = self._adaptation.applied_to(step)
         self.phase(step.phase, step.joint, step.name, step.value)
         if step.kind == 'relax':
             for _ in range(2):
@@ -104,6 +106,11 @@ class _Experiment:
         trajectory, travel = self._plan.trajectory(step), np.full(len(self._q_link), np.inf)
         travel[self._robot.joints.index(step.joint)] = step.travel or np.inf
         self._keep(trajectory, trajectory.end, self._relaxed, is_effort=True, travel=travel)
+        if step.phase == 'break_away':
+            j = self._robot.joints.index(step.joint)
+            q_link = self._stretches[-1].measured[:, 0, j]
+            still = np.flatnonzero(np.abs(q_link - q_link[0]) <= LEAVING * step.travel)
+            self._adaptation.broke_away(step, still[-1] * self._period)
 
     def _brake(self):
         state = builders.at_rest(self._q_link)

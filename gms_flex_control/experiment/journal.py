@@ -17,7 +17,7 @@ class ExperimentError(GmsFlexError):
 
 class Journal:
     """
-    The finished steps of one plan, kept on disk.
+    The finished steps of one plan and what later ones need of them, kept on disk.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ class Journal:
     def __init__(self, bag, plan, *, resume=False):
         self._bag, self._plan = Path(bag), plan
         self.path = self._bag.with_name(f'{self._bag.name}.journal.json')
-        self.finished, self.bags = [], []
+        self.finished, self.bags, self.found = [], [], {}
         if resume:
             self._read()
         elif self.path.exists() or self._bag.exists():
@@ -51,11 +51,12 @@ class Journal:
             content = json.loads(self.path.read_text(encoding='utf-8'))
             fingerprint = content['plan']
             self.finished, self.bags = list(content['finished']), list(content['bags'])
+            self.found = {joint: float(torque) for joint, torque in content['found'].items()}
         except OSError as error:
             raise ExperimentError(f'{self.path}: cannot be read ({error.strerror}), so there is '
                                   'nothing to resume; set identification.resume to false '
                                   'to begin') from error
-        except (ValueError, KeyError, TypeError) as error:
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise ExperimentError(f'{self.path}: is no journal of an experiment; name another '
                                   'identification.bag and begin anew') from error
         if fingerprint != self._plan.fingerprint():
@@ -81,7 +82,8 @@ class Journal:
         try:
             write_text(self.path, json.dumps({
                 'plan': self._plan.fingerprint(), 'bags': self.bags,
-                'steps': len(self._plan.experiments), 'finished': self.finished}, indent=1))
+                'steps': len(self._plan.experiments), 'finished': self.finished,
+                'found': self.found}, indent=1))
         except OSError as error:
             raise BagError(f'{self.path}: cannot be written ({error.strerror})') from error
 

@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """The steps of an experiment, one after the other, by the parameters of the other nodes."""
 
+from gms_flex_control.experiment.adaptation import Adaptation, LEAVING
 from gms_flex_control.experiment.identification_steps import BRAKING_TIME
 from gms_flex_control.experiment.journal import ExperimentError
 from gms_flex_control.nodes.messages import NANOSECONDS
@@ -27,6 +28,7 @@ class StepRunner:
     def __init__(self, node, journal):
         self._node, self._journal, self._plan = node, journal, node.plan
         self._compensation = self._before = None
+        self._adaptation = Adaptation(self._plan, journal.found)
 
     def run(self):
         """Carry out all unfinished steps; the controller then is as it was."""
@@ -39,8 +41,9 @@ class StepRunner:
             if step in plan.experiments:
                 node.say(f'{100.0 * passed / expected:3.0f} %, {expected - passed:.0f} s to go: '
                          f'{step.name}')
-            node.phase(step.phase, step)
-            self._carry_out(step)
+            adapted = self._adaptation.applied_to(step)
+            node.phase(step.phase, adapted)
+            self._carry_out(adapted)
             passed += step.duration_estimate
             if step in plan.experiments:
                 self._journal.finish(step.name)
@@ -119,18 +122,33 @@ class StepRunner:
         node, j = self._node, self._plan.joints.index(step.joint)
         node.watch.mark()
         self._begin(step.trajectory_parameters)
-        end = node.watch.stamp + round(NANOSECONDS * (
-            self._plan.trajectory(step).end + _LATENESS))
-        node.until(lambda: node.watch.stamp >= end or node.watch.travel(j) > step.travel > 0.0)
+        begin = node.watch.stamp
+        end = begin + round(NANOSECONDS * (self._plan.trajectory(step).end + _LATENESS))
+        still = begin  # the last stamp before it began to break away
+
+        def is_over():
+            nonlocal still
+            travel = node.watch.travel(j)
+            if travel <= LEAVING * step.travel:
+                still = node.watch.stamp
+            return node.watch.stamp >= end or travel > step.travel > 0.0
+
+        node.until(is_over)
         moved = node.watch.travel(j) > step.travel
         self._trigger('reset')
-        if step.phase == 'break_away' and not moved:
-            node.say(f'{step.joint} did not break away at {abs(step.value):.4g} N m: its F_s is '
-                     f'above that; raise identification.{step.joint}.static')
-        elif step.phase == 'presliding' and moved:
-            node.say(f'{step.joint} broke away below {step.value:.4g} N m; the step ends early. '
-                     f'Lower identification.presliding_levels or .{step.joint}.static')
+        if step.phase == 'break_away':
+            self._note_break_away(step, moved, (still - begin) / NANOSECONDS)
+        elif moved:
+            node.say(f'{step.joint} broke away below {step.value:.4g} N m: the step ends early')
         self._pass(BRAKING_TIME + self._plan.rest_time)
+
+    def _note_break_away(self, step, moved, time):
+        torque = self._adaptation.broke_away(step, time)
+        if moved:
+            self._node.say(f'{step.joint} broke away at about {torque:.3g} N m')
+        else:
+            self._node.say(f'{step.joint} did not break away at {torque:.4g} N m: its F_s is '
+                           f'above that; raise identification.{step.joint}.static')
 
     def _begin(self, values):
         self._set(self._node.trajectory, values)

@@ -1,0 +1,64 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""The phases of an experiment, read from its bag."""
+
+from gms_flex_control.bags.cdr import (
+    JOINT_STATE,
+    MULTI_ARRAY,
+    pack_joint_state,
+    pack_multi_array,
+)
+from gms_flex_control.bags.phases import PHASE_TOPIC, read_phases
+from gms_flex_control.bags.writer import BagWriter
+from gms_flex_control.errors import BagError
+from gms_flex_control.recording import Phase
+import pytest
+
+STATES = '/joint_states'
+
+
+def written(path, messages, kind=MULTI_ARRAY):
+    """Write joint states from 5 s on and messages of the phase topic."""
+    with BagWriter(path, {STATES: JOINT_STATE, PHASE_TOPIC: kind}) as writer:
+        for k in range(5):
+            stamp = 5_000_000_000 + k * 2_000_000
+            writer.write(STATES, 10 + k, pack_joint_state(('a',), stamp, (0.0,)))
+        for data in messages:
+            writer.write(PHASE_TOPIC, 20, data)
+    return path
+
+
+def packed(stamp, phase, joint, step, value):
+    return pack_multi_array([(f'stamp:{stamp}', 1, 1), (f'phase:{phase}', 1, 1),
+                             (f'joint:{joint}', 1, 1), (f'step:{step}', 1, 1)], [value])
+
+
+def test_phases_count_from_the_first_sample_in_the_order_of_time(tmp_path):
+    bag = written(tmp_path / 'bag', [
+        packed(5_006_000_000, 'idle', '', '', 0.0),
+        packed(5_002_000_000, 'sliding', 'a', 'sliding/a/+0.1:x', -0.1)])
+    assert read_phases(bag) == (Phase(2_000_000, 'sliding', 'a', 'sliding/a/+0.1:x', -0.1),
+                                Phase(6_000_000, 'idle', '', '', 0.0))
+
+
+def test_a_bag_without_the_topic_has_no_phases(tmp_path):
+    assert read_phases(written(tmp_path / 'bag', [])) == ()
+
+
+@pytest.mark.parametrize('message', [
+    pack_multi_array([('stamp:1', 1, 1), ('phase:idle', 1, 1)], [0.0]),
+    pack_multi_array([('phase:x', 1, 1), ('joint:a', 1, 1), ('step:s', 1, 1)], [0.0]),
+    pack_multi_array([], [0.0]),
+    packed('soon', 'idle', '', '', 0.0),
+    packed(1, 'idle', '', '', 0.0)[:30]])
+def test_a_message_that_is_no_phase_is_named(message, tmp_path):
+    bag = written(tmp_path / 'bag', [packed(1, 'idle', '', '', 0.0), message])
+    with pytest.raises(BagError, match="topic '/identification/phase' message 1 "):
+        read_phases(bag)
+
+
+def test_another_type_on_the_topic_is_refused(tmp_path):
+    bag = written(tmp_path / 'bag', [pack_joint_state(('a',), 1, (0.0,))], kind=JOINT_STATE)
+    with pytest.raises(BagError, match='is a sensor_msgs/msg/JointState, expected'):
+        read_phases(bag)
