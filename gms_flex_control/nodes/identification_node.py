@@ -141,18 +141,22 @@ class IdentificationNode(Node):
         """Spin until ``condition()`` while the loop lives."""
         while not condition():
             self.spin()
-            silent = self._bag.silent(self['silence'])
-            if silent:
-                raise ExperimentError(
-                    f'no {" and no ".join(silent)} for {self["silence"]:g} s: the robot is left '
-                    'without torque; is every node running? Start again with '
-                    'identification.resume to go on')
+            self._require_life()
+
+    def _require_life(self):
+        silent = self._bag.silent(self['silence'])
+        if silent:
+            raise ExperimentError(
+                f'no {" and no ".join(silent)} for {self["silence"]:g} s: the robot is left '
+                'without torque; is every node running? Start again with '
+                'identification.resume to go on')
 
     def answer(self, future, who):
         """Return the answer of a call."""
         end, self._pending = time.monotonic() + self['patience'], future
         while not future.done():
             self.spin()
+            self._require_life()
             if time.monotonic() > end:
                 raise ExperimentError(f'{who} did not answer in {self["patience"]:g} s')
         return future.result()
