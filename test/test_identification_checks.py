@@ -47,6 +47,8 @@ UNLIKE = {'trajectory.joint1.amplitude': 0.5, 'trajectory.joint2.amplitude': 0.6
 HEALTHY = {
     'sinusoid': ('sinusoid', {}), '1 kHz': ('sinusoid', {'rate': 1000.0}),
     'noise': ('sinusoid', {'encoder.noise': 1e-4}),
+    'noise above the counts': ('sinusoid', UNLIKE | {
+        'encoder.noise': 1e-4, 'encoder.counts': 1e5, 'rate': 1000.0}),
     'ideal encoders': ('sinusoid', {'encoder.counts': 0.0, 'encoder.velocity_cutoff': 0.0}),
     'polynomial': ('polynomial', {}),
     'fast moves': ('polynomial', {'trajectory.move_time': 2.0, 'trajectory.hold_time': 1.0}),
@@ -260,6 +262,16 @@ def test_require_raises_the_first_fault_unless_forced():
     warnings = require(dropped(recording, 0.01), robot)
     assert [finding.severity for finding in warnings] == ['warn']
     assert issubclass(IdentificationError, GmsFlexError)
+
+
+def test_placeholders_for_inertia_make_a_factor_a_warning():
+    recording, robot = healthy('rigid')
+    arm = robot.arm
+    guessed = replace(robot, arm=replace(arm, mass=30 * arm.mass, inertia=30 * arm.inertia))
+    for rough, severity in ((False, 'refuse'), (True, 'warn')):
+        found = check(recording, guessed, rough=rough)
+        assert {finding[0] for finding in found} == {'torque_scale'}
+        assert {finding.severity for finding in found} == {severity}
 
 
 def test_the_gap_is_measured():

@@ -34,7 +34,7 @@ from gms_flex_control.identification.findings import absent_joints, Finding, sig
 __all__ = ['check', 'Finding', 'require']
 
 
-def check(recording, robot):
+def check(recording, robot, rough=False):
     """
     Look a recording over.
 
@@ -45,6 +45,8 @@ def check(recording, robot):
     robot : RobotParams
         Roughly the robot: which joints are flexible, stiffness within a factor of 4, inertia
         within one of 3. Friction is not used.
+    rough : bool
+        Inertia and stiffness are placeholders, for instance because they are to be estimated.
 
     Returns
     -------
@@ -67,11 +69,11 @@ def check(recording, robot):
     found += motion_checks.rates(signals)
     found += torque_checks.saturated(signals)
     if not any(finding.kind == 'velocity' for finding in found):
-        found += torque_checks.physics(signals, robot)
+        found += torque_checks.physics(signals, robot, rough)
     return tuple(found)
 
 
-def require(recording, robot, force=False):
+def require(recording, robot, force=False, rough=False):
     """
     Refuse a recording with which a fit would be wrong.
 
@@ -83,6 +85,8 @@ def require(recording, robot, force=False):
         Roughly the robot.
     force : bool
         Go on whatever was found.
+    rough : bool
+        See `check`.
 
     Returns
     -------
@@ -95,7 +99,7 @@ def require(recording, robot, force=False):
         With the sentence of the first fault that forbids a fit.
 
     """
-    found = check(recording, robot)
+    found = check(recording, robot, rough)
     for finding in found:
         if finding.severity == 'refuse' and not force:
             raise IdentificationError(finding.text)

@@ -11,6 +11,7 @@ FASTEST, SLOWEST = 2e-5, 0.2  # plausible periods [s]
 LOST_WARN, LOST_REFUSE = 0.003, 0.3  # shares of all samples
 GAP_WARN = 0.05               # a single gap worth a word [s]
 _ON_GRID = 0.1                # a step of a steady clock is this near a multiple of the period
+_SHORT = 0.55                 # of a period: sooner than jitter puts a sample
 _BESIDE = 10                  # samples that tell the velocity beside a gap
 
 
@@ -74,19 +75,19 @@ def _continues(signals, k):
 
 def _short_steps(signals, steps, steady):
     """Find stamps closer than the sampling really was, as when the clock is set back."""
-    short = np.flatnonzero(steps < 0.5 * signals.period)
+    short = np.flatnonzero(steps < _SHORT * signals.period)
     if steady and short.size >= 3:
         wrong = sum(_contradicts(signals, steps, short, j) for j in range(len(signals.joints)))
         if wrong >= 3:
             yield Finding('clock', '', 'refuse', f'{signals.source}: {short.size} stamps follow '
-                          f'the one before in less than half a period, the first at '
+                          f'the one before too soon, the first at '
                           f'{signals.time[short[0]]:.3f} s, and the motion contradicts them: '
                           'the clock was set back or samples are out of order; correct the '
                           'stamps or cut the recording there')
             return
         if short.size > 0.001 * len(steps):
             yield Finding('clock', '', 'warn', f'{signals.source}: {short.size} stamps follow '
-                          'the one before in less than half a period, the first at '
+                          'the one before too soon, the first at '
                           f'{signals.time[short[0]]:.3f} s; was the clock set back there? If '
                           'so, cut the recording')
             return

@@ -19,6 +19,7 @@ from gms_flex_control.identification.findings import Finding
 import numpy as np
 
 _SIDE_FACTOR = 8.0  # torque of the spring over that of the motor that cannot be
+_FITS, _BETTER = 0.2, 0.25  # of the variance a joint may leave; of what it leaves unexchanged
 
 
 def exchanged_angles(signals, robot, motion):
@@ -100,7 +101,7 @@ def exchanged_joints(signals, robot, motion):
         order = np.arange(n)
         order[[i, j]] = j, i
         other = _misfits(motion, robot, loads, order)
-        if sum(other) < 0.5 * n and max(other) < 1.0 and sum(other) < 0.1 * sum(base):
+        if sum(other) < min(_FITS * n, _BETTER * sum(base)):
             found.append(_swap(signals, i, j, 'names', "the robot's inertia fits only then"))
     return found
 

@@ -136,7 +136,8 @@ def broken(signals):
     for j, joint in enumerate(signals.joints):
         for side, q, _ in signals.sides(j):
             top, unit = _top_step(q), quantum(q)
-            runs = _while_moving(q, _runs(np.diff(q) == 0), max(3 * unit, 0.05 * top))
+            grain = max(unit, 3 * _noise(q))
+            runs = _while_moving(q, _runs(np.diff(q) == 0), max(3 * grain, 0.05 * top))
             if not found or found[0].joint:
                 found += _frozen(signals, joint, f'the {side} angle of {joint} stays', runs)
             held = np.concatenate([rows[:, 1], runs[:, 1]])
@@ -150,6 +151,13 @@ def _top_step(q):
     across = across[np.isfinite(across)]
     # a jump adds but a tenth of itself to this
     return 1.5 * float(across.max()) if across.size else 0.0
+
+
+def _noise(q):
+    """Return about the standard deviation of the noise of an angle (T,)."""
+    bends = np.abs(np.diff(q, 2))
+    bends = bends[np.isfinite(bends)]
+    return float(np.median(bends)) / (0.6745 * np.sqrt(6)) if bends.size else 0.0
 
 
 def _runs(equal):

@@ -60,6 +60,7 @@ def _at_an_extreme(tau):
     known = np.isfinite(tau)
     largest, span = np.abs(tau[known]).max(), np.ptp(tau[known])
     clipped = np.zeros(len(tau), dtype=bool)
+    still = np.concatenate([[False], np.diff(tau) == 0])
     if span == 0:
         return clipped
     for sign in (1.0, -1.0):
@@ -69,15 +70,15 @@ def _at_an_extreme(tau):
             continue
         at = value >= top - 1e-6 * span
         below = (value >= top - max(1.5 * quantum(tau), 0.01 * span)) & ~at
-        inner = np.concatenate([[False], at[1:] & at[:-1]])
-        if inner.sum() >= 5 and at.sum() > 4 * below.sum():
+        repeats = np.sum(still & at)
+        rare = np.sum(still & ~at & (tau != 0)) < 0.2 * repeats
+        if repeats >= 5 and (rare or at.sum() > 4 * below.sum()):
             clipped |= at
     # a torque in steps stands still at every level, not only at the outer ones
-    still = np.concatenate([[False], np.diff(tau) == 0])
     return clipped & (np.sum(still & ~clipped & (tau != 0)) < 0.3 * np.sum(clipped))
 
 
-def physics(signals, robot):
+def physics(signals, robot, rough=False):
     """
     Compare torque, sides and joints with the equations of motion.
 
@@ -87,6 +88,9 @@ def physics(signals, robot):
         The recording; without a torque only the angles are compared.
     robot : RobotParams
         Roughly the robot.
+    rough : bool
+        Inertia and stiffness are mere placeholders: a factor is a warning only, and inertia
+        is no evidence of exchanged joints.
 
     Returns
     -------
@@ -100,8 +104,9 @@ def physics(signals, robot):
         return []
     return (exchanged_angles(signals, robot, motion) or side_scales(signals, robot, motion)
             or exchanged_torques(signals, robot, motion)
-            or _directions(signals, robot, motion) or exchanged_joints(signals, robot, motion)
-            or _scales(signals, robot, motion) or _unexplained(signals, robot, motion))
+            or _directions(signals, robot, motion)
+            or (not rough and exchanged_joints(signals, robot, motion))
+            or _scales(signals, robot, motion, rough) or _unexplained(signals, robot, motion))
 
 
 def _directions(signals, robot, motion):
@@ -119,11 +124,12 @@ def _directions(signals, robot, motion):
                 'seem exchanged: its torque fits the spring between them only the other way '
                 f'round{doubt}; exchange the two names'))
         elif balance < 0:
-            also = (', and its motor and link are exchanged' if spring > 0 else '')
+            also = ', and its motor and link are exchanged' if spring > 0 else ''
+            gravity = ', or the gravity of the robot file' if robot.arm.gravity.any() else ''
             found.append(Finding(
                 'torque_sign', name, 'refuse', f'{signals.source}: the torque of {name} has the '
                 'wrong sign: only reversed does it accelerate the joint and overcome '
-                f'friction{also}; reverse it, or the angles'))
+                f'friction{also}; reverse it, or the angles{gravity}'))
     return found
 
 
@@ -151,7 +157,7 @@ def _spring_sign(motion, j):
     return 0
 
 
-def _scales(signals, robot, motion):
+def _scales(signals, robot, motion, rough):
     """Find torques off by a factor."""
     total, springs = total_torque(motion, robot), spring_joints(robot, motion)
     found = []
@@ -160,7 +166,7 @@ def _scales(signals, robot, motion):
             found += _spring_scale(signals, robot, motion, j)
         else:
             found += _inertia_scale(signals, motion, total, j)
-    return found
+    return [finding._replace(severity='warn') for finding in found] if rough else found
 
 
 def _spring_scale(signals, robot, motion, j):
