@@ -6,6 +6,7 @@
 from pathlib import Path
 import shutil
 import time
+from typing import NamedTuple
 
 from gms_flex_control.errors import BagError
 
@@ -34,8 +35,9 @@ def run(args):
     """Drive the experiment and print where everything is; return 0."""
     begin, out = time.monotonic(), Path(args.out)
     refuse_foreign(out)
+    experiment = read_experiment(args.plan)
     prepare(out)
-    bag = drive(out, args.plan)
+    bag = drive(out, experiment)
     # the fit and the comparison of tracking belong here
     print(f'\nbag      {bag}\nlogs     {out / "log"}\n'
           f'done in {time.monotonic() - begin:.0f} s')
@@ -57,32 +59,49 @@ def prepare(out):
     (out / MARKER).touch()
 
 
-def drive(out, plan_file=None):
-    """Run the experiment over DDS; return its bag (Path)."""
+class Experiment(NamedTuple):
+    """What is run: a plan, its file, and what is believed of the robot before."""
+
+    plan: object
+    plan_file: Path
+    believed: object
+    gains: object
+
+
+def read_experiment(plan_file=None):
+    """Return the Experiment of a plan file; by default the short one of the package."""
     from dataclasses import replace
 
     from gms_flex_control.experiment.believed import scaled_friction
-    from gms_flex_control.experiment.driven import drive_identification, DrivenIdentification
     from gms_flex_control.experiment.identification_plan import read_identification_plan
     from gms_flex_control.resources import controller_file, robot_file, share_path
-    from gms_flex_control.schema.files import load_controller, load_robot, save_robot
+    from gms_flex_control.schema.files import load_controller, load_robot
 
     robot = load_robot(robot_file())
     believed = replace(robot, friction=scaled_friction(robot.friction, BELIEVED_FRICTION))
     gains = load_controller(controller_file(), robot)
     plan_file = Path(plan_file or share_path() / 'config' / 'identification_demo.yaml')
     plan = read_identification_plan([plan_file], believed, gains)
-    model = out / 'believed_robot.yaml'
-    save_robot(believed, model, comment='The robot as it is believed to be before '
+    return Experiment(plan, plan_file, believed, gains)
+
+
+def drive(out, experiment):
+    """Run the experiment over DDS; return its bag (Path)."""
+    from gms_flex_control.experiment.driven import drive_identification, DrivenIdentification
+    from gms_flex_control.resources import controller_file, robot_file
+    from gms_flex_control.schema.files import save_robot
+
+    plan, model, bag = experiment.plan, out / 'believed_robot.yaml', out / 'bag'
+    save_robot(experiment.believed, model, comment='The robot as it is believed to be before '
                f'identification: friction x {BELIEVED_FRICTION:g}.')
     say('compiling the inner loops (once)')
-    warm_up(plan, believed, gains)
-    say(f'{len(plan.experiments)} steps on {len(plan.joints)} joints over DDS, '
+    warm_up(plan, experiment.believed, experiment.gains)
+    joints = {step.joint for step in plan.experiments}
+    say(f'{len(plan.experiments)} steps on {len(joints)} joints over DDS, '
         f'{plan.duration():.0f} s simulated')
-    bag = out / 'bag'
     drive_identification(
         DrivenIdentification(files=(robot_file(), controller_file()), model=model,
-                             plan=plan_file, duration=plan.duration(), rate=RATE),
+                             plan=experiment.plan_file, duration=plan.duration(), rate=RATE),
         bag, log=out / 'log', say=lambda line: say(f'  {line}'))
     return bag
 

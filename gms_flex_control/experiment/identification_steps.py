@@ -20,7 +20,6 @@ _SLOWEST = 1.0 / 3  # of v_s
 _SHORTEST_DWELL = 0.1  # at a constant velocity [s]
 _LEAST_PERIODS = 3  # of a sliding step
 _BROKEN_AWAY = 0.6  # of the ramp's duration, when break-away is expected
-_TOLERANCE = 1e-9
 BRAKING_TIME = 0.5  # after an open-loop torque [s]
 
 
@@ -116,33 +115,35 @@ class Planner:
     def _stroke(self, name, joint, j, velocity):
         """Return a stroke at one velocity; a slow one begins with faster sliding."""
         speed, sign = abs(velocity), np.sign(velocity)
-        dwell = max(self['dwell_time'], self['counts'] * self._count / speed)
-        if dwell > self['longest_dwell']:
-            self._refuse(joint, name, f'needs {dwell:.3g} s for {self["counts"]:g} encoder '
-                         f'counts, the limit longest_dwell is {self["longest_dwell"]:g} s',
-                         f'raise it, or identification.{joint}.slowest')
         lead_speed = min(self['lead_in_speed'], 0.5 * self._limits.velocity[j])
-        levels, durations = [velocity], [dwell]
         settle = self._settle(j, max(speed, lead_speed))
+        levels, durations = [velocity], [self._dwell(name, joint, speed)]
         if speed < lead_speed and self['lead_in'] > 0.0:
             levels = [sign * lead_speed, velocity]
-            durations = [max(_SHORTEST_DWELL, self['lead_in'] / lead_speed - settle), dwell]
-        room = self._room(j)
-        while np.abs(levels) @ (np.array(durations) + settle) > room - _TOLERANCE:
-            shorter = durations[-1] - (np.abs(levels) @ (np.array(durations) + settle) - room
-                                       + 2 * _TOLERANCE) / speed
-            if len(levels) > 1 or shorter < min(_SHORTEST_DWELL, dwell):
-                need = np.abs(levels) @ (np.array(durations) + settle)
+            durations.insert(0, max(_SHORTEST_DWELL, self['lead_in'] / lead_speed - settle))
+        need, room = np.abs(levels) @ (np.array(durations) + settle), self._room(j)
+        if need > room:
+            shortest = min(_SHORTEST_DWELL, durations[-1])
+            durations[-1] -= (need - room) / speed
+            if len(levels) > 1 or durations[-1] < shortest:
                 self._refuse(joint, name, f'needs {need:.3g} rad, the range within the margins '
                              f'is {room:.3g} rad', 'widen lower and upper, allow more '
                              'acceleration, or lower fastest or lead_in')
-            durations[-1] = shorter
         values = {'trajectory.type': 'velocity_levels', 'trajectory.ramp_time': float(settle),
                   'trajectory.durations': [float(duration) for duration in durations]}
         for i, other in enumerate(self._robot.joints):
             values[f'trajectory.{other}.velocities'] = [
                 float(level) if i == j else 0.0 for level in levels]
         return self._motion(name, 'constant_velocity', joint, j, values, velocity)
+
+    def _dwell(self, name, joint, speed):
+        """Return how long a velocity is held [s]."""
+        dwell = max(self['dwell_time'], self['counts'] * self._count / speed)
+        if dwell > self['longest_dwell']:
+            self._refuse(joint, name, f'needs {dwell:.3g} s for {self["counts"]:g} encoder '
+                         f'counts, the limit longest_dwell is {self["longest_dwell"]:g} s',
+                         f'raise it, or identification.{joint}.slowest')
+        return dwell
 
     def _sliding(self, joint, j):
         settle_of = 1.0 + self['modulation']

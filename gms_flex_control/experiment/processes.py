@@ -156,7 +156,10 @@ class Processes:
                                f'{self._where(name)}') from None
 
     def _ended(self, name):
-        return f'{name} ended with exit code {self._running[name].returncode}{self._where(name)}'
+        last = self.printed(name).strip().splitlines()[-1:]
+        said = f' ({last[0]})' if last else ''
+        return (f'{name} ended with exit code {self._running[name].returncode}{said}'
+                f'{self._where(name)}')
 
     def _where(self, name):
         return f'; see {self._path(name)}'

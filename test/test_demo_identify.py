@@ -1,0 +1,82 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""The identification demo, shortened: four node processes, one bag with phases."""
+
+import os
+from pathlib import Path
+import subprocess
+import sys
+
+from gms_flex_control.bags.phases import read_phases
+from gms_flex_control.bags.reader import read_recording
+from gms_flex_control.cli.main import main
+import numpy as np
+import pytest
+
+PLAN = """/**:
+  ros__parameters:
+    identification:
+      joints: [joint2]
+      experiments: [break_away, sliding]
+      break_away_repeats: 1
+      torque_rate: 1.0
+      sliding_speeds: [2.0]
+      sliding_duration: 2.5
+      rest_time: 0.05
+"""
+
+
+@pytest.fixture(scope='module')
+def outcome(tmp_path_factory):
+    """Run the short plan; return the folder and what was printed."""
+    harness = pytest.importorskip('node_harness')
+    domain, lock = harness.take_domain()
+    folder = tmp_path_factory.mktemp('demo_identify')
+    (folder / 'plan.yaml').write_text(PLAN)
+    paths = [str(Path(__file__).parents[1]), *filter(None, [os.environ.get('PYTHONPATH')])]
+    process = subprocess.run(
+        [sys.executable, '-m', 'gms_flex_control.cli.main', 'demo-identify', '--out',
+         str(folder / 'output'), '--plan', str(folder / 'plan.yaml')],
+        text=True, capture_output=True, timeout=200, check=False,
+        env=dict(os.environ, PYTHONPATH=os.pathsep.join(paths), ROS_DOMAIN_ID=str(domain)))
+    lock.close()
+    assert process.returncode == 0, process.stdout + process.stderr
+    return folder / 'output', process
+
+
+def test_progress_is_printed_step_by_step_up_to_the_end(outcome):
+    _, process = outcome
+    assert process.stderr == ''
+    for text in ('4 steps on 1 joints over DDS', ' %, ', 's to go: break_away/joint2/+',
+                 's to go: sliding/joint2/-', '100 %, done in'):
+        assert text in process.stdout
+
+
+def test_the_bag_holds_the_motion_and_its_phases(outcome):
+    recording, phases = (read(outcome[0] / 'bag') for read in (read_recording, read_phases))
+    assert {phase.phase for phase in phases} == {'break_away', 'sliding', 'approach', 'idle'}
+    assert np.isfinite(recording.tau_motor).all()
+    assert np.ptp(recording.q_link[:, 1]) > 0.2
+
+
+def test_the_processes_leave_no_traceback(outcome):
+    logs = {path.name: path.read_text() for path in (outcome[0] / 'log').glob('*.log')}
+    assert {'controller.log', 'identification.log', 'plant.log', 'trajectory.log'} <= set(logs)
+    assert not any('Traceback' in text for text in logs.values())
+
+
+def test_a_bad_plan_leaves_an_earlier_demo(tmp_path, capsys):
+    (tmp_path / '.gms_flex_demo_identify').touch()
+    (tmp_path / 'bag').mkdir()
+    plan = tmp_path / 'plan.yaml'
+    plan.write_text(PLAN.replace('[2.0]', '[900.0]'))
+    assert main(['demo-identify', '--out', str(tmp_path), '--plan', str(plan)]) == 2
+    assert 'step sliding/joint2/+61' in capsys.readouterr().err
+    assert (tmp_path / 'bag').is_dir()
+
+
+def test_a_folder_it_did_not_make_is_left_alone(tmp_path, capsys):
+    (tmp_path / 'thesis.tex').write_text('years of work')
+    assert main(['demo-identify', '--out', str(tmp_path)]) == 2
+    assert 'was not made by gms_flex demo-identify' in capsys.readouterr().err
