@@ -79,7 +79,7 @@ def spread(objective, start, extra):
     free = coordinates.pack(*both, start.attraction, None, extra=extra)
     prior = prior_of(coordinates, free)
     for sharpness in _SPREAD_SHARPNESS:
-        free = refine(objective, coordinates, free, prior, sharpness=sharpness).free
+        free = refine(objective, coordinates, free, prior, sharpness=sharpness, roughly=True).free
     return coordinates, free
 
 
@@ -125,7 +125,8 @@ def fit_candidate(bundle, joint, thetas, theta, n_blocks, n_extra):
     coordinates, free = equal_blocks(theta, n_blocks, n_extra)
     prior = prior_of(coordinates, free)
     for sharpness in _SHARPNESS:
-        free = refine(objective, coordinates, free, prior, sharpness=sharpness).free
+        free = refine(objective, coordinates, free, prior, sharpness=sharpness,
+                      roughly=sharpness > 1.0).free
     return coordinates, free
 
 
@@ -153,10 +154,10 @@ def choose(bundle, joint, thetas, fits):
 
     """
     objective = Objective(bundle, joint, thetas, held_out(bundle.period))
-    evaluations, scale = [], None
-    for coordinates, free in reversed(fits):  # the largest sets the scale
-        evaluations.insert(0, objective.evaluate(coordinates, free, 1.0, scale))
-        scale = evaluations[0].scale
+    evaluations, floor = [], None
+    for coordinates, free in reversed(fits):  # the largest sets the floor
+        evaluations.insert(0, objective.evaluate(coordinates, free, 1.0, floor))
+        floor = evaluations[0].floor
     count = evaluations[0].count.sum()
     costs = np.array([evaluation.cost for evaluation in evaluations])
     best = int(np.argmin(costs.sum(axis=1)))
@@ -256,7 +257,8 @@ def again(bundle, joint, thetas, fit):
     """Refine a fit once more now that the other joints are known better."""
     training = Objective(bundle, joint, thetas, train(bundle.period))
     coordinates = fit.coordinates
-    held = refine(training, coordinates, fit.held_out.free, fit.prior, sharpness=2.0).free
+    held = refine(training, coordinates, fit.held_out.free, fit.prior, sharpness=2.0,
+                  roughly=True).free
     held = refine(training, coordinates, held, fit.prior).free
     refined = refine(Objective(bundle, joint, thetas), coordinates, held, fit.prior)
     return fit._replace(free=refined.free, evaluation=refined.evaluation,

@@ -18,7 +18,8 @@ SETTLE_TIME = 0.5     # at the beginning of a piece, when the blocks' load is no
 _LOAD_PER_STEP = 0.035  # of F_c: torque the observer corrects with per step of the encoder
 _SLOWEST, _FASTEST = 2.0, 60.0  # of the observer [rad/s]
 _FASTEST_STEP = 0.3   # radians of the observer per sample
-_FLOOR = 0.05         # of half a count: errors below it are as good as none
+_EXPLAINED = 0.3      # of the usual innovation: a block this much better is explained
+_FINEST = 0.01        # of a count, likewise
 
 
 class Bundle(NamedTuple):
@@ -35,31 +36,44 @@ class Bundle(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class Evaluation:
     """
-    Cost of one joint's parameters.
+    Innovations of one joint in B blocks of time, and how parameters would change them.
 
     Parameters
     ----------
-    cost : ndarray, shape (B,)
-        Robust cost of each block of samples, in units of ``scale`` squared.
+    square : ndarray, shape (B,)
+        Mean square of the innovations [rad^2].
     gradient : ndarray, shape (B, P)
-        Of each block.
+        Sum of derivative of the prediction times innovation.
     curvature : ndarray, shape (B, P, P)
-        Gauss-Newton curvature of each block.
+        Sum of derivative times derivative.
     count : ndarray, shape (B,)
-        Samples of each block.
-    scale : float
-        Innovation that counts as usual [rad].
-    spread : float
-        Median size of the innovations that are not zero [rad].
+        Samples.
+    floor : float
+        Innovation below which a block counts as explained [rad].
 
     """
 
-    cost: np.ndarray
+    square: np.ndarray
     gradient: np.ndarray
     curvature: np.ndarray
     count: np.ndarray
-    scale: float
-    spread: float
+    floor: float
+
+    @property
+    def cost(self):
+        """
+        Return the cost of each block, shape (B,).
+
+        Every block has a noise level of its own, unknown: its likelihood, the level profiled
+        out, is ``count / 2 log(square)``. So blocks at rest, where a prediction is right to a
+        hundredth of a count, are not drowned by fast ones, and a disturbed one spoils little.
+        """
+        return 0.5 * self.count * np.log1p(self.square / self.floor ** 2)
+
+    @property
+    def weight(self):
+        """Return the weight of each block, the inverse of its variance, shape (B,) [1/rad^2]."""
+        return 1.0 / (self.floor ** 2 + self.square)
 
 
 def observer_bandwidth(arm, coulomb, half, noise, period):
@@ -92,11 +106,6 @@ def observer_bandwidth(arm, coulomb, half, noise, period):
     return np.clip(wanted, _SLOWEST, min(_FASTEST, _FASTEST_STEP / period))
 
 
-def robust_scale(spread, half):
-    """Return the innovation that counts as usual, from the spread of those not zero [rad]."""
-    return max(1.5 * spread, _FLOOR * 2.0 * half, 1e-12)
-
-
 class Objective:
     """
     Evaluates parameters of one joint against all data.
@@ -118,6 +127,9 @@ class Objective:
         self._bundle, self.joint, self._others = bundle, joint, list(others)
         self._chosen = chosen
         self._links = chain.constants_of(bundle.arm)
+        moved = range(len(self._others)) if bundle.arm.kind == 'planar' else [joint]
+        self._carried = np.array([joint, *(other for other in moved if other != joint)])
+        self._alone = self._carried[:1]
 
     def predict(self, stretch, theta, directions, sharpness):
         """Return predicted angles, innovations (T, n) and jacobian (T, P) of a stretch."""
@@ -130,7 +142,7 @@ class Objective:
         predictor.predict(
             stretch.angle, np.ascontiguousarray(stretch.rate[0]), stretch.torque, extra,
             theta[len(theta) - extra.shape[1]:], bundle.period, self._links,
-            self.friction(theta), self.joint, np.ascontiguousarray(directions),
+            self.friction(theta), self._carried if width else self._alone, np.ascontiguousarray(directions),
             np.stack([2.0 * bandwidth, bandwidth ** 2]), bundle.half,
             records.build(gms.state_layout(n, MOST_BLOCKS)), plant.workspace(n), predicted,
             innovation, jacobian)
@@ -154,7 +166,7 @@ class Objective:
         chosen[:round(SETTLE_TIME / self._bundle.period)] = False
         return chosen & np.isfinite(stretch.angle[:, self.joint])
 
-    def evaluate(self, coordinates, free, sharpness, scale=None):
+    def evaluate(self, coordinates, free, sharpness, floor=None, *, with_derivatives=True):
         """
         Return the Evaluation of free numbers.
 
@@ -166,51 +178,42 @@ class Objective:
             The numbers.
         sharpness : float
             Factor on the observer's bandwidth.
-        scale : float, optional
-            Innovation that counts as usual [rad]; by default from the innovations themselves.
+        floor : float, optional
+            Innovation below which a block counts as explained [rad]; by default as
+            `floor_of` finds it here.
+        with_derivatives : bool
+            Whether to fill gradient and curvature, which takes twice the time.
 
         """
         theta, directions = coordinates.unpack(free)
-        pieces = [(stretch, counted) for stretch in self._bundle.stretches
-                  if (counted := self.counted(stretch)).any()]
-        scale = scale or self._scale(pieces, theta, sharpness)
-        sizes, pools = [], []
-        for stretch, counted in pieces:
-            _, innovation, jacobian = self.predict(stretch, theta, directions, sharpness)
-            error = innovation[:, self.joint]
-            sizes.append(np.abs(error[counted]))
-            pools += _pools(counted, error / scale, jacobian, scale, self._bundle.period)
-        return Evaluation(*(np.array(part) for part in zip(*pools, strict=True)), scale,
-                          _spread(sizes))
+        if not with_derivatives:
+            directions = directions[:, :0]
+        pools = []
+        for stretch in self._bundle.stretches:
+            counted = self.counted(stretch)
+            if counted.any():
+                _, innovation, jacobian = self.predict(stretch, theta, directions, sharpness)
+                pools += _pools(counted, innovation[:, self.joint], jacobian,
+                                self._bundle.period)
+        square, gradient, curvature, count = (
+            np.array(part) for part in zip(*pools, strict=True))
+        floor = floor or self.floor_of(square)
+        return Evaluation(square, gradient, curvature, count, floor)
 
-    def scale_of(self, evaluation):
-        """Return the scale [rad] that the innovations of an Evaluation call for."""
-        return robust_scale(evaluation.spread, self._bundle.half[self.joint])
-
-    def _scale(self, pieces, theta, sharpness):
-        """Return the scale of the innovations, from a run without derivatives."""
-        none = np.zeros((len(theta), 0))
-        sizes = [np.abs(self.predict(stretch, theta, none, sharpness)[1][counted, self.joint])
-                 for stretch, counted in pieces]
-        return robust_scale(_spread(sizes), self._bundle.half[self.joint])
+    def floor_of(self, square):
+        """Return the floor [rad] that mean squares of blocks (B,) call for."""
+        usual = np.sqrt(np.median(square))
+        return max(_EXPLAINED * usual, _FINEST * 2.0 * self._bundle.half[self.joint], 1e-12)
 
 
-def _spread(sizes):
-    sizes = np.concatenate(sizes)
-    sizes = sizes[sizes > 0.0]
-    return float(np.median(sizes)) if len(sizes) else 0.0
-
-
-def _pools(counted, error, jacobian, scale, period):
-    """Yield cost, gradient, curvature and count of each block of samples."""
+def _pools(counted, error, jacobian, period):
+    """Yield mean square, gradient, curvature and count of each block of samples."""
     length = max(round(BLOCK_TIME / period), 1)
     for begin in range(0, len(counted), length):
         rows = slice(begin, begin + length)
-        keep = counted[rows] & (error[rows] != 0.0)
-        if not counted[rows].any():
+        count = int(counted[rows].sum())
+        if not count:
             continue
-        off, slope = error[rows][keep], jacobian[rows][keep] / scale
-        root = np.sqrt(1.0 + off ** 2)  # pseudo-Huber
-        weighted = slope / np.sqrt(root)[:, None]
-        yield (2.0 * np.sum(root - 1.0), slope.T @ (off / root), weighted.T @ weighted,
-               int(counted[rows].sum()))
+        keep = counted[rows] & (error[rows] != 0.0)
+        off, slope = error[rows][keep], jacobian[rows][keep]
+        yield off @ off / count, slope.T @ off, slope.T @ slope, count

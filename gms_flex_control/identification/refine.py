@@ -1,17 +1,19 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""Levenberg-Marquardt on the robust cost, with a weak pull towards where it began."""
+"""Levenberg-Marquardt on the cost of all blocks, with a weak pull towards where it began."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 _LARGEST_STEP = 0.7   # of a logarithm
 _TRIALS = 6
-_RESCALINGS = 3
-_SAME_SCALE = 0.1
-_ENOUGH = 1e-5        # relative gain below which a fit has settled
+_LONGEST = 16.0       # times a step
+_ROUNDS = 3
+_SAME_FLOOR = 0.1
+_ENOUGH, _NEARLY = 1e-5, 2e-3  # relative gain below which a fit has settled, or will do to go on
 
 
 class Prior(NamedTuple):
@@ -30,7 +32,7 @@ class Refined(NamedTuple):
     settled: bool
 
 
-def refine(objective, coordinates, free, prior, *, sharpness=1.0, iterations=25):
+def refine(objective, coordinates, free, prior, *, sharpness=1.0, iterations=25, roughly=False):
     """
     Move free numbers to the nearest minimum of the cost.
 
@@ -49,6 +51,8 @@ def refine(objective, coordinates, free, prior, *, sharpness=1.0, iterations=25)
         less.
     iterations : int
         At most.
+    roughly : bool
+        Whether to end early, where another fit goes on from here.
 
     Returns
     -------
@@ -56,41 +60,68 @@ def refine(objective, coordinates, free, prior, *, sharpness=1.0, iterations=25)
 
     """
     now, count = objective.evaluate(coordinates, free, sharpness), 0
-    for _ in range(_RESCALINGS):
+    for _ in range(_ROUNDS):
         free, now, used, settled = _descend(objective, coordinates, free, now, prior, sharpness,
-                                            iterations - count)
+                                            iterations - count, _NEARLY if roughly else _ENOUGH)
         count += used
-        scale = objective.scale_of(now)
-        if count >= iterations or abs(scale / now.scale - 1.0) < _SAME_SCALE:
+        floor = objective.floor_of(now.square)
+        if roughly or count >= iterations or abs(floor / now.floor - 1.0) < _SAME_FLOOR:
             break
-        now = objective.evaluate(coordinates, free, sharpness, scale)
+        now = replace(now, floor=floor)
     return Refined(free, now, count, settled)
 
 
-def _descend(objective, coordinates, free, now, prior, sharpness, iterations):
+def _descend(objective, coordinates, free, now, prior, sharpness, iterations, enough):
     """Return free numbers, their Evaluation, iterations taken and whether the fit settled."""
+    def cost_at(numbers):
+        return total_cost(objective.evaluate(coordinates, numbers, sharpness, now.floor,
+                                             with_derivatives=False), numbers, prior)
+
     damping = 1e-3
     for count in range(1, iterations + 1):
-        curvature = now.curvature.sum(axis=0) + np.diag(prior.precision)
-        slope = now.gradient.sum(axis=0) - prior.precision * (free - prior.mean)
+        curvature, slope = summed(now, free, prior)
         cost = total_cost(now, free, prior)
         for _ in range(_TRIALS):
             step = np.linalg.solve(curvature + damping * np.diag(np.diag(curvature) + 1e-12),
                                    slope)
             step = np.clip(step, -_LARGEST_STEP, _LARGEST_STEP)
-            trial = objective.evaluate(coordinates, free + step, sharpness, now.scale)
-            gain = cost - total_cost(trial, free + step, prior)
-            if gain > 0.0:
+            best, reach = _longest(cost_at, free, step, cost)
+            if best < cost:
                 break
-            damping *= 5.0
+            damping *= 6.0
         else:
             return free, now, count, True
-        free, now, damping = free + step, trial, max(damping / 5.0, 1e-9)
-        if gain < _ENOUGH * cost:
+        free, damping = free + reach * step, max(damping / 6.0, 1e-9)
+        now = objective.evaluate(coordinates, free, sharpness, now.floor)
+        if cost - best < enough * cost:
             return free, now, count, True
     return free, now, iterations, False
 
 
+def _longest(cost_at, free, step, cost):
+    """
+    Return the least cost along a step, and at how many times its length.
+
+    Where links stick and slip, the cost is rough at small scale: the slope underrates how far
+    it falls, and longer steps pay.
+    """
+    best, reach = cost_at(free + step), 1.0
+    while best < cost and reach < _LONGEST and np.abs(2.0 * reach * step).max() < 1.0:
+        further = cost_at(free + 2.0 * reach * step)
+        if further >= best:
+            break
+        best, reach = further, 2.0 * reach
+    return best, reach
+
+
 def total_cost(evaluation, free, prior):
     """Return the cost of all data and of the distance from the prior."""
-    return evaluation.cost.sum() + np.sum(prior.precision * (free - prior.mean) ** 2)
+    return evaluation.cost.sum() + 0.5 * np.sum(prior.precision * (free - prior.mean) ** 2)
+
+
+def summed(evaluation, free, prior):
+    """Return curvature (P, P) and downhill slope (P,) of the cost, the prior included."""
+    weight = evaluation.weight
+    curvature = np.tensordot(weight, evaluation.curvature, 1) + np.diag(prior.precision)
+    slope = weight @ evaluation.gradient - prior.precision * (free - prior.mean)
+    return curvature, slope

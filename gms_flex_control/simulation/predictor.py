@@ -25,6 +25,7 @@ STATIC, COULOMB, VELOCITY, VISCOUS = 0, 1, 2, 3  # forward; backward 4 further
 PER_DIRECTION = 4
 ATTRACTION = 8
 BLOCKS = 9
+_SAME_POSE = 16  # samples over which the inertia of the derivatives is taken as constant
 
 
 def parameter_rows(n_blocks, n_extra):
@@ -56,8 +57,13 @@ def outside(error, half):
 
 
 @compiled
-def level_tangents(j, sign, velocity, d_velocity, directions, friction, out):
-    """Write the derivative of s(v) of joint ``j`` (Eq. 4) along each direction to ``out`` (P,)."""
+def level_tangents(j, a, sign, velocity, d_dq, directions, friction, out):
+    """
+    Write the derivative of s(v) of joint ``j`` (Eq. 4) along each direction to ``out`` (P,).
+
+    As in all functions here, ``a`` is the row of the joint among those carried; the first row is
+    the joint whose own parameters move.
+    """
     row = gms.FORWARD if sign > 0.0 else gms.BACKWARD
     rows = PER_DIRECTION * row
     scale = friction.velocity[row, j]
@@ -65,61 +71,88 @@ def level_tangents(j, sign, velocity, d_velocity, directions, friction, out):
     decay = np.exp(-x * x) if x * x < 50.0 else 0.0
     slope = 2.0 * x / scale * decay * (friction.static[row, j] - friction.coulomb[row, j])
     for p in range(out.shape[0]):
-        out[p] = (decay * directions[rows + STATIC, p]
-                  + (1.0 - decay) * directions[rows + COULOMB, p]
-                  + slope * (x * directions[rows + VELOCITY, p] - d_velocity[p]))
+        out[p] = -slope * d_dq[a, p]
+    if a == 0:
+        for p in range(out.shape[0]):
+            out[p] += (decay * directions[rows + STATIC, p]
+                       + (1.0 - decay) * directions[rows + COULOMB, p]
+                       + slope * x * directions[rows + VELOCITY, p])
 
 
 @compiled
-def advance_tangents(j, displacement, d_displacement, velocity, d_velocity, dt, state,
-                     directions, friction, d_level, d_torque):
-    """Advance joint ``j`` as friction.gms.advance_joint, and the derivatives of its blocks."""
+def advance_tangents(j, a, displacement, d_displacement, velocity, d_dq, dt, state, directions,
+                     friction, d_level, d_torque):
+    """
+    Advance joint ``j`` as friction.gms.advance_joint, and the derivatives of its blocks.
+
+    One long function: a call with this many arrays costs more than the work on a block.
+    """
     turned = displacement * state.direction[j] < 0.0
     if turned:
         state.direction[j] = -state.direction[j]
     sign = state.direction[j]
     level, _ = gms.level_of(j, sign, velocity, friction)
-    level_tangents(j, sign, velocity, d_velocity, directions, friction, d_level)
-    blocks, width = d_torque.shape
+    level_tangents(j, a, sign, velocity, d_dq, directions, friction, d_level)
     attraction = friction.attraction[j]
     decay = np.exp(-attraction * dt / level)
+    blocks, width = d_torque.shape[1:]
     for i in range(blocks):
         stiffness, weight = friction.stiffness[j, i], friction.weight[j, i]
-        of_stiffness, of_weight = BLOCKS + i, BLOCKS + blocks + i
+        if weight == 0.0:  # there for the shape of the record alone
+            continue
         limit = sign * weight * level
+        share = slower = 0.0  # a slipping block keeps a share of its derivative, one breaking none
         if turned:
             state.sticking[j, i] = 1
         if state.sticking[j, i]:
             state.torque[j, i] += stiffness * displacement  # Eq. (2)
-            if sign * state.torque[j, i] >= sign * limit:
-                state.torque[j, i], state.sticking[j, i] = limit, 0
+            if sign * state.torque[j, i] < sign * limit:
                 for p in range(width):
-                    d_torque[i, p] = sign * (weight * d_level[p]
-                                             + level * directions[of_weight, p])
-            else:
-                for p in range(width):
-                    d_torque[i, p] += (stiffness * d_displacement[p]
-                                       + displacement * directions[of_stiffness, p])
+                    d_torque[a, i, p] += stiffness * d_displacement[p]
+                if a == 0:
+                    for p in range(width):
+                        d_torque[a, i, p] += displacement * directions[BLOCKS + i, p]
+                continue
+            state.torque[j, i], state.sticking[j, i] = limit, 0
         else:  # Eq. (3), exact over the step
             above = (state.torque[j, i] - limit) * decay
             state.torque[j, i] = limit + above
-            slower = above * dt / level
+            share, slower = decay, above * dt / level
+        follows = sign * weight * (1.0 - share) + slower * attraction / level
+        for p in range(width):
+            d_torque[a, i, p] = share * d_torque[a, i, p] + follows * d_level[p]
+        if a == 0:
+            scaled = sign * level * (1.0 - share)
             for p in range(width):
-                d_limit = sign * (weight * d_level[p] + level * directions[of_weight, p])
-                d_torque[i, p] = d_limit + (d_torque[i, p] - d_limit) * decay + slower * (
-                    attraction / level * d_level[p] - directions[ATTRACTION, p])
+                d_torque[a, i, p] += (scaled * directions[BLOCKS + blocks + i, p]
+                                      - slower * directions[ATTRACTION, p])
 
 
 @compiled
-def own_inertia(joint, links, work):
-    """Return the diagonal entry of M of ``joint`` from the work's cosines and sines [kg m^2]."""
-    inertia = 0.0
-    for i in range(links.moment.shape[0]):
-        for k in range(links.moment.shape[0]):
-            cos_ik = work.cosine[i] * work.cosine[k] + work.sine[i] * work.sine[k]
-            inertia += links.orientation[i, joint] * links.orientation[k, joint] * (
-                links.coupling[i, k] * cos_ik + links.rigid_inertia[i, k])
-    return inertia
+def mobility(carried, links, work, out):
+    """Write the inverse of M between the ``carried`` joints, all others held, to ``out``."""
+    m, n = carried.shape[0], links.moment.shape[0]
+    for a in range(m):
+        for b in range(m):
+            out[a, b] = 0.0
+            for i in range(n):
+                for k in range(n):
+                    part = links.orientation[i, carried[a]] * links.orientation[k, carried[b]]
+                    if part != 0.0:
+                        cos_ik = (work.cosine[i] * work.cosine[k] + work.sine[i] * work.sine[k])
+                        out[a, b] += part * (links.coupling[i, k] * cos_ik
+                                             + links.rigid_inertia[i, k])
+    for pivot in range(m):  # Gauss-Jordan; M is positive definite
+        reciprocal = 1.0 / out[pivot, pivot]
+        out[pivot, pivot] = 1.0
+        for b in range(m):
+            out[pivot, b] *= reciprocal
+        for a in range(m):
+            if a != pivot:
+                factor = out[a, pivot]
+                out[a, pivot] = 0.0
+                for b in range(m):
+                    out[a, b] -= factor * out[pivot, b]
 
 
 @compiled
@@ -143,24 +176,28 @@ def advance_links(error, gains, period, q, dq, work):
 
 
 @compiled
-def rate_tangents(mobility, dq, extra, state, joint, directions, friction, d_torque, d_dq, out):
-    """Write the derivative of the acceleration of ``joint`` (P,) into ``out``."""
-    blocks, width = d_torque.shape
-    row = gms.FORWARD if state.direction[joint] > 0.0 else gms.BACKWARD
-    viscous, own = friction.viscous[row, joint], PER_DIRECTION * row + VISCOUS
-    first_extra = BLOCKS + 2 * blocks
+def torque_tangents(j, a, k, dq, extra, state, directions, friction, d_torque, d_dq, out):
+    """Write the derivative of the torque on joint ``j`` at sample ``k`` into row a of ``out``."""
+    blocks, width = d_torque.shape[1:]
+    row = gms.FORWARD if state.direction[j] > 0.0 else gms.BACKWARD
+    viscous, rows = friction.viscous[row, j], PER_DIRECTION * row + VISCOUS
     for p in range(width):
-        total = -viscous * d_dq[p] - directions[own, p] * dq[joint]
-        for i in range(blocks):
-            total -= d_torque[i, p]
-        for r in range(extra.shape[0]):
-            total += extra[r] * directions[first_extra + r, p]
-        out[p] = total * mobility
+        out[a, p] = -viscous * d_dq[a, p]
+    for i in range(blocks):  # rows in the outer loop: the inner one is then vectorised
+        if friction.weight[j, i] != 0.0:
+            for p in range(width):
+                out[a, p] -= d_torque[a, i, p]
+    if a == 0:
+        for p in range(width):
+            out[a, p] -= directions[rows, p] * dq[j]
+        for r in range(extra.shape[1]):
+            for p in range(width):
+                out[a, p] += extra[k, r] * directions[BLOCKS + 2 * blocks + r, p]
 
 
 @compiled
-def predict(angle, rate, torque, extra, coefficients, period, links, friction, joint, directions,
-            gains, half, state, work, predicted, innovation, jacobian):
+def predict(angle, rate, torque, extra, coefficients, period, links, friction, carried,
+            directions, gains, half, state, work, predicted, innovation, jacobian):
     """
     Predict one stretch of a recording, with the derivatives of one joint's prediction.
 
@@ -180,8 +217,9 @@ def predict(angle, rate, torque, extra, coefficients, period, links, friction, j
         Sample [s].
     links, friction : numpy.record
         From dynamics.chain.constants_of and friction.gms.constants_of.
-    joint : int
-        Joint whose derivatives are wanted.
+    carried : ndarray of int, shape (m,)
+        First the joint whose parameters move, then those that its motion moves; the others
+        are taken as not reacting to the parameters.
     directions : ndarray, shape (9 + 2 N + R, P)
         Derivative of the joint's parameters (see STATIC ...; then stiffness, weight and
         coefficients) to P numbers of the caller's choice.
@@ -196,8 +234,7 @@ def predict(angle, rate, torque, extra, coefficients, period, links, friction, j
     predicted, innovation : ndarray, shape (T, n)
         Filled: predicted angles, and how far the readings lie from them [rad].
     jacobian : ndarray, shape (T, P)
-        Filled: derivative of the innovation of ``joint``, sign reversed; it neglects that the
-        other joints move differently.
+        Filled: derivative of the innovation of the first carried joint, sign reversed.
 
     Notes
     -----
@@ -205,37 +242,65 @@ def predict(angle, rate, torque, extra, coefficients, period, links, friction, j
 
     """
     samples, n = angle.shape
-    width = directions.shape[1]
+    m, width, joint = len(carried), directions.shape[1], carried[0]
     q, dq = np.empty(n), np.empty(n)
     begin(angle[0], rate, torque[0], state, q, dq, friction)
-    d_q, d_dq, d_ddq = np.zeros(width), np.zeros(width), np.zeros(width)
+    d_q, d_dq, d_push = np.zeros((m, width)), np.zeros((m, width)), np.zeros((m, width))
     d_displacement, d_level = np.zeros(width), np.zeros(width)
-    d_torque = np.zeros((state.torque.shape[1], width))
+    d_torque = np.zeros((m, state.torque.shape[1], width))
+    yielding, seen = np.empty((m, m)), np.empty(m)
     for k in range(samples):
         for j in range(n):
             predicted[k, j] = q[j]
             innovation[k, j] = outside(angle[k, j] - q[j], half[j])
-        seen = 1.0 if innovation[k, joint] != 0.0 else 0.0
+        for a in range(m):
+            seen[a] = 1.0 if innovation[k, carried[a]] != 0.0 else 0.0
         for p in range(width):
-            jacobian[k, p] = seen * d_q[p]
+            jacobian[k, p] = seen[0] * d_q[0, p]
         if k == samples - 1:
             break
-        further = 0.0
-        for r in range(coefficients.shape[0]):
-            further += coefficients[r] * extra[k, r]
-        accelerate(torque[k], further, joint, q, dq, state, links, friction, work)
-        rate_tangents(1.0 / own_inertia(joint, links, work.chain), dq, extra[k], state, joint,
-                      directions, friction, d_torque, d_dq, d_ddq)
+        accelerate(torque[k], further_torque(coefficients, extra[k]), joint, q, dq, state, links,
+                   friction, work)
+        if k % _SAME_POSE == 0:
+            mobility(carried, links, work.chain, yielding)
+        for a in range(m):
+            torque_tangents(carried[a], a, k, dq, extra, state, directions, friction, d_torque,
+                            d_dq, d_push)
         advance_links(innovation[k], gains, period, q, dq, work)
-        for p in range(width):
-            d_dq[p] += period * (d_ddq[p] - seen * gains[1, joint] * d_q[p])
-            d_displacement[p] = period * d_dq[p]
-            d_q[p] += d_displacement[p] - seen * period * gains[0, joint] * d_q[p]
+        for a in range(m):
+            j = carried[a]
+            drawn = seen[a] * period
+            for p in range(width):
+                d_dq[a, p] -= drawn * gains[1, j] * d_q[a, p]
+            for b in range(m):
+                for p in range(width):
+                    d_dq[a, p] += period * yielding[a, b] * d_push[b, p]
+            for p in range(width):
+                d_displacement[p] = period * d_dq[a, p]
+                d_q[a, p] += d_displacement[p] - drawn * gains[0, j] * d_q[a, p]
+            advance_tangents(j, a, work.displacement[j], d_displacement, dq[j], d_dq, period,
+                             state, directions, friction, d_level, d_torque)
         for j in range(n):
-            if j != joint:
+            if not is_among(j, carried):
                 gms.advance_joint(j, state, work.displacement[j], dq[j], period, friction)
-        advance_tangents(joint, work.displacement[joint], d_displacement, dq[joint], d_dq, period,
-                         state, directions, friction, d_level, d_torque)
+
+
+@compiled
+def is_among(j, carried):
+    """Return whether joint ``j`` is among ``carried`` (m,)."""
+    for a in range(carried.shape[0]):
+        if carried[a] == j:
+            return True
+    return False
+
+
+@compiled
+def further_torque(coefficients, extra):
+    """Return the sum of further torques, coefficients (R,) times ``extra`` (R,)."""
+    total = 0.0
+    for r in range(coefficients.shape[0]):
+        total += coefficients[r] * extra[r]
+    return total
 
 
 @compiled
@@ -291,10 +356,8 @@ def copy_state(state, q, dq, freed, free_q, free_dq):
 def one_step(torque, extra, coefficients, joint, error, gains, period, q, dq, state, links,
              friction, work):
     """Advance links and blocks by one sample, in place."""
-    further = 0.0
-    for r in range(coefficients.shape[0]):
-        further += coefficients[r] * extra[r]
-    accelerate(torque, further, joint, q, dq, state, links, friction, work)
+    accelerate(torque, further_torque(coefficients, extra), joint, q, dq, state, links, friction,
+               work)
     advance_links(error, gains, period, q, dq, work)
     for j in range(q.shape[0]):
         gms.advance_joint(j, state, work.displacement[j], dq[j], period, friction)
