@@ -8,8 +8,12 @@ from functools import cache
 from pathlib import Path
 
 from gms_flex_control.analysis.csv_import import import_csv
+from gms_flex_control.bags.experiment import write_recording
+from gms_flex_control.bags.reader import read_recording
 from gms_flex_control.dynamics.chain import matrices
 from gms_flex_control.errors import GmsFlexError, IdentificationError
+from gms_flex_control.experiment.identification_plan import read_identification_plan
+from gms_flex_control.experiment.identification_simulated import simulate_identification
 from gms_flex_control.experiment.plan import read_plan
 from gms_flex_control.experiment.simulated import simulate, to_recording
 from gms_flex_control.identification.checks import check, require
@@ -19,6 +23,7 @@ from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.params.encoder import EncoderParams
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
 from gms_flex_control.params.robot import RobotParams
+from gms_flex_control.schema.files import load_controller, load_robot
 import numpy as np
 import pytest
 
@@ -291,6 +296,37 @@ def test_rigid_torque_is_that_of_the_model():
         model = matrices(q, dq, ddq, np.zeros(2), robot.arm)
         np.testing.assert_allclose(
             got[k], model.mass @ ddq + model.coriolis @ dq + model.gravity, atol=1e-12)
+
+
+@pytest.fixture(scope='module')
+def experiment():
+    config = ROOT / 'config'
+    robot = load_robot(config / 'robot.yaml')
+    gains = load_controller(config / 'controller.yaml', robot)
+    plan = read_identification_plan([config / 'identification_demo.yaml'], robot, gains)
+    return simulate_identification(plan, robot, gains, 3)[0], robot
+
+
+def test_the_identification_experiment_has_no_finding(experiment):
+    assert check(*experiment) == ()
+
+
+@pytest.mark.parametrize('fault', [
+    '1 % dropped', 'bursts dropped', '5 % repeated', 'clock ahead', 'clock back',
+    'torque reversed', 'motor side torque', 'joints exchanged', 'torques exchanged', 'clipped',
+    'sides exchanged', 'links exchanged'])
+def test_a_fault_of_the_identification_experiment_is_named(experiment, fault):
+    kind, _, inject = (FAULTS | SIDES)[fault]
+    recording, robot = experiment
+    assert {finding.kind for finding in check(inject(recording), robot)} == {kind}
+
+
+def test_a_fault_survives_its_bag(tmp_path):
+    recording, robot = healthy('unlike')
+    wrong = exchanged_sides(dropped(recording, 0.01))
+    write_recording(tmp_path / 'bag', wrong, robot.motors, source='test')
+    found = check(read_recording(tmp_path / 'bag', robot.joints, robot.motors), robot)
+    assert {finding.kind for finding in found} == {'dropped', 'swapped_sides'}
 
 
 def some_friction(n):

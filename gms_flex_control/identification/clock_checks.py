@@ -12,6 +12,7 @@ LOST_WARN, LOST_REFUSE = 0.003, 0.3  # shares of all samples
 GAP_WARN = 0.05               # a single gap worth a word [s]
 _ON_GRID = 0.1                # a step of a steady clock is this near a multiple of the period
 _SHORT = 0.55                 # of a period: sooner than jitter puts a sample
+_CLUSTER = 10                 # short steps near each other are no late message
 _BESIDE = 10                  # samples that tell the velocity beside a gap
 
 
@@ -85,7 +86,9 @@ def _short_steps(signals, steps, steady):
                           'the clock was set back or samples are out of order; correct the '
                           'stamps or cut the recording there')
             return
-        if short.size > 0.001 * len(steps):
+        dense = len(short) > _CLUSTER and np.min(short[_CLUSTER:] - short[:-_CLUSTER]) < (
+            5 * _CLUSTER)
+        if dense or short.size > 0.001 * len(steps):
             yield Finding('clock', '', 'warn', f'{signals.source}: {short.size} stamps follow '
                           'the one before too soon, the first at '
                           f'{signals.time[short[0]]:.3f} s; was the clock set back there? If '
