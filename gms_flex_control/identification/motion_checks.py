@@ -248,5 +248,5 @@ def _jumps(signals, joint, side, q, scales, held):
         yield Finding('jump', joint, 'refuse', f'{signals.source}: the {side} angle of {joint} '
                       f'jumps {jumps.size} times, most by {q[worst + 1] - q[worst]:.4g} rad in '
                       f'one sample at {signals.time[worst + 1]:.3f} s (at full speed it moves '
-                      f'{top:.2g}); unwrap the angle, or cut the recording there: a clock that was '
-                      'set back by whole periods looks like this too')
+                      f'{top:.2g}); unwrap the angle, or cut the recording there: a clock '
+                      'that was set back by whole periods looks like this too')
