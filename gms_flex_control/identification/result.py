@@ -21,7 +21,8 @@ class Interval(NamedTuple):
 class Estimate(NamedTuple):
     """One parameter as the data have it."""
 
-    name: str              # as in parameter files, 'friction.joint1.forward.static'
+    name: str              # as in parameter files, 'friction.joint1.forward.static'; blocks by
+    #                        their place in the array, 'friction.joint1.stiffness[0]'
     unit: str
     value: float
     interval: Interval     # from the Jacobian, errors taken to depend on each other for a while
@@ -147,6 +148,8 @@ class Identification:
         Of the data as a whole.
     seconds : float
         How long the fit took [s].
+    recorded : str
+        When the data were recorded, such as '2026-03-01 14:05 UTC'; '' if not known.
 
     """
 
@@ -160,3 +163,4 @@ class Identification:
     period: float
     warnings: tuple
     seconds: float
+    recorded: str = ''

@@ -172,8 +172,25 @@ def save_robot(robot, path, *, comment=''):
         First lines of the file, without the '#'.
 
     """
+    save_values(build.robot_values(robot), path, comment=comment)
+
+
+def save_values(values, path, *, comment=''):
+    """
+    Write flat parameters as a ROS parameter file for any node.
+
+    Parameters
+    ----------
+    values : dict of str to object
+        Such as ``{'arm.joint1.mass': 1.5, ...}``.
+    path : str or Path
+        Where to.
+    comment : str
+        First lines of the file, without the '#'.
+
+    """
     tree = {}
-    for name, value in build.robot_values(robot).items():
+    for name, value in values.items():
         branch = tree
         *parents, leaf = name.split('.')
         for parent in parents:

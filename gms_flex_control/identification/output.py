@@ -1,0 +1,148 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Files for machines: report.json, and friction.yaml for controller, plant and tools."""
+
+import json
+import math
+from textwrap import wrap
+
+from gms_flex_control import __version__
+from gms_flex_control.files import write_text
+from gms_flex_control.identification.words import (
+    data_sentence,
+    joint_sentences,
+    percent,
+    short_name,
+    standing,
+)
+from gms_flex_control.schema.build import robot_values
+from gms_flex_control.schema.files import save_values
+import numpy as np
+
+REPORT_FORMAT = 1
+_COMMENT_WIDTH = 90
+
+
+def report_json(identification):
+    """
+    Return an identification as plain data, without the long arrays.
+
+    Parameters
+    ----------
+    identification : Identification
+        To be told.
+
+    Returns
+    -------
+    dict
+        Of str, int, float, bool, None, list and dict; a number that is not finite is None.
+
+    """
+    return _plain({
+        'format': REPORT_FORMAT, 'version': __version__, 'method': identification.method,
+        'sources': identification.sources, 'holdouts': identification.holdouts,
+        'recorded': identification.recorded, 'duration': identification.duration,
+        'period': identification.period, 'seconds': identification.seconds,
+        'warnings': identification.warnings,
+        'joints': [_joint(result) for result in identification.joints]})
+
+
+def _joint(result):
+    return {
+        'joint': result.joint, 'side': result.side,
+        'summary': [text for text, _ in joint_sentences(result)],
+        'estimates': [estimate._asdict() | {'standing': standing(estimate)}
+                      for estimate in result.estimates],
+        'candidates': [candidate._asdict() for candidate in result.candidates],
+        'held_out': result.held_out._asdict(), 'warnings': result.warnings}
+
+
+def _plain(value):
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def write_report_json(identification, path):
+    """Write `report_json` to ``path``, whole or not at all."""
+    write_text(path, json.dumps(report_json(identification), indent=2, allow_nan=False,
+                                ensure_ascii=False) + '\n')
+
+
+def friction_values(identification):
+    """
+    Return the flat parameters that were identified.
+
+    Parameters
+    ----------
+    identification : Identification
+        Its robot differs from the believed one in what was identified.
+
+    Returns
+    -------
+    dict of str to object
+        Names of joints and motors, friction of all joints, and what else the fit has changed.
+
+    Notes
+    -----
+    A joint the fit took as rigid, for want of a trusted spring, keeps motor and stiffness of the
+    believed robot.
+
+    """
+    found = robot_values(identification.robot)
+    believed = robot_values(identification.believed)
+    values = {name: believed[name] for name in ('joints', 'motors')}
+    for name, value in found.items():
+        part = name.split('.')[0]
+        if part == 'friction':
+            values[name] = value
+        elif part in ('arm', 'effects') and value != believed.get(name):
+            if not (name.endswith('.stiffness') and math.isinf(value)):
+                values[name] = value
+    for joint in identification.robot.joints:
+        _drop_empty_blocks(values, f'friction.{joint}.')
+    return values
+
+
+def _drop_empty_blocks(values, prefix):
+    """Leave out the blocks at the end that carry nothing."""
+    count = 1 + max(i for i, weight in enumerate(values[f'{prefix}weight']) if weight > 0.0)
+    for name in ('stiffness', 'weight'):
+        values[prefix + name] = values[prefix + name][:count]
+
+
+def write_friction(identification, path):
+    """
+    Write friction.yaml: a ROS parameter file to be loaded after the robot's own.
+
+    Parameters
+    ----------
+    identification : Identification
+        What was found.
+    path : str or Path
+        Where to.
+
+    """
+    save_values(friction_values(identification), path, comment=_comment(identification))
+
+
+def _comment(identification):
+    lines = [f'Friction identified by gms_flex identify {__version__}. Load it after the robot '
+             'file: [robot.yaml, friction.yaml].', f'{data_sentence(identification)}.',
+             *identification.warnings]
+    for result in identification.joints:
+        errors = result.held_out
+        lines.append(f'{result.joint}: held-out torque error {percent(errors.relative)}, '
+                     f'with Coulomb + viscous alone {percent(errors.coulomb_viscous)}')
+        lines += [f'  {short_name(estimate.name, result.joint)}: '
+                  f"{', '.join(estimate.flags).upper()}. {estimate.note}".rstrip()
+                  for estimate in result.estimates if estimate.flags]
+    return '\n'.join(part for line in lines for part in wrap(
+        line, _COMMENT_WIDTH, subsequent_indent='    ') or [''])
