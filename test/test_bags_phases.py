@@ -3,16 +3,21 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """The phases of an experiment, read from its bag."""
 
+from dataclasses import fields
+
 from gms_flex_control.bags.cdr import (
     JOINT_STATE,
     MULTI_ARRAY,
     pack_joint_state,
     pack_multi_array,
 )
-from gms_flex_control.bags.phases import PHASE_TOPIC, read_phases
+from gms_flex_control.bags.experiment import write_recording
+from gms_flex_control.bags.phases import pack_phase, PHASE_TOPIC, read_phases
+from gms_flex_control.bags.reader import read_recording
 from gms_flex_control.bags.writer import BagWriter
 from gms_flex_control.errors import BagError
-from gms_flex_control.recording import Phase
+from gms_flex_control.recording import Phase, Recording
+import numpy as np
 import pytest
 
 STATES = '/joint_states'
@@ -29,9 +34,8 @@ def written(path, messages, kind=MULTI_ARRAY):
     return path
 
 
-def packed(stamp, phase, joint, step, value):
-    return pack_multi_array([(f'stamp:{stamp}', 1, 1), (f'phase:{phase}', 1, 1),
-                             (f'joint:{joint}', 1, 1), (f'step:{step}', 1, 1)], [value])
+def packed(stamp, *rest):
+    return pack_phase(Phase(stamp, *rest))
 
 
 def test_phases_count_from_the_first_sample_in_the_order_of_time(tmp_path):
@@ -40,6 +44,19 @@ def test_phases_count_from_the_first_sample_in_the_order_of_time(tmp_path):
         packed(5_002_000_000, 'sliding', 'a', 'sliding/a/+0.1:x', -0.1)])
     assert read_phases(bag) == (Phase(2_000_000, 'sliding', 'a', 'sliding/a/+0.1:x', -0.1),
                                 Phase(6_000_000, 'idle', '', '', 0.0))
+
+
+def test_phases_are_read_as_they_were_written_beside_a_recording(tmp_path):
+    shape = {'time': (6,), 'reference': (6, 5, 1)}
+    values = {field.name: np.zeros(shape.get(field.name, (6, 1))) for field in fields(Recording)
+              if field.name not in ('joints', 'source')}
+    recording = Recording(**values | {'time': 2e-3 * np.arange(6)}, joints=('a',), source='x')
+    phases = (Phase(0, 'approach', 'a', 's/approach', 0.0), Phase(3_000_000, 'sliding', 'a', 's',
+                                                                  0.1),
+              Phase(12_000_000, 'idle', '', '', 0.0))
+    write_recording(tmp_path / 'bag', recording, start=7_000_000_000, phases=phases)
+    assert read_phases(tmp_path / 'bag') == phases
+    assert np.array_equal(read_recording(tmp_path / 'bag').time, recording.time)
 
 
 def test_a_bag_without_the_topic_has_no_phases(tmp_path):

@@ -5,13 +5,14 @@
 
 from gms_flex_control.bags.cdr import JOINT_STATE, MULTI_ARRAY, pack_joint_states
 from gms_flex_control.bags.messages import pack_command, pack_reference
+from gms_flex_control.bags.phases import pack_phase, PHASE_TOPIC
 from gms_flex_control.bags.reader import MOTOR_SUFFIX, Topics
 from gms_flex_control.bags.writer import BagWriter
 import numpy as np
 
 
 def write_recording(path, recording, motors=None, *, topics=None, start=0, source='gms_flex',
-                    custom=None):
+                    custom=None, phases=()):
     """
     Write a recording as a bag, whole or not at all.
 
@@ -32,6 +33,8 @@ def write_recording(path, recording, motors=None, *, topics=None, start=0, sourc
         Who answers, in the label of each command.
     custom : dict of str, optional
         Remarks kept in the metadata.
+    phases : sequence of Phase, optional
+        What an identification experiment was doing.
 
     Raises
     ------
@@ -51,11 +54,20 @@ def write_recording(path, recording, motors=None, *, topics=None, start=0, sourc
                   for name, there in zip(recording.joints, known, strict=True)]
     series = list(_series(recording, motors, stamps, topics, source))
     types = {name: type_name for name, type_name, _ in series}
+    types |= {PHASE_TOPIC: MULTI_ARRAY} if phases else {}
+    waiting = sorted(phases, key=lambda phase: phase.time_ns, reverse=True)
     with BagWriter(path, types, atomic=True, custom=custom) as writer:
         for k, stamp in enumerate(stamps.tolist()):
+            while waiting and start + waiting[-1].time_ns <= stamp:
+                phase = waiting.pop()
+                writer.write(PHASE_TOPIC, stamp, pack_phase(
+                    phase._replace(time_ns=start + phase.time_ns)))
             for name, _, messages in series:
                 if messages[k] is not None:
                     writer.write(name, stamp, messages[k])
+        for phase in reversed(waiting):  # from the sample on that would have come next
+            writer.write(PHASE_TOPIC, int(stamps[-1]), pack_phase(
+                phase._replace(time_ns=start + phase.time_ns)))
 
 
 def _series(recording, motors, stamps, topics, source):

@@ -1,11 +1,16 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""Read what an identification experiment was doing, from the phase topic of its bag."""
+"""Write and read what an identification experiment was doing: the phase topic of its bag."""
 
 import struct
 
-from gms_flex_control.bags.cdr import JOINT_STATE, MULTI_ARRAY, unpack_multi_array
+from gms_flex_control.bags.cdr import (
+    JOINT_STATE,
+    MULTI_ARRAY,
+    pack_multi_array,
+    unpack_multi_array,
+)
 from gms_flex_control.bags.messages import STAMP_LABEL, stamp_of
 from gms_flex_control.bags.source import Bag
 from gms_flex_control.errors import BagError
@@ -13,6 +18,13 @@ from gms_flex_control.recording import Phase
 
 PHASE_TOPIC = '/identification/phase'
 _LABELS = ('phase', 'joint', 'step')
+
+
+def pack_phase(phase):
+    """Return a Phase as CDR bytes, its ``time_ns`` as the stamp it holds from."""
+    labels = (f'{STAMP_LABEL}{phase.time_ns}', f'phase:{phase.phase}', f'joint:{phase.joint}',
+              f'step:{phase.step}')
+    return pack_multi_array([(label, 1, 1) for label in labels], [float(phase.value)])
 
 
 def read_phases(path, *, topic=PHASE_TOPIC, joint_states='/joint_states'):

@@ -42,9 +42,7 @@ _GOODBYE = 1.0            # for a last call to be answered [s]
 _LATCHED = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=100,
                       reliability=ReliabilityPolicy.RELIABLE,
                       durability=DurabilityPolicy.TRANSIENT_LOCAL)
-# the experiment reads each state, however far it falls behind a plant in lockstep
-_ALL = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=5000,
-                  reliability=ReliabilityPolicy.RELIABLE)
+_DEPTH = 5000  # it reads each state, however far it falls behind a plant in lockstep
 
 
 class StoppedError(Exception):
@@ -60,8 +58,8 @@ class IdentificationNode(Node):
         parameters = NodeParameters(self, lambda joints: (
             *robot_keys(joints), *controller_keys(joints), *identification_keys(joints),
             *identification_node_keys()))
-        values, joints = parameters.values, parameters.joints
-        self._values = values
+        self._values = values = parameters.values
+        joints = parameters.joints
         robot = robot_from_values(values)
         self.plan = plan_identification(values, robot, controller_from_values(values, joints))
         self._journal = Journal(self['bag'], self.plan, resume=self['resume'])
@@ -73,7 +71,8 @@ class IdentificationNode(Node):
         self._runner = StepRunner(self, self._journal)
         self._ordered, self._stopped = self['autostart'], False
         self._phase_pub = self.create_publisher(Float64MultiArray, PHASE, _LATCHED)
-        self.create_subscription(JointState, STATES, self._on_joint_states, _ALL,
+        self.create_subscription(JointState, STATES, self._on_joint_states,
+                                 process.subscriber_qos(self._values['mode'], _DEPTH),
                                  event_callbacks=process.NO_EVENTS)
         for name, handler in (('start', self._start), ('stop', self._stop),
                               ('resume', self._resume)):

@@ -34,17 +34,17 @@ def publisher_qos(mode):
                       reliability=ReliabilityPolicy.RELIABLE)
 
 
-def subscriber_qos(mode):
+def subscriber_qos(mode, depth=10):
     """
     Return the quality of service we subscribe with.
 
     Best effort costs the loop no acknowledgements in real time; in lockstep every message is
     waited for. Ten messages deep, so that a short stall loses none; stale ones are told by
-    their stamp.
+    their stamp. Who must see each of them asks for more.
     """
     reliability = (ReliabilityPolicy.RELIABLE if mode == 'lockstep'
                    else ReliabilityPolicy.BEST_EFFORT)
-    return QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=10, reliability=reliability)
+    return QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=depth, reliability=reliability)
 
 
 def tighten_timers():

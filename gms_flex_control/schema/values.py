@@ -15,6 +15,8 @@ _NAMES = {'double': 'a number', 'integer': 'a whole number', 'string': 'a text',
           'boolean': 'true or false', 'double_array': 'a list of numbers',
           'string_array': 'a list of texts'}
 
+_PER_JOINT = ('arm', 'friction', 'gains', 'identification', 'trajectory')
+
 
 def _is_number(value):
     return isinstance(value, (int, float)) and not isinstance(value, bool)
@@ -171,6 +173,6 @@ def known_keys(names, joints):
 
 def _nearest(name, known, joints):
     parts = name.split('.')
-    if len(parts) > 2 and parts[0] in ('arm', 'friction', 'gains') and parts[1] not in joints:
+    if len(parts) > 2 and parts[0] in _PER_JOINT and parts[1] not in joints:
         return f'; unknown joint {parts[1]!r}{did_you_mean(parts[1], joints)}'
     return did_you_mean(name, [key for key in known if key.count('.') == name.count('.')])
