@@ -165,6 +165,24 @@ def test_a_torque_ramp_is_sent_as_effort_and_stop_ends_it(moving):
     assert rows.shape == (5, 5, 2) and np.all(rows[:, 0] == place)
 
 
+def test_a_torque_ends_where_the_joint_has_moved_far_enough(moving):
+    assert moving.set_parameters('/trajectory', trajectory__type='torque_levels',
+                                 trajectory__joint1__levels=[1.0],
+                                 trajectory__joint2__levels=[0.0], trajectory__rate=1.0,
+                                 trajectory__joint1__travel=0.05, together=True).successful
+    moving.steps(1, (0.1, 0.2))
+    assert moving.trigger('reset').success
+    moving.steps(SECOND + 20, (0.1, 0.2))
+    assert moving.trigger('start').success
+    moving.steps(1, (0.1, 0.2))
+    assert moving.steps(20, (0.14, 0.4)).shape == (20, 1, 2)
+    moving.steps(1, (0.051, 0.4))
+    assert moving.steps(1, (0.049, 0.4)).shape == (1, 1, 2)  # sent a sample ahead
+    rows = moving.steps(20, (0.049, 0.4))
+    assert rows.shape == (20, 5, 2) and np.all(rows[:, 0] == (0.049, 0.4))
+    assert moving.set_parameters('/trajectory', trajectory__joint1__travel=0).successful
+
+
 def test_release_asks_for_zero_torque_at_once_and_until_told_otherwise(moving):
     assert moving.set_parameters('/trajectory', trajectory__type='sinusoid').successful
     assert moving.trigger('start').success

@@ -266,6 +266,7 @@ class Planner:
             values[f'trajectory.{other}.levels'] = [
                 float(level) if i == j else 0.0 for level in levels]
             values[f'trajectory.{other}.bias'] = float(bias[i])
+            values[f'trajectory.{other}.travel'] = float(travel) if i == j else 0.0
         need = np.abs(bias)
         need[j] += np.max(np.abs(levels))
         for i, other in enumerate(self._robot.joints):

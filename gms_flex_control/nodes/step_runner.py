@@ -11,6 +11,9 @@ from gms_flex_control.nodes.remote import value_of
 
 _LATENESS = 0.05  # a step may begin that much after the state at which its call was answered [s]
 
+# of the travel at which the trajectory node ends a torque: it may count from another state
+_GONE = 0.9
+
 
 class StepRunner:
     """
@@ -124,6 +127,7 @@ class StepRunner:
         self._begin(step.trajectory_parameters)
         begin = node.watch.stamp
         end = begin + round(NANOSECONDS * (self._plan.trajectory(step).end + _LATENESS))
+        gone = _GONE * step.travel
         still = begin  # the last stamp before it began to break away
 
         def is_over():
@@ -131,10 +135,10 @@ class StepRunner:
             travel = node.watch.travel(j)
             if travel <= LEAVING * step.travel:
                 still = node.watch.stamp
-            return node.watch.stamp >= end or travel > step.travel > 0.0
+            return node.watch.stamp >= end or travel > gone > 0.0
 
         node.until(is_over)
-        moved = node.watch.travel(j) > step.travel
+        moved = node.watch.travel(j) > gone > 0.0
         self._trigger('reset')
         if step.phase == 'break_away':
             self._note_break_away(step, moved, (still - begin) / NANOSECONDS)

@@ -43,7 +43,7 @@ class TrajectoryNode(Node):
         self._running = False
         self._origin = self._last = self._published = None  # stamps [ns]
         self._names = self._order = None
-        self._q_link, self._dq_link = np.zeros((2, len(self._joints)))
+        self._q_link, self._dq_link, self._origin_of_torque = np.zeros((3, len(self._joints)))
         self._writer = messages.ReferenceWriter(len(self._joints))
         self._reference_pub = self.create_publisher(Float64MultiArray, 'reference',
                                                     process.publisher_qos(values['mode']))
@@ -105,8 +105,20 @@ class TrajectoryNode(Node):
         if not foreseen or period == 0:
             self._publish(stamp)
         if period > 0:
+            self._end_travelled()
             self._publish(stamp + period)
         self._last = stamp
+
+    def _end_travelled(self):
+        """End an open-loop torque under which a joint has moved far enough."""
+        if not self._running or self._current.quantity != messages.EFFORT:
+            return
+        for joint, moved in zip(self._joints, np.abs(self._q_link - self._origin_of_torque),
+                                strict=True):
+            if moved > self._values[f'trajectory.{joint}.travel'] > 0.0:
+                self.get_logger().info(f'{joint} has moved by {moved:.3g} rad: the torque ends')
+                self._brake()
+                return
 
     def _begin(self, stamp):
         """Take the first state, or one after the clock was set back, as time zero."""
@@ -133,6 +145,7 @@ class TrajectoryNode(Node):
         if (trajectory.quantity == messages.EFFORT
                 and np.abs(state[1]).max() > _STANDING):
             raise TrajectoryError('a torque ramp begins at rest: call ~/stop first')
+        self._origin_of_torque[:] = self._q_link
         self._current = builders.approach(state, trajectory, time,
                                           duration=self._values['trajectory.approach_time'])
         self._running = True

@@ -214,6 +214,8 @@ def trajectory_keys(joints):
                 'N m', (0.0,), live=True),
             Key(prefix + 'bias', 'double', 'added to torque ramp and torque levels, against '
                 'gravity', 'N m', 0.0, live=True),
+            Key(prefix + 'travel', 'double', 'this far moved ends torque ramp and torque levels, '
+                '0 for never', 'rad', 0.0, 0.0, live=True),
             Key(prefix + 'points', 'double_array', 'via points, the first included', 'rad',
                 (0.0, 1.0, 0.0), live=True)]
     return tuple(keys)
