@@ -134,8 +134,9 @@ def write_friction(identification, path):
 
 
 def _comment(identification):
-    lines = [f'Friction identified by gms_flex identify {__version__}. Load it after the robot '
-             'file: [robot.yaml, friction.yaml].', f'{data_sentence(identification)}.',
+    lines = [f'Friction identified by gms_flex identify {__version__}.',
+             'Load it after the robot file: [robot.yaml, friction.yaml].',
+             f'{data_sentence(identification)}.',
              *identification.warnings]
     for result in identification.joints:
         errors = result.held_out
@@ -145,4 +146,4 @@ def _comment(identification):
                   f"{', '.join(estimate.flags).upper()}. {estimate.note}".rstrip()
                   for estimate in result.estimates if estimate.flags]
     return '\n'.join(part for line in lines for part in wrap(
-        line, _COMMENT_WIDTH, subsequent_indent='    ') or [''])
+        line, _COMMENT_WIDTH, subsequent_indent='    '))

@@ -7,10 +7,11 @@ from gms_flex_control.identification.result import Interval
 import numpy as np
 
 NOT_IDENTIFIABLE = 'not identifiable'
+SET = 'set, not fitted'
 WELL_KNOWN = 0.1      # half of the 95 % interval over the value, at most
 _UNEXPLAINED = 0.5    # of the drive torque: beyond, nothing is to be trusted
 _AT_FLOOR = 1.3       # error over floor that counts as the floor itself
-STANDINGS = ('well known', 'roughly known', 'doubtful', NOT_IDENTIFIABLE)
+STANDINGS = ('well known', 'roughly known', 'doubtful', NOT_IDENTIFIABLE, SET)
 
 
 def short_name(name, joint):
@@ -35,11 +36,14 @@ def spread(estimate):
 
 
 def standing(estimate):
-    """Return which of STANDINGS an Estimate has."""
+    """Return which of STANDINGS an Estimate has; an interval without width was set."""
     if NOT_IDENTIFIABLE in estimate.flags or not np.isfinite(estimate.value):
         return NOT_IDENTIFIABLE
     if estimate.flags:
         return 'doubtful'
+    low, high = hull(estimate)
+    if low == high:
+        return SET
     return 'well known' if spread(estimate) <= WELL_KNOWN else 'roughly known'
 
 
@@ -54,15 +58,17 @@ def percent(share):
 
 
 def span(interval):
-    """Return an Interval as text, such as '0.1 .. 0.2'."""
-    return f'{number(interval.low)} .. {number(interval.high)}' if np.isfinite(
-        interval).any() else '-'
+    """Return an Interval as text, such as '0.1 .. 0.2'; '-' if unknown or without width."""
+    if not np.isfinite(interval).any() or interval[0] == interval[1]:
+        return '-'
+    return f'{number(interval[0])} .. {number(interval[1])}'
 
 
 def floor_shares(held_out):
     """Return noise floor and repeatability relative to the drive torque, NaN where unknown."""
-    drive = held_out.torque_rms / held_out.relative if held_out.relative else np.nan
-    return held_out.noise_floor / drive, held_out.repeatability / drive
+    known = held_out.relative > 0.0 and held_out.torque_rms > 0.0
+    share = held_out.relative / held_out.torque_rms if known else np.nan
+    return share * held_out.noise_floor, share * held_out.repeatability
 
 
 def joint_sentences(result):
@@ -131,11 +137,10 @@ def _parameters(result):
             ('roughly known', 'Known roughly', False),
             ('doubtful', 'To be taken with care', True),
             (NOT_IDENTIFIABLE, 'NOT identifiable from these data, not to be taken as facts',
-             True)):
+             True), (SET, 'Set, not fitted', False)):
         if names[kind]:
-            listed = ', '.join(_mention(estimate, kind, result.joint)
-                               for estimate in names[kind])
-            lines.append((f'{opening}: {listed}.', warn))
+            mentions = [_mention(estimate, kind, result.joint) for estimate in names[kind]]
+            lines.append((f"{opening}: {', '.join(_joined(mentions))}.", warn))
     notes = dict.fromkeys(estimate.note for estimate in result.estimates if estimate.note)
     return [*lines, *((note, False) for note in notes)]
 
@@ -146,6 +151,23 @@ def _mention(estimate, kind, joint):
         return f'{name} (± {percent(spread(estimate))})' if np.isfinite(
             spread(estimate)) else f'{name} (no interval)'
     return f"{name} ({', '.join(estimate.flags)})" if kind == 'doubtful' else name
+
+
+def _joined(mentions):
+    """Return 'weight[0..2]' for 'weight[0]', 'weight[1]', 'weight[2]'; the rest as it is."""
+    out, run = [], []
+    for mention in [*mentions, '']:
+        leaf, bracket, index = mention.partition('[')
+        follows = bracket and index[:-1].isdigit() and index.endswith(']')
+        if run and follows and run[-1] == (leaf, int(index[:-1]) - 1):
+            run.append((leaf, int(index[:-1])))
+            continue
+        if run:
+            last = f'..{run[-1][1]}' if len(run) > 1 else ''
+            out.append(f'{run[0][0]}[{run[0][1]}{last}]')
+        run = [(leaf, int(index[:-1]))] if follows else []
+        out += [mention] if mention and not follows else []
+    return out
 
 
 def data_sentence(identification):

@@ -21,6 +21,7 @@ import numpy as np
 
 ROLES = ('reference', 'c0', 'c1', 'c2', 'c3', 'c4', 'c5', 'c6')
 MAX_POINTS = 200_000  # per series; longer ones are written as extremes per bucket
+MAX_CURVE = 20_000    # per curve; of longer ones every so many points are written
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
 HINT = ('Drag to pan, wheel or shift-drag to zoom, double-click to reset; click a name in the '
         'legend to hide it. Charts of one group move together.')
@@ -33,6 +34,18 @@ class Series(NamedTuple):
     y: Any              # array_like, shape (T,); NaN leaves a gap
     x: Any = None       # array_like, shape (T,), if not the chart's
     role: str = ''      # a colour of ROLES; '' takes the next one
+    dashed: bool = False
+    hidden: bool = False  # off until clicked in the legend
+
+
+class Curve(NamedTuple):
+    """One line or cloud of points whose abscissa need not increase."""
+
+    label: str
+    x: Any                # array_like, shape (T,)
+    y: Any                # array_like, shape (T,); NaN leaves a gap
+    role: str = ''        # a colour of ROLES; '' takes the next one
+    points: bool = False  # points without a line between them
     dashed: bool = False
     hidden: bool = False  # off until clicked in the legend
 
@@ -151,14 +164,51 @@ class Report:
             title += f' (extremes of every {2 * len(grid) / len(shown[0]):.0f} samples)'
         lines = []
         for i, (item, y) in enumerate(zip(series, shown[1], strict=True)):
-            role = item.role or ROLES[1 + i % (len(ROLES) - 1)]
-            if role not in ROLES:
-                raise ValueError(f'series {item.label!r}: role {role!r} is none of {ROLES}')
-            lines.append({'label': item.label, 'y': self._store(y, '<f4'), 'role': role,
-                          'dashed': item.dashed, 'hidden': item.hidden})
+            lines.append({'label': item.label, 'y': self._store(y, '<f4'),
+                          'role': _role(item, i), 'dashed': item.dashed, 'hidden': item.hidden})
         self._charts.append({'x': self._store(shown[0], '<f8'), 'series': lines,
                              'x_label': x_label, 'y_label': y_label, 'group': group})
         return self._add('chart', _chart_html(len(self._charts) - 1, title))
+
+    def xy_chart(self, title, curves, x_label='', y_label='', *, log_x=False):
+        """
+        Add an interactive chart of curves such as loops, each with its own abscissa.
+
+        Parameters
+        ----------
+        title : str
+            Shown above the chart.
+        curves : sequence of Curve
+            Lines or clouds of points, at least one of them with a finite point.
+        x_label, y_label : str
+            Axis labels with units.
+        log_x : bool
+            Draw over the logarithm of x; points at or below 0 are left out.
+
+        Raises
+        ------
+        ValueError
+            If shapes differ, a role is unknown or there is no point to draw.
+
+        """
+        lines, lows, highs = [], [], []
+        for i, item in enumerate(curves):
+            x, y = _points(item, log_x)
+            lows.append(x[np.isfinite(x)].min(initial=np.inf))
+            highs.append(x[np.isfinite(x)].max(initial=-np.inf))
+            lines.append({'label': item.label, 'x': self._store(x, '<f8'),
+                          'y': self._store(y, '<f4'), 'role': _role(item, i),
+                          'points': item.points, 'dashed': item.dashed, 'hidden': item.hidden})
+        low, high = min(lows, default=np.inf), max(highs, default=-np.inf)
+        if not low <= high:
+            raise ValueError(f'chart {title!r} has no point to draw')
+        margin = 0.03 * (high - low) or 0.1 * abs(low) or 1.0
+        window = np.array([low - margin, high + margin])
+        index = len(self._charts)
+        self._charts.append({'x': self._store(window, '<f8'), 'series': lines, 'xy': True,
+                             'log_x': log_x, 'x_label': x_label, 'y_label': y_label,
+                             'group': f'xy {index}'})
+        return self._add('chart', _chart_html(index, title))
 
     def html(self):
         """Return the whole page (str)."""
@@ -212,6 +262,25 @@ class Report:
         return self
 
 
+def _role(item, i):
+    role = item.role or ROLES[1 + i % (len(ROLES) - 1)]
+    if role not in ROLES:
+        raise ValueError(f'series {item.label!r}: role {role!r} is none of {ROLES}')
+    return role
+
+
+def _points(curve, log_x):
+    """Return x and y of a Curve, few enough, NaN where there is a gap."""
+    x, y = (np.array(values, dtype=float) for values in (curve.x, curve.y))
+    if x.ndim != 1 or x.shape != y.shape:
+        raise ValueError(f'curve {curve.label!r}: y has shape {y.shape}, x {x.shape}')
+    step = max(1, int(np.ceil(len(x) / MAX_CURVE)))
+    x, y = x[::step], y[::step]
+    good = np.isfinite(x) & np.isfinite(y) & ((x > 0.0) | (not log_x))
+    x[~good] = y[~good] = np.nan
+    return (np.log10(x) if log_x else x), y
+
+
 def _chart_html(index, title):
     buttons = ''.join(
         f'<button type="button" data-act="{act}" title="{hint}"{pressed}>{label}</button>'
@@ -220,7 +289,7 @@ def _chart_html(index, title):
             ('large', 'Large', 'Full width', ' aria-pressed="false"'),
             ('reset', 'Reset', 'Show everything (double-click, key 0)', '')))
     return (f'<section class="chart" id="chart-{index}"><header><h3>{escape(title)}</h3>'
-            f'{buttons}</header><div class="plot"></div></section>')
+            f'<output></output>{buttons}</header><div class="plot"></div></section>')
 
 
 def _row(tag, cells, numeric):

@@ -15,6 +15,7 @@ from ruamel.yaml.error import YAMLError
 
 LARGEST_FILE = 1_000_000  # bytes; a parameter file has a few thousand
 _WRAPPER = 'ros__parameters'
+_UNBROKEN = 4096           # characters: a line of a written file is never wrapped
 
 
 def read_parameters(path, node=None):
@@ -197,7 +198,7 @@ def save_values(values, path, *, comment=''):
             branch = branch.setdefault(parent, {})
         branch[leaf] = value
     yaml, text = YAML(), io.StringIO()
-    yaml.default_flow_style = None
+    yaml.default_flow_style, yaml.width = None, _UNBROKEN
     yaml.dump({'/**': {_WRAPPER: tree}}, text)
     header = ''.join(f'# {line}\n' for line in comment.splitlines())
     write_text(path, header + text.getvalue())

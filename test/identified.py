@@ -1,0 +1,145 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""An identification made up by hand, from the paper's arm: what reports are tested with."""
+
+from dataclasses import replace
+
+from gms_flex_control.friction.stribeck import steady_friction
+from gms_flex_control.identification.result import (
+    Candidate,
+    Estimate,
+    HeldOut,
+    Identification,
+    Interval,
+    JointResult,
+    Loop,
+    Trace,
+)
+from gms_flex_control.identification.steady import FrictionMap
+from gms_flex_control.params.friction import FrictionParams
+from gms_flex_control.resources import robot_file
+from gms_flex_control.schema.build import robot_values
+from gms_flex_control.schema.files import load_robot
+import numpy as np
+
+WIGGLE = 0.02  # of the values: how far the estimates are off
+UNITS = {'static': 'N m', 'coulomb': 'N m', 'velocity': 'rad/s', 'viscous': 'N m s/rad',
+         'attraction': 'N m/s', 'stiffness': 'N m/rad', 'weight': '1'}
+FLAGGED = {'friction.joint2.stiffness[0]': (
+    ('not identifiable', 'at bound'), 'Block 0 of joint2 slips only after 0.149 rad; presliding '
+    'with larger amplitude would tell.')}
+ERRORS = HeldOut(torque_rms=0.004, relative=0.05, coulomb_viscous=0.12, free_run_rms=1.1e-3,
+                 free_run_coulomb_viscous=6.4e-3, horizon=0.5, innovation_rms=5e-5,
+                 noise_floor=0.001, repeatability=0.0035)
+
+
+def identification(joints=2, **changes):
+    """Return an Identification of the paper's arm, or of its first axis alone."""
+    truth = load_robot(robot_file())
+    if joints == 1:
+        truth = one_axis(truth)
+    robot = replace(truth, friction=padded(truth.friction, 1.0 + WIGGLE))
+    believed = replace(truth, friction=padded(truth.friction, 0.8))
+    fields = {
+        'method': 'default', 'robot': robot, 'believed': believed, 'sources': ('bags/a', 'bags/b'),
+        'joints': tuple(joint_result(robot, truth, j) for j in range(joints)), 'holdouts': (),
+        'duration': 412.5, 'period': 2e-3, 'warnings': ('3 samples were lost.',),
+        'seconds': 21.7, 'recorded': '2026-03-01 14:05 UTC'}
+    return Identification(**fields | changes)
+
+
+def one_axis(robot):
+    """Return the first joint alone, as a rigid decoupled axis."""
+    friction = robot.friction
+    names = ('static', 'coulomb', 'velocity', 'viscous')
+    first = FrictionParams(
+        **{way: replace(getattr(friction, way), **{
+            name: getattr(getattr(friction, way), name)[:1] for name in names})
+           for way in ('forward', 'backward')},
+        stiffness=friction.stiffness[:1], weight=friction.weight[:1],
+        attraction=friction.attraction[:1])
+    arm = {name: getattr(robot.arm, name)[:1] for name in (
+        'mass', 'length', 'com', 'inertia', 'motor_inertia', 'damping')}
+    rigid = replace(robot.arm, kind='decoupled', stiffness=[np.inf], **arm)
+    return replace(robot, joints=robot.joints[:1], motors=('',), arm=rigid, friction=first)
+
+
+def padded(friction, ratio):
+    """Return friction torques times a ratio, with two empty blocks as a fit leaves them."""
+    def scaled(steady):
+        return replace(steady, static=ratio * steady.static, coulomb=ratio * steady.coulomb,
+                       viscous=ratio * steady.viscous)
+    none = np.zeros((len(friction.attraction), 2))
+    return replace(friction, forward=scaled(friction.forward), backward=scaled(friction.backward),
+                   stiffness=np.hstack([ratio * friction.stiffness, none]),
+                   weight=np.hstack([friction.weight, none]))
+
+
+def joint_result(robot, truth, j):
+    """Return the JointResult of one joint whose parameters are those of ``robot``."""
+    rng = np.random.default_rng(7 + j)
+    speed = np.geomspace(2e-3, 1.0, 60)
+    velocity = np.concatenate([-speed[::-1], speed])
+    moving = rng.choice(velocity, 240)
+    torque = steady(truth, moving, j) + 2e-3 * rng.standard_normal(240)
+    x = np.geomspace(1e-5, 0.1, 40)
+    curve = presliding(robot, j, x)
+    return JointResult(
+        joint=robot.joints[j], side='motor' if robot.arm.rigid[j] else 'spring',
+        estimates=tuple(estimates(robot, j)), curve=(x, curve, 0.97 * curve, 1.03 * curve),
+        friction_map=FrictionMap(moving, torque, rng.random(240) < 0.7),
+        steady_velocity=velocity, steady_torque=steady(robot, velocity, j),
+        loops=tuple(loop(robot, truth, j, share) for share in (0.4, 0.8)),
+        traces=(trace(robot, truth, j, rng),), held_out=ERRORS, warnings=(),
+        candidates=(Candidate(2, 1.31, 0.05, False), Candidate(4, 1.02, 0.01, True),
+                    Candidate(6, 1.015, 0.0, False)))
+
+
+def estimates(robot, j):
+    """Yield an Estimate of each friction parameter, 4 % wide."""
+    prefix = f'friction.{robot.joints[j]}.'
+    for name, values in robot_values(robot).items():
+        if not name.startswith(prefix):
+            continue
+        array = isinstance(values, list)
+        for i, value in enumerate(values if array else [values]):
+            if array and i >= 6:
+                continue
+            full = f'{name}[{i}]' if array else name
+            flags, note = FLAGGED.get(full, ((), ''))
+            yield Estimate(full, UNITS[name.split('.')[-1]], value,
+                           Interval(0.96 * value, 1.04 * value),
+                           Interval(0.95 * value, 1.03 * value), flags, note)
+
+
+def steady(robot, velocity, j):
+    """Return the steady friction of one joint (V,)."""
+    return steady_friction(np.tile(velocity[:, None], robot.n_joints), robot.friction)[:, j]
+
+
+def presliding(robot, j, x):
+    """Return Eq. (2) from rest: each block a spring up to its share of F_s (D,)."""
+    friction = robot.friction
+    static = 0.5 * (friction.forward.static[j] + friction.backward.static[j])
+    return np.minimum(friction.stiffness[j] * x[:, None], friction.weight[j] * static).sum(axis=1)
+
+
+def loop(robot, truth, j, share):
+    """Return a closed Masing loop up to a share of F_s, measured and modelled."""
+    reach = np.interp(share * truth.friction.forward.static[j],
+                      presliding(truth, j, np.geomspace(1e-6, 0.3, 4000)),
+                      np.geomspace(1e-6, 0.3, 4000))
+    x = reach * np.sin(np.linspace(0.0, 2.5 * np.pi, 400))
+    way = np.sign(np.gradient(x))
+    torque = way * (2.0 * presliding(truth, j, 0.5 * (reach + way * x)) - presliding(
+        truth, j, np.array([reach])))
+    return Loop(x + 1e-5 * np.sin(np.arange(400)), torque, 1.03 * x, f'{share:g} F_s')
+
+
+def trace(robot, truth, j, rng):
+    """Return 8 s of sliding with varying velocity, every fourth second held out."""
+    time = 2e-3 * np.arange(4000)
+    velocity = 0.3 + 0.2 * np.sin(5.0 * time)
+    return Trace(time, velocity, steady(truth, velocity, j) + 2e-3 * rng.standard_normal(4000),
+                 steady(robot, velocity, j), time % 4.0 >= 3.0, 'sliding 1')

@@ -1,0 +1,154 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""What an identification leaves for machines: report.json and friction.yaml."""
+
+from dataclasses import replace
+import json
+
+from gms_flex_control.identification.output import (
+    friction_values,
+    report_json,
+    write_friction,
+    write_report_json,
+)
+from gms_flex_control.identification.result import Estimate, Interval
+from gms_flex_control.identification.words import joint_sentences, standing
+from gms_flex_control.resources import controller_file, robot_file
+from gms_flex_control.schema.files import load_controller, load_robot, read_parameters
+from identified import ERRORS, identification
+import numpy as np
+import pytest
+
+FIELDS = ('static', 'coulomb', 'velocity', 'viscous')
+
+
+def edited(made, j=0, **changes):
+    """Return the identification with fields of one JointResult replaced."""
+    joints = list(made.joints)
+    joints[j] = replace(joints[j], **changes)
+    return replace(made, joints=tuple(joints))
+
+
+def estimate(low, high, flags=(), value=1.0):
+    """Return an Estimate with the same interval twice."""
+    return Estimate('friction.joint1.attraction', 'N m/s', value, Interval(low, high),
+                    Interval(low, high), flags, '')
+
+
+def same_friction(a, b):
+    """Assert that two FrictionParams say the same, blocks that carry nothing aside."""
+    for way in ('forward', 'backward'):
+        for name in FIELDS:
+            np.testing.assert_array_equal(getattr(getattr(a, way), name),
+                                          getattr(getattr(b, way), name))
+    np.testing.assert_array_equal(a.attraction, b.attraction)
+    for j in range(len(a.attraction)):
+        used = [each.weight[j] > 0.0 for each in (a, b)]
+        for name in ('stiffness', 'weight'):
+            np.testing.assert_array_equal(getattr(a, name)[j, used[0]],
+                                          getattr(b, name)[j, used[1]])
+
+
+@pytest.mark.parametrize('joints', [1, 2])
+def test_friction_yaml_loads_after_the_robot_file_and_equals(tmp_path, joints):
+    from gms_flex_control.schema.files import save_robot
+    made = identification(joints)
+    write_friction(made, tmp_path / 'friction.yaml')
+    save_robot(made.believed, tmp_path / 'robot.yaml')
+    robot = load_robot([tmp_path / 'robot.yaml', tmp_path / 'friction.yaml'])
+    same_friction(robot.friction, made.robot.friction)
+    np.testing.assert_array_equal(robot.arm.inertia, made.believed.arm.inertia)
+    np.testing.assert_array_equal(robot.arm.stiffness, made.believed.arm.stiffness)
+    assert robot.motors == made.believed.motors
+    load_controller([controller_file(), tmp_path / 'friction.yaml'], load_robot(robot_file()))
+
+
+def test_friction_yaml_holds_friction_alone_and_no_empty_blocks(tmp_path):
+    write_friction(identification(), tmp_path / 'friction.yaml')
+    names = {name.split('.')[0] for name in read_parameters(tmp_path / 'friction.yaml')}
+    assert names == {'joints', 'motors', 'friction'}
+    weights = friction_values(identification())['friction.joint1.weight']
+    assert len(weights) == 6 and 0.0 not in weights
+
+
+def test_an_arm_parameter_is_written_where_the_fit_changed_it():
+    made = identification()
+    arm = replace(made.robot.arm, inertia=made.robot.arm.inertia * [1.0, 1.1])
+    values = friction_values(replace(made, robot=replace(made.robot, arm=arm)))
+    written = {name: value for name, value in values.items() if name.startswith('arm.')}
+    assert written == {'arm.joint2.inertia': pytest.approx(0.00825)}
+
+
+def test_a_joint_taken_as_rigid_keeps_its_motor_and_spring(tmp_path):
+    made = identification()
+    arm = replace(made.robot.arm, stiffness=[np.inf, 1.5])
+    made = replace(made, robot=replace(made.robot, arm=arm, motors=('', 'joint2_motor')))
+    write_friction(made, tmp_path / 'friction.yaml')
+    robot = load_robot([robot_file(), tmp_path / 'friction.yaml'])
+    assert robot.motors == ('joint1_motor', 'joint2_motor')
+    np.testing.assert_array_equal(robot.arm.stiffness, [1.5, 1.5])
+
+
+def test_friction_yaml_begins_with_where_its_numbers_come_from(tmp_path):
+    made = identification(sources=('a bag\nwith: a break',))
+    write_friction(made, tmp_path / 'friction.yaml')
+    lines = (tmp_path / 'friction.yaml').read_text('utf-8').split('/**:')[0].splitlines()
+    comment = ' '.join(line.lstrip('# ') for line in lines)
+    assert all(line.startswith('#') and len(line) < 100 for line in lines)
+    for part in ('a bag with: a break', '2026-03-01 14:05 UTC', 'method default', '412.5 s',
+                 '3 samples were lost', 'stiffness[0]: NOT IDENTIFIABLE, AT BOUND',
+                 'Coulomb + viscous alone 12 %'):
+        assert part in comment
+
+
+def test_report_json_is_strictly_valid_and_complete(tmp_path):
+    made = edited(identification(), held_out=ERRORS._replace(
+        repeatability=np.nan, free_run_rms=np.inf, torque_rms=np.float32(0.5)))
+    write_report_json(made, tmp_path / 'report.json')
+
+    def refuse(name):
+        raise AssertionError(f'{name} is not JSON')
+    told = json.loads((tmp_path / 'report.json').read_text('utf-8'), parse_constant=refuse)
+    assert told == report_json(made)
+    assert (told['method'], told['duration'], told['sources'], told['warnings']) == (
+        'default', 412.5, ['bags/a', 'bags/b'], ['3 samples were lost.'])
+    first, second = told['joints']
+    assert first['held_out']['repeatability'] is first['held_out']['free_run_rms'] is None
+    assert first['held_out']['torque_rms'] == 0.5 and first['side'] == 'spring'
+    assert [each['n_blocks'] for each in first['candidates'] if each['chosen']] == [4]
+    assert len(second['estimates']) == len(made.joints[1].estimates)
+    lost = next(each for each in second['estimates'] if each['flags'])
+    assert lost['standing'] == 'not identifiable' and 'larger amplitude' in lost['note']
+    assert lost['interval'] == pytest.approx([0.96 * lost['value'], 1.04 * lost['value']])
+    assert (tmp_path / 'report.json').stat().st_size < 40_000
+
+
+@pytest.mark.parametrize(('made', 'expected'), [
+    (estimate(0.95, 1.05), 'well known'),
+    (estimate(0.5, 1.5), 'roughly known'),
+    (estimate(np.nan, np.nan), 'roughly known'),
+    (estimate(1.0, 1.0), 'set, not fitted'),
+    (estimate(0.95, 1.05, ('at bound',)), 'doubtful'),
+    (estimate(0.95, 1.05, ('at bound', 'not identifiable')), 'not identifiable'),
+    (estimate(0.95, 1.05, value=np.nan), 'not identifiable')])
+def test_how_far_a_number_can_be_trusted(made, expected):
+    assert standing(made) == expected
+
+
+def told(**changes):
+    """Return warnings and other sentences on a joint with changed held-out errors."""
+    result = identification(1).joints[0]
+    lines = joint_sentences(replace(result, held_out=ERRORS._replace(**changes)))
+    return (' '.join(text for text, warns in lines if warns == kind) for kind in (True, False))
+
+
+def test_the_words_follow_the_errors():
+    warnings, rest = told()
+    assert not warnings and 'as good as these data allow' in rest and '5 %' in rest
+    assert 'stiffness[0..5], weight[0..5]' in rest
+    assert 'the model does not have' in ' '.join(told(repeatability=0.001, noise_floor=1e-4))
+    assert 'repeatability is not known' in ' '.join(told(repeatability=np.nan))
+    assert 'no better than Coulomb' in next(told(coulomb_viscous=0.04))
+    assert 'trust none of these numbers' in next(told(relative=0.7))
+    assert 'no held-out error' in next(told(relative=np.nan))

@@ -1,0 +1,211 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Page, pictures and terminal table of an identification."""
+
+import base64
+from dataclasses import replace
+import json
+import re
+import shutil
+import subprocess
+import warnings
+
+from gms_flex_control.identification.result import Interval
+from gms_flex_control.identification.steady import FrictionMap
+from gms_flex_control.reports.identification import write_identification_report
+from gms_flex_control.reports.identification_figures import loops_figure, map_figure
+from gms_flex_control.reports.identification_text import identification_text
+from gms_flex_control.reports.page import Curve, Report
+from gms_flex_control.resources import robot_file
+from gms_flex_control.schema.files import load_robot
+from identified import ERRORS, identification
+import numpy as np
+import pytest
+
+EVIL = '<b>$_/../\\x'
+
+
+@pytest.fixture(autouse=True)
+def _no_warnings():
+    with warnings.catch_warnings():
+        warnings.simplefilter('error')
+        yield
+
+
+def payload(path):
+    """Return charts and arrays of a page."""
+    data = re.search(r'id="report-data">(.*?)</script>', path.read_text('utf-8')).group(1)
+    told = json.loads(data)
+    return told['charts'], [np.frombuffer(base64.b64decode(text), dtype='<' + kind)
+                            for kind, text in told['arrays']]
+
+
+def written(made, folder, **options):
+    """Return the names of the files, and the page without its scripts."""
+    paths = write_identification_report(made, folder, **options)
+    assert sorted(paths) == sorted(folder.iterdir())
+    return [path.name for path in paths], re.sub(
+        r'<script.*?</script>|src="[^"]*"', '', paths[0].read_text('utf-8'), flags=re.DOTALL)
+
+
+def test_page_and_pictures_of_each_joint_are_written(tmp_path):
+    names, html = written(identification(), tmp_path)
+    assert names == ['report.html', 'held_out.png', *(
+        f'{kind}_joint{j}.png' for j in (1, 2)
+        for kind in ('map', 'presliding', 'residual', 'sliding'))]
+    for name in names[1:]:
+        assert (tmp_path / name).read_bytes()[:8] == b'\x89PNG\r\n\x1a\n'
+    for part in ('3 samples were lost.', 'Coulomb + viscous alone', 'slips only after 0.149 rad',
+                 'NOT identifiable from these data: stiffness[0]', 'NOT IDENTIFIABLE, AT BOUND',
+                 '(0.1224)', '0.1056 .. 0.1144', '0.1045 .. 0.1133', 'chosen', 'Fig. 3', 'Fig. 4',
+                 'measurement noise alone', '2026-03-01'):
+        assert part in html, part
+    assert html.index('Summary') < html.index('joint1: parameters')
+
+
+def test_the_charts_carry_the_data_of_the_identification(tmp_path):
+    made = identification(1)
+    truth = load_robot(robot_file())
+    names, _ = written(made, tmp_path, beside=truth)
+    charts, arrays = payload(tmp_path / names[0])
+    result = made.joints[0]
+    lines = {line['label']: (chart, line) for chart in charts for line in chart['series']}
+    chart, line = lines['0.8 F_s, measured']
+    assert chart['xy'] and not line['points']
+    np.testing.assert_allclose(arrays[line['x']], 1e3 * result.loops[1].displacement)
+    np.testing.assert_allclose(arrays[line['y']], result.loops[1].torque, rtol=1e-6)
+    chart, line = lines['95 % high']
+    assert chart['log_x']
+    np.testing.assert_allclose(10 ** arrays[line['x']], 1e3 * result.curve[0])
+    np.testing.assert_allclose(arrays[line['y']], result.curve[3], rtol=1e-6)
+    chart, line = lines['model, held out']
+    shown = arrays[line['y']]
+    np.testing.assert_array_equal(np.isfinite(shown), result.traces[0].held_out)
+    assert 'forward, true' in lines and 'true' in lines
+
+
+def test_pictures_show_what_was_fitted():
+    result = identification().joints[0]
+    linear, log = map_figure(result).axes
+    assert (linear.get_xscale(), log.get_xscale()) == ('linear', 'log')
+    fitted = {line.get_label(): line for line in log.get_lines()}['backward, fitted']
+    rows = result.steady_velocity < 0.0
+    np.testing.assert_allclose(fitted.get_ydata(), -result.steady_torque[rows])
+    loops, curve = loops_figure(result).axes
+    np.testing.assert_allclose(loops.get_lines()[1].get_xdata(),
+                               1e3 * result.loops[0].model_displacement)
+    assert curve.get_xscale() == 'log' and len(curve.collections) == 1
+
+
+def test_a_joint_that_tells_little_is_reported_all_the_same(tmp_path):
+    made = identification(1)
+    none = np.zeros(0)
+    result = replace(
+        made.joints[0], loops=(), traces=(), candidates=(), curve=(none, none, none, none),
+        friction_map=FrictionMap(none, none, none.astype(bool)), steady_velocity=none,
+        steady_torque=none, warnings=('The joint hardly moves.',), held_out=ERRORS._replace(
+            **dict.fromkeys(ERRORS._fields, np.nan)))
+    made = replace(made, joints=(result,), warnings=(), recorded='')
+    names, html = written(made, tmp_path, beside=load_robot(robot_file()))
+    assert names == ['report.html', 'held_out.png', 'map_joint1.png', 'presliding_joint1.png',
+                     'residual_joint1.png']
+    assert 'The joint hardly moves.' in html and 'no presliding motion' in html
+    assert 'nan' not in html.lower().replace('nanmax', '')
+    text = identification_text(made, beside=load_robot(robot_file()))
+    assert 'The joint hardly moves.' in text and 'nan' not in text
+
+
+def test_names_neither_leave_the_folder_nor_collide_nor_break_the_page(tmp_path):
+    made = identification()
+    joints = tuple(replace(result, joint=name) for result, name in zip(
+        made.joints, (EVIL, EVIL.replace('$', '%')), strict=True))
+    names, html = written(replace(made, joints=joints, sources=(EVIL,)), tmp_path / 'out')
+    assert len(set(names)) == len(names) == 10 and '<b>$' not in html
+    assert [path.name for path in tmp_path.iterdir()] == ['out']
+
+
+@pytest.mark.parametrize('beside', [False, True])
+def test_the_terminal_table_is_narrow_and_says_what_is_known(beside):
+    made = identification()
+    wide = replace(made.joints[1], joint='a_joint_with_a_name_that_goes_on_and_on',
+                   warnings=('word ' * 60,))
+    made = replace(made, joints=(made.joints[0], wide), sources=('bag ' * 60,)) if not beside \
+        else made
+    text = identification_text(made, beside=load_robot(robot_file()) if beside else None)
+    assert max(map(len, text.splitlines())) < 100
+    static = next(line for line in text.splitlines() if line.startswith('forward.static'))
+    assert static.split()[:6] == ['forward.static', 'N', 'm', '0.11', '0.1045', '..']
+    assert static.endswith('0.1079') == beside
+    assert 'NOT IDENTIFIABLE' in text and 'slips only after' in text
+    assert 'C+v [%]' in text and '12' in text
+    assert ('presliding curve: at most 2 % of F_s off' in text) == beside
+
+
+def test_blocks_of_another_number_have_no_counterpart():
+    made = identification()
+    friction = made.robot.friction
+    fewer = replace(friction, weight=np.tile([0.5, 0.5, 0, 0, 0, 0, 0, 0], (2, 1)))
+    made = replace(made, robot=replace(made.robot, friction=fewer))
+    text = identification_text(made, beside=load_robot(robot_file()))
+    row = next(line for line in text.splitlines() if line.startswith('stiffness[0]'))
+    assert row.endswith(' -')
+
+
+def test_blocks_are_matched_in_the_order_they_slip():
+    made, truth = identification(), load_robot(robot_file())
+    turned = replace(truth.friction, stiffness=truth.friction.stiffness[:, ::-1])
+    text = identification_text(made, beside=replace(truth, friction=turned))
+    row = next(line for line in text.splitlines() if line.startswith('stiffness[0]'))
+    assert row.split()[-1] == '2.26'
+
+
+def test_an_unknown_interval_is_not_made_up():
+    made = identification(1)
+    first = made.joints[0].estimates[0]._replace(
+        interval=Interval(np.nan, np.nan), bootstrap=Interval(np.nan, np.nan))
+    result = replace(made.joints[0], estimates=(first,))
+    row = identification_text(replace(made, joints=(result,))).splitlines()
+    row = next(line for line in row if line.startswith('forward.static'))
+    assert row.split() == ['forward.static', 'N', 'm', '0.11', '-']
+
+
+@pytest.mark.parametrize(('curve', 'options', 'match'), [
+    (Curve('c', [0, 1], [0]), {}, r'y has shape \(1,\), x \(2,\)'),
+    (Curve('c', [0, 1], [0, 1], 'pink'), {}, "role 'pink' is none of"),
+    (Curve('c', [0, np.nan], [np.nan, 1]), {}, 'has no point to draw'),
+    (Curve('c', [-1, 0], [0, 1]), {'log_x': True}, 'has no point to draw')])
+def test_a_curve_that_cannot_be_drawn_is_refused(curve, options, match):
+    with pytest.raises(ValueError, match=match):
+        Report('r').xy_chart('t', [curve], **options)
+
+
+def test_a_browser_draws_loops_and_clouds(tmp_path):
+    browser = shutil.which('chromium') or shutil.which('chromium-browser')
+    if browser is None:
+        pytest.skip('no chromium on this machine; the page itself is checked by the other tests')
+    angle = np.linspace(0.0, 6.0, 50)
+    path = Report('r').xy_chart('loop', [
+        Curve('line', np.sin(angle), np.cos(angle)),
+        Curve('cloud', np.cos(angle), np.sin(angle), points=True)]).xy_chart(
+        'log', [Curve('line', 10.0 ** angle, angle)], log_x=True).write(tmp_path / 'report.html')
+    page = path.read_text('utf-8').replace('</body>', """<script>
+        const blue = [...document.querySelectorAll('canvas')].map((canvas) => {
+          const {width, height} = canvas;
+          const {data} = canvas.getContext("2d").getImageData(0, 0, width, height);
+          let count = 0;
+          for (let i = 0; i < data.length; i += 4)
+            count += data[i] === 0 && data[i + 1] === 114 && data[i + 2] === 178;
+          return count;
+        });
+        document.documentElement.dataset.blue = Math.min(...blue) > 50;</script></body>""")
+    path.write_text(page, encoding='utf-8')
+    flags = ['--headless', '--no-sandbox', '--disable-gpu', '--disable-quic', '--no-first-run',
+             '--disable-background-networking', '--disable-component-update', '--disable-sync',
+             f'--user-data-dir={tmp_path / "profile"}', '--virtual-time-budget=2000']
+    done = subprocess.run([browser, *flags, '--dump-dom', path.as_uri()], check=False,
+                          capture_output=True, text=True, timeout=60)
+    if not done.stdout:
+        pytest.skip(f'chromium does not run here: {done.stderr[-200:]}')
+    assert 'data-charts="2"' in done.stdout
+    assert 'data-blue="true"' in done.stdout  # the colour of the first line, in either chart
