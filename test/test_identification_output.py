@@ -13,7 +13,7 @@ from gms_flex_control.identification.output import (
     write_report_json,
 )
 from gms_flex_control.identification.result import Estimate, Interval
-from gms_flex_control.identification.words import joint_sentences, standing
+from gms_flex_control.identification.words import joint_sentences, notes, standing
 from gms_flex_control.resources import controller_file, robot_file
 from gms_flex_control.schema.files import load_controller, load_robot, read_parameters
 from identified import ERRORS, identification
@@ -134,6 +134,14 @@ def test_report_json_is_strictly_valid_and_complete(tmp_path):
     (estimate(0.95, 1.05, value=np.nan), 'not identifiable')])
 def test_how_far_a_number_can_be_trusted(made, expected):
     assert standing(made) == expected
+
+
+def test_notes_alike_are_one_sentence_that_names_its_parameters():
+    result = identification(1).joints[0]
+    alike = [each._replace(note='too slow') if 'stiffness[' in each.name or 'static' in each.name
+             else each for each in result.estimates]
+    assert notes(replace(result, estimates=tuple(alike))) == [
+        'forward.static, backward.static, stiffness[0..5]: too slow.']
 
 
 def told(**changes):

@@ -143,7 +143,7 @@ def _comment(identification):
         lines.append(f'{result.joint}: held-out torque error {percent(errors.relative)}, '
                      f'with Coulomb + viscous alone {percent(errors.coulomb_viscous)}')
         lines += [f'  {short_name(estimate.name, result.joint)}: '
-                  f"{', '.join(estimate.flags).upper()}. {estimate.note}".rstrip()
+                  f"{', '.join(estimate.flags).upper()}; {estimate.note}".rstrip('; ')
                   for estimate in result.estimates if estimate.flags]
     return '\n'.join(part for line in lines for part in wrap(
         line, _COMMENT_WIDTH, subsequent_indent='    '))

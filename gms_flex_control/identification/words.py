@@ -141,8 +141,17 @@ def _parameters(result):
         if names[kind]:
             mentions = [_mention(estimate, kind, result.joint) for estimate in names[kind]]
             lines.append((f"{opening}: {', '.join(_joined(mentions))}.", warn))
-    notes = dict.fromkeys(estimate.note for estimate in result.estimates if estimate.note)
-    return [*lines, *((note, False) for note in notes)]
+    return [*lines, *((note, False) for note in notes(result))]
+
+
+def notes(result):
+    """Return the notes on estimates of a JointResult as sentences, those alike as one."""
+    about = {}
+    for estimate in result.estimates:
+        if estimate.note:
+            about.setdefault(estimate.note.rstrip('.'), []).append(
+                short_name(estimate.name, result.joint))
+    return [f"{', '.join(_joined(names))}: {note}." for note, names in about.items()]
 
 
 def _mention(estimate, kind, joint):

@@ -12,6 +12,7 @@ from gms_flex_control.identification.words import (
     floor_shares,
     joint_sentences,
     NOT_IDENTIFIABLE,
+    notes,
     number,
     percent,
     short_name,
@@ -162,7 +163,7 @@ def _add_parameters(report, result, known):
     report.table(('parameter', 'symbol', 'estimate', *(('true',) if known else ()), 'unit',
                   'standing', '95 % by the Jacobian', '95 % by bootstrap'), rows,
                  'Estimates as in friction.yaml')
-    for note in dict.fromkeys(estimate.note for estimate in result.estimates if estimate.note):
+    for note in notes(result):
         report.note(note)
 
 

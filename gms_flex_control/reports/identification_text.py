@@ -11,6 +11,7 @@ from gms_flex_control.identification.words import (
     floor_shares,
     hull,
     NOT_IDENTIFIABLE,
+    notes,
     number,
     SET,
     short_name,
@@ -114,8 +115,7 @@ def _joint(result, known, beside):
         share, where = presliding_difference(result, beside)
         lines.append(f'presliding curve: at most {number(100 * share, 3)} % of F_s off the true '
                      f'one, at {number(1e3 * where, 3)} mrad')
-    notes = dict.fromkeys(estimate.note for estimate in result.estimates if estimate.note)
-    lines += [_wrapped(f'- {note}') for note in notes]
+    lines += [_wrapped(f'- {note}') for note in notes(result)]
     lines += [_wrapped(f'warning: {text}') for text in result.warnings]
     return '\n'.join(lines)
 
