@@ -107,7 +107,7 @@ def loops_figure(result, reference=None):
                            label='95 % band')
         curve.plot(1e3 * x, torque, color=COLOURS[0], label='fitted')
         if reference is not None:
-            curve.plot(1e3 * x, reference, 'k:', label='reference')
+            curve.plot(1e3 * x, reference, 'k:', label='true')
         curve.legend(loc='lower center', bbox_to_anchor=(0.5, 1.0), ncols=3)
     _labelled(figure, [loops, curve], [
         ('displacement [mrad]', 'friction torque [N m]'),
