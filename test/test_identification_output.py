@@ -155,7 +155,7 @@ def test_the_words_follow_the_errors():
     warnings, rest = told()
     assert not warnings and 'as good as these data allow' in rest and '5 %' in rest
     assert 'stiffness[0..5], weight[0..5]' in rest
-    assert 'the model does not have' in ' '.join(told(repeatability=0.001, noise_floor=1e-4))
+    assert 'too quick for these samples' in ' '.join(told(repeatability=0.001, noise_floor=1e-4))
     assert 'repeatability is not known' in ' '.join(told(repeatability=np.nan))
     assert 'no better than Coulomb' in next(told(coulomb_viscous=0.04))
     assert 'trust none of these numbers' in next(told(relative=0.7))

@@ -22,6 +22,11 @@ def short_name(name, joint):
     return rest if head == 'friction' else f'{head}.{rest}'
 
 
+def short_label(label):
+    """Return the label of a piece of data without the folders before its recording."""
+    return label.rstrip('/').rsplit('/', 1)[-1]
+
+
 def hull(estimate):
     """Return the Interval that holds both intervals of an Estimate; NaN if both are."""
     bounds = np.array([estimate.interval, estimate.bootstrap], dtype=float)
@@ -50,6 +55,11 @@ def standing(estimate):
 def number(value, digits=4):
     """Return a number as text, '-' for none."""
     return f'{value:.{digits}g}' if np.isfinite(value) else '-'
+
+
+def quantity(value, unit):
+    """Return a number with its unit as text, '-' for none."""
+    return f'{number(value)} {unit}' if np.isfinite(value) else '-'
 
 
 def percent(share):
@@ -123,7 +133,7 @@ def _floor(errors):
     if np.isfinite(best):
         text += (': the model is as good as these data allow'
                  if errors.relative <= _AT_FLOOR * best else
-                 ': what is beyond that, the model does not have')
+                 ': the rest is due to the model, or to motion too quick for these samples')
     return f'{text[0].upper()}{text[1:]}.'
 
 

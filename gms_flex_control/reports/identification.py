@@ -15,6 +15,8 @@ from gms_flex_control.identification.words import (
     notes,
     number,
     percent,
+    quantity,
+    short_label,
     short_name,
     span,
     standing,
@@ -205,10 +207,10 @@ def _add_map(report, result, known):
 def _add_presliding(report, result, known):
     loops = []
     for i, loop in enumerate(result.loops):
-        hidden = i >= MOST_LOOPS
-        loops += [Curve(f'{loop.label}, measured', 1e3 * loop.displacement, loop.torque,
+        hidden, label = i >= MOST_LOOPS, short_label(loop.label)
+        loops += [Curve(f'{label}, measured', 1e3 * loop.displacement, loop.torque,
                         f'c{i % 6}', hidden=hidden),
-                  Curve(f'{loop.label}, fitted', 1e3 * loop.model_displacement, loop.torque,
+                  Curve(f'{label}, fitted', 1e3 * loop.model_displacement, loop.torque,
                         'reference', dashed=True, hidden=hidden)]
     x, torque, low, high = result.curve
     curves = [Curve('fitted', 1e3 * x, torque, 'c0'),
@@ -236,12 +238,12 @@ def _add_motion(report, result):
     report.heading(f'{result.joint}: friction torque over time', level=3)
     if len(result.traces) > MOST_TRACES:
         report.text(f'The first {MOST_TRACES} of {len(result.traces)} pieces.')
-    for trace in result.traces[:MOST_TRACES]:
+    for i, trace in enumerate(result.traces[:MOST_TRACES]):
         held = np.where(trace.held_out, trace.model, np.nan)
         time, (measured, model, held, residual, velocity) = decimate(
             trace.time, [trace.measured, trace.model, held, trace.measured - trace.model,
                          trace.velocity], _TRACE_POINTS)
-        group = f'{result.joint} {trace.label}'
+        group = f'{result.joint} {i}'
         for name, unit, lines in (
                 ('friction', 'N m', [
                     Series('measured', measured, role='c5'),
@@ -251,7 +253,7 @@ def _add_motion(report, result):
                 ('velocity', 'rad/s', [Series('link', velocity, role='c2')])):
             lines = [line for line in lines if np.isfinite(line.y).any()]
             if lines:
-                report.chart(f'{trace.label}: {name}', time, lines,
+                report.chart(f'{short_label(trace.label)}: {name}', time, lines,
                              y_label=f'{name} [{unit}]', group=group)
     velocity, residual, out = residuals(result)
     clouds = []
@@ -266,15 +268,15 @@ def _add_errors(report, result):
     errors = result.held_out
     noise, repeat = floor_shares(errors)
     report.heading(f'{result.joint}: errors on held-out data', level=3)
+    simple = errors.coulomb_viscous / errors.relative if errors.relative else np.nan
     report.table(('', 'torque error', 'of the drive torque', 'free-run error'), [
-        ('identified model', f'{number(errors.torque_rms)} N m', percent(errors.relative),
-         f'{number(1e3 * errors.free_run_rms)} mrad'),
-        ('Coulomb + viscous alone',
-         f'{number(errors.torque_rms * errors.coulomb_viscous / errors.relative)} N m'
-         if errors.relative else '-', percent(errors.coulomb_viscous),
-         f'{number(1e3 * errors.free_run_coulomb_viscous)} mrad'),
-        ('same motion repeated', f'{number(errors.repeatability)} N m', percent(repeat), '-'),
-        ('measurement noise alone', f'{number(errors.noise_floor)} N m', percent(noise), '-')],
+        ('identified model', quantity(errors.torque_rms, 'N m'), percent(errors.relative),
+         quantity(1e3 * errors.free_run_rms, 'mrad')),
+        ('Coulomb + viscous alone', quantity(simple * errors.torque_rms, 'N m'),
+         percent(errors.coulomb_viscous),
+         quantity(1e3 * errors.free_run_coulomb_viscous, 'mrad')),
+        ('same motion repeated', quantity(errors.repeatability, 'N m'), percent(repeat), '-'),
+        ('measurement noise alone', quantity(errors.noise_floor, 'N m'), percent(noise), '-')],
         f'rms; free run over {number(errors.horizon)} s; one-step prediction of the angle '
         f'{number(1e3 * errors.innovation_rms)} mrad')
 

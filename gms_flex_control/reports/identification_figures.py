@@ -3,7 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Pictures of an identification, as the paper's Figs. 3 and 4 and beyond."""
 
-from gms_flex_control.identification.words import floor_shares
+from gms_flex_control.identification.words import floor_shares, short_label
 from gms_flex_control.reports.figures import COLOURS, finished, MAX_SAMPLES, WIDTH
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -150,7 +150,7 @@ def sliding_figure(trace, joint):
         panel.set_ylabel(label)
         panel.fill_between(time, 0.0, 1.0, where=trace.held_out[keep], color='0.85', linewidth=0,
                            transform=panel.get_xaxis_transform(), zorder=0)
-    return finished(figure, panels, f'{joint}: {trace.label} (shaded: held out of the fit)')
+    return finished(figure, panels, f'{joint}: {short_label(trace.label)} (shaded: held out of the fit)')
 
 
 def residual_figure(result):
