@@ -150,7 +150,8 @@ def sliding_figure(trace, joint):
         panel.set_ylabel(label)
         panel.fill_between(time, 0.0, 1.0, where=trace.held_out[keep], color='0.85', linewidth=0,
                            transform=panel.get_xaxis_transform(), zorder=0)
-    return finished(figure, panels, f'{joint}: {short_label(trace.label)} (shaded: held out of the fit)')
+    return finished(figure, panels,
+                    f'{joint}: {short_label(trace.label)} (shaded: held out of the fit)')
 
 
 def residual_figure(result):
