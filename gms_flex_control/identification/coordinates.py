@@ -59,6 +59,11 @@ class Coordinates:
         return self._extra.stop
 
     @property
+    def yields(self):
+        """Return where the logarithms of the yields stand, a slice; empty where fixed."""
+        return self._yields
+
+    @property
     def free_weights(self):
         """Return whether the weights are fitted."""
         return self._weights.stop > self._weights.start

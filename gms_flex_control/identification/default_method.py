@@ -15,17 +15,20 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 from gms_flex_control.identification.coordinates import Coordinates, MOST_BLOCKS, N_STEADY
-from gms_flex_control.identification.objective import BLOCK_TIME, Objective
-from gms_flex_control.identification.refine import Prior, refine
+from gms_flex_control.identification.objective import BLOCK_TIME, coarser, Objective
+from gms_flex_control.identification.refine import Prior, refine, total_cost
 from gms_flex_control.simulation.predictor import BLOCKS
 import numpy as np
 
+COARSE = 2e-3         # sample that is fine enough to find the way [s]
 CANDIDATES = (1, 2, 3, 4, 6, 8)  # numbers of blocks that are tried
-_SPREAD_SHARPNESS = (8.0, 4.0, 2.0)
-_SHARPNESS = (4.0, 2.0, 1.0)
+_SPREAD_SHARPNESS = (3.0, 1.0)
+_SHARPNESS = (2.0, 1.0)
 _HELD_OUT = 4         # one in so many blocks of time is held out
 _STEADY_DOUBT, _BLOCK_DOUBT = 1.0, 3.0  # spread of the prior, of logarithms
-_SWEEPS = 2           # over joints that move each other
+_FEW_COUNTS = 1.5     # displacement that an encoder hardly resolves, in counts
+_SHAKE, _MOST_SHAKES, _SHORT = 1.25, 16, 6
+_WORTH = 2e-3         # of the cost, for another try
 
 
 class Candidate(NamedTuple):
@@ -200,19 +203,43 @@ def fit_joint(bundle, joint, thetas, start, extra, blocks):
     theta, _ = coordinates.unpack(free)
     fits = [fit_candidate(bundle, joint, thetas, theta, n, len(extra)) for n in blocks]
     candidates, chosen = choose(bundle, joint, thetas, fits)
-    return finish(bundle, joint, thetas, candidates, chosen)
+    best = candidates[chosen]
+    return JointFit(best.coordinates, best.free, prior_of(best.coordinates, best.free), None,
+                    best, candidates, False)
 
 
-def finish(bundle, joint, thetas, candidates, chosen):
-    """Refine the chosen candidate on all data."""
-    coordinates, free = candidates[chosen].coordinates, candidates[chosen].free
-    prior = prior_of(coordinates, free)
-    refined = refine(Objective(bundle, joint, thetas), coordinates, free, prior)
-    return JointFit(coordinates, refined.free, prior, refined.evaluation, candidates[chosen],
-                    candidates, refined.settled)
+def shake(objective, coordinates, free, prior, half):
+    """
+    Try blocks that break away within a few counts stiffer and softer, as long as it pays.
+
+    A fit sees such blocks only at the moments when a count changes, and stops short of their
+    best stiffness; from a little further on it goes on.
+    """
+    small = np.flatnonzero(np.exp(free[coordinates.yields]) < _FEW_COUNTS * 2.0 * half)
+    small += coordinates.yields.start
+    if not len(small):
+        return free
+    now = refine(objective, coordinates, free, prior, roughly=True)
+    tries = 0
+    for which in (small, *([block] for block in small if len(small) > 1)):
+        for factor in (1.0 / _SHAKE, _SHAKE):
+            paid = False
+            while tries < _MOST_SHAKES:
+                tries += 1
+                moved = now.free.copy()
+                moved[which] += np.log(factor)
+                further = refine(objective, coordinates, moved, prior, roughly=True,
+                                 floor=now.evaluation.floor, iterations=_SHORT)
+                if total_cost(further.evaluation, further.free, prior) >= total_cost(
+                        now.evaluation, now.free, prior) * (1.0 - _WORTH):
+                    break
+                now, paid = further, True
+            if paid:
+                break
+    return now.free
 
 
-def fit_all(bundle, starts, extras, *, blocks=CANDIDATES, say=None):
+def fit_all(bundle, starts, extras, *, blocks=CANDIDATES, say=lambda text: None):
     """
     Fit all joints, in as many threads.
 
@@ -221,7 +248,7 @@ def fit_all(bundle, starts, extras, *, blocks=CANDIDATES, say=None):
     bundle : Bundle
         All data.
     starts : sequence of Start
-        One per joint; None leaves a joint out.
+        One per joint.
     extras : sequence of ndarray
         Further coefficients of each joint to begin with.
     blocks : sequence of int
@@ -232,35 +259,30 @@ def fit_all(bundle, starts, extras, *, blocks=CANDIDATES, say=None):
     Returns
     -------
     list of JointFit
-        None where ``starts`` has None.
+        One per joint.
 
     """
     thetas = [rough_theta(start, extra) for start, extra in zip(starts, extras, strict=True)]
-    fits = [None] * len(starts)
-    coupled = bundle.arm.kind == 'planar' and len(starts) > 1
+    joints = range(len(starts))
     with ThreadPoolExecutor(max_workers=len(starts)) as pool:
-        for sweep in range(_SWEEPS if coupled else 1):
-            def work(joint, sweep=sweep):
-                if sweep == 0:
-                    return fit_joint(bundle, joint, thetas, starts[joint], extras[joint], blocks)
-                return again(bundle, joint, thetas, fits[joint])
-
-            if say:
-                say('refining each joint' if sweep == 0 else
-                    'refining again, the other joints as they were found')
-            fits = list(pool.map(work, range(len(starts))))
-            thetas = [fit.coordinates.unpack(fit.free)[0] for fit in fits]
-    return fits
+        say('fitting each joint')
+        rough = coarser(bundle, COARSE)
+        fits = list(pool.map(lambda j: fit_joint(rough, j, thetas, starts[j], extras[j], blocks),
+                             joints))
+        say('refining each joint, the others as they were found')
+        found = [fit.coordinates.unpack(fit.free)[0] for fit in fits]
+        return list(pool.map(lambda j: finish(bundle, j, found, fits[j]), joints))
 
 
-def again(bundle, joint, thetas, fit):
-    """Refine a fit once more now that the other joints are known better."""
+def finish(bundle, joint, thetas, fit):
+    """Refine a fit now that the other joints are known: without the data held out, then on all."""
+    coordinates, prior, rough = fit.coordinates, fit.prior, coarser(bundle, COARSE)
     training = Objective(bundle, joint, thetas, train(bundle.period))
-    coordinates = fit.coordinates
-    held = refine(training, coordinates, fit.held_out.free, fit.prior, sharpness=2.0,
-                  roughly=True).free
-    held = refine(training, coordinates, held, fit.prior).free
-    refined = refine(Objective(bundle, joint, thetas), coordinates, held, fit.prior)
+    held = refine(training, coordinates, fit.free, prior, sharpness=2.0, roughly=True).free
+    held = shake(Objective(rough, joint, thetas, train(rough.period)),
+                 coordinates, held, prior, bundle.half[joint])
+    held = refine(training, coordinates, held, prior).free
+    refined = refine(Objective(bundle, joint, thetas), coordinates, held, prior)
     return fit._replace(free=refined.free, evaluation=refined.evaluation,
                         held_out=fit.held_out._replace(free=held), settled=refined.settled)
 

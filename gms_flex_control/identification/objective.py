@@ -3,7 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """How badly parameters predict the encoders, with gradient and curvature, block by block."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from gms_flex_control import records
@@ -15,8 +15,8 @@ import numpy as np
 
 BLOCK_TIME = 2.0      # samples are pooled over this for errors that are not independent [s]
 SETTLE_TIME = 0.5     # at the beginning of a piece, when the blocks' load is not known [s]
-_LOAD_PER_STEP = 0.035  # of F_c: torque the observer corrects with per step of the encoder
-_SLOWEST, _FASTEST = 2.0, 60.0  # of the observer [rad/s]
+_LOAD_PER_STEP = 0.3  # of F_c: torque the observer corrects with per step of the encoder
+_SLOWEST, _FASTEST = 2.0, 100.0  # of the observer [rad/s]
 _FASTEST_STEP = 0.3   # radians of the observer per sample
 _EXPLAINED = 0.3      # of the usual innovation: a block this much better is explained
 _FINEST = 0.01        # of a count, likewise
@@ -74,6 +74,38 @@ class Evaluation:
     def weight(self):
         """Return the weight of each block, the inverse of its variance, shape (B,) [1/rad^2]."""
         return 1.0 / (self.floor ** 2 + self.square)
+
+
+def coarser(bundle, period):
+    """
+    Return a bundle sampled no more often than every ``period`` [s], torques averaged.
+
+    Parameters
+    ----------
+    bundle : Bundle
+        The data.
+    period : float
+        Sample that is fine enough [s].
+
+    Returns
+    -------
+    Bundle
+        The same one if it is coarse enough.
+
+    """
+    factor = int(period / bundle.period * (1.0 + 1e-6))
+    if factor <= 1:
+        return bundle
+    return bundle._replace(period=factor * bundle.period, stretches=tuple(
+        _thinned(stretch, factor) for stretch in bundle.stretches))
+
+
+def _thinned(stretch, factor):
+    samples = len(stretch.angle) // factor * factor
+    thin = {name: getattr(stretch, name)[:samples:factor]
+            for name in ('angle', 'rate', 'acceleration', 'tested', 'phase')}
+    mean = stretch.torque[:samples].reshape(-1, factor, stretch.torque.shape[1]).mean(axis=1)
+    return replace(stretch, torque=mean, **thin)
 
 
 def observer_bandwidth(arm, coulomb, half, noise, period):
@@ -166,7 +198,7 @@ class Objective:
         chosen[:round(SETTLE_TIME / self._bundle.period)] = False
         return chosen & np.isfinite(stretch.angle[:, self.joint])
 
-    def evaluate(self, coordinates, free, sharpness, floor=None, *, with_derivatives=True):
+    def evaluate(self, coordinates, free, sharpness, floor=None):
         """
         Return the Evaluation of free numbers.
 
@@ -181,13 +213,9 @@ class Objective:
         floor : float, optional
             Innovation below which a block counts as explained [rad]; by default as
             `floor_of` finds it here.
-        with_derivatives : bool
-            Whether to fill gradient and curvature, which takes twice the time.
 
         """
         theta, directions = coordinates.unpack(free)
-        if not with_derivatives:
-            directions = directions[:, :0]
         pools = []
         for stretch in self._bundle.stretches:
             counted = self.counted(stretch)
@@ -199,6 +227,44 @@ class Objective:
             np.array(part) for part in zip(*pools, strict=True))
         floor = floor or self.floor_of(square)
         return Evaluation(square, gradient, curvature, count, floor)
+
+    def memory(self, coordinates, free, longest):
+        """
+        Return how many samples an innovation remembers.
+
+        Parameters
+        ----------
+        coordinates, free
+            As `evaluate`.
+        longest : float
+            Memory that is looked for, at most [s].
+
+        Returns
+        -------
+        float
+            Sum of the autocorrelation of the innovations, each block of time at its own scale;
+            1 for white noise.
+
+        """
+        theta, directions = coordinates.unpack(free)
+        lags, length = round(longest / self._bundle.period), round(BLOCK_TIME / self._bundle.period)
+        total = np.zeros(lags)
+        for stretch in self._bundle.stretches:
+            counted = self.counted(stretch)
+            if counted.sum() < 2 * lags:
+                continue
+            error = np.where(counted, self.predict(stretch, theta, directions[:, :0], 1.0)[1][
+                :, self.joint], 0.0)
+            blocks = np.add.reduceat(error ** 2, np.arange(0, len(error), length))
+            level = np.sqrt(np.repeat(blocks, length)[:len(error)] / length)
+            scaled = np.divide(error, level, out=np.zeros_like(error), where=level > 0.0)
+            power = np.abs(np.fft.rfft(scaled, 2 * len(scaled))) ** 2
+            total += np.fft.irfft(power)[:lags]
+        if total[0] <= 0.0:
+            return 1.0
+        correlation = total / total[0]
+        end = np.argmax(correlation < 0.05) or lags
+        return float(1.0 + 2.0 * correlation[1:end].sum())
 
     def floor_of(self, square):
         """Return the floor [rad] that mean squares of blocks (B,) call for."""

@@ -10,7 +10,6 @@ import numpy as np
 
 _LARGEST_STEP = 0.7   # of a logarithm
 _TRIALS = 6
-_LONGEST = 16.0       # times a step
 _ROUNDS = 3
 _SAME_FLOOR = 0.1
 _ENOUGH, _NEARLY = 1e-5, 2e-3  # relative gain below which a fit has settled, or will do to go on
@@ -32,7 +31,8 @@ class Refined(NamedTuple):
     settled: bool
 
 
-def refine(objective, coordinates, free, prior, *, sharpness=1.0, iterations=25, roughly=False):
+def refine(objective, coordinates, free, prior, *, sharpness=1.0, iterations=25, roughly=False,
+           floor=None):
     """
     Move free numbers to the nearest minimum of the cost.
 
@@ -53,13 +53,15 @@ def refine(objective, coordinates, free, prior, *, sharpness=1.0, iterations=25,
         At most.
     roughly : bool
         Whether to end early, where another fit goes on from here.
+    floor : float, optional
+        Innovation below which a block counts as explained [rad], to compare fits.
 
     Returns
     -------
     Refined
 
     """
-    now, count = objective.evaluate(coordinates, free, sharpness), 0
+    now, count = objective.evaluate(coordinates, free, sharpness, floor), 0
     for _ in range(_ROUNDS):
         free, now, used, settled = _descend(objective, coordinates, free, now, prior, sharpness,
                                             iterations - count, _NEARLY if roughly else _ENOUGH)
@@ -73,10 +75,6 @@ def refine(objective, coordinates, free, prior, *, sharpness=1.0, iterations=25,
 
 def _descend(objective, coordinates, free, now, prior, sharpness, iterations, enough):
     """Return free numbers, their Evaluation, iterations taken and whether the fit settled."""
-    def cost_at(numbers):
-        return total_cost(objective.evaluate(coordinates, numbers, sharpness, now.floor,
-                                             with_derivatives=False), numbers, prior)
-
     damping = 1e-3
     for count in range(1, iterations + 1):
         curvature, slope = summed(now, free, prior)
@@ -85,33 +83,17 @@ def _descend(objective, coordinates, free, now, prior, sharpness, iterations, en
             step = np.linalg.solve(curvature + damping * np.diag(np.diag(curvature) + 1e-12),
                                    slope)
             step = np.clip(step, -_LARGEST_STEP, _LARGEST_STEP)
-            best, reach = _longest(cost_at, free, step, cost)
-            if best < cost:
+            trial = objective.evaluate(coordinates, free + step, sharpness, now.floor)
+            gain = cost - total_cost(trial, free + step, prior)
+            if gain > 0.0:
                 break
             damping *= 6.0
         else:
             return free, now, count, True
-        free, damping = free + reach * step, max(damping / 6.0, 1e-9)
-        now = objective.evaluate(coordinates, free, sharpness, now.floor)
-        if cost - best < enough * cost:
+        free, now, damping = free + step, trial, max(damping / 6.0, 1e-9)
+        if gain < enough * cost:
             return free, now, count, True
     return free, now, iterations, False
-
-
-def _longest(cost_at, free, step, cost):
-    """
-    Return the least cost along a step, and at how many times its length.
-
-    Where links stick and slip, the cost is rough at small scale: the slope underrates how far
-    it falls, and longer steps pay.
-    """
-    best, reach = cost_at(free + step), 1.0
-    while best < cost and reach < _LONGEST and np.abs(2.0 * reach * step).max() < 1.0:
-        further = cost_at(free + 2.0 * reach * step)
-        if further >= best:
-            break
-        best, reach = further, 2.0 * reach
-    return best, reach
 
 
 def total_cost(evaluation, free, prior):

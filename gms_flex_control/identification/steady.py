@@ -154,3 +154,44 @@ def fit_stribeck(velocity, torque):
             best = fit
     coulomb, drop = best.x[0] * scale[0], best.x[1] * scale[1]
     return Stribeck(coulomb + drop, coulomb, float(np.exp(best.x[2])), best.x[3] * scale[3])
+
+
+def repeatability(stretches, phases, arm, joint):
+    """
+    Return how much the friction of repeated equal motion differs.
+
+    Parameters
+    ----------
+    stretches : sequence of Stretch
+        All data.
+    phases : sequence of sequence of Phase
+        Of each recording; steps of one joint, phase and value are repeats.
+    arm : ArmParams
+        The arm.
+    joint : int
+        Which joint.
+
+    Returns
+    -------
+    float
+        Standard deviation of the mean friction torque among repeats [N m]; NaN without any.
+
+    """
+    groups = {}
+    for stretch in stretches:
+        owned = stretch.tested[:, joint]
+        steady = owned & (stretch.phase == 'constant_velocity')
+        if not steady.any():
+            continue
+        torque, rate = friction_torque(stretch, arm)[:, joint], stretch.rate[:, joint]
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], steady.astype(np.int8), [0]])))
+        for begin, end in zip(edges[::2], edges[1::2], strict=True):
+            speeds = rate[begin:end]
+            typical = np.median(speeds)
+            near = np.abs(speeds - typical) < 0.1 * abs(typical)
+            if near.sum() > 10:
+                key = round(float(np.sign(typical)) * np.log(abs(typical)) * 10.0)
+                groups.setdefault((np.sign(typical), key), []).append(
+                    torque[begin:end][near].mean())
+    spreads = [np.var(values, ddof=1) for values in groups.values() if len(values) > 1]
+    return float(np.sqrt(np.mean(spreads))) if spreads else float('nan')

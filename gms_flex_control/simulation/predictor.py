@@ -34,16 +34,26 @@ def parameter_rows(n_blocks, n_extra):
 
 
 @compiled
-def begin(angle, rate, torque, state, q, dq, friction):
+def begin(angle, rate, torque, period, state, q, dq, friction):
     """Start at the measured angle (n,) and ``rate`` (n,); blocks share ``torque`` as they can."""
     for j in range(q.shape[0]):
-        q[j], dq[j] = angle[j], rate[j]
+        q[j], dq[j] = angle[j] + 0.5 * period * rate[j], rate[j]
         state.direction[j] = 1.0 if torque[j] >= 0.0 else -1.0
         row = gms.FORWARD if torque[j] >= 0.0 else gms.BACKWARD
         load = min(max(torque[j], -friction.static[row, j]), friction.static[row, j])
         for i in range(state.torque.shape[1]):
             state.torque[j, i] = friction.weight[j, i] * load
             state.sticking[j, i] = 1
+
+
+@compiled
+def at_sample(q, dq, period):
+    """
+    Return the angle at the time of a sample.
+
+    With angles advanced by the new rate, ``q`` runs half a period ahead of ``dq``.
+    """
+    return q - 0.5 * period * dq
 
 
 @compiled
@@ -244,19 +254,22 @@ def predict(angle, rate, torque, extra, coefficients, period, links, friction, c
     samples, n = angle.shape
     m, width, joint = len(carried), directions.shape[1], carried[0]
     q, dq = np.empty(n), np.empty(n)
-    begin(angle[0], rate, torque[0], state, q, dq, friction)
+    begin(angle[0], rate, torque[0], period, state, q, dq, friction)
     d_q, d_dq, d_push = np.zeros((m, width)), np.zeros((m, width)), np.zeros((m, width))
+    d_seen = np.zeros((m, width))
     d_displacement, d_level = np.zeros(width), np.zeros(width)
     d_torque = np.zeros((m, state.torque.shape[1], width))
     yielding, seen = np.empty((m, m)), np.empty(m)
     for k in range(samples):
         for j in range(n):
-            predicted[k, j] = q[j]
-            innovation[k, j] = outside(angle[k, j] - q[j], half[j])
+            predicted[k, j] = at_sample(q[j], dq[j], period)
+            innovation[k, j] = outside(angle[k, j] - predicted[k, j], half[j])
         for a in range(m):
             seen[a] = 1.0 if innovation[k, carried[a]] != 0.0 else 0.0
+            for p in range(width):
+                d_seen[a, p] = seen[a] * (d_q[a, p] - 0.5 * period * d_dq[a, p])
         for p in range(width):
-            jacobian[k, p] = seen[0] * d_q[0, p]
+            jacobian[k, p] = d_seen[0, p]
         if k == samples - 1:
             break
         accelerate(torque[k], further_torque(coefficients, extra[k]), joint, q, dq, state, links,
@@ -269,15 +282,14 @@ def predict(angle, rate, torque, extra, coefficients, period, links, friction, c
         advance_links(innovation[k], gains, period, q, dq, work)
         for a in range(m):
             j = carried[a]
-            drawn = seen[a] * period
             for p in range(width):
-                d_dq[a, p] -= drawn * gains[1, j] * d_q[a, p]
+                d_dq[a, p] -= period * gains[1, j] * d_seen[a, p]
             for b in range(m):
                 for p in range(width):
                     d_dq[a, p] += period * yielding[a, b] * d_push[b, p]
             for p in range(width):
                 d_displacement[p] = period * d_dq[a, p]
-                d_q[a, p] += d_displacement[p] - drawn * gains[0, j] * d_q[a, p]
+                d_q[a, p] += d_displacement[p] - period * gains[0, j] * d_seen[a, p]
             advance_tangents(j, a, work.displacement[j], d_displacement, dq[j], d_dq, period,
                              state, directions, friction, d_level, d_torque)
         for j in range(n):
@@ -325,19 +337,19 @@ def simulate_freely(angle, rate, torque, extra, coefficients, period, links, fri
     samples, n = angle.shape
     q, dq, free_q, free_dq = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
     error, none = np.empty(n), np.zeros(n)
-    begin(angle[0], rate, torque[0], state, q, dq, friction)
+    begin(angle[0], rate, torque[0], period, state, q, dq, friction)
     start = 0
     for k in range(samples - 1):
         if k == first + start * stride and start < predicted.shape[0]:
             copy_state(state, q, dq, freed, free_q, free_dq)
             for step in range(horizon):
                 for j in range(n):
-                    predicted[start, step, j] = free_q[j]
+                    predicted[start, step, j] = at_sample(free_q[j], free_dq[j], period)
                 one_step(torque[k + step], extra[k + step], coefficients, joint, none, gains,
                          period, free_q, free_dq, freed, links, friction, work)
             start += 1
         for j in range(n):
-            error[j] = outside(angle[k, j] - q[j], half[j])
+            error[j] = outside(angle[k, j] - at_sample(q[j], dq[j], period), half[j])
         one_step(torque[k], extra[k], coefficients, joint, error, gains, period, q, dq, state,
                  links, friction, work)
 

@@ -1,0 +1,215 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Errors on data that took no part in a fit, beside Coulomb and viscous friction alone."""
+
+from gms_flex_control import records
+from gms_flex_control.dynamics import chain
+from gms_flex_control.friction import gms
+from gms_flex_control.identification.coordinates import MOST_BLOCKS, Coordinates
+from gms_flex_control.identification.result import HeldOut, Trace
+from gms_flex_control.identification.steady import friction_torque
+from gms_flex_control.simulation import plant, predictor
+from gms_flex_control.simulation.friction_replay import replay
+import numpy as np
+
+HORIZON = 0.5       # of a free simulation [s]
+_STRIDE = 1.0       # from one start to the next [s]
+_STANDING = 3.0     # encoder steps per 50 ms: slower is no motion for the simple model
+_SIMPLE_YIELD = 2.0  # of the simple model's only block, in encoder steps
+_LONGEST_TRACE = 20_000
+
+
+def model_friction(objective, stretch, theta, period):
+    """Return friction of the joint (T,) along the smoothed motion, further torques included."""
+    angle = smooth_angle(stretch, period)
+    tau = replay(angle, stretch.rate, period, objective.friction(theta))[:, objective.joint]
+    extra = objective.extra(stretch)
+    return tau - extra @ theta[len(theta) - extra.shape[1]:]
+
+
+def smooth_angle(stretch, period):
+    """Return the angles (T, n) whose derivative is the smoothed rate."""
+    steps = 0.5 * (stretch.rate[1:] + stretch.rate[:-1]) * period
+    return np.concatenate([np.zeros((1, steps.shape[1])), np.cumsum(steps, axis=0)])
+
+
+def coulomb_viscous(objective, stretches, arm, joint, step, chosen):
+    """
+    Fit Coulomb and viscous friction alone, each direction its own, by least squares.
+
+    Parameters
+    ----------
+    objective : Objective
+        For the further torques.
+    stretches : sequence of Stretch
+        The data.
+    arm : ArmParams
+        Inertia and gravity, the same as of the full model.
+    joint : int
+        Which joint.
+    step : float
+        Encoder step or noise [rad].
+    chosen : callable
+        Stretch -> bool (T,) of samples to fit.
+
+    Returns
+    -------
+    ndarray, shape (4 + R,)
+        Coulomb forward and backward [N m], viscous forward and backward [N m s/rad], and the
+        coefficients of further torques.
+
+    """
+    rows, targets = [], []
+    for stretch in stretches:
+        rate = stretch.rate[:, joint]
+        keep = chosen(stretch) & (np.abs(rate) > standing(step)) & stretch.tested[:, joint]
+        columns = np.concatenate([simple_columns(rate), -objective.extra(stretch)], axis=1)
+        rows.append(columns[keep])
+        targets.append(friction_torque(stretch, arm)[keep, joint])
+    fit, *_ = np.linalg.lstsq(np.concatenate(rows), np.concatenate(targets), rcond=None)
+    return fit
+
+
+def standing(step):
+    """Return the velocity below which nothing is said to move [rad/s]."""
+    return _STANDING * step / 0.05
+
+
+def simple_columns(rate):
+    """Return the regressors (T, 4) of Coulomb and viscous friction."""
+    forward, backward = rate > 0.0, rate < 0.0
+    return np.stack([forward, -1.0 * backward, forward * rate, backward * rate], axis=1)
+
+
+def simple_theta(fit, step, n_extra):
+    """Return Coulomb and viscous friction as parameters of the predictor, one stiff block."""
+    coulomb, viscous = np.maximum(fit[:2], 1e-9), np.maximum(fit[2:4], 1e-12)
+    coordinates = Coordinates(1, n_extra=n_extra)
+    free = coordinates.pack(coulomb * 1.001, coulomb, np.full(2, 1e-3), viscous,
+                            coulomb.mean() / 0.01, [_SIMPLE_YIELD * step], extra=fit[4:])
+    return coordinates.unpack(free)[0]
+
+
+def free_run_error(objective, bundle, theta, chosen):
+    """
+    Return the rms error of the link angle over free simulations of HORIZON.
+
+    Parameters
+    ----------
+    objective : Objective
+        Joint and the others' friction.
+    bundle : Bundle
+        The data.
+    theta : ndarray
+        Parameters of the joint.
+    chosen : callable
+        Stretch -> bool (T,); a simulation counts if all of its samples are chosen.
+
+    Returns
+    -------
+    float
+        [rad]; NaN if no piece is long enough.
+
+    """
+    horizon, stride = round(HORIZON / bundle.period), round(_STRIDE / bundle.period)
+    links, joint, total, count = chain.constants_of(bundle.arm), objective.joint, 0.0, 0
+    for stretch in bundle.stretches:
+        samples, n = stretch.angle.shape
+        first = stride
+        starts = max((samples - 1 - horizon - first) // stride + 1, 0)
+        keep = chosen(stretch) & stretch.tested[:, joint]
+        if not starts or not keep.any():
+            continue
+        extra = objective.extra(stretch)
+        predicted = np.empty((starts, horizon, n))
+        blocks = gms.state_layout(n, MOST_BLOCKS)
+        predictor.simulate_freely(
+            stretch.angle, np.ascontiguousarray(stretch.rate[0]), stretch.torque, extra,
+            theta[len(theta) - extra.shape[1]:], bundle.period, links, objective.friction(theta),
+            joint, np.stack([2.0 * bundle.observer, bundle.observer ** 2]), bundle.half, first,
+            stride, horizon, records.build(blocks), records.build(blocks), plant.workspace(n),
+            predicted)
+        for start in range(starts):
+            rows = slice(first + start * stride, first + start * stride + horizon)
+            measured = stretch.angle[rows, joint]
+            known = np.isfinite(measured) & keep[rows]
+            if known.all():
+                total += np.sum((predicted[start, :, joint] - measured) ** 2)
+                count += horizon
+    return float(np.sqrt(total / count)) if count else np.nan
+
+
+def held_out_errors(objective, bundle, theta, simple, chosen, step, repeatability):
+    """
+    Return the HeldOut errors of one joint.
+
+    Parameters
+    ----------
+    objective : Objective
+        Joint and the others' friction.
+    bundle : Bundle
+        The data.
+    theta : ndarray
+        Parameters of the joint, fitted without the chosen samples.
+    simple : ndarray
+        From `coulomb_viscous`, likewise.
+    chosen : callable
+        Stretch -> bool (T,) of the samples held out.
+    step : float
+        Encoder step or noise [rad].
+    repeatability : float
+        Of the torque [N m].
+
+    Returns
+    -------
+    HeldOut
+
+    """
+    joint, period = objective.joint, bundle.period
+    off, plain, torque, noise, innovations = [], [], [], [], []
+    for stretch in bundle.stretches:
+        keep = chosen(stretch) & stretch.tested[:, joint]
+        if not keep.any():
+            continue
+        measured = friction_torque(stretch, bundle.arm)[:, joint]
+        rate = stretch.rate[:, joint]
+        off.append((measured - model_friction(objective, stretch, theta, period))[keep])
+        columns = np.concatenate([simple_columns(np.where(
+            np.abs(rate) > standing(step), rate, 0.0)), -objective.extra(stretch)], axis=1)
+        plain.append((measured - columns @ simple)[keep])
+        torque.append(stretch.torque[keep, joint])
+        noise.append(np.diff(stretch.torque[:, joint], 2)[keep[1:-1]] / np.sqrt(6.0))
+        innovations.append(objective.predict(stretch, theta, np.zeros((len(theta), 0)), 1.0)[1][
+            keep, joint])
+    off, plain, torque, noise, innovations = (
+        np.concatenate(part) for part in (off, plain, torque, noise, innovations))
+    usual = rms(torque)
+    return HeldOut(
+        torque_rms=rms(off), relative=rms(off) / usual, coulomb_viscous=rms(plain) / usual,
+        free_run_rms=free_run_error(objective, bundle, theta, chosen),
+        free_run_coulomb_viscous=free_run_error(
+            objective, bundle, simple_theta(simple, step, len(simple) - 4), chosen),
+        horizon=HORIZON, innovation_rms=rms(innovations), noise_floor=rms(noise),
+        repeatability=repeatability)
+
+
+def rms(values):
+    """Return the root of the mean square."""
+    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else np.nan
+
+
+def traces_of(objective, bundle, theta, chosen):
+    """Return a Trace of each piece in which the joint is tested, thinned for drawing."""
+    traces = []
+    for stretch in bundle.stretches:
+        keep = np.flatnonzero(stretch.tested[:, objective.joint])
+        if not len(keep):
+            continue
+        thin = keep[::max(1, len(keep) // _LONGEST_TRACE)]
+        model = model_friction(objective, stretch, theta, bundle.period)
+        traces.append(Trace(
+            stretch.begin + bundle.period * thin, stretch.rate[thin, objective.joint],
+            friction_torque(stretch, bundle.arm)[thin, objective.joint], model[thin],
+            chosen(stretch)[thin], stretch.source))
+    return tuple(traces)

@@ -1,0 +1,242 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""From recordings to friction parameters, their intervals and errors: the whole way."""
+
+from dataclasses import dataclass, replace
+import time
+import warnings
+
+from gms_flex_control.errors import IdentificationError
+from gms_flex_control.identification import default_method, held_out as errors
+from gms_flex_control.identification.checks import require
+from gms_flex_control.identification.coordinates import friction_record
+from gms_flex_control.identification.loops import loops_of, presliding_reach
+from gms_flex_control.identification.objective import Bundle, Objective, observer_bandwidth
+from gms_flex_control.identification.result import Candidate, Identification, JointResult
+from gms_flex_control.identification.start import start_of
+from gms_flex_control.identification.steady import friction_map, repeatability
+from gms_flex_control.identification.stretches import (
+    drive_sides, half_count, rigid_where, stretches_of,
+)
+from gms_flex_control.identification.uncertainty import curve_of, estimates_of, spread_of
+from gms_flex_control.params.friction import FrictionParams, StribeckParams
+from gms_flex_control.friction.stribeck import steady_friction
+import numpy as np
+
+_SAME_PERIOD = 0.01   # relative difference of sample periods of recordings fitted together
+_CURVE_POINTS = 80
+_VELOCITIES = 200
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """
+    How to identify.
+
+    Parameters
+    ----------
+    method : {'default', 'paper'}
+        All parameters together through the predictor, or as in section 4 of the paper.
+    blocks : tuple of int
+        Numbers of blocks to try.
+    force : bool
+        Go on in spite of faults in the data.
+    seed : int
+        Of the bootstrap.
+
+    """
+
+    method: str = 'default'
+    blocks: tuple = default_method.CANDIDATES
+    force: bool = False
+    seed: int = 0
+
+
+def identify(takes, robot, *, holdouts=(), options=None, say=None):
+    """
+    Identify the friction of a robot.
+
+    Parameters
+    ----------
+    takes : sequence of (Recording, sequence of Phase)
+        What was recorded, and what the experiment was doing (empty if not known).
+    robot : RobotParams
+        The robot as described; its inertia, stiffness and gravity are relied on, its friction
+        is not.
+    holdouts : sequence of (Recording, sequence of Phase)
+        Recordings to predict only; by default blocks of time are held out.
+    options : Options, optional
+        How.
+    say : callable, optional
+        Told what is being done.
+
+    Returns
+    -------
+    Identification
+
+    Raises
+    ------
+    IdentificationError
+        If the data cannot tell the friction, or would tell it wrongly; the sentence says why.
+
+    """
+    begin, options, say = time.monotonic(), options or Options(), say or (lambda text: None)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter('always')
+        say('checking the data')
+        for recording, _ in (*takes, *holdouts):
+            for finding in require(recording, robot, force=options.force):
+                warnings.warn(finding.text, stacklevel=2)
+        data = Data(takes, holdouts, robot)
+        fits = data.fit(options, say)
+        say('intervals and errors on data held out')
+        joints = tuple(data.result(j, fits, options) for j in range(robot.n_joints))
+    thetas = [fit.coordinates.unpack(fit.free)[0] for fit in fits]
+    return Identification(
+        method=options.method, robot=replace(robot, friction=friction_params(thetas, fits)),
+        believed=robot, joints=joints, sources=tuple(take.source for take, _ in takes),
+        holdouts=tuple(take.source for take, _ in holdouts),
+        duration=float(sum(take.time[-1] - take.time[0] for take, _ in takes)),
+        period=data.bundle.period,
+        warnings=tuple(dict.fromkeys(str(item.message) for item in caught)),
+        seconds=time.monotonic() - begin)
+
+
+class Data:
+    """
+    Recordings of one robot, cut into stretches.
+
+    Parameters
+    ----------
+    takes, holdouts, robot
+        As `identify`.
+
+    """
+
+    def __init__(self, takes, holdouts, robot):
+        period = takes[0][0].period
+        ordered = [[_ordered(take, robot), phases] for take, phases in (*takes, *holdouts)]
+        for take, _ in ordered:
+            if abs(take.period / period - 1.0) > _SAME_PERIOD:
+                raise IdentificationError(
+                    f'{take.source}: sampled every {1e3 * take.period:.4g} ms, '
+                    f'{ordered[0][0].source} every {1e3 * period:.4g} ms; identify recordings of '
+                    'one rate together')
+        first = ordered[0][0]
+        self.sides = drive_sides(first, robot)
+        self.robot = rigid_where(robot, self.sides)
+        pieces = [stretches_of(take, robot, self.sides, phases) for take, phases in ordered]
+        self._fitted = [piece for part in pieces[:len(takes)] for piece in part]
+        self._apart = [piece for part in pieces[len(takes):] for piece in part]
+        self._phases = [phase for _, phase in takes]
+        half = half_count(first, robot)
+        self.step = np.array([resolution(self._fitted, j, 2.0 * half[j])
+                              for j in range(robot.n_joints)])
+        self.maps = [friction_map(self._fitted, self.robot.arm, j, period, half[j])
+                     for j in range(robot.n_joints)]
+        self.starts = [start_of(self.maps[j], travel(self._fitted, j), self.step[j],
+                                robot.joints[j], first.source) for j in range(robot.n_joints)]
+        coulomb = np.array([start.forward.coulomb for start in self.starts])
+        self.bundle = Bundle(
+            tuple(self._fitted), self.robot.arm, period, half,
+            observer_bandwidth(self.robot.arm, coulomb, half, self.step / 3.0, period),
+            (None,) * robot.n_joints)
+
+    def fit(self, options, say):
+        """Return a JointFit per joint."""
+        extras = [np.zeros(0)] * self.robot.n_joints
+        return default_method.fit_all(self.bundle, self.starts, extras, blocks=options.blocks,
+                                      say=say)
+
+    def result(self, joint, fits, options):
+        """Return the JointResult of one joint."""
+        fit, bundle = fits[joint], self.bundle
+        thetas = [other.coordinates.unpack(other.free)[0] for other in fits]
+        theta, objective = thetas[joint], Objective(bundle, joint, thetas)
+        spread = spread_of(objective, fit.coordinates, fit.free, fit.evaluation, fit.prior,
+                           np.random.default_rng([options.seed, joint]))
+        reach = presliding_reach(bundle, joint, theta)
+        top = np.abs(self.maps[joint].velocity).max()
+        velocity = np.concatenate([-np.geomspace(top, 1e-4 * top, _VELOCITIES),
+                                   np.geomspace(1e-4 * top, top, _VELOCITIES)])
+        alone = friction_params([theta], [fit])
+        widest = np.exp(fit.free[fit.coordinates.yields]).max()
+        curve = curve_of(fit.coordinates, fit.free, spread, np.geomspace(
+            0.1 * self.step[joint], max(widest, 10.0 * self.step[joint]), _CURVE_POINTS))
+        return JointResult(
+            joint=self.robot.joints[joint], side=self.sides[joint],
+            estimates=estimates_of(self.robot.joints[joint], fit.coordinates, fit.free, spread,
+                                   fit.prior, reach),
+            curve=curve, friction_map=self.maps[joint], steady_velocity=velocity,
+            steady_torque=steady_friction(velocity[:, None], alone)[:, 0],
+            loops=loops_of(objective, bundle, theta),
+            traces=errors.traces_of(objective, bundle, theta,
+                                    default_method.held_out(bundle.period)),
+            candidates=tuple(Candidate(one.n_blocks, one.cost, one.error,
+                                       one.n_blocks == fit.coordinates.n_blocks)
+                             for one in fit.candidates),
+            held_out=self._errors(joint, fit, thetas), warnings=())
+
+    def _errors(self, joint, fit, thetas):
+        bundle, chosen = self.bundle, default_method.held_out(self.bundle.period)
+        theta, _ = fit.coordinates.unpack(fit.held_out.free)
+        train = default_method.train(bundle.period)
+        if self._apart:
+            bundle = bundle._replace(stretches=tuple(self._apart))
+            theta, chosen, train = thetas[joint], everything, everything
+        objective = Objective(bundle, joint, thetas)
+        simple = errors.coulomb_viscous(
+            Objective(self.bundle, joint, thetas), self._fitted, self.robot.arm, joint,
+            self.step[joint], train)
+        return errors.held_out_errors(
+            objective, bundle, theta, simple, chosen, self.step[joint],
+            repeatability(self._fitted, self._phases, self.robot.arm, joint))
+
+
+def everything(stretch):
+    """Return that all samples (T,) are chosen."""
+    return np.ones(len(stretch.angle), dtype=bool)
+
+
+def _ordered(recording, robot):
+    """Return the recording with its joints in the robot's order."""
+    order = [recording.joints.index(joint) for joint in robot.joints]
+    if order == list(range(len(recording.joints))):
+        return recording
+    names = ('q_link', 'dq_link', 'q_motor', 'dq_motor', 'tau_motor', 'command', 'reference',
+             'friction_hat')
+    return replace(recording, joints=robot.joints,
+                   **{name: getattr(recording, name)[..., order] for name in names})
+
+
+def resolution(stretches, joint, count):
+    """Return the encoder step, or three times the noise where there is no step [rad]."""
+    if count > 0.0:
+        return count
+    noise = [np.median(np.abs(np.diff(stretch.angle[:, joint], 3))) / np.sqrt(20.0) / 0.6745
+             for stretch in stretches]
+    return max(3.0 * float(np.nanmedian(noise)), 1e-9)
+
+
+def travel(stretches, joint):
+    """Return the range of a joint's angle [rad]."""
+    return float(max(np.nanmax(stretch.angle[:, joint]) for stretch in stretches)
+                 - min(np.nanmin(stretch.angle[:, joint]) for stretch in stretches))
+
+
+def friction_params(thetas, fits):
+    """Return FrictionParams of fitted joints, blocks from soft to stiff."""
+    record = friction_record(thetas)
+    most = max(fit.coordinates.n_blocks for fit in fits)
+    blocks = np.zeros((2, len(fits), most))
+    for j, fit in enumerate(fits):
+        n = fit.coordinates.n_blocks
+        order = np.argsort(record.stiffness[j, :n], kind='stable')
+        blocks[0, j, :n] = record.stiffness[j, :n][order]
+        blocks[1, j, :n] = record.weight[j, :n][order]
+    sides = [StribeckParams(**{name: getattr(record, name)[row].copy() for name in (
+        'static', 'coulomb', 'velocity', 'viscous')}) for row in range(2)]
+    return FrictionParams(forward=sides[0], backward=sides[1], stiffness=blocks[0],
+                          weight=blocks[1] / blocks[1].sum(axis=1, keepdims=True),
+                          attraction=record.attraction.copy())

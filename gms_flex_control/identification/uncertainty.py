@@ -1,0 +1,198 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""
+How far each parameter can be trusted: two kinds of intervals, and flags.
+
+From the Jacobian: the inverse of the curvature, larger by as many samples as an innovation
+remembers. From a bootstrap: blocks of time drawn again with replacement, one Gauss-Newton step
+each. The first believes that innovations are noise of that memory, the second only that blocks
+are alike; where they disagree, something in the data repeats that the model lacks.
+"""
+
+from typing import NamedTuple
+
+from gms_flex_control.identification.coordinates import MOST_BLOCKS, presliding_curve
+from gms_flex_control.identification.refine import summed
+from gms_flex_control.identification.result import Estimate, Interval
+from gms_flex_control.simulation.predictor import BLOCKS, PER_DIRECTION, STATIC
+import numpy as np
+
+REPLICATES = 400
+_CONFIDENT = 1.959964   # of a normal distribution, 95 % two-sided
+_LOW, _HIGH = 2.5, 97.5
+_VAGUE = np.log(2.0)    # half an interval this wide in the logarithm tells nothing
+_DISAGREE = 2.5         # ratio of widths of the two intervals
+_NOTHING = 2e-3         # of the friction level: a part this small is at its bound
+_LONGEST_MEMORY = 2.0   # of an innovation that is looked for [s]
+_NAMES = ('static', 'coulomb', 'velocity', 'viscous')
+_UNITS = ('N m', 'N m', 'rad/s', 'N m s/rad')
+_TELLS = {
+    'static': 'motion slower than v_s and break-away from rest tell it',
+    'coulomb': 'steady motion well above v_s tells it',
+    'velocity': 'steady velocities between rest and the flat part of the curve tell it',
+    'viscous': 'faster motion tells it',
+    'attraction': 'velocity that varies within a second around v_s tells it',
+    'stiffness': 'slow torque ramps below break-away, with small loops, tell it',
+}
+
+
+class Spread(NamedTuple):
+    """Uncertainty of free numbers."""
+
+    covariance: np.ndarray  # (P, P), from the Jacobian
+    replicates: np.ndarray  # (REPLICATES, P), from the bootstrap
+    memory: float           # samples an innovation remembers
+
+
+def spread_of(objective, coordinates, free, evaluation, prior, rng):
+    """
+    Return the Spread of a fit.
+
+    Parameters
+    ----------
+    objective, coordinates, free, evaluation, prior
+        Of the fit, at its minimum.
+    rng : numpy.random.Generator
+        Draws the blocks.
+
+    Returns
+    -------
+    Spread
+
+    """
+    curvature, _ = summed(evaluation, free, prior)
+    memory = objective.memory(coordinates, free, _LONGEST_MEMORY)
+    inverse = _inverse(curvature)
+    scores = evaluation.weight[:, None] * evaluation.gradient
+    scores = scores - scores.mean(axis=0)
+    weighted = evaluation.weight[:, None, None] * evaluation.curvature
+    blocks = len(scores)
+    replicates = np.empty((REPLICATES, len(free)))
+    for row in replicates:
+        times = np.bincount(rng.integers(blocks, size=blocks), minlength=blocks)
+        again = np.tensordot(times, weighted, 1) + np.diag(prior.precision)
+        row[:] = free + _inverse(again) @ (times @ scores)
+    return Spread(memory * inverse, replicates, memory)
+
+
+def _inverse(curvature):
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(curvature), 1e-300))
+    return np.linalg.pinv(curvature * np.outer(scale, scale), rcond=1e-12,
+                          hermitian=True) * np.outer(scale, scale)
+
+
+def estimates_of(joint, coordinates, free, spread, prior, reach, units=_UNITS):
+    """
+    Return the Estimates of one joint's friction.
+
+    Parameters
+    ----------
+    joint : str
+        Link name.
+    coordinates : Coordinates
+        What ``free`` stands for.
+    free : ndarray, shape (P,)
+        The fit.
+    spread : Spread
+        Its uncertainty.
+    prior : Prior
+        The belief that was used.
+    reach : float
+        Farthest displacement in presliding [rad].
+    units : tuple of str
+        Of static, coulomb, velocity and viscous.
+
+    Returns
+    -------
+    tuple of Estimate
+
+    """
+    theta, directions = coordinates.unpack(free)
+    variance = np.einsum('ip,pq,iq->i', directions, spread.covariance, directions)
+    thetas = np.stack([coordinates.unpack(row)[0] for row in spread.replicates])
+    low, high = np.percentile(thetas, [_LOW, _HIGH], axis=0)
+    told = _told(spread, prior)
+    rows = []
+    for k, direction in enumerate(('forward', 'backward')):
+        for i, (name, unit) in enumerate(zip(_NAMES, units, strict=True)):
+            rows.append((f'friction.{joint}.{direction}.{name}', unit, PER_DIRECTION * k + i,
+                         told[PER_DIRECTION * k + (1 if name == 'static' else
+                                                   0 if name == 'coulomb' else i)], name))
+    rows.append((f'friction.{joint}.attraction', 'N m/s', 8, told[8], 'attraction'))
+    order = _order(theta, coordinates.n_blocks)
+    for number, i in enumerate(order):
+        rows.append((f'friction.{joint}.stiffness[{number}]', 'N m/rad', BLOCKS + i,
+                     told[coordinates.yields][i], 'stiffness'))
+    return tuple(_estimate(row, theta, variance, low, high, reach) for row in rows)
+
+
+def _order(theta, n_blocks):
+    """Return the blocks from soft to stiff."""
+    return np.argsort(theta[BLOCKS:BLOCKS + n_blocks], kind='stable')
+
+
+def _told(spread, prior):
+    """Return the share of each number that the data tell, the rest being prior, (P,)."""
+    return 1.0 - np.clip(prior.precision * np.diag(spread.covariance) / spread.memory, 0.0, 1.0)
+
+
+def _estimate(row, theta, variance, low, high, reach):
+    name, unit, i, told, kind = row
+    value = float(theta[i])
+    relative = float(np.sqrt(variance[i]) / value) if value > 0.0 else np.inf
+    wide = np.exp(min(_CONFIDENT * relative, 50.0))
+    interval = Interval(value / wide, value * wide)
+    bootstrap = Interval(float(low[i]), float(high[i]))
+    flags, notes = [], []
+    if kind == 'viscous' and value * 1.0 < _NOTHING * theta[1]:
+        flags.append('at bound')
+        notes.append('no viscous part is seen')
+    if kind == 'static' and value - theta[i + 1] < _NOTHING * value:
+        flags.append('at bound')
+        notes.append('static and Coulomb friction are the same')
+    if told < 0.5 or _CONFIDENT * relative > _VAGUE:
+        flags.append('not identifiable')
+        notes.append(_TELLS[kind])
+    if kind == 'stiffness':
+        weight = theta[i + MOST_BLOCKS]
+        yielding = weight * theta[[STATIC, PER_DIRECTION + STATIC]].mean() / value
+        if yielding > reach:
+            flags.append('not identifiable')
+            notes.append(f'slips only after {yielding:.3g} rad, beyond the {reach:.3g} rad of '
+                         'presliding in the data: a slow rise of friction after reversals, not '
+                         'a stiffness of presliding')
+    elif _differ(interval, bootstrap):
+        flags.append('intervals disagree')
+        notes.append('the bootstrap over blocks of time says otherwise than the Jacobian: '
+                     'something repeats in the data that the model lacks')
+    return Estimate(name, unit, value, interval, bootstrap, tuple(dict.fromkeys(flags)),
+                    '; '.join(notes))
+
+
+def _differ(one, other):
+    widths = [max(pair.high - pair.low, 1e-300) for pair in (one, other)]
+    return max(widths) / min(widths) > _DISAGREE
+
+
+def curve_of(coordinates, free, spread, displacement):
+    """
+    Return the presliding curve with its 95 % interval from the bootstrap.
+
+    Parameters
+    ----------
+    coordinates, free, spread
+        As `estimates_of`.
+    displacement : ndarray, shape (D,)
+        [rad].
+
+    Returns
+    -------
+    tuple of ndarray, shape (D,)
+        Displacement, torque, low and high [N m].
+
+    """
+    curves = np.stack([presliding_curve(coordinates.unpack(row)[0], displacement)
+                       for row in spread.replicates])
+    low, high = np.percentile(curves, [_LOW, _HIGH], axis=0)
+    return displacement, presliding_curve(coordinates.unpack(free)[0], displacement), low, high
