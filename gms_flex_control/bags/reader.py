@@ -94,6 +94,36 @@ def read_recording(path, joints=None, motors=None, *, topics=None):
         friction_hat=series.friction(stamps), source=str(path))
 
 
+def joint_names(path, *, topics=None):
+    """
+    Return the names in the first joint state of a bag.
+
+    Parameters
+    ----------
+    path : str or Path
+        As `read_recording`.
+    topics : Topics, optional
+        Topic names.
+
+    Returns
+    -------
+    list of str
+
+    Raises
+    ------
+    BagError
+        If there is no joint state.
+
+    """
+    topics = topics or Topics()
+    bag = Bag(path)
+    for batch in bag.batches():
+        for topic, _, _, message in batch:
+            if topic == topics.joint_states:
+                return _first_names(bag, [message], topics)
+    return _first_names(bag, [], topics)
+
+
 class _Series:
     """The messages of the topics of one recording."""
 

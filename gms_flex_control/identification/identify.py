@@ -38,6 +38,8 @@ class Options:
     ----------
     method : {'default', 'paper'}
         All parameters together through the predictor, or as in section 4 of the paper.
+    estimate : {'friction', 'all'}
+        Whether inertia, gravity, stiffness and motor inertia are estimated as well.
     blocks : tuple of int
         Numbers of blocks to try.
     force : bool
@@ -48,6 +50,7 @@ class Options:
     """
 
     method: str = 'default'
+    estimate: str = 'friction'
     blocks: tuple = default_method.CANDIDATES
     force: bool = False
     seed: int = 0
@@ -86,7 +89,8 @@ def identify(takes, robot, *, holdouts=(), options=None, say=None):
         warnings.simplefilter('always')
         say('checking the data')
         for recording, _ in (*takes, *holdouts):
-            for finding in require(recording, robot, force=options.force):
+            for finding in require(recording, robot, force=options.force,
+                                   rough=options.estimate == 'all'):
                 warnings.warn(finding.text, stacklevel=2)
         data = Data(takes, holdouts, robot)
         fits = data.fit(options, say)

@@ -10,6 +10,7 @@ from gms_flex_control import records
 from gms_flex_control.dynamics import chain
 from gms_flex_control.friction import gms
 from gms_flex_control.identification.coordinates import friction_record, MOST_BLOCKS
+from gms_flex_control.identification.stretches import own_inertias
 from gms_flex_control.simulation import plant, predictor
 import numpy as np
 
@@ -131,8 +132,7 @@ def observer_bandwidth(arm, coulomb, half, noise, period):
         [rad/s], so slow that an encoder step corrects by a small part of the friction.
 
     """
-    still = np.zeros(arm.n_joints)
-    inertia = np.diag(chain.matrices(still, still, still, still, arm).mass)
+    inertia = own_inertias(arm)
     step = np.maximum(2.0 * half, 3.0 * noise)
     wanted = np.sqrt(_LOAD_PER_STEP * coulomb / (inertia * np.maximum(step, 1e-12)))
     return np.clip(wanted, _SLOWEST, min(_FASTEST, _FASTEST_STEP / period))

@@ -8,20 +8,25 @@ import numpy as np
 from scipy.signal import savgol_filter
 
 _ORDER = 3
-_SHORTEST, _LONGEST = 0.03, 0.3  # of a window [s]
-_STEPS = 12  # encoder steps a window should span at the usual speed
+_SHORTEST, _LONGEST = 0.02, 0.4  # of a window [s]
+_TORQUE_NOISE = 0.02  # of the usual torque: what noise of the acceleration may amount to
+_CUBIC_NOISE = np.sqrt(720.0)  # of a second derivative, times window^-2.5 and step^-2
 
 
-def smoothing_window(period, angle):
+def smoothing_window(period, noise, inertia, torque):
     """
-    Return the samples of a window that sees the motion through the encoder's steps.
+    Return the samples of a window behind which the acceleration's noise is a small torque.
 
     Parameters
     ----------
     period : float
         Sample [s].
-    angle : ndarray, shape (T,)
-        Measured angle [rad].
+    noise : float
+        Standard deviation of the angle [rad]; that of a count is its step over sqrt(12).
+    inertia : float
+        What the acceleration is multiplied with [kg m^2].
+    torque : float
+        Usual torque [N m].
 
     Returns
     -------
@@ -29,10 +34,20 @@ def smoothing_window(period, angle):
         Odd, at least 5.
 
     """
-    speed = np.median(np.abs(angle[50:] - angle[:-50])) / (50 * period) if len(angle) > 100 else 0
-    wanted = _STEPS * quantum(angle) / speed if speed > 0.0 else _LONGEST
-    length = float(np.clip(wanted, _SHORTEST, _LONGEST))
-    return max(2 * round(length / period / 2) + 1, 5)
+    allowed = max(_TORQUE_NOISE * torque, 1e-300)
+    length = (_CUBIC_NOISE * noise * inertia / allowed / period ** 2) ** 0.4
+    length = np.clip(length, _SHORTEST / period, _LONGEST / period)
+    return max(2 * round(length / 2) + 1, 5)
+
+
+def noise_of(angle):
+    """
+    Return the standard deviation of an encoder's noise (T,), rounding to counts included [rad].
+    """
+    known = angle[np.isfinite(angle)]
+    spread = float(np.std(np.diff(known, 3))) / np.sqrt(20.0)
+    robust = float(np.median(np.abs(np.diff(known, 3)))) / np.sqrt(20.0) / 0.6745
+    return max(min(spread, quantum(known) / np.sqrt(12.0)), robust, 1e-12)
 
 
 def derivatives(values, period, window):

@@ -8,12 +8,14 @@ import warnings
 
 from gms_flex_control.analysis.signals import quantum
 from gms_flex_control.errors import IdentificationError
-from gms_flex_control.identification.smoothing import derivatives, smoothing_window
+from gms_flex_control.dynamics.chain import matrices
+from gms_flex_control.identification.smoothing import derivatives, noise_of, smoothing_window
 import numpy as np
 
 SHORTEST = 2.0         # a piece below this is left out [s]
 _BRIDGED = 0.02        # torque is interpolated across gaps up to this, or two periods [s]
 _SPRING_DOUBT = 0.5    # of the torque's rms: a spring torque further off is not believed
+_DAMPING_WINDOW = 0.05  # for the rate of twist [s]
 _EVEN = 0.02           # stamps within this part of a period of an even grid count as even
 
 
@@ -114,7 +116,8 @@ def _spring_mismatch(recording, robot, j):
         return 0.0
     grid, (q_link, q_motor, tau) = _even(recording.time[known], (
         recording.q_link[known, j], recording.q_motor[known, j], recording.tau_motor[known, j]))
-    window = smoothing_window(grid[1] - grid[0], q_motor)
+    window = smoothing_window(grid[1] - grid[0], noise_of(q_motor), max(
+        robot.arm.motor_inertia[j], robot.arm.stiffness[j] * (grid[1] - grid[0]) ** 2), np.std(tau))
     smooth = [derivatives(x, grid[1] - grid[0], window) for x in (q_link, q_motor, tau)]
     spring = robot.arm.stiffness[j] * (smooth[1][0] - smooth[0][0]) + robot.arm.damping[j] * (
         smooth[1][1] - smooth[0][1])
@@ -216,15 +219,22 @@ def _stretch(recording, robot, sides, phases, rows, even):
     filled = np.stack([_interpolated(grid, time, recording.q_link[rows, j]) for j in range(n)], 1)
     if not even:
         angle[:] = filled
-    smooth = [derivatives(filled[:, j], period, smoothing_window(period, filled[:, j]))
-              for j in range(n)]
     torque = np.stack([
         _spring(recording, robot, j, grid, time, rows, filled[:, j]) if side == 'spring'
         else _motor(recording, j, grid, time, rows) for j, side in enumerate(sides)], axis=1)
+    smooth = [derivatives(filled[:, j], period, smoothing_window(
+        period, noise_of(recording.q_link[:, j]), inertia, np.std(torque[:, j])))
+        for j, inertia in enumerate(own_inertias(rigid_where(robot, sides).arm))]
     tested, phase = _tested(phases, recording, grid, robot.joints)
     return Stretch(begin=float(time[0]), angle=angle, rate=np.stack([s[1] for s in smooth], 1),
                    acceleration=np.stack([s[2] for s in smooth], 1), torque=torque,
                    tested=tested, phase=phase, source=recording.source)
+
+
+def own_inertias(arm):
+    """Return the diagonal of M with all links in line (n,) [kg m^2]."""
+    still = np.zeros(arm.n_joints)
+    return np.diag(matrices(still, still, still, still, arm).mass)
 
 
 def _interpolated(grid, time, values):
@@ -242,7 +252,7 @@ def _spring(recording, robot, j, grid, time, rows, q_link):
         period = grid[1] - grid[0]
         twist = q_motor - q_link
         torque = torque + robot.arm.damping[j] * derivatives(
-            twist, period, smoothing_window(period, q_motor))[1]
+            twist, period, max(2 * round(_DAMPING_WINDOW / period / 2) + 1, 5))[1]
     return np.append(0.5 * (torque[1:] + torque[:-1]), torque[-1])
 
 
