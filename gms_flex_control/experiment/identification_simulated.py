@@ -16,6 +16,7 @@ import numpy as np
 NANOSECONDS = 1_000_000_000
 IDLE = 'idle'
 _INTEGRATION_STEP = 1e-4  # [s]
+_START = 1e-3  # links begin within this, so that encoders turn over elsewhere each time [rad]
 
 
 def simulate_identification(plan, robot, gains, seed, *, rate=1000, torque_noise=1e-3,
@@ -32,7 +33,7 @@ def simulate_identification(plan, robot, gains, seed, *, rate=1000, torque_noise
     gains : ControllerParams
         Of the controller; the plan chooses the compensation.
     seed : int
-        Of encoder and torque noise.
+        Of encoder and torque noise, and of where within a count the links begin.
     rate : float, optional
         Samples per second [Hz].
     torque_noise : float, optional
@@ -70,7 +71,8 @@ class _Experiment:
         self._relaxed = replace(gains, compensation='none')
         self._period_ns = round(NANOSECONDS / rate)
         self._period = self._period_ns / NANOSECONDS
-        self._loop = StretchedLoop(robot, model, period=self._period, seed=seed,
+        start = _START * np.random.default_rng([seed, 2]).uniform(-1.0, 1.0, robot.n_joints)
+        self._loop = StretchedLoop(robot, model, period=self._period, seed=seed, q_link=start,
                                    substeps=max(1, round(self._period / _INTEGRATION_STEP)))
         self._state = builders.at_rest(np.zeros(robot.n_joints))
         self._q_link = self._state[0].copy()

@@ -52,6 +52,7 @@ class JointFit(NamedTuple):
     held_out: object       # Candidate that was chosen, fitted without the data held out
     candidates: tuple      # of Candidate
     settled: bool
+    sampling: np.ndarray   # what the numbers move by when only every other sample is used
 
 
 def prior_of(coordinates, free):
@@ -205,7 +206,7 @@ def fit_joint(bundle, joint, thetas, start, extra, blocks):
     candidates, chosen = choose(bundle, joint, thetas, fits)
     best = candidates[chosen]
     return JointFit(best.coordinates, best.free, prior_of(best.coordinates, best.free), None,
-                    best, candidates, False)
+                    best, candidates, False, np.zeros(len(best.free)))
 
 
 def shake(objective, coordinates, free, prior, half):
@@ -283,8 +284,11 @@ def finish(bundle, joint, thetas, fit):
                  coordinates, held, prior, bundle.half[joint])
     held = refine(training, coordinates, held, prior).free
     refined = refine(Objective(bundle, joint, thetas), coordinates, held, prior)
+    half = coarser(bundle, 2.0 * bundle.period)
+    seldom = refine(Objective(half, joint, thetas), coordinates, refined.free, prior).free
     return fit._replace(free=refined.free, evaluation=refined.evaluation,
-                        held_out=fit.held_out._replace(free=held), settled=refined.settled)
+                        held_out=fit.held_out._replace(free=held), settled=refined.settled,
+                        sampling=np.abs(seldom - refined.free))
 
 
 def rough_theta(start, extra):

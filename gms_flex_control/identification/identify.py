@@ -159,7 +159,7 @@ class Data:
         thetas = [other.coordinates.unpack(other.free)[0] for other in fits]
         theta, objective = thetas[joint], Objective(bundle, joint, thetas)
         spread = spread_of(objective, fit.coordinates, fit.free, fit.evaluation, fit.prior,
-                           np.random.default_rng([options.seed, joint]))
+                           fit.sampling, np.random.default_rng([options.seed, joint]))
         reach = presliding_reach(bundle, joint, theta)
         top = np.abs(self.maps[joint].velocity).max()
         velocity = np.concatenate([-np.geomspace(top, 1e-4 * top, _VELOCITIES),
@@ -171,7 +171,7 @@ class Data:
         return JointResult(
             joint=self.robot.joints[joint], side=self.sides[joint],
             estimates=estimates_of(self.robot.joints[joint], fit.coordinates, fit.free, spread,
-                                   fit.prior, reach),
+                                   reach),
             curve=curve, friction_map=self.maps[joint], steady_velocity=velocity,
             steady_torque=steady_friction(velocity[:, None], alone)[:, 0],
             loops=loops_of(objective, bundle, theta),

@@ -47,8 +47,8 @@ class Evaluation:
         Sum of derivative of the prediction times innovation.
     curvature : ndarray, shape (B, P, P)
         Sum of derivative times derivative.
-    count : ndarray, shape (B,)
-        Samples.
+    count, seen : ndarray, shape (B,)
+        Samples, and those whose innovation is not zero.
     floor : float
         Innovation below which a block counts as explained [rad].
 
@@ -58,7 +58,13 @@ class Evaluation:
     gradient: np.ndarray
     curvature: np.ndarray
     count: np.ndarray
+    seen: np.ndarray
     floor: float
+
+    @property
+    def dispersion(self):
+        """Return the weighted square of an innovation that is not zero, on average."""
+        return float(np.sum(self.weight * self.square * self.count) / max(self.seen.sum(), 1))
 
     @property
     def cost(self):
@@ -223,10 +229,8 @@ class Objective:
                 _, innovation, jacobian = self.predict(stretch, theta, directions, sharpness)
                 pools += _pools(counted, innovation[:, self.joint], jacobian,
                                 self._bundle.period)
-        square, gradient, curvature, count = (
-            np.array(part) for part in zip(*pools, strict=True))
-        floor = floor or self.floor_of(square)
-        return Evaluation(square, gradient, curvature, count, floor)
+        arrays = [np.array(part) for part in zip(*pools, strict=True)]
+        return Evaluation(*arrays, floor or self.floor_of(arrays[0]))
 
     def memory(self, coordinates, free, longest):
         """
@@ -273,7 +277,7 @@ class Objective:
 
 
 def _pools(counted, error, jacobian, period):
-    """Yield mean square, gradient, curvature and count of each block of samples."""
+    """Yield mean square, gradient, curvature and both counts of each block of samples."""
     length = max(round(BLOCK_TIME / period), 1)
     for begin in range(0, len(counted), length):
         rows = slice(begin, begin + length)
@@ -282,4 +286,4 @@ def _pools(counted, error, jacobian, period):
             continue
         keep = counted[rows] & (error[rows] != 0.0)
         off, slope = error[rows][keep], jacobian[rows][keep]
-        yield off @ off / count, slope.T @ off, slope.T @ slope, count
+        yield off @ off / count, slope.T @ off, slope.T @ slope, count, int(keep.sum())

@@ -7,7 +7,9 @@ How far each parameter can be trusted: two kinds of intervals, and flags.
 From the Jacobian: the inverse of the curvature, larger by as many samples as an innovation
 remembers. From a bootstrap: blocks of time drawn again with replacement, one Gauss-Newton step
 each. The first believes that innovations are noise of that memory, the second only that blocks
-are alike; where they disagree, something in the data repeats that the model lacks.
+are alike; where they disagree, something in the data repeats that the model lacks. Both are
+widened by what the fit moves when only every other sample is used: no statistics of the
+innovations show what the sampling hides.
 """
 
 from typing import NamedTuple
@@ -42,10 +44,10 @@ class Spread(NamedTuple):
 
     covariance: np.ndarray  # (P, P), from the Jacobian
     replicates: np.ndarray  # (REPLICATES, P), from the bootstrap
-    memory: float           # samples an innovation remembers
+    told: np.ndarray        # (P,), share of each number that the data tell, the rest is prior
 
 
-def spread_of(objective, coordinates, free, evaluation, prior, rng):
+def spread_of(objective, coordinates, free, evaluation, prior, sampling, rng):
     """
     Return the Spread of a fit.
 
@@ -53,6 +55,8 @@ def spread_of(objective, coordinates, free, evaluation, prior, rng):
     ----------
     objective, coordinates, free, evaluation, prior
         Of the fit, at its minimum.
+    sampling : ndarray, shape (P,)
+        What the numbers move by when only every other sample is used.
     rng : numpy.random.Generator
         Draws the blocks.
 
@@ -73,7 +77,10 @@ def spread_of(objective, coordinates, free, evaluation, prior, rng):
         times = np.bincount(rng.integers(blocks, size=blocks), minlength=blocks)
         again = np.tensordot(times, weighted, 1) + np.diag(prior.precision)
         row[:] = free + _inverse(again) @ (times @ scores)
-    return Spread(memory * inverse, replicates, memory)
+    replicates += sampling * rng.standard_normal(replicates.shape)
+    told = 1.0 - np.clip(prior.precision * np.diag(inverse), 0.0, 1.0)
+    covariance = memory * evaluation.dispersion * inverse + np.diag(sampling ** 2)
+    return Spread(covariance, replicates, told)
 
 
 def _inverse(curvature):
@@ -82,7 +89,7 @@ def _inverse(curvature):
                           hermitian=True) * np.outer(scale, scale)
 
 
-def estimates_of(joint, coordinates, free, spread, prior, reach, units=_UNITS):
+def estimates_of(joint, coordinates, free, spread, reach, units=_UNITS):
     """
     Return the Estimates of one joint's friction.
 
@@ -96,8 +103,6 @@ def estimates_of(joint, coordinates, free, spread, prior, reach, units=_UNITS):
         The fit.
     spread : Spread
         Its uncertainty.
-    prior : Prior
-        The belief that was used.
     reach : float
         Farthest displacement in presliding [rad].
     units : tuple of str
@@ -112,7 +117,7 @@ def estimates_of(joint, coordinates, free, spread, prior, reach, units=_UNITS):
     variance = np.einsum('ip,pq,iq->i', directions, spread.covariance, directions)
     thetas = np.stack([coordinates.unpack(row)[0] for row in spread.replicates])
     low, high = np.percentile(thetas, [_LOW, _HIGH], axis=0)
-    told = _told(spread, prior)
+    told = spread.told
     rows = []
     for k, direction in enumerate(('forward', 'backward')):
         for i, (name, unit) in enumerate(zip(_NAMES, units, strict=True)):
@@ -130,11 +135,6 @@ def estimates_of(joint, coordinates, free, spread, prior, reach, units=_UNITS):
 def _order(theta, n_blocks):
     """Return the blocks from soft to stiff."""
     return np.argsort(theta[BLOCKS:BLOCKS + n_blocks], kind='stable')
-
-
-def _told(spread, prior):
-    """Return the share of each number that the data tell, the rest being prior, (P,)."""
-    return 1.0 - np.clip(prior.precision * np.diag(spread.covariance) / spread.memory, 0.0, 1.0)
 
 
 def _estimate(row, theta, variance, low, high, reach):
@@ -162,7 +162,7 @@ def _estimate(row, theta, variance, low, high, reach):
             notes.append(f'slips only after {yielding:.3g} rad, beyond the {reach:.3g} rad of '
                          'presliding in the data: a slow rise of friction after reversals, not '
                          'a stiffness of presliding')
-    elif _differ(interval, bootstrap):
+    if _differ(interval, bootstrap):
         flags.append('intervals disagree')
         notes.append('the bootstrap over blocks of time says otherwise than the Jacobian: '
                      'something repeats in the data that the model lacks')
