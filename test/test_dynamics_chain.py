@@ -23,7 +23,9 @@ def random_arm(n, seed=0, **changes):
         'mass', 'length', 'com', 'inertia', 'motor_inertia', 'damping')}
     stiffness = rng.uniform(5.0, 20.0, n)
     stiffness[-1] = np.inf
-    values |= {'kind': 'planar', 'stiffness': stiffness, 'gravity': GRAVITY} | changes
+    offset = rng.uniform(-1.5, 1.5, n)
+    values |= {'kind': 'planar', 'stiffness': stiffness, 'gravity': GRAVITY,
+               'offset': offset} | changes
     return ArmParams(**values)
 
 
@@ -40,7 +42,7 @@ def motion(n, seed=0):
 
 def kinetic_and_potential(q, dq, arm):
     """Return both energies of the links from the positions of their centres of mass."""
-    theta, omega = np.cumsum(q), np.cumsum(dq)
+    theta, omega = np.cumsum(q + arm.offset), np.cumsum(dq)
     direction = np.stack([np.cos(theta), np.sin(theta)], axis=1)
     normal = np.stack([-np.sin(theta), np.cos(theta)], axis=1)
     joint, joint_velocity = np.zeros(2), np.zeros(2)
@@ -129,6 +131,7 @@ def test_the_controllers_inverse_dynamics_and_its_derivatives_agree_with_the_mat
     t, step = 0.6, 1e-4
     links, orientation = chain.constants_of(arm), np.tril(np.ones((n, n)))
     theta, omega, alpha, jerk = real(t) @ orientation.T
+    theta = theta + orientation @ arm.offset
     work = records.build(feedforward.layout(n), cosine=np.cos(theta), sine=np.sin(theta),
                          omega=omega, alpha=alpha, jerk=jerk, ref=ref(t) @ orientation.T)
     feedforward.inverse_dynamics(links, work)
@@ -164,6 +167,17 @@ def test_the_default_robot_has_the_constants_its_file_states(robot):
     np.testing.assert_array_equal(m.gravity, [0.0, 0.0])
 
 
+def test_a_pendulum_that_reads_zero_where_it_hangs_feels_no_gravity_there():
+    """Gravity acts along -y: an offset of -pi/2 from the x axis points down."""
+    one, none = np.ones(1), np.zeros(1)
+    arm = ArmParams(kind='decoupled', mass=2 * one, length=none, com=0.3 * one, inertia=none,
+                    motor_inertia=none, stiffness=np.inf * one, damping=none, gravity=9.81,
+                    offset=-0.5 * np.pi * one)
+    for q in (0.0, 0.4, 2.0):
+        torque = chain.inverse_dynamics([q], [0.0], [0.0], arm)
+        np.testing.assert_allclose(torque, 2 * 0.3 * 9.81 * np.sin(q), atol=1e-12)
+
+
 def test_decoupled_axes_do_not_feel_each_other():
     """Each has its inertia and gravity of its own, whatever the others do."""
     arm = random_arm(3, kind='decoupled')
@@ -173,7 +187,8 @@ def test_decoupled_axes_do_not_feel_each_other():
     np.testing.assert_allclose(m.mass, np.diag(own), atol=1e-15)
     np.testing.assert_array_equal(m.coriolis, np.zeros((3, 3)))
     for j in range(3):
-        names = ('mass', 'length', 'com', 'inertia', 'motor_inertia', 'stiffness', 'damping')
+        names = ('mass', 'length', 'com', 'inertia', 'motor_inertia', 'stiffness', 'damping',
+                 'offset')
         alone = replace(arm, kind='planar', **{name: getattr(arm, name)[[j]] for name in names})
         assert chain.matrices(*(x[[j]] for x in (q, dq, ddq, d3q)), alone).gravity == (
             pytest.approx(m.gravity[[j]], rel=1e-14))

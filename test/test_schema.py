@@ -89,7 +89,7 @@ def test_a_saved_robot_is_read_back_as_it_was(robot, tmp_path):
     """To the last bit, effects, gravity and a rigid joint included."""
     rng = np.random.default_rng(0)
     arm = replace(robot.arm, gravity=9.81, stiffness=[np.inf, 1.0 / 3.0],
-                  mass=rng.uniform(0.1, 1.0, 2))
+                  mass=rng.uniform(0.1, 1.0, 2), offset=rng.uniform(-2.0, 2.0, 2))
     friction = replace(robot.friction, forward=stribeck(
         robot.friction.forward, viscous=rng.uniform(0.0, 0.1, 2)))
     effects = (EffectSpec(name='backlash', joint='joint2', values=(0.1 / 3,)),

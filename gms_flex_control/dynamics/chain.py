@@ -8,7 +8,8 @@ With absolute link angles ``theta = T q`` the mass matrix of a planar chain is
 ``A_ij cos(theta_i - theta_j)`` and the Coriolis matrix of the Christoffel symbols is
 ``A_ij sin(theta_i - theta_j) dtheta_j``, for any number of links. ``T`` holds ones on and below
 the diagonal; decoupled axes are the same formulas with ``T = I`` and a diagonal ``A``.
-In joint coordinates ``M = T' M_theta T``, ``C = T' C_theta T`` and ``g = T' g_theta``.
+In joint coordinates ``M = T' M_theta T``, ``C = T' C_theta T`` and ``g = T' g_theta``. Where
+joints read 0 at other angles than along the x axis, ``theta = T (q + offset)``.
 """
 
 from functools import cache, lru_cache
@@ -25,15 +26,15 @@ def constants_layout(n):
     """
     Return the dtype of an arm of n joints as kernels take it.
 
-    ``orientation`` T and ``inverse`` T^-1; ``coupling`` A [kg m^2]; ``rigid_inertia``, motor
+    ``orientation`` T and ``inverse`` T^-1; ``offset`` of theta [rad]; ``coupling`` A [kg m^2]; ``rigid_inertia``, motor
     inertia of rigid joints seen in theta [kg m^2]; ``moment``, mass moment about each joint
     [kg m]; ``gravity`` [m/s^2]; ``motor_inertia`` J [kg m^2]; ``flexible``, 1 or 0;
     ``stiffness`` K [N m/rad] and ``damping`` [N m s/rad], 0 where rigid.
     """
     square, vector = (n, n), (n,)
     return records.layout(
-        ('orientation', FLOAT, square), ('inverse', FLOAT, square), ('coupling', FLOAT, square),
-        ('rigid_inertia', FLOAT, square), ('moment', FLOAT, vector), ('gravity', FLOAT, (2,)),
+        ('orientation', FLOAT, square), ('inverse', FLOAT, square), ('offset', FLOAT, vector),
+        ('coupling', FLOAT, square), ('rigid_inertia', FLOAT, square), ('moment', FLOAT, vector), ('gravity', FLOAT, (2,)),
         ('motor_inertia', FLOAT, vector), ('flexible', FLOAT, vector),
         ('stiffness', FLOAT, vector), ('damping', FLOAT, vector))
 
@@ -80,8 +81,8 @@ def constants_of(arm):
                 coupling[i, j] = coupling[j, i] = arm.length[i] * moment[j]
     rigid_inertia = inverse.T @ np.diag(np.where(arm.rigid, arm.motor_inertia, 0.0)) @ inverse
     return records.build(
-        constants_layout(n), orientation=orientation, inverse=inverse, coupling=coupling,
-        rigid_inertia=rigid_inertia, moment=moment, gravity=arm.gravity,
+        constants_layout(n), orientation=orientation, inverse=inverse,
+        offset=orientation @ arm.offset, coupling=coupling, rigid_inertia=rigid_inertia, moment=moment, gravity=arm.gravity,
         motor_inertia=arm.motor_inertia, flexible=~arm.rigid,
         stiffness=np.where(arm.rigid, 0.0, arm.stiffness),
         damping=np.where(arm.rigid, 0.0, arm.damping))
@@ -158,7 +159,8 @@ def accelerations(q, dq, chain, work):
     omega, cosine, sine, right = work.omega, work.cosine, work.sine, work.right
     multiply(chain.orientation, q, omega)
     for i in range(n):
-        cosine[i], sine[i] = np.cos(omega[i]), np.sin(omega[i])
+        theta = omega[i] + chain.offset[i]
+        cosine[i], sine[i] = np.cos(theta), np.sin(theta)
     multiply(chain.orientation, dq, omega)
     multiply_transposed(chain.inverse, work.tau, right)
     for i in range(n):
@@ -197,6 +199,7 @@ def matrices(q, dq, ddq, d3q, arm):
     transform = chain.orientation
     theta, omega, alpha, jerk = (transform @ np.asarray(x, dtype=float)
                                  for x in (q, dq, ddq, d3q))
+    theta = theta + chain.offset
     phi, dphi, ddphi = (x[:, None] - x[None, :] for x in (theta, omega, alpha))
     a, cos, sin = chain.coupling, np.cos(phi), np.sin(phi)
     rate = dphi * cos  # d/dt sin(phi)
@@ -236,6 +239,7 @@ def inverse_dynamics(q, dq, ddq, arm):
     chain = constants_of(arm)
     turn = chain.orientation.T
     theta, omega, alpha = (np.asarray(x, dtype=float) @ turn for x in (q, dq, ddq))
+    theta = theta + chain.offset
     between = theta[..., :, None] - theta[..., None, :]
     inertia = chain.coupling * np.cos(between) + chain.rigid_inertia
     gx, gy = chain.gravity
@@ -263,7 +267,8 @@ def energy(q_link, dq_link, q_motor, dq_motor, arm):
 
     """
     chain = constants_of(arm)
-    theta, omega = chain.orientation @ q_link, chain.orientation @ dq_link
+    theta = chain.orientation @ q_link + chain.offset
+    omega = chain.orientation @ dq_link
     mass = chain.coupling * np.cos(theta[:, None] - theta[None, :]) + chain.rigid_inertia
     height = np.stack([np.cos(theta), np.sin(theta)])
     flexible = ~arm.rigid

@@ -80,6 +80,7 @@ def rigid_torque(motion, arm, order=None):
     chain = constants_of(arm)
     order = np.arange(arm.n_joints) if order is None else np.asarray(order)
     theta, omega, alpha = (values[:, order] @ chain.orientation.T for values in motion[:3])
+    theta = theta + chain.offset
     gx, gy = chain.gravity
     torque = chain.moment * (gx * np.sin(theta) - gy * np.cos(theta))
     for i in range(arm.n_joints):

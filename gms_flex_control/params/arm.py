@@ -33,6 +33,9 @@ class ArmParams:
     gravity : ndarray, shape (2,) or float
         Gravity in the plane (x, y) [m/s^2]; a number g stands for (0, -g). 0 is a horizontal
         plane.
+    offset : ndarray, shape (n_joints,), optional
+        Where a joint reads 0: angle of its link from the x axis, or in a chain from the link
+        before it [rad]. Zeros by default.
 
     Raises
     ------
@@ -50,20 +53,24 @@ class ArmParams:
     stiffness: np.ndarray
     damping: np.ndarray
     gravity: np.ndarray = 0.0
+    offset: np.ndarray | None = None
 
     def __post_init__(self):
         if self.kind not in KINDS:
             raise ParameterError(f"arm.kind must be one of {', '.join(KINDS)}, got {self.kind!r}")
+        if self.offset is None:
+            object.__setattr__(self, 'offset', np.zeros(np.shape(self.stiffness)))
         freeze_arrays(self, skip=('kind',))
         if self.gravity.shape == ():
             object.__setattr__(self, 'gravity', np.array([0.0, -float(self.gravity)]))
         require_shape('gravity', self.gravity, (2,))
         require_finite('gravity', self.gravity)
-        for name in ('mass', 'length', 'com', 'inertia', 'motor_inertia', 'damping'):
+        for name in ('mass', 'length', 'com', 'inertia', 'motor_inertia', 'damping', 'offset'):
             require_shape(name, getattr(self, name), self.stiffness.shape)
         for name in ('mass', 'length', 'inertia', 'motor_inertia', 'damping'):
             require_finite(name, getattr(self, name), at_least=0.0)
         require_finite('com', self.com)
+        require_finite('offset', self.offset)
         self._require_inertia()
 
     def _require_inertia(self):

@@ -16,7 +16,7 @@ from gms_flex_control.schema.keys import controller_keys, REQUIRED, robot_keys
 from gms_flex_control.schema.values import checked, known_keys
 import numpy as np
 
-_ARM = ('mass', 'length', 'com', 'inertia', 'motor_inertia', 'stiffness', 'damping')
+_ARM = ('mass', 'length', 'com', 'inertia', 'motor_inertia', 'stiffness', 'damping', 'offset')
 _STRIBECK = ('static', 'coulomb', 'velocity', 'viscous')
 _GAINS = ('kd_link', 'lambda_link', 'kd_motor', 'lambda_motor', 'observer_gain', 'sign_slope',
           'filter_bandwidth', 'torque_limit')

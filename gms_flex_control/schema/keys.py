@@ -66,6 +66,8 @@ def _arm_keys(joint):
         Key(prefix + 'stiffness', 'double', 'stiffness of the joint; .inf for a rigid one',
             'N m/rad', lower=SMALLEST),
         Key(prefix + 'damping', 'double', 'damping of the joint', 'N m s/rad', 0.0, 0.0),
+        Key(prefix + 'offset', 'double', 'angle of the link where the joint reads 0, from the x '
+            'axis or the link before it', 'rad', 0.0),
     )
 
 
