@@ -1,0 +1,158 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""The paper's method finds friction it was not told, step by step and as a whole."""
+
+from dataclasses import replace
+
+from gms_flex_control.errors import IdentificationError
+from gms_flex_control.friction import gms
+from gms_flex_control.friction.stribeck import steady_friction
+from gms_flex_control.identification.coordinates import MOST_BLOCKS, presliding_curve
+from gms_flex_control.identification.paper_data import believable, Piece
+from gms_flex_control.identification.paper_method import (
+    fit_attraction,
+    fit_map,
+    fit_paper,
+    load_blocks,
+    N_BLOCKS,
+    steady_torque,
+)
+from gms_flex_control.params.friction import FrictionParams, StribeckParams
+import numpy as np
+from paper_experiment import experiment, hidden, unnamed
+import pytest
+
+SEED = 11
+STEADY = ('static', 'coulomb', 'velocity', 'viscous')
+
+
+@pytest.fixture(scope='module', params=['joint1', 'joint2'])
+def ideal(request, robot, gains):
+    j = robot.joints.index(request.param)
+    recording, _, stretches, half = experiment(robot, gains, request.param, SEED, ideal=True)
+    return robot, j, recording.period, stretches, half[j], hidden(robot, SEED).friction
+
+
+def fit(data, stretches=None):
+    robot, j, period, own, half, _ = data
+    return fit_paper(own if stretches is None else stretches, robot.arm, j, period, half)
+
+
+def steady_of(friction, j):
+    return np.array([[getattr(way, name)[j] for name in STEADY]
+                     for way in (friction.forward, friction.backward)])
+
+
+@pytest.mark.parametrize(('named', 'off'), [(True, 0.08), (False, 0.2)],
+                         ids=['phases recorded', 'phases found'])
+def test_hidden_friction_is_found_from_ideal_encoders(ideal, named, off):
+    """F_s, F_c, sigma_2 within 1 %, v_s 2 %, C 5 %, presliding within 8 or 20 % of F_s."""
+    _, j, _, stretches, _, truth = ideal
+    found = fit(ideal, stretches if named else unnamed(stretches))
+    steady, true = found.theta[:8].reshape(2, 4), steady_of(truth, j)
+    np.testing.assert_allclose(steady[:, [0, 1, 3]], true[:, [0, 1, 3]], rtol=0.01)
+    np.testing.assert_allclose(steady[:, 2], true[:, 2], rtol=0.02)
+    assert found.theta[8] == pytest.approx(truth.attraction[j], rel=0.05)
+    static = true[:, 0].mean()
+    displacement = np.geomspace(1e-5, 0.02, 60)
+    curve = np.minimum(np.outer(displacement, truth.stiffness[j]), static / 6).sum(axis=1)
+    np.testing.assert_allclose(presliding_curve(found.theta, displacement), curve,
+                               atol=off * static)
+
+
+def test_equal_blocks_come_in_the_layout_of_the_predictor_with_intervals_of_least_squares(ideal):
+    found = fit(ideal)
+    stiffness, weight = found.theta[9:].reshape(2, MOST_BLOCKS)
+    np.testing.assert_array_equal(weight, [1 / 6] * N_BLOCKS + [0.0] * 2)
+    assert np.all(np.diff(stiffness[:N_BLOCKS]) >= 0) and not stiffness[N_BLOCKS:].any()
+    assert found.intervals[9:] == (None,) * (2 * MOST_BLOCKS)
+    for value, interval in zip(found.theta[:9], found.intervals[:9], strict=True):
+        assert interval.low < value < interval.high
+
+
+def test_encoders_of_20000_counts_leave_the_steady_part_within_reach(robot, gains):
+    """F_s within 10 %, Eq. (6) within 3 %; most presliding is within a few counts, and is not."""
+    recording, _, stretches, half = experiment(robot, gains, 'joint2', SEED, ideal=False)
+    found = fit_paper(stretches, robot.arm, 1, recording.period, half[1])
+    for own, true in zip(found.theta[:8].reshape(2, 4),
+                         steady_of(hidden(robot, SEED).friction, 1), strict=True):
+        assert own[0] == pytest.approx(true[0], rel=0.1)
+        speed = np.geomspace(0.03, 2.0, 30)
+        np.testing.assert_allclose(steady_torque(speed, *own), steady_torque(speed, *true),
+                                   rtol=0.03)
+
+
+@pytest.mark.parametrize(('phase', 'message'), [
+    ('constant_velocity', 'lacks a map of friction against velocity'),
+    ('presliding', 'lacks presliding'), ('sliding', 'lacks sliding')])
+def test_a_missing_experiment_is_named(ideal, phase, message):
+    stretches = [replace(stretch, phase=np.where(stretch.phase == phase, 'approach',
+                                                 stretch.phase)) for stretch in ideal[3]]
+    with pytest.raises(IdentificationError, match=message):
+        fit(ideal, stretches)
+
+
+def test_map_fit_inverts_equation_6_with_break_away_at_zero_velocity():
+    speed = np.array([0.0, 0.0, *np.geomspace(3e-3, 1.0, 10)])
+    torque = 0.09 + 0.02 * np.exp(-(speed / 0.01) ** 2) + 0.05 * speed
+    values, _ = fit_map(speed, torque)
+    np.testing.assert_allclose(values, [0.11, 0.09, 0.01, 0.05], rtol=1e-4)
+
+
+def test_intervals_of_the_map_hold_the_truth_as_often_as_they_say():
+    """95 % intervals over 200 noise seeds: at least 90 and at most 99 % each."""
+    rng, truth = np.random.default_rng(3), np.array([0.11, 0.09, 0.01, 0.05])
+    speed = np.repeat(np.geomspace(3e-3, 1.0, 10), 3)
+    clean = 0.09 + 0.02 * np.exp(-(speed / 0.01) ** 2) + 0.05 * speed
+    inside = []
+    for _ in range(200):
+        _, intervals = fit_map(speed, clean + 5e-4 * rng.standard_normal(len(speed)))
+        inside.append([i.low <= value <= i.high
+                       for i, value in zip(intervals, truth, strict=True)])
+    coverage = np.mean(inside, axis=0)
+    assert np.all((coverage >= 0.9) & (coverage <= 0.99)), coverage
+
+
+def test_break_away_torque_below_that_of_slow_motion_is_left_out():
+    velocity = np.array([0.0, 0.0, 0.01, 0.1, 1.0, -0.01, -1.0])
+    torque = np.array([0.12, 0.09, 0.1, 0.09, 0.13, -0.1, -0.15])
+    np.testing.assert_array_equal(believable(velocity, torque), [True, False, *[True] * 5])
+
+
+def test_springs_that_slip_are_the_blocks_of_the_model_at_one_level():
+    """Against friction.gms with F_s = F_c over a path with reversals."""
+    level, stiffness = 0.1, np.array([5.0, 20.0, 80.0])
+    one = StribeckParams(static=[level], coulomb=[level], velocity=[0.01], viscous=[0.0])
+    params = FrictionParams(forward=one, backward=one, stiffness=[stiffness],
+                            weight=[[1 / 3] * 3], attraction=[1.0])
+    moved = np.diff(0.01 * np.sin(np.linspace(0, 12, 500)) * np.linspace(0.1, 1, 500))
+    state, expected = gms.init(params), []
+    for step in moved:
+        state, tau = gms.step(state, np.array([step]), 1e-3, params)
+        expected.append(tau[0])
+    torque = np.empty(len(moved) + 1)
+    load_blocks(np.append(moved, 0.0), np.full(len(moved) + 1, level), stiffness, 1 / 3, 0.0,
+                torque)
+    np.testing.assert_allclose(torque[1:], expected, atol=1e-12)
+
+
+def test_attraction_is_found_where_equation_7_holds():
+    """Slipping friction integrated in small steps, with a map that is 1 % too high."""
+    period, fine, c = 1e-3, 20, 1.3
+    one = StribeckParams(static=[0.11], coulomb=[0.09], velocity=[0.02], viscous=[0.05])
+    params = FrictionParams(forward=one, backward=one, stiffness=[[1.0]], weight=[[1.0]],
+                            attraction=[c])
+    time = period / fine * np.arange(fine * 6000)
+    rate = 0.03 * (1 + 0.7 * np.sin(2 * np.pi * time / 0.8))
+    slip = np.empty(len(time))
+    slip[0] = 0.1
+    levels = steady_friction(rate[:, None], params)[:, 0] - 0.05 * rate
+    for k in range(1, len(time)):
+        slip[k] = slip[k - 1] + period / fine * c * (1 - slip[k - 1] / levels[k - 1])
+    rate, friction = rate[::fine], (slip + 0.05 * rate)[::fine]
+    piece = Piece(np.cumsum(rate) * period, rate, friction, period, 100, 0)
+    theta = np.tile([0.1111, 0.0909, 0.02, 0.05], 2)
+    attraction, interval = fit_attraction([piece], theta, period)
+    assert attraction == pytest.approx(c, rel=0.03)
+    assert interval.low < attraction < interval.high
