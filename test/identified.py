@@ -60,7 +60,7 @@ def one_axis(robot):
         stiffness=friction.stiffness[:1], weight=friction.weight[:1],
         attraction=friction.attraction[:1])
     arm = {name: getattr(robot.arm, name)[:1] for name in (
-        'mass', 'length', 'com', 'inertia', 'motor_inertia', 'damping')}
+        'mass', 'length', 'com', 'inertia', 'motor_inertia', 'damping', 'offset')}
     rigid = replace(robot.arm, kind='decoupled', stiffness=[np.inf], **arm)
     return replace(robot, joints=robot.joints[:1], motors=('',), arm=rigid, friction=first)
 

@@ -141,7 +141,7 @@ def test_three_links_are_searched_over_all_configurations(robot):
     arm = robot.arm
     three = replace(arm, **{name: np.append(getattr(arm, name), getattr(arm, name)[1])
                             for name in ('mass', 'length', 'com', 'inertia', 'motor_inertia',
-                                         'stiffness', 'damping')})
+                                         'stiffness', 'damping', 'offset')})
     mass = gain_conditions.mass_matrices(three)
     assert mass.shape[1:] == (3, 3)
     assert np.linalg.eigvalsh(mass).min() > 0

@@ -140,7 +140,8 @@ def test_at_rest_without_torque_nothing_moves(robot):
 def test_a_step_of_many_substeps_is_as_many_short_steps(ideal_robot, joints):
     """Holding the command, 10 samples of one substep are one sample of 10."""
     pick = [0, 1, 1][:joints]
-    names = ('mass', 'length', 'com', 'inertia', 'motor_inertia', 'stiffness', 'damping')
+    names = ('mass', 'length', 'com', 'inertia', 'motor_inertia', 'stiffness', 'damping',
+             'offset')
     arm = replace(ideal_robot.arm, **{name: getattr(ideal_robot.arm, name)[pick]
                                       for name in names})
     friction = ideal_robot.friction

@@ -26,17 +26,17 @@ def constants_layout(n):
     """
     Return the dtype of an arm of n joints as kernels take it.
 
-    ``orientation`` T and ``inverse`` T^-1; ``offset`` of theta [rad]; ``coupling`` A [kg m^2]; ``rigid_inertia``, motor
-    inertia of rigid joints seen in theta [kg m^2]; ``moment``, mass moment about each joint
-    [kg m]; ``gravity`` [m/s^2]; ``motor_inertia`` J [kg m^2]; ``flexible``, 1 or 0;
-    ``stiffness`` K [N m/rad] and ``damping`` [N m s/rad], 0 where rigid.
+    ``orientation`` T and ``inverse`` T^-1; ``offset`` of theta [rad]; ``coupling`` A [kg m^2];
+    ``rigid_inertia``, motor inertia of rigid joints seen in theta [kg m^2]; ``moment``, mass
+    moment about each joint [kg m]; ``gravity`` [m/s^2]; ``motor_inertia`` J [kg m^2];
+    ``flexible``, 1 or 0; ``stiffness`` K [N m/rad] and ``damping`` [N m s/rad], 0 where rigid.
     """
     square, vector = (n, n), (n,)
     return records.layout(
         ('orientation', FLOAT, square), ('inverse', FLOAT, square), ('offset', FLOAT, vector),
-        ('coupling', FLOAT, square), ('rigid_inertia', FLOAT, square), ('moment', FLOAT, vector), ('gravity', FLOAT, (2,)),
-        ('motor_inertia', FLOAT, vector), ('flexible', FLOAT, vector),
-        ('stiffness', FLOAT, vector), ('damping', FLOAT, vector))
+        ('coupling', FLOAT, square), ('rigid_inertia', FLOAT, square),
+        ('moment', FLOAT, vector), ('gravity', FLOAT, (2,)),
+        ('motor_inertia', FLOAT, vector), ('flexible', FLOAT, vector), ('stiffness', FLOAT, vector), ('damping', FLOAT, vector))
 
 
 class ChainMatrices(NamedTuple):
@@ -82,7 +82,8 @@ def constants_of(arm):
     rigid_inertia = inverse.T @ np.diag(np.where(arm.rigid, arm.motor_inertia, 0.0)) @ inverse
     return records.build(
         constants_layout(n), orientation=orientation, inverse=inverse,
-        offset=orientation @ arm.offset, coupling=coupling, rigid_inertia=rigid_inertia, moment=moment, gravity=arm.gravity,
+        offset=orientation @ arm.offset, coupling=coupling,
+        rigid_inertia=rigid_inertia, moment=moment, gravity=arm.gravity,
         motor_inertia=arm.motor_inertia, flexible=~arm.rigid,
         stiffness=np.where(arm.rigid, 0.0, arm.stiffness),
         damping=np.where(arm.rigid, 0.0, arm.damping))
