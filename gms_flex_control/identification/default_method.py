@@ -26,9 +26,11 @@ _SPREAD_SHARPNESS = (3.0, 1.0)
 _SHARPNESS = (2.0, 1.0)
 _HELD_OUT = 4         # one in so many blocks of time is held out
 _STEADY_DOUBT, _BLOCK_DOUBT = 1.0, 3.0  # spread of the prior, of logarithms
-_FEW_COUNTS = 1.5     # displacement that an encoder hardly resolves, in counts
-_SHAKE, _MOST_SHAKES, _SHORT = 1.25, 16, 6
-_WORTH = 2e-3         # of the cost, for another try
+_HOPS = 10            # fits from beside the best
+_KICKS = (0.002, 0.05, 0.02, 0.01)  # how far beside: F_c, F_s - F_c, v_s, sigma_2 (logarithms)
+_KICK, _FINE_KICK = 0.05, 0.12  # of attraction and yields; more of those within few counts
+_FEW_COUNTS = 1.5
+_GOOD = 1.15          # times the lowest cost: as good an explanation
 
 
 class Candidate(NamedTuple):
@@ -52,7 +54,7 @@ class JointFit(NamedTuple):
     held_out: object       # Candidate that was chosen, fitted without the data held out
     candidates: tuple      # of Candidate
     settled: bool
-    sampling: np.ndarray   # what the numbers move by when only every other sample is used
+    sampling: np.ndarray   # what roughness of the cost and sampling leave open, (P,)
 
 
 def prior_of(coordinates, free):
@@ -209,35 +211,65 @@ def fit_joint(bundle, joint, thetas, start, extra, blocks):
                     best, candidates, False, np.zeros(len(best.free)))
 
 
-def shake(objective, coordinates, free, prior, half):
+def hop(objective, coordinates, free, prior, count, rng):
     """
-    Try blocks that break away within a few counts stiffer and softer, as long as it pays.
+    Refine again from a little beside the best so far, several times, and keep the best.
 
-    A fit sees such blocks only at the moments when a count changes, and stops short of their
-    best stiffness; from a little further on it goes on.
+    Where links stick and slip the cost is rough: a fit ends in one of many shallow hollows.
+
+    Parameters
+    ----------
+    objective, coordinates, free, prior
+        As `refine`.
+    count : float
+        Encoder step or noise [rad].
+    rng : numpy.random.Generator
+        Says where beside.
+
+    Returns
+    -------
+    free : ndarray, shape (P,)
+        The best.
+    scatter : ndarray, shape (P,)
+        Standard deviation of the good ones about the best: what the roughness leaves open.
+
     """
-    small = np.flatnonzero(np.exp(free[coordinates.yields]) < _FEW_COUNTS * 2.0 * half)
-    small += coordinates.yields.start
-    if not len(small):
+    best = refine(objective, coordinates, free, prior, roughly=True)
+    ends = [(total_cost(best.evaluation, best.free, prior), best.free)]
+    for _ in range(_HOPS):
+        start = min(ends, key=lambda end: end[0])[1]
+        end = refine(objective, coordinates, start + kick(coordinates, start, count, rng), prior,
+                     roughly=True, floor=best.evaluation.floor)
+        ends.append((total_cost(end.evaluation, end.free, prior), end.free))
+    lowest, chosen = min(ends, key=lambda end: end[0])
+    good = [in_order(coordinates, other) for cost, other in ends if cost <= lowest * _GOOD]
+    chosen = in_order(coordinates, chosen)
+    return chosen, np.sqrt(np.mean(np.square(np.array(good) - chosen), axis=0))
+
+
+def in_order(coordinates, free):
+    """Return free numbers with blocks of equal weight from stiff to soft."""
+    if coordinates.free_weights:
         return free
-    now = refine(objective, coordinates, free, prior, roughly=True)
-    tries = 0
-    for which in (small, *([block] for block in small if len(small) > 1)):
-        for factor in (1.0 / _SHAKE, _SHAKE):
-            paid = False
-            while tries < _MOST_SHAKES:
-                tries += 1
-                moved = now.free.copy()
-                moved[which] += np.log(factor)
-                further = refine(objective, coordinates, moved, prior, roughly=True,
-                                 floor=now.evaluation.floor, iterations=_SHORT)
-                if total_cost(further.evaluation, further.free, prior) >= total_cost(
-                        now.evaluation, now.free, prior) * (1.0 - _WORTH):
-                    break
-                now, paid = further, True
-            if paid:
-                break
-    return now.free
+    ordered = free.copy()
+    ordered[coordinates.yields] = np.sort(free[coordinates.yields])
+    return ordered
+
+
+def kick(coordinates, free, count, rng):
+    """
+    Return a random change of free numbers, about as large as they are uncertain.
+
+    Blocks that break away within a few counts move most, and together: a fit sees them only at
+    the moments when a count changes.
+    """
+    size = np.zeros(coordinates.size)
+    size[:N_STEADY] = [*_KICKS, *_KICKS, _KICK]
+    size[coordinates.yields] = _KICK
+    fine = np.zeros(coordinates.size)
+    fine[coordinates.yields] = np.exp(free[coordinates.yields]) < _FEW_COUNTS * count
+    return ((size + _FINE_KICK * fine) * rng.standard_normal(coordinates.size)
+            + _FINE_KICK * fine * rng.standard_normal())
 
 
 def fit_all(bundle, starts, extras, *, blocks=CANDIDATES, say=lambda text: None):
@@ -280,15 +312,16 @@ def finish(bundle, joint, thetas, fit):
     coordinates, prior, rough = fit.coordinates, fit.prior, coarser(bundle, COARSE)
     training = Objective(bundle, joint, thetas, train(bundle.period))
     held = refine(training, coordinates, fit.free, prior, sharpness=2.0, roughly=True).free
-    held = shake(Objective(rough, joint, thetas, train(rough.period)),
-                 coordinates, held, prior, bundle.half[joint])
+    held, scatter = hop(Objective(rough, joint, thetas, train(rough.period)), coordinates, held,
+                        prior, 2.0 * bundle.half[joint],
+                        np.random.default_rng([_HOPS, joint]))
     held = refine(training, coordinates, held, prior).free
     refined = refine(Objective(bundle, joint, thetas), coordinates, held, prior)
     half = coarser(bundle, 2.0 * bundle.period)
     seldom = refine(Objective(half, joint, thetas), coordinates, refined.free, prior).free
     return fit._replace(free=refined.free, evaluation=refined.evaluation,
                         held_out=fit.held_out._replace(free=held), settled=refined.settled,
-                        sampling=np.abs(seldom - refined.free))
+                        sampling=np.hypot(scatter, seldom - refined.free))
 
 
 def rough_theta(start, extra):

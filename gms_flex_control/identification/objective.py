@@ -112,7 +112,7 @@ def _thinned(stretch, factor):
     thin = {name: getattr(stretch, name)[:samples:factor]
             for name in ('angle', 'rate', 'acceleration', 'tested', 'phase')}
     mean = stretch.torque[:samples].reshape(-1, factor, stretch.torque.shape[1]).mean(axis=1)
-    return replace(stretch, torque=mean, **thin)
+    return replace(stretch, torque=mean, window=max(stretch.window // factor, 1), **thin)
 
 
 def observer_bandwidth(arm, coulomb, half, noise, period):

@@ -5,6 +5,7 @@
 
 from gms_flex_control.analysis.signals import quantum
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 from scipy.signal import savgol_filter
 
 _ORDER = 3
@@ -48,6 +49,35 @@ def noise_of(angle):
     spread = float(np.std(np.diff(known, 3))) / np.sqrt(20.0)
     robust = float(np.median(np.abs(np.diff(known, 3)))) / np.sqrt(20.0) / 0.6745
     return max(min(spread, quantum(known) / np.sqrt(12.0)), robust, 1e-12)
+
+
+def low_pass(values, window):
+    """
+    Return values through a zero-phase low-pass that hides what `derivatives` do to motion.
+
+    Parameters
+    ----------
+    values : ndarray, shape (T, ...)
+        Evenly sampled, without gaps.
+    window : int
+        Samples of the window of `derivatives`.
+
+    Returns
+    -------
+    ndarray, shape (T, ...)
+        Four moving averages in a row, half the window each: the passband, to
+        `low_pass_bandwidth`, is where the local cubic fit leaves motion as it is. Torque and
+        model compared behind it differ by the model, not by the filter.
+
+    """
+    for _ in range(4):
+        values = uniform_filter1d(values, max(window // 2, 1), axis=0, mode='nearest')
+    return values
+
+
+def low_pass_bandwidth(window, period):
+    """Return the frequency [Hz] at which `low_pass` has lost 3 dB."""
+    return 0.226 / (max(window // 2, 1) * period)
 
 
 def derivatives(values, period, window):

@@ -46,6 +46,8 @@ class Stretch:
         Name of the phase; '' if not known.
     source : str
         Recording it comes from.
+    window : int
+        Samples of the longest smoothing window.
 
     """
 
@@ -57,6 +59,7 @@ class Stretch:
     tested: np.ndarray
     phase: np.ndarray
     source: str
+    window: int = 5
 
 
 def drive_sides(recording, robot):
@@ -156,7 +159,7 @@ def rigid_where(robot, sides):
     return replace(robot, arm=arm, motors=names)
 
 
-def stretches_of(recording, robot, sides, phases=()):
+def stretches_of(recording, robot, sides, phases=(), period=None):
     """
     Cut a recording into even pieces.
 
@@ -170,6 +173,8 @@ def stretches_of(recording, robot, sides, phases=()):
         From `drive_sides`.
     phases : sequence of Phase
         What the experiment was doing; empty if not known.
+    period : float, optional
+        Sample of the pieces [s], that of the recording or longer.
 
     Returns
     -------
@@ -181,7 +186,7 @@ def stretches_of(recording, robot, sides, phases=()):
         If no piece is long enough.
 
     """
-    period = recording.period
+    period = period or recording.period
     stamps = np.round((recording.time - recording.time[0]) / period).astype(int)
     jitter = np.abs((recording.time - recording.time[0]) / period - stamps)
     even = np.quantile(jitter, 0.99) < _EVEN + 1e-9 * stamps[-1]
@@ -190,8 +195,8 @@ def stretches_of(recording, robot, sides, phases=()):
     cuts = np.flatnonzero(gap | _handed_over(phases, recording)) + 1
     pieces = []
     for rows in np.split(np.arange(len(stamps)), cuts):
-        if len(rows) * period >= SHORTEST:
-            pieces.append(_stretch(recording, robot, sides, phases, rows, even))
+        if np.ptp(recording.time[rows]) + period >= SHORTEST:
+            pieces.append(_stretch(recording, robot, sides, phases, rows, period, even))
     if not pieces:
         raise IdentificationError(
             f'{recording.source}: no piece of {SHORTEST:g} s without a gap; record longer')
@@ -208,8 +213,8 @@ def _handed_over(phases, recording):
                         np.arange(len(since)) - 0.5)[0] > 0
 
 
-def _stretch(recording, robot, sides, phases, rows, even):
-    period, time = recording.period, recording.time[rows]
+def _stretch(recording, robot, sides, phases, rows, period, even):
+    time = recording.time[rows]
     slots = np.round((time - time[0]) / period).astype(int)
     grid = time[0] + period * np.arange(slots[-1] + 1)
     n = robot.n_joints
@@ -222,13 +227,14 @@ def _stretch(recording, robot, sides, phases, rows, even):
     torque = np.stack([
         _spring(recording, robot, j, grid, time, rows, filled[:, j]) if side == 'spring'
         else _motor(recording, j, grid, time, rows) for j, side in enumerate(sides)], axis=1)
-    smooth = [derivatives(filled[:, j], period, smoothing_window(
-        period, noise_of(recording.q_link[:, j]), inertia, np.std(torque[:, j])))
-        for j, inertia in enumerate(own_inertias(rigid_where(robot, sides).arm))]
+    windows = [smoothing_window(period, noise_of(recording.q_link[:, j]), inertia,
+                                np.std(torque[:, j]))
+               for j, inertia in enumerate(own_inertias(rigid_where(robot, sides).arm))]
+    smooth = [derivatives(filled[:, j], period, window) for j, window in enumerate(windows)]
     tested, phase = _tested(phases, recording, grid, robot.joints)
     return Stretch(begin=float(time[0]), angle=angle, rate=np.stack([s[1] for s in smooth], 1),
                    acceleration=np.stack([s[2] for s in smooth], 1), torque=torque,
-                   tested=tested, phase=phase, source=recording.source)
+                   tested=tested, phase=phase, source=recording.source, window=max(windows))
 
 
 def own_inertias(arm):
@@ -258,8 +264,12 @@ def _spring(recording, robot, j, grid, time, rows, q_link):
 
 def _motor(recording, j, grid, time, rows):
     """Return the torque held over each period; a state tells that of the period before it."""
-    torque = _interpolated(grid, time, recording.tau_motor[rows, j])
-    return np.append(torque[1:], torque[-1])
+    torque = recording.tau_motor[rows, j]
+    known = np.isfinite(torque) | (np.arange(len(torque)) == 0)
+    held = np.append(0.0, torque[known][1:] * np.diff(time[known]))
+    impulse = np.interp(grid, time[known], np.cumsum(held))
+    mean = np.diff(impulse) / np.diff(grid)
+    return np.append(mean, mean[-1])
 
 
 def _tested(phases, recording, grid, joints):

@@ -8,8 +8,8 @@ From the Jacobian: the inverse of the curvature, larger by as many samples as an
 remembers. From a bootstrap: blocks of time drawn again with replacement, one Gauss-Newton step
 each. The first believes that innovations are noise of that memory, the second only that blocks
 are alike; where they disagree, something in the data repeats that the model lacks. Both are
-widened by what the fit moves when only every other sample is used: no statistics of the
-innovations show what the sampling hides.
+widened by what fits from beside each other differ, and by what a fit moves when only every
+other sample is used: no statistics of the innovations show that.
 """
 
 from typing import NamedTuple
@@ -56,7 +56,7 @@ def spread_of(objective, coordinates, free, evaluation, prior, sampling, rng):
     objective, coordinates, free, evaluation, prior
         Of the fit, at its minimum.
     sampling : ndarray, shape (P,)
-        What the numbers move by when only every other sample is used.
+        What the numbers move by from fit to fit, see default_method.
     rng : numpy.random.Generator
         Draws the blocks.
 
