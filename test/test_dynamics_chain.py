@@ -178,6 +178,31 @@ def test_a_pendulum_that_reads_zero_where_it_hangs_feels_no_gravity_there():
         np.testing.assert_allclose(torque, 2 * 0.3 * 9.81 * np.sin(q), atol=1e-12)
 
 
+@pytest.mark.parametrize('kind', ['planar', 'decoupled'])
+@pytest.mark.parametrize('n', [1, 2, 3])
+def test_inverse_dynamics_is_the_left_side_of_the_link_equation(n, kind):
+    """M ddq + C dq + g of `matrices`, at many samples and at one."""
+    arm = random_arm(n, kind=kind)
+    path = np.stack([motion(n, seed=3)(t) for t in np.linspace(0.0, 3.0, 17)], axis=1)
+    torque = chain.inverse_dynamics(*path[:3], arm)
+    assert torque.shape == (17, n)
+    for k in range(17):
+        m = chain.matrices(*path[:, k], arm)
+        expected = m.mass @ path[2, k] + m.coriolis @ path[1, k] + m.gravity
+        np.testing.assert_allclose(torque[k], expected, rtol=1e-12, atol=1e-13)
+        np.testing.assert_allclose(chain.inverse_dynamics(*path[:3, k], arm), expected,
+                                   rtol=1e-12, atol=1e-13)
+
+
+@pytest.mark.parametrize('kind', ['planar', 'decoupled'])
+def test_inverse_dynamics_undoes_the_accelerations_of_the_kernel(kind):
+    arm = random_arm(3, kind=kind)
+    q, dq, ddq, _ = motion(3, seed=5)(0.9)
+    work = records.build(chain.work_layout(3), tau=chain.inverse_dynamics(q, dq, ddq, arm))
+    chain.accelerations(q, dq, chain.constants_of(arm), work)
+    np.testing.assert_allclose(work.acceleration, ddq, rtol=1e-10)
+
+
 def test_decoupled_axes_do_not_feel_each_other():
     """Each has its inertia and gravity of its own, whatever the others do."""
     arm = random_arm(3, kind='decoupled')

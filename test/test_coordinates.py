@@ -1,0 +1,146 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""The free numbers of a fit: what they stand for, their derivatives, the presliding curve."""
+
+from gms_flex_control.identification.coordinates import (
+    Coordinates,
+    friction_record,
+    MOST_BLOCKS,
+    N_STEADY,
+    presliding_curve,
+)
+from gms_flex_control.identification.default_method import equal_blocks, yield_quantiles
+from gms_flex_control.simulation.predictor import BLOCKS
+import numpy as np
+import pytest
+
+STEADY = {'static': [0.108, 0.104], 'coulomb': [0.094, 0.090], 'velocity': [0.0085, 0.0049],
+          'viscous': [0.066, 0.074], 'attraction': 1.5}
+YIELDS = [1e-4, 3e-4, 2e-3, 1e-2]
+WEIGHTS = [0.4, 0.3, 0.2, 0.1]
+KINDS = {
+    'equal blocks': {},
+    'free weights': {'free_weights': True},
+    'fixed yields': {'yields': YIELDS},
+    'fixed yields and free weights': {'yields': YIELDS, 'free_weights': True},
+    'further torques': {'free_weights': True, 'n_extra': 3}}
+
+
+def packed(kind):
+    """Return Coordinates of a kind and the free numbers of STEADY, YIELDS and WEIGHTS."""
+    coordinates = Coordinates(len(YIELDS), **KINDS[kind])
+    extra = [0.3, -0.2, 7.0][:coordinates.n_extra]
+    return coordinates, coordinates.pack(**STEADY, yields=YIELDS, weights=np.array(WEIGHTS),
+                                         extra=extra)
+
+
+def blocks_of(theta):
+    """Return stiffness and weight (2, MOST_BLOCKS)."""
+    return theta[BLOCKS:BLOCKS + 2 * MOST_BLOCKS].reshape(2, MOST_BLOCKS)
+
+
+@pytest.mark.parametrize('kind', KINDS)
+def test_unpacked_parameters_are_those_that_were_packed(kind):
+    coordinates, free = packed(kind)
+    theta, _ = coordinates.unpack(free)
+    names = ('static', 'coulomb', 'velocity', 'viscous')
+    for k in range(2):
+        np.testing.assert_allclose(theta[4 * k:4 * k + 4], [STEADY[name][k] for name in names],
+                                   rtol=1e-13)
+    assert theta[8] == pytest.approx(STEADY['attraction'])
+    stiffness, weight = blocks_of(theta)
+    expected = WEIGHTS if coordinates.free_weights else np.full(4, 0.25)
+    np.testing.assert_allclose(weight[:4], expected, rtol=1e-13)
+    np.testing.assert_allclose(stiffness[:4], np.multiply(expected, 0.106) / YIELDS, rtol=1e-13)
+    assert not stiffness[4:].any() and not weight[4:].any()
+    np.testing.assert_array_equal(theta[BLOCKS + 2 * MOST_BLOCKS:], [0.3, -0.2, 7.0][
+        :coordinates.n_extra])
+    assert len(free) == coordinates.size
+
+
+@pytest.mark.parametrize('kind', KINDS)
+def test_directions_are_the_derivatives_of_the_parameters(kind):
+    """Against central differences at a random place, each column on its own."""
+    coordinates, free = packed(kind)
+    free = free + 0.3 * np.random.default_rng(1).standard_normal(len(free))
+    _, directions = coordinates.unpack(free)
+    step = 1e-6
+    for p, unit in enumerate(np.eye(len(free))):
+        up, down = (coordinates.unpack(free + sign * step * unit)[0] for sign in (1, -1))
+        np.testing.assert_allclose(directions[:, p], (up - down) / (2 * step), rtol=1e-7,
+                                   atol=1e-9, err_msg=f'free number {p}')
+
+
+@pytest.mark.parametrize('kind', KINDS)
+def test_whatever_the_numbers_are_the_parameters_are_physical(kind):
+    coordinates, free = packed(kind)
+    for seed in range(20):
+        wild = free + 4.0 * np.random.default_rng(seed).standard_normal(len(free))
+        theta, _ = coordinates.unpack(wild)
+        stiffness, weight = blocks_of(theta)
+        assert np.all(theta[:N_STEADY] > 0.0) and np.all(theta[[0, 4]] >= theta[[1, 5]])
+        assert weight.sum() == pytest.approx(1.0) and np.all(stiffness[:4] > 0.0)
+
+
+def test_static_friction_that_is_not_above_coulomb_packs_to_a_small_drop():
+    coordinates = Coordinates(1)
+    steady = STEADY | {'static': [0.09, 0.05], 'coulomb': [0.09, 0.06]}
+    theta, _ = coordinates.unpack(coordinates.pack(**steady, yields=[1e-3]))
+    np.testing.assert_allclose(theta[[0, 4]], 1.001 * theta[[1, 5]], rtol=1e-12)
+
+
+def test_the_kernels_get_each_joint_with_its_own_numbers():
+    thetas = [packed('free weights')[0].unpack(packed('free weights')[1])[0],
+              Coordinates(1).unpack(Coordinates(1).pack(**STEADY, yields=[1e-3]) + 0.1)[0]]
+    record = friction_record(thetas)
+    for j, theta in enumerate(thetas):
+        for row, first in ((0, 0), (1, 4)):
+            got = [getattr(record, name)[row, j] for name in (
+                'static', 'coulomb', 'velocity', 'viscous')]
+            np.testing.assert_array_equal(got, theta[first:first + 4])
+        np.testing.assert_array_equal([record.stiffness[j], record.weight[j]], blocks_of(theta))
+        assert record.attraction[j] == theta[8]
+
+
+def test_the_presliding_curve_is_a_sum_of_springs_up_to_their_share():
+    coordinates, free = packed('free weights')
+    theta, _ = coordinates.unpack(free)
+    static = 0.106  # mean of both directions
+    at = np.array([0.0, 5e-5, 2e-4, 1e-3, 5e-3, 0.02])
+    expected = [sum(w * static * min(x / y, 1.0) for w, y in zip(WEIGHTS, YIELDS, strict=True))
+                for x in at]
+    np.testing.assert_allclose(presliding_curve(theta, at), expected, rtol=1e-13)
+    assert presliding_curve(theta, at)[-1] == pytest.approx(static)
+
+
+@pytest.mark.parametrize('n_blocks', [1, 2, 4, 8])
+def test_equal_blocks_keep_the_yields_of_equal_blocks(n_blocks):
+    """Quantiles of a curve that already is one of N equal blocks, in whatever order."""
+    yields = np.geomspace(1e-4, 0.05, n_blocks)[::-1]
+    coordinates = Coordinates(n_blocks)
+    theta, _ = coordinates.unpack(coordinates.pack(**STEADY, yields=yields))
+    np.testing.assert_allclose(yield_quantiles(theta, n_blocks), yields[::-1], rtol=1e-12)
+
+
+def test_more_equal_blocks_come_nearer_to_a_curve():
+    """The curve of unequal blocks, as a part of F_s at any displacement."""
+    coordinates, free = packed('fixed yields and free weights')
+    theta, _ = coordinates.unpack(free)
+    at = np.geomspace(1e-5, 0.1, 200)
+    off = []
+    for n_blocks in (1, 2, 4, 8):
+        again, numbers = equal_blocks(theta, n_blocks, 0)
+        found, _ = again.unpack(numbers)
+        np.testing.assert_allclose(found[:N_STEADY], theta[:N_STEADY], rtol=1e-12)
+        curve = presliding_curve(found, at)
+        off.append(np.abs(curve - presliding_curve(theta, at)).max() / 0.106)
+    assert np.all(np.diff(off) < 0.0) and off[-1] < 0.06, off
+
+
+def test_a_block_without_weight_has_no_part_in_the_quantiles():
+    coordinates, free = packed('free weights')
+    free[coordinates.size - 3:] = [60.0, 0.0, 0.0]  # all weight on the first block
+    theta, _ = coordinates.unpack(free)
+    theta[BLOCKS + MOST_BLOCKS + 1:BLOCKS + 2 * MOST_BLOCKS] = 0.0
+    np.testing.assert_allclose(yield_quantiles(theta, 3), YIELDS[0], rtol=1e-12)
