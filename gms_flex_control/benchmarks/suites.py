@@ -14,10 +14,13 @@ SUITES = {
     'step': ('core', 'measure_step'),
     'tick': ('core', 'measure_tick'),
     'ros': ('ros_loop', 'measure'),
+    'fit': ('identification', 'measure_fit'),
+    'identify': ('identified_bag', 'measure'),
     'effects': ('effect_dispatch', 'measure'),
     'arguments': ('kernel_arguments', 'measure'),
 }
-DEFAULT = ('loop', 'step', 'tick', 'ros')  # the others support decisions in docs/decisions
+# the others support decisions in docs/decisions
+DEFAULT = ('loop', 'step', 'tick', 'ros', 'fit', 'identify')
 
 
 def run(names, robot, gains, quick=False):

@@ -6,7 +6,7 @@
 from dataclasses import asdict
 import json
 
-SUITES = ('loop', 'step', 'tick', 'ros', 'effects', 'arguments')
+SUITES = ('loop', 'step', 'tick', 'ros', 'fit', 'identify', 'effects', 'arguments')
 
 
 def add_parser(subparsers):

@@ -12,6 +12,8 @@ from gms_flex_control.errors import BagError
 
 RATE = 500.0  # joint states per second [Hz]
 BELIEVED_FRICTION = 0.8  # of the true one, before identification
+ALLOWED = 1.5  # rms error of tracking, identified over true
+MOTIONS = ('sinusoid', 'polynomial')
 MARKER = '.gms_flex_demo_identify'
 
 
@@ -20,9 +22,12 @@ def add_parser(subparsers):
     parser = subparsers.add_parser(
         'demo-identify', help='the identification experiment over ROS 2',
         description='Start plant, controller, trajectory and identification node as processes '
-                    'in lockstep, faster than real time, and record the identification '
-                    f'experiment. Controller and experiment believe friction x '
-                    f'{BELIEVED_FRICTION:g}.')
+                    'in lockstep, faster than real time, record the identification '
+                    f'experiment (controller and experiment believe friction x '
+                    f'{BELIEVED_FRICTION:g}), fit the friction, and track the trajectories of '
+                    'the paper with the friction believed before, identified, and true. '
+                    f'Exit code 1 if tracking with identified friction is more than '
+                    f'{ALLOWED:g} times worse than with the true one.')
     parser.add_argument('--out', default='demo_identify_output', metavar='DIR',
                         help='folder for everything; made anew (default: %(default)s)')
     parser.add_argument('--plan', metavar='YAML',
@@ -32,16 +37,92 @@ def add_parser(subparsers):
 
 
 def run(args):
-    """Drive the experiment and print where everything is; return 0."""
+    """Drive the experiment, fit it, track with the result; return 0 if that is good enough."""
     begin, out = time.monotonic(), Path(args.out)
     refuse_foreign(out)
     experiment = read_experiment(args.plan)
     prepare(out)
     bag = drive(out, experiment)
-    # the fit and the comparison of tracking belong here
-    print(f'\nbag      {bag}\nlogs     {out / "log"}\n'
-          f'done in {time.monotonic() - begin:.0f} s')
-    return 0
+    verdict, lines = 0, []
+    if {step.joint for step in experiment.plan.experiments} == set(experiment.believed.joints):
+        fit(out, bag, experiment)
+        verdict, lines = compare(out)
+    else:
+        lines = ['no fit: the plan leaves out a joint, whose friction moves the others']
+    made = [path for path in (bag, out / 'report.html', out / 'friction.yaml', out / 'log')
+            if path.exists()]
+    print('\n'.join(['', *lines, '', *map(str, made),
+                     f'done in {time.monotonic() - begin:.0f} s']))
+    return verdict
+
+
+def fit(out, bag, experiment):
+    """Identify the bag and write its outcome; print it beside the truth."""
+    from gms_flex_control.bags.phases import read_phases
+    from gms_flex_control.bags.reader import read_recording
+    from gms_flex_control.identification.identify import identify
+    from gms_flex_control.identification.output import write_friction, write_report_json
+    from gms_flex_control.reports.identification import write_identification_report
+    from gms_flex_control.reports.identification_text import identification_text
+    from gms_flex_control.resources import robot_file
+    from gms_flex_control.schema.files import load_robot
+
+    found = identify([(read_recording(bag), read_phases(bag))], experiment.believed, say=say)
+    truth = load_robot(robot_file())
+    write_friction(found, out / 'friction.yaml')
+    write_report_json(found, out / 'report.json')
+    write_identification_report(found, out, beside=truth)
+    print(f'\n{identification_text(found, beside=truth)}\n', flush=True)
+
+
+def compare(out):
+    """
+    Track the trajectories over DDS with three beliefs of the friction.
+
+    Parameters
+    ----------
+    out : Path
+        Folder with believed_robot.yaml and friction.yaml.
+
+    Returns
+    -------
+    verdict : int
+        0 if identified friction tracks nearly as well as the true one, 1 if not.
+    lines : list of str
+        A table.
+
+    """
+    from gms_flex_control.analysis.table4 import align
+    from gms_flex_control.analysis.tracking import link_error
+    from gms_flex_control.bags.reader import read_recording
+    from gms_flex_control.cli.demo import files_of, plan_of
+    from gms_flex_control.experiment.driven import drive as drive_closed_loop, DrivenPlan
+    from gms_flex_control.resources import robot_file
+    import numpy as np
+
+    models = {'believed': out / 'believed_robot.yaml', 'identified': out / 'friction.yaml',
+              'true': robot_file()}
+    rows, worst = [], 0.0
+    for motion in MOTIONS:
+        rms = {}
+        for name, model in models.items():
+            say(f'tracking the {motion} over DDS, friction as {name}')
+            bag = out / 'tracking' / f'{motion}_{name}'
+            bag.parent.mkdir(exist_ok=True)
+            plan = plan_of(motion, 'gms')
+            drive_closed_loop(
+                DrivenPlan(files=files_of(motion), model=model, compensation='gms',
+                           duration=plan.duration, rate=RATE), bag, log=out / 'log' / bag.name)
+            rms[name] = np.sqrt(np.mean(link_error(read_recording(bag)) ** 2, axis=0))
+        ratio = rms['identified'] / rms['true']
+        worst = max(worst, ratio.max())
+        rows += [[motion, f'link {j + 1}', *(f'{1e3 * rms[name][j]:.3g}' for name in models),
+                  f'{ratio[j]:.2f}'] for j in range(len(ratio))]
+    table = align(['motion', '', *(f'{name} [mrad]' for name in models), 'identified / true'],
+                  rows)
+    verdict = f'worst ratio {worst:.2f}, {"within" if worst <= ALLOWED else "ABOVE"} {ALLOWED:g}'
+    return int(worst > ALLOWED), ['Tracking error, rms, by what the controller believes of the '
+                                  'friction', table, verdict]
 
 
 def refuse_foreign(out):

@@ -48,8 +48,8 @@ def run(args):
 
     refuse_file(Path(args.out))
     robot = robot_of(args)
-    takes = [read_take(path, robot) for path in args.bags]
-    holdouts = [read_take(path, robot) for path in args.holdout]
+    takes, holdouts = ([read_take(path, robot, args.robot is None) for path in paths]
+                       for paths in (args.bags, args.holdout))
     found = identify(takes, robot, holdouts=holdouts, options=options_of(args),
                      say=quiet if args.json else say)
     out = Path(args.out)
@@ -97,11 +97,12 @@ def robot_of(args):
     return only_joints(robot, args.joints) if args.joints else robot
 
 
-def read_take(path, robot):
-    """Return a bag as (Recording, phases)."""
+def read_take(path, robot, guess_motors=False):
+    """Return a bag as (Recording, phases), motors by their names in the bag if to be guessed."""
     from gms_flex_control.bags.phases import read_phases
     from gms_flex_control.bags.reader import read_recording
-    return read_recording(path, robot.joints, motors_in(path, robot)), read_phases(path)
+    motors = None if guess_motors else motors_in(path, robot)
+    return read_recording(path, robot.joints, motors), read_phases(path)
 
 
 def motors_in(path, robot):

@@ -12,6 +12,7 @@ last moments only and the cost has hardly any local minimum; soft, it tells the 
 """
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from typing import NamedTuple
 
 from gms_flex_control.identification.coordinates import Coordinates, MOST_BLOCKS, N_STEADY
@@ -29,6 +30,7 @@ _STEADY_DOUBT, _BLOCK_DOUBT = 1.0, 3.0  # spread of the prior, of logarithms
 _HOPS = 10            # fits from beside the best
 _KICKS = (0.002, 0.05, 0.02, 0.01)  # how far beside: F_c, F_s - F_c, v_s, sigma_2 (logarithms)
 _KICK, _FINE_KICK = 0.05, 0.12  # of attraction and yields; more of those within few counts
+_EXTRA_DOUBT = 1.0    # of corrections, in their units
 _FEW_COUNTS = 1.5
 _GOOD = 1.15          # times the lowest cost: as good an explanation
 
@@ -61,14 +63,24 @@ def prior_of(coordinates, free):
     """Return the weak Prior around free numbers."""
     precision = np.full(coordinates.size, _BLOCK_DOUBT ** -2)
     precision[:N_STEADY] = _STEADY_DOUBT ** -2
-    precision[coordinates.size - coordinates.n_extra:] = 0.0
+    precision[coordinates.size - coordinates.n_extra:] = _EXTRA_DOUBT ** -2
     return Prior(free.copy(), precision)
 
 
 def held_out(period):
     """Return a function Stretch -> bool (T,) of the samples not to be fitted."""
     length = max(round(BLOCK_TIME / period), 1)
-    return lambda stretch: (np.arange(len(stretch.angle)) // length) % _HELD_OUT == _HELD_OUT - 1
+    return lambda stretch: (stretch.first_block + np.arange(len(stretch.angle)) // length
+                            ) % _HELD_OUT == _HELD_OUT - 1
+
+
+def numbered(stretches, period):
+    """Return stretches with their blocks of time numbered; the last of few is held out."""
+    counts = [max(len(stretch.angle) * period // BLOCK_TIME, 1.0) for stretch in stretches]
+    begin = max(_HELD_OUT - int(sum(counts)), 0)
+    firsts = begin + np.concatenate([[0], np.cumsum(counts)]).astype(int)
+    return [replace(stretch, first_block=int(first))
+            for stretch, first in zip(stretches, firsts[:-1], strict=True)]
 
 
 def train(period):

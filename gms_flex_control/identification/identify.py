@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import time
 import warnings
 
-from gms_flex_control.errors import IdentificationError
 from gms_flex_control.identification import default_method, held_out as errors
+from gms_flex_control.identification.arm_fit import arm_estimates, estimate_arm, folded
 from gms_flex_control.identification.checks import require
 from gms_flex_control.identification.coordinates import friction_record
 from gms_flex_control.identification.loops import loops_of, presliding_reach
@@ -92,14 +92,14 @@ def identify(takes, robot, *, holdouts=(), options=None, say=None):
             for finding in require(recording, robot, force=options.force,
                                    rough=options.estimate == 'all'):
                 warnings.warn(finding.text, stacklevel=2)
-        data = Data(takes, holdouts, robot)
+        data = Data(takes, holdouts, robot, options.estimate == 'all')
         fits = data.fit(options, say)
         say('intervals and errors on data held out')
-        joints = tuple(data.result(j, fits, options) for j in range(robot.n_joints))
+        joints, arm = data.results(fits, options)
     thetas = [fit.coordinates.unpack(fit.free)[0] for fit in fits]
     return Identification(
-        method=options.method, robot=replace(robot, friction=friction_params(thetas, fits)),
-        believed=robot, joints=joints, sources=tuple(take.source for take, _ in takes),
+        method=options.method,
+        robot=replace(arm, friction=friction_params(thetas, fits)), believed=robot, joints=joints, sources=tuple(take.source for take, _ in takes),
         holdouts=tuple(take.source for take, _ in holdouts),
         duration=float(sum(take.time[-1] - take.time[0] for take, _ in takes)),
         period=data.bundle.period,
@@ -115,23 +115,24 @@ class Data:
     ----------
     takes, holdouts, robot
         As `identify`.
+    whole : bool
+        Whether inertia, gravity, stiffness and motor inertia are estimated as well.
 
     """
 
-    def __init__(self, takes, holdouts, robot):
-        period = takes[0][0].period
+    def __init__(self, takes, holdouts, robot, whole=False):
         ordered = [[_ordered(take, robot), phases] for take, phases in (*takes, *holdouts)]
-        for take, _ in ordered:
-            if abs(take.period / period - 1.0) > _SAME_PERIOD:
-                raise IdentificationError(
-                    f'{take.source}: sampled every {1e3 * take.period:.4g} ms, '
-                    f'{ordered[0][0].source} every {1e3 * period:.4g} ms; identify recordings of '
-                    'one rate together')
+        period = common_period([take for take, _ in ordered])
         first = ordered[0][0]
-        self.sides = drive_sides(first, robot)
+        self.arm_fit = estimate_arm([take for take, _ in ordered[:len(takes)]],
+                                    robot) if whole else None
+        robot = self.arm_fit.robot if whole else robot
+        self.described, self.sides = robot, drive_sides(first, robot)
         self.robot = rigid_where(robot, self.sides)
-        pieces = [stretches_of(take, robot, self.sides, phases) for take, phases in ordered]
-        self._fitted = [piece for part in pieces[:len(takes)] for piece in part]
+        pieces = [stretches_of(take, robot, self.sides, phases, period)
+                  for take, phases in ordered]
+        self._fitted = default_method.numbered(
+            [piece for part in pieces[:len(takes)] for piece in part], period)
         self._apart = [piece for part in pieces[len(takes):] for piece in part]
         self._phases = [phase for _, phase in takes]
         half = half_count(first, robot)
@@ -145,21 +146,36 @@ class Data:
         self.bundle = Bundle(
             tuple(self._fitted), self.robot.arm, period, half,
             observer_bandwidth(self.robot.arm, coulomb, half, self.step / 3.0, period),
-            (None,) * robot.n_joints)
+            self.arm_fit.extras() if whole else (None,) * robot.n_joints)
 
     def fit(self, options, say):
         """Return a JointFit per joint."""
-        extras = [np.zeros(0)] * self.robot.n_joints
+        extras = [np.zeros(len(self.arm_fit.units[j]) if self.arm_fit else 0)
+                  for j in range(self.robot.n_joints)]
         return default_method.fit_all(self.bundle, self.starts, extras, blocks=options.blocks,
                                       say=say)
 
-    def result(self, joint, fits, options):
-        """Return the JointResult of one joint."""
+    def results(self, fits, options):
+        """Return a JointResult per joint, and the robot with the arm found."""
+        thetas = [fit.coordinates.unpack(fit.free)[0] for fit in fits]
+        spreads = [spread_of(Objective(self.bundle, j, thetas), fit.coordinates, fit.free,
+                             fit.evaluation, fit.prior, fit.sampling,
+                             np.random.default_rng([options.seed, j]))
+                   for j, fit in enumerate(fits)]
+        further, robot = [()] * len(fits), self.described
+        if self.arm_fit:
+            further = arm_estimates(self.robot, self.arm_fit, thetas, spreads)
+            robot = replace(robot, arm=replace(
+                folded(self.robot, self.arm_fit, thetas, spreads).arm,
+                stiffness=robot.arm.stiffness))
+        return tuple(self.result(j, fits, spreads[j], further[j])
+                     for j in range(len(fits))), robot
+
+    def result(self, joint, fits, spread, further=()):
+        """Return the JointResult of one joint; ``further`` are Estimates beyond friction."""
         fit, bundle = fits[joint], self.bundle
         thetas = [other.coordinates.unpack(other.free)[0] for other in fits]
         theta, objective = thetas[joint], Objective(bundle, joint, thetas)
-        spread = spread_of(objective, fit.coordinates, fit.free, fit.evaluation, fit.prior,
-                           fit.sampling, np.random.default_rng([options.seed, joint]))
         reach = presliding_reach(bundle, joint, theta)
         top = np.abs(self.maps[joint].velocity).max()
         velocity = np.concatenate([-np.geomspace(top, 1e-4 * top, _VELOCITIES),
@@ -171,7 +187,7 @@ class Data:
         return JointResult(
             joint=self.robot.joints[joint], side=self.sides[joint],
             estimates=estimates_of(self.robot.joints[joint], fit.coordinates, fit.free, spread,
-                                   reach),
+                                   reach) + further,
             curve=curve, friction_map=self.maps[joint], steady_velocity=velocity,
             steady_torque=steady_friction(velocity[:, None], alone)[:, 0],
             loops=loops_of(objective, bundle, theta),
@@ -201,6 +217,24 @@ class Data:
 def everything(stretch):
     """Return that all samples (T,) are chosen."""
     return np.ones(len(stretch.angle), dtype=bool)
+
+
+def common_period(recordings):
+    """
+    Return the sample period of recordings fitted together [s], the longest of theirs.
+
+    Warns
+    -----
+    UserWarning
+        If they differ.
+
+    """
+    periods = [recording.period for recording in recordings]
+    if max(periods) / min(periods) > 1.0 + _SAME_PERIOD:
+        warnings.warn(f'the recordings are sampled every {1e3 * min(periods):.4g} to '
+                      f'{1e3 * max(periods):.4g} ms; all are taken every '
+                      f'{1e3 * max(periods):.4g} ms', stacklevel=2)
+    return max(periods)
 
 
 def _ordered(recording, robot):

@@ -48,6 +48,8 @@ class Stretch:
         Recording it comes from.
     window : int
         Samples of the longest smoothing window.
+    first_block : int
+        Number of its first block of time among those of all pieces.
 
     """
 
@@ -60,6 +62,7 @@ class Stretch:
     phase: np.ndarray
     source: str
     window: int = 5
+    first_block: int = 0
 
 
 def drive_sides(recording, robot):

@@ -26,6 +26,7 @@ _LOW, _HIGH = 2.5, 97.5
 _VAGUE = np.log(2.0)    # half an interval this wide in the logarithm tells nothing
 _DISAGREE = 2.5         # ratio of widths of the two intervals
 _NOTHING = 2e-3         # of the friction level: a part this small is at its bound
+_BEYOND = 3.0           # times the reach of presliding: a block that slips later is none of it
 _LONGEST_MEMORY = 2.0   # of an innovation that is looked for [s]
 _NAMES = ('static', 'coulomb', 'velocity', 'viscous')
 _UNITS = ('N m', 'N m', 'rad/s', 'N m s/rad')
@@ -157,7 +158,7 @@ def _estimate(row, theta, variance, low, high, reach):
     if kind == 'stiffness':
         weight = theta[i + MOST_BLOCKS]
         yielding = weight * theta[[STATIC, PER_DIRECTION + STATIC]].mean() / value
-        if yielding > reach:
+        if yielding > _BEYOND * reach:
             flags.append('not identifiable')
             notes.append(f'slips only after {yielding:.3g} rad, beyond the {reach:.3g} rad of '
                          'presliding in the data: a slow rise of friction after reversals, not '
