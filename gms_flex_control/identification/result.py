@@ -63,6 +63,7 @@ class HeldOut(NamedTuple):
     innovation_rms: float          # of the one-step prediction [rad]
     noise_floor: float             # of the torque, measurement noise alone [N m]
     repeatability: float           # of the torque, equal motion repeated [N m]; NaN without
+    bandwidth: float = float('nan')  # below which torques are compared [Hz]
 
 
 class Candidate(NamedTuple):

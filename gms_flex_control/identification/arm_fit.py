@@ -1,0 +1,361 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""
+The arm as recordings tell it, before and together with friction: `--estimate all`.
+
+A regression gives inertia, gravity, stiffness and motor inertia to begin with. On axes that do
+not act on each other, corrections of inertia and gravity are then fitted together with friction
+through the predictor, as further torques, and folded back into the arm.
+"""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+from gms_flex_control.identification.chain_fit import (
+    base_estimates, base_regressors, base_values, fit_chain, nearest_arm,
+)
+from gms_flex_control.identification.motor_side import fit_motor
+from gms_flex_control.identification.result import Estimate, Interval
+from gms_flex_control.identification.rigid_body import (
+    fit_axis, held_torque, rows_of, spring_torque, STANDARD_GRAVITY,
+)
+import numpy as np
+
+_CONFIDENT = 1.959964
+_LIGHT = 0.01       # of the torque: inertia that cannot be told is set to what takes this share
+_ERRORS, _PART = 5.0, 0.1  # of the regression, and of the number: unit of a correction
+_UNKNOWN = Interval(np.nan, np.nan)
+_WIDE = 0.5         # half an interval this large a part of the value tells nothing
+_TELLS_INERTIA = 'faster changes of speed tell it'
+_TELLS_GRAVITY = 'motion over a wider range of angles tells it'
+_TELLS_MOTOR = ('a motion that makes the motor swing against the link tells it, both encoders '
+                'sampled at one time')
+_SCALE_NOTE = ('all torques, stiffnesses and inertias go with the scale of the recorded torque; '
+               'these data cannot tell it, a known mass added to the link would')
+
+
+class ArmFit(NamedTuple):
+    """What a regression says of the arm."""
+
+    robot: object   # RobotParams with the arm found
+    motors: tuple   # MotorFit per joint, None where not fitted
+    numbers: tuple  # per joint which numbers of the arm are corrected along with friction
+    units: tuple    # per joint what a correction of 1 means (R,), in the unit of the number
+    has_gravity: tuple  # per joint whether gravity acts on it
+
+    def extras(self):
+        """Return per joint a function Stretch -> further torques (T, R) per unit of correction."""
+        return tuple(self._columns(j) for j in range(len(self.numbers)))
+
+    def _columns(self, joint):
+        arm, gravity = self.robot.arm, any(self.has_gravity)
+        chosen, units = self.numbers[joint], self.units[joint]
+
+        def extra(stretch):
+            motion = filled(stretch.angle), stretch.rate, stretch.acceleration
+            torque = (base_regressors(*motion, arm, gravity) if is_chain(arm)
+                      else axis_regressors(*motion))
+            return -units * torque[:, joint, chosen]
+        return extra
+
+    def corrections(self, joint, theta):
+        """Return the corrections (R,) in parameters of a joint, in the numbers' units."""
+        return theta[len(theta) - len(self.units[joint]):] * self.units[joint]
+
+
+def is_chain(arm):
+    """Return whether the links act on each other."""
+    return arm.kind == 'planar' and arm.n_joints > 1
+
+
+def filled(angle):
+    """Return angles (T, n) with gaps interpolated."""
+    if np.isfinite(angle).all():
+        return angle
+    at = np.arange(len(angle))
+    return np.stack([np.interp(at, at[np.isfinite(q)], q[np.isfinite(q)]) for q in angle.T], 1)
+
+
+def axis_regressors(angle, rate, acceleration):
+    """Return torques (T, n, 3) of single axes per inertia, cosine and sine of gravity."""
+    return np.stack([acceleration, np.cos(angle), np.sin(angle)], axis=2)
+
+
+def estimate_arm(recordings, robot):
+    """
+    Estimate the arm.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+        Joints in the robot's order.
+    robot : RobotParams
+        As far as it is known: kind, lengths and masses of a chain are relied on.
+
+    Returns
+    -------
+    ArmFit
+
+    """
+    n = robot.n_joints
+    motors = tuple(fit_motor(recordings, j) if two_sided(recordings, j) else None
+                   for j in range(n))
+    robot = replace(robot, arm=_with_motors(robot.arm, motors))
+    drives = [drive_of(recordings, robot.arm, j) for j in range(n)]
+    if is_chain(robot.arm):
+        return _chain(recordings, robot, drives, motors)
+    units, has_gravity, arm = [], [], robot.arm
+    for j in range(n):
+        rows = rows_of(recordings, drives[j], j)
+        axis = fit_axis(rows, robot.joints[j], recordings[0].source)
+        inertia = inertia_to_use(axis, rows)
+        arm = with_axis(arm, j, inertia, axis.cosine, axis.sine)
+        size = np.array([inertia, axis.gravity_torque, axis.gravity_torque])
+        units.append(np.maximum(_ERRORS * axis.error, _PART * size)[
+            :3 if axis.has_gravity else 1])
+        has_gravity.append(axis.has_gravity)
+    numbers = tuple(np.arange(len(unit)) for unit in units)
+    return ArmFit(replace(robot, arm=arm), motors, numbers, tuple(units), tuple(has_gravity))
+
+
+def _chain(recordings, robot, drives, motors):
+    n, gravity = robot.n_joints, bool(robot.arm.gravity.any())
+    arm, error = fit_chain(recordings, robot, drives)
+    units = np.maximum(_ERRORS * error, _PART * np.abs(base_values(arm, gravity)))
+    numbers = tuple(acting(n, j, gravity) for j in range(n))
+    return ArmFit(replace(robot, arm=arm), motors, numbers,
+                  tuple(units[chosen] for chosen in numbers), (gravity,) * n)
+
+
+def acting(n, joint, gravity):
+    """Return which base parameters of a chain of n joints act on a joint."""
+    pairs = [(i, k) for i in range(n) for k in range(i, n)]
+    chosen = [b for b, (_, k) in enumerate(pairs) if k >= joint]
+    return np.array(chosen + [len(pairs) + i for i in range(joint, n) if gravity])
+
+
+def two_sided(recordings, joint):
+    """Return whether both sides and the torque of a joint were measured."""
+    return all(np.isfinite(getattr(recording, name)[:, joint]).sum() > 100
+               for recording in recordings for name in ('q_link', 'q_motor', 'tau_motor'))
+
+
+def drive_of(recordings, arm, joint):
+    """Return the function that gives the torque on a link: its spring, or its motor."""
+    measured = all(np.isfinite(recording.q_motor[:, joint]).any() for recording in recordings)
+    if arm.rigid[joint] or not measured:
+        return held_torque(joint)
+    return spring_torque(joint, arm.stiffness[joint], arm.damping[joint])
+
+
+def _with_motors(arm, motors):
+    values = {name: getattr(arm, name).copy()
+              for name in ('motor_inertia', 'stiffness', 'damping')}
+    for j, motor in enumerate(motors):
+        if motor is None or arm.rigid[j]:
+            continue
+        for name, value, told in zip(values, motor[:3], motor.believed, strict=True):
+            if told:
+                values[name][j] = value
+    return replace(arm, **values)
+
+
+def inertia_to_use(axis, rows):
+    """Return the inertia of an axis [kg m^2], small and above zero where none is seen."""
+    least = _LIGHT * np.std(rows.torque) / max(np.std(rows.acceleration), 1e-300)
+    return max(axis.inertia, float(least)) if axis.inertia_told else float(least)
+
+
+def with_axis(arm, joint, inertia, cosine, sine):
+    """
+    Return the arm with one axis of its own changed.
+
+    Parameters
+    ----------
+    arm : ArmParams
+        Decoupled.
+    joint : int
+        Which axis.
+    inertia : float
+        About the joint, motor of a rigid joint included [kg m^2].
+    cosine, sine : float
+        Gravity torque ``cosine cos q + sine sin q`` [N m].
+
+    Returns
+    -------
+    ArmParams
+        Mass and centre of mass are one choice of which only the moment and ``inertia`` count;
+        the mass of the file is kept where that is possible.
+
+    """
+    pull = float(np.hypot(*arm.gravity)) or STANDARD_GRAVITY
+    names = ('mass', 'com', 'inertia', 'offset', 'motor_inertia')
+    values = {name: getattr(arm, name).copy() for name in names}
+    moment = np.hypot(cosine, sine) / pull
+    motor = values['motor_inertia'][joint] if arm.rigid[joint] else 0.0
+    if motor >= inertia:
+        values['motor_inertia'][joint] = motor = 0.0
+    rest, mass = inertia - motor, values['mass'][joint]
+    if moment <= 0.0:
+        values['com'][joint], values['inertia'][joint] = 0.0, rest
+        return replace(arm, **values)
+    if mass <= 0.0 or moment ** 2 / mass >= rest:
+        mass = 2.0 * moment ** 2 / rest
+    values['mass'][joint], values['com'][joint] = mass, moment / mass
+    values['inertia'][joint] = rest - moment ** 2 / mass
+    values['offset'][joint] = np.arctan2(-sine, cosine)
+    return replace(arm, gravity=pull, **values)
+
+
+def axis_of(arm, joint):
+    """Return inertia about the joint [kg m^2], and cosine and sine of gravity [N m]."""
+    inertia = arm.inertia[joint] + arm.mass[joint] * arm.com[joint] ** 2
+    inertia += arm.motor_inertia[joint] if arm.rigid[joint] else 0.0
+    pull = arm.mass[joint] * arm.com[joint] * float(np.hypot(*arm.gravity))
+    return inertia, pull * np.cos(arm.offset[joint]), -pull * np.sin(arm.offset[joint])
+
+
+def folded(robot, arm_fit, thetas, spreads):
+    """
+    Return the robot with the corrections that were fitted along with friction.
+
+    Parameters
+    ----------
+    robot : RobotParams
+        The arm the corrections are to.
+    arm_fit : ArmFit
+        Which there are.
+    thetas : sequence of ndarray
+        Parameters of each joint, corrections last.
+    spreads : sequence of Spread
+        Of their free numbers.
+
+    Returns
+    -------
+    RobotParams
+
+    """
+    arm = robot.arm
+    if is_chain(arm):
+        values, covariance = combined(arm, arm_fit, thetas, spreads)
+        return replace(robot, arm=nearest_arm(
+            arm, values, np.linalg.pinv(covariance, rcond=1e-12, hermitian=True),
+            any(arm_fit.has_gravity)))
+    for j, theta in enumerate(thetas):
+        inertia, cosine, sine = np.add(axis_of(arm, j), _padded(arm_fit.corrections(j, theta)))
+        arm = with_axis(arm, j, max(inertia, 0.1 * axis_of(arm, j)[0]), cosine, sine)
+    return replace(robot, arm=arm)
+
+
+def _padded(coefficients):
+    return np.pad(coefficients, (0, 3 - len(coefficients)))
+
+
+def combined(arm, arm_fit, thetas, spreads):
+    """
+    Return base parameters of a chain and their covariance, all joints put together.
+
+    Each joint has corrected those that act on it; they count by their precision.
+    """
+    start = base_values(arm, any(arm_fit.has_gravity))
+    precision, right = np.zeros((len(start), len(start))), np.zeros(len(start))
+    for j, (theta, spread) in enumerate(zip(thetas, spreads, strict=True)):
+        chosen, scale = np.ix_(arm_fit.numbers[j], arm_fit.numbers[j]), arm_fit.units[j]
+        own = spread.covariance[-len(scale):, -len(scale):] * np.outer(scale, scale)
+        known = np.linalg.inv(own)
+        precision[chosen] += known
+        right[arm_fit.numbers[j]] += known @ arm_fit.corrections(j, theta)
+    covariance = np.linalg.inv(precision)
+    return start + covariance @ right, covariance
+
+
+def arm_estimates(robot, arm_fit, thetas, spreads):
+    """
+    Return the Estimates of the arm, a tuple per joint.
+
+    Parameters
+    ----------
+    robot, arm_fit, thetas, spreads
+        As `folded`.
+
+    Returns
+    -------
+    list of tuple of Estimate
+        Those of the arm as a whole with the first joint.
+
+    """
+    rows = [[] for _ in thetas]
+    if is_chain(robot.arm):
+        rows[0] += base_estimates(*combined(robot.arm, arm_fit, thetas, spreads),
+                                  robot.n_joints, any(arm_fit.has_gravity))
+    for j, (theta, spread) in enumerate(zip(thetas, spreads, strict=True)):
+        name = f'arm.{robot.joints[j]}'
+        if not is_chain(robot.arm):
+            rows[j] += _axis_rows(robot, arm_fit, j, theta, spread, name)
+        if arm_fit.motors[j] is not None:
+            rows[j] += _motor_rows(arm_fit.motors[j], name, bool(robot.arm.rigid[j]))
+    rows[0].append(Estimate('arm.torque_scale', '', 1.0, _UNKNOWN, _UNKNOWN,
+                            ('not identifiable',), _SCALE_NOTE))
+    return [tuple(part) for part in rows]
+
+
+def _axis_rows(robot, arm_fit, joint, theta, spread, name):
+    scale = arm_fit.units[joint]
+    count, at = len(scale), len(spread.covariance) - len(scale)
+    values = np.add(axis_of(robot.arm, joint), _padded(arm_fit.corrections(joint, theta)))[:count]
+    covariance = spread.covariance[at:, at:] * np.outer(scale, scale)
+    error = np.sqrt(np.diag(covariance))
+    drawn = spread.replicates[:, at:] * scale
+    drawn = drawn - drawn.mean(axis=0) + values
+    rows = [_row(f'{name}.inertia', 'kg m^2', values[0], error[0], drawn[:, 0],
+                 'about the joint, centre of mass and motor included', _TELLS_INERTIA)]
+    if count == 3:
+        size = np.hypot(*values[1:])
+        slope = values[1:] / max(size, 1e-300)
+        spreads = covariance[1:, 1:]
+        angle = np.arctan2(-values[2], values[1])
+        turn = np.array([-slope[1], slope[0]]) / max(size, 1e-300)
+        rows.append(_row(f'{name}.gravity_torque', 'N m', size, np.sqrt(slope @ spreads @ slope),
+                         np.hypot(drawn[:, 1], drawn[:, 2]), 'of the link held level: mass com '
+                         'gravity; mass and com apart cannot be told', _TELLS_GRAVITY))
+        error = float(np.sqrt(turn @ spreads @ turn))
+        drawn_angle = angle + np.angle(np.exp(1j * (np.arctan2(-drawn[:, 2], drawn[:, 1])
+                                                    - angle)))
+        told = error < _WIDE
+        rows.append(Estimate(
+            f'{name}.offset', 'rad', float(angle), Interval(angle - _CONFIDENT * error,
+                                                            angle + _CONFIDENT * error),
+            Interval(*np.percentile(drawn_angle, [2.5, 97.5])),
+            () if told else ('not identifiable',), '' if told else _TELLS_GRAVITY))
+    else:
+        rows.append(Estimate(f'{name}.gravity_torque', 'N m', 0.0, _UNKNOWN, _UNKNOWN,
+                             ('not identifiable',),
+                             'no gravity is seen in this motion: it does not lower the error on '
+                             'data held out'))
+    return rows
+
+
+def _row(name, unit, value, error, drawn, meaning, tells):
+    interval = Interval(value - _CONFIDENT * error, value + _CONFIDENT * error)
+    told = _CONFIDENT * error < _WIDE * abs(value) and value > 0.0
+    return Estimate(name, unit, float(value), Interval(*map(float, interval)),
+                    Interval(*map(float, np.percentile(drawn, [2.5, 97.5]))),
+                    () if told else ('not identifiable',), meaning if told else tells)
+
+
+def _motor_rows(motor, name, rigid):
+    rows = []
+    for part, unit, value, error, told in zip(
+            ('motor_inertia', 'stiffness', 'damping'), ('kg m^2', 'N m/rad', 'N m s/rad'),
+            motor[:3], motor.error, motor.believed, strict=True):
+        if rigid and part == 'motor_inertia':
+            continue
+        note = '' if told else _TELLS_MOTOR
+        if not told and motor.skew >= 0.3:
+            note = ('most of the twist goes with the velocity, as if the two encoders were read '
+                    'at different times: that looks like a soft spring or damping and is neither')
+        wide = Interval(float(value - _CONFIDENT * error), float(value + _CONFIDENT * error))
+        rows.append(Estimate(f'{name}.{part}', unit, float(value), wide, wide,
+                             () if told else ('not identifiable',), note))
+    return rows

@@ -1,0 +1,205 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""
+Base parameters of a planar chain, and the physical arm nearest to them.
+
+The torque of a chain is linear in ``A_ij`` and the moments of dynamics.chain, and these are all
+that motion can tell: masses, centres of mass and inertias of their own only as far as they make
+these. The arm is then the one with positive masses and inertias that fits best, as close to the
+one described as the data allow.
+"""
+
+from dataclasses import replace
+
+from gms_flex_control.analysis.signals import derivative_window, smoothed
+from gms_flex_control.dynamics.chain import constants_of
+from gms_flex_control.identification.result import Estimate, Interval
+from gms_flex_control.identification.rigid_body import friction_regressors, robust
+import numpy as np
+from scipy.optimize import least_squares
+
+_BLOCK = 2.0
+_SLOWEST = 0.05
+_CONFIDENT = 1.959964
+_BELIEF = 1.0     # spread of masses and inertias around those described, of logarithms
+_CLOSED = 0.2     # of the link's length: spread of the centre of mass
+_WIDE = 0.5
+
+
+def base_names(n, has_gravity):
+    """Return names and units of the base parameters of a chain of n joints."""
+    names = [(f'arm.coupling[{i + 1},{k + 1}]', 'kg m^2') for i in range(n) for k in range(i, n)]
+    return names + [(f'arm.moment[{i + 1}]', 'kg m') for i in range(n) if has_gravity]
+
+
+def base_values(arm, has_gravity):
+    """Return the base parameters of an arm, in the order of `base_names`."""
+    chain = constants_of(arm)
+    upper = np.triu_indices(arm.n_joints)
+    return np.concatenate([chain.coupling[upper], chain.moment if has_gravity else []])
+
+
+def base_regressors(angle, rate, acceleration, arm, has_gravity):
+    """
+    Return the torque of each joint per unit of each base parameter.
+
+    Parameters
+    ----------
+    angle, rate, acceleration : ndarray, shape (S, n)
+        Of the joints.
+    arm : ArmParams
+        Gives gravity and where joints read 0.
+    has_gravity : bool
+        Whether moments are among the parameters.
+
+    Returns
+    -------
+    ndarray, shape (S, n, B)
+
+    """
+    chain, n = constants_of(arm), arm.n_joints
+    theta = angle @ chain.orientation.T + chain.offset
+    omega, alpha = rate @ chain.orientation.T, acceleration @ chain.orientation.T
+    columns = []
+    for i in range(n):
+        for k in range(i, n):
+            torque = np.zeros(theta.shape)
+            between = theta[:, i] - theta[:, k]
+            torque[:, i] = np.cos(between) * alpha[:, k] + np.sin(between) * omega[:, k] ** 2
+            torque[:, k] = np.cos(between) * alpha[:, i] - np.sin(between) * omega[:, i] ** 2
+            columns.append(torque @ chain.orientation)
+    for i in range(n if has_gravity else 0):
+        torque = np.zeros(theta.shape)
+        torque[:, i] = (chain.gravity[0] * np.sin(theta[:, i])
+                        - chain.gravity[1] * np.cos(theta[:, i]))
+        columns.append(torque @ chain.orientation)
+    return np.stack(columns, axis=2)
+
+
+def fit_chain(recordings, robot, drives):
+    """
+    Fit the base parameters of a planar chain.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+        All data.
+    robot : RobotParams
+        The chain as described; lengths, offsets, gravity and motors of rigid joints are kept.
+    drives : sequence of callable
+        Recording -> torque (T,) on each joint.
+
+    Returns
+    -------
+    arm : ArmParams
+        Physically possible, nearest to the data and to what was described.
+    error : ndarray, shape (B,)
+        Standard errors of the base parameters.
+
+    """
+    arm, n = robot.arm, robot.n_joints
+    has_gravity = bool(arm.gravity.any())
+    angle, rate, acceleration, torque, block = _filtered(recordings, drives, n)
+    torque = torque - np.where(arm.rigid, arm.motor_inertia, 0.0) * acceleration
+    regressors = base_regressors(angle, rate, acceleration, arm, has_gravity)
+    count = regressors.shape[2]
+    normal, right = np.zeros((count, count)), np.zeros(count)
+    pieces = []
+    for j in range(n):  # each joint's friction is eliminated with its own rows
+        usual = np.sqrt(np.mean(rate[:, j] ** 2))
+        rows = np.abs(rate[:, j]) > _SLOWEST * usual
+        friction = friction_regressors(rate[rows, j])
+        columns = np.concatenate([regressors[rows, j], friction], axis=1)
+        weights, scale = robust(columns, torque[rows, j])
+        root = np.sqrt(weights) / scale
+        basis = np.linalg.qr(friction * root[:, None])[0]
+        scaled, target = regressors[rows, j] * root[:, None], torque[rows, j] * root
+        scaled = scaled - basis @ (basis.T @ scaled)
+        target = target - basis @ (basis.T @ target)
+        normal += scaled.T @ scaled
+        right += scaled.T @ target
+        pieces.append((scaled, target, block[rows]))
+    values = np.linalg.lstsq(normal, right, rcond=1e-10)[0]
+    covariance = _sandwich(normal, pieces, values)
+    found = nearest_arm(arm, values, np.linalg.pinv(covariance, rcond=1e-10, hermitian=True),
+                        has_gravity)
+    return found, np.sqrt(np.diag(covariance))
+
+
+def _filtered(recordings, drives, n):
+    parts, used = [], 0
+    for recording in recordings:
+        window = max(derivative_window(recording.time, q) for q in recording.q_link.T)
+        channels = smoothed(recording.time, [
+            recording.time, *recording.q_link.T, *(drive(recording) for drive in drives)], window)
+        at = channels[0].value
+        if len(at):
+            block = used + ((at - at[0]) / _BLOCK).astype(int)
+            used = block[-1] + 1
+            angles, torques = channels[1:n + 1], channels[n + 1:]
+            parts.append([*(np.stack([getattr(part, name) for part in angles], axis=1)
+                            for name in ('value', 'first', 'second')),
+                          np.stack([part.value for part in torques], axis=1), block])
+    return [np.concatenate(part) for part in zip(*parts, strict=True)]
+
+
+def _sandwich(normal, pieces, values):
+    """Return the covariance (B, B) if only blocks of time are independent."""
+    inverse = np.linalg.pinv(normal, rcond=1e-10, hermitian=True)
+    middle = np.zeros(normal.shape)
+    for scaled, target, block in pieces:
+        scores = scaled * (target - scaled @ values)[:, None]
+        sums = np.stack([np.bincount(block, weights=column) for column in scores.T], axis=1)
+        middle += sums.T @ sums
+    return inverse @ middle @ inverse + 1e-8 * np.diag(values ** 2)
+
+
+def nearest_arm(arm, values, precision, has_gravity):
+    """
+    Return the arm of positive masses and inertias that makes base parameters best.
+
+    Parameters
+    ----------
+    arm : ArmParams
+        As described; what the data cannot tell stays near it.
+    values : ndarray, shape (B,)
+        Base parameters.
+    precision : ndarray, shape (B, B)
+        How sure they are.
+    has_gravity : bool
+        Whether moments are among them.
+
+    Returns
+    -------
+    ArmParams
+
+    """
+    n, root = arm.n_joints, np.linalg.cholesky(
+        precision + 1e-12 * np.diag(np.diag(precision) + 1e-300)).T
+    reach = np.maximum(arm.length, np.abs(arm.com))
+
+    def changed(x):
+        return replace(arm, mass=arm.mass * np.exp(x[:n]), inertia=arm.inertia * np.exp(x[n:2 * n]),
+                       com=arm.com + reach * _CLOSED * x[2 * n:])
+
+    def residual(x):
+        return np.concatenate([root @ (base_values(changed(x), has_gravity) - values),
+                               x / _BELIEF])
+    return changed(least_squares(residual, np.zeros(3 * n)).x)
+
+
+def base_estimates(values, covariance, n, has_gravity):
+    """Return the Estimates of base parameters (B,) of n joints, ``covariance`` (B, B)."""
+    rows = []
+    for (name, unit), value, variance in zip(base_names(n, has_gravity), values,
+                                             np.diag(covariance), strict=True):
+        half = _CONFIDENT * float(np.sqrt(variance))
+        interval = Interval(value - half, value + half)
+        told = half < _WIDE * abs(value)
+        rows.append(Estimate(name, unit, float(value), interval, interval,
+                             () if told else ('not identifiable',),
+                             'a base parameter: masses, centres of mass and inertias count only '
+                             'as far as they make it' if told else
+                             'faster motion of all joints together tells it'))
+    return tuple(rows)

@@ -1,0 +1,226 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""
+Inertia and gravity of single axes by linear regression of the drive torque.
+
+``u = I q'' + a cos q + b sin q + friction(q')`` holds for torque, angle and its derivatives alike
+when all pass through the same zero-phase filter. Only moving samples count. Friction stands by
+as columns of its own, each direction for itself: Coulomb, viscous, and a part that fades with
+speed, so that the rise at low speed does not end up in inertia or gravity. A constant torque
+looks like friction that differs between the directions, and stays with it.
+"""
+
+from typing import NamedTuple
+
+from gms_flex_control.analysis.signals import derivative_window, smoothed
+from gms_flex_control.errors import IdentificationError
+import numpy as np
+
+STANDARD_GRAVITY = 9.80665  # [m/s^2], conventional value (3rd CGPM, 1901)
+_BLOCK = 2.0       # of time, for errors that are not independent [s]
+_FEWEST = 60       # moving rows
+_SLOWEST = 0.05    # of the usual speed: below this a row does not count as moving
+_FADING = (0.15, 0.5)  # speeds at which the fading parts of friction fade, of the usual speed
+_HUBER = 1.5       # residuals beyond this many standard deviations count less
+_ROUNDS = 8
+_WORTH = 0.97      # of the held-out error: gravity that helps less is not there
+_CONFIDENT = 1.959964
+
+
+class Rows(NamedTuple):
+    """Filtered samples of one axis."""
+
+    angle: np.ndarray         # (S,) [rad]
+    rate: np.ndarray          # (S,) [rad/s]
+    acceleration: np.ndarray  # (S,) [rad/s^2]
+    torque: np.ndarray        # (S,) [N m]
+    block: np.ndarray         # (S,) int, which stretch of time a row belongs to
+
+
+class AxisFit(NamedTuple):
+    """Inertia and gravity of one axis."""
+
+    inertia: float         # about the joint, motor of a rigid joint included [kg m^2]
+    cosine: float          # gravity torque a cos q [N m]; 0 where none is seen
+    sine: float            # gravity torque b sin q [N m]
+    error: np.ndarray      # (3,), standard errors of these
+    has_gravity: bool
+    explained: float       # share of the torque's variance
+    inertia_told: bool     # whether the inertia is clearly above zero
+
+    @property
+    def gravity_torque(self):
+        """Return the largest gravity torque [N m]."""
+        return float(np.hypot(self.cosine, self.sine))
+
+    @property
+    def offset(self):
+        """Return the angle of the centre of mass from the horizontal where q is 0 [rad]."""
+        return float(np.arctan2(-self.sine, self.cosine)) if self.has_gravity else 0.0
+
+
+def rows_of(recordings, drive, joint):
+    """
+    Return the filtered samples of one axis.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+        All data.
+    drive : callable
+        Recording -> torque on the axis (T,) at the stamps [N m].
+    joint : int
+        Which axis.
+
+    Returns
+    -------
+    Rows
+        Moving or not.
+
+    """
+    parts, used = [], 0
+    for recording in recordings:
+        angle = recording.q_link[:, joint]
+        window = derivative_window(recording.time, angle)
+        time, motion, torque = smoothed(
+            recording.time, [recording.time, angle, drive(recording)], window)
+        if len(time.value):
+            block = used + ((time.value - time.value[0]) / _BLOCK).astype(int)
+            used = block[-1] + 1
+            parts.append((motion.value, motion.first, motion.second, torque.value, block))
+    if not parts:
+        raise IdentificationError('no recording is long enough to tell the inertia')
+    return Rows(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+
+
+def held_torque(joint):
+    """Return a function Recording -> motor torque (T,) at the stamps, not over a sample."""
+    def drive(recording):
+        torque = recording.tau_motor[:, joint].copy()
+        torque[:-1] = 0.5 * (torque[:-1] + torque[1:])  # one tells the sample that ended there
+        return torque
+    return drive
+
+
+def spring_torque(joint, stiffness, damping=0.0):
+    """Return a function Recording -> torque (T,) of the joint's spring."""
+    def drive(recording):
+        twist = recording.q_motor[:, joint] - recording.q_link[:, joint]
+        rate = np.gradient(twist, recording.time) if damping else 0.0
+        return stiffness * twist + damping * rate
+    return drive
+
+
+def friction_regressors(rate):
+    """Return columns (S, 8) of friction, each direction for itself."""
+    usual = float(np.sqrt(np.mean(rate ** 2)))
+    columns = []
+    for sign in (1.0, -1.0):
+        on = sign * (np.sign(rate) == sign)
+        columns += [on, on * np.abs(rate), *(on * np.exp(-np.abs(rate) / (part * usual))
+                                             for part in _FADING)]
+    return np.stack(columns, axis=1)
+
+
+def fit_axis(rows, joint, source):
+    """
+    Fit inertia and gravity of one axis.
+
+    Parameters
+    ----------
+    rows : Rows
+        From `rows_of`.
+    joint, source : str
+        For messages.
+
+    Returns
+    -------
+    AxisFit
+
+    Raises
+    ------
+    IdentificationError
+        If the axis hardly moves.
+
+    """
+    usual = float(np.sqrt(np.mean(rows.rate ** 2)))
+    moving = np.abs(rows.rate) > _SLOWEST * usual
+    if moving.sum() < _FEWEST:
+        raise IdentificationError(f'{source}: {joint} moves in {moving.sum()} samples only; '
+                                  'record longer motion to tell its inertia')
+    rows = Rows(*(part[moving] for part in rows))
+    gravity = np.stack([np.cos(rows.angle), np.sin(rows.angle)], axis=1)
+    others = np.concatenate([rows.acceleration[:, None], friction_regressors(rows.rate)], axis=1)
+    both = np.concatenate([rows.acceleration[:, None], gravity, others[:, 1:]], axis=1)
+    has_gravity = _held_out(both, rows) < _WORTH * _held_out(others, rows)
+    columns = both if has_gravity else others
+    weights, scale = robust(columns, rows.torque)
+    values, covariance = _solution(columns, rows, weights)
+    error = np.sqrt(np.diag(covariance))
+    whole = np.var(rows.torque) or 1.0
+    rest = rows.torque - columns @ values
+    found = np.zeros(3), np.zeros(3)
+    count = 3 if has_gravity else 1
+    found[0][:count], found[1][:count] = values[:count], error[:count]
+    return AxisFit(*map(float, found[0]), found[1], bool(has_gravity),
+                   float(1.0 - np.var(rest) / whole),
+                   bool(values[0] > _CONFIDENT * error[0]))
+
+
+def robust(columns, target):
+    """
+    Return the weights of rows in a robust regression, and the scale of its residuals.
+
+    Parameters
+    ----------
+    columns : ndarray, shape (S, P)
+        Regressors.
+    target : ndarray, shape (S,)
+        What they are to explain.
+
+    Returns
+    -------
+    weights : ndarray, shape (S,)
+        Between 0 and 1 (Huber).
+    scale : float
+        Standard deviation of the bulk of the residuals.
+
+    """
+    weights, scale = np.ones(len(target)), 1.0
+    for _ in range(_ROUNDS):
+        root = np.sqrt(weights)
+        values = np.linalg.lstsq(columns * root[:, None], target * root, rcond=1e-10)[0]
+        off = np.abs(target - columns @ values)
+        scale = max(float(np.median(off)) / 0.6745, 1e-300)
+        weights = np.minimum(1.0, _HUBER * scale / np.maximum(off, 1e-300))
+    return weights, scale
+
+
+def _solution(columns, rows, weights):
+    """Return coefficients and their covariance, blocks of time being independent only."""
+    root = np.sqrt(weights)
+    scaled, target = columns * root[:, None], rows.torque * root
+    inverse = np.linalg.pinv(scaled.T @ scaled, rcond=1e-12, hermitian=True)
+    values = inverse @ (scaled.T @ target)
+    scores = scaled * (target - scaled @ values)[:, None]
+    blocks = np.stack([np.bincount(rows.block, weights=column) for column in scores.T], axis=1)
+    blocks = blocks[np.bincount(rows.block, minlength=len(blocks)) > 0]
+    many = len(blocks) / max(len(blocks) - 1, 1)
+    return values, many * inverse @ (blocks.T @ blocks) @ inverse
+
+
+def _held_out(columns, rows):
+    """Return the robust error of predicting each of five sets of blocks from the others."""
+    off = np.empty(len(rows.torque))
+    for fold in range(5):
+        out = rows.block % 5 == fold
+        if not out.any() or out.all():
+            off[out] = 0.0
+            continue
+        weights, _ = robust(columns[~out], rows.torque[~out])
+        root = np.sqrt(weights)
+        values = np.linalg.lstsq(columns[~out] * root[:, None], rows.torque[~out] * root,
+                                 rcond=1e-10)[0]
+        off[out] = rows.torque[out] - columns[out] @ values
+    return float(np.mean(np.abs(off)))
