@@ -35,9 +35,16 @@ def parameter_rows(n_blocks, n_extra):
 
 @compiled
 def begin(angle, rate, torque, period, state, q, dq, friction):
-    """Start at the measured angle (n,) and ``rate`` (n,); blocks share ``torque`` as they can."""
+    """
+    Start at the first measured angles of (T, n) and ``rate`` (n,).
+
+    The blocks share ``torque`` (n,) as they can.
+    """
     for j in range(q.shape[0]):
-        q[j], dq[j] = angle[j] + 0.5 * period * rate[j], rate[j]
+        first = 0
+        while first < angle.shape[0] - 1 and np.isnan(angle[first, j]):
+            first += 1
+        q[j], dq[j] = angle[first, j] + 0.5 * period * rate[j], rate[j]
         state.direction[j] = 1.0 if torque[j] >= 0.0 else -1.0
         row = gms.FORWARD if torque[j] >= 0.0 else gms.BACKWARD
         load = min(max(torque[j], -friction.static[row, j]), friction.static[row, j])
@@ -214,7 +221,8 @@ def predict(angle, rate, torque, extra, coefficients, period, links, friction, c
     Parameters
     ----------
     angle : ndarray, shape (T, n)
-        Measured link angles [rad]; NaN where there is none, which corrects nothing.
+        Measured link angles [rad]; NaN where there is none, which corrects nothing. The first
+        that is there begins the prediction.
     rate : ndarray, shape (n,)
         Link velocities at the beginning [rad/s].
     torque : ndarray, shape (T, n)
@@ -254,7 +262,7 @@ def predict(angle, rate, torque, extra, coefficients, period, links, friction, c
     samples, n = angle.shape
     m, width, joint = len(carried), directions.shape[1], carried[0]
     q, dq = np.empty(n), np.empty(n)
-    begin(angle[0], rate, torque[0], period, state, q, dq, friction)
+    begin(angle, rate, torque[0], period, state, q, dq, friction)
     d_q, d_dq, d_push = np.zeros((m, width)), np.zeros((m, width)), np.zeros((m, width))
     d_seen = np.zeros((m, width))
     d_displacement, d_level = np.zeros(width), np.zeros(width)
@@ -323,9 +331,12 @@ def simulate_freely(angle, rate, torque, extra, coefficients, period, links, fri
 
     Parameters
     ----------
-    angle, rate, torque, extra, coefficients, period, links, friction, joint, gains, half, state,
-    work
+    angle, rate, torque, extra, coefficients, period, links, friction
         As `predict`, here of the corrected prediction the simulations start from.
+    joint : int
+        Whose further torques ``extra`` are.
+    gains, half, state, work
+        As `predict`.
     first, stride, horizon : int
         The first start, samples from one to the next, and samples each goes on.
     freed : numpy.record
@@ -337,7 +348,7 @@ def simulate_freely(angle, rate, torque, extra, coefficients, period, links, fri
     samples, n = angle.shape
     q, dq, free_q, free_dq = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
     error, none = np.empty(n), np.zeros(n)
-    begin(angle[0], rate, torque[0], period, state, q, dq, friction)
+    begin(angle, rate, torque[0], period, state, q, dq, friction)
     start = 0
     for k in range(samples - 1):
         if k == first + start * stride and start < predicted.shape[0]:
