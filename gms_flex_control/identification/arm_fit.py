@@ -13,15 +13,25 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from gms_flex_control.identification.chain_fit import (
-    base_estimates, base_regressors, base_values, fit_chain, nearest_arm,
+    base_estimates,
+    base_regressors,
+    base_values,
+    fit_chain,
+    nearest_arm,
 )
 from gms_flex_control.identification.motor_side import fit_motor
 from gms_flex_control.identification.result import Estimate, Interval
 from gms_flex_control.identification.rigid_body import (
-    fit_axis, held_torque, rows_of, spring_torque, STANDARD_GRAVITY,
+    fit_axis,
+    held_torque,
+    rows_of,
+    spring_torque,
+    STANDARD_GRAVITY,
 )
+from gms_flex_control.params.robot import EffectSpec
 import numpy as np
 
+CONSTANT = 'constant_link_torque'  # the effect
 _CONFIDENT = 1.959964
 _LIGHT = 0.01       # of the torque: inertia that cannot be told is set to what takes this share
 _ERRORS, _PART = 5.0, 0.1  # of the regression, and of the number: unit of a correction
@@ -31,6 +41,8 @@ _TELLS_INERTIA = 'faster changes of speed tell it'
 _TELLS_GRAVITY = 'motion over a wider range of angles tells it'
 _TELLS_MOTOR = ('a motion that makes the motor swing against the link tells it, both encoders '
                 'sampled at one time')
+_TELLS_CONSTANT = ('a constant torque is told from friction by motion both ways at the same '
+                   'angles and speeds')
 _SCALE_NOTE = ('all torques, stiffnesses and inertias go with the scale of the recorded torque; '
                'these data cannot tell it, a known mass added to the link would')
 
@@ -43,6 +55,8 @@ class ArmFit(NamedTuple):
     numbers: tuple  # per joint which numbers of the arm are corrected along with friction
     units: tuple    # per joint what a correction of 1 means (R,), in the unit of the number
     has_gravity: tuple  # per joint whether gravity acts on it
+    constant: np.ndarray  # (n,), torque needed at any angle and speed [N m]
+    friction: tuple  # per joint its usual friction [N m], None where not looked for
 
     def extras(self):
         """Return per joint a function Stretch -> further torques (T, R) per unit of correction."""
@@ -78,8 +92,8 @@ def filled(angle):
 
 
 def axis_regressors(angle, rate, acceleration):
-    """Return torques (T, n, 3) of single axes per inertia, cosine and sine of gravity."""
-    return np.stack([acceleration, np.cos(angle), np.sin(angle)], axis=2)
+    """Return torques (T, n, 4) per inertia, cosine and sine of gravity, and constant."""
+    return np.stack([acceleration, np.cos(angle), np.sin(angle), np.ones(angle.shape)], axis=2)
 
 
 def estimate_arm(recordings, robot):
@@ -105,18 +119,21 @@ def estimate_arm(recordings, robot):
     drives = [drive_of(recordings, robot.arm, j) for j in range(n)]
     if is_chain(robot.arm):
         return _chain(recordings, robot, drives, motors)
-    units, has_gravity, arm = [], [], robot.arm
+    numbers, units, axes, constant, arm = [], [], [], np.zeros(n), robot.arm
     for j in range(n):
         rows = rows_of(recordings, drives[j], j)
         axis = fit_axis(rows, robot.joints[j], recordings[0].source)
         inertia = inertia_to_use(axis, rows)
         arm = with_axis(arm, j, inertia, axis.cosine, axis.sine)
-        size = np.array([inertia, axis.gravity_torque, axis.gravity_torque])
-        units.append(np.maximum(_ERRORS * axis.error, _PART * size)[
-            :3 if axis.has_gravity else 1])
-        has_gravity.append(axis.has_gravity)
-    numbers = tuple(np.arange(len(unit)) for unit in units)
-    return ArmFit(replace(robot, arm=arm), motors, numbers, tuple(units), tuple(has_gravity))
+        size = np.array([inertia, axis.gravity_torque, axis.gravity_torque, axis.constant])
+        chosen = np.flatnonzero([True, axis.has_gravity, axis.has_gravity, axis.constant != 0.0])
+        numbers.append(chosen)
+        units.append(np.maximum(_ERRORS * axis.error, _PART * np.abs(size))[chosen])
+        axes.append(axis)
+        constant[j] = axis.constant
+    return ArmFit(replace(robot, arm=arm), motors, tuple(numbers), tuple(units),
+                  tuple(axis.has_gravity for axis in axes), constant,
+                  tuple(axis.friction for axis in axes))
 
 
 def _chain(recordings, robot, drives, motors):
@@ -125,7 +142,7 @@ def _chain(recordings, robot, drives, motors):
     units = np.maximum(_ERRORS * error, _PART * np.abs(base_values(arm, gravity)))
     numbers = tuple(acting(n, j, gravity) for j in range(n))
     return ArmFit(replace(robot, arm=arm), motors, numbers,
-                  tuple(units[chosen] for chosen in numbers), (gravity,) * n)
+                  tuple(units[chosen] for chosen in numbers), (gravity,) * n, np.zeros(n), (None,) * n)
 
 
 def acting(n, joint, gravity):
@@ -236,20 +253,27 @@ def folded(robot, arm_fit, thetas, spreads):
     RobotParams
 
     """
-    arm = robot.arm
+    arm, effects = robot.arm, []
     if is_chain(arm):
         values, covariance = combined(arm, arm_fit, thetas, spreads)
         return replace(robot, arm=nearest_arm(
             arm, values, np.linalg.pinv(covariance, rcond=1e-12, hermitian=True),
             any(arm_fit.has_gravity)))
     for j, theta in enumerate(thetas):
-        inertia, cosine, sine = np.add(axis_of(arm, j), _padded(arm_fit.corrections(j, theta)))
+        inertia, cosine, sine, constant = axis_numbers(arm, arm_fit, j, theta)
         arm = with_axis(arm, j, max(inertia, 0.1 * axis_of(arm, j)[0]), cosine, sine)
-    return replace(robot, arm=arm)
+        if constant:
+            effects.append(EffectSpec(
+                name=CONSTANT, joint=robot.joints[j], values=(-float(constant),)))
+    kept = [spec for spec in robot.effects if spec.name != CONSTANT] if effects else robot.effects
+    return replace(robot, arm=arm, effects=(*kept, *effects))
 
 
-def _padded(coefficients):
-    return np.pad(coefficients, (0, 3 - len(coefficients)))
+def axis_numbers(arm, arm_fit, joint, theta):
+    """Return inertia, cosine, sine and constant torque of an axis, corrected (4,)."""
+    values = np.append(axis_of(arm, joint), arm_fit.constant[joint])
+    values[arm_fit.numbers[joint]] += arm_fit.corrections(joint, theta)
+    return values
 
 
 def combined(arm, arm_fit, thetas, spreads):
@@ -301,19 +325,23 @@ def arm_estimates(robot, arm_fit, thetas, spreads):
 
 
 def _axis_rows(robot, arm_fit, joint, theta, spread, name):
-    scale = arm_fit.units[joint]
-    count, at = len(scale), len(spread.covariance) - len(scale)
-    values = np.add(axis_of(robot.arm, joint), _padded(arm_fit.corrections(joint, theta)))[:count]
+    scale, numbers = arm_fit.units[joint], arm_fit.numbers[joint]
+    at = len(spread.covariance) - len(scale)
+    values = axis_numbers(robot.arm, arm_fit, joint, theta)[numbers]
     covariance = spread.covariance[at:, at:] * np.outer(scale, scale)
     error = np.sqrt(np.diag(covariance))
     drawn = spread.replicates[:, at:] * scale
     drawn = drawn - drawn.mean(axis=0) + values
     rows = [_row(f'{name}.inertia', 'kg m^2', values[0], error[0], drawn[:, 0],
                  'about the joint, centre of mass and motor included', _TELLS_INERTIA)]
-    if count == 3:
-        size = np.hypot(*values[1:])
-        slope = values[1:] / max(size, 1e-300)
-        spreads = covariance[1:, 1:]
+    if numbers[-1] == 3:
+        rows.append(_row(f'effects.{robot.joints[joint]}.{CONSTANT}.bias', 'N m', -values[-1],
+                         error[-1], -drawn[:, -1], 'friction would have to be several times '
+                         'larger one way than the other without it', _TELLS_CONSTANT))
+    if 1 in numbers:
+        size = np.hypot(*values[1:3])
+        slope = values[1:3] / max(size, 1e-300)
+        spreads = covariance[1:3, 1:3]
         angle = np.arctan2(-values[2], values[1])
         turn = np.array([-slope[1], slope[0]]) / max(size, 1e-300)
         rows.append(_row(f'{name}.gravity_torque', 'N m', size, np.sqrt(slope @ spreads @ slope),
@@ -338,7 +366,7 @@ def _axis_rows(robot, arm_fit, joint, theta, spread, name):
 
 def _row(name, unit, value, error, drawn, meaning, tells):
     interval = Interval(value - _CONFIDENT * error, value + _CONFIDENT * error)
-    told = _CONFIDENT * error < _WIDE * abs(value) and value > 0.0
+    told = _CONFIDENT * error < _WIDE * abs(value) and (value > 0.0 or 'bias' in name)
     return Estimate(name, unit, float(value), Interval(*map(float, interval)),
                     Interval(*map(float, np.percentile(drawn, [2.5, 97.5]))),
                     () if told else ('not identifiable',), meaning if told else tells)

@@ -180,7 +180,8 @@ def nearest_arm(arm, values, precision, has_gravity):
     reach = np.maximum(arm.length, np.abs(arm.com))
 
     def changed(x):
-        return replace(arm, mass=arm.mass * np.exp(x[:n]), inertia=arm.inertia * np.exp(x[n:2 * n]),
+        return replace(arm, mass=arm.mass * np.exp(x[:n]),
+                       inertia=arm.inertia * np.exp(x[n:2 * n]),
                        com=arm.com + reach * _CLOSED * x[2 * n:])
 
     def residual(x):

@@ -11,7 +11,7 @@ which the smoothing of the acceleration shows: the error then is the model's, no
 from gms_flex_control import records
 from gms_flex_control.dynamics import chain
 from gms_flex_control.friction import gms
-from gms_flex_control.identification.coordinates import MOST_BLOCKS, Coordinates
+from gms_flex_control.identification.coordinates import Coordinates, MOST_BLOCKS
 from gms_flex_control.identification.result import HeldOut, Trace
 from gms_flex_control.identification.smoothing import low_pass, low_pass_bandwidth
 from gms_flex_control.identification.steady import friction_torque
@@ -186,7 +186,8 @@ def held_out_errors(objective, bundle, theta, simple, chosen, step, repeatabilit
         columns = np.concatenate([simple_columns(np.where(
             np.abs(rate) > standing(step), rate, 0.0)), -objective.extra(stretch)], axis=1)
         plain.append(low_pass(measured - columns @ simple, window)[keep])
-        torque.append(low_pass(stretch.torque[:, joint], window)[keep])
+        drive = stretch.torque + stretch.constant
+        torque.append(low_pass(drive[:, joint], window)[keep])
         noise.append(torque_noise(stretch.torque[:, joint], window)[keep])
         innovations.append(objective.predict(stretch, theta, np.zeros((len(theta), 0)), 1.0)[1][
             keep, joint])

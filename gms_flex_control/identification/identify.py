@@ -7,21 +7,26 @@ from dataclasses import dataclass, replace
 import time
 import warnings
 
-from gms_flex_control.identification import default_method, held_out as errors
+from gms_flex_control.friction.stribeck import steady_friction
+from gms_flex_control.identification import default_method
+from gms_flex_control.identification import held_out as errors
 from gms_flex_control.identification.arm_fit import arm_estimates, estimate_arm, folded
 from gms_flex_control.identification.checks import require
 from gms_flex_control.identification.coordinates import friction_record
 from gms_flex_control.identification.loops import loops_of, presliding_reach
 from gms_flex_control.identification.objective import Bundle, Objective, observer_bandwidth
+from gms_flex_control.identification.paper_fit import NOT_HELD_OUT, paper_fits
 from gms_flex_control.identification.result import Candidate, Identification, JointResult
 from gms_flex_control.identification.start import start_of
 from gms_flex_control.identification.steady import friction_map, repeatability
 from gms_flex_control.identification.stretches import (
-    drive_sides, half_count, rigid_where, stretches_of,
+    drive_sides,
+    half_count,
+    rigid_where,
+    stretches_of,
 )
 from gms_flex_control.identification.uncertainty import curve_of, estimates_of, spread_of
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
-from gms_flex_control.friction.stribeck import steady_friction
 import numpy as np
 
 _SAME_PERIOD = 0.01   # relative difference of sample periods of recordings fitted together
@@ -99,7 +104,8 @@ def identify(takes, robot, *, holdouts=(), options=None, say=None):
     thetas = [fit.coordinates.unpack(fit.free)[0] for fit in fits]
     return Identification(
         method=options.method,
-        robot=replace(arm, friction=friction_params(thetas, fits)), believed=robot, joints=joints, sources=tuple(take.source for take, _ in takes),
+        robot=replace(arm, friction=friction_params(thetas, fits)), believed=robot,
+        joints=joints, sources=tuple(take.source for take, _ in takes),
         holdouts=tuple(take.source for take, _ in holdouts),
         duration=float(sum(take.time[-1] - take.time[0] for take, _ in takes)),
         period=data.bundle.period,
@@ -131,6 +137,9 @@ class Data:
         self.robot = rigid_where(robot, self.sides)
         pieces = [stretches_of(take, robot, self.sides, phases, period)
                   for take, phases in ordered]
+        if whole:
+            pieces = [[without(piece, self.arm_fit.constant) for piece in part]
+                      for part in pieces]
         self._fitted = default_method.numbered(
             [piece for part in pieces[:len(takes)] for piece in part], period)
         self._apart = [piece for part in pieces[len(takes):] for piece in part]
@@ -141,15 +150,21 @@ class Data:
         self.maps = [friction_map(self._fitted, self.robot.arm, j, period, half[j])
                      for j in range(robot.n_joints)]
         self.starts = [start_of(self.maps[j], travel(self._fitted, j), self.step[j],
-                                robot.joints[j], first.source) for j in range(robot.n_joints)]
+                                robot.joints[j], first.source,
+                                self.arm_fit.friction[j] if whole else None)
+                       for j in range(robot.n_joints)]
         coulomb = np.array([start.forward.coulomb for start in self.starts])
         self.bundle = Bundle(
             tuple(self._fitted), self.robot.arm, period, half,
             observer_bandwidth(self.robot.arm, coulomb, half, self.step / 3.0, period),
             self.arm_fit.extras() if whole else (None,) * robot.n_joints)
+        self.paper_spreads = None  # where the method of the paper is used
 
     def fit(self, options, say):
         """Return a JointFit per joint."""
+        if options.method == 'paper':
+            fits, self.paper_spreads = paper_fits(self.bundle, self.bundle.half)
+            return fits
         extras = [np.zeros(len(self.arm_fit.units[j]) if self.arm_fit else 0)
                   for j in range(self.robot.n_joints)]
         return default_method.fit_all(self.bundle, self.starts, extras, blocks=options.blocks,
@@ -158,16 +173,17 @@ class Data:
     def results(self, fits, options):
         """Return a JointResult per joint, and the robot with the arm found."""
         thetas = [fit.coordinates.unpack(fit.free)[0] for fit in fits]
-        spreads = [spread_of(Objective(self.bundle, j, thetas), fit.coordinates, fit.free,
+        spreads = self.paper_spreads or [
+                   spread_of(Objective(self.bundle, j, thetas), fit.coordinates, fit.free,
                              fit.evaluation, fit.prior, fit.sampling,
                              np.random.default_rng([options.seed, j]))
                    for j, fit in enumerate(fits)]
         further, robot = [()] * len(fits), self.described
         if self.arm_fit:
             further = arm_estimates(self.robot, self.arm_fit, thetas, spreads)
-            robot = replace(robot, arm=replace(
-                folded(self.robot, self.arm_fit, thetas, spreads).arm,
-                stiffness=robot.arm.stiffness))
+            found = folded(self.robot, self.arm_fit, thetas, spreads)
+            robot = replace(robot, effects=found.effects, arm=replace(
+                found.arm, stiffness=robot.arm.stiffness))
         return tuple(self.result(j, fits, spreads[j], further[j])
                      for j in range(len(fits))), robot
 
@@ -196,7 +212,8 @@ class Data:
             candidates=tuple(Candidate(one.n_blocks, one.cost, one.error,
                                        one.n_blocks == fit.coordinates.n_blocks)
                              for one in fit.candidates),
-            held_out=self._errors(joint, fit, thetas), warnings=())
+            held_out=self._errors(joint, fit, thetas),
+            warnings=(NOT_HELD_OUT,) if self.paper_spreads and not self._apart else ())
 
     def _errors(self, joint, fit, thetas):
         bundle, chosen = self.bundle, default_method.held_out(self.bundle.period)
@@ -212,6 +229,11 @@ class Data:
         return errors.held_out_errors(
             objective, bundle, theta, simple, chosen, self.step[joint],
             repeatability(self._fitted, self._phases, self.robot.arm, joint))
+
+
+def without(stretch, constant):
+    """Return a stretch with a constant torque (n,) taken off the drive's."""
+    return replace(stretch, torque=stretch.torque - constant, constant=constant)
 
 
 def everything(stretch):

@@ -8,7 +8,8 @@ Inertia and gravity of single axes by linear regression of the drive torque.
 when all pass through the same zero-phase filter. Only moving samples count. Friction stands by
 as columns of its own, each direction for itself: Coulomb, viscous, and a part that fades with
 speed, so that the rise at low speed does not end up in inertia or gravity. A constant torque
-looks like friction that differs between the directions, and stays with it.
+looks like friction that differs between the directions, and stays with it, unless friction would
+then have to be several times larger one way than the other.
 """
 
 from typing import NamedTuple
@@ -24,7 +25,10 @@ _SLOWEST = 0.05    # of the usual speed: below this a row does not count as movi
 _FADING = (0.15, 0.5)  # speeds at which the fading parts of friction fade, of the usual speed
 _HUBER = 1.5       # residuals beyond this many standard deviations count less
 _ROUNDS = 8
+_NARROW = 1.0      # range of angles below which gravity is not told from a constant [rad]
 _WORTH = 0.97      # of the held-out error: gravity that helps less is not there
+_LOPSIDED = 0.35   # of the friction the other way: below this there is a constant torque
+_LEAST = 0.02      # of the torque: friction to begin with, at least
 _CONFIDENT = 1.959964
 
 
@@ -44,7 +48,9 @@ class AxisFit(NamedTuple):
     inertia: float         # about the joint, motor of a rigid joint included [kg m^2]
     cosine: float          # gravity torque a cos q [N m]; 0 where none is seen
     sine: float            # gravity torque b sin q [N m]
-    error: np.ndarray      # (3,), standard errors of these
+    constant: float        # torque that friction cannot explain, needed both ways [N m]; or 0
+    friction: float        # usual friction, mean of both directions [N m]
+    error: np.ndarray      # (4,), standard errors of these
     has_gravity: bool
     explained: float       # share of the torque's variance
     inertia_told: bool     # whether the inertia is clearly above zero
@@ -153,19 +159,31 @@ def fit_axis(rows, joint, source):
     gravity = np.stack([np.cos(rows.angle), np.sin(rows.angle)], axis=1)
     others = np.concatenate([rows.acceleration[:, None], friction_regressors(rows.rate)], axis=1)
     both = np.concatenate([rows.acceleration[:, None], gravity, others[:, 1:]], axis=1)
-    has_gravity = _held_out(both, rows) < _WORTH * _held_out(others, rows)
+    has_gravity = np.ptp(rows.angle) > _NARROW and (
+        _held_out(both, rows) < _WORTH * _held_out(others, rows))
     columns = both if has_gravity else others
-    weights, scale = robust(columns, rows.torque)
-    values, covariance = _solution(columns, rows, weights)
-    error = np.sqrt(np.diag(covariance))
-    whole = np.var(rows.torque) or 1.0
+    values, error = _solution(columns, rows)
+    told = values[0] > _CONFIDENT * error[0]
+    if not told:  # what is no inertia must not bend the rest
+        kept, wide = _solution(columns[:, 1:], rows)
+        values, error = np.append(0.0, kept), np.append(error[0], wide)
     rest = rows.torque - columns @ values
-    found = np.zeros(3), np.zeros(3)
+    found = np.zeros((2, 4))
     count = 3 if has_gravity else 1
-    found[0][:count], found[1][:count] = values[:count], error[:count]
-    return AxisFit(*map(float, found[0]), found[1], bool(has_gravity),
-                   float(1.0 - np.var(rest) / whole),
-                   bool(values[0] > _CONFIDENT * error[0]))
+    found[:, :count] = values[:count], error[:count]
+    friction = columns[:, count:] @ values[count:]
+    levels = _levels(friction, rows.rate)
+    if min(levels) < _LOPSIDED * max(levels):
+        found[:, 3] = 0.5 * (levels[0] - levels[1]), error[count]
+    level = max(0.5 * sum(levels), _LEAST * float(np.std(rows.torque)))
+    return AxisFit(*map(float, found[0]), level, found[1], bool(has_gravity),
+                   float(1.0 - np.var(rest) / (np.var(rows.torque) or 1.0)), bool(told))
+
+
+def _levels(friction, rate):
+    """Return the usual friction forward and backward, against the motion [N m]."""
+    return [float(np.median(sign * friction[np.sign(rate) == sign]))
+            if (np.sign(rate) == sign).any() else 0.0 for sign in (1.0, -1.0)]
 
 
 def robust(columns, target):
@@ -197,9 +215,9 @@ def robust(columns, target):
     return weights, scale
 
 
-def _solution(columns, rows, weights):
-    """Return coefficients and their covariance, blocks of time being independent only."""
-    root = np.sqrt(weights)
+def _solution(columns, rows):
+    """Return coefficients and standard errors, blocks of time being independent only."""
+    root = np.sqrt(robust(columns, rows.torque)[0])
     scaled, target = columns * root[:, None], rows.torque * root
     inverse = np.linalg.pinv(scaled.T @ scaled, rcond=1e-12, hermitian=True)
     values = inverse @ (scaled.T @ target)
@@ -207,7 +225,7 @@ def _solution(columns, rows, weights):
     blocks = np.stack([np.bincount(rows.block, weights=column) for column in scores.T], axis=1)
     blocks = blocks[np.bincount(rows.block, minlength=len(blocks)) > 0]
     many = len(blocks) / max(len(blocks) - 1, 1)
-    return values, many * inverse @ (blocks.T @ blocks) @ inverse
+    return values, np.sqrt(np.diag(many * inverse @ (blocks.T @ blocks) @ inverse))
 
 
 def _held_out(columns, rows):

@@ -4,9 +4,10 @@
 """Where a fit begins: the friction map for the steady part, a wide spread for the rest."""
 
 from typing import NamedTuple
+import warnings
 
 from gms_flex_control.errors import IdentificationError
-from gms_flex_control.identification.steady import Stribeck, fit_stribeck
+from gms_flex_control.identification.steady import fit_stribeck, Stribeck
 import numpy as np
 
 N_SPREAD = 8          # blocks with fixed yields that find the shape of the presliding curve
@@ -25,7 +26,7 @@ class Start(NamedTuple):
     yields: np.ndarray   # (N_SPREAD,), of the spread [rad]
 
 
-def start_of(friction_map, travel, resolution, joint, source):
+def start_of(friction_map, travel, resolution, joint, source, level=None):
     """
     Return where the fit of a joint begins.
 
@@ -39,6 +40,9 @@ def start_of(friction_map, travel, resolution, joint, source):
         Encoder step or noise [rad].
     joint, source : str
         For messages.
+    level : float, optional
+        Friction to begin with where inertia and gravity are only roughly known, so that what
+        is left of the torque can drive the joint instead of braking it [N m].
 
     Returns
     -------
@@ -48,6 +52,11 @@ def start_of(friction_map, travel, resolution, joint, source):
     ------
     IdentificationError
         If the joint hardly moves, or friction drives it instead of braking it.
+
+    Warns
+    -----
+    UserWarning
+        If ``level`` had to be taken.
 
     """
     directions = []
@@ -60,6 +69,15 @@ def start_of(friction_map, travel, resolution, joint, source):
                 f'{source}: {joint} moves {name} in {rows.sum()} windows of a quarter second '
                 f'only; friction has two directions: record motion both ways')
         torque = sign * friction_map.torque[rows]
+        if np.median(torque) <= 0.0 and level is not None:
+            warnings.warn(
+                f'{source}: what inertia and gravity leave of the torque of {joint} drives its '
+                f'{name} motion as often as it brakes it: other forces (links that act on each '
+                'other, gravity) hide its friction; trust it only as far as the error on data '
+                'held out', stacklevel=2)
+            directions.append(Stribeck(1.02 * level, level, float(np.abs(
+                friction_map.velocity[rows]).max()), 1e-3 * level))
+            continue
         if np.median(torque) <= 0.0:
             raise IdentificationError(
                 f'{source}: friction of {joint} would drive its {name} motion (median '

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import warnings
 
 from gms_flex_control.analysis.signals import quantum
-from gms_flex_control.errors import IdentificationError
 from gms_flex_control.dynamics.chain import matrices
+from gms_flex_control.errors import IdentificationError
 from gms_flex_control.identification.smoothing import derivatives, noise_of, smoothing_window
 import numpy as np
 
@@ -48,6 +48,8 @@ class Stretch:
         Recording it comes from.
     window : int
         Samples of the longest smoothing window.
+    constant : ndarray, shape (n,)
+        Torque taken off the drive's, for what acts at any angle and speed [N m].
     first_block : int
         Number of its first block of time among those of all pieces.
 
@@ -62,6 +64,7 @@ class Stretch:
     phase: np.ndarray
     source: str
     window: int = 5
+    constant: np.ndarray | float = 0.0
     first_block: int = 0
 
 
@@ -122,8 +125,8 @@ def _spring_mismatch(recording, robot, j):
         return 0.0
     grid, (q_link, q_motor, tau) = _even(recording.time[known], (
         recording.q_link[known, j], recording.q_motor[known, j], recording.tau_motor[known, j]))
-    window = smoothing_window(grid[1] - grid[0], noise_of(q_motor), max(
-        robot.arm.motor_inertia[j], robot.arm.stiffness[j] * (grid[1] - grid[0]) ** 2), np.std(tau))
+    inertia = max(robot.arm.motor_inertia[j], robot.arm.stiffness[j] * recording.period ** 2)
+    window = smoothing_window(grid[1] - grid[0], noise_of(q_motor), inertia, np.std(tau))
     smooth = [derivatives(x, grid[1] - grid[0], window) for x in (q_link, q_motor, tau)]
     spring = robot.arm.stiffness[j] * (smooth[1][0] - smooth[0][0]) + robot.arm.damping[j] * (
         smooth[1][1] - smooth[0][1])
