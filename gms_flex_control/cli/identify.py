@@ -22,7 +22,7 @@ def add_parser(subparsers):
     parser.add_argument('--holdout', nargs='+', default=[], metavar='BAG',
                         help='bags that are only predicted; default: every fourth block of 2 s')
     parser.add_argument('--method', choices=('default', 'paper'), default='default',
-                        help="default: all parameters together; paper: its section 4")
+                        help='default: all parameters together; paper: its section 4')
     parser.add_argument('--estimate', choices=('friction', 'all'), default='friction',
                         help='all: inertia, gravity, stiffness, motor inertia as well')
     parser.add_argument('--blocks', type=int, nargs='+', metavar='N',
@@ -41,7 +41,9 @@ def run(args):
 
     from gms_flex_control.identification.identify import identify
     from gms_flex_control.identification.output import (
-        report_json, write_friction, write_report_json,
+        report_json,
+        write_friction,
+        write_report_json,
     )
     from gms_flex_control.reports.identification import write_identification_report
     from gms_flex_control.reports.identification_text import identification_text

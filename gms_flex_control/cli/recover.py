@@ -1,0 +1,108 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""`gms_flex recover`: what an experiment would tell, tried on a simulated robot many times."""
+
+import json
+from pathlib import Path
+
+# what is asked of the identification, by the last part of a parameter's name (largest error)
+ASKED = {'static': 0.03, 'coulomb': 0.03, 'viscous': 0.03, 'velocity': 0.15, 'attraction': 0.10}
+CURVE = 0.02  # of F_s, at every displacement
+
+
+def add_parser(subparsers):
+    """Add the verb to the command line."""
+    parser = subparsers.add_parser(
+        'recover', help='identify a simulated robot many times and compare with the truth',
+        description='Simulate the identification experiment and identify it, once per seed, and '
+                    'print how each parameter comes out, how often its 95 %% interval holds the '
+                    'truth, and how far the presliding curve is off.')
+    parser.add_argument('--robot', metavar='FILE', help='the truth; default: the arm of the paper')
+    parser.add_argument('--controller', metavar='FILE', help='default: the gains of the paper')
+    parser.add_argument('--plan', metavar='FILE',
+                        help='default: config/identification_demo.yaml')
+    parser.add_argument('--believed', type=float, default=0.8, metavar='FACTOR',
+                        help='friction believed before, times the true one (default: %(default)s)')
+    parser.add_argument('--seeds', type=int, default=20, metavar='N', help='default: %(default)s')
+    parser.add_argument('--rate', type=float, default=1000.0, metavar='HZ',
+                        help='samples per second (default: %(default)s)')
+    parser.add_argument('--torque-noise', type=float, default=1e-3, metavar='NM',
+                        help='of the recorded torque [N m] (default: %(default)s)')
+    parser.add_argument('--out', metavar='FILE', help='write the figures as JSON')
+    parser.set_defaults(run=run)
+
+
+def run(args):
+    """Try, print and compare; return 1 if what is asked was missed, else 0."""
+    from dataclasses import replace
+
+    from gms_flex_control.errors import ConfigError
+    from gms_flex_control.experiment.believed import scaled_friction
+    from gms_flex_control.experiment.identification_plan import read_identification_plan
+    from gms_flex_control.files import write_text
+    from gms_flex_control.identification.recovery import recovered, trial
+    from gms_flex_control.resources import controller_file, robot_file, share_path
+    from gms_flex_control.schema.files import load_controller, load_robot
+
+    if args.seeds < 1:
+        raise ConfigError(f'--seeds {args.seeds}: at least one is needed')
+    robot = load_robot(args.robot or robot_file())
+    gains = load_controller(args.controller or controller_file(), robot)
+    believed = replace(robot, friction=scaled_friction(robot.friction, args.believed))
+    plan = read_identification_plan(
+        [args.plan or share_path() / 'config' / 'identification_demo.yaml'], believed, gains)
+    trials = []
+    for seed in range(args.seeds):
+        trials.append(trial(plan, robot, believed, gains, seed, rate=args.rate,
+                            torque_noise=args.torque_noise))
+        print(f'[{seed + 1}/{args.seeds}] {trials[-1].seconds:.0f} s, '
+              f'N {", ".join(map(str, trials[-1].blocks))}, presliding curve off by '
+              f'{", ".join(f"{100 * value:.2f} %" for value in trials[-1].curve)} of F_s',
+              flush=True)
+    rows = recovered(trials)
+    missed = missed_of(rows, trials)
+    print(f'\n{table(rows)}\n{summary(rows, trials)}')
+    for sentence in missed:
+        print(f'MISSED: {sentence}')
+    if args.out:
+        write_text(Path(args.out), json.dumps({
+            'seeds': args.seeds, 'rate': args.rate, 'torque_noise': args.torque_noise,
+            'parameters': [row._asdict() for row in rows],
+            'curve': [one.curve for one in trials], 'blocks': [one.blocks for one in trials],
+            'missed': missed}, indent=2, allow_nan=False) + '\n')
+    return int(bool(missed))
+
+
+def table(rows):
+    """Return the rows as aligned text."""
+    from gms_flex_control.analysis.table4 import align
+    return align(['parameter', 'true', 'median', 'worst error', 'interval holds', 'bootstrap'],
+                 [[row.name.removeprefix('friction.'), f'{row.true:.5g}', f'{row.middle:.5g}',
+                   f'{100 * row.worst:.2f} %', f'{100 * row.covered:.0f} %',
+                   f'{100 * row.bootstrap:.0f} %'] for row in rows])
+
+
+def summary(rows, trials):
+    """Return coverage and the presliding curve in two lines."""
+    import numpy as np
+    counts = np.array([row.trials for row in rows])
+    covered, bootstrap = (100 * np.average([getattr(row, name) for row in rows], weights=counts)
+                          for name in ('covered', 'bootstrap'))
+    curves = 100 * np.array([one.curve for one in trials])
+    worst = ', '.join(f'{value:.2f} %' for value in curves.max(axis=0))
+    return (f'95 % intervals hold the truth in {covered:.1f} % of cases, those of the bootstrap '
+            f'in {bootstrap:.1f} %\npresliding curve at most {worst} of F_s off, any '
+            'displacement, any seed')
+
+
+def missed_of(rows, trials):
+    """Return a sentence for each thing that was asked and missed."""
+    missed = [f'{row.name}: {100 * row.worst:.1f} % off, asked {100 * ASKED[kind]:.0f} %'
+              for row in rows if (kind := row.name.rsplit('.', 1)[-1]) in ASKED
+              and row.worst > ASKED[kind]]
+    worst = max(value for one in trials for value in one.curve)
+    if worst > CURVE:
+        missed.append(f'presliding curve: {100 * worst:.1f} % of F_s off, asked '
+                      f'{100 * CURVE:.0f} %')
+    return missed

@@ -1,0 +1,106 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""How well an experiment on a simulated robot gives back the friction that is in it."""
+
+from typing import NamedTuple
+
+from gms_flex_control.experiment.identification_simulated import simulate_identification
+from gms_flex_control.identification.beside import known_values, presliding_difference
+from gms_flex_control.identification.identify import identify
+import numpy as np
+
+
+class Trial(NamedTuple):
+    """One identification of a robot that is known."""
+
+    seed: int
+    estimates: tuple   # of (Estimate, true value), those of friction of all joints
+    blocks: tuple      # number of blocks chosen for each joint
+    curve: tuple       # largest error of the presliding curve of each joint, over F_s
+    seconds: float
+
+
+class Recovered(NamedTuple):
+    """One parameter over all trials."""
+
+    name: str
+    true: float
+    middle: float      # median estimate
+    worst: float       # largest relative error
+    covered: float     # share of trials whose interval of the Jacobian holds the truth
+    bootstrap: float   # the same of the bootstrap
+    trials: int
+
+
+def trial(plan, robot, believed, gains, seed, *, rate, torque_noise, options=None):
+    """
+    Simulate an experiment and identify it.
+
+    Parameters
+    ----------
+    plan : IdentificationPlan
+        The experiment.
+    robot, believed : RobotParams
+        The robot as it is, and as controller and identification believe it to be.
+    gains : ControllerParams
+        Of the controller.
+    seed : int
+        Of noise and of where within a count the links begin.
+    rate : float
+        Samples per second [Hz].
+    torque_noise : float
+        Of the recorded torque [N m].
+    options : Options, optional
+        Of the identification.
+
+    Returns
+    -------
+    Trial
+
+    """
+    take = simulate_identification(plan, robot, gains, seed, rate=rate,
+                                   torque_noise=torque_noise, model=believed)
+    found = identify([take], believed, options=options)
+    pairs = []
+    for result in found.joints:
+        known = known_values(robot, found.robot, result.joint)
+        pairs += [(estimate, known[estimate.name]) for estimate in result.estimates
+                  if estimate.name in known]
+    return Trial(seed, tuple(pairs),
+                 tuple(next(c.n_blocks for c in result.candidates if c.chosen)
+                       for result in found.joints),
+                 tuple(presliding_difference(result, robot)[0] for result in found.joints),
+                 found.seconds)
+
+
+def recovered(trials):
+    """
+    Return how each parameter came out over all trials.
+
+    Parameters
+    ----------
+    trials : sequence of Trial
+        At least one.
+
+    Returns
+    -------
+    tuple of Recovered
+        Block stiffnesses only from trials with as many blocks as the truth.
+
+    """
+    groups = {}
+    for one in trials:
+        for estimate, true in one.estimates:
+            groups.setdefault(estimate.name, []).append((estimate, true))
+    rows = []
+    for name, pairs in groups.items():
+        values = np.array([estimate.value for estimate, _ in pairs])
+        truth = np.array([true for _, true in pairs])
+        rows.append(Recovered(
+            name, float(truth[0]), float(np.median(values)),
+            float(np.max(np.abs(values / truth - 1.0))),
+            float(np.mean([e.interval.low <= true <= e.interval.high for e, true in pairs])),
+            float(np.mean([e.bootstrap.low <= true <= e.bootstrap.high for e, true in pairs])),
+            len(pairs)))
+    return tuple(rows)
