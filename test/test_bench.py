@@ -10,15 +10,18 @@ import json
 from gms_flex_control.benchmarks import (
     core,
     effect_dispatch,
+    identification,
+    identified_bag,
     kernel_arguments,
     mujoco_arm,
+    numpy_identification,
     numpy_loop,
     suites,
 )
 from gms_flex_control.benchmarks.timing import interleaved, Measurement
 from gms_flex_control.cli import bench
 from gms_flex_control.dynamics.chain import matrices
-from gms_flex_control.errors import ConfigError
+from gms_flex_control.errors import ConfigError, GmsFlexError
 from gms_flex_control.params.encoder import EncoderParams
 from gms_flex_control.resources import controller_file, robot_file
 from gms_flex_control.schema.files import load_controller, load_robot
@@ -94,6 +97,42 @@ def test_all_ways_to_join_effects_give_the_same_signals(count, tmp_path, monkeyp
         np.testing.assert_array_equal(signals, results[0])
     if count < 2:
         np.testing.assert_array_equal(results[4], results[0])
+
+
+def test_the_plain_fit_has_the_same_cost_at_any_parameters_and_is_found_wanting(robot, gains):
+    """The reference for speed computes what the kernels compute, encoders' intervals included."""
+    counted = replace(robot, encoder=EncoderParams(counts=20000.0))
+    axis, bundle = identification.simulated(counted, gains, {
+        'identification.experiments': ('presliding',),
+        'identification.presliding_levels': (0.8,)}, 125.0)
+    case = identification.fit_presliding(bundle, axis)
+    rng, floor = np.random.default_rng(1), 3e-6
+    plain = numpy_identification.PlainObjective(bundle, case.objective, floor)
+    for _ in range(3):
+        free = case.start + 0.3 * rng.standard_normal(len(case.start))
+        expected = case.objective.evaluate(case.coordinates, free, 1.0, floor).cost.sum()
+        assert plain.cost(case.coordinates.unpack(free)[0]) == pytest.approx(expected, rel=1e-6)
+    seconds, reference, times = identification.compare(case, 0.5, 1)
+    assert 'samples of one joint' in seconds.note and 'evaluations' in reference.note
+    assert times.value == pytest.approx(reference.value / seconds.value)
+
+
+@pytest.mark.parametrize(('wanted', 'reached'), [(0.5, True), (-1.0, False)])
+def test_a_plain_search_ends_at_the_cost_wanted_or_where_it_converges(wanted, reached):
+    found = numpy_identification.search(
+        lambda x: float(np.sum((x - [1.0, -2.0]) ** 2)), np.zeros(2), wanted, 60.0)
+    assert found.reached == reached and found.seconds < 60.0
+    assert found.cost <= (0.5 if reached else 1e-3)
+
+
+def test_a_plain_search_ends_when_time_is_up():
+    found = numpy_identification.search(lambda x: float(x @ x), np.ones(2), -1.0, 0.0)
+    assert (found.evaluations, found.reached) == (1, False)
+
+
+def test_a_command_that_fails_on_a_bag_is_told(tmp_path):
+    with pytest.raises(GmsFlexError, match='identify ended with 2'):
+        identified_bag.identified(tmp_path / 'no_bag', tmp_path)
 
 
 def test_records_as_tuples_hold_the_same_values(robot):
