@@ -96,7 +96,8 @@ def compare(out):
     from gms_flex_control.analysis.tracking import link_error
     from gms_flex_control.bags.reader import read_recording
     from gms_flex_control.cli.demo import files_of, plan_of
-    from gms_flex_control.experiment.driven import drive as drive_closed_loop, DrivenPlan
+    from gms_flex_control.experiment.driven import drive as drive_closed_loop
+    from gms_flex_control.experiment.driven import DrivenPlan
     from gms_flex_control.resources import robot_file
     import numpy as np
 

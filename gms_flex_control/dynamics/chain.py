@@ -36,7 +36,8 @@ def constants_layout(n):
         ('orientation', FLOAT, square), ('inverse', FLOAT, square), ('offset', FLOAT, vector),
         ('coupling', FLOAT, square), ('rigid_inertia', FLOAT, square),
         ('moment', FLOAT, vector), ('gravity', FLOAT, (2,)),
-        ('motor_inertia', FLOAT, vector), ('flexible', FLOAT, vector), ('stiffness', FLOAT, vector), ('damping', FLOAT, vector))
+        ('motor_inertia', FLOAT, vector), ('flexible', FLOAT, vector),
+        ('stiffness', FLOAT, vector), ('damping', FLOAT, vector))
 
 
 class ChainMatrices(NamedTuple):

@@ -23,6 +23,7 @@ HORIZON = 0.5       # of a free simulation [s]
 _STRIDE = 1.0       # from one start to the next [s]
 _STANDING = 3.0     # encoder steps per 50 ms: slower is no motion for the simple model
 _SIMPLE_YIELD = 2.0  # of the simple model's only block, in encoder steps
+_SMALL, _FAST = 1e-3, 10.0  # least friction, of the other way; speed [rad/s]
 _LONGEST_TRACE = 20_000
 
 
@@ -90,11 +91,18 @@ def simple_columns(rate):
 
 def simple_theta(fit, step, n_extra):
     """Return Coulomb and viscous friction as parameters of the predictor, one stiff block."""
-    coulomb, viscous = np.maximum(fit[:2], 1e-9), np.maximum(fit[2:4], 1e-12)
+    coordinates, free = simple_free(fit, step, n_extra)
+    return coordinates.unpack(free)[0]
+
+
+def simple_free(fit, step, n_extra):
+    """Return Coulomb and viscous friction as Coordinates and free numbers, one stiff block."""
+    coulomb = np.maximum(fit[:2], _SMALL * np.abs(fit[:2]).max())
+    viscous = np.maximum(fit[2:4], 1e-3 * coulomb / _FAST)
     coordinates = Coordinates(1, n_extra=n_extra)
     free = coordinates.pack(coulomb * 1.001, coulomb, np.full(2, 1e-3), viscous,
                             coulomb.mean() / 0.01, [_SIMPLE_YIELD * step], extra=fit[4:])
-    return coordinates.unpack(free)[0]
+    return coordinates, free
 
 
 def free_run_error(objective, bundle, theta, chosen):
@@ -179,6 +187,9 @@ def held_out_errors(objective, bundle, theta, simple, chosen, step, repeatabilit
         if not keep.any():
             continue
         window = stretch.window
+        innovations.append(objective.predict(stretch, theta, np.zeros((len(theta), 0)), 1.0)[1][
+            keep, joint])
+        keep &= moving(stretch, joint, step, bundle.half[joint])
         measured = friction_torque(stretch, bundle.arm)[:, joint]
         rate = stretch.rate[:, joint]
         off.append(low_pass(measured - model_friction(objective, stretch, theta, period),
@@ -189,8 +200,6 @@ def held_out_errors(objective, bundle, theta, simple, chosen, step, repeatabilit
         drive = stretch.torque + stretch.constant
         torque.append(low_pass(drive[:, joint], window)[keep])
         noise.append(torque_noise(stretch.torque[:, joint], window)[keep])
-        innovations.append(objective.predict(stretch, theta, np.zeros((len(theta), 0)), 1.0)[1][
-            keep, joint])
     off, plain, torque, noise, innovations = (
         np.concatenate(part) for part in (off, plain, torque, noise, innovations))
     usual = rms(torque)
@@ -204,10 +213,23 @@ def held_out_errors(objective, bundle, theta, simple, chosen, step, repeatabilit
             max(stretch.window for stretch in bundle.stretches), period))
 
 
+def moving(stretch, joint, step, half):
+    """
+    Return where the motion of a joint tells its torque, bool (T,).
+
+    Within one count of an encoder stiff blocks take up most of F_s: a motion seen through counts
+    says nothing of the torque of a joint at rest. There the innovations judge.
+    """
+    if half == 0.0:
+        return np.ones(len(stretch.rate), dtype=bool)
+    return np.abs(stretch.rate[:, joint]) > standing(step)
+
+
 def torque_noise(torque, window):
     """Return white noise of a torque (T,) like its own, behind the low-pass [N m]."""
     rough = np.diff(torque, 2, prepend=torque[:1], append=torque[-1:]) / np.sqrt(6.0)
-    level = np.median(np.abs(rough)) / 0.6745
+    usual = rough[np.abs(rough) <= np.quantile(np.abs(rough), 0.99)]  # no jumps of the torque
+    level = rms(usual)
     pulse = np.zeros(4 * window + 1)
     pulse[2 * window] = 1.0
     gain = np.sqrt(np.sum(low_pass(pulse, window) ** 2))

@@ -25,6 +25,7 @@ from gms_flex_control.identification.stretches import (
     rigid_where,
     stretches_of,
 )
+from gms_flex_control.identification.torque_fit import choose_fit
 from gms_flex_control.identification.uncertainty import curve_of, estimates_of, spread_of
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
 import numpy as np
@@ -159,6 +160,7 @@ class Data:
             observer_bandwidth(self.robot.arm, coulomb, half, self.step / 3.0, period),
             self.arm_fit.extras() if whole else (None,) * robot.n_joints)
         self.paper_spreads = None  # where the method of the paper is used
+        self.choices = ()
 
     def fit(self, options, say):
         """Return a JointFit per joint."""
@@ -167,17 +169,22 @@ class Data:
             return fits
         extras = [np.zeros(len(self.arm_fit.units[j]) if self.arm_fit else 0)
                   for j in range(self.robot.n_joints)]
-        return default_method.fit_all(self.bundle, self.starts, extras, blocks=options.blocks,
+        fits = default_method.fit_all(self.bundle, self.starts, extras, blocks=options.blocks,
                                       say=say)
+        say('comparing with a fit of the torque')
+        self.choices = [choose_fit(self.bundle, j, fits, self.step[j],
+                                   np.random.default_rng([options.seed, j, 1]))
+                        for j in range(len(fits))]
+        return [choice.fit for choice in self.choices]
 
     def results(self, fits, options):
         """Return a JointResult per joint, and the robot with the arm found."""
         thetas = [fit.coordinates.unpack(fit.free)[0] for fit in fits]
         spreads = self.paper_spreads or [
-                   spread_of(Objective(self.bundle, j, thetas), fit.coordinates, fit.free,
-                             fit.evaluation, fit.prior, fit.sampling,
-                             np.random.default_rng([options.seed, j]))
-                   for j, fit in enumerate(fits)]
+            self.choices[j].spread or spread_of(
+                Objective(self.bundle, j, thetas), fit.coordinates, fit.free, fit.evaluation,
+                fit.prior, fit.sampling, np.random.default_rng([options.seed, j]))
+            for j, fit in enumerate(fits)]
         further, robot = [()] * len(fits), self.described
         if self.arm_fit:
             further = arm_estimates(self.robot, self.arm_fit, thetas, spreads)
@@ -245,11 +252,7 @@ def common_period(recordings):
     """
     Return the sample period of recordings fitted together [s], the longest of theirs.
 
-    Warns
-    -----
-    UserWarning
-        If they differ.
-
+    A warning says so if they differ.
     """
     periods = [recording.period for recording in recordings]
     if max(periods) / min(periods) > 1.0 + _SAME_PERIOD:

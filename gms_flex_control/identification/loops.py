@@ -3,14 +3,24 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Presliding motion in the data: how far it reaches, and its hysteresis loops (Fig. 4)."""
 
+from gms_flex_control.dynamics.chain import inverse_dynamics
 from gms_flex_control.identification.result import Loop
-from gms_flex_control.identification.steady import friction_torque
 import numpy as np
 
 PRESLIDING = 'presliding'
 _MOST_LOOPS, _LONGEST_LOOP = 6, 4000
 _SHORTEST = 1.0       # of a loop that is shown [s]
 _LOADED = 0.98        # of F_s: presliding is what stays below
+
+
+def standing_torque(stretch, arm):
+    """
+    Return the torque that friction holds at rest, shape (T, n_joints) [N m].
+
+    In presliding the links accelerate too little to tell it from the encoders' steps.
+    """
+    still = np.zeros_like(stretch.rate)
+    return stretch.torque - inverse_dynamics(np.nan_to_num(stretch.angle), still, still, arm)
 
 
 def presliding_pieces(stretch, joint, static, torque, period):
@@ -47,7 +57,7 @@ def presliding_reach(bundle, joint, theta):
     """Return how far the joint went in one piece of presliding, at most [rad]."""
     reach = 0.0
     for stretch in bundle.stretches:
-        torque = friction_torque(stretch, bundle.arm)[:, joint]
+        torque = standing_torque(stretch, bundle.arm)[:, joint]
         for rows in presliding_pieces(stretch, joint, min(theta[[0, 4]]), torque, bundle.period):
             angle = stretch.angle[rows, joint]
             reach = max(reach, float(np.nanmax(angle) - np.nanmin(angle)))
@@ -76,7 +86,7 @@ def loops_of(objective, bundle, theta):
     joint, loops = objective.joint, []
     none = np.zeros((len(theta), 0))
     for stretch in bundle.stretches:
-        torque = friction_torque(stretch, bundle.arm)[:, joint]
+        torque = standing_torque(stretch, bundle.arm)[:, joint]
         pieces = list(presliding_pieces(stretch, joint, min(theta[[0, 4]]), torque,
                                         bundle.period))
         if not pieces:

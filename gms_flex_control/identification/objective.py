@@ -180,7 +180,8 @@ class Objective:
         predictor.predict(
             stretch.angle, np.ascontiguousarray(stretch.rate[0]), stretch.torque, extra,
             theta[len(theta) - extra.shape[1]:], bundle.period, self._links,
-            self.friction(theta), self._carried if width else self._alone, np.ascontiguousarray(directions),
+            self.friction(theta), self._carried if width else self._alone,
+            np.ascontiguousarray(directions),
             np.stack([2.0 * bandwidth, bandwidth ** 2]), bundle.half,
             records.build(gms.state_layout(n, MOST_BLOCKS)), plant.workspace(n), predicted,
             innovation, jacobian)
@@ -251,7 +252,8 @@ class Objective:
 
         """
         theta, directions = coordinates.unpack(free)
-        lags, length = round(longest / self._bundle.period), round(BLOCK_TIME / self._bundle.period)
+        period = self._bundle.period
+        lags, length = round(longest / period), round(BLOCK_TIME / period)
         total = np.zeros(lags)
         for stretch in self._bundle.stretches:
             counted = self.counted(stretch)

@@ -54,7 +54,7 @@ class Trace(NamedTuple):
 class HeldOut(NamedTuple):
     """Errors on data that took no part in the fit."""
 
-    torque_rms: float              # of the drive torque [N m]
+    torque_rms: float              # of the drive torque, while moving if encoders count [N m]
     relative: float                # of the rms of the drive torque
     coulomb_viscous: float         # the same, inertia and gravity with Coulomb + viscous alone
     free_run_rms: float            # link angle after free simulation of `horizon` [rad]

@@ -42,7 +42,7 @@ def smoothing_window(period, noise, inertia, torque):
 
 
 def noise_of(angle):
-    """Return the standard deviation of an encoder's noise (T,), rounding to counts included [rad]."""
+    """Return the standard deviation of an angle's noise (T,), rounding included [rad]."""
     known = angle[np.isfinite(angle)]
     spread = float(np.std(np.diff(known, 3))) / np.sqrt(20.0)
     robust = float(np.median(np.abs(np.diff(known, 3)))) / np.sqrt(20.0) / 0.6745
