@@ -77,7 +77,8 @@ class Experiment(Lab):
         return node
 
     def identify(self, name='identification_node', **parameters):
-        given = {f'identification__{key}': value for key, value in parameters.items()}
+        given = {'identification__fit': False} | {
+            f'identification__{key}': value for key, value in parameters.items()}
         return self.start(name, files=(*FILES, self.file), mode='lockstep',
                           identification__bag=self.bag, **given)
 
@@ -131,6 +132,13 @@ def test_a_whole_experiment_is_recorded_with_its_phases(lab):
     assert '100 %, done in' in node.printed() and 'estimated' in node.printed()
     assert lab.get('/cascade_controller', 'compensation') == 'gms'
     assert traceback_free(node, *lab.others.values())
+
+
+def test_a_plan_that_leaves_out_a_joint_is_recorded_and_not_fitted(lab):
+    node = lab.begin(fit=True)
+    assert node.wait() == 0, node.printed()
+    assert 'no fit: the plan leaves out joint1' in node.printed()
+    assert not lab.bag.with_name('bag_identified').exists()
 
 
 def test_stop_gives_zero_torque_at_once_and_resume_finishes(lab):

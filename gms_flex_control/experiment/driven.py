@@ -162,7 +162,8 @@ def drive_identification(experiment, bag, *, log, say=print):
                                        *ros_arguments(experiment.files, mode)])
         processes.start('identification', [
             *executable('identification_node'), *ros_arguments(
-                [*believed, experiment.plan], {**mode, 'identification.bag': bag})])
+                [*believed, experiment.plan],
+                {**mode, 'identification.bag': bag, 'identification.fit': False})])
         processes.start('plant', [*executable('plant_node'), *ros_arguments(
             experiment.files, {**mode, 'rate': experiment.rate,
                                'wait_for_subscribers': _LISTENERS})])

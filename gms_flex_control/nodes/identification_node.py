@@ -4,12 +4,14 @@
 """The identification experiment as a ROS 2 node: it drives trajectory and controller."""
 
 from pathlib import Path
+import subprocess
 import sys
 import time
 
 from gms_flex_control.errors import GmsFlexError
 from gms_flex_control.experiment.identification_plan import plan_identification
 from gms_flex_control.experiment.journal import ExperimentError, Journal, require_space
+from gms_flex_control.experiment.processes import executable
 from gms_flex_control.nodes import messages, process
 from gms_flex_control.nodes.experiment_bag import (
     COMMANDS,
@@ -23,6 +25,7 @@ from gms_flex_control.nodes.remote import RemoteNode
 from gms_flex_control.nodes.step_runner import StepRunner
 from gms_flex_control.recording import Phase
 from gms_flex_control.schema.build import controller_from_values, robot_from_values
+from gms_flex_control.schema.files import save_robot
 from gms_flex_control.schema.keys import (
     controller_keys,
     identification_keys,
@@ -60,7 +63,7 @@ class IdentificationNode(Node):
             *identification_node_keys()))
         self._values = values = parameters.values
         joints = parameters.joints
-        robot = robot_from_values(values)
+        self._robot = robot = robot_from_values(values)
         self.plan = plan_identification(values, robot, controller_from_values(values, joints))
         self._journal = Journal(self['bag'], self.plan, resume=self['resume'])
         self.trajectory = RemoteNode(self, self['trajectory_node'],
@@ -182,6 +185,10 @@ class IdentificationNode(Node):
         try:
             self._prepare()
             self._record(self._journal.next_bag())
+            if self['fit']:
+                self._fit()
+            while not self['exit_when_done'] and self._spinner.goes_on():
+                self._spinner.spin_once()
         except StoppedError:
             self.say('ended by a signal; start again with identification.resume to go on')
 
@@ -208,8 +215,32 @@ class IdentificationNode(Node):
             finally:
                 self._bag = None
         self.say(f'recorded {path}')
-        while not self['exit_when_done'] and self._spinner.goes_on():
-            self._spinner.spin_once()
+
+    def _fit(self):
+        """Fit the bags in a process of its own, which leaves this one free to answer."""
+        left_out = set(self._robot.joints) - {step.joint for step in self.plan.experiments}
+        if left_out:
+            self.say(f'no fit: the plan leaves out {", ".join(sorted(left_out))}, whose friction '
+                     "moves the others; 'gms_flex identify' takes several bags")
+            return
+        bag = Path(self['bag'])
+        out = bag.with_name(f'{bag.name}_identified')
+        save_robot(self._robot, out / 'believed_robot.yaml')
+        bags = [str(bag.with_name(name)) for name in self._journal.bags]
+        fit = subprocess.Popen(
+            [*executable('gms_flex'), 'identify', *bags, '--robot',
+             str(out / 'believed_robot.yaml'), '--out', str(out)],
+            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+        self.say(f'fitting {", ".join(bags)}')
+        while fit.poll() is None:
+            self._spinner.spin_once(0.1)
+            if not self._spinner.goes_on():
+                fit.terminate()
+                raise StoppedError
+        printed = fit.stdout.read().strip()
+        if fit.returncode:
+            raise ExperimentError(f'the bag is whole, but its fit failed: {printed}')
+        self.say(printed)
 
     def _carry_out(self):
         """Run steps, again after each ~/stop, until all are finished."""

@@ -307,6 +307,8 @@ def identification_node_keys():
             'bag beside the first', default=False),
         Key(prefix + 'autostart', 'boolean', 'begin as soon as all nodes are there',
             default=True),
+        Key(prefix + 'fit', 'boolean', 'fit the friction when the last step is finished, into a '
+            'folder beside the bag', default=True),
         Key(prefix + 'exit_when_done', 'boolean', 'end when the last step is finished',
             default=True),
         Key(prefix + 'trajectory_node', 'string', 'name of the trajectory node',
