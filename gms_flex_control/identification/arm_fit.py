@@ -33,7 +33,7 @@ import numpy as np
 
 CONSTANT = 'constant_link_torque'  # the effect
 _CONFIDENT = 1.959964
-_LIGHT = 0.01       # of the torque: inertia that cannot be told is set to what takes this share
+_LIGHT = 0.05       # of the torque: inertia that cannot be told is set to what takes this share
 _ERRORS, _PART = 5.0, 0.1  # of the regression, and of the number: unit of a correction
 _UNKNOWN = Interval(np.nan, np.nan)
 _WIDE = 0.5         # half an interval this large a part of the value tells nothing

@@ -80,8 +80,7 @@ def _descend(objective, coordinates, free, now, prior, sharpness, iterations, en
         curvature, slope = summed(now, free, prior)
         cost = total_cost(now, free, prior)
         for _ in range(_TRIALS):
-            step = np.linalg.solve(curvature + damping * np.diag(np.diag(curvature) + 1e-12),
-                                   slope)
+            step = damped_step(curvature, slope, damping)
             step = np.clip(step, -_LARGEST_STEP, _LARGEST_STEP)
             trial = objective.evaluate(coordinates, free + step, sharpness, now.floor)
             gain = cost - total_cost(trial, free + step, prior)
@@ -94,6 +93,15 @@ def _descend(objective, coordinates, free, now, prior, sharpness, iterations, en
         if gain < enough * cost:
             return free, now, count, True
     return free, now, iterations, False
+
+
+def damped_step(curvature, slope, damping):
+    """Return the step of Levenberg and Marquardt; a number without any effect stays."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(curvature), 1e-300))
+    if not (np.isfinite(curvature).all() and np.isfinite(slope).all()):
+        return np.zeros(len(slope))  # derivatives that run away tell no direction
+    scaled = curvature * np.outer(scale, scale) + damping * np.eye(len(slope))
+    return scale * np.linalg.lstsq(scaled, scale * slope, rcond=1e-14)[0]
 
 
 def total_cost(evaluation, free, prior):

@@ -25,7 +25,8 @@ _SLOWEST = 0.05    # of the usual speed: below this a row does not count as movi
 _FADING = (0.15, 0.5)  # speeds at which the fading parts of friction fade, of the usual speed
 _HUBER = 1.5       # residuals beyond this many standard deviations count less
 _ROUNDS = 8
-_NARROW = 1.0      # range of angles below which gravity is not told from a constant [rad]
+_NARROW = 1.0      # range of angles in which gravity is hardly told from a constant [rad]
+_CLEAR = 0.5       # of the held-out error: gravity must help this much there
 _WORTH = 0.97      # of the held-out error: gravity that helps less is not there
 _LOPSIDED = 0.35   # of the friction the other way: below this there is a constant torque
 _LEAST = 0.02      # of the torque: friction to begin with, at least
@@ -159,8 +160,8 @@ def fit_axis(rows, joint, source):
     gravity = np.stack([np.cos(rows.angle), np.sin(rows.angle)], axis=1)
     others = np.concatenate([rows.acceleration[:, None], friction_regressors(rows.rate)], axis=1)
     both = np.concatenate([rows.acceleration[:, None], gravity, others[:, 1:]], axis=1)
-    has_gravity = np.ptp(rows.angle) > _NARROW and (
-        _held_out(both, rows) < _WORTH * _held_out(others, rows))
+    enough = _WORTH if np.ptp(rows.angle) > _NARROW else _CLEAR
+    has_gravity = _held_out(both, rows) < enough * _held_out(others, rows)
     columns = both if has_gravity else others
     values, error = _solution(columns, rows)
     told = values[0] > _CONFIDENT * error[0]
