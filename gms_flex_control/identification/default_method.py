@@ -13,6 +13,7 @@ last moments only and the cost has hardly any local minimum; soft, it tells the 
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from dataclasses import replace
 from typing import NamedTuple
 
 from gms_flex_control.identification.coordinates import Coordinates, MOST_BLOCKS, N_STEADY
@@ -27,7 +28,7 @@ _SPREAD_SHARPNESS = (3.0, 1.0)
 _SHARPNESS = (2.0, 1.0)
 _HELD_OUT = 4         # one in so many blocks of time is held out
 _STEADY_DOUBT, _BLOCK_DOUBT = 1.0, 3.0  # spread of the prior, of logarithms
-_HOPS = 10            # fits from beside the best
+_HOPS = 14            # fits from beside the best
 _KICKS = (0.002, 0.05, 0.02, 0.01)  # how far beside: F_c, F_s - F_c, v_s, sigma_2 (logarithms)
 _KICK, _FINE_KICK = 0.05, 0.12  # of attraction and yields; more of those within few counts
 _EXTRA_DOUBT = 1.0    # of corrections, in their units
@@ -246,17 +247,24 @@ def hop(objective, coordinates, free, prior, count, rng):
         Standard deviation of the good ones about the best: what the roughness leaves open.
 
     """
-    best = refine(objective, coordinates, free, prior, roughly=True)
-    ends = [(total_cost(best.evaluation, best.free, prior), best.free)]
+    ends = [refine(objective, coordinates, free, prior, roughly=True)]
+    floor = ends[0].evaluation.floor
     for _ in range(_HOPS):
-        start = min(ends, key=lambda end: end[0])[1]
-        end = refine(objective, coordinates, start + kick(coordinates, start, count, rng), prior,
-                     roughly=True, floor=best.evaluation.floor)
-        ends.append((total_cost(end.evaluation, end.free, prior), end.free))
-    lowest, chosen = min(ends, key=lambda end: end[0])
-    good = [in_order(coordinates, other) for cost, other in ends if cost <= lowest * _GOOD]
-    chosen = in_order(coordinates, chosen)
-    return chosen, np.sqrt(np.mean(np.square(np.array(good) - chosen), axis=0))
+        best = min(ends, key=lambda end: cost_behind(end, floor, prior))
+        start = best.free + kick(coordinates, best.free, count, rng)
+        ends.append(refine(objective, coordinates, start, prior, roughly=True, floor=floor))
+        # what the best explain decides what counts as explained: bad hollows look alike above it
+        floor = min(floor, objective.floor_of(ends[-1].evaluation.square))
+    ends.sort(key=lambda end: cost_behind(end, floor, prior))
+    limit = _GOOD * cost_behind(ends[0], floor, prior)
+    good = [in_order(coordinates, end.free) for end in ends
+            if cost_behind(end, floor, prior) <= limit]
+    return good[0], np.sqrt(np.mean(np.square(np.array(good) - good[0]), axis=0))
+
+
+def cost_behind(end, floor, prior):
+    """Return the cost of a Refined if blocks below ``floor`` [rad] counted as explained."""
+    return total_cost(replace(end.evaluation, floor=floor), end.free, prior)
 
 
 def in_order(coordinates, free):
