@@ -8,11 +8,11 @@ First blocks with fixed yield displacements, spread over decades, and free weigh
 problem that finds the shape of the presliding curve from far away. Then blocks of equal weight
 at the quantiles of that shape, for several N; the data held out choose among them. The observer
 of the predictor is stiff at first and soft in the end: stiff, each innovation depends on the
-last moments only and the cost has hardly any local minimum; soft, it tells the most.
+last moments only and the cost has hardly any local minimum; soft, it tells the most. In the
+end fits from beside the best look for a better one: what they differ by is told as uncertainty.
 """
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -23,12 +23,12 @@ from gms_flex_control.simulation.predictor import BLOCKS
 import numpy as np
 
 COARSE = 2e-3         # sample that is fine enough to find the way [s]
-CANDIDATES = (1, 2, 3, 4, 6, 8)  # numbers of blocks that are tried
+CANDIDATES = (1, 2, 4, 6, 8)  # numbers of blocks that are tried
 _SPREAD_SHARPNESS = (3.0, 1.0)
 _SHARPNESS = (2.0, 1.0)
 _HELD_OUT = 4         # one in so many blocks of time is held out
 _STEADY_DOUBT, _BLOCK_DOUBT = 1.0, 3.0  # spread of the prior, of logarithms
-_HOPS = 14            # fits from beside the best
+_HOPS = 12            # fits from beside the best
 _KICKS = (0.002, 0.05, 0.02, 0.01)  # how far beside: F_c, F_s - F_c, v_s, sigma_2 (logarithms)
 _KICK, _FINE_KICK = 0.05, 0.12  # of attraction and yields; more of those within few counts
 _EXTRA_DOUBT = 1.0    # of corrections, in their units
@@ -139,7 +139,7 @@ def equal_blocks(theta, n_blocks, n_extra):
 
 
 def fit_candidate(bundle, joint, thetas, theta, n_blocks, n_extra):
-    """Return the Candidate of one number of blocks, fitted without the data held out."""
+    """Return Coordinates and free numbers of N blocks, fitted without the data held out."""
     objective = Objective(bundle, joint, thetas, train(bundle.period))
     coordinates, free = equal_blocks(theta, n_blocks, n_extra)
     prior = prior_of(coordinates, free)
