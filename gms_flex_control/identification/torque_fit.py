@@ -26,6 +26,7 @@ from scipy.optimize import least_squares
 
 INNOVATIONS, TORQUE, SIMPLE = 'innovations', 'torque', 'coulomb and viscous'
 _MOST = 40_000        # samples that are looked at
+_YIELDS = (1.0, 5.0, 25.0)  # of the simple one's block, of the usual
 _SHORT = 60.0         # data in which what is held out is too little to choose by [s]
 _WORTH = 0.97         # of the error on data held out: a fit that is no better is not taken
 _MEMORY = 0.1         # of what a fit leaves of the torque, at least [s]
@@ -65,15 +66,18 @@ class TorqueError:
     bundle : Bundle
         All data.
     chosen : callable
-        Stretch -> bool (T,) of samples that count.
+        Stretch -> bool (T,) of samples that count, where the joint moves.
+    step : float
+        Encoder step or noise [rad].
 
     """
 
-    def __init__(self, objective, bundle, chosen):
+    def __init__(self, objective, bundle, chosen, step):
         self._period, self._pieces, joint = bundle.period, [], objective.joint
         length, used = max(round(BLOCK_TIME / bundle.period), 1), 0
         for stretch in bundle.stretches:
-            counts = chosen(stretch) & stretch.tested[:, joint]
+            counts = chosen(stretch) & stretch.tested[:, joint] & errors.moving(
+                stretch, joint, step, bundle.half[joint])
             block = used + np.arange(len(counts)) // length
             used = block[-1] + 1
             if counts.any():
@@ -190,13 +194,13 @@ def choose_fit(bundle, joint, fits, step, rng):
     thin = coarser(bundle, bundle.period * max(samples // _MOST, 1))
     thetas = [fit.coordinates.unpack(fit.free)[0] for fit in fits]
     objective = Objective(thin, joint, thetas)
-    training = TorqueError(objective, thin, train(thin.period))
+    training = TorqueError(objective, thin, train(thin.period), step)
     fit = fits[joint]
     known = fit.coordinates, fit.held_out.free
     tried = {INNOVATIONS: known, TORQUE: (known[0], fit_torque(
         training, *known, prior_of(*known)))}
     tried[SIMPLE] = _simple(objective, thin, step, train(thin.period))
-    best = best_of({kind: _errors(objective, thin, *pair) for kind, pair in tried.items()})
+    best = best_of({kind: _errors(objective, thin, *pair, step) for kind, pair in tried.items()})
     if best == INNOVATIONS:
         return Choice(best, fit, None)
     return _finished(best, objective, thin, fit, *tried[best], step, rng)
@@ -215,24 +219,30 @@ def best_of(found):
     -------
     str
         The kind whose worse error, relative to that of the simple one, is the least: none is
-        taken that is worse than the simple one in either.
+        taken that is worse than the simple one in either, nor the torque's against the
+        innovations'.
 
     """
     scores = {kind: float(np.nanmax(pair / found[SIMPLE])) for kind, pair in found.items()}
     if scores[INNOVATIONS] < _WORTH:
-        return INNOVATIONS if scores[TORQUE] > _WORTH * scores[INNOVATIONS] else TORQUE
+        better = scores[TORQUE] <= _WORTH * scores[INNOVATIONS] and np.all(
+            found[TORQUE] <= found[INNOVATIONS])
+        return TORQUE if better else INNOVATIONS
     return TORQUE if scores[TORQUE] < _WORTH else SIMPLE
 
 
 def _simple(objective, bundle, step, chosen):
-    return errors.simple_free(errors.coulomb_viscous(
-        objective, bundle.stretches, bundle.arm, objective.joint, step, chosen), step,
-        objective.extra(bundle.stretches[0]).shape[1])
+    """Return Coulomb and viscous friction, its one block as stiff as suits the torque best."""
+    plain = errors.coulomb_viscous(objective, bundle.stretches, bundle.arm, objective.joint,
+                                   step, chosen)
+    error = TorqueError(objective, bundle, chosen, step)
+    tried = [errors.simple_free(plain, factor * step, len(plain) - 4) for factor in _YIELDS]
+    return min(tried, key=lambda pair: errors.rms(error(pair[0].unpack(pair[1])[0])))
 
 
 def _finished(kind, objective, bundle, fit, coordinates, held, step, rng):
     """Return the Choice of a kind, fitted to all data."""
-    error = TorqueError(objective, bundle, _everything)
+    error = TorqueError(objective, bundle, _everything, step)
     prior = prior_of(coordinates, held)
     if kind == SIMPLE:
         free = _simple(objective, bundle, step, _everything)[1]
@@ -249,10 +259,10 @@ def _everything(stretch):
     return np.ones(len(stretch.angle), dtype=bool)
 
 
-def _errors(objective, bundle, coordinates, free):
+def _errors(objective, bundle, coordinates, free, step):
     """Return the errors of torque and of free simulation (2,)."""
     theta = coordinates.unpack(free)[0]
     seconds = bundle.period * sum(len(stretch.angle) for stretch in bundle.stretches)
     out = held_out(bundle.period) if seconds > _SHORT else _everything
-    return np.array([errors.rms(TorqueError(objective, bundle, out)(theta)),
+    return np.array([errors.rms(TorqueError(objective, bundle, out, step)(theta)),
                      errors.free_run_error(objective, bundle, theta, out)])
