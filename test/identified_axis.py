@@ -1,0 +1,75 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""A simulated axis of known friction and its experiment, for tests of the identification."""
+
+from dataclasses import replace
+from functools import cache
+
+from gms_flex_control.experiment.identification_plan import plan_identification
+from gms_flex_control.experiment.identification_simulated import simulate_identification
+from gms_flex_control.params.arm import ArmParams
+from gms_flex_control.params.encoder import EncoderParams
+from gms_flex_control.params.friction import FrictionParams, StribeckParams
+from gms_flex_control.params.gains import ControllerParams
+from gms_flex_control.params.robot import RobotParams
+import numpy as np
+
+JOINT = 'joint1'
+YIELDS = np.array([0.15, 4.4e-3, 1.3e-3, 4.4e-4])  # rad; the first slips in sliding only
+STATIC = 0.5 * (0.10697 + 0.09470)  # N m, mean of both directions
+PLAN = {
+    'speeds': 6, 'repeats': 1, 'dwell_time': 1.0, 'counts': 12.0, 'rest_time': 0.1,
+    'torque_rate': 0.5, 'break_away_repeats': 1, 'presliding_levels': (0.45, 0.75),
+    'presliding_places': 1, 'sliding_speeds': (1.0, 3.0), 'sliding_duration': 5.0,
+    f'{JOINT}.lower': -1.6, f'{JOINT}.upper': 1.6, f'{JOINT}.velocity': 2.5,
+    f'{JOINT}.acceleration': 6.0}
+GAINS = ControllerParams(
+    compensation='gms', kd_link=[0.8], lambda_link=[3.0], kd_motor=[0.22], lambda_motor=[40.0],
+    observer_gain=[1.0], sign_slope=[50.0], filter_bandwidth=[100.0], torque_limit=[2.0])
+
+
+def axis(*, rigid=False, yields=tuple(YIELDS)):
+    """Return an axis like link 2 of the paper, its stiffnesses easier to tell."""
+    steady = (StribeckParams(static=[0.10697], coulomb=[0.09087], velocity=[0.07819],
+                             viscous=[0.00374]),
+              StribeckParams(static=[0.09470], coulomb=[0.08363], velocity=[0.05795],
+                             viscous=[0.00530]))
+    arm = ArmParams(kind='decoupled', mass=[0.0], length=[0.0], com=[0.0], inertia=[0.03],
+                    motor_inertia=[0.005], stiffness=[np.inf if rigid else 1.5], damping=[0.0])
+    friction = FrictionParams(forward=steady[0], backward=steady[1], attraction=[1.0],
+                              weight=np.full((1, 4), 0.25),
+                              stiffness=0.25 * STATIC / np.array([yields]))
+    return RobotParams(joints=(JOINT,), motors=('' if rigid else f'{JOINT}_motor',), arm=arm,
+                       friction=friction, encoder=EncoderParams(counts=20000.0,
+                                                                velocity_cutoff=50.0))
+
+
+@cache
+def experiment(seed=1, *, rigid=False, yields=tuple(YIELDS)):
+    """Return (Recording, phases) of the experiment at 500 Hz, a minute and a half long."""
+    robot = axis(rigid=rigid, yields=yields)
+    plan = plan_identification({f'identification.{name}': value for name, value in PLAN.items()},
+                               robot, GAINS)
+    return simulate_identification(plan, robot, GAINS, seed, rate=500)
+
+
+def without_phases(take):
+    """Return a take whose phases were not recorded."""
+    return take[0], ()
+
+
+def part(take, begin, end):
+    """Return the part of a take between two times [s], the clock from zero again."""
+    recording, phases = take
+    rows = slice(*np.searchsorted(recording.time, [begin - 1e-9, end - 1e-9]))
+    channels = ('q_link', 'dq_link', 'q_motor', 'dq_motor', 'tau_motor', 'command', 'reference',
+                'friction_hat')
+    cut = replace(recording, time=recording.time[rows] - recording.time[rows][0],
+                  **{name: getattr(recording, name)[rows] for name in channels})
+    shift = round(1e9 * recording.time[rows][0])
+    kept = [phase for phase in phases if phase.time_ns < 1e9 * end - 1]
+    early = [phase for phase in kept if phase.time_ns <= shift][-1:]
+    late = [phase for phase in kept if phase.time_ns > shift]
+    return cut, tuple(phase._replace(time_ns=max(phase.time_ns - shift, 0))
+                      for phase in (*early, *late))
