@@ -28,7 +28,8 @@ _SPREAD_SHARPNESS = (3.0, 1.0)
 _SHARPNESS = (2.0, 1.0)
 _HELD_OUT = 4         # one in so many blocks of time is held out
 _STEADY_DOUBT, _BLOCK_DOUBT = 1.0, 3.0  # spread of the prior, of logarithms
-_HOPS = 12            # fits from beside the best
+_MOST_HOPS, _IDLE_HOPS = 24, 6  # fits from beside the best: in all, and without a gain
+_GAIN = 1.02          # of the cost, that makes it worth to go on
 _KICKS = (0.002, 0.05, 0.02, 0.01)  # how far beside: F_c, F_s - F_c, v_s, sigma_2 (logarithms)
 _KICK, _FINE_KICK = 0.05, 0.12  # of attraction and yields; more of those within few counts
 _EXTRA_DOUBT = 1.0    # of corrections, in their units
@@ -248,13 +249,15 @@ def hop(objective, coordinates, free, prior, count, rng):
 
     """
     ends = [refine(objective, coordinates, free, prior, roughly=True)]
-    floor = ends[0].evaluation.floor
-    for _ in range(_HOPS):
+    floor, idle = ends[0].evaluation.floor, 0
+    while len(ends) <= _MOST_HOPS and idle < _IDLE_HOPS:
         best = min(ends, key=lambda end: cost_behind(end, floor, prior))
         start = best.free + kick(coordinates, best.free, count, rng)
         ends.append(refine(objective, coordinates, start, prior, roughly=True, floor=floor))
         # what the best explain decides what counts as explained: bad hollows look alike above it
         floor = min(floor, objective.floor_of(ends[-1].evaluation.square))
+        gain = cost_behind(best, floor, prior) / cost_behind(ends[-1], floor, prior)
+        idle = 0 if gain > _GAIN else idle + 1
     ends.sort(key=lambda end: cost_behind(end, floor, prior))
     limit = _GOOD * cost_behind(ends[0], floor, prior)
     good = [in_order(coordinates, end.free) for end in ends
@@ -334,7 +337,7 @@ def finish(bundle, joint, thetas, fit):
     held = refine(training, coordinates, fit.free, prior, sharpness=2.0, roughly=True).free
     held, scatter = hop(Objective(rough, joint, thetas, train(rough.period)), coordinates, held,
                         prior, 2.0 * bundle.half[joint],
-                        np.random.default_rng([_HOPS, joint]))
+                        np.random.default_rng(joint))
     held = refine(training, coordinates, held, prior).free
     refined = refine(Objective(bundle, joint, thetas), coordinates, held, prior)
     half = coarser(bundle, 2.0 * bundle.period)
