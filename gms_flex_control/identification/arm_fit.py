@@ -142,7 +142,8 @@ def _chain(recordings, robot, drives, motors):
     units = np.maximum(_ERRORS * error, _PART * np.abs(base_values(arm, gravity)))
     numbers = tuple(acting(n, j, gravity) for j in range(n))
     return ArmFit(replace(robot, arm=arm), motors, numbers,
-                  tuple(units[chosen] for chosen in numbers), (gravity,) * n, np.zeros(n), (None,) * n)
+                  tuple(units[chosen] for chosen in numbers), (gravity,) * n, np.zeros(n),
+                  (None,) * n)
 
 
 def acting(n, joint, gravity):
@@ -326,6 +327,8 @@ def arm_estimates(robot, arm_fit, thetas, spreads):
 
 def _axis_rows(robot, arm_fit, joint, theta, spread, name):
     scale, numbers = arm_fit.units[joint], arm_fit.numbers[joint]
+    if not len(numbers):
+        return []
     at = len(spread.covariance) - len(scale)
     values = axis_numbers(robot.arm, arm_fit, joint, theta)[numbers]
     covariance = spread.covariance[at:, at:] * np.outer(scale, scale)
@@ -334,7 +337,7 @@ def _axis_rows(robot, arm_fit, joint, theta, spread, name):
     drawn = drawn - drawn.mean(axis=0) + values
     rows = [_row(f'{name}.inertia', 'kg m^2', values[0], error[0], drawn[:, 0],
                  'about the joint, centre of mass and motor included', _TELLS_INERTIA)]
-    if numbers[-1] == 3:
+    if 3 in numbers:
         rows.append(_row(f'effects.{robot.joints[joint]}.{CONSTANT}.bias', 'N m', -values[-1],
                          error[-1], -drawn[:, -1], 'friction would have to be several times '
                          'larger one way than the other without it', _TELLS_CONSTANT))

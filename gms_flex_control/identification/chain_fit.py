@@ -29,8 +29,8 @@ _WIDE = 0.5
 
 def base_names(n, has_gravity):
     """Return names and units of the base parameters of a chain of n joints."""
-    names = [(f'arm.coupling[{i + 1},{k + 1}]', 'kg m^2') for i in range(n) for k in range(i, n)]
-    return names + [(f'arm.moment[{i + 1}]', 'kg m') for i in range(n) if has_gravity]
+    names = [(f'arm.coupling_{i + 1}{k + 1}', 'kg m^2') for i in range(n) for k in range(i, n)]
+    return names + [(f'arm.moment_{i + 1}', 'kg m') for i in range(n) if has_gravity]
 
 
 def base_values(arm, has_gravity):

@@ -97,7 +97,8 @@ def identify(takes, robot, *, holdouts=(), options=None, say=None):
         for recording, _ in (*takes, *holdouts):
             for finding in require(recording, robot, force=options.force,
                                    rough=options.estimate == 'all'):
-                warnings.warn(finding.text, stacklevel=2)
+                if finding.kind != 'torque_scale' or options.estimate != 'all':
+                    warnings.warn(finding.text, stacklevel=2)
         data = Data(takes, holdouts, robot, options.estimate == 'all')
         fits = data.fit(options, say)
         say('intervals and errors on data held out')
@@ -220,7 +221,8 @@ class Data:
                                        one.n_blocks == fit.coordinates.n_blocks)
                              for one in fit.candidates),
             held_out=self._errors(joint, fit, thetas),
-            warnings=(NOT_HELD_OUT,) if self.paper_spreads and not self._apart else ())
+            warnings=(NOT_HELD_OUT,) if self.paper_spreads and not self._apart else
+            self.choices[joint].sentences if self.choices else ())
 
     def _errors(self, joint, fit, thetas):
         bundle, chosen = self.bundle, default_method.held_out(self.bundle.period)

@@ -1,0 +1,139 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Inertia, gravity, stiffness and motor inertia nobody has told; and recordings of machines."""
+
+from dataclasses import replace
+from pathlib import Path
+
+from gms_flex_control.analysis.csv_import import import_csv
+from gms_flex_control.dynamics.chain import inverse_dynamics
+from gms_flex_control.identification.arm_fit import axis_of, estimate_arm, with_axis
+from gms_flex_control.identification.chain_fit import base_regressors, base_values, nearest_arm
+from gms_flex_control.identification.identify import identify, Options
+from gms_flex_control.identification.motor_side import fit_motor
+from gms_flex_control.identification.rigid_body import fit_axis, held_torque, rows_of
+from gms_flex_control.identification.unknown_robot import rigid_axes
+from gms_flex_control.recording import Recording
+from identified_axis import axis, experiment
+import numpy as np
+import pytest
+
+DATA = Path(__file__).parents[2] / 'shared' / 'data'
+ALL = Options(estimate='all', blocks=(1, 3))
+real = pytest.mark.skipif(not DATA.is_dir(), reason='the recordings are not beside the project')
+
+
+def pendulum(inertia=0.02, pull=0.5, offset=-1.2, constant=0.0, seconds=40.0, rate=200.0, seed=0):
+    """Return a Recording of a pendulum with Coulomb and viscous friction, in closed form."""
+    time = np.arange(int(seconds * rate)) / rate
+    parts = [(0.9, 0.31, 0.0), (0.5, 0.83, 1.0), (0.25, 1.7, 2.0)]
+    q = sum(a * np.sin(2 * np.pi * f * time + p) for a, f, p in parts)
+    dq = sum(a * 2 * np.pi * f * np.cos(2 * np.pi * f * time + p) for a, f, p in parts)
+    ddq = -sum(a * (2 * np.pi * f) ** 2 * np.sin(2 * np.pi * f * time + p) for a, f, p in parts)
+    torque = (inertia * ddq + pull * np.cos(q + offset) + 0.06 * np.tanh(dq / 0.01) + 0.01 * dq
+              + constant)
+    torque = torque + 2e-3 * np.random.default_rng(seed).standard_normal(len(time))
+    held = np.append(torque[0], 0.5 * (torque[1:] + torque[:-1]))
+    none, column = np.full((len(time), 1), np.nan), q[:, None]
+    return Recording(joints=('swing',), time=time, q_link=column, dq_link=none, q_motor=none,
+                     dq_motor=none, tau_motor=held[:, None], command=none,
+                     reference=np.full((len(time), 5, 1), np.nan), friction_hat=none,
+                     source='pendulum')
+
+
+def test_inertia_and_gravity_of_a_pendulum_are_those_it_was_made_with():
+    fit = fit_axis(rows_of([pendulum()], held_torque(0), 0), 'swing', 'here')
+    assert fit.has_gravity
+    assert fit.inertia == pytest.approx(0.02, rel=0.02)
+    assert fit.gravity_torque == pytest.approx(0.5, rel=0.02)
+    assert fit.offset == pytest.approx(-1.2, abs=0.02)
+    assert fit.constant == 0.0
+
+
+def test_gravity_is_not_made_up_where_there_is_none():
+    fit = fit_axis(rows_of([pendulum(pull=0.0)], held_torque(0), 0), 'swing', 'here')
+    assert not fit.has_gravity
+    assert fit.inertia == pytest.approx(0.02, rel=0.02)
+
+
+def test_a_torque_too_large_for_asymmetry_of_friction_is_a_constant():
+    fit = fit_axis(rows_of([pendulum(pull=0.0, constant=0.2)], held_torque(0), 0), 'swing', '-')
+    assert fit.constant == pytest.approx(0.2, rel=0.03)
+
+
+def test_an_axis_put_into_the_arm_has_the_torque_it_was_put_in_with():
+    arm = with_axis(rigid_axes(pendulum()).arm, 0, 0.02, 0.3, -0.4)
+    assert axis_of(arm, 0) == pytest.approx((0.02, 0.3, -0.4))
+    for q in (-1.0, 0.3, 2.0):
+        assert inverse_dynamics([q], [0.0], [2.0], arm) == pytest.approx(
+            0.04 + 0.3 * np.cos(q) - 0.4 * np.sin(q))
+
+
+def test_base_regressors_make_the_inverse_dynamics(robot):
+    arm = replace(robot.arm, gravity=9.81, offset=[0.3, -0.2])
+    q, dq, ddq = np.random.default_rng(0).normal(size=(3, 50, 2))
+    torque = base_regressors(q, dq, ddq, arm, True) @ base_values(arm, True)
+    np.testing.assert_allclose(torque, inverse_dynamics(q, dq, ddq, arm), rtol=1e-10, atol=1e-12)
+
+
+def test_the_nearest_arm_is_possible_even_for_impossible_base_parameters(robot):
+    wanted = base_values(robot.arm, False) * np.array([1.0, 3.0, 0.1])
+    arm = nearest_arm(robot.arm, wanted, np.diag(1e4 / wanted ** 2), False)
+    assert (arm.mass > 0.0).all()
+    assert (arm.inertia > 0.0).all()
+
+
+def test_motor_inertia_and_stiffness_come_from_the_motors_equation():
+    fit = fit_motor([experiment()[0]], 0)
+    assert fit.believed[:2].all()
+    assert fit.motor_inertia == pytest.approx(0.005, rel=0.01)
+    assert fit.stiffness == pytest.approx(1.5, rel=0.01)
+
+
+def test_a_wrong_robot_file_is_put_right_before_friction_is_fitted():
+    wrong = axis()
+    wrong = replace(wrong, arm=replace(
+        wrong.arm, stiffness=[2.0], motor_inertia=[0.003], inertia=[0.06]))
+    arm = estimate_arm([experiment()[0]], wrong).robot.arm
+    assert arm.stiffness[0] == pytest.approx(1.5, rel=0.01)
+    assert arm.motor_inertia[0] == pytest.approx(0.005, rel=0.01)
+    assert arm.inertia[0] == pytest.approx(0.03, rel=0.15)
+
+
+def imported(folder, pattern, mapping):
+    """Return real recordings as (Recording, ())."""
+    mapping = Path(__file__).parents[1] / 'config' / mapping
+    return [(import_csv(path, mapping).recording, ())
+            for path in sorted((DATA / folder).glob(pattern))]
+
+
+def assert_no_worse(found):
+    """Raise if a joint predicts held-out torque or free motion worse than Coulomb + viscous."""
+    for result in found.joints:
+        errors = result.held_out
+        assert errors.relative < 1.03 * errors.coulomb_viscous, result.joint
+        assert errors.free_run_rms < 1.03 * errors.free_run_coulomb_viscous, result.joint
+
+
+@real
+@pytest.mark.parametrize(('fitted', 'apart'), [('A', 'B'), ('B', 'A')])
+def test_an_industrial_robot_is_predicted_no_worse_than_by_coulomb_and_viscous(
+        fitted, apart):
+    take, other = (imported('kr300', f'rec_{name}.csv', 'import_kr300.yaml')
+                   for name in (fitted, apart))
+    found = identify(take, rigid_axes(take[0][0]), holdouts=other, options=ALL)
+    assert_no_worse(found)
+    assert any(estimate.name == 'arm.axis1.stiffness' and 'not identifiable' in estimate.flags
+               for estimate in found.joints[0].estimates)
+
+
+@real
+def test_a_servo_with_a_pendulum_is_predicted_no_worse_than_by_coulomb_and_viscous():
+    takes, others = (imported('bam_xl330', f'*kp{gain}.csv', 'import_bam_xl330.yaml')
+                     for gain in (100, 400))
+    found = identify(takes, rigid_axes(takes[0][0]), holdouts=others, options=ALL)
+    assert_no_worse(found)
+    gravity = next(estimate for estimate in found.joints[0].estimates
+                   if estimate.name == 'arm.joint1.gravity_torque')
+    assert 0.3 < gravity.value < 0.7  # 0.49 kg at 0.1 m and the arm that carries it
