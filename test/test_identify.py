@@ -52,7 +52,7 @@ def assert_recovered(found):
 
 
 def curve(friction, displacement):
-    """Return the presliding curve (D,) by hand."""
+    """Return the torque (D,) of blocks pushed from rest, by hand."""
     level = 0.5 * (friction.forward.static[0] + friction.backward.static[0])
     return np.minimum(np.outer(displacement, friction.stiffness[0]),
                       level * friction.weight[0]).sum(axis=1)

@@ -1,0 +1,173 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""`gms_flex identify` on bad bags: one clear sentence and code 2, or a true number."""
+
+from dataclasses import replace
+import warnings
+
+from gms_flex_control.bags.experiment import write_recording
+from gms_flex_control.cli.main import main
+from gms_flex_control.schema.files import load_robot, save_robot
+from identified_axis import axis, experiment, JOINT, part
+import numpy as np
+import pytest
+import test_identification_checks as faults
+
+STEADY = ('static', 'coulomb', 'velocity', 'viscous')
+
+
+def saved(folder, robot):
+    """Write the robot's file and return its path."""
+    save_robot(robot, folder / 'robot.yaml')
+    return folder / 'robot.yaml'
+
+
+def bag_of(folder, recording, robot, phases=()):
+    """Write a recording as a bag and return its path."""
+    write_recording(folder / 'bag', recording, robot.motors, phases=phases)
+    return folder / 'bag'
+
+
+def identified(folder, *arguments):
+    """Run the verb on arguments, results into ``folder``/out; return the exit code."""
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore')
+        return main(['identify', *map(str, arguments), '--out', str(folder / 'out')])
+
+
+def assert_refused(folder, capsys, words, *arguments):
+    """Raise unless the verb ends with code 2, one sentence that has ``words``, and no file."""
+    assert identified(folder, *arguments) == 2
+    error = capsys.readouterr().err
+    assert error.startswith('gms_flex identify: ') and error.count('\n') == 1, error
+    assert words in error, error
+    assert not (folder / 'out').exists()
+
+
+@pytest.fixture(scope='module')
+def healthy(tmp_path_factory):
+    """Return the path of a sound bag and of its robot's file, two joints and 20 s."""
+    folder = tmp_path_factory.mktemp('healthy')
+    recording, robot = faults.healthy('unlike')
+    return bag_of(folder, recording, robot), saved(folder, robot)
+
+
+def test_a_bag_that_is_not_there(tmp_path, capsys, healthy):
+    assert_refused(tmp_path, capsys, str(tmp_path / 'none'), tmp_path / 'none', '--robot',
+                   healthy[1])
+
+
+def test_a_robot_file_that_is_not_there(tmp_path, capsys, healthy):
+    assert_refused(tmp_path, capsys, 'none.yaml: cannot be read', healthy[0], '--robot',
+                   tmp_path / 'none.yaml')
+
+
+def test_a_robot_without_the_joints_of_the_bag(tmp_path, capsys, healthy):
+    robot = replace(axis(), joints=('elbow',), motors=('elbow_motor',))
+    assert_refused(tmp_path, capsys, 'elbow', healthy[0], '--robot', saved(tmp_path, robot))
+
+
+@pytest.mark.parametrize('number', [0, 99])
+def test_a_number_of_blocks_out_of_range(tmp_path, capsys, healthy, number):
+    assert_refused(tmp_path, capsys, f'--blocks {number}: give numbers from 1 to 8', healthy[0],
+                   '--robot', healthy[1], '--blocks', 4, number)
+
+
+def test_a_joint_the_robot_does_not_have(tmp_path, capsys, healthy):
+    assert_refused(tmp_path, capsys, '--joints joint9: the robot has joint1, joint2', healthy[0],
+                   '--robot', healthy[1], '--joints', 'joint9')
+
+
+def test_one_link_of_a_planar_arm(tmp_path, capsys, healthy):
+    assert_refused(tmp_path, capsys, 'act on each other', healthy[0], '--robot', healthy[1],
+                   '--joints', 'joint2')
+
+
+def test_results_are_not_written_over_a_file(tmp_path, capsys, healthy):
+    (tmp_path / 'out').write_text('mine')
+    assert identified(tmp_path, healthy[0], '--robot', healthy[1]) == 2
+    assert 'is a file; name a folder' in capsys.readouterr().err
+    assert (tmp_path / 'out').read_text() == 'mine'
+
+
+@pytest.mark.parametrize(('base', 'fault', 'words'), [
+    ('unlike', 'too short', 'too short to tell friction from inertia; record'),
+    ('unlike', 'clock ahead', 'the clock jumps ahead'),
+    ('unlike', 'clock back', 'the motion contradicts them'),
+    ('unlike', 'half dropped', 'are missing'),
+    ('unlike', 'sides exchanged', 'motor and link of joint1'),
+    ('unlike', 'joints exchanged', 'joint'),
+    ('unlike', 'motor side torque', 'give the torque in N m at the joint'),
+    ('unlike', 'torque reversed', 'the torque of joint1 has the wrong sign'),
+    ('rigid', 'torque reversed', 'the torque of joint1 has the wrong sign')])
+def test_a_fault_is_refused_in_one_sentence(tmp_path, capsys, base, fault, words):
+    recording, robot = faults.healthy(base)
+    inject = (faults.FAULTS | faults.SIDES)[fault][2]
+    assert_refused(tmp_path, capsys, words, bag_of(tmp_path, inject(recording), robot),
+                   '--robot', saved(tmp_path, robot))
+
+
+@pytest.mark.parametrize('base', ['unlike', 'rigid gravity'])
+def test_motion_one_way_only_has_no_friction_of_the_other(tmp_path, capsys, base):
+    recording, robot = faults.healthy(base)
+    assert_refused(tmp_path, capsys, 'both ways', bag_of(
+        tmp_path, faults.one_way(recording), robot), '--robot', saved(tmp_path, robot))
+
+
+def clipped_at(take, share):
+    """Return a take whose torque is cut off at a share of its largest."""
+    limit = share * np.nanmax(np.abs(take[0].tau_motor))
+    return replace(take[0], tau_motor=np.clip(take[0].tau_motor, -limit, limit)), take[1]
+
+
+def lossy(share, burst):
+    """Return a function that drops samples of a take."""
+    return lambda take: (faults.dropped(take[0], share, burst), take[1])
+
+
+BADLY = {
+    '1 % dropped': ('missing', lossy(0.01, 1)),
+    '10 % dropped': ('missing', lossy(0.1, 1)),
+    'bursts dropped': ('missing', lossy(0.05, 50)),
+    'cut to a third': ('', lambda take: part(take, 0.0, 31.0)),
+    'clipped torque': ('clipped', lambda take: clipped_at(take, 0.5))}
+
+
+@pytest.mark.parametrize(('fault', 'rigid'), [
+    *((fault, False) for fault in BADLY),
+    ('10 % dropped', True), ('bursts dropped', True), ('clipped torque', True)])
+def test_a_poor_bag_never_gives_a_confident_wrong_number(tmp_path, capsys, fault, rigid):
+    """
+    Either refused, or warned of with numbers near the truth.
+
+    Static and Coulomb friction within 10 %, each of the other steady parameters within 10 % of
+    the truth, within its interval, or flagged. No word is needed on a torque of the motor that
+    is not used, since the spring tells it.
+    """
+    import json
+    words, inject = BADLY[fault]
+    words = '' if words == 'clipped' and not rigid else words
+    robot = axis(rigid=rigid)
+    recording, phases = inject(experiment(rigid=rigid))
+    code = identified(tmp_path, bag_of(tmp_path, recording, robot, phases), '--robot',
+                      saved(tmp_path, robot), '--blocks', 4)
+    output = capsys.readouterr()
+    if code == 2:
+        assert output.err.count('\n') == 1 and words in output.err
+        assert not (tmp_path / 'out').exists()
+        return
+    assert code == 0
+    report = json.loads((tmp_path / 'out' / 'report.json').read_text())
+    assert words in ' '.join(report['warnings'])
+    load_robot([tmp_path / 'robot.yaml', tmp_path / 'out' / 'friction.yaml'])
+    estimates = {estimate['name']: estimate for estimate in report['joints'][0]['estimates']}
+    for side in ('forward', 'backward'):
+        for name in STEADY:
+            truth = getattr(getattr(robot.friction, side), name)[0]
+            estimate = estimates[f'friction.{JOINT}.{side}.{name}']
+            low, high = estimate['interval']
+            near = abs(estimate['value'] / truth - 1.0) < 0.1
+            told = estimate['flags'] or low <= truth <= high
+            assert near or (told and name in ('velocity', 'viscous')), (
+                f'{side}.{name} is {truth}, estimated {estimate}')
