@@ -6,6 +6,7 @@
 from functools import lru_cache
 import struct
 
+from gms_flex_control.bags.layouts import JointStateLayout, LITTLE_ENDIAN, VALUES
 from gms_flex_control.errors import BagError
 import numpy as np
 
@@ -13,77 +14,7 @@ JOINT_STATE = 'sensor_msgs/msg/JointState'
 MULTI_ARRAY = 'std_msgs/msg/Float64MultiArray'
 CLOCK = 'rosgraph_msgs/msg/Clock'
 
-_LITTLE_ENDIAN = b'\x00\x01\x00\x00'
-VALUES = ('position', 'velocity', 'effort')
 _SECOND = 1_000_000_000
-
-
-class JointStateLayout:
-    """
-    The bytes of every JointState with the same names and lengths, as one numpy record type.
-
-    Parameters
-    ----------
-    names : tuple of str
-        Joint names.
-    counts : tuple of int
-        Lengths of position, velocity and effort.
-    frame : str, optional
-        The header's frame_id.
-
-    """
-
-    def __init__(self, names, counts, frame=''):
-        self._fields, self._constants, self._at = [], {}, 0
-        self._place('sec', '<i4')
-        self._place('nanosec', '<u4')
-        self._place_text('frame', frame)
-        self._place('names', '<u4', len(names))
-        for k, name in enumerate(names):
-            self._place_text(f'name{k}', name)
-        for name, count in zip(VALUES, counts, strict=True):
-            self._place(f'{name}_count', '<u4', count)
-            if count:
-                self._place(name, f'({count},)<f8')
-
-    def _place(self, name, kind, constant=None):
-        dtype = np.dtype(kind)
-        align = 1 if dtype.kind == 'S' else dtype.base.itemsize
-        self._at += -self._at % align
-        self._fields.append((name, kind, self._at + len(_LITTLE_ENDIAN)))
-        if constant is not None:
-            self._constants[name] = np.array(constant, dtype=dtype)
-        self._at += dtype.itemsize
-
-    def _place_text(self, name, text):
-        raw = text.encode() + b'\0'
-        self._place(f'{name}_size', '<u4', len(raw))
-        self._place(name, f'S{len(raw)}', raw)
-
-    @property
-    def size(self):
-        """Return the length of a message [bytes]."""
-        return self._at + len(_LITTLE_ENDIAN)
-
-    def dtype(self, size=None):
-        """Return the record type, ``size`` bytes long where a writer pads the end."""
-        names, formats, offsets = zip(*self._fields, strict=True)
-        return np.dtype({'names': names, 'formats': formats, 'offsets': offsets,
-                         'itemsize': size or self.size})
-
-    def template(self):
-        """Return one message with zeros for its stamp and values."""
-        record = np.zeros(1, self.dtype())
-        for name, value in self._constants.items():
-            record[name] = value
-        return _LITTLE_ENDIAN + record.tobytes()[len(_LITTLE_ENDIAN):]
-
-    def fits(self, records):
-        """Return which of ``records`` (T,) have these names and lengths, bool (T,)."""
-        good = np.full(len(records), True)
-        for name, value in self._constants.items():
-            good &= records[name] == value
-        return good
 
 
 @lru_cache(maxsize=64)
@@ -177,12 +108,12 @@ def pack_multi_array(dims, data, data_offset=0):
         sizes.append(len(text))
         fields += (len(text), text, size, stride)
     return _multi_array_struct(tuple(sizes), len(data)).pack(
-        _LITTLE_ENDIAN, len(sizes), *fields, data_offset, len(data), *data)
+        LITTLE_ENDIAN, len(sizes), *fields, data_offset, len(data), *data)
 
 
 def pack_clock(stamp):
     """Return the CDR bytes of a rosgraph_msgs/Clock at ``stamp`` [ns]."""
-    return struct.pack('<4siI', _LITTLE_ENDIAN, stamp // _SECOND, stamp % _SECOND)
+    return struct.pack('<4siI', LITTLE_ENDIAN, stamp // _SECOND, stamp % _SECOND)
 
 
 @lru_cache(maxsize=512)
@@ -276,7 +207,7 @@ def unpack_multi_array(data, known=None):
 
     """
     guess = None if known is None else known.get(len(data))
-    if guess is not None and data[:4] == _LITTLE_ENDIAN:
+    if guess is not None and data[:4] == LITTLE_ENDIAN:
         sizes, count, code = guess
         fields, end = code.unpack_from(data), 2 + 4 * len(sizes)
         if fields[1] == len(sizes) and fields[2:end:4] == sizes and fields[end + 1] == count:

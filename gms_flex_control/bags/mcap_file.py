@@ -13,9 +13,18 @@ from io import BytesIO
 import mmap
 import struct
 from typing import NamedTuple
-import zlib
 
 from gms_flex_control.bags.definitions import Definition
+from gms_flex_control.bags.mcap_checks import (
+    checksum,
+    CHUNK_HEAD,
+    FRAME,
+    index_entries,
+    is_chunk,
+    next_sound,
+    summary_is_sound,
+    Window,
+)
 from gms_flex_control.errors import BagError
 from mcap import records
 from mcap.data_stream import ReadDataStream
@@ -26,19 +35,18 @@ from zstandard import ZstdError
 
 MAGIC = b'\x89MCAP0\r\n'
 
-_FRAME = struct.Struct('<BQ')
 _MESSAGE = struct.Struct('<BQHIQQ')
-_CHUNK_HEAD = struct.Struct('<QQQII')
 _READERS = {
     Opcode.HEADER: records.Header, Opcode.FOOTER: records.Footer,
     Opcode.SCHEMA: records.Schema, Opcode.CHANNEL: records.Channel,
-    Opcode.CHUNK: records.Chunk, Opcode.MESSAGE_INDEX: records.MessageIndex,
-    Opcode.CHUNK_INDEX: records.ChunkIndex, Opcode.ATTACHMENT: records.Attachment,
+    Opcode.CHUNK: records.Chunk, Opcode.CHUNK_INDEX: records.ChunkIndex,
+    Opcode.ATTACHMENT: records.Attachment,
     Opcode.ATTACHMENT_INDEX: records.AttachmentIndex, Opcode.STATISTICS: records.Statistics,
     Opcode.METADATA: records.Metadata, Opcode.METADATA_INDEX: records.MetadataIndex,
     Opcode.SUMMARY_OFFSET: records.SummaryOffset, Opcode.DATA_END: records.DataEnd,
 }
 _FOOTER_SIZE = 20
+_IS_MESSAGE = int(Opcode.MESSAGE)
 _MALFORMED = (McapError, ValueError, struct.error, UnicodeDecodeError, OverflowError,
               MemoryError, RuntimeError, EOFError)
 
@@ -90,6 +98,8 @@ class McapFile:
         Chunks whose checksum was compared, and those that have none.
     complete : bool
         The file has its proper end.
+    found : int
+        Whole messages met, whatever their topic.
 
     """
 
@@ -99,15 +109,21 @@ class McapFile:
         self.checked = self.unchecked = 0
         self.complete = False
         self._schemas, self._channels = {}, {}
-        self._found = self._indexed = self._chunks = 0
+        self._only = None
+        self.found = self._indexed = self._chunks = 0
         self._announced = None
         self._loose = 0          # messages outside of chunks
         self._open_damage = None  # damage of the chunk whose index records follow
         self._unknown = {}
 
-    def batches(self):
+    def batches(self, only=None):
         """
         Yield the messages in file order, some at a time.
+
+        Parameters
+        ----------
+        only : set of str, optional
+            The topics to yield; by default all. Everything is checked all the same.
 
         Yields
         ------
@@ -120,6 +136,7 @@ class McapFile:
             If the file is empty, cannot be read or is no mcap file.
 
         """
+        self._only = only
         try:
             with open(self.path, 'rb') as stream:
                 if not stream.seek(0, 2):
@@ -132,11 +149,12 @@ class McapFile:
     def _scan(self, data):
         self._check_magic(data)
         self._preload(data)
-        at = len(MAGIC)
+        at, window = len(MAGIC), Window(data)
         while not self.complete:
+            window.reach(at)
             frame = self._frame(data, at)
             if frame is None:
-                resumed = _next_sound(data, at + 1)
+                resumed = next_sound(data, at + 1)
                 if resumed is None:
                     yield self._cut_off(data, at)
                     break
@@ -167,7 +185,7 @@ class McapFile:
         if at < 0 or data[at] != Opcode.FOOTER:
             return
         footer = self._parse(Opcode.FOOTER, data[at + 9:at + 9 + _FOOTER_SIZE])
-        if footer is None or not footer.summary_crc or not _summary_is_sound(footer, data, at):
+        if footer is None or not footer.summary_crc or not summary_is_sound(footer, data, at):
             return
         start = footer.summary_start
         while start < at:
@@ -183,15 +201,17 @@ class McapFile:
         """Return (opcode, end) of the record at ``at``, None if there is no whole sound one."""
         if at + 9 > len(data):
             return None
-        opcode, size = _FRAME.unpack_from(data, at)
+        opcode, size = FRAME.unpack_from(data, at)
         end = at + 9 + size
         if end > len(data):
             return None
         if opcode == Opcode.CHUNK:
-            return (opcode, end) if _is_chunk(data, at, size) else None
+            return (opcode, end) if is_chunk(data, at, size) else None
         if opcode == Opcode.MESSAGE:
             return (opcode, end) if size >= 22 else None
-        return (opcode, end) if self._parse(opcode, data[at + 9:end]) is not None else None
+        sound = index_entries(data, at, size) if opcode == Opcode.MESSAGE_INDEX else \
+            self._parse(opcode, data[at + 9:end])
+        return (opcode, end) if sound is not None else None
 
     def _parse(self, opcode, body):
         if opcode not in _READERS or (opcode == Opcode.FOOTER and len(body) != _FOOTER_SIZE):
@@ -204,12 +224,13 @@ class McapFile:
         return record if stream.count == len(body) else None
 
     def _record(self, opcode, data, at, end):
-        record = self._parse(opcode, data[at + 9:end])
         if opcode == Opcode.MESSAGE_INDEX:
-            self._indexed += len(record.records)
+            entries = index_entries(data, at, end - at - FRAME.size)
+            self._indexed += entries
             if self._open_damage is not None:
-                self._open_damage.lost = (self._open_damage.lost or 0) + len(record.records)
+                self._open_damage.lost = (self._open_damage.lost or 0) + entries
             return
+        record = self._parse(opcode, data[at + 9:end])
         self._open_damage = None
         if opcode == Opcode.SCHEMA:
             self._schemas.setdefault(record.id, record)
@@ -226,7 +247,7 @@ class McapFile:
     def _check_data_section(self, expected, data, at):
         if not expected:
             return
-        if zlib.crc32(memoryview(data)[:at]) == expected:
+        if checksum(data, at) == expected:
             return
         if not self.damage:
             # chunks carry their own checksums: what they hold is sound
@@ -234,7 +255,7 @@ class McapFile:
                           None if self._loose or self.unchecked else 0)
 
     def _check_summary(self, footer, data, at):
-        if footer.summary_crc and not _summary_is_sound(footer, data, at):
+        if footer.summary_crc and not summary_is_sound(footer, data, at):
             self._announced = None
             self._damaged('the index at the end', 'fails its checksum', 0)
         elif data[at + 9 + _FOOTER_SIZE:] != MAGIC:
@@ -269,7 +290,7 @@ class McapFile:
         except (*_MALFORMED, ZstdError) as error:  # lz4 raises RuntimeError
             self._open_damage = self._damaged(name, f'cannot be read ({error})', None)
             return []
-        messages, end = self._messages(content)
+        messages, count, end = self._messages(content)
         if end < len(content):
             self._open_damage = self._damaged(name, f'makes no sense from byte {end} on', None)
             return []
@@ -277,56 +298,65 @@ class McapFile:
             self.checked += 1
         else:
             self.unchecked += 1
-        self._found += len(messages)
+        self.found += count
         return messages
 
     def _messages(self, content):
-        """Return the messages of a chunk's content and where it stopped making sense."""
-        messages, at, size = [], 0, len(content)
-        topics = self._channels
-        while at + _MESSAGE.size <= size or at + 9 <= size:
-            opcode, length = _FRAME.unpack_from(content, at)
-            end = at + 9 + length
+        """Return a chunk's wanted messages, how many there are, and where sense ended."""
+        messages, count, at, size = [], 0, 0, len(content)
+        topics, only = self._channels, self._only
+        while at + FRAME.size <= size:
+            if at + _MESSAGE.size <= size:
+                opcode, length, channel, _, log, publish = _MESSAGE.unpack_from(content, at)
+            else:
+                opcode, length = FRAME.unpack_from(content, at)
+            end = at + FRAME.size + length
             if end > size:
                 break
-            if opcode == Opcode.MESSAGE and length >= 22:
-                _, _, channel, _, log, publish = _MESSAGE.unpack_from(content, at)
-                if channel in topics:
-                    messages.append((topics[channel], log, publish,
-                                     content[at + _MESSAGE.size:end]))
-                else:
+            if opcode == _IS_MESSAGE and length >= 22:
+                topic = topics.get(channel)
+                if topic is None:
                     self._unknown[channel] = self._unknown.get(channel, 0) + 1
-            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                record = self._parse(opcode, content[at + 9:end])
-                if record is None:
-                    break
-                if opcode == Opcode.SCHEMA:
-                    self._schemas.setdefault(record.id, record)
                 else:
-                    self._add_channel(record)
-            else:
+                    count += 1
+                    if only is None or topic in only:
+                        messages.append((topic, log, publish, content[at + _MESSAGE.size:end]))
+            elif not self._announcement(opcode, content[at + FRAME.size:end]):
                 break
             at = end
-        return messages, at
+        return messages, count, at
+
+    def _announcement(self, opcode, body):
+        """Take a schema or channel from within a chunk; return whether it is one."""
+        if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL):
+            return False
+        record = self._parse(opcode, body)
+        if record is None:
+            return False
+        if opcode == Opcode.SCHEMA:
+            self._schemas.setdefault(record.id, record)
+        else:
+            self._add_channel(record)
+        return True
 
     def _loose_message(self, data, at, end):
         self._loose += 1
-        messages, _ = self._messages(data[at:end])
-        self._found += len(messages)
+        messages, count, _ = self._messages(data[at:end])
+        self.found += count
         return messages
 
     def _cut_off(self, data, at):
         """Return the whole messages of the chunk the file ends in."""
-        messages, note = [], ''
-        head = at + 9 + _CHUNK_HEAD.size
+        messages, count, note = [], 0, ''
+        head = at + 9 + CHUNK_HEAD.size
         if head + 8 <= len(data) and data[at] == Opcode.CHUNK:
-            if not _CHUNK_HEAD.unpack_from(data, at + 9)[4]:
-                messages, _ = self._messages(data[head + 8:])
-            self._found += len(messages)
-            self.unchecked += bool(messages)
-            note = (f', in the middle of a chunk: its first {len(messages)} messages are whole '
+            if not CHUNK_HEAD.unpack_from(data, at + 9)[4]:
+                messages, count, _ = self._messages(data[head + 8:])
+            self.found += count
+            self.unchecked += bool(count)
+            note = (f', in the middle of a chunk: its first {count} messages are whole '
                     'but could not be checked')
-        self.notes.append(f'{self.label}: ends without its index after {self._found} messages '
+        self.notes.append(f'{self.label}: ends without its index after {self.found} messages '
                           f'(recorder killed, or file cut off){note}')
         return messages
 
@@ -336,46 +366,16 @@ class McapFile:
             self._damaged(f'channel {channel}', 'its name and type are lost', count)
         expected = max(self._announced or 0, self._indexed)
         open_ended = [item for item in self.damage if item.lost is None]
-        missing = expected - self._found - sum(item.lost or 0 for item in self.damage)
+        missing = expected - self.found - sum(item.lost or 0 for item in self.damage)
         if open_ended and self._announced is not None:
             open_ended[0].lost = max(missing, 0)
             for item in open_ended[1:]:
                 item.lost = 0
         elif missing > 0 and not open_ended:
             self._damaged('somewhere', f'{expected} messages were announced and '
-                          f'{self._found} found', missing)
+                          f'{self.found} found', missing)
 
     def _damaged(self, where, reason, lost):
         damage = Damage(f'{self.label}: {where}', reason, lost)
         self.damage.append(damage)
         return damage
-
-
-def _summary_is_sound(footer, data, at):
-    start = footer.summary_start
-    return 0 < start <= at and zlib.crc32(memoryview(data)[start:at + 25]) == footer.summary_crc
-
-
-def _is_chunk(data, at, size):
-    """Return whether the chunk record at ``at`` has lengths that agree with each other."""
-    if size < _CHUNK_HEAD.size + 8:
-        return False
-    _, _, uncompressed, _, name = _CHUNK_HEAD.unpack_from(data, at + 9)
-    if name not in (0, 3, 4) or size < _CHUNK_HEAD.size + name + 8:
-        return False
-    inner, = struct.unpack_from('<Q', data, at + 9 + _CHUNK_HEAD.size + name)
-    return (inner + name + _CHUNK_HEAD.size + 8 == size
-            and (name > 0 or inner == uncompressed))
-
-
-def _next_sound(data, start):
-    """Return where the next chunk or the end of the data begins, None if there is none."""
-    end_mark = data.find(_FRAME.pack(Opcode.DATA_END, 4), start)
-    at = data.find(b'\x06', start)
-    while at != -1 and (end_mark == -1 or at < end_mark):
-        if at + 9 <= len(data):
-            _, size = _FRAME.unpack_from(data, at)
-            if at + 9 + size <= len(data) and _is_chunk(data, at, size):
-                return at
-        at = data.find(b'\x06', at + 1)
-    return None if end_mark == -1 else end_mark

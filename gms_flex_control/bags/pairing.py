@@ -4,11 +4,36 @@
 """Which command, reference and estimate belong to which joint state."""
 
 from math import factorial
+from typing import NamedTuple
 
 import numpy as np
 
 N_DERIVATIVES = 5  # rows of a reference: angle and its derivatives 1 to 4
 _REACH = 1.5       # a reference further away than this many periods is none
+_BLOCK = 2**15     # samples that are worked on at once, for the sake of memory
+
+
+class Answers(NamedTuple):
+    """
+    Commands in the order they were received.
+
+    Parameters
+    ----------
+    stamps : ndarray of int64, shape (S,)
+        Stamps of the states they answer [ns].
+    stamped : ndarray of bool, shape (S,)
+        Whether there is one.
+    received : ndarray of int64, shape (S,)
+        Receive times [ns].
+    values : ndarray, shape (S, n)
+        Torques [N m].
+
+    """
+
+    stamps: np.ndarray
+    stamped: np.ndarray
+    received: np.ndarray
+    values: np.ndarray
 
 
 def answering(stamps, received, period, answers, n):
@@ -21,8 +46,8 @@ def answering(stamps, received, period, answers, n):
         Header stamps and receive times of the states [ns].
     period : float
         Sample period [ns].
-    answers : tuple
-        ``(stamps, received, arrays)`` of the commands: lists of int or None, int, (n,).
+    answers : Answers
+        The commands.
     n : int
         Number of joints.
 
@@ -34,22 +59,24 @@ def answering(stamps, received, period, answers, n):
 
     """
     command = np.full((len(stamps), n), np.nan)
-    labels, times, arrays = answers
-    row_of = {stamp: k for k, stamp in enumerate(stamps.tolist())}
-    taken = np.full(len(stamps), False)
-    for label, time, array in zip(labels, times, arrays, strict=True):
-        if label is not None:
-            k = row_of.get(label, -1)
-        else:
-            k = int(np.searchsorted(received, time, side='right')) - 1
-            if k >= 0 and time - received[k] > period:
-                k = -1
-        if k >= 0 and not taken[k]:
-            command[k], taken[k] = array, True
+    row = np.full(len(answers.stamps), -1)
+    row[answers.stamped] = _row_of(answers.stamps[answers.stamped], stamps)
+    times = answers.received[~answers.stamped]
+    before = np.searchsorted(received, times, side='right') - 1
+    row[~answers.stamped] = np.where(times - received[before] <= period, before, -1)
+    rows, first = np.unique(row, return_index=True)
+    first = first[rows >= 0]
+    command[row[first]] = answers.values[first]
     return command
 
 
-def reference_at(times, period, labels, arrays, n):
+def _row_of(wanted, stamps):
+    """Return where each of ``wanted`` is in the increasing ``stamps``, -1 where it is not."""
+    row = np.minimum(np.searchsorted(stamps, wanted), len(stamps) - 1)
+    return np.where(stamps[row] == wanted, row, -1)
+
+
+def reference_at(times, period, labels, table):
     """
     Return the reference at each state.
 
@@ -59,12 +86,10 @@ def reference_at(times, period, labels, arrays, n):
         Times of the states [ns].
     period : float
         Sample period [ns].
-    labels : sequence of int
+    labels : ndarray of int64, shape (S,)
         Times of the references [ns].
-    arrays : sequence of ndarray, shape (rows, n)
-        Angle and derivatives, up to five rows.
-    n : int
-        Number of joints.
+    table : ndarray, shape (S, 5, n)
+        Angle and derivatives, NaN where there is none.
 
     Returns
     -------
@@ -73,21 +98,24 @@ def reference_at(times, period, labels, arrays, n):
         state's time by its own derivatives. NaN where there is none.
 
     """
-    result = np.full((len(times), N_DERIVATIVES, n), np.nan)
-    if not len(arrays):
+    result = np.full((len(times), *table.shape[1:]), np.nan)
+    if not len(table):
         return result
-    table = np.full((len(arrays), N_DERIVATIVES, n), np.nan)
-    for k, array in enumerate(arrays):
-        table[k, :len(array)] = array
-    labels, order = np.unique(np.asarray(labels, dtype=np.int64), return_index=True)
-    table = table[order]
+    labels, order = np.unique(labels, return_index=True)
+    for start in range(0, len(times), _BLOCK):
+        block = slice(start, start + _BLOCK)
+        nearest, shift = _nearest(times[block], labels)
+        near = np.abs(shift) <= _REACH * period
+        result[block][near] = _carried_on(table[order[nearest[near]]], shift[near] * 1e-9)
+    return result
+
+
+def _nearest(times, labels):
+    """Return which of the increasing ``labels`` is nearest and how much later the time is."""
     right = np.clip(np.searchsorted(labels, times), 1, max(len(labels) - 1, 1))
     left, right = right - 1, np.minimum(right, len(labels) - 1)
     nearest = np.where(times - labels[left] <= labels[right] - times, left, right)
-    shift = times - labels[nearest]
-    near = np.abs(shift) <= _REACH * period
-    result[near] = _carried_on(table[nearest[near]], shift[near] * 1e-9)
-    return result
+    return nearest, times - labels[nearest]
 
 
 def _carried_on(table, shift):
@@ -103,10 +131,7 @@ def _carried_on(table, shift):
 
 def by_stamp(stamps, other_stamps, values):
     """Return ``values`` (S, n) of ``other_stamps`` (S,) at ``stamps`` (T,), NaN where none."""
-    row_of = {stamp: k for k, stamp in enumerate(stamps.tolist())}
     result = np.full((len(stamps), values.shape[1]), np.nan)
-    for k, stamp in enumerate(other_stamps.tolist()):
-        row = row_of.get(stamp)
-        if row is not None:
-            result[row] = values[k]
+    row = _row_of(other_stamps, stamps)
+    result[row[row >= 0]] = values[row >= 0]
     return result

@@ -3,8 +3,6 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Write and read what an identification experiment was doing: the phase topic of its bag."""
 
-import struct
-
 from gms_flex_control.bags.cdr import (
     JOINT_STATE,
     MULTI_ARRAY,
@@ -15,9 +13,11 @@ from gms_flex_control.bags.messages import STAMP_LABEL, stamp_of
 from gms_flex_control.bags.source import Bag
 from gms_flex_control.errors import BagError
 from gms_flex_control.recording import Phase
+import numpy as np
 
 PHASE_TOPIC = '/identification/phase'
 _LABELS = ('phase', 'joint', 'step')
+_HEAD = 12  # bytes of a JointState up to the end of its stamp
 
 
 def pack_phase(phase):
@@ -51,13 +51,12 @@ def read_phases(path, *, topic=PHASE_TOPIC, joint_states='/joint_states'):
 
     """
     bag, found, first = Bag(path), [], None
-    for batch in bag.batches():
-        for name, _, _, data in batch:
-            if name == topic:
-                found.append(data)
-            elif name == joint_states:
-                stamp = _stamp(path, joint_states, data)
-                first = stamp if first is None else min(first, stamp)
+    for batch in bag.batches({topic, joint_states}):
+        found += [data for name, _, _, data in batch if name == topic]
+        states = [data for name, _, _, data in batch if name == joint_states != topic]
+        if states:
+            stamp = _first_stamp(path, joint_states, states)
+            first = stamp if first is None else min(first, stamp)
     if found and bag.topics[topic].type_name != MULTI_ARRAY:
         raise BagError(f'{path}: topic {topic!r} is a {bag.topics[topic].type_name}, expected '
                        f'{MULTI_ARRAY}')
@@ -83,10 +82,17 @@ def _phase(path, topic, number, data):
     return Phase(stamp, *(texts[name] for name in _LABELS), float(values[0]))
 
 
-def _stamp(path, topic, data):
-    """Return the header stamp of a JointState [ns]."""
-    if len(data) < 12:
-        raise BagError(f'{path}: topic {topic!r} has a message of {len(data)} bytes, which is '
+def _first_stamp(path, topic, messages):
+    """Return the smallest header stamp of some JointStates [ns]."""
+    short = [len(data) for data in messages if len(data) < _HEAD]
+    if short:
+        raise BagError(f'{path}: topic {topic!r} has a message of {short[0]} bytes, which is '
                        f'no {JOINT_STATE}')
-    seconds, nanoseconds = struct.unpack_from('<iI' if data[1] & 1 else '>iI', data, 4)
-    return seconds * 1_000_000_000 + nanoseconds
+    heads = b''.join([data[:_HEAD] for data in messages])
+    little = (np.frombuffer(heads, 'u1')[1::_HEAD] & 1).astype(bool)
+    stamps = np.zeros(len(messages), dtype=np.int64)
+    for order, which in (('<', little), ('>', ~little)):
+        records = np.frombuffer(heads, [('', 'V4'), ('sec', f'{order}i4'),
+                                        ('nanosec', f'{order}u4')])[which]
+        stamps[which] = records['sec'] * np.int64(10**9) + records['nanosec']
+    return int(stamps.min())

@@ -7,14 +7,22 @@ from typing import NamedTuple
 import warnings
 
 from gms_flex_control.bags.cdr import JOINT_STATE, MULTI_ARRAY, unpack_joint_state
-from gms_flex_control.bags.messages import JointTable, read_arrays, SOURCE_LABEL, STAMP_LABEL
-from gms_flex_control.bags.pairing import answering, by_stamp, N_DERIVATIVES, reference_at
+from gms_flex_control.bags.messages import SOURCE_LABEL, STAMP_LABEL
+from gms_flex_control.bags.pairing import (
+    answering,
+    Answers,
+    by_stamp,
+    N_DERIVATIVES,
+    reference_at,
+)
 from gms_flex_control.bags.source import Bag, BagWarning
+from gms_flex_control.bags.tables import ArrayTable, JointTable
 from gms_flex_control.errors import BagError
 from gms_flex_control.recording import Recording
 import numpy as np
 
 MOTOR_SUFFIX = '_motor'
+_BLOCK = 4096             # messages of a topic that wait to be decoded together
 _TWO_RUNS = 100_000_000  # a step back beyond this is another run, not a late message [ns]
 
 
@@ -25,6 +33,9 @@ class Topics(NamedTuple):
     command: str = '/effort_controller/commands'
     reference: str = '/reference'
     controller_state: str = '/cascade_controller/state'
+
+
+_TYPES = (JOINT_STATE, MULTI_ARRAY, MULTI_ARRAY, JOINT_STATE)  # of the Topics
 
 
 def read_recording(path, joints=None, motors=None, *, topics=None):
@@ -63,35 +74,15 @@ def read_recording(path, joints=None, motors=None, *, topics=None):
     """
     topics = topics or Topics()
     bag = Bag(path)
-    times, data = _collect(bag, topics)
+    series = _Series(bag, topics, joints, motors)
+    series.collect()
     if not bag.sound:
         first = next(item for item in bag.damage if item.lost != 0)
         raise BagError(f"{path}: {first}; run 'gms_flex repair {path}' to keep the rest")
-    names = _first_names(bag, data[topics.joint_states], topics)
+    series.require_names()
     bag.warn()
-    joints, motors = _resolve(path, topics.joint_states, names, joints, motors)
-    series = _Series(path, topics, times, data, joints)
-    states, order = series.states((*joints, *(name for name in motors if name)))
-    received = np.asarray(times[topics.joint_states])[states.rows][order]
-    stamps = states.stamps[order]
-    if not stamps.any():
-        stamps = received
-    n, samples = len(joints), len(stamps)
-    if samples < 2:
-        raise BagError(f'{path}: {topics.joint_states} has {samples} joint state of these '
-                       'joints; a recording needs at least 2')
-    period = float(np.median(np.diff(stamps)))
-    links, sides = slice(0, n), _motor_columns(motors, n)
-    effort = states.effort[order][:, [side if side is not None else k
-                                      for k, side in enumerate(sides)]]
-    return Recording(
-        joints=tuple(joints), time=(stamps - stamps[0]) * 1e-9,
-        q_link=states.position[order][:, links], dq_link=states.velocity[order][:, links],
-        q_motor=_sides(states.position[order], sides),
-        dq_motor=_sides(states.velocity[order], sides), tau_motor=effort,
-        command=answering(stamps, received, period, series.commands(), n),
-        reference=series.reference(stamps, received, period),
-        friction_hat=series.friction(stamps), source=str(path))
+    joints, motors = series.resolved()
+    return Recording(joints=joints, source=str(path), **_columns(path, series, joints, motors))
 
 
 def joint_names(path, *, topics=None):
@@ -117,77 +108,150 @@ def joint_names(path, *, topics=None):
     """
     topics = topics or Topics()
     bag = Bag(path)
-    for batch in bag.batches():
-        for topic, _, _, message in batch:
-            if topic == topics.joint_states:
-                return _first_names(bag, [message], topics)
-    return _first_names(bag, [], topics)
+    for batch in bag.batches({topics.joint_states}):
+        for *_, message in batch:
+            return _first_names(bag, message, topics)
+    return _first_names(bag, None, topics)
+
+
+def _columns(path, series, joints, motors):
+    """Return the arrays of the Recording by name."""
+    stamps, received, order = series.clock()
+    n, samples = len(joints), len(stamps)
+    if samples < 2:
+        raise BagError(f'{path}: {series.topics.joint_states} has {samples} joint state of these '
+                       'joints; a recording needs at least 2')
+    period = float(np.median(np.diff(stamps)))
+    sides = _motor_columns(motors, n)
+    columns = {'time': (stamps - stamps[0]) * 1e-9}
+    for name, short in (('position', 'q'), ('velocity', 'dq')):
+        columns |= zip((f'{short}_link', f'{short}_motor'),
+                       _links_and_motors(series.states(name), order, sides), strict=True)
+    link, motor = _links_and_motors(series.states('effort'), order, sides)
+    columns['tau_motor'] = np.where([side is None for side in sides], link, motor)
+    del link, motor
+    columns['command'] = answering(stamps, received, period, series.commands(), n)
+    columns['reference'] = series.reference(stamps, received, period)
+    columns['friction_hat'] = series.friction(stamps)
+    return columns
 
 
 class _Series:
-    """The messages of the topics of one recording."""
+    """The topics of one recording, decoded while the bag is read."""
 
-    def __init__(self, path, topics, times, data, joints):
-        self._path, self._topics, self._joints = path, topics, joints
-        self._times, self._data = times, data
+    def __init__(self, bag, topics, joints, motors):
+        self._bag, self._path, self.topics = bag, bag.path, topics
+        self._chosen = joints, motors
+        self._waiting = {topic: ([], []) for topic in topics}  # receive times, messages
+        self._first, self._tables = None, ()
 
-    def _read(self, topic, function, argument):
+    def collect(self):
+        """Read the bag."""
+        for batch in self._bag.batches(self._waiting):
+            for topic, log, _, message in batch:
+                times, messages = self._waiting[topic]
+                times.append(log)
+                messages.append(message)
+            self._decode(_BLOCK)
+        self._decode(1)
+        for topic, type_name in zip(self.topics, _TYPES, strict=True):
+            if not self._has_type(topic, type_name):
+                raise BagError(f'{self._path}: topic {topic!r} is a '
+                               f'{self._bag.topics[topic].type_name}, expected {type_name}')
+
+    def _has_type(self, topic, type_name):
+        return (topic not in self._bag.topics
+                or self._bag.topics[topic].type_name == type_name)
+
+    def _decode(self, least):
+        """Decode the topics of which ``least`` messages wait, once the joints are known."""
+        if self._first is None and self._waiting[self.topics.joint_states][1]:
+            self._first = self._waiting[self.topics.joint_states][1][0]
+            self._tables = self._make_tables()
+        if self._first is None:
+            return
+        for topic, (times, messages) in self._waiting.items():
+            if len(messages) >= least:
+                for name, type_name, table in zip(self.topics, _TYPES, self._tables,
+                                                  strict=False):
+                    if name == topic and self._has_type(topic, type_name):
+                        table.add(times, messages)
+                times.clear()
+                messages.clear()
+
+    def _make_tables(self):
+        """Return a table for each of the topics, none if the joints cannot be told."""
         try:
-            return function(self._data[topic], argument)
-        except BagError as error:
-            raise BagError(f'{self._path}: topic {topic!r} {error}') from None
+            joints, motors = self.resolved()
+        except BagError:  # raised again once the bag is known to be sound
+            return ()
+        n = len(joints)
 
-    def states(self, wanted):
-        """Return the table of joint states and the rows to take, stamps increasing."""
-        topic = self._topics.joint_states
-        table = self._read(topic, JointTable, wanted)
-        stamps = table.stamps
+        def torques(_dims, count):
+            if count != n:
+                raise BagError(f'has {count} torques for {n} joints ({", ".join(joints)})')
+            return (n,)
+
+        return (JointTable((*joints, *filter(None, motors))), ArrayTable((n,), torques),
+                ArrayTable((N_DERIVATIVES, n),
+                           lambda dims, count: reference_shape(dims, count, n)),
+                JointTable(joints, ('effort',)))
+
+    def require_names(self):
+        """Return the names of the first joint state, or raise BagError."""
+        return _first_names(self._bag, self._first, self.topics)
+
+    def resolved(self):
+        """Return the joint and motor names."""
+        return _resolve(self._path, self.topics.joint_states, self.require_names(),
+                        *self._chosen)
+
+    def _take(self, topic, *columns):
+        """Return columns of the table of a topic, a field of ``topics``."""
+        table = self._tables[self.topics._fields.index(topic)]
+        try:
+            return [table.take(name) for name in columns]
+        except BagError as error:
+            name = getattr(self.topics, topic)
+            raise BagError(f'{self._path}: topic {name!r} {error}') from None
+
+    def clock(self):
+        """Return stamps and receive times of the states, increasing, and the rows to take."""
+        topic = self.topics.joint_states
+        stamps, received, rows = self._take('joint_states', 'stamps', 'received', 'rows')
         if not stamps.any():
-            return table, np.arange(len(stamps))
+            return received, received, np.arange(len(received))
         back = np.diff(stamps)
         if len(back) and back.min() < -_TWO_RUNS:
             k = int(np.argmin(back))
             raise BagError(
                 f'{self._path}: topic {topic!r} goes back from {stamps[k] * 1e-9:.3f} s to '
-                f'{stamps[k + 1] * 1e-9:.3f} s at message {table.rows[k + 1]}: two runs in one '
+                f'{stamps[k + 1] * 1e-9:.3f} s at message {rows[k + 1]}: two runs in one '
                 'bag? Record each in its own')
         order = np.unique(stamps, return_index=True)[1]
         if len(order) < len(stamps):
             warnings.warn(f'{self._path}: topic {topic!r} repeats {len(stamps) - len(order)} '
                           'stamps; the first state of each is taken', BagWarning, stacklevel=4)
-        return table, order
+        return stamps[order], received[order], order
+
+    def states(self, name):
+        """Return position, velocity or effort of the states, shape (T, joints and motors)."""
+        return self._take('joint_states', name)[0]
 
     def commands(self):
-        """Return the commands as ``(labels, receive times, arrays)``."""
-        n = len(self._joints)
-
-        def shape_of(dims, count):
-            if count != n:
-                raise BagError(f'has {count} torques for {n} joints '
-                               f'({", ".join(self._joints)})')
-            return (n,)
-
-        rows, labels, arrays = self._read(self._topics.command, read_arrays, shape_of)
-        times = self._times[self._topics.command]
-        return labels, [times[row] for row in rows], arrays
+        """Return the Answers."""
+        return Answers(*self._take('command', *Answers._fields))
 
     def reference(self, stamps, received, period):
         """Return the reference at the states, shape (T, 5, n)."""
-        n = len(self._joints)
-
-        def shape_of(dims, count):
-            return reference_shape(dims, count, n)
-
-        rows, labels, arrays = self._read(self._topics.reference, read_arrays, shape_of)
-        if None not in labels:
-            return reference_at(stamps, period, labels, arrays, n)
-        times = self._times[self._topics.reference]
-        return reference_at(received, period, [times[row] for row in rows], arrays, n)
+        labels, stamped, times, values = self._take('reference', *Answers._fields)
+        if stamped.all():
+            return reference_at(stamps, period, labels, values)
+        return reference_at(received, period, times, values)
 
     def friction(self, stamps):
         """Return the friction estimate at the states, shape (T, n)."""
-        table = self._read(self._topics.controller_state, JointTable, self._joints)
-        return by_stamp(stamps, table.stamps, table.effort)
+        return by_stamp(stamps, *self._take('controller_state', 'stamps', 'effort'))
 
 
 def reference_shape(dims, count, n):
@@ -213,7 +277,7 @@ def reference_shape(dims, count, n):
              if not label.startswith((STAMP_LABEL, SOURCE_LABEL))]
     if shape and shape[0][0] == 'effort':
         return None
-    rows = shape[0][1] if shape else count // n
+    rows = shape[0][1] if shape else count // max(n, 1)
     columns = shape[1][1] if len(shape) > 1 else n
     if not 1 <= rows <= N_DERIVATIVES or columns != n or count != rows * n:
         layout = ' x '.join(f'{label} {size}' for label, size in shape) or 'no layout'
@@ -222,30 +286,14 @@ def reference_shape(dims, count, n):
     return rows, n
 
 
-def _collect(bag, topics):
-    """Return receive times and messages by topic of what ``topics`` names."""
-    times, data = ({topic: [] for topic in topics} for _ in range(2))
-    for batch in bag.batches():
-        for topic, log, _, message in batch:
-            if topic in data:
-                times[topic].append(log)
-                data[topic].append(message)
-    for topic, type_name in zip(topics, (JOINT_STATE, MULTI_ARRAY, MULTI_ARRAY, JOINT_STATE),
-                                strict=True):
-        if topic in bag.topics and bag.topics[topic].type_name != type_name:
-            raise BagError(f'{bag.path}: topic {topic!r} is a '
-                           f'{bag.topics[topic].type_name}, expected {type_name}')
-    return times, data
-
-
-def _first_names(bag, messages, topics):
-    if not messages:
+def _first_names(bag, message, topics):
+    if message is None:
         known = ', '.join(sorted(bag.topics)) or 'none'
         what = 'no message on' if topics.joint_states in bag.topics else 'no topic'
         raise BagError(f'{bag.path}: has {what} {topics.joint_states!r} (topics: {known}); '
                        'record it, or name the topic that has the joint states')
     try:
-        return unpack_joint_state(messages[0])[2]
+        return unpack_joint_state(message)[2]
     except BagError as error:
         raise BagError(f'{bag.path}: topic {topics.joint_states!r} message 0 {error}') from None
 
@@ -284,9 +332,10 @@ def _motor_columns(motors, n):
     return columns
 
 
-def _sides(values, columns):
-    result = np.full((len(values), len(columns)), np.nan)
-    for k, column in enumerate(columns):
+def _links_and_motors(values, order, sides):
+    """Return the rows ``order`` of the links and of their motors, NaN where there is none."""
+    motors = np.full((len(order), len(sides)), np.nan)
+    for k, column in enumerate(sides):
         if column is not None:
-            result[:, k] = values[:, column]
-    return result
+            motors[:, k] = values[order, column]
+    return values[order, :len(sides)], motors

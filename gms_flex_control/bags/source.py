@@ -35,7 +35,8 @@ class Bag:
     Attributes
     ----------
     topics : dict of Topic
-        By name; complete after :meth:`batches` has ended, as the rest.
+        By name; those of the messages yielded so far, complete after :meth:`batches` has
+        ended, as the rest.
     damage : list of Damage
         What failed a check.
     notes : list of str
@@ -92,9 +93,14 @@ class Bag:
             self.damage.append(Damage(f'{self.path.name}: {name}', 'is missing', None))
         return [path for path in files if path.is_file()]
 
-    def batches(self):
+    def batches(self, only=None):
         """
         Yield the messages file by file in the order of writing, some at a time.
+
+        Parameters
+        ----------
+        only : collection of str, optional
+            The topics to yield; by default all.
 
         Yields
         ------
@@ -112,12 +118,15 @@ class Bag:
             with ExitStack() as stack:
                 plain = self._plain(path, stack)
                 storage = _STORAGES[plain.suffix](plain, path.name)
-                for batch in storage.batches():
-                    found += len(batch)
-                    yield [(topic, log, publish, _decompressed(data, path))
-                           for topic, log, publish, data in batch]
-            for name, topic in storage.topics.items():
-                self.topics.setdefault(name, topic)
+                known = 0
+                for batch in storage.batches(None if only is None else frozenset(only)):
+                    if len(storage.topics) != known:
+                        self._meet(storage.topics)
+                        known = len(storage.topics)
+                    yield [row if row[3][:4] != _ZSTD_MAGIC else
+                           (*row[:3], _decompressed(row[3], path)) for row in batch]
+            self._meet(storage.topics)
+            found += storage.found
             self.damage += storage.damage
             self.notes += storage.notes
             self.checked += storage.checked
@@ -126,6 +135,10 @@ class Bag:
         self._compare(found)
         self.complete = whole and not self.damage and (
             self.path.is_file() or (self.metadata is not None and self.metadata.count == found))
+
+    def _meet(self, topics):
+        for name, topic in topics.items():
+            self.topics.setdefault(name, topic)
 
     def _compare(self, found):
         announced = self.metadata.count if self.metadata else 0
@@ -176,8 +189,6 @@ def _split_number(path):
 
 
 def _decompressed(data, path):
-    if data[:4] != _ZSTD_MAGIC:
-        return data
     try:
         return zstandard.ZstdDecompressor().decompressobj().decompress(data)
     except zstandard.ZstdError as error:

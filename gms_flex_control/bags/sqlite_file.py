@@ -35,10 +35,16 @@ class SqliteFile:
         self.topics, self.damage, self.notes = {}, [], []
         self.checked, self.unchecked = 0, 1
         self.complete = False
+        self.found, self._only = 0, None
 
-    def batches(self):
+    def batches(self, only=None):
         """
         Yield the messages in the order they were written, some at a time.
+
+        Parameters
+        ----------
+        only : set of str, optional
+            The topics to yield; by default all.
 
         Yields
         ------
@@ -51,6 +57,7 @@ class SqliteFile:
             If the file is empty, cannot be read or is no bag.
 
         """
+        self._only = only
         try:
             with open(self.path, 'rb') as stream:
                 head = stream.read(len(_HEADER))
@@ -106,7 +113,8 @@ class SqliteFile:
         if len(good) < len(rows):
             self.damage.append(Damage(self.label, 'rows that are no messages',
                                       len(rows) - len(good)))
-        return good
+        self.found += len(good)
+        return good if self._only is None else [row for row in good if row[0] in self._only]
 
     def _behind(self, database, last, error):
         """Return the rows behind a damaged page, asked for one by one, and count the others."""
