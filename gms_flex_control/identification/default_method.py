@@ -21,6 +21,7 @@ from gms_flex_control.identification.objective import BLOCK_TIME, coarser, Objec
 from gms_flex_control.identification.refine import Prior, refine, total_cost
 from gms_flex_control.simulation.predictor import BLOCKS
 import numpy as np
+from scipy.stats import norm, t as student
 
 COARSE = 2e-3         # sample that is fine enough to find the way [s]
 CANDIDATES = (1, 2, 4, 6, 8)  # numbers of blocks that are tried
@@ -35,6 +36,7 @@ _KICK, _FINE_KICK = 0.05, 0.12  # of attraction and yields; more of those within
 _EXTRA_DOUBT = 1.0    # of corrections, in their units
 _FEW_COUNTS = 1.5
 _GOOD = 1.15          # times the lowest cost: as good an explanation
+_UPPER = 0.975        # of a 95 % interval
 
 
 class Candidate(NamedTuple):
@@ -245,7 +247,8 @@ def hop(objective, coordinates, free, prior, count, rng):
     free : ndarray, shape (P,)
         The best.
     scatter : ndarray, shape (P,)
-        Standard deviation of the good ones about the best: what the roughness leaves open.
+        Standard deviation of the good ones about the best, as much larger as Student's
+        distribution is wider for so few: what the roughness leaves open.
 
     """
     ends = [refine(objective, coordinates, free, prior, roughly=True)]
@@ -262,7 +265,8 @@ def hop(objective, coordinates, free, prior, count, rng):
     limit = _GOOD * cost_behind(ends[0], floor, prior)
     good = [in_order(coordinates, end.free) for end in ends
             if cost_behind(end, floor, prior) <= limit]
-    return good[0], np.sqrt(np.mean(np.square(np.array(good) - good[0]), axis=0))
+    few = student.ppf(_UPPER, max(len(good) - 1, 2)) / norm.ppf(_UPPER)  # so few tell little
+    return good[0], few * np.sqrt(np.mean(np.square(np.array(good) - good[0]), axis=0))
 
 
 def cost_behind(end, floor, prior):
