@@ -33,6 +33,7 @@ import numpy as np
 
 CONSTANT = 'constant_link_torque'  # the effect
 _CONFIDENT = 1.959964
+_SLIGHT = 0.1      # of the torque: an inertia that takes less is not to be believed
 _LIGHT = 0.05       # of the torque: inertia that cannot be told is set to what takes this share
 _ERRORS, _PART = 5.0, 0.1  # of the regression, and of the number: unit of a correction
 _UNKNOWN = Interval(np.nan, np.nan)
@@ -57,6 +58,7 @@ class ArmFit(NamedTuple):
     has_gravity: tuple  # per joint whether gravity acts on it
     constant: np.ndarray  # (n,), torque needed at any angle and speed [N m]
     friction: tuple  # per joint its usual friction [N m], None where not looked for
+    shares: tuple    # per joint the torque of its inertia, of the whole
 
     def extras(self):
         """Return per joint a function Stretch -> further torques (T, R) per unit of correction."""
@@ -74,7 +76,7 @@ class ArmFit(NamedTuple):
         return extra
 
     def corrections(self, joint, theta):
-        """Return the corrections (R,) in parameters of a joint, in the numbers' units."""
+        """Return what parameters of a joint correct, in the units of the numbers, (R,)."""
         return theta[len(theta) - len(self.units[joint]):] * self.units[joint]
 
 
@@ -92,7 +94,7 @@ def filled(angle):
 
 
 def axis_regressors(angle, rate, acceleration):
-    """Return torques (T, n, 4) per inertia, cosine and sine of gravity, and constant."""
+    """Return the torques (T, n, 4) of inertia, cosine and sine of gravity, and a constant."""
     return np.stack([acceleration, np.cos(angle), np.sin(angle), np.ones(angle.shape)], axis=2)
 
 
@@ -133,7 +135,7 @@ def estimate_arm(recordings, robot):
         constant[j] = axis.constant
     return ArmFit(replace(robot, arm=arm), motors, tuple(numbers), tuple(units),
                   tuple(axis.has_gravity for axis in axes), constant,
-                  tuple(axis.friction for axis in axes))
+                  tuple(axis.friction for axis in axes), tuple(axis.share for axis in axes))
 
 
 def _chain(recordings, robot, drives, motors):
@@ -143,7 +145,7 @@ def _chain(recordings, robot, drives, motors):
     numbers = tuple(acting(n, j, gravity) for j in range(n))
     return ArmFit(replace(robot, arm=arm), motors, numbers,
                   tuple(units[chosen] for chosen in numbers), (gravity,) * n, np.zeros(n),
-                  (None,) * n)
+                  (None,) * n, (1.0,) * n)
 
 
 def acting(n, joint, gravity):
@@ -180,9 +182,14 @@ def _with_motors(arm, motors):
 
 
 def inertia_to_use(axis, rows):
-    """Return the inertia of an axis [kg m^2], small and above zero where none is seen."""
+    """
+    Return the inertia of an axis [kg m^2].
+
+    Where none is seen, one that takes a small part of the torque: with much less, the blocks of
+    friction would be too stiff for the samples.
+    """
     least = _LIGHT * np.std(rows.torque) / max(np.std(rows.acceleration), 1e-300)
-    return max(axis.inertia, float(least)) if axis.inertia_told else float(least)
+    return axis.inertia if axis.inertia_told else float(least)
 
 
 def with_axis(arm, joint, inertia, cosine, sine):
@@ -337,6 +344,10 @@ def _axis_rows(robot, arm_fit, joint, theta, spread, name):
     drawn = drawn - drawn.mean(axis=0) + values
     rows = [_row(f'{name}.inertia', 'kg m^2', values[0], error[0], drawn[:, 0],
                  'about the joint, centre of mass and motor included', _TELLS_INERTIA)]
+    if arm_fit.shares[joint] < _SLIGHT:
+        rows[0] = rows[0]._replace(flags=('not identifiable',), note=(
+            f'it takes {100 * max(arm_fit.shares[joint], 0.0):.2g} % of the torque in this '
+            f'motion, less than what the model lacks may take: {_TELLS_INERTIA}'))
     if 3 in numbers:
         rows.append(_row(f'effects.{robot.joints[joint]}.{CONSTANT}.bias', 'N m', -values[-1],
                          error[-1], -drawn[:, -1], 'friction would have to be several times '

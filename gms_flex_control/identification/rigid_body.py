@@ -55,6 +55,7 @@ class AxisFit(NamedTuple):
     has_gravity: bool
     explained: float       # share of the torque's variance
     inertia_told: bool     # whether the inertia is clearly above zero
+    share: float           # torque of the inertia, of the whole
 
     @property
     def gravity_torque(self):
@@ -178,7 +179,8 @@ def fit_axis(rows, joint, source):
         found[:, 3] = 0.5 * (levels[0] - levels[1]), error[count]
     level = max(0.5 * sum(levels), _LEAST * float(np.std(rows.torque)))
     return AxisFit(*map(float, found[0]), level, found[1], bool(has_gravity),
-                   float(1.0 - np.var(rest) / (np.var(rows.torque) or 1.0)), bool(told))
+                   float(1.0 - np.var(rest) / (np.var(rows.torque) or 1.0)), bool(told),
+                   float(values[0] * np.std(rows.acceleration) / (np.std(rows.torque) or 1.0)))
 
 
 def _levels(friction, rate):

@@ -141,7 +141,8 @@ def fit_stribeck(velocity, torque):
     noise = max(1.5 * float(np.median(np.abs(torque - np.median(torque)))), 1e-3 * level)
 
     def residual(x):
-        coulomb, drop, viscous = x[0] * level, x[1] * level, x[3] * level / top
+        coulomb, viscous = x[0] * level, x[3] * level / top
+        drop = x[1] * coulomb  # at most F_s = 2 F_c: else a curve that bends is no Stribeck curve
         decay = np.exp(-np.minimum((velocity / np.exp(x[2])) ** 2, 50.0))
         return coulomb + drop * decay + viscous * velocity - torque
 
@@ -149,10 +150,11 @@ def fit_stribeck(velocity, torque):
     for start in np.geomspace(slow, top, 4):
         fit = least_squares(
             residual, [0.9, 0.1, np.log(start), 0.1], loss='soft_l1', f_scale=0.3 * noise,
-            bounds=([1e-3, 1e-4, np.log(0.3 * slow), 0.0], [3.0, 3.0, np.log(top), 3.0]))
+            bounds=([1e-3, 1e-4, np.log(0.3 * slow), 0.0], [3.0, 1.0, np.log(top), 3.0]))
         if best is None or fit.cost < best.cost:
             best = fit
-    coulomb, drop = best.x[0] * scale[0], best.x[1] * scale[1]
+    coulomb = best.x[0] * scale[0]
+    drop = best.x[1] * coulomb
     return Stribeck(coulomb + drop, coulomb, float(np.exp(best.x[2])), best.x[3] * scale[3])
 
 

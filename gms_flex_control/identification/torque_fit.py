@@ -21,6 +21,7 @@ from gms_flex_control.identification.smoothing import low_pass
 from gms_flex_control.identification.steady import friction_torque
 from gms_flex_control.identification.uncertainty import REPLICATES, Spread
 from gms_flex_control.simulation.friction_replay import replay
+from gms_flex_control.simulation.predictor import PER_DIRECTION, VISCOUS
 import numpy as np
 from scipy.optimize import least_squares
 
@@ -40,6 +41,7 @@ _SHORT = 60.0         # data in which what is held out is too little to choose b
 _WORTH = 0.97         # of the error on data held out: a fit that is no better is not taken
 _CLEAR = 0.9          # likewise where the fit itself has seen the data that decide
 _MEMORY = 0.1         # of what a fit leaves of the torque, at least [s]
+_DROP, _LEVEL_DOUBT = 0.1, 0.3  # of Coulomb friction: F_s - F_c to begin with; of its logarithm
 _STEP = 1e-4          # of a free number, for a derivative
 _BENT = 2.0           # residuals beyond this many standard deviations count less
 _BIG = 0.7            # largest change of a logarithm by a replicate
@@ -218,10 +220,29 @@ def choose_fit(bundle, joint, fits, step, rng):
     enough = _WORTH if _seconds(thin) > _SHORT else _CLEAR
     if fair * _worse(_errors(objective, thin, *known, step), least) < enough:
         return Choice(INNOVATIONS, fit, None)
-    moved = known[0], fit_torque(training, *known, prior_of(*known))
+    begin = _levelled(known[1], plain[1])
+    moved = known[0], fit_torque(training, known[0], begin, _belief(known[0], begin))
     if fair * _worse(_errors(objective, thin, *moved, step), least) < enough:
         return _finished(TORQUE, objective, thin, fit, *moved, step, rng)
     return _finished(SIMPLE, objective, thin, fit, *plain, step, rng)
+
+
+def _levelled(free, plain):
+    """Return free numbers with the Coulomb and viscous friction of the simple ones."""
+    level = free.copy()
+    for at in (0, PER_DIRECTION):
+        level[at + VISCOUS] = plain[at + VISCOUS]
+        level[at] = plain[at]
+        level[at + 1] = plain[at] + np.log(_DROP)
+    return level
+
+
+def _belief(coordinates, free):
+    """Return the prior of a fit of the torque: friction does not vanish at speed."""
+    prior = prior_of(coordinates, free)
+    for at in (0, PER_DIRECTION):
+        prior.precision[at] = _LEVEL_DOUBT ** -2
+    return prior
 
 
 def _penalty(error, bundle, size, least):
@@ -247,18 +268,23 @@ def _worse(found, least):
 
 
 def _simple(objective, bundle, step, chosen):
-    """Return Coulomb and viscous friction, its one block as stiff as suits the torque best."""
+    """
+    Return Coulomb and viscous friction as Coordinates and free numbers.
+
+    Its one block is as stiff as suits the torque best, as long as free motion does not suffer.
+    """
     plain = errors.coulomb_viscous(objective, bundle.stretches, bundle.arm, objective.joint,
                                    step, chosen)
-    error = TorqueError(objective, bundle, chosen, step)
     tried = [errors.simple_free(plain, factor * step, len(plain) - 4) for factor in _YIELDS]
-    return min(tried, key=lambda pair: errors.rms(error(pair[0].unpack(pair[1])[0])))
+    found = [_errors(objective, bundle, *pair, step) for pair in tried]
+    fine = [k for k, pair in enumerate(found) if not pair[1] > found[0][1]]
+    return tried[min(fine, key=lambda k: found[k][0])]
 
 
 def _finished(kind, objective, bundle, fit, coordinates, held, step, rng):
     """Return the Choice of a kind, fitted to all data."""
     error = TorqueError(objective, bundle, _everything, step)
-    prior = prior_of(coordinates, held)
+    prior = _belief(coordinates, held) if kind == TORQUE else prior_of(coordinates, held)
     if kind == SIMPLE:
         free = _simple(objective, bundle, step, _everything)[1]
     else:
