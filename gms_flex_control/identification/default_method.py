@@ -21,7 +21,8 @@ from gms_flex_control.identification.objective import BLOCK_TIME, coarser, Objec
 from gms_flex_control.identification.refine import Prior, refine, total_cost
 from gms_flex_control.simulation.predictor import BLOCKS
 import numpy as np
-from scipy.stats import norm, t as student
+from scipy.stats import norm
+from scipy.stats import t as student
 
 COARSE = 2e-3         # sample that is fine enough to find the way [s]
 CANDIDATES = (1, 2, 4, 6, 8)  # numbers of blocks that are tried
