@@ -267,7 +267,7 @@ def test_three_joints_are_controlled(ideal_robot, gains):
     def third(x):
         return np.concatenate([x, x[-1:]])
     arm = replace(ideal_robot.arm, **{name: third(getattr(ideal_robot.arm, name)) for name in (
-        'mass', 'length', 'com', 'inertia', 'motor_inertia', 'stiffness', 'damping')})
+        'mass', 'length', 'com', 'inertia', 'motor_inertia', 'stiffness', 'damping', 'offset')})
     friction = ideal_robot.friction
     steady = [replace(side, **{name: third(value) for name, value in vars(side).items()})
               for side in (friction.forward, friction.backward)]
