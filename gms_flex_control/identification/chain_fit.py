@@ -25,6 +25,7 @@ _CONFIDENT = 1.959964
 _BELIEF = 1.0     # spread of masses and inertias around those described, of logarithms
 _CLOSED = 0.2     # of the link's length: spread of the centre of mass
 _WIDE = 0.5
+_TOLD = 0.95      # share of a parameter that the data must tell
 
 
 def base_names(n, has_gravity):
@@ -190,17 +191,37 @@ def nearest_arm(arm, values, precision, has_gravity):
     return changed(least_squares(residual, np.zeros(3 * n)).x)
 
 
-def base_estimates(values, covariance, n, has_gravity):
-    """Return the Estimates of base parameters (B,) of n joints, ``covariance`` (B, B)."""
+def base_estimates(values, covariance, told, n, has_gravity):
+    """
+    Return the Estimates of base parameters.
+
+    Parameters
+    ----------
+    values, told : ndarray, shape (B,)
+        The parameters, and the share of each that the data tell, the rest being where the fit
+        began.
+    covariance : ndarray, shape (B, B)
+        Of the values.
+    n : int
+        Number of joints.
+    has_gravity : bool
+        Whether moments are among them.
+
+    Returns
+    -------
+    tuple of Estimate
+
+    """
     rows = []
-    for (name, unit), value, variance in zip(base_names(n, has_gravity), values,
-                                             np.diag(covariance), strict=True):
+    for (name, unit), value, variance, share in zip(
+            base_names(n, has_gravity), values, np.diag(covariance), told, strict=True):
         half = _CONFIDENT * float(np.sqrt(variance))
         interval = Interval(value - half, value + half)
-        told = half < _WIDE * abs(value)
+        known = half < _WIDE * abs(value) and share > _TOLD
         rows.append(Estimate(name, unit, float(value), interval, interval,
-                             () if told else ('not identifiable',),
+                             () if known else ('not identifiable',),
                              'a base parameter: masses, centres of mass and inertias count only '
-                             'as far as they make it' if told else
-                             'faster motion of all joints together tells it'))
+                             'as far as they make it' if known else
+                             'only its sum with others is told where the joints move one at a '
+                             'time: faster motion of all joints together tells it'))
     return tuple(rows)

@@ -10,7 +10,8 @@ import warnings
 from gms_flex_control.friction.stribeck import steady_friction
 from gms_flex_control.identification import default_method
 from gms_flex_control.identification import held_out as errors
-from gms_flex_control.identification.arm_fit import arm_estimates, estimate_arm, folded
+from gms_flex_control.identification.arm_estimates import arm_estimates
+from gms_flex_control.identification.arm_fit import estimate_arm, folded
 from gms_flex_control.identification.checks import require
 from gms_flex_control.identification.coordinates import friction_record
 from gms_flex_control.identification.loops import loops_of, presliding_reach
