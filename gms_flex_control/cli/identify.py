@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """`gms_flex identify`: friction parameters from bags, each with how far to trust it."""
 
+from dataclasses import replace
 from pathlib import Path
 
 
@@ -54,6 +55,7 @@ def run(args):
                        for paths in (args.bags, args.holdout))
     found = identify(takes, robot, holdouts=holdouts, options=options_of(args),
                      say=quiet if args.json else say)
+    found = replace(found, described=args.robot is not None)
     out = Path(args.out)
     write_friction(found, out / 'friction.yaml')
     write_report_json(found, out / 'report.json')

@@ -88,7 +88,8 @@ def friction_values(identification):
     Returns
     -------
     dict of str to object
-        Names of joints and motors, friction of all joints, and what else the fit has changed.
+        Names of joints and motors, friction of all joints, and what else the fit has changed;
+        of a robot that no file has described, the whole arm.
 
     Notes
     -----
@@ -102,6 +103,8 @@ def friction_values(identification):
     for name, value in found.items():
         part = name.split('.')[0]
         if part == 'friction':
+            values[name] = value
+        elif part == 'arm' and not identification.described:
             values[name] = value
         elif part in ('arm', 'effects') and value != believed.get(name):
             if not (name.endswith('.stiffness') and math.isinf(value)):

@@ -151,6 +151,8 @@ class Identification:
         How long the fit took [s].
     recorded : str
         When the data were recorded, such as '2026-03-01 14:05 UTC'; '' if not known.
+    described : bool
+        Whether ``believed`` is what a file says, not a placeholder.
 
     """
 
@@ -165,3 +167,4 @@ class Identification:
     warnings: tuple
     seconds: float
     recorded: str = ''
+    described: bool = True
