@@ -5,10 +5,9 @@
 
 from itertools import product
 from pathlib import Path
-import shutil
 import time
 
-from gms_flex_control.errors import BagError
+from gms_flex_control.cli.output import prepare, refuse_foreign, say
 
 MOTIONS = ('sinusoid', 'polynomial')
 MODES = ('none', 'gms_paper', 'gms')
@@ -41,31 +40,17 @@ def add_parser(subparsers):
 def run(args):
     """Drive, simulate, analyse and print; return 0."""
     begin, out = time.monotonic(), Path(args.out)
-    refuse_foreign(out)
+    refuse_foreign(out, MARKER, 'demo')
     say('compiling the inner loops (once)')
     plans = {(motion, mode): plan_of(motion, mode, args.duration)
              for motion, mode in product(args.motions, args.modes)}
-    prepare(out)
+    prepare(out, MARKER)
     driven = drive_all(plans, out)
     exact = simulate_all(plans, out)
     table = report_all(driven, exact, out)
     print(f'\n{table}\n\nreport   {out / "report.html"}\nnumbers  {out / "table4.json"}\n'
           f'bags     {out / "bags"}\ndone in {time.monotonic() - begin:.0f} s')
     return 0
-
-
-def refuse_foreign(out):
-    """Raise BagError if ``out`` holds anything but an earlier demo."""
-    if out.exists() and not (out.is_dir() and ((out / MARKER).exists()
-                                               or not any(out.iterdir()))):
-        raise BagError(f'{out} exists and was not made by gms_flex demo: name another --out')
-
-
-def prepare(out):
-    """Make the output folder anew."""
-    shutil.rmtree(out, ignore_errors=True)
-    out.mkdir(parents=True)
-    (out / MARKER).touch()
 
 
 def files_of(motion):
@@ -148,8 +133,3 @@ def report_all(driven, exact, out):
                  'stiffness x 1.05, masses x 0.93')
     return (f'Model error: friction x 0.85, stiffness x 1.05, masses x 0.93\n{table.text()}\n\n'
             f'Exact model\n{align(*table4(exact).rows())}')
-
-
-def say(text):
-    """Print progress at once, also through a pipe."""
-    print(text, flush=True)

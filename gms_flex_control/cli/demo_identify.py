@@ -4,11 +4,10 @@
 """`gms_flex demo-identify`: the identification experiment over real ROS 2, from nothing."""
 
 from pathlib import Path
-import shutil
 import time
 from typing import NamedTuple
 
-from gms_flex_control.errors import BagError
+from gms_flex_control.cli.output import prepare, refuse_foreign, say
 
 RATE = 500.0  # joint states per second [Hz]
 BELIEVED_FRICTION = 0.8  # of the true one, before identification
@@ -39,9 +38,9 @@ def add_parser(subparsers):
 def run(args):
     """Drive the experiment, fit it, track with the result; return 0 if that is good enough."""
     begin, out = time.monotonic(), Path(args.out)
-    refuse_foreign(out)
+    refuse_foreign(out, MARKER, 'demo-identify')
     experiment = read_experiment(args.plan)
-    prepare(out)
+    prepare(out, MARKER)
     bag = drive(out, experiment)
     verdict, lines = 0, []
     if {step.joint for step in experiment.plan.experiments} == set(experiment.believed.joints):
@@ -126,21 +125,6 @@ def compare(out):
                                   'friction', table, verdict]
 
 
-def refuse_foreign(out):
-    """Raise BagError if ``out`` holds anything but an earlier demo."""
-    if out.exists() and not (out.is_dir() and ((out / MARKER).exists()
-                                               or not any(out.iterdir()))):
-        raise BagError(f'{out} exists and was not made by gms_flex demo-identify: '
-                       'name another --out')
-
-
-def prepare(out):
-    """Make the output folder anew."""
-    shutil.rmtree(out, ignore_errors=True)
-    out.mkdir(parents=True)
-    (out / MARKER).touch()
-
-
 class Experiment(NamedTuple):
     """What is run: a plan, its file, and what is believed of the robot before."""
 
@@ -195,8 +179,3 @@ def warm_up(plan, robot, gains):
     plant = SteppedPlant(robot, period=1e-3, substeps=1)
     plant.advance(np.zeros(robot.n_joints))
     SteppedController(gains, robot).tick(plan.trajectory(plan.experiments[0]).sample(0.0), 0.0)
-
-
-def say(text):
-    """Print progress at once, also through a pipe."""
-    print(text, flush=True)

@@ -6,6 +6,8 @@
 from dataclasses import replace
 from pathlib import Path
 
+from gms_flex_control.cli.output import say
+
 
 def add_parser(subparsers):
     """Add the verb to the command line."""
@@ -114,11 +116,6 @@ def motors_in(path, robot):
     from gms_flex_control.bags.reader import joint_names
     names = joint_names(path)
     return tuple(motor if motor in names else '' for motor in robot.motors)
-
-
-def say(text):
-    """Print progress at once, also through a pipe."""
-    print(text, flush=True)
 
 
 def quiet(_text):

@@ -1,0 +1,27 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Progress on the terminal, and folders that a verb makes anew."""
+
+import shutil
+
+from gms_flex_control.errors import BagError
+
+
+def say(text):
+    """Print progress at once, also through a pipe."""
+    print(text, flush=True)
+
+
+def refuse_foreign(out, marker, verb):
+    """Raise BagError if the folder ``out`` holds anything but an earlier run of ``verb``."""
+    if out.exists() and not (out.is_dir() and ((out / marker).exists()
+                                               or not any(out.iterdir()))):
+        raise BagError(f'{out} exists and was not made by gms_flex {verb}: name another --out')
+
+
+def prepare(out, marker):
+    """Make the folder ``out`` anew, marked as one that may be."""
+    shutil.rmtree(out, ignore_errors=True)
+    out.mkdir(parents=True)
+    (out / marker).touch()
