@@ -6,34 +6,34 @@
 import os
 import sys
 import time
-from typing import NamedTuple
 
 from gms_flex_control.control.gain_conditions import violations
-from gms_flex_control.nodes import messages, process
+from gms_flex_control.nodes import messages, process, references
+from gms_flex_control.nodes.health import Health, OK, WARN
 from gms_flex_control.nodes.messages import NANOSECONDS
 from gms_flex_control.nodes.parameters import NodeParameters
+from gms_flex_control.nodes.references import Handover, Reference, References
+from gms_flex_control.nodes.refusal import all_finite
 from gms_flex_control.schema.build import controller_from_values, robot_from_values
 from gms_flex_control.schema.keys import controller_keys, controller_node_keys, robot_keys
 from gms_flex_control.simulation.stepped import SteppedController
-from gms_flex_control.trajectory.segments import extrapolate
 import numpy as np
 from rclpy.duration import Duration
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout
+from std_srvs.srv import Trigger
 
 _LONGEST_TICK = 0.5  # a longer gap between states starts the observer anew [s]
+_LONGEST_DELAY = round(0.1 * NANOSECONDS)  # a state older than the last by less was overtaken
 _LONGEST_SILENCE = 0.03  # of the joint states; then zero torque, real time only [s]
+_ZEROS = 10          # sent one silence apart while it lasts: one may be lost
 _LONGEST_GOODBYE = Duration(seconds=0.5)  # a subscriber may be frozen
 _WARN_PERIOD = 5.0   # [s]
-_KEPT_REFERENCES = 4
-
-
-class Reference(NamedTuple):
-    """One reference as received."""
-
-    quantity: str        # 'motion' or 'effort'
-    value: np.ndarray    # (5, n) or (1, n)
+_PHASES = {
+    references.FOLLOWING: (OK, 'following'),
+    references.HOLDING: (WARN, 'reference lost: holding'),
+    references.RELAXING: (WARN, 'reference lost: letting the torque down to zero')}
 
 
 class ControllerNode(Node):
@@ -48,7 +48,9 @@ class ControllerNode(Node):
         robot = robot_from_values(values)
         gains = controller_from_values(values, joints)
         self._lockstep = values['mode'] == 'lockstep'
-        self._timeout = round(NANOSECONDS * values['reference_timeout'])
+        self._references = References(*(values[f'reference_{what}']
+                                        for what in ('timeout', 'hold', 'relax')))
+        self._handover = Handover(values['resume_time'])
         self._every = values['state_every']
         self._robot = robot
         self._controller = SteppedController(gains, robot)
@@ -57,15 +59,21 @@ class ControllerNode(Node):
         self._command = messages.CommandWriter(
             robot.n_joints, f'{self.get_fully_qualified_name()}#{os.getpid()}')
         self._zero = np.zeros(robot.n_joints)
-        self._references = {}
         self._last = None        # stamp of the state answered last
-        self._answered = None    # when the last state was answered [s]; None after a silence
+        self._answered = None    # when the last state was answered [s]; None before the first
+        self._zeros = 0          # sent since then
+        self._begins = True      # the next state with a motion reference begins a motion
         self._waiting = None     # stamp of a state that waits for its reference, lockstep only
         self._ticks = 0
         self._warned = []        # sentences on the gains as they are
+        self._counts = dict.fromkeys(('states answered', 'states refused', 'references refused',
+                                      'observer begun anew', 'silences'), 0)
+        self._longest = 0.0      # between two answers since the last report [s]
+        self.health = Health(self, self._figures, self._on_fault)
         self._warm_up()
         self._create_topics(values['mode'])
-        parameters.watch(lambda new: controller_from_values(new, joints), self._use)
+        parameters.watch(lambda new: controller_from_values(new, joints), self._use,
+                         self.health.guard)
         self._warn_of_conditions(gains)
         self.get_logger().info(f"compensation {gains.compensation}, {values['mode']}")
 
@@ -80,16 +88,19 @@ class ControllerNode(Node):
             Float64MultiArray, 'effort_controller/commands', depth)
         self._state_pub = self.create_publisher(JointState, '~/state', depth)
         self._blocks_pub = self.create_publisher(Float64MultiArray, '~/blocks', depth)
-        self.create_subscription(Float64MultiArray, 'reference', self._on_reference, qos,
+        guard = self.health.guard
+        self.create_subscription(Float64MultiArray, 'reference', guard(self._on_reference), qos,
                                  event_callbacks=process.NO_EVENTS)
-        self.create_subscription(JointState, 'joint_states', self._on_joint_states, qos,
+        self.create_subscription(JointState, 'joint_states', guard(self._on_joint_states), qos,
                                  event_callbacks=process.NO_EVENTS)
+        self.create_service(Trigger, '~/reset', guard(self._on_reset))
 
     def run(self, spinner):
         """Answer joint states until a signal comes."""
+        watch = self.health.guard(self._watch)
         while spinner.goes_on():
-            spinner.spin_once(0.5 * _LONGEST_SILENCE)
-            self._watch()
+            spinner.spin_once(self._patience())
+            watch()
 
     def _warm_up(self):
         """Compile before the first state comes."""
@@ -112,87 +123,112 @@ class ControllerNode(Node):
         try:
             reference = Reference(*messages.read_reference(message, self._robot.n_joints))
         except messages.RefusedError as error:
+            self._counts['references refused'] += 1
             self.get_logger().warning(f'reference refused: {error}',
                                       throttle_duration_sec=_WARN_PERIOD)
             return
         stamp = messages.read_stamp(message)
         if stamp is None:
             stamp = self._last if self._last is not None else 0
-        self._references[stamp] = reference
-        if len(self._references) > _KEPT_REFERENCES:
-            del self._references[next(iter(self._references))]
+        self._references.keep(stamp, reference)
         if self._waiting is not None and stamp == self._waiting:
             self._answer(self._waiting)
 
     def _on_joint_states(self, message):
         stamp = messages.to_nanoseconds(message.header.stamp)
+        if self.health.fault:
+            self._publish_command(self._zero, stamp)
+            return
         if self._last is not None and stamp == self._last:
             if self._lockstep:  # sent again: the answer was lost or came before the plant
                 self._publish_command(self._controller.state.command, stamp)
             return
         if self._lockstep and stamp == self._waiting:  # sent again while we wait
+            self.health.tell(WARN, 'waiting for a reference')
             self.get_logger().info('waiting for a reference; is trajectory_node running?',
                                    throttle_duration_sec=_WARN_PERIOD, skip_first=True)
+            return
+        if self._was_overtaken(stamp):
             return
         try:
             self._reader.read(message, self._controller.measured)
         except messages.RefusedError as error:
+            self._counts['states refused'] += 1
             self.get_logger().warning(f'joint state refused: {error}',
                                       throttle_duration_sec=_WARN_PERIOD)
             return
-        if self._lockstep and stamp not in self._references:
+        if self._lockstep and not self._references.has(stamp):
             self._waiting = stamp
             return
         self._answer(stamp)
 
-    def _elapsed(self, stamp):
-        """Return the time since the state before [s]; 0 where the observer begins anew."""
-        if self._last is None:
-            return 0.0
-        elapsed = (stamp - self._last) / NANOSECONDS
-        if 0.0 < elapsed <= _LONGEST_TICK:
-            return elapsed
-        self.get_logger().warning(f'joint states jumped by {elapsed:.3f} s: observer begins anew',
-                                  throttle_duration_sec=_WARN_PERIOD)
-        self._controller.reset()
-        return 0.0
-
-    def _reference_at(self, stamp):
-        """Return the Reference for a state, moved to its time; None if all are too old."""
-        reference = self._references.get(stamp)
-        if reference is not None or not self._references:
-            return reference
-        nearest = min(self._references, key=lambda known: abs(known - stamp))
-        if abs(stamp - nearest) > self._timeout:
-            return None
-        reference = self._references[nearest]
-        if reference.quantity == messages.EFFORT:
-            return reference
-        return Reference(reference.quantity,
-                         extrapolate(reference.value, (stamp - nearest) / NANOSECONDS))
+    def _was_overtaken(self, stamp):
+        """Return whether the state is an old one that came late, not one of another clock."""
+        return (not self._lockstep and self._last is not None and not self._zeros
+                and 0 < self._last - stamp <= _LONGEST_DELAY)
 
     def _answer(self, stamp):
         self._waiting = None
-        elapsed = self._elapsed(stamp)
-        reference = self._reference_at(stamp)
-        self._last, self._answered = stamp, time.monotonic()
+        elapsed = 0.0 if self._last is None else (stamp - self._last) / NANOSECONDS
+        jumped = self._last is not None and not 0.0 < elapsed <= _LONGEST_TICK
+        silent, self._zeros = self._zeros > 0, 0
+        self._last = stamp
+        self._note_answer()
+        if jumped:
+            self._begin_anew(elapsed)
+            if not self._lockstep:  # the next state tells whether this clock goes on
+                self._publish_command(self._zero, stamp)
+                return
+            elapsed = 0.0
+        elif silent:
+            self._begins = True
+            self._controller.state.started[0] = 0.0  # nobody knows the way since
+            elapsed = 0.0
+        reference = self._references.at(stamp)
         if reference is None:
             self._give_zero(stamp)
-            self.get_logger().warning('no reference: zero torque; is trajectory_node running?',
-                                      throttle_duration_sec=_WARN_PERIOD, skip_first=True)
+            self._say_no_reference(stamp)
             return
+        self._follow(stamp, reference, elapsed)
+
+    def _note_answer(self):
+        now = time.monotonic()
+        if self._answered is not None:
+            self._longest = max(self._longest, now - self._answered)
+        self._answered = now
+        self._counts['states answered'] += 1
+
+    def _begin_anew(self, elapsed):
+        self._counts['observer begun anew'] += 1
+        self.health.tell(WARN, f'joint states jumped by {elapsed:.3f} s: zero torque')
+        self.get_logger().warning(f'joint states jumped by {elapsed:.3f} s: observer begins anew',
+                                  throttle_duration_sec=_WARN_PERIOD)
+        self._controller.reset()
+        self._references.forget_motion()
+        self._begins = True
+
+    def _follow(self, stamp, reference, elapsed):
+        """Answer a state with the torque that follows a reference."""
+        state = self._controller.state
         if reference.quantity == messages.EFFORT:
             self._controller.reset()
-            self._controller.state.command[:] = np.clip(reference.value[0], -self._limit,
-                                                        self._limit)
+            state = self._controller.state
+            state.command[:] = np.clip(reference.value[0], -self._limit, self._limit)
+            self._begins = True
         else:
-            self._controller.tick(reference.value, elapsed)
-        if not messages.all_finite(self._controller.state.command.tolist()):
+            if self._begins:
+                self._begins = False
+                self._handover.begin(stamp, self._controller.measured, reference.value)
+            self._controller.tick(self._handover.applied(stamp, reference.value), elapsed)
+            self._references.answered(state.command, elapsed)
+        if not all_finite(state.command.tolist()):
             self._give_zero(stamp)
+            self.health.tell(WARN, 'the law gave no finite torque: zero torque')
             self.get_logger().error('the law gave no finite torque: zero torque; are state or '
                                     'reference plausible?', throttle_duration_sec=_WARN_PERIOD)
             return
-        self._publish_command(self._controller.state.command, stamp)
+        self._publish_command(state.command, stamp)
+        self.health.tell(*_PHASES[self._references.phase])
         self._ticks += 1
         if self._ticks % self._every == 0:
             self._publish_state(stamp)
@@ -200,17 +236,58 @@ class ControllerNode(Node):
     def _give_zero(self, stamp):
         """Command nothing and forget the motion so far."""
         self._controller.reset()
+        self._begins = True
         self._publish_command(self._zero, stamp)
+
+    def _say_no_reference(self, stamp):
+        away = self._references.nearest(stamp)
+        why = ('is trajectory_node running?' if away is None else
+               f'the nearest is {away / NANOSECONDS:.3g} s away from the joint states; '
+               'has trajectory_node ended, or is its clock another one?')
+        self.health.tell(WARN, 'no reference: zero torque')
+        self.get_logger().warning(f'no reference: zero torque; {why}',
+                                  throttle_duration_sec=_WARN_PERIOD, skip_first=True)
+
+    def _patience(self):
+        """Return how long to wait for the next message [s]."""
+        if self._answered is None or self._lockstep or self._zeros >= _ZEROS:
+            return _LONGEST_SILENCE
+        due = self._answered + (self._zeros + 1) * _LONGEST_SILENCE
+        return min(max(due - time.monotonic(), 1e-4), _LONGEST_SILENCE)
 
     def _watch(self):
         """Command nothing once states have stopped or have all been refused."""
-        if (self._answered is None or self._lockstep
-                or time.monotonic() - self._answered <= _LONGEST_SILENCE):
+        if self._answered is None or self._lockstep or self._zeros >= _ZEROS:
             return
-        self._answered = None
-        self._give_zero(self._last)
+        if time.monotonic() - self._answered < (self._zeros + 1) * _LONGEST_SILENCE:
+            return
+        # the observer is left as it is: what it knows still holds after a short silence
+        self._publish_command(self._zero, self._last)
+        self._zeros += 1
+        if self._zeros > 1:
+            return
+        self._counts['silences'] += 1
+        self.health.tell(WARN, f'no usable joint state for {_LONGEST_SILENCE * 1e3:g} ms: '
+                              'zero torque')
         self.get_logger().warning(f'no usable joint state for {_LONGEST_SILENCE * 1e3:g} ms: '
                                   'zero torque', throttle_duration_sec=_WARN_PERIOD)
+
+    def _on_fault(self):
+        self._waiting = None
+        self._publish_command(self._zero, self._last or 0)
+
+    def _on_reset(self, _request, response):
+        """End a fault: begin anew from the measured state."""
+        self._controller.reset()
+        self._references.forget_motion()
+        self._begins = True
+        self.health.recover()
+        response.success, response.message = True, 'begins anew from the measured state'
+        return response
+
+    def _figures(self):
+        longest, self._longest = self._longest, 0.0
+        return {**self._counts, 'longest time between answers [ms]': f'{longest * 1e3:.1f}'}
 
     def _publish_command(self, torque, stamp):
         self._command_pub.publish(self._command.write(torque, stamp))
@@ -221,8 +298,11 @@ class ControllerNode(Node):
                 not self._blocks_pub.get_subscription_count():
             return  # three messages a tick cost more than one
         messages.set_stamp(message.header.stamp, stamp)
-        message.position = messages.array('d', state.error.tolist())
-        message.velocity = messages.array('d', state.error_rate.tolist())
+        error, rate = state.error, state.error_rate
+        if self._handover.left is not None:  # the error is that from the reference as received
+            error, rate = error + self._handover.left[0], rate + self._handover.left[1]
+        message.position = messages.array('d', error.tolist())
+        message.velocity = messages.array('d', rate.tolist())
         message.effort = messages.array('d', state.friction_hat.tolist())
         self._state_pub.publish(message)
         self._blocks.data = messages.array('d', state.observer.blocks.torque.ravel().tolist())

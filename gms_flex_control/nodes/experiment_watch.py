@@ -3,7 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """What an experiment sees of the robot: time, place, and whether a limit was passed."""
 
-from gms_flex_control.nodes import messages
+from gms_flex_control.nodes import messages, refusal
 from gms_flex_control.nodes.messages import NANOSECONDS
 import numpy as np
 
@@ -69,7 +69,7 @@ class Watch:
         if len(position) != len(self._names):
             raise messages.RefusedError(f'{len(self._names)} names, {len(position)} positions')
         q_link = [position[index] for index in self._order]
-        if not messages.all_finite(q_link):
+        if not refusal.all_finite(q_link):
             raise messages.RefusedError(f'positions {q_link}')
         stamp = messages.to_nanoseconds(message.header.stamp)
         if self._first is None:

@@ -12,6 +12,14 @@ from array import array
 from contextlib import suppress
 import math
 
+from gms_flex_control.nodes.refusal import (
+    first_bad,
+    LARGEST_STATE,
+    LARGEST_TORQUE,
+    order_of,
+    refuse_bad_reference,
+    RefusedError,
+)
 import numpy as np
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout
@@ -19,10 +27,6 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayou
 NANOSECONDS = 1_000_000_000
 _STAMP, _SOURCE = 'stamp:', 'source:'
 EFFORT, DERIVATIVE = 'effort', 'derivative'
-
-
-class RefusedError(ValueError):
-    """A message that is not acted on; the sentence says why."""
 
 
 def to_nanoseconds(stamp):
@@ -33,12 +37,6 @@ def to_nanoseconds(stamp):
 def set_stamp(stamp, nanoseconds):
     """Write integer nanoseconds into a builtin_interfaces Time."""
     stamp.sec, stamp.nanosec = divmod(nanoseconds, NANOSECONDS)
-
-
-def all_finite(values):
-    """Return whether no number is NaN or infinite; fast for a handful of them."""
-    # NaN and both infinities turn the sum into NaN or infinity
-    return math.isfinite(sum(values)) or all(math.isfinite(value) for value in values)
 
 
 class JointStateReader:
@@ -59,17 +57,6 @@ class JointStateReader:
         self._names = None
         self._order = None
 
-    def _map(self, names):
-        missing = [name for name in self._wanted if name not in names]
-        if missing:
-            raise RefusedError(f'joint states lack {missing[0]!r} (have {", ".join(names)}); '
-                               'check joints and motors in the robot file')
-        repeated = [name for name in self._wanted if names.count(name) > 1]
-        if repeated:
-            raise RefusedError(f'joint states name {repeated[0]!r} more than once')
-        self._names = list(names)
-        self._order = [names.index(name) for name in self._wanted]
-
     def read(self, message, measured):
         """
         Write a JointState into the record ``measured`` (q_link, dq_link, q_motor, dq_motor).
@@ -84,27 +71,31 @@ class JointStateReader:
         Raises
         ------
         RefusedError
-            If a name is missing or repeated, a length is wrong or a value is not finite; nothing
-            is written then.
+            If a name is missing or repeated, a length is wrong, a value is not finite or beyond
+            `LARGEST_STATE`; nothing is written then.
 
         """
         names = message.name
         if names != self._names:
-            self._map(names)
+            self._order = order_of(self._wanted, names)
+            self._names = list(names)
         position, velocity = message.position, message.velocity
         if len(position) != len(names) or len(velocity) != len(names):
             raise RefusedError(f'joint states have {len(names)} names, {len(position)} positions '
                                f'and {len(velocity)} velocities; all three must agree')
         q = [position[index] for index in self._order]
         dq = [velocity[index] for index in self._order]
-        if not all_finite(q) or not all_finite(dq):
-            bad = next(k for k in range(len(q))
-                       if not (math.isfinite(q[k]) and math.isfinite(dq[k])))
-            raise RefusedError(f'joint states have position {q[bad]} and velocity {dq[bad]} '
-                               f'for {self._wanted[bad]!r}')
+        self._refuse_bad('position', q)
+        self._refuse_bad('velocity', dq)
         n = self._n
         measured.q_link[:], measured.q_motor[:] = q[:n], q[n:]
         measured.dq_link[:], measured.dq_motor[:] = dq[:n], dq[n:]
+
+    def _refuse_bad(self, field, values):
+        bad = first_bad(values, LARGEST_STATE)
+        if bad is not None:
+            raise RefusedError(f'joint states have {field} {values[bad]} for '
+                               f'{self._wanted[bad]!r} ({field}[{self._order[bad]}])')
 
 
 class JointStateWriter:
@@ -193,6 +184,14 @@ def read_stamp(message):
     return None
 
 
+def read_source(message):
+    """Return who sent a command, as its layout says; None without that."""
+    for dimension in message.layout.dim:
+        if dimension.label.startswith(_SOURCE):
+            return dimension.label[len(_SOURCE):]
+    return None
+
+
 def read_command(message, n):
     """
     Return a command as a list of n torques [N m].
@@ -200,15 +199,15 @@ def read_command(message, n):
     Raises
     ------
     RefusedError
-        If there are more or fewer than n, or one is not finite.
+        If there are more or fewer than n, or one is not finite or beyond `LARGEST_TORQUE`.
 
     """
     torque = message.data
     if len(torque) != n:
         raise RefusedError(f'command has {len(torque)} torques for {n} joints')
-    if not all_finite(torque):
-        bad = next(j for j in range(n) if not math.isfinite(torque[j]))
-        raise RefusedError(f'command for joint {bad + 1} is {torque[bad]}')
+    bad = first_bad(torque, LARGEST_TORQUE)
+    if bad is not None:
+        raise RefusedError(f'command for joint {bad + 1} is {torque[bad]} (data[{bad}])')
     return torque
 
 
@@ -261,7 +260,7 @@ def read_reference(message, n):
     Raises
     ------
     RefusedError
-        If layout or length does not fit, or a number is not finite.
+        If layout or length does not fit, or a number is not finite or too large.
 
     """
     dims = message.layout.dim
@@ -270,13 +269,12 @@ def read_reference(message, n):
     sizes = [dimension.size for dimension in dims[:2]]
     described = dims and not dims[0].label.startswith(_STAMP)
     if described and (dims[0].label not in (EFFORT, DERIVATIVE) or sizes != [rows, n]):
-        labels = ', '.join(f'{dimension.label} {dimension.size}' for dimension in dims[:2])
+        labels = ', '.join(f'{dimension.label[:80]} {dimension.size}' for dimension in dims[:2])
         raise RefusedError(f'reference has the layout [{labels}], expected [{DERIVATIVE} 5, '
                            f'joint {n}] or [{EFFORT} 1, joint {n}]')
     if len(message.data) != rows * n:
         raise RefusedError(f'reference has {len(message.data)} numbers, expected {rows} x {n}')
-    if not all_finite(message.data):
-        raise RefusedError('reference has a number that is not finite')
+    refuse_bad_reference(message.data, quantity == EFFORT, n)
     return quantity, np.array(message.data).reshape(rows, n)
 
 

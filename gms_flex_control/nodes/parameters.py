@@ -5,7 +5,7 @@
 
 from gms_flex_control.errors import ConfigError, GmsFlexError
 from gms_flex_control.schema import build
-from gms_flex_control.schema.keys import REQUIRED
+from gms_flex_control.schema.key import REQUIRED
 from gms_flex_control.schema.values import checked, known_keys
 from rcl_interfaces.msg import (
     FloatingPointRange,
@@ -80,7 +80,7 @@ class NodeParameters:
                               'a file after --ros-args --params-file')
         return key.default
 
-    def watch(self, judge, apply):
+    def watch(self, judge, apply, guard=lambda callback: callback):
         """
         Let live parameters change while the node runs.
 
@@ -90,12 +90,14 @@ class NodeParameters:
             Flat values -> object; raises GmsFlexError with the reason to refuse.
         apply : callable
             Gets what ``judge`` returned once the change is accepted.
+        guard : callable, optional
+            Wraps the callbacks, see Health.guard; one that raises would kill the executor.
 
         """
         self._judge, self._apply = judge, apply
-        self._node.add_pre_set_parameters_callback(self._coerce)
+        self._node.add_pre_set_parameters_callback(guard(self._coerce))
         self._node.add_on_set_parameters_callback(self._on_set)
-        self._node.add_post_set_parameters_callback(self._on_changed)
+        self._node.add_post_set_parameters_callback(guard(self._on_changed))
 
     def _coerce(self, parameters):
         return [self._as_double(parameter) for parameter in parameters]
@@ -130,8 +132,9 @@ class NodeParameters:
     def _on_changed(self, parameters):
         values = self._candidate(parameters)
         if values != self.values:
+            judged = self._judge(values)
             self.values = values
-            self._apply(self._judge(values))
+            self._apply(judged)
 
 
 def _ros_value(key, value):

@@ -68,6 +68,7 @@ class Spinner:
 
     def __init__(self):
         self._executor = None
+        self._failed = None
         self._stopped = False
         _handle_signals(self._on_signal)
 
@@ -78,7 +79,9 @@ class Spinner:
             raise KeyboardInterrupt
 
     def add(self, node):
-        """Take the node whose callbacks are run."""
+        """Take the node whose callbacks are run; its ``health``, if it has one, is told."""
+        health = getattr(node, 'health', None)
+        self._failed = health and health.failed
         self._executor = EventsExecutor()
         self._executor.add_node(node)
 
@@ -88,7 +91,12 @@ class Spinner:
 
     def spin_once(self, timeout=0.1):
         """Run the callbacks that are due, or wait ``timeout`` seconds for one."""
-        self._executor.spin_once(timeout_sec=timeout)
+        try:
+            self._executor.spin_once(timeout_sec=timeout)
+        except Exception as error:  # noqa: B902  an executor goes on after any of them
+            if self._failed is None:
+                raise
+            self._failed(error, 'the executor')
 
     def spin(self):
         """Run callbacks in this thread; the spin of EventsExecutor itself runs none."""

@@ -6,7 +6,8 @@
 import sys
 
 from gms_flex_control.errors import GmsFlexError, TrajectoryError
-from gms_flex_control.nodes import messages, process
+from gms_flex_control.nodes import messages, process, refusal
+from gms_flex_control.nodes.health import Health, OK
 from gms_flex_control.nodes.messages import NANOSECONDS
 from gms_flex_control.nodes.parameters import NodeParameters
 from gms_flex_control.schema.keys import robot_keys, trajectory_keys
@@ -22,6 +23,8 @@ _WARN_PERIOD = 5.0
 _STANDING = 1e-3    # slower than this counts as rest [rad/s]
 _CREEP = 0.1        # a single encoder count looks as fast as that to a reset [rad/s]
 _SAME_STAMP = 0.2  # a stamp within this part of the period was foreseen
+_LONGEST_DELAY = round(0.1 * NANOSECONDS)  # a state older than the last by less was overtaken
+_LONGEST_PAUSE = 2 * NANOSECONDS  # of the joint states; the motion waits for longer ones
 
 
 def reference_names_keys(joints):
@@ -38,24 +41,27 @@ class TrajectoryNode(Node):
         parameters = NodeParameters(self, reference_names_keys)
         values, self._joints = parameters.values, parameters.joints
         self._chosen = trajectory_from_values(values, self._joints)
-        self._values = values
+        self._values, self._lockstep = values, values['mode'] == 'lockstep'
         self._current = None      # Trajectory in the node's time, None before the first state
         self._running = False
         self._origin = self._last = self._published = None  # stamps [ns]
         self._names = self._order = None
         self._q_link, self._dq_link, self._origin_of_torque = np.zeros((3, len(self._joints)))
         self._writer = messages.ReferenceWriter(len(self._joints))
+        self._counts = dict.fromkeys(('states followed', 'states refused', 'jumps of time'), 0)
+        self.health = Health(self, lambda: self._counts)
+        guard = self.health.guard
         self._reference_pub = self.create_publisher(Float64MultiArray, 'reference',
                                                     process.publisher_qos(values['mode']))
         self._chosen.sample(0.0)  # compile before the first state comes
         self.create_subscription(
-            JointState, 'joint_states', self._on_joint_states,
+            JointState, 'joint_states', guard(self._on_joint_states),
             process.subscriber_qos(values['mode']), event_callbacks=process.NO_EVENTS)
         for name, handler in (('start', self._start), ('stop', self._stop),
                               ('reset', self._reset), ('release', self._release)):
-            self.create_service(Trigger, f'~/{name}', handler)
+            self.create_service(Trigger, f'~/{name}', guard(handler))
         parameters.watch(lambda new: (trajectory_from_values(new, self._joints), new),
-                         self._choose)
+                         self._choose, guard)
         self.get_logger().info(f"{values['trajectory.type']}, call ~/start to begin"
                                if not values['trajectory.autostart'] else
                                f"{values['trajectory.type']} begins at the first joint state")
@@ -69,37 +75,43 @@ class TrajectoryNode(Node):
 
     def _read(self, message):
         if message.name != self._names:
-            missing = [joint for joint in self._joints if joint not in message.name]
-            if missing:
-                raise messages.RefusedError(f'joint states lack {missing[0]!r}')
-            repeated = [joint for joint in self._joints if message.name.count(joint) > 1]
-            if repeated:
-                raise messages.RefusedError(f'joint states name {repeated[0]!r} more than once')
+            self._order = refusal.order_of(self._joints, message.name)
             self._names = list(message.name)
-            self._order = [message.name.index(joint) for joint in self._joints]
         if len(message.position) != len(message.name):
             raise messages.RefusedError(f'joint states have {len(message.name)} names and '
                                         f'{len(message.position)} positions')
         q_link = [message.position[index] for index in self._order]
-        if not messages.all_finite(q_link):
-            raise messages.RefusedError(f'joint states have positions {q_link}')
+        bad = refusal.first_bad(q_link, refusal.LARGEST_STATE)
+        if bad is not None:
+            raise messages.RefusedError(f'joint states have position {q_link[bad]} for '
+                                        f'{self._joints[bad]!r} (position[{self._order[bad]}])')
         self._q_link[:] = q_link
         self._dq_link[:] = 0.0
         if len(message.velocity) == len(message.name):
             dq_link = [message.velocity[index] for index in self._order]
-            self._dq_link[:] = dq_link if messages.all_finite(dq_link) else 0.0
+            if refusal.first_bad(dq_link, refusal.LARGEST_STATE) is None:
+                self._dq_link[:] = dq_link
 
     def _on_joint_states(self, message):
         stamp = messages.to_nanoseconds(message.header.stamp)
+        if self.health.fault:
+            self._ask_for_zero(stamp)
+            return
         try:
             self._read(message)
         except messages.RefusedError as error:
+            self._counts['states refused'] += 1
             self.get_logger().warning(f'joint state refused: {error}',
                                       throttle_duration_sec=_WARN_PERIOD)
+            return
+        if self._was_overtaken(stamp):
             return
         if self._current is None or stamp < self._last:
             self._begin(stamp)
         period = stamp - self._last
+        if period > _LONGEST_PAUSE:
+            self._wait_out(period)
+            period = 0
         foreseen = (self._published is not None
                     and abs(self._published - stamp) <= _SAME_STAMP * period)
         if not foreseen or period == 0:
@@ -108,6 +120,27 @@ class TrajectoryNode(Node):
             self._end_travelled()
             self._publish(stamp + period)
         self._last = stamp
+        self._counts['states followed'] += 1
+        self.health.tell(OK, 'moving' if self._running else 'at rest')
+
+    def _was_overtaken(self, stamp):
+        """Return whether the state is an old one that came late, not one of another clock."""
+        return (not self._lockstep and self._last is not None
+                and 0 < self._last - stamp <= _LONGEST_DELAY)
+
+    def _wait_out(self, period):
+        """Let the motion go on where it was: the clock has jumped, or there were no states."""
+        self._counts['jumps of time'] += 1
+        self._origin += period
+        self._published = None
+        self.get_logger().warning(
+            f'joint states jumped by {period / NANOSECONDS:.3f} s: the motion goes on where it '
+            'was', throttle_duration_sec=_WARN_PERIOD)
+
+    def _ask_for_zero(self, stamp):
+        """Ask for zero torque with as little as possible of what may be broken."""
+        zero = np.zeros((1, len(self._joints)))
+        self._reference_pub.publish(self._writer.write(zero, messages.EFFORT, stamp))
 
     def _end_travelled(self):
         """End an open-loop torque under which a joint has moved far enough."""
@@ -122,6 +155,10 @@ class TrajectoryNode(Node):
 
     def _begin(self, stamp):
         """Take the first state, or one after the clock was set back, as time zero."""
+        if self._current is not None:
+            self._counts['jumps of time'] += 1
+            self.get_logger().warning('joint states were set back in time: begins anew at rest',
+                                      throttle_duration_sec=_WARN_PERIOD)
         self._origin = self._last = stamp
         self._published = None
         self._current = builders.hold(self._q_link)
@@ -208,6 +245,7 @@ class TrajectoryNode(Node):
     def _reset(self, _request, response):
         def forget():
             """Take the robot's own motion for the reference and bring that to rest."""
+            self.health.recover()
             state = self._robot_state()
             state[1, np.abs(state[1]) < _CREEP] = 0.0
             self._brake_from(state)

@@ -145,6 +145,12 @@ def controller_node_keys():
         MODE,
         Key('reference_timeout', 'double', 'age of a reference that is still followed', 's', 0.1,
             1e-3, 10.0),
+        Key('reference_hold', 'double', 'how long a lost motion is braked and held', 's', 2.0,
+            0.0, 1e7),
+        Key('reference_relax', 'double', 'in what time the torque then goes to zero', 's', 1.0,
+            0.0, 1e4),
+        Key('resume_time', 'double', 'of the way from the robot to a reference that is '
+            'elsewhere', 's', 2.0, 1e-3, 1e4),
         Key('state_every', 'integer', 'publish ~/state and ~/blocks at every n-th tick', '', 1, 1,
             1000000))
 

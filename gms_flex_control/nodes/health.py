@@ -1,0 +1,126 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""How a node is: what it says on /diagnostics, and the fault that an exception makes of it."""
+
+from functools import wraps
+import traceback
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from gms_flex_control.nodes.endpoints import mismatches
+from rclpy.clock import Clock, ClockType
+
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+_LOOK_PERIOD = 0.1   # a change is published within this [s]
+_LOOKS_PER_REPORT = 10
+
+
+class Health:
+    """
+    State of one node, on /diagnostics once a second and when it changes.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Whose health it is.
+    figures : callable, optional
+        Returns what to report as dict of str to object; called once per report.
+    on_fault : callable, optional
+        Called without arguments when a fault begins.
+
+    Attributes
+    ----------
+    fault : str
+        The sentence of the first fault; '' while there is none.
+
+    """
+
+    def __init__(self, node, figures=dict, on_fault=lambda: None):
+        self._node, self._figures, self._on_fault = node, figures, on_fault
+        self.fault = ''
+        self._state = (OK, 'starting')
+        self._said, self._looks, self._mismatches = None, 0, ()
+        self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
+        # steady: the timers of ROS time stand still with /clock
+        self._timer = node.create_timer(_LOOK_PERIOD, self.guard(self._look),
+                                        clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def tell(self, level, sentence):
+        """Say how the node is; cheap enough for every tick."""
+        self._state = (level, sentence)
+
+    @property
+    def status(self):
+        """Return level and sentence; a fault and mismatched endpoints outweigh the rest."""
+        if self.fault:
+            return ERROR, f'FAULT: {self.fault}'
+        level, sentence = self._state
+        if self._mismatches:
+            return max(level, ERROR), '; '.join((*self._mismatches, sentence))
+        return level, sentence
+
+    def fail(self, sentence):
+        """Enter the fault, which lasts until `recover`; later faults change nothing."""
+        if not self.fault:
+            self.fault = sentence
+            self._node.get_logger().error(f'FAULT: {sentence}')
+            self._on_fault()
+            self.publish()
+
+    def failed(self, error, where):
+        """Enter the fault that an exception makes; its traceback is logged, but only once."""
+        if not self.fault:
+            lines = ''.join(traceback.format_exception(error)).rstrip()
+            self._node.get_logger().error(f'exception in {where}\n{lines}')
+        self.fail(f'{where} raised {type(error).__name__}: {error}')
+
+    def recover(self):
+        """End the fault."""
+        self.fault = ''
+
+    def guard(self, callback):
+        """
+        Return ``callback`` such that an exception ends in a fault, not in a dead executor.
+
+        The handler of a service then answers with ``success`` false, if its response has it.
+        """
+        name = callback.__name__.strip('_')
+
+        @wraps(callback)
+        def guarded(*arguments):
+            try:
+                return callback(*arguments)
+            except Exception as error:  # noqa: B902  whatever it is, torque must end
+                self.failed(error, name)
+            response = arguments[-1] if arguments else None
+            if hasattr(response, 'success'):
+                response.success, response.message = False, f'FAULT: {self.fault}'
+            return response
+        return guarded
+
+    def _look(self):
+        self._looks += 1
+        if self._looks % _LOOKS_PER_REPORT == 0:
+            self._compare_endpoints()
+            self.publish()
+        elif self.status != self._said:
+            self.publish()
+
+    def _compare_endpoints(self):
+        found = tuple(mismatches(self._node))
+        for sentence in found:
+            if sentence not in self._mismatches:
+                self._node.get_logger().error(sentence)
+        self._mismatches = found
+
+    def publish(self):
+        """Publish the state now."""
+        self._said = level, sentence = self.status
+        status = DiagnosticStatus(
+            level=level, name=self._node.get_fully_qualified_name().strip('/'), message=sentence,
+            hardware_id=self._node.get_fully_qualified_name(),
+            values=[KeyValue(key=key, value=str(value))
+                    for key, value in self._figures().items()])
+        message = DiagnosticArray(status=[status])
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        self._publisher.publish(message)
