@@ -20,7 +20,8 @@ from numba.core import config
 from numba.extending import intrinsic
 
 _PACKAGE = Path(__file__).parent
-_KERNEL_FOLDERS = ('friction', 'effects', 'dynamics', 'trajectory', 'control', 'simulation')
+_KERNEL_FOLDERS = ('friction', 'effects', 'dynamics', 'trajectory', 'control', 'simulation',
+                   'hidden/kernels')
 
 _POINTER = types.CPointer(types.float64)
 # signals of the joint, parameters, memory, substep

@@ -1,0 +1,225 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Cases of the test bench: a robot with something hidden in it, drawn from kind and seed."""
+
+from dataclasses import dataclass, replace
+
+from gms_flex_control.effects import registry
+from gms_flex_control.errors import ConfigError, SimulationError
+from gms_flex_control.hidden import motions, outsiders, plants, sizes, truth
+from gms_flex_control.params.gains import ControllerParams
+from gms_flex_control.params.robot import RobotParams
+from gms_flex_control.recording import Recording
+from gms_flex_control.suggest import did_you_mean
+import numpy as np
+
+KINDS = ('single', 'clean', 'double', 'outside', 'clutter', 'deleted')
+PERIOD, DURATION = 2e-3, 60.0
+CLUTTER, CLUTTER_SIZE = 14, (0.01, 0.03)  # how many small effects, of how much of F_s
+_TRIES = 20
+_FARTHEST = 0.6  # from the reference, rms: beyond that nobody would record the robot [rad]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Truth:
+    """
+    What is hidden in a case.
+
+    Parameters
+    ----------
+    kind : str
+        One of `KINDS`.
+    seed : int
+        It was drawn from.
+    plant, motion : str
+        'soft' or 'stiff'; 'rich', 'sinusoid' or 'polynomial'.
+    effects : tuple of EffectSpec
+        The main effects.
+    clutter : tuple of EffectSpec
+        Small ones in the background.
+    outsider : str or None
+        Name of the disturbance from outside the catalogue.
+    outsider_joint : str or None
+        Where it acts.
+    robot : RobotParams
+        The true robot, all effects included.
+
+    """
+
+    kind: str
+    seed: int
+    plant: str
+    motion: str
+    effects: tuple
+    clutter: tuple
+    outsider: str | None
+    outsider_joint: str | None
+    robot: RobotParams
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Case:
+    """
+    One case as the user of a robot has it, and the truth about it.
+
+    Parameters
+    ----------
+    recording, held_out : Recording
+        Two motions of the same robot; ``tau_motor`` is the torque the drives were asked for.
+    nominal : RobotParams
+        The robot as believed: every parameter 1 to 3 % off.
+    gains : ControllerParams
+        It was driven with.
+    truth : Truth
+        Not for the tool that is tried.
+
+    """
+
+    recording: Recording
+    held_out: Recording
+    nominal: RobotParams
+    gains: ControllerParams
+    truth: Truth
+
+
+def available_effects():
+    """Return the effects that can be hidden, tuple of str in a fixed order."""
+    return tuple(name for name in sizes.MAIN if name in registry.names())
+
+
+def require_known(what, value, known):
+    """Raise ConfigError if ``value`` (str) is not among those ``known``."""
+    if value not in known:
+        raise ConfigError(f'{what} {value!r} is unknown{did_you_mean(value, known)}')
+
+
+def make_case(kind, seed, *, motion='rich', plant=None, duration=DURATION, effect=None):
+    """
+    Draw a case.
+
+    Parameters
+    ----------
+    kind : str
+        'single', 'clean', 'double', 'outside' (a disturbance the catalogue lacks), 'clutter'
+        (one effect among many small ones) or 'deleted' (single; the catalogue will lack it).
+    seed : int
+        Every number comes from it and from ``kind``. Effects and disturbances are taken in
+        turn, so that successive seeds hold each of them.
+    motion : {'rich', 'sinusoid', 'polynomial'}
+        What the robot does.
+    plant : {'soft', 'stiff'}, optional
+        Default: drawn.
+    duration : float
+        Of each recording [s].
+    effect : str, optional
+        Main effect, or outsider, instead of the one whose turn it is.
+
+    Returns
+    -------
+    Case
+
+    Raises
+    ------
+    ConfigError
+        If kind, motion, plant or effect is unknown.
+    SimulationError
+        If no draw gave a robot that can be driven.
+
+    """
+    require_known('kind', kind, KINDS)
+    require_known('motion', motion, motions.MOTIONS)
+    if plant is not None:
+        require_known('plant', plant, plants.PLANTS)
+    if effect is not None:
+        require_known('effect', effect,
+                      outsiders.NAMES if kind == 'outside' else available_effects())
+    rng = np.random.default_rng([KINDS.index(kind), seed])
+    drawn_plant = str(rng.choice(plants.PLANTS))
+    plant = plant or drawn_plant
+    for _ in range(_TRIES):
+        try:
+            return _draw(rng, kind, seed, motion, plant, duration, effect)
+        except SimulationError:  # this robot cannot be driven with that in it: another one
+            continue
+    raise SimulationError(f'{kind} {seed}: none of {_TRIES} draws could be driven')
+
+
+def _draw(rng, kind, seed, motion, plant, duration, effect):
+    time = np.arange(round(duration / PERIOD)) * PERIOD
+    robot, gains = plants.draw_robot(rng, plant)
+    nominal = plants.draw_belief(rng, robot)
+    references = [motions.draw_reference(rng, motion, plant, time) for _ in range(2)]
+    seeds = rng.integers(2 ** 31, size=3)
+    figures = sizes.figures_of(robot, _driven(
+        robot, nominal, gains, references[0], seeds[2]), PERIOD)
+    effects, disturbances = (), (None, None)
+    if kind == 'outside':
+        name = effect or outsiders.NAMES[seed % len(outsiders.NAMES)]
+        joint = int(rng.integers(robot.n_joints))
+        first = outsiders.draw_disturbance(rng, name, joint, figures[joint], len(time), PERIOD)
+        disturbances = first, first._replace(
+            drawn=outsiders.draw_course(rng, name, len(time), PERIOD))
+    elif kind != 'clean':
+        effects = _main_effects(rng, 2 if kind == 'double' else 1, seed, robot, figures, effect)
+    clutter = _clutter(rng, effects, robot, figures) if kind == 'clutter' else ()
+    robot = replace(robot, effects=effects + clutter)
+    with_rates = rng.random() < 0.5
+    recordings = [
+        _recording(_driven(robot, nominal, gains, reference, seeds[k], disturbances[k]), reference,
+                   time, robot, with_rates, f'{kind} {seed}')
+        for k, reference in enumerate(references)]
+    first = disturbances[0]
+    return Case(recording=recordings[0], held_out=recordings[1], nominal=nominal, gains=gains,
+                truth=Truth(kind=kind, seed=seed, plant=plant, motion=motion, effects=effects,
+                            clutter=clutter, outsider=first.name if first else None,
+                            outsider_joint=robot.joints[first.joint] if first else None,
+                            robot=robot))
+
+
+def _driven(robot, nominal, gains, reference, seed, disturbance=None):
+    motion = truth.simulate(robot, nominal, gains, reference, period=PERIOD, seed=int(seed),
+                            disturbance=disturbance)
+    if sizes.rms(motion.true[:, 0] - reference[:, 0]).max() > _FARTHEST:
+        raise SimulationError('the robot does not follow its reference')
+    return motion
+
+
+def _main_effects(rng, count, seed, robot, figures, effect):
+    """Return ``count`` different main effects; the first is that of the seed's turn."""
+    names = available_effects()
+    chosen = [effect or names[seed % len(names)]]
+    while len(chosen) < count:
+        name = str(rng.choice(names))
+        if name not in chosen:
+            chosen.append(name)
+    return tuple(_main(rng, name, robot, figures) for name in chosen)
+
+
+def _main(rng, name, robot, figures):
+    joint = sizes.place(rng, name, robot.joints)
+    return sizes.spec(name, joint, robot.joints, sizes.MAIN[name](rng, figures[joint]))
+
+
+def _clutter(rng, effects, robot, figures):
+    """Return small effects with other names than the main ones, EffectSpec each."""
+    names = [name for name in sizes.SMALL if name in registry.names()
+             and name not in {spec.name for spec in effects}]
+    specs = []
+    for name in rng.choice(names, CLUTTER, replace=False).tolist():
+        joint = sizes.place(rng, name, robot.joints)
+        torque = rng.uniform(*CLUTTER_SIZE) * figures[joint].static
+        specs.append(sizes.spec(name, joint, robot.joints,
+                                sizes.SMALL[name](rng, figures[joint], torque)))
+    return tuple(specs)
+
+
+def _recording(motion, reference, time, robot, with_rates, source):
+    q_link, dq_link, q_motor, dq_motor = np.moveaxis(motion.measured, 1, 0)
+    asked = np.vstack([np.zeros(robot.n_joints), motion.command[:-1]])
+    unknown = np.full(q_link.shape, np.nan)
+    return Recording(
+        joints=robot.joints, time=time, q_link=q_link, q_motor=q_motor,
+        dq_link=dq_link if with_rates else unknown,
+        dq_motor=dq_motor if with_rates else unknown, tau_motor=asked, command=motion.command,
+        reference=reference, friction_hat=motion.friction_hat, source=source)

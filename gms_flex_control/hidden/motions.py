@@ -1,0 +1,104 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Motions drawn from a seed: a rich one, and the two of the paper."""
+
+from gms_flex_control.trajectory import builders
+from gms_flex_control.trajectory.segments import COEFFICIENTS, Trajectory
+import numpy as np
+
+MOTIONS = ('rich', 'sinusoid', 'polynomial')
+_ACCELERATION = {'soft': 1.5, 'stiff': 2.5}  # of the sum of tones, largest [rad/s^2]
+
+
+def draw_reference(rng, motion, plant, time):
+    """
+    Return a reference for two joints.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Where every number comes from.
+    motion : {'rich', 'sinusoid', 'polynomial'}
+        Tones, moves of many speeds and slow reversals one after the other; or the paper's.
+    plant : {'soft', 'stiff'}
+        A soft robot is moved more gently.
+    time : ndarray, shape (T,)
+        Sample times [s].
+
+    Returns
+    -------
+    ndarray, shape (T, 5, 2)
+        Angle and derivatives, at rest at the start.
+
+    """
+    if motion == 'sinusoid':
+        return builders.sinusoid(rng.uniform(0.7, 1.2, 2), rng.uniform(4.5, 7.0, 2)).sample(time)
+    if motion == 'polynomial':
+        repeats = int(np.ceil(time[-1] / 8.0))
+        return builders.polynomial(rng.uniform(0.7, 1.3, 2), rng.uniform(3.5, 5.0),
+                                   rng.uniform(1.0, 3.0), repeats).sample(time)
+    third = time[-1] / 3.0
+    parts = [*tones(rng, 0.5, third, (0.1, 0.7), 0.9, _ACCELERATION[plant], 4),
+             *tones(rng, 2.3 * third, 0.7 * third, (0.08, 0.3), 0.12, 0.4, 3),
+             moves(rng, third + 0.5, 1.3 * third - 1.0, 1.5 * _ACCELERATION[plant])]
+    return sum(part.sample(time) for part in parts)
+
+
+def tones(rng, start, duration, band, reach, acceleration, count):
+    """
+    Return sinusoids that fade in and out together.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Where every number comes from.
+    start, duration : float
+        When they sound [s].
+    band : tuple of float
+        Lowest and highest frequency [Hz].
+    reach, acceleration : float
+        Sum of the amplitudes at most [rad], and of their accelerations [rad/s^2].
+    count : int
+        How many for each joint.
+
+    Returns
+    -------
+    list of Trajectory
+
+    """
+    fade = min(2.0, 0.25 * duration)
+    up = builders.hermite(builders.at_rest([0.0]), builders.at_rest([1.0]), fade)[:, 0]
+    down = builders.hermite(builders.at_rest([1.0]), builders.at_rest([0.0]), fade)[:, 0]
+    envelope = [builders.constant([0.0])[:, 0], up, builders.constant([1.0])[:, 0], down,
+                builders.constant([0.0])[:, 0]]
+    begin = np.array([0.0, start, start + fade, start + duration - fade, start + duration])
+    omega = 2.0 * np.pi * np.exp(rng.uniform(*np.log(band), (count, 2)))
+    share = rng.dirichlet(np.full(count, 2.0), 2).T
+    amplitude = share * np.minimum(reach, acceleration / np.sum(share * omega ** 2, axis=0))
+    phase = rng.uniform(0.0, 2.0 * np.pi, (count, 2))
+    return [Trajectory(start=begin, scale=[1.0, fade, 1.0, fade, 1.0],
+                       poly=np.zeros((5, COEFFICIENTS, 2)), envelope=envelope,
+                       amplitude=[a] * 5, omega=[w] * 5,
+                       phase=[p + w * (at - start) for at in begin])
+            for a, w, p in zip(amplitude, omega, phase, strict=True)]
+
+
+def moves(rng, start, duration, acceleration):
+    """Return moves at rest-to-rest through random points, fast and slow, that end at zero."""
+    largest = 7.5  # acceleration of a move of degree 9: times distance / duration^2, less than
+    polys, begin, scale, here, time = [builders.constant([0.0, 0.0])], [0.0], [1.0], None, start
+    here, end = np.zeros(2), start + duration
+    while time < end - 1.5:
+        there = rng.uniform(-1.1, 1.1, 2)
+        quick = np.sqrt(largest * np.max(np.abs(there - here)) / acceleration)
+        taken = quick * np.exp(rng.uniform(0.0, 1.2))
+        if time + taken > end - 3.0:
+            there = np.zeros(2)
+            taken = max(end - time, np.sqrt(largest * np.max(np.abs(here)) / acceleration))
+        polys += [builders.hermite(builders.at_rest(here), builders.at_rest(there), taken),
+                  builders.constant(there)]
+        begin += [time, time + taken]
+        scale += [taken, 1.0]
+        here, time = there, time + taken + rng.uniform(0.0, 0.8)
+    return builders.polynomials(begin, scale, polys)

@@ -1,0 +1,138 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Robots drawn from a seed, and what their user believes of them."""
+
+from dataclasses import replace
+
+from gms_flex_control.params.arm import ArmParams
+from gms_flex_control.params.encoder import EncoderParams
+from gms_flex_control.params.friction import FrictionParams, StribeckParams
+from gms_flex_control.params.gains import ControllerParams
+from gms_flex_control.params.robot import RobotParams
+import numpy as np
+
+PLANTS = ('soft', 'stiff')
+COUNTS = (20000, 20000, 65536, 131072, 262144, 524288)  # per revolution, one drawn
+BELIEF = (0.01, 0.03)  # how far every believed parameter lies off the truth, either way
+_STIFFNESS = {'soft': (1.0, 1.5), 'stiff': (24.0, 36.0)}  # [N m/rad]
+_KD_MOTOR = {'soft': 0.2, 'stiff': 0.6}
+
+
+def about(rng, value, spread=0.2):
+    """Return ``value`` (array) times factors from 1 / (1 + spread) to 1 + spread."""
+    value = np.asarray(value, dtype=float)
+    return value * (1.0 + spread) ** rng.uniform(-1.0, 1.0, value.shape)
+
+
+def draw_friction(rng):
+    """Return the friction of two joints of a small robot, about 0.1 N m (FrictionParams)."""
+    coulomb = about(rng, [0.092, 0.088])
+    velocity = about(rng, [0.008, 0.06], 0.5)
+    viscous = about(rng, [0.07, 0.02], 0.5)
+
+    def side():
+        level = coulomb * rng.uniform(0.97, 1.03, 2)
+        return StribeckParams(
+            static=level * rng.uniform(1.1, 1.3, 2), coulomb=level,
+            velocity=velocity * rng.uniform(0.8, 1.25, 2),
+            viscous=viscous * rng.uniform(0.9, 1.1, 2))
+
+    blocks = 10.0 ** rng.uniform(0.0, 2.2, (2, 6))
+    return FrictionParams(forward=side(), backward=side(), stiffness=np.sort(blocks, axis=1),
+                          weight=np.full((2, 6), 1.0 / 6.0), attraction=about(rng, [1.5, 1.0]))
+
+
+def draw_robot(rng, plant):
+    """
+    Return a true robot without effects, and gains that suit it.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Where every number comes from.
+    plant : {'soft', 'stiff'}
+        Joint stiffness about 1 to 1.5, or about 30 N m/rad.
+
+    Returns
+    -------
+    RobotParams, ControllerParams
+
+    """
+    mass, length = about(rng, [2.3, 1.0]), about(rng, [0.35, 0.30], 0.15)
+    com = length * rng.uniform(0.45, 0.7, 2)
+    arm = ArmParams(
+        kind='planar', mass=mass, length=length, com=com,
+        inertia=mass * length ** 2 * rng.uniform(0.08, 0.12, 2),
+        motor_inertia=about(rng, [0.006, 0.005], 0.3), damping=np.zeros(2),
+        stiffness=rng.uniform(*_STIFFNESS[plant], 2))
+    counts = float(rng.choice(COUNTS))
+    robot = RobotParams(
+        joints=('joint1', 'joint2'), motors=('joint1_motor', 'joint2_motor'), arm=arm,
+        friction=draw_friction(rng), encoder=EncoderParams(
+            counts=counts, noise=2.0 * np.pi / counts * rng.uniform(0.1, 0.5),
+            velocity_cutoff=50.0))
+    kd_motor = _KD_MOTOR[plant] * arm.motor_inertia / [0.006, 0.005]
+    return robot, ControllerParams(
+        compensation='gms', kd_link=[0.8, 0.8], lambda_link=[3.0, 3.0], kd_motor=kd_motor,
+        lambda_motor=[30.0, 40.0], observer_gain=[1.0, 1.0], sign_slope=[50.0, 50.0],
+        filter_bandwidth=[100.0, 100.0], torque_limit=[3.0, 3.0])
+
+
+def with_base_parameters(arm, factors):
+    """
+    Return a chain of two links whose base parameters are scaled.
+
+    Parameters
+    ----------
+    arm : ArmParams
+        Two joints in a plane.
+    factors : ndarray, shape (3,)
+        Of the inertia of link 1 with the mass it carries, of the coupling l1 m2 c2 and of the
+        inertia of link 2 about its joint.
+
+    Returns
+    -------
+    ArmParams
+        With the same masses and lengths.
+
+    """
+    carried = arm.mass[1] * arm.length[0] ** 2
+    about_joint = arm.inertia + arm.mass * arm.com ** 2
+    com = arm.com * [1.0, factors[1]]
+    whole = np.array([(about_joint[0] + carried) * factors[0] - carried,
+                      about_joint[1] * factors[2]])
+    return replace(arm, com=com, inertia=whole - arm.mass * com ** 2)
+
+
+def draw_belief(rng, robot):
+    """
+    Return the robot with every parameter 1 to 3 % off, as its user believes it to be.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Where every number comes from.
+    robot : RobotParams
+        The truth; its effects are not believed in.
+
+    Returns
+    -------
+    RobotParams
+
+    """
+    def factors(*shape):
+        return 1.0 + rng.uniform(*BELIEF, shape) * rng.choice([-1.0, 1.0], shape)
+
+    arm = replace(with_base_parameters(robot.arm, factors(3)),
+                  motor_inertia=robot.arm.motor_inertia * factors(2),
+                  stiffness=robot.arm.stiffness * factors(2))
+    friction, sides = robot.friction, []
+    for steady in (friction.forward, friction.backward):
+        level = factors(2)
+        sides.append(StribeckParams(
+            static=steady.static * level, coulomb=steady.coulomb * level,
+            velocity=steady.velocity * factors(2), viscous=steady.viscous * factors(2)))
+    return replace(robot, arm=arm, effects=(), friction=replace(
+        friction, forward=sides[0], backward=sides[1],
+        stiffness=friction.stiffness * factors(2, 1), attraction=friction.attraction * factors(2)))
