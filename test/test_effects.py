@@ -17,6 +17,7 @@ from gms_flex_control.simulation import closed_loop, plant
 from gms_flex_control.trajectory.builders import hold
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 DT = 1e-4
 TERMS = [name for name in registry.names() if issubclass(registry.find(name), Term)]
@@ -28,6 +29,13 @@ def clip(x, limit):
     return np.clip(x, -limit, limit)
 
 
+def base_after(time, push, frequency, inertia, damping):
+    """Return the angle of a base pushed from rest, by the solver of others."""
+    w = 2 * np.pi * frequency
+    return solve_ivp(lambda t, b: [b[1], push / inertia - 2 * damping * w * b[1] - w * w * b[0]],
+                     (0.0, time), [0.0, 0.0], rtol=1e-13, atol=1e-30).y[0, -1]
+
+
 # values of the parameters, the signal changed, and what it becomes of signals s and values p
 EQUATIONS = {
     'actuator_deadzone': ([0.02], sig.TORQUE, lambda s, p: s[sig.TORQUE] - clip(
@@ -35,13 +43,18 @@ EQUATIONS = {
     'actuator_lag': ([0.005], sig.TORQUE, lambda s, p: s[sig.TORQUE] * -np.expm1(-DT / p[0])),
     'actuator_saturation': ([0.1], sig.TORQUE, lambda s, p: clip(s[sig.TORQUE], p[0])),
     'backlash': ([0.03], sig.TWIST, lambda s, p: s[sig.TWIST] - clip(s[sig.TWIST], p[0])),
+    'base_flexibility': ([8.0, 0.5, 0.05], sig.SENSED_LINK, lambda s, p: s[sig.SENSED_LINK] - (
+        base_after(DT, s[sig.FRICTION] - s[sig.TORQUE], *p))),
     'constant_link_torque': ([-0.02], sig.LINK_TORQUE, lambda s, p: s[sig.LINK_TORQUE] + p[0]),
+    'encoder_skew': ([0.003], sig.SENSED_MOTOR, lambda s, p: s[sig.SENSED_MOTOR] - (
+        p[0] * s[sig.DQ_MOTOR] - p[0] ** 2 / 2 * s[sig.DDQ_MOTOR])),
     'end_stop': ([0.5, 30.0], sig.LINK_TORQUE, lambda s, p: s[sig.LINK_TORQUE] - p[1] * max(
         s[sig.Q_LINK] - p[0], 0.0)),
     'friction_asymmetry': ([0.2], sig.FRICTION, lambda s, p: s[sig.FRICTION] * (
         1 + p[0] * np.sign(s[sig.DQ_LINK]))),
     'friction_drift': ([0.3, 50.0], sig.FRICTION, lambda s, p: s[sig.FRICTION] * (
         1 + p[0] * s[sig.TIME] / p[1])),
+    'input_delay': ([DT / 4], sig.TORQUE, lambda s, p: s[sig.TORQUE] * 0.75),
     'kinematic_error': ([0.01, 0.4], sig.TWIST, lambda s, p: s[sig.TWIST] + p[0] * np.sin(
         2 * s[sig.Q_MOTOR] + p[1])),
     'link_encoder_eccentricity': ([0.02, 0.3], sig.SENSED_LINK, lambda s, p: (
@@ -50,6 +63,8 @@ EQUATIONS = {
         1 + p[0] * abs(s[sig.SPRING]) / p[1])),
     'motor_coulomb': ([0.02], sig.MOTOR_TORQUE, lambda s, p: s[sig.MOTOR_TORQUE] - p[0] * clip(
         s[sig.DQ_MOTOR] / 1e-3, 1.0)),
+    'motor_inertia_coupling': ([0.004], sig.MOTOR_TORQUE, lambda s, p: (
+        s[sig.MOTOR_TORQUE] - p[0] * s[sig.DDQ_LINK - sig.WIDTH])),
     'motor_torque_bias': ([0.01], sig.MOTOR_TORQUE, lambda s, p: s[sig.MOTOR_TORQUE] + p[0]),
     'motor_viscous': ([0.03], sig.MOTOR_TORQUE, lambda s, p: (
         s[sig.MOTOR_TORQUE] - p[0] * s[sig.DQ_MOTOR])),
@@ -67,10 +82,28 @@ EQUATIONS = {
     'torque_gain': ([0.1], sig.TORQUE, lambda s, p: s[sig.TORQUE] * (1 + p[0])),
     'torque_ripple': ([0.01, 12.0, 0.3], sig.MOTOR_TORQUE, lambda s, p: (
         s[sig.MOTOR_TORQUE] + p[0] * np.sin(p[1] * s[sig.Q_MOTOR] + p[2]))),
+    'viscous_error': ([0.03], sig.FRICTION, lambda s, p: (
+        s[sig.FRICTION] + p[0] * s[sig.DQ_LINK])),
 }
+# what else a term may change
+FURTHER = {'backlash': [sig.TWIST_RATE], 'base_flexibility': [sig.SENSED_MOTOR],
+           'motor_inertia_coupling': [sig.LINK_TORQUE - sig.WIDTH]}
 # values with which an effect does nothing
 NOTHING = {name: [0.0] * len(registry.find(name).parameters) for name in TERMS}
 NOTHING |= {'actuator_saturation': [1e6], 'end_stop': [10.0, 0.0], 'load_friction': [0.0, 1.0]}
+
+
+class Row:
+    """The signals of one joint as an effect has them: a pointer, the neighbours' beside it."""
+
+    def __init__(self, signals, joint):
+        self._flat, self._first = signals.reshape(-1), joint * sig.WIDTH
+
+    def __getitem__(self, k):
+        return self._flat[self._first + k]
+
+    def __setitem__(self, k, value):
+        self._flat[self._first + k] = value
 
 
 def random_signals(n, seed):
@@ -81,20 +114,22 @@ def random_signals(n, seed):
     return s
 
 
-def run_compiled(name, values, signals, joint=1, memory=None):
+def run_compiled(name, values, signals, joint=1, memory=None, dt=DT):
     """Return the signals after the compiled stage, dispatched by address."""
     entry = table.build([EffectSpec(name=name, joint=f'j{joint}', values=tuple(values))],
                         ('j0', 'j1', 'j2'))
     out = signals.copy()
     memory = np.zeros(table.MEMORY_SIZE) if memory is None else memory
-    table.run_stage(int(registry.find(name).stage), out, memory, DT, entry)
+    table.run_stage(int(registry.find(name).stage), out, memory, dt, entry)
     return out
 
 
 def test_every_effect_of_the_catalogue_has_its_equation_here():
     """A new term needs an entry in EQUATIONS, so that it is never only believed."""
     assert sorted(EQUATIONS) == TERMS
-    assert CHANGES == ['gravity_tilt', 'motor_inertia_error', 'stiffness_error', 'tip_payload']
+    assert CHANGES == ['coulomb_error', 'gravity_tilt', 'link_inertia_error',
+                       'motor_inertia_error', 'presliding_error', 'stiffness_error',
+                       'stribeck_error', 'tip_payload']
 
 
 @pytest.mark.parametrize('name', TERMS)
@@ -104,12 +139,12 @@ def test_a_term_does_what_its_equation_says(name):
     for seed in range(50):
         before = random_signals(3, seed)
         after = run_compiled(name, values, before)
-        assert after[1, changed] == pytest.approx(equation(before[1], values), rel=1e-12,
+        assert after[1, changed] == pytest.approx(equation(Row(before, 1), values), rel=1e-12,
                                                   abs=1e-15)
         if name == 'backlash' and abs(before[1, sig.TWIST]) < values[0]:
             assert after[1, sig.TWIST_RATE] == 0.0
-            after[1, sig.TWIST_RATE] = before[1, sig.TWIST_RATE]
-        after[1, changed] = before[1, changed]
+        for signal in (changed, *FURTHER.get(name, ())):
+            Row(after, 1)[signal] = Row(before, 1)[signal]
         np.testing.assert_array_equal(after, before)
 
 
@@ -122,7 +157,7 @@ def test_the_compiled_term_is_the_plain_python_one(name):
         signals = random_signals(3, seed)
         compiled = run_compiled(name, values, signals, memory=compiled_memory)
         plain = signals.copy()
-        kind.apply(plain[1], values, memory, DT)
+        kind.apply(Row(plain, 1), values, memory, DT)
         np.testing.assert_allclose(compiled, plain, rtol=1e-14, atol=0)
         np.testing.assert_allclose(compiled_memory[:len(memory)], memory, rtol=1e-14, atol=0)
 
@@ -136,11 +171,13 @@ def test_a_term_with_values_of_nothing_leaves_the_run_as_it_is(ideal_robot, name
     np.testing.assert_array_equal(runs[0], runs[1])
 
 
-@pytest.mark.parametrize('name', sorted(set(TERMS) - {'link_encoder_eccentricity', 'end_stop'}))
+@pytest.mark.parametrize('name', sorted(set(TERMS) - {
+    'base_flexibility', 'encoder_skew', 'end_stop', 'link_encoder_eccentricity'}))
 def test_a_term_with_values_changes_the_run(ideal_robot, name):
     """It is wired into the plant, not only into the table."""
     values = {'actuator_saturation': [0.05], 'backlash': [0.05]}.get(name, EQUATIONS[name][0])
-    spec = EffectSpec(name=name, joint='joint1', values=tuple(values))
+    joint = 'joint2' if name == 'motor_inertia_coupling' else 'joint1'
+    spec = EffectSpec(name=name, joint=joint, values=tuple(values))
     command = 0.4 * np.sin(np.arange(400)[:, None] * [0.01, 0.02])
     runs = [push_plant(robot, command, 2e-3, substeps=4)
             for robot in (ideal_robot, replace(ideal_robot, effects=(spec,)))]
@@ -154,6 +191,23 @@ def test_a_lag_follows_a_step_exponentially():
     for k in range(1, 300):
         out = run_compiled('actuator_lag', values, signals, memory=memory)
         assert out[1, sig.TORQUE] == pytest.approx(-0.5 * np.expm1(-k * DT / 0.01), rel=1e-12)
+
+
+@pytest.mark.parametrize('delay', [0.0031, 0.0117, 0.02])
+@pytest.mark.parametrize('substep', [DT, 2e-3])
+def test_a_delay_gives_every_held_command_later(delay, substep):
+    """The mean over each substep of the held commands shifted, whatever the substep."""
+    rng, memory = np.random.default_rng(1), np.zeros(table.MEMORY_SIZE)
+    period, held = 2e-3, rng.standard_normal(60)
+    given = []
+    for k in range(round(60 * period / substep)):
+        signals = np.zeros((3, sig.WIDTH))
+        signals[1, sig.TORQUE] = held[int((k + 0.5) * substep / period)]
+        given.append(run_compiled('input_delay', [delay], signals, memory=memory,
+                                  dt=substep)[1, sig.TORQUE])
+    edges = np.arange(len(given) + 1) * substep - delay
+    integral = np.interp(edges, np.arange(61) * period, np.cumsum([0.0, *held]) * period)
+    np.testing.assert_allclose(given, np.diff(integral) / substep, atol=1e-11)
 
 
 def test_hysteresis_yields_at_its_force_and_springs_back():
@@ -197,7 +251,7 @@ def test_an_effect_is_named_as_its_module_and_describes_its_parameters(name):
 def test_the_catalogue_is_its_folder():
     files = {path.stem for path in Path(catalogue.__path__[0]).glob('*.py')} - {'__init__'}
     assert set(registry.names()) == files
-    assert len(files) >= 27
+    assert len(files) >= 36
 
 
 @pytest.mark.parametrize(('wrong', 'sentence'), [
@@ -283,6 +337,30 @@ def test_changes_are_other_parameters(ideal_robot):
     changed = with_effect(ideal_robot, 'gravity_tilt', 'arm', np.radians(1.0), np.pi / 2)
     np.testing.assert_allclose(changed.arm.gravity, [0.0, 9.80665 * np.sin(np.radians(1.0))],
                                atol=1e-15)
+
+
+def test_errors_of_friction_and_inertia_are_other_parameters(ideal_robot):
+    """Of their joint alone; a level below what is possible stops there."""
+    before = ideal_robot.friction
+    after = with_effect(ideal_robot, 'coulomb_error', 'joint2', 0.3).friction
+    for side in ('forward', 'backward'):
+        for name in ('static', 'coulomb'):
+            np.testing.assert_allclose(getattr(getattr(after, side), name),
+                                       getattr(getattr(before, side), name) * [1.0, 1.3])
+    after = with_effect(ideal_robot, 'stribeck_error', 'joint1', 0.25).friction
+    np.testing.assert_allclose(after.forward.static - before.forward.static,
+                               [0.25 * before.forward.coulomb[0], 0.0])
+    after = with_effect(ideal_robot, 'stribeck_error', 'joint1', -0.9).friction
+    assert after.backward.static[0] == before.backward.coulomb[0]
+    after = with_effect(ideal_robot, 'presliding_error', 'joint1', -0.4, 0.5).friction
+    np.testing.assert_allclose(after.stiffness[0], 0.6 * before.stiffness[0])
+    np.testing.assert_allclose(after.weight.sum(axis=1), 1.0)
+    stiffest = np.argmax(before.stiffness[0])
+    assert after.weight[0, stiffest] == pytest.approx(1.5 * before.weight[0, stiffest])
+    np.testing.assert_array_equal(after.weight[1], before.weight[1])
+    arm = with_effect(ideal_robot, 'link_inertia_error', 'joint2', 0.4).arm
+    np.testing.assert_allclose(arm.mass, ideal_robot.arm.mass * [1.0, 1.4])
+    np.testing.assert_allclose(arm.inertia, ideal_robot.arm.inertia * [1.0, 1.4])
 
 
 def test_a_payload_adds_the_energy_of_a_mass_at_the_tip(ideal_robot):

@@ -1,0 +1,30 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+
+"""Level of the friction other than believed."""
+
+from dataclasses import replace
+
+from gms_flex_control.effects.base import Change, Parameter
+import numpy as np
+
+
+class CoulombError(Change):
+    """F_s and F_c -> (1 + ratio) of them, in both directions; block stiffnesses stay."""
+
+    name = 'coulomb_error'
+    parameters = (
+        Parameter('ratio', '1', 'relative error', lower=-0.95),
+    )
+
+    @staticmethod
+    def change(robot, joint, values):
+        """Return the robot with the effect in it."""
+        factor = np.ones(robot.n_joints)
+        factor[joint] += values[0]
+        sides = {side: replace(steady, static=steady.static * factor,
+                               coulomb=steady.coulomb * factor)
+                 for side, steady in (('forward', robot.friction.forward),
+                                      ('backward', robot.friction.backward))}
+        return replace(robot, friction=replace(robot.friction, **sides))

@@ -1,0 +1,37 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+
+"""Friction before sliding other than believed."""
+
+from dataclasses import replace
+
+from gms_flex_control.effects.base import Change, Parameter
+import numpy as np
+
+
+class PreslidingError(Change):
+    """
+    k_i -> (1 + stiffness) k_i; alpha_i -> alpha_i (1 + tilt x_i), their sum kept.
+
+    x_i goes from -1 of the softest block of the joint to 1 of the stiffest, in equal steps.
+    """
+
+    name = 'presliding_error'
+    parameters = (
+        Parameter('stiffness', '1', 'relative error of all block stiffnesses', lower=-0.95),
+        Parameter('tilt', '1', 'load moved from the softer to the stiffer blocks', lower=-1.0,
+                  upper=1.0),
+    )
+
+    @staticmethod
+    def change(robot, joint, values):
+        """Return the robot with the effect in it."""
+        friction = robot.friction
+        stiffness, weight = friction.stiffness.copy(), friction.weight.copy()
+        order = np.argsort(np.argsort(stiffness[joint], kind='stable'), kind='stable')
+        tilted = weight[joint] * (1.0 + values[1] * (2.0 * order / max(len(order) - 1, 1) - 1.0))
+        if tilted.sum() > 0.0:
+            weight[joint] = tilted / tilted.sum()
+        stiffness[joint] *= 1.0 + values[0]
+        return replace(robot, friction=replace(friction, stiffness=stiffness, weight=weight))

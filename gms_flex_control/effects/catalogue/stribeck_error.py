@@ -1,0 +1,30 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+
+"""Friction at low speed other than believed."""
+
+from dataclasses import replace
+
+from gms_flex_control.effects.base import Change, Parameter
+import numpy as np
+
+
+class StribeckError(Change):
+    """F_s -> F_s + ratio F_c, in both directions, but never below F_c."""
+
+    name = 'stribeck_error'
+    parameters = (
+        Parameter('ratio', '1', 'further friction at rest over the Coulomb level', lower=-0.95),
+    )
+
+    @staticmethod
+    def change(robot, joint, values):
+        """Return the robot with the effect in it."""
+        ratio = np.zeros(robot.n_joints)
+        ratio[joint] = values[0]
+        sides = {side: replace(steady, static=np.maximum(
+            steady.static + ratio * steady.coulomb, steady.coulomb))
+            for side, steady in (('forward', robot.friction.forward),
+                                 ('backward', robot.friction.backward))}
+        return replace(robot, friction=replace(robot.friction, **sides))

@@ -1,0 +1,23 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+
+"""Slope of the friction over velocity other than believed."""
+
+from gms_flex_control.effects.base import Parameter, Stage, Term
+from gms_flex_control.effects.signals import DQ_LINK, FRICTION
+
+
+class ViscousError(Term):
+    """F -> F + slope v."""
+
+    name = 'viscous_error'
+    stage = Stage.FRICTION
+    parameters = (
+        Parameter('slope', 'N m s/rad', 'further viscous friction'),
+    )
+
+    @staticmethod
+    def apply(s, p, memory, dt):
+        """Change the signals of one joint."""
+        s[FRICTION] += p[0] * s[DQ_LINK]
