@@ -12,7 +12,8 @@ from gms_flex_control.params.encoder import EncoderParams
 from gms_flex_control.params.friction import FrictionParams, StribeckParams, WEIGHT_TOLERANCE
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.robot import EffectSpec, RobotParams
-from gms_flex_control.schema.keys import controller_keys, REQUIRED, robot_keys
+from gms_flex_control.schema.key import REQUIRED
+from gms_flex_control.schema.keys import controller_keys, robot_keys
 from gms_flex_control.schema.values import checked, known_keys
 import numpy as np
 
@@ -22,18 +23,18 @@ _GAINS = ('kd_link', 'lambda_link', 'kd_motor', 'lambda_motor', 'observer_gain',
           'filter_bandwidth', 'torque_limit')
 
 
-def _complete(keys, values):
+def complete(keys, values):
     """Return checked values of all ``keys``, defaults filled in."""
-    complete = {}
+    flat = {}
     for key in keys:
         if key.name in values:
-            complete[key.name] = checked(key, values[key.name])
+            flat[key.name] = checked(key, values[key.name])
         elif key.default is REQUIRED:
             raise ConfigError(f'{key.name} is missing: {key.description}'
                               f'{f" [{key.unit}]" if key.unit else ""}')
         else:
-            complete[key.name] = key.default
-    return complete
+            flat[key.name] = key.default
+    return flat
 
 
 def joint_names(values):
@@ -70,7 +71,7 @@ def robot_from_values(values):
     """
     joints = joint_names(values)
     known = known_keys(values, joints)
-    flat = _complete(robot_keys(joints), values)
+    flat = complete(robot_keys(joints), values)
     _require_links(flat['arm.kind'], joints, values)
     motors = flat['motors'] or ('',) * len(joints)
     arm = ArmParams(kind=flat['arm.kind'], gravity=flat['arm.gravity'],
@@ -167,7 +168,7 @@ def controller_from_values(values, joints):
         As `robot_from_values`.
 
     """
-    flat = _complete(controller_keys(joints), values)
+    flat = complete(controller_keys(joints), values)
     try:
         return ControllerParams(
             compensation=flat['compensation'],

@@ -3,54 +3,15 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Every parameter of every node: name, type, unit, range, default and what it means."""
 
-from dataclasses import dataclass
-import math
-from typing import Any
-
 from gms_flex_control.params.arm import KINDS
 from gms_flex_control.params.gains import COMPENSATIONS
+from gms_flex_control.schema.bridge_keys import bridge_keys, safety_keys
+from gms_flex_control.schema.key import Key, SMALLEST
 
-REQUIRED = object()
-SMALLEST = 1e-12  # of what must be above zero
 EXPERIMENTS = ('constant_velocity', 'break_away', 'presliding', 'sliding')
 TRAJECTORIES = ('hold', 'sinusoid', 'polynomial', 'via_points', 'constant_velocity',
                 'velocity_levels', 'torque_ramp', 'torque_levels', 'sliding')
 MODES = ('realtime', 'lockstep')
-
-
-@dataclass(frozen=True)
-class Key:
-    """
-    One parameter.
-
-    Parameters
-    ----------
-    name : str
-        Full name, such as ``gains.joint1.kd_link``.
-    kind : {'double', 'integer', 'string', 'double_array', 'string_array', 'boolean'}
-        Its ROS type.
-    description, unit : str
-        What it is, and in what unit.
-    default : object
-        ``REQUIRED`` if a file must give it.
-    lower, upper : float
-        Closed range of numbers.
-    choices : tuple of str
-        Allowed values of a string; empty if any.
-    live : bool
-        Whether it may change while the node runs.
-
-    """
-
-    name: str
-    kind: str
-    description: str
-    unit: str = ''
-    default: Any = REQUIRED
-    lower: float = -math.inf
-    upper: float = math.inf
-    choices: tuple = ()
-    live: bool = False
 
 
 def _arm_keys(joint):
@@ -330,5 +291,5 @@ def all_keys(joints):
     """Return the keys of all nodes by name, for one file shared by all."""
     keys = (*robot_keys(joints), *controller_keys(joints), *controller_node_keys(),
             *plant_node_keys(joints), *trajectory_keys(joints), *identification_keys(joints),
-            *identification_node_keys())
+            *identification_node_keys(), *safety_keys(joints), *bridge_keys(joints))
     return {key.name: key for key in keys}

@@ -8,14 +8,15 @@ import math
 from gms_flex_control.effects import registry
 from gms_flex_control.errors import ConfigError, ParameterError
 from gms_flex_control.params.robot import WHOLE_ARM
-from gms_flex_control.schema.keys import all_keys, Key, SMALLEST
+from gms_flex_control.schema.key import Key, SMALLEST
+from gms_flex_control.schema.keys import all_keys
 from gms_flex_control.suggest import did_you_mean
 
 _NAMES = {'double': 'a number', 'integer': 'a whole number', 'string': 'a text',
           'boolean': 'true or false', 'double_array': 'a list of numbers',
           'string_array': 'a list of texts'}
 
-_PER_JOINT = ('arm', 'friction', 'gains', 'identification', 'trajectory')
+_PER_JOINT = ('arm', 'friction', 'gains', 'identification', 'limits', 'mapping', 'trajectory')
 
 
 def _is_number(value):

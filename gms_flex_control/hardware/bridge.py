@@ -1,0 +1,292 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""The bridge itself: states in, judged; commands out, limited; every fault ends in zero."""
+
+from collections import Counter
+from dataclasses import dataclass
+from types import SimpleNamespace
+
+from gms_flex_control.errors import ParameterError
+from gms_flex_control.hardware import limits as limiting
+from gms_flex_control.hardware.command_watch import CommandWatch
+from gms_flex_control.hardware.limits import Limits
+from gms_flex_control.hardware.mapping import JointMap
+from gms_flex_control.hardware.merger import NANOSECONDS, StateMerger
+from gms_flex_control.hardware.supervisor import Supervisor
+import numpy as np
+
+_KEPT_STATES = 64          # published states that a command may answer
+_LONGEST_RAMP = 0.05       # a torque never rises for longer than that at once [s]
+
+
+@dataclass(frozen=True, kw_only=True)
+class BridgeParams:
+    """
+    What a bridge needs to know.
+
+    Parameters
+    ----------
+    joint_map : JointMap
+        Names and units.
+    limits : Limits
+        Of every joint.
+    sources : tuple of str
+        Where joint states come from, for messages.
+    state_timeout, silence_timeout : float
+        Silence of the robot and of the controller that is a fault [s].
+    velocity_cutoff : float
+        See StateMerger [Hz].
+    skew : float
+        See StateMerger [s].
+
+    """
+
+    joint_map: JointMap
+    limits: Limits
+    sources: tuple
+    state_timeout: float = 0.03
+    silence_timeout: float = 0.04
+    velocity_cutoff: float = 50.0
+    skew: float = 0.01
+
+    def __post_init__(self):
+        missing = self.limits.missing()
+        if missing:
+            raise ParameterError(f'limits: {missing[0]} is missing for some joint; a real robot '
+                                 'needs torque, torque_rate, velocity, lower and upper of all')
+
+
+class Bridge:
+    """
+    One robot between its joint states and its efforts.
+
+    All times are integer nanoseconds of one steady clock. Not safe against threads: hold a lock.
+
+    Parameters
+    ----------
+    params : BridgeParams
+        What it is.
+
+    Attributes
+    ----------
+    supervisor : Supervisor
+        Whether torque flows.
+    torque : ndarray, shape (n_joints,)
+        Given to the robot last [N m].
+    measured : SimpleNamespace
+        ``q_link``, ``dq_link``, ``q_motor``, ``dq_motor`` (n_joints,) of the last state.
+    applied : ndarray, shape (n_joints,)
+        Torque of the last sample, as measured, else as given [N m].
+    stamp : int
+        Of the last state.
+    counters : Counter
+        Of what came, went and was refused.
+    worst : dict of str to int
+        Largest ages and answer times so far [ns].
+
+    """
+
+    def __init__(self, params):
+        self.params = params
+        n = len(params.joint_map.joints)
+        self.supervisor = Supervisor()
+        self.merger = StateMerger(params.joint_map, params.sources,
+                                  cutoff=params.velocity_cutoff, skew=params.skew)
+        self.watch_commands = CommandWatch()
+        self.torque, self.applied = np.zeros(n), np.zeros(n)
+        self.measured = SimpleNamespace(**{name: np.zeros(n) for name in (
+            'q_link', 'dq_link', 'q_motor', 'dq_motor')})
+        self.stamp, self.counters = 0, Counter()
+        self.worst = {'state_age': 0, 'answer': 0}
+        self._published = {}       # stamp -> when the state was published
+        self._arrived = None       # when the last state came
+        self._enabled = 0          # stamp of the state at which torque was enabled
+        self._given = 0            # when torque was given last
+        self._violation = ''
+        self._refused_state = self._refused_command = ''
+        self._silent_for = ''      # the fault of a silent controller, while it lasts
+
+    # states --------------------------------------------------------------------------------
+
+    def take_state(self, source, names, position, velocity, effort, stamp, now):
+        """
+        Take one message of joint states.
+
+        Returns
+        -------
+        bool
+            Whether ``measured``, ``applied`` and ``stamp`` are a new state to be published.
+
+        Raises
+        ------
+        ReadingError
+            As `StateMerger.take`.
+
+        """
+        self.counters['states in'] += 1
+        if not self.merger.take(source, names, position, velocity, effort, stamp, now):
+            return False
+        joint_map, before = self.params.joint_map, self.measured.q_link
+        elapsed = (self.merger.time - self.stamp) / NANOSECONDS
+        measured = self.measured
+        measured.q_link, measured.q_motor = joint_map.sides(self.merger.position.copy())
+        measured.dq_link, measured.dq_motor = joint_map.sides(self.merger.velocity.copy())
+        self.applied = joint_map.torques(self.merger.effort, self.torque)
+        self.worst['state_age'] = max(self.worst['state_age'], now - self.merger.time)
+        self._violation = limiting.violation(joint_map.joints, measured, self.params.limits)
+        if not self._violation and self.stamp:
+            self._violation = limiting.jump(joint_map.joints, measured.q_link, before, elapsed,
+                                            self.params.limits)
+        if self._violation:
+            self.fault(self._violation)
+        self.stamp, self._arrived, self._refused_state = self.merger.time, now, ''
+        self.counters['states out'] += 1
+        self._published[self.stamp] = now
+        if len(self._published) > _KEPT_STATES:
+            del self._published[next(iter(self._published))]
+        return True
+
+    def refuse_state(self, sentence):
+        """Note that joint states were refused, for the sentence of a fault."""
+        self.counters['states refused'] += 1
+        self._refused_state = sentence
+
+    # commands ------------------------------------------------------------------------------
+
+    def take_command(self, command, stamp, source, now):
+        """
+        Take one command.
+
+        Parameters
+        ----------
+        command : array_like, shape (n_joints,)
+            Finite torques [N m].
+        stamp : int or None
+            Of the state it answers.
+        source : str
+            Who commands.
+        now : int
+            Time.
+
+        Returns
+        -------
+        bool
+            Whether ``torque`` is to be sent to the robot.
+
+        """
+        self.counters['commands in'] += 1
+        conflict = self.watch_commands.hear(source, now)
+        if conflict:
+            return self.fault(conflict)
+        if not self._is_fresh(stamp, now):
+            self.counters['commands stale'] += 1
+            return False
+        self._end_silence(now)
+        self.watch_commands.take(source, now)
+        self._refused_command = ''
+        if not self.supervisor.active or (stamp is not None and stamp <= self._enabled):
+            return False
+        elapsed = min((now - self._given) / NANOSECONDS, _LONGEST_RAMP)
+        self.torque = limiting.limited(
+            np.array(command, dtype=float), self.torque, elapsed, self.measured.q_link,
+            self.measured.dq_link, self.params.limits)
+        self._given = now
+        self.counters['commands acted on'] += 1
+        return True
+
+    def _is_fresh(self, stamp, now):
+        if stamp is None:
+            return True
+        published = self._published.get(stamp)
+        if published is None or now - published > self.params.silence_timeout * NANOSECONDS:
+            return False
+        self.worst['answer'] = max(self.worst['answer'], now - published)
+        return True
+
+    def refuse_command(self, sentence):
+        """Note that a command was refused, for the sentence of a fault."""
+        self.counters['commands refused'] += 1
+        self._refused_command = sentence
+
+    # faults --------------------------------------------------------------------------------
+
+    def fault(self, sentence):
+        """Take all torque away; return whether zero is to be sent at once."""
+        if not self.supervisor.trip(sentence):
+            return False
+        self.torque = np.zeros_like(self.torque)
+        return True
+
+    def take_torque_away(self):
+        """Forget the torque given; what the supervisor is told beside this says why."""
+        self.torque = np.zeros_like(self.torque)
+
+    def watch(self, now):
+        """
+        Look whether robot and controller still speak; call it every millisecond or two.
+
+        Returns
+        -------
+        bool
+            Whether a fault has begun: zero is to be sent at once.
+
+        """
+        if not self.supervisor.active:
+            return False
+        sentence = self._silent_robot(now)
+        if not sentence:
+            sentence = self._silent_for = self._silent_controller(now)
+        return bool(sentence) and self.fault(sentence)
+
+    def _silent_robot(self, now):
+        if self._arrived is not None and \
+                now - self._arrived <= self.params.state_timeout * NANOSECONDS:
+            return ''
+        if self._arrived is None:
+            return f"no joint states from {', '.join(self.params.sources)} yet"
+        sentence = f'no new joint states for {(now - self._arrived) / 1e6:.0f} ms'
+        absent = self.merger.absent()
+        if self._refused_state:
+            return f'{sentence}: {self._refused_state}'
+        if len(absent) < len(self.params.joint_map.names):
+            return f"{sentence}: nothing of {', '.join(absent) or 'all at one time'}"
+        return sentence
+
+    def _silent_controller(self, now):
+        spoken = max(self.watch_commands.last or 0, self._given)
+        if now - spoken <= self.params.silence_timeout * NANOSECONDS:
+            return ''
+        said = f'; refused last: {self._refused_command}' if self._refused_command else ''
+        return (f'no command from {self.watch_commands.name} for '
+                f'{(now - spoken) / 1e6:.0f} ms{said}')
+
+    def _end_silence(self, now):
+        """Say how long the silence was that was the fault, once it is over."""
+        if self._silent_for and self.supervisor.reason == self._silent_for:
+            silence = self.watch_commands.silence(now)
+            self.supervisor.amend(f'no command from {self.watch_commands.name} for '
+                                  f'{(silence or 0) / 1e6:.0f} ms; they come again')
+        self._silent_for = ''
+
+    # requests ------------------------------------------------------------------------------
+
+    def obstacle(self, now):
+        """Return what stands against torque now (str); '' if nothing does."""
+        sentence = self._silent_robot(now) or self._violation
+        if sentence:
+            return sentence
+        silence = self.watch_commands.silence(now)
+        if silence is None:
+            return 'no controller commands yet'
+        if silence > self.params.silence_timeout * NANOSECONDS:
+            return f'no command from {self.watch_commands.name} for {silence / 1e6:.0f} ms'
+        return ''
+
+    def enable(self, now):
+        """Let torque flow, from zero on and for states from now on; return an Outcome."""
+        outcome = self.supervisor.enable(self.obstacle(now))
+        if outcome.success:
+            self.torque = np.zeros_like(self.torque)
+            self._enabled, self._given = self.stamp, now
+        return outcome

@@ -1,0 +1,132 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""
+Robots without ros2_control: one small class, found by its entry point.
+
+A package offers its class in the group ``gms_flex_control.devices``, for example in setup.py::
+
+    entry_points={'gms_flex_control.devices': ['my_arm = my_package.my_arm:MyArm']}
+
+and ``plant_node`` takes it with ``bridge.device: my_arm``. The bridge does the rest: units, signs
+and gears (mapping.<joint>), limits, faults, services, diagnostics.
+"""
+
+from abc import ABC, abstractmethod
+from importlib import metadata
+from typing import NamedTuple
+
+from gms_flex_control.errors import ConfigError, GmsFlexError
+from gms_flex_control.suggest import did_you_mean
+
+GROUP = 'gms_flex_control.devices'
+
+
+class DeviceError(GmsFlexError):
+    """The link to the robot is broken; it is opened again at the next reset."""
+
+
+class Sample(NamedTuple):
+    """
+    What a robot measured at one time; fields as those of sensor_msgs/JointState.
+
+    Empty ``velocity`` or ``effort``: not measured. ``stamp`` 0: the device has no clock.
+    """
+
+    position: tuple
+    velocity: tuple = ()
+    effort: tuple = ()
+    stamp: int = 0
+
+
+class Device(ABC):
+    """
+    A robot that is read and commanded by a library of its own.
+
+    All methods are called from threads of the bridge: `read` from one of its own, `write` from
+    others while `read` waits. Any of them may raise DeviceError, which is a fault. A device must
+    turn its torque off by itself when nothing is written for some 50 ms: the bridge may die.
+
+    Parameters
+    ----------
+    options : dict of str to str
+        From ``bridge.device_options``, entries ``name=value``.
+    order : tuple of str
+        Names of the actuators, in the order of the efforts in `write`.
+
+    """
+
+    @abstractmethod
+    def __init__(self, options, order):
+        """Keep the options; refuse bad ones with ConfigError. Nothing is opened yet."""
+
+    @property
+    @abstractmethod
+    def names(self):
+        """Return the names of what is measured (tuple of str), as in ``mapping.<joint>``."""
+
+    @abstractmethod
+    def connect(self):
+        """Connect; the torque is zero then."""
+
+    @abstractmethod
+    def read(self, timeout):
+        """Return the next Sample, or None if there is none within ``timeout`` seconds."""
+
+    @abstractmethod
+    def write(self, efforts):
+        """Send efforts (list of float) in the device's units; do not wait for an answer."""
+
+    @abstractmethod
+    def close(self):
+        """Disconnect; it may be called at any time and more than once."""
+
+    def figures(self):
+        """Return counters for /diagnostics (dict of str to number)."""
+        return {}
+
+
+def _built_in():
+    from gms_flex_control.hardware.serial_device import SerialDevice
+    return {'serial_example': SerialDevice}
+
+
+def find(name, options, order):
+    """
+    Return a device made by the class of an entry point.
+
+    Parameters
+    ----------
+    name : str
+        Of the entry point.
+    options : sequence of str
+        Entries ``name=value``.
+    order : tuple of str
+        See Device.
+
+    Returns
+    -------
+    Device
+
+    Raises
+    ------
+    ConfigError
+        If there is no such entry point, it cannot be loaded, is no Device, or refuses an option.
+
+    """
+    wrong = [entry for entry in options if '=' not in entry]
+    if wrong:
+        raise ConfigError(f'bridge.device_options: {wrong[0]!r} must have the form name=value')
+    found = {entry.name: entry for entry in metadata.entry_points(group=GROUP)}
+    known = _built_in()
+    if name not in found and name not in known:
+        raise ConfigError(f'bridge.device: no package offers {name!r} in the entry points '
+                          f'{GROUP}{did_you_mean(name, [*found, *known])}')
+    try:
+        kind = found[name].load() if name in found else known[name]
+    except (ImportError, AttributeError) as error:
+        raise ConfigError(f'bridge.device: {name!r} cannot be loaded ({error})') from error
+    if not (isinstance(kind, type) and issubclass(kind, Device)):
+        raise ConfigError(f'bridge.device: {name!r} is no subclass of '
+                          f'{Device.__module__}.Device')
+    return kind(dict(entry.split('=', 1) for entry in options), order)

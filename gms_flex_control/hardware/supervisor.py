@@ -1,0 +1,110 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Whether torque may flow: ZERO, ACTIVE or FAULT, and why."""
+
+from typing import NamedTuple
+
+ZERO, ACTIVE, FAULT = 'ZERO', 'ACTIVE', 'FAULT'
+
+
+class Outcome(NamedTuple):
+    """Answer to a request."""
+
+    success: bool
+    message: str
+
+
+class Supervisor:
+    """
+    State machine of everything that may be given torque.
+
+    ZERO --enable--> ACTIVE --disable--> ZERO; a fault leads from ACTIVE to FAULT, an emergency
+    stop from anywhere. Only `reset` leads out of FAULT, to ZERO.
+
+    Attributes
+    ----------
+    state : {'ZERO', 'ACTIVE', 'FAULT'}
+        Torque flows in ACTIVE only.
+    reason : str
+        Why it is so, in words.
+    stopped : bool
+        Whether the fault is an emergency stop.
+    faults : int
+        How many there have been.
+
+    """
+
+    def __init__(self, reason='not enabled yet'):
+        self.state, self.reason = ZERO, reason
+        self.stopped, self.faults = False, 0
+        self._pressed = False
+
+    @property
+    def active(self):
+        """Return whether torque may flow."""
+        return self.state == ACTIVE
+
+    def enable(self, obstacle=''):
+        """
+        Go from ZERO to ACTIVE.
+
+        Parameters
+        ----------
+        obstacle : str
+            A sentence on what stands against it; '' if nothing does.
+
+        Returns
+        -------
+        Outcome
+
+        """
+        if self.state == ACTIVE:
+            return Outcome(True, 'ACTIVE already')
+        if self.state == FAULT:
+            return Outcome(False, f'FAULT: {self.reason}; reset first')
+        if obstacle:
+            return Outcome(False, f'not enabled: {obstacle}')
+        self.state, self.reason = ACTIVE, 'enabled'
+        return Outcome(True, 'ACTIVE')
+
+    def disable(self, reason='disabled'):
+        """Go from ACTIVE to ZERO; a fault stays one."""
+        if self.state == FAULT:
+            return Outcome(True, f'no torque: FAULT, {self.reason}')
+        self.state, self.reason = ZERO, reason
+        return Outcome(True, 'ZERO')
+
+    def trip(self, reason):
+        """Go from ACTIVE to FAULT; the first reason stays. Return whether it did."""
+        if self.state != ACTIVE:
+            return False
+        self.state, self.reason = FAULT, reason
+        self.faults += 1
+        return True
+
+    def stop(self, reason):
+        """Emergency stop: to FAULT from any state, before any other reason."""
+        if not self.stopped:
+            self.faults += self.state != FAULT
+            self.state, self.reason, self.stopped = FAULT, reason, True
+        return Outcome(True, f'FAULT: {self.reason}')
+
+    def button(self, pressed, name):
+        """Take the position of the emergency-stop button called ``name``."""
+        self._pressed = pressed
+        if pressed:
+            self.stop(f'emergency stop by {name}')
+
+    def reset(self):
+        """Go from FAULT to ZERO, unless the emergency-stop button is still pressed."""
+        if self._pressed:
+            return Outcome(False, f'FAULT: {self.reason}; release the button first')
+        if self.state == FAULT:
+            self.state, self.reason, self.stopped = ZERO, 'reset, not enabled yet', False
+        return Outcome(True, f'{self.state}: {self.reason}')
+
+    def amend(self, reason):
+        """Say more about the fault there is."""
+        if self.state == FAULT and not self.stopped:
+            self.reason = reason

@@ -1,0 +1,227 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""A real robot behind topics of ros2_control or behind a device: threads, clocks and messages."""
+
+import threading
+import time
+
+from gms_flex_control.hardware.bridge import Bridge
+from gms_flex_control.hardware.merger import ReadingError
+from gms_flex_control.nodes import messages, process
+from gms_flex_control.nodes.health import ERROR, OK
+from gms_flex_control.nodes.robot_links import DeviceLink, TopicLink
+from gms_flex_control.schema.bridge import bridge_from_values
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+
+_WATCH_PERIOD = 0.002      # how often the silence of both sides is measured [s]
+_ZERO_PERIOD = 10_000_000  # zero torque is repeated that often while there is none [ns]
+_WARN_PERIOD = 5_000_000_000  # [ns]
+
+
+class BridgedRobot:
+    """
+    Joint states of a robot to the controller, its commands to the robot, within limits.
+
+    Three threads meet here, one at a time: joint states and commands, the safety services, and
+    the watch over both, which is the main one.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        The plant.
+    values : dict of str to object
+        Checked parameters.
+    joints : sequence of str
+        Link names.
+    health : Health
+        Told of every change.
+
+    """
+
+    def __init__(self, node, values, joints, health):
+        motors = values['motors'] or ('',) * len(joints)
+        self._node, self._health, self._n = node, health, len(joints)
+        params = bridge_from_values(values, joints, motors)
+        self._bridge = Bridge(params)
+        self._supervisor, self._map = self._bridge.supervisor, params.joint_map
+        self._lock = threading.RLock()
+        self._steady = time.time_ns() - time.monotonic_ns()
+        self._said = None
+        self._sent = 0             # when efforts left last
+        self._warned = {}          # kind of warning -> when
+        self._counted, self._counted_at = {}, time.monotonic()
+        self._writer = messages.JointStateWriter(joints, motors)
+        self._state_pub = node.create_publisher(JointState, 'joint_states',
+                                                process.publisher_qos('realtime'))
+        link = DeviceLink if values['bridge.device'] else TopicLink
+        self._link = link(node, self, values, self._map.command_names)
+        node.create_subscription(
+            Float64MultiArray, 'effort_controller/commands', health.guard(self._on_command),
+            process.subscriber_qos('realtime'), event_callbacks=process.NO_EVENTS)
+
+    def now(self):
+        """Return a time that never jumps, near that of the system at the start [ns]."""
+        return time.monotonic_ns() + self._steady
+
+    # what comes ----------------------------------------------------------------------------
+
+    def take_state(self, source, names, position, velocity, effort, stamp):
+        """Take joint states of the link; publish the state they complete."""
+        now, bridge = self.now(), self._bridge
+        with self._lock:
+            try:
+                complete = bridge.take_state(source, names, position, velocity, effort, stamp,
+                                             now)
+            except ReadingError as error:
+                bridge.refuse_state(str(error))
+                self._warn('state', f'joint state refused: {error}', now)
+                complete = False
+            if complete:
+                self._state_pub.publish(self._writer.write(
+                    bridge.measured, bridge.applied, bridge.stamp))
+            self._settle()
+
+    def _on_command(self, message):
+        now, bridge = self.now(), self._bridge
+        source = messages.read_source(message) or ''
+        with self._lock:
+            try:
+                torque = messages.read_command(message, self._n)
+            except messages.RefusedError as error:
+                bridge.refuse_command(str(error))
+                self._warn('command', f'command refused: {error}', now)
+                return
+            if bridge.take_command(torque, messages.read_stamp(message), source, now):
+                self._send()
+            self._settle()
+
+    def _warn(self, kind, sentence, now):
+        # the logger's own throttle looks for its caller each time: too slow for a storm
+        if now - self._warned.get(kind, -_WARN_PERIOD) >= _WARN_PERIOD:
+            self._warned[kind] = now
+            self._node.get_logger().warning(sentence)
+
+    # what goes -----------------------------------------------------------------------------
+
+    def _send(self):
+        self._sent = self.now()
+        try:
+            self._link.write(self._map.efforts(self._bridge.torque).tolist())
+        except self._link.errors as error:
+            self._bridge.fault(str(error))
+
+    def _settle(self):
+        """Say what has changed; without torque, send zero at once."""
+        state = self._supervisor.state, self._supervisor.reason
+        if state == self._said:
+            return
+        self._said = state
+        if not self._supervisor.active:
+            self._bridge.take_torque_away()
+            self._send()
+        sentence = f'{state[0]}: {state[1]}'
+        fault = state[0] == 'FAULT'
+        self._health.tell(ERROR if fault else OK, sentence)
+        self._health.publish()
+        if fault:  # two lines of code: rclpy refuses two severities from one
+            self._node.get_logger().error(sentence)
+        else:
+            self._node.get_logger().info(sentence)
+
+    # requests, from any thread ---------------------------------------------------------------
+
+    def obstacle(self):
+        """Return what stands against torque now; '' if nothing does."""
+        with self._lock:
+            if self._supervisor.state != 'ZERO':
+                return ''
+            return self._health.fault or self._bridge.obstacle(self.now())
+
+    def enable(self):
+        """Let torque flow; return an Outcome."""
+        with self._lock:
+            return self._settled(self._bridge.enable(self.now()))
+
+    def disable(self):
+        """Take torque away; return an Outcome."""
+        with self._lock:
+            return self._settled(self._supervisor.disable())
+
+    def reset(self):
+        """Leave a fault; return an Outcome."""
+        with self._lock:
+            return self._settled(self._supervisor.reset())
+
+    def stop(self, reason):
+        """Stop in an emergency; return an Outcome."""
+        with self._lock:
+            return self._settled(self._supervisor.stop(reason))
+
+    def button(self, pressed, name):
+        """Take the position of the emergency-stop button."""
+        with self._lock:
+            self._supervisor.button(pressed, name)
+            self._settle()
+
+    def fail(self, sentence):
+        """Enter the fault: something is wrong in this process or with the link."""
+        with self._lock:
+            self._bridge.fault(sentence)
+            self._settle()
+
+    def _settled(self, outcome):
+        self._settle()
+        return outcome
+
+    # the watch -----------------------------------------------------------------------------
+
+    def run(self, spinner):
+        """Watch over both sides until a signal comes."""
+        process.tighten_timers()
+        with process.BackgroundSpin(spinner) as background, self._link:
+            while spinner.goes_on():
+                if background.error is not None:
+                    raise background.error
+                self._look()
+                time.sleep(_WATCH_PERIOD)
+
+    def _look(self):
+        with self._lock:
+            now = self.now()
+            self._bridge.watch(now)
+            self._settle()
+            if not self._supervisor.active and now - self._sent >= _ZERO_PERIOD:
+                self._send()
+
+    def finish(self):
+        """Leave zero on the wire, and stay until those who acknowledge have it."""
+        with self._lock:
+            self._supervisor.disable('the bridge ends')
+            self._bridge.take_torque_away()
+            self._send()
+        self._link.finish()
+
+    def figures(self):
+        """Return rates since the last call, counters and worst latencies for /diagnostics."""
+        with self._lock:
+            bridge, counters = self._bridge, dict(self._bridge.counters)
+            now = time.monotonic()
+            passed, before = max(now - self._counted_at, 1e-3), self._counted
+            self._counted, self._counted_at = counters, now
+            rates = {f'rate of {name} [Hz]': round((counters.get(name, 0) - before.get(name, 0))
+                                                   / passed, 1)
+                     for name in ('states in', 'states out', 'commands in', 'commands acted on')}
+            silence = bridge.watch_commands.silence(self.now())
+            return {
+                'state': self._supervisor.state, 'reason': self._supervisor.reason, **rates,
+                **counters, 'faults': self._supervisor.faults,
+                'clock jumps of the robot': bridge.merger.jumps,
+                'velocities estimated': bridge.merger.estimated,
+                'controller': bridge.watch_commands.name if silence is not None else 'none yet',
+                'silence of the controller [ms]': round((silence or 0) / 1e6, 1),
+                'worst age of a state [ms]': round(bridge.worst['state_age'] / 1e6, 3),
+                'worst answer [ms]': round(bridge.worst['answer'] / 1e6, 3),
+                'torque [N m]': [round(float(torque), 4) for torque in bridge.torque],
+                **self._link.figures()}

@@ -1,0 +1,126 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Emergency stop and services of a plant, in a thread that no storm of messages reaches."""
+
+import threading
+import time
+
+from gms_flex_control.nodes.process import NO_EVENTS
+import rclpy
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from std_msgs.msg import Bool
+from std_srvs.srv import Trigger
+
+_PATIENCE = 1.0            # with the service that lets the reference hold [s]
+# whatever the button publishes with is heard; twice does no harm
+_ANY_BUTTON = (
+    QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT),
+    QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE,
+               durability=DurabilityPolicy.TRANSIENT_LOCAL))
+
+
+class Safety:
+    """
+    ``~/enable``, ``~/disable``, ``~/reset``, ``~/emergency_stop`` and the topic of the button.
+
+    They are a node of their own with an executor of its own: queued joint states and commands
+    delay none of them.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        The plant, whose names they carry.
+    robot : object
+        Has ``obstacle()``, ``enable()``, ``disable()``, ``reset()``, ``stop(reason)`` and
+        ``button(pressed, name)``; safe to be called from any thread.
+    health : Health
+        Told of exceptions.
+    topic : str
+        Of the button, std_msgs/Bool; true is pressed.
+    hold_service : str
+        Trigger called before torque is enabled; '' for none.
+
+    """
+
+    def __init__(self, node, robot, health, *, topic, hold_service=''):
+        self._robot, self._health = robot, health
+        self._node = rclpy.create_node(
+            f'{node.get_name()}_safety', namespace=node.get_namespace(), context=node.context,
+            use_global_arguments=False, enable_rosout=False, start_parameter_services=False)
+        self._topic = node.resolve_topic_name(topic)
+        for qos in _ANY_BUTTON:
+            self._node.create_subscription(Bool, self._topic, self._on_button, qos,
+                                           event_callbacks=NO_EVENTS)
+        for name, handler in (('disable', self._disable), ('reset', self._reset),
+                              ('emergency_stop', self._stop), ('enable', self._enable)):
+            self._node.create_service(Trigger, node.resolve_service_name(f'~/{name}'), handler)
+        self._hold = self._node.create_client(
+            Trigger, node.resolve_service_name(hold_service)) if hold_service else None
+        self._asked = None         # future of the hold service and when to give up
+        self._executor = SingleThreadedExecutor(context=node.context)
+        self._executor.add_node(self._node)
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._spin, name='safety', daemon=True)
+
+    def start(self):
+        """Serve from now on."""
+        self._thread.start()
+
+    def end(self):
+        """Serve no more."""
+        self._over.set()
+        if self._thread.is_alive():
+            self._thread.join(timeout=1.0)
+        self._executor.shutdown(timeout_sec=0.5)
+        self._node.destroy_node()
+
+    def _spin(self):
+        while not self._over.is_set() and self._node.context.ok():
+            try:
+                self._executor.spin_once(timeout_sec=0.05)
+                if self._asked and time.monotonic() > self._asked[1]:
+                    self._asked[0].cancel()
+            except ExternalShutdownException:
+                return
+            except Exception as error:  # noqa: B902  the emergency stop must be heard on
+                self._health.failed(error, 'a safety service')
+
+    def _on_button(self, message):
+        self._robot.button(message.data, self._topic)
+
+    @staticmethod
+    def _answer(response, outcome):
+        response.success, response.message = outcome
+        return response
+
+    def _disable(self, _request, response):
+        return self._answer(response, self._robot.disable())
+
+    def _reset(self, _request, response):
+        self._health.recover()
+        return self._answer(response, self._robot.reset())
+
+    def _stop(self, _request, response):
+        return self._answer(response, self._robot.stop('emergency stop by service'))
+
+    async def _enable(self, _request, response):
+        obstacle = self._robot.obstacle() or self._no_hold()
+        if obstacle:
+            return self._answer(response, (False, f'not enabled: {obstacle}'))
+        if self._hold is not None:
+            self._asked = self._hold.call_async(Trigger.Request()), time.monotonic() + _PATIENCE
+            held = await self._asked[0]
+            self._asked = None
+            if held is None or not held.success:
+                said = f'refused: {held.message}' if held else f'did not answer in {_PATIENCE} s'
+                return self._answer(
+                    response, (False, f'not enabled: {self._hold.srv_name} {said}'))
+        return self._answer(response, self._robot.enable())
+
+    def _no_hold(self):
+        if self._hold is None or self._hold.service_is_ready():
+            return ''
+        return (f'nobody serves {self._hold.srv_name}, which lets the reference begin where the '
+                "robot is; start trajectory_node or set bridge.hold_service to ''")
