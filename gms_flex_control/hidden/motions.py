@@ -45,6 +45,10 @@ def draw_reference(rng, motion, plant, time):
     return sum(part.sample(time) for part in parts)
 
 
+# largest acceleration of a move of degree 9, times distance / duration^2
+_STEEPEST = 9.4
+
+
 def tones(rng, start, duration, band, reach, acceleration, count):
     """
     Return sinusoids that fade in and out together.
@@ -68,6 +72,7 @@ def tones(rng, start, duration, band, reach, acceleration, count):
 
     """
     fade = min(2.0, 0.25 * duration)
+    reach = min(reach, acceleration * fade ** 2 / _STEEPEST)
     up = builders.hermite(builders.at_rest([0.0]), builders.at_rest([1.0]), fade)[:, 0]
     down = builders.hermite(builders.at_rest([1.0]), builders.at_rest([0.0]), fade)[:, 0]
     envelope = [builders.constant([0.0])[:, 0], up, builders.constant([1.0])[:, 0], down,
@@ -86,16 +91,15 @@ def tones(rng, start, duration, band, reach, acceleration, count):
 
 def moves(rng, start, duration, acceleration):
     """Return moves at rest-to-rest through random points, fast and slow, that end at zero."""
-    largest = 7.5  # acceleration of a move of degree 9: times distance / duration^2, less than
-    polys, begin, scale, here, time = [builders.constant([0.0, 0.0])], [0.0], [1.0], None, start
-    here, end = np.zeros(2), start + duration
+    polys, begin, scale = [builders.constant([0.0, 0.0])], [0.0], [1.0]
+    here, time, end = np.zeros(2), start, start + duration
     while time < end - 1.5:
         there = rng.uniform(-1.1, 1.1, 2)
-        quick = np.sqrt(largest * np.max(np.abs(there - here)) / acceleration)
+        quick = np.sqrt(_STEEPEST * np.max(np.abs(there - here)) / acceleration)
         taken = quick * np.exp(rng.uniform(0.0, 1.2))
         if time + taken > end - 3.0:
             there = np.zeros(2)
-            taken = max(end - time, np.sqrt(largest * np.max(np.abs(here)) / acceleration))
+            taken = max(end - time, np.sqrt(_STEEPEST * np.max(np.abs(here)) / acceleration))
         polys += [builders.hermite(builders.at_rest(here), builders.at_rest(there), taken),
                   builders.constant(there)]
         begin += [time, time + taken]

@@ -1,0 +1,134 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""`gms_flex hide`: bags of robots in which an effect is hidden, and the truth beside them."""
+
+import json
+from pathlib import Path
+
+
+def add_parser(subparsers):
+    """Add the verb to the command line."""
+    parser = subparsers.add_parser(
+        'hide', help='bags of simulated robots in which an effect is hidden',
+        description='Draw robots in which something is hidden, drive them and write, for each, '
+                    'DIR/<kind>_<seed>/ with bag and held_out (two motions of the same robot), '
+                    'robot.yaml (what its user believes, 1 to 3 %% off), controller.yaml and '
+                    'truth.json. The integrator is not the one of the workflow.')
+    parser.add_argument('--out', required=True, metavar='DIR')
+    parser.add_argument('--kind', nargs='+', default=['single'], metavar='KIND',
+                        help='single, clean, double, outside, clutter, deleted '
+                             '(default: single)')
+    parser.add_argument('--seeds', default='0:1', metavar='A:B',
+                        help='from A up to, not including, B; or a single one (default: 0:1)')
+    parser.add_argument('--motion', default='rich', metavar='NAME',
+                        help='rich, sinusoid or polynomial (default: rich)')
+    parser.add_argument('--plant', metavar='NAME', help='soft or stiff; default: drawn')
+    parser.add_argument('--effect', metavar='NAME',
+                        help='hide this one instead of the one whose turn it is')
+    parser.add_argument('--duration', type=float, default=60.0, metavar='S',
+                        help='of each bag (default: %(default)g)')
+    parser.add_argument('--json', action='store_true', help='print the truths as JSON')
+    parser.set_defaults(run=run)
+
+
+def run(args):
+    """Write the cases; return 0."""
+    from gms_flex_control.hidden.cases import make_case
+    from gms_flex_control.hidden.written import truth_values
+
+    told = []
+    for kind in args.kind:
+        for seed in seeds_of(args.seeds):
+            folder = Path(args.out) / f'{kind}_{seed}'
+            if folder.exists():
+                if not args.json:
+                    print(f'{folder}: exists, kept as it is')
+                continue
+            case = make_case(kind, seed, motion=args.motion, plant=args.plant,
+                             duration=args.duration, effect=args.effect)
+            write_case(case, folder)
+            told.append({'folder': str(folder), **truth_values(case.truth)})
+            if not args.json:
+                print(f'{folder}: {case.truth.plant}, {case.truth.motion}')
+    if args.json:
+        print(json.dumps(told, indent=2))
+    return 0
+
+
+def seeds_of(text):
+    """
+    Return the seeds of ``A:B`` or of a single number.
+
+    Parameters
+    ----------
+    text : str
+        Such as '0:20' or '7'.
+
+    Returns
+    -------
+    range
+
+    Raises
+    ------
+    ConfigError
+        If it is neither.
+
+    """
+    from gms_flex_control.errors import ConfigError
+    first, colon, last = text.partition(':')
+    try:
+        begin = int(first)
+        end = int(last) if colon else begin + 1
+    except ValueError:
+        begin, end = 0, 0
+    if not 0 <= begin < end:
+        raise ConfigError(f'--seeds {text!r} must be a number or A:B with 0 <= A < B')
+    return range(begin, end)
+
+
+def write_case(case, folder):
+    """
+    Write a case as its user would have it, and the truth, whole or not at all.
+
+    Parameters
+    ----------
+    case : Case
+        From hidden.cases.
+    folder : Path
+        To be made.
+
+    Raises
+    ------
+    BagError
+        If the disk refuses.
+
+    """
+    import os
+    import shutil
+
+    from gms_flex_control.bags.experiment import write_recording
+    from gms_flex_control.files import write_text
+    from gms_flex_control.hidden.written import truth_values
+    from gms_flex_control.schema.files import save_robot, save_values
+
+    part = folder.with_name(f'.{folder.name}.{os.getpid()}')
+    part.mkdir(parents=True)
+    try:
+        for name, recording in (('bag', case.recording), ('held_out', case.held_out)):
+            write_recording(part / name, recording, case.nominal.motors)
+        save_robot(case.nominal, part / 'robot.yaml')
+        save_values(controller_values(case.gains, case.nominal.joints), part / 'controller.yaml')
+        write_text(part / 'truth.json', json.dumps(truth_values(case.truth), indent=2) + '\n')
+        os.replace(part, folder)
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+
+
+def controller_values(gains, joints):
+    """Return ControllerParams as flat parameters of the controller node."""
+    names = ('kd_link', 'lambda_link', 'kd_motor', 'lambda_motor', 'observer_gain', 'sign_slope',
+             'filter_bandwidth', 'torque_limit')
+    return {'compensation': gains.compensation} | {
+        f'gains.{joint}.{name}': float(getattr(gains, name)[j])
+        for j, joint in enumerate(joints) for name in names}
