@@ -220,6 +220,8 @@ class ControllerNode(Node):
                 self._begins = False
                 self._handover.begin(stamp, self._controller.measured, reference.value)
             self._controller.tick(self._handover.applied(stamp, reference.value), elapsed)
+            if not self._lockstep:
+                self._handover.fade(stamp, state.command)
             self._references.answered(state.command, elapsed)
         if not all_finite(state.command.tolist()):
             self._give_zero(stamp)

@@ -15,6 +15,7 @@ _BRAKE_TIME = 0.5  # from a lost reference to rest [s]
 _AVERAGE = 0.1     # time constant of the torque that is let down [s]
 # A reference nearer to the robot is followed at once: the law's step is then small.
 _NEAR, _NEAR_SPEED = 0.01, 0.2  # [rad], [rad/s]
+_FADE = round(0.1 * NANOSECONDS)  # in which the torque rises where a motion begins
 FOLLOWING, HOLDING, RELAXING = 'following', 'holding', 'relaxing'
 
 
@@ -127,7 +128,7 @@ class References:
 
 class Handover:
     """
-    The way from the robot's motion to a reference that is elsewhere.
+    The way from the robot's motion to a reference that is elsewhere, and from no torque to it.
 
     Parameters
     ----------
@@ -143,11 +144,12 @@ class Handover:
 
     def __init__(self, duration):
         self._duration = duration
-        self._way = self.left = None
+        self._way = self.left = self._begun = None
 
     def begin(self, stamp, measured, reference):
         """Begin at the joint state of ``stamp`` [ns]; nothing if ``reference`` (5, n) is near."""
         self._way = self.left = None
+        self._begun = stamp
         offset = -reference
         offset[0] += measured.q_link
         offset[1] += measured.dq_link
@@ -165,3 +167,13 @@ class Handover:
             return reference
         self.left = self._way[1].sample(since)
         return reference + self.left
+
+    def fade(self, stamp, torque):
+        """Let ``torque`` (n,) rise from zero where the motion has just begun; in place."""
+        if self._begun is None:
+            return
+        since = stamp - self._begun
+        if since >= _FADE:
+            self._begun = None
+        else:
+            torque *= since / _FADE
