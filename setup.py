@@ -13,7 +13,8 @@ setup(
     name=package_name,
     version='0.1.0',
     packages=find_packages(include=[package_name, package_name + '.*']),
-    package_data={package_name: ['reports/*.css', 'reports/*.js', 'reports/vendor/*']},
+    package_data={package_name: ['nodes/*.xml', 'reports/*.css', 'reports/*.js',
+                                 'reports/vendor/*']},
     data_files=[
         ('share/ament_index/resource_index/packages', ['resource/' + package_name]),
         ('share/' + package_name, ['package.xml']),
@@ -54,6 +55,7 @@ setup(
         ],
         'bench': ['mujoco>=3.2,<5'],
         'dask': ['distributed>=2024.12'],
+        'peers': ['pysindy>=2,<3'],
         'docs': ['furo', 'sphinx>=8,<10'],
     },
     maintainer='The gms_flex_control authors',

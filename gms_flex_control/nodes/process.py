@@ -12,6 +12,7 @@ import sys
 import threading
 
 from gms_flex_control.errors import GmsFlexError
+from gms_flex_control.nodes.transport import avoid_shared_memory
 import rclpy
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.experimental import EventsExecutor
@@ -123,6 +124,7 @@ def run_node(make_node, args=None):
 
     """
     sys.setswitchinterval(5e-4)  # a busy thread may delay the loop by this, not by 5 ms
+    avoid_shared_memory()
     spinner, node = Spinner(), None
     try:
         with suppress(KeyboardInterrupt):
