@@ -1,0 +1,98 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""One hidden robot tried: what the workflow and its peers answer, as plain values."""
+
+import math
+import resource
+import sys
+import time
+
+from gms_flex_control.errors import GmsFlexError
+from gms_flex_control.hidden.cases import make_case
+from gms_flex_control.hidden.written import truth_values
+
+WORKFLOW = 'workflow'
+
+
+def try_job(job, with_peers=True):
+    """
+    Draw a hidden robot and ask the workflow, and its peers, what is hidden.
+
+    Parameters
+    ----------
+    job : Job
+        Which one.
+    with_peers : bool
+        Whether the peers are asked as well.
+
+    Returns
+    -------
+    dict
+        ``key``, ``truth``, ``answers`` (tool -> list of [effect, joint]), ``verdict``,
+        ``findings``, ``gap``, ``seconds``, ``megabytes``; ``error`` where the workflow failed.
+
+    """
+    case = make_case(job.kind, job.seed, motion=job.motion, plant=job.plant,
+                     duration=job.duration)
+    without = tuple(spec.name for spec in case.truth.effects) if job.kind == 'deleted' else ()
+    outcome = {'key': job.key, 'truth': truth_values(case.truth), 'answers': {}}
+    outcome |= ask_workflow(case, without)
+    outcome['megabytes'] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (
+        1024.0 if sys.platform != 'darwin' else 1024.0 ** 2)
+    outcome['answers'][WORKFLOW] = [[one['effect'], one['joint']] for one in ranked(
+        outcome['findings'])]
+    if with_peers:
+        from gms_flex_control.benchmarks.hidden_effects import peers
+        for name, answer in peers.ask(case, without).items():
+            outcome['answers'][name] = [list(one) for one in answer]
+    return finite(outcome)
+
+
+def ask_workflow(case, without):
+    """Return what the workflow says of a Case, asked without the effects named (dict)."""
+    from gms_flex_control.discrepancy.workflow import discrepancy, Options
+    options = Options(without=without) if without else Options()
+    begin = time.perf_counter()
+    try:
+        result = discrepancy([case.recording], case.nominal, options)
+    except GmsFlexError as error:
+        return {'error': str(error), 'verdict': 'error', 'findings': [], 'gap': None,
+                'seconds': time.perf_counter() - begin}
+    seconds = time.perf_counter() - begin
+    return {'verdict': result.verdict, 'seconds': seconds, 'gap': gap_of(result.gap),
+            'findings': [{
+                'effect': one.effect, 'joint': one.joint, 'main': bool(one.main),
+                'parameters': {name: float(value) for name, value in one.parameters.items()},
+                'runner_up': str(one.runner_up), 'confusable_with': list(map(
+                    str, one.confusable_with))} for one in result.findings]}
+
+
+def gap_of(gap):
+    """Return the gap of a result as lists of floats, None where there is none."""
+    if gap is None:
+        return None
+    return {name: [float(value) for value in _sequence(getattr(gap, name))]
+            for name in ('before', 'after', 'floor', 'free_before', 'free_after')}
+
+
+def _sequence(value):
+    if value is None:
+        return []
+    return list(value) if hasattr(value, '__len__') else [value]
+
+
+def ranked(findings):
+    """Return findings (dicts) with the large ones first, else in their order."""
+    return sorted(findings, key=lambda one: not one['main'])
+
+
+def finite(value):
+    """Return plain values with None for every number that is not finite."""
+    if isinstance(value, dict):
+        return {name: finite(one) for name, one in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [finite(one) for one in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

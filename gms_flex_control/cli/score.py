@@ -1,0 +1,122 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""`gms_flex score`: the discrepancy workflow on many hidden robots, judged."""
+
+from pathlib import Path
+
+
+def add_parser(subparsers):
+    """Add the verb to the command line."""
+    parser = subparsers.add_parser(
+        'score', help='how often the discrepancy workflow names what is hidden',
+        description='Draw hidden robots (see gms_flex hide), ask the discrepancy workflow what '
+                    'each lacks, beside two peers on the same library, and print the confusion '
+                    'matrix and the figures beside what is required. A killed run goes on where '
+                    'it was when started again with the same --out. Exit code 1 if a figure '
+                    'misses what is required.')
+    parser.add_argument('--set', default='quick', metavar='NAME', dest='chosen',
+                        help='full (about 780 robots) or quick (92); default: quick')
+    parser.add_argument('--kind', nargs='+', metavar='KIND',
+                        help='instead of a set: kinds of hidden robots, with --seeds')
+    parser.add_argument('--seeds', default='0:10', metavar='A:B',
+                        help='of --kind, from A up to, not including, B (default: 0:10)')
+    parser.add_argument('--motion', default='rich', metavar='NAME',
+                        help='of --kind: rich, sinusoid or polynomial (default: rich)')
+    parser.add_argument('--plant', metavar='NAME',
+                        help='of --kind: soft or stiff; default: drawn')
+    parser.add_argument('--duration', type=float, default=60.0, metavar='S',
+                        help='of each recording of --kind (default: %(default)g)')
+    parser.add_argument('--out', required=True, metavar='DIR',
+                        help='journal outcomes.jsonl, report.txt and report.json')
+    parser.add_argument('--workers', type=int, default=2, metavar='N',
+                        help='processes (default: %(default)s)')
+    parser.add_argument('--no-peers', action='store_true', help='ask the workflow alone')
+    parser.add_argument('--json', action='store_true', help='print the report as JSON')
+    parser.set_defaults(run=run)
+
+
+def run(args):
+    """Try what is not in the journal yet, report; return 1 if a figure is missed, else 0."""
+    import json
+
+    from gms_flex_control.benchmarks.hidden_effects import text
+    from gms_flex_control.benchmarks.hidden_effects.jobs import fingerprint, Journal
+    from gms_flex_control.errors import ConfigError
+    from gms_flex_control.files import write_text
+
+    if args.workers < 1:
+        raise ConfigError(f'--workers {args.workers}: at least one is needed')
+    jobs, journal = jobs_asked(args), Journal(args.out, fingerprint())
+    if not args.json:
+        tell_beginning(jobs, journal, args)
+    try_missing(jobs, journal, args)
+    outcomes = [journal.outcomes[job.key] for job in jobs if job.key in journal.outcomes]
+    report, values = text.report(outcomes), text.values(outcomes)
+    write_text(Path(args.out) / 'report.txt', report + '\n')
+    write_text(Path(args.out) / 'report.json', json.dumps(values, indent=2) + '\n')
+    print(json.dumps(values, indent=2) if args.json else f'\n{report}')
+    return int(any(one['met'] is False for one in values['figures']))
+
+
+def jobs_asked(args):
+    """Return the jobs of --kind, else those of --set."""
+    from gms_flex_control.benchmarks.hidden_effects.jobs import Job, jobs_of
+    from gms_flex_control.cli.hide import seeds_of
+    from gms_flex_control.hidden.cases import KINDS, require_known
+    from gms_flex_control.hidden.motions import MOTIONS
+    from gms_flex_control.hidden.plants import PLANTS
+
+    if not args.kind:
+        return jobs_of(args.chosen)
+    for kind in args.kind:
+        require_known('kind', kind, KINDS)
+    require_known('motion', args.motion, MOTIONS)
+    if args.plant is not None:
+        require_known('plant', args.plant, PLANTS)
+    return [Job(kind, seed, args.motion, args.plant, args.duration)
+            for seed in seeds_of(args.seeds) for kind in args.kind]
+
+
+def tell_beginning(jobs, journal, args):
+    """Print how much there is to do, and what is left out."""
+    from gms_flex_control.benchmarks.hidden_effects import peers
+    known = sum(job.key in journal.outcomes for job in jobs)
+    print(f'{len(jobs)} hidden robots, {known} of them in {journal.path}')
+    if journal.stale:
+        print(f'{journal.stale} outcomes there are of other sources and are tried again')
+    if not args.no_peers and not peers.can_regress():
+        print(peers.NO_PYSINDY)
+
+
+def try_missing(jobs, journal, args):
+    """Try every job that the journal lacks, in processes, and keep each outcome at once."""
+    from concurrent.futures import as_completed, ProcessPoolExecutor
+    from multiprocessing import get_context
+
+    from gms_flex_control.benchmarks.hidden_effects.outcome import try_job
+
+    waiting = [job for job in jobs if job.key not in journal.outcomes]
+    if not waiting:
+        return
+    pool = ProcessPoolExecutor(min(args.workers, len(waiting)), mp_context=get_context('spawn'))
+    try:
+        tried = [pool.submit(try_job, job, not args.no_peers) for job in waiting]
+        for count, future in enumerate(as_completed(tried), 1):
+            outcome = future.result()
+            journal.add(outcome)
+            if not args.json:
+                print(f'[{count}/{len(waiting)}] {line_of(outcome)}', flush=True)
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def line_of(outcome):
+    """Return one outcome as a line of text."""
+    truth = outcome['truth']
+    hidden = ', '.join(f'{one["effect"]} of {one["joint"]}' for one in truth['effects'])
+    hidden = hidden or (truth['outsider'] or {}).get('name', 'nothing')
+    named = ', '.join(f'{one["effect"]} of {one["joint"]}{"" if one["main"] else " (small)"}'
+                      for one in outcome['findings'][:3])
+    return (f'{truth["kind"]} {truth["seed"]} {truth["plant"]} {truth["motion"]}: {hidden} -> '
+            f'{outcome["verdict"]}{": " if named else ""}{named} ({outcome["seconds"]:.1f} s)')

@@ -1,0 +1,249 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""The bench of hidden effects: answers are judged by what was hidden, runs go on where killed."""
+
+import json
+import sys
+from types import ModuleType, SimpleNamespace
+
+from gms_flex_control.benchmarks.hidden_effects import figures, judgement, peers, text
+from gms_flex_control.benchmarks.hidden_effects.jobs import fingerprint, Job, jobs_of, Journal
+from gms_flex_control.benchmarks.hidden_effects.outcome import finite, try_job
+from gms_flex_control.cli.main import main
+from gms_flex_control.errors import BagError
+import numpy as np
+import pytest
+
+
+def effect(name, joint='joint1', **parameters):
+    return {'effect': name, 'joint': joint, 'parameters': parameters or {'ratio': 0.1}}
+
+
+def finding(name, joint='joint1', main=True, confusable=(), **parameters):
+    return effect(name, joint, **parameters) | {
+        'main': main, 'runner_up': '', 'confusable_with': list(confusable)}
+
+
+def outcome(kind='single', hidden=(), findings=(), verdict='effects_found', seed=0, clutter=(),
+            plant='soft', motion='rich', gap=None):
+    """Return an outcome as `try_job` makes it."""
+    ordered = sorted(findings, key=lambda one: not one['main'])
+    return {
+        'key': Job(kind, seed, motion).key, 'verdict': verdict, 'findings': list(findings),
+        'gap': gap, 'seconds': 2.0, 'megabytes': 300.0,
+        'answers': {'workflow': [[one['effect'], one['joint']] for one in ordered]},
+        'truth': {'kind': kind, 'seed': seed, 'plant': plant, 'motion': motion,
+                  'effects': list(hidden), 'clutter': list(clutter), 'outsider': None}}
+
+
+@pytest.mark.parametrize(('findings', 'verdict', 'expected'), [
+    ([finding('backlash')], 'effects_found', 'right'),
+    ([finding('backlash', 'joint2')], 'effects_found', 'wrong'),
+    ([finding('spring_cubic'), finding('backlash')], 'effects_found', 'wrong'),
+    ([finding('spring_cubic', main=False), finding('backlash')], 'effects_found', 'right'),
+    ([finding('spring_cubic', confusable=['backlash'])], 'effects_found', 'confusable'),
+    ([], 'unexplained', 'unexplained'), ([], 'complete', 'nothing'), ([], 'bad_data', 'fault')])
+def test_the_first_name_is_judged_by_effect_and_joint(findings, verdict, expected):
+    """A large finding counts before a small one, wherever it stands in the list."""
+    one = outcome(hidden=[effect('backlash')], findings=findings, verdict=verdict)
+    assert judgement.judged(one) == expected
+
+
+def test_the_parameter_error_is_of_the_size_per_unit():
+    hidden = [effect('friction_drift', ratio=0.4, duration=60.0)]
+    found = [finding('friction_drift', ratio=0.21, duration=30.0)]
+    assert judgement.parameter_error(outcome(hidden=hidden, findings=found)) == pytest.approx(
+        0.05)
+    hidden, found = [effect('end_stop', angle=-0.5, stiffness=3.0)], [
+        finding('end_stop', angle=-0.49, stiffness=9.0)]
+    assert judgement.parameter_error(outcome(hidden=hidden, findings=found)) == pytest.approx(
+        0.02)
+
+
+def test_gaps_count_above_the_floor():
+    gap = {'before': [5.0, 1.0], 'after': [3.0, 0.9], 'floor': [0.0, 1.0],
+           'free_before': [4.0, 3.0], 'free_after': [0.0, 1.0]}
+    assert judgement.energy_ratio(outcome(gap=gap)) == pytest.approx(9.0 / 25.0)
+    assert judgement.free_ratio(outcome(gap=gap)) == pytest.approx(0.2)
+    assert judgement.energy_ratio(outcome(gap=gap | {'after': [None, 1.0]})) is None
+    assert judgement.free_ratio(outcome()) is None
+
+
+def test_relatives_stand_in_for_each_other_and_others_do_not():
+    assert not judgement.unrelated('actuator_lag', 'input_delay')
+    assert judgement.unrelated('gravity_tilt', 'actuator_lag')
+    assert not judgement.unrelated('backlash', 'backlash')
+
+
+def test_the_figures_are_shares_of_their_kind():
+    """Counted by hand: every kind with one good and one bad answer, or more."""
+    b, c, r = effect('backlash'), effect('spring_cubic'), effect('torque_ripple')
+    outcomes = [
+        outcome(hidden=[b], findings=[finding('backlash')]),
+        outcome(hidden=[b], findings=[finding('end_stop')], plant='stiff'),
+        outcome(hidden=[b], findings=[finding('backlash')], plant='stiff'),
+        outcome(hidden=[b], verdict='unexplained'),
+        outcome(hidden=[b], findings=[finding('backlash')], motion='sinusoid'),
+        outcome('clean', verdict='complete'),
+        outcome('clean', findings=[finding('backlash', main=False)]),
+        outcome('outside', verdict='unexplained'),
+        outcome('outside', findings=[finding('backlash')], verdict='unexplained'),
+        outcome('double', hidden=[b, c], findings=[finding('backlash'), finding('spring_cubic')]),
+        outcome('double', hidden=[b, c], findings=[finding('spring_cubic')]),
+        outcome('double', hidden=[b, c], findings=[finding('end_stop')]),
+        outcome('deleted', hidden=[b], findings=[finding('spring_cubic')]),
+        outcome('deleted', hidden=[b], findings=[finding('gravity_tilt', 'arm')]),
+        outcome('clutter', hidden=[b], clutter=[c], findings=[
+            finding('spring_cubic'), finding('torque_ripple'), finding('backlash')]),
+        outcome('clutter', hidden=[b], clutter=[r], findings=[finding('backlash')])]
+    values = {one.name: one.value for one in figures.figures_of(outcomes)}
+    expected = {
+        'right name, first place': 0.5, 'wrong name': 0.25, 'stiff plant: right name': 0.5,
+        "the paper's motions: right name": 1.0, 'clean called clean': 0.5,
+        'outside called unexplained': 0.5, 'double: both found': 1 / 3,
+        'double: at least one': 2 / 3, 'deleted: an unrelated name first': 0.5,
+        'clutter: main effect first': 0.5, 'clutter: main effect in the first three': 1.0,
+        'clutter: names that are not there': 0.25, 'median parameter error': 0.0}
+    for name, value in expected.items():
+        assert values[name] == pytest.approx(value), name
+    report = text.report(outcomes)
+    assert 'backlash  3 of 5  end_stop 1, unexplained 1' in report.replace('   ', '  ')
+    assert 'MISSED' in report
+    json.dumps(text.values(outcomes), allow_nan=False)
+
+
+def test_a_figure_nobody_tells_of_is_neither_met_nor_missed():
+    assert {one.met for one in figures.figures_of([])} == {None}
+    assert 'right name, first place' in text.report([])
+
+
+def test_peers_are_judged_by_their_names():
+    one = outcome(hidden=[effect('backlash')], findings=[finding('backlash')])
+    one['answers']['forward R^2'] = [['end_stop', 'joint1'], ['backlash', 'joint1']]
+    found = figures.peer_figures([one, outcome('clean', verdict='complete')], 'forward R^2')
+    assert found == {'right name, first place': 0.0, 'wrong name': 1.0}
+    assert 'forward R^2' in text.table([one])
+
+
+@pytest.fixture
+def regression():
+    """Return a problem in which two of five guesses, one of them a pair, make the target."""
+    rng = np.random.default_rng(0)
+    columns = rng.standard_normal((200, 6))
+    columns /= np.linalg.norm(columns, axis=0)
+    target = columns @ [0.9, 0.0, 0.0, 0.4, 0.3, 0.0]
+    names = [('backlash', 'joint1'), ('end_stop', 'joint1'), ('spring_cubic', 'joint2'),
+             ('torque_ripple', 'joint2'), ('torque_gain', 'joint1')]
+    groups = [slice(0, 1), slice(1, 2), slice(2, 3), slice(3, 5), slice(5, 6)]
+    return names, groups, columns, target / np.linalg.norm(target)
+
+
+def test_forward_selection_takes_what_explains_most_and_then_stops(regression):
+    names = regression[0]
+    assert peers.forward(*regression) == [names[0], names[3]]
+    names, groups, columns, _ = regression
+    noise = np.linalg.qr(columns, mode='complete')[0][:, -1]
+    assert peers.forward(names, groups, columns, noise) == []
+
+
+def test_sparse_regression_keeps_the_large_ones(regression):
+    pytest.importorskip('pysindy')
+    names = regression[0]
+    assert peers.sparse(*regression) == [names[0], names[3]]
+
+
+def test_the_sets_hold_as_many_as_are_asked():
+    """300 singles over both plants, 60 clean, 60 double, 40 outside; no job twice."""
+    jobs = jobs_of('full')
+    count = {kind: sum(job.kind == kind and job.motion == 'rich' for job in jobs)
+             for kind in ('single', 'clean', 'double', 'outside')}
+    assert count['single'] >= 300 and count['clean'] >= 60
+    assert count['double'] >= 60 and count['outside'] >= 40
+    assert len({job.key for job in jobs}) == len(jobs)
+    assert len({job.kind for job in jobs[:30]}) >= 5
+
+
+def test_a_killed_run_goes_on_with_what_is_missing(tmp_path):
+    """Half a line is no outcome; neither is one of other sources."""
+    journal = Journal(tmp_path, 'abc')
+    journal.add(outcome(seed=1))
+    with journal.path.open('a') as file:
+        file.write('{"key": "single/rich/drawn/60/2", "sour')
+    again = Journal(tmp_path, 'abc')
+    assert list(again.outcomes) == ['single/rich/drawn/60/1']
+    again.add(outcome(seed=3))
+    assert len(Journal(tmp_path, 'abc').outcomes) == 2
+    other = Journal(tmp_path, 'xyz')
+    assert not other.outcomes and other.stale == 2
+
+
+def test_numbers_that_are_none_are_kept_as_such():
+    assert finite({'a': [1.0, float('nan')], 'b': (float('inf'), 'x')}) == {
+        'a': [1.0, None], 'b': [None, 'x']}
+
+
+@pytest.fixture
+def workflow(monkeypatch):
+    """Return a workflow that answers as it is told, in the place of the real one."""
+    module = ModuleType('gms_flex_control.discrepancy.workflow')
+    module.asked = []
+
+    def discrepancy(recordings, robot, options):
+        module.asked.append((recordings, robot, options))
+        if isinstance(module.result, Exception):
+            raise module.result
+        return module.result
+    module.discrepancy = discrepancy
+    module.Options = lambda **given: SimpleNamespace(**{'without': (), **given})
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    return module
+
+
+def test_a_job_asks_the_workflow_without_telling_it_the_truth(workflow):
+    """It gets one recording and the nominal robot; of a deleted effect also the name."""
+    workflow.result = SimpleNamespace(
+        verdict='effects_found', gap=SimpleNamespace(
+            before=np.array([1.0, 2.0]), after=[1.0, 1.0], floor=[0.5, np.nan], free_before=1.0,
+            free_after=None),
+        findings=(SimpleNamespace(effect='backlash', joint='joint2', main=True, runner_up='x',
+                                  parameters={'half_gap': np.float64(0.1)},
+                                  confusable_with=('end_stop',)),))
+    found = try_job(Job('deleted', 1, duration=8.0), with_peers=False)
+    recordings, robot, options = workflow.asked[0]
+    assert len(recordings) == 1 and robot.effects == ()
+    assert options.without == (found['truth']['effects'][0]['effect'],)
+    assert found['answers'] == {'workflow': [['backlash', 'joint2']]}
+    assert found['gap']['floor'] == [0.5, None] and found['gap']['free_after'] == []
+    json.dumps(found, allow_nan=False)
+
+
+def test_a_workflow_that_fails_is_told_and_counts_against_it(workflow):
+    workflow.result = BagError('no torque')
+    found = try_job(Job('single', 1, duration=8.0), with_peers=False)
+    assert found['verdict'] == 'error' and judgement.judged(found) == 'fault'
+    assert 'no torque' in text.report([found])
+
+
+def test_score_prints_what_the_journal_holds(tmp_path, capsys):
+    """All tried already: nothing is run, the report is written, a miss is exit code 1."""
+    journal = Journal(tmp_path, fingerprint())
+    for seed in range(2):
+        journal.add(outcome(hidden=[effect('backlash')], seed=seed, findings=[
+            finding('backlash' if seed else 'end_stop')]))
+    args = ['score', '--kind', 'single', '--seeds', '0:2', '--out', str(tmp_path)]
+    assert main(args) == 1
+    out = capsys.readouterr().out
+    assert '2 hidden robots, 2 of them in' in out and '50.0 %' in out
+    assert main([*args, '--json']) == 1
+    told = json.loads(capsys.readouterr().out)
+    assert told['cases'] == 2 and told['missed'][0]['key'] == 'single/rich/drawn/60/0'
+    assert json.loads((tmp_path / 'report.json').read_text()) == told
+
+
+@pytest.mark.parametrize(('args', 'sentence'), [
+    (['--kind', 'singel'], "did you mean 'single'?"), (['--set', 'huge'], 'known: full, quick'),
+    (['--workers', '0'], 'at least one'), (['--kind', 'single', '--plant', 'x'], 'soft, stiff')])
+def test_what_score_cannot_do_is_refused(tmp_path, capsys, args, sentence):
+    assert main(['score', '--out', str(tmp_path), *args]) == 2
+    assert sentence in capsys.readouterr().err
