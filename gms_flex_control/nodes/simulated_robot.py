@@ -122,9 +122,10 @@ class SimulatedRobot:
         held = self._command[1]
         if stamp is not None and (stamp > self._stamp or (held is not None and stamp < held)):
             return  # answers a state that never was, or was overtaken on its way
+        silence = self._commands.silence(now) or 0
+        self._commands.take(source, now)  # first: `_watch` in the other thread looks at it
         if not self._supervisor.active:
-            self._resume(now)
-        self._commands.take(source, now)
+            self._resume(silence)
         self._command = (np.array(torque), stamp, now)
         if stamp is not None and self._mode == 'realtime':
             self._timing.answered((stamp - self._first) // self._period, now)
@@ -163,14 +164,16 @@ class SimulatedRobot:
 
     def _fail_passing(self, sentence):
         with self._lock:
-            self._passing = self._supervisor.trip(sentence) or self._passing
+            if self._supervisor.trip(sentence):
+                self._passing = True
+            elif self._passing:  # a silence, say, and then two controllers
+                self._supervisor.amend(sentence)
             self._settle()
 
-    def _resume(self, now):
-        """Let torque flow again, now that one controller commands."""
+    def _resume(self, silence):
+        """Let torque flow again, now that one controller commands after ``silence`` [ns]."""
         with self._lock:
             if self._passing and not self._supervisor.stopped:
-                silence = self._commands.silence(now) or 0
                 self._node.get_logger().info(f'{self._commands.name} was silent for '
                                              f'{silence / 1e6:.0f} ms; commands come again')
                 self._supervisor.reset()
