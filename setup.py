@@ -56,7 +56,6 @@ setup(
         'bench': ['mujoco>=3.2,<5'],
         'dask': ['distributed>=2024.12'],
         'peers': ['pysindy>=2,<3'],
-        'peers': ['pysindy>=2,<3'],
         'docs': ['furo', 'sphinx>=8,<10'],
     },
     maintainer='The gms_flex_control authors',
