@@ -124,8 +124,7 @@ class ControllerNode(Node):
             reference = Reference(*messages.read_reference(message, self._robot.n_joints))
         except messages.RefusedError as error:
             self._counts['references refused'] += 1
-            self.get_logger().warning(f'reference refused: {error}',
-                                      throttle_duration_sec=_WARN_PERIOD)
+            self.health.warn('reference', f'reference refused: {error}')
             return
         stamp = messages.read_stamp(message)
         if stamp is None:
@@ -154,8 +153,7 @@ class ControllerNode(Node):
             self._reader.read(message, self._controller.measured)
         except messages.RefusedError as error:
             self._counts['states refused'] += 1
-            self.get_logger().warning(f'joint state refused: {error}',
-                                      throttle_duration_sec=_WARN_PERIOD)
+            self.health.warn('joint state', f'joint state refused: {error}')
             return
         if self._lockstep and not self._references.has(stamp):
             self._waiting = stamp
@@ -201,8 +199,7 @@ class ControllerNode(Node):
     def _begin_anew(self, elapsed):
         self._counts['observer begun anew'] += 1
         self.health.tell(WARN, f'joint states jumped by {elapsed:.3f} s: zero torque')
-        self.get_logger().warning(f'joint states jumped by {elapsed:.3f} s: observer begins anew',
-                                  throttle_duration_sec=_WARN_PERIOD)
+        self.health.warn('jump', f'joint states jumped by {elapsed:.3f} s: observer begins anew')
         self._controller.reset()
         self._references.forget_motion()
         self._begins = True
@@ -271,8 +268,8 @@ class ControllerNode(Node):
         self._counts['silences'] += 1
         self.health.tell(WARN, f'no usable joint state for {_LONGEST_SILENCE * 1e3:g} ms: '
                               'zero torque')
-        self.get_logger().warning(f'no usable joint state for {_LONGEST_SILENCE * 1e3:g} ms: '
-                                  'zero torque', throttle_duration_sec=_WARN_PERIOD)
+        self.health.warn('silence', f'no usable joint state for {_LONGEST_SILENCE * 1e3:g} ms: '
+                                    'zero torque')
 
     def _on_fault(self):
         self._waiting = None

@@ -4,6 +4,7 @@
 """How a node is: what it says on /diagnostics, and the fault that an exception makes of it."""
 
 from functools import wraps
+import time
 import traceback
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -13,6 +14,7 @@ from rclpy.clock import Clock, ClockType
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 _LOOK_PERIOD = 0.1   # a change is published within this [s]
 _LOOKS_PER_REPORT = 10
+_WARN_PERIOD = 5.0   # of warnings of one kind [s]
 
 
 class Health:
@@ -39,6 +41,7 @@ class Health:
         self._node, self._figures, self._on_fault = node, figures, on_fault
         self.fault = ''
         self._state = (OK, 'starting')
+        self._warned = {}    # kind of warning: when it was logged last [s]
         self._said, self._looks, self._mismatches = None, 0, ()
         self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
         # steady: the timers of ROS time stand still with /clock
@@ -48,6 +51,18 @@ class Health:
     def tell(self, level, sentence):
         """Say how the node is; cheap enough for every tick."""
         self._state = (level, sentence)
+
+    def warn(self, kind, sentence):
+        """
+        Log a warning, at most one of a ``kind`` every few seconds.
+
+        The throttle of rclpy looks for its caller each time, which takes longer than all the
+        rest of refusing a message: in a storm of those the loop would stand.
+        """
+        now = time.monotonic()
+        if now >= self._warned.get(kind, 0.0):
+            self._warned[kind] = now + _WARN_PERIOD
+            self._node.get_logger().warning(sentence)
 
     @property
     def status(self):

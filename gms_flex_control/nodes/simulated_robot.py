@@ -110,8 +110,7 @@ class SimulatedRobot:
             torque = messages.read_command(message, len(self._zero))
         except messages.RefusedError as error:
             self._refused += 1
-            self._node.get_logger().warning(f'command refused: {error}',
-                                            throttle_duration_sec=_WARN_PERIOD)
+            self._health.warn('command', f'command refused: {error}')
             return
         stamp, now = messages.read_stamp(message), time.monotonic_ns()
         source = messages.read_source(message) or ''

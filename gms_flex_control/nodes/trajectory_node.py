@@ -101,8 +101,7 @@ class TrajectoryNode(Node):
             self._read(message)
         except messages.RefusedError as error:
             self._counts['states refused'] += 1
-            self.get_logger().warning(f'joint state refused: {error}',
-                                      throttle_duration_sec=_WARN_PERIOD)
+            self.health.warn('joint state', f'joint state refused: {error}')
             return
         if self._was_overtaken(stamp):
             return

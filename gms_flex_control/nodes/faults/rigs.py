@@ -199,40 +199,47 @@ class Loop:
         Where.
     rate : float
         Joint states per second [Hz].
-    **commands
-        ``controller=``, ``trajectory=``, ``plant=``: commands of other processes.
+    controller_parameters : dict, optional
+        More of its parameters.
+    deaf_to : str
+        A topic the bench does not listen to, because it will be flooded.
 
     """
 
-    def __init__(self, bench, *, rate=RATE, **commands):
+    def __init__(self, bench, *, rate=RATE, controller_parameters=None, deaf_to=''):
         self.bench = bench
         self.commands, self.states, self.diagnostics = Log(), Log(), Diagnostics(bench)
-        bench.listen(Float64MultiArray, COMMANDS, self.commands)
-        bench.listen(JointState, STATES, self.states)
+        for kind, topic, log in ((Float64MultiArray, COMMANDS, self.commands),
+                                 (JointState, STATES, self.states)):
+            if topic != deaf_to:
+                bench.listen(kind, topic, log)
         self._files = [*default_files(), config('sinusoid.yaml')]
-        self.start_controller(command=commands.get('controller'))
-        self.start_trajectory(command=commands.get('trajectory'))
-        self.plant = bench.start('plant_node', command=commands.get('plant'), files=self._files,
-                                 rate=rate, wait_for_subscribers=3)
+        self._parameters = controller_parameters or {}
+        self.start_controller()
+        self.start_trajectory()
+        self.plant = bench.start('plant_node', files=self._files, rate=rate,
+                                 wait_for_subscribers=3 - (deaf_to == STATES))
         self.settle()
 
-    def start_controller(self, name='controller_node', **options):
+    def start_controller(self, name='controller_node'):
         """Start the controller (again)."""
-        self.controller = self.bench.start(name, files=self._files, **options)
+        self.controller = self.bench.start(name, files=self._files, **self._parameters)
 
-    def start_trajectory(self, **options):
+    def start_trajectory(self):
         """Start the trajectory node (again)."""
         self.trajectory = self.bench.start(
             'trajectory_node', files=self._files, trajectory__autostart=True,
-            trajectory__ramp_time=3.0, **_SMALL, **options)
+            trajectory__ramp_time=3.0, **_SMALL)
 
     def moves(self):
         """Return whether the plant is given torque now."""
-        return bool(self.states) and any(self.states[-1].effort[2:])
+        if self.states:
+            return any(self.states[-1].effort[2:])
+        return bool(self.commands) and any(self.commands[-1].data)
 
     def settle(self):
         """Wait until the arm is moved."""
-        self.bench.until(lambda: len(self.commands) > 50 and self.moves())
+        self.bench.until(lambda: max(len(self.commands), len(self.states)) > 50 and self.moves())
 
     def run(self, duration):
         """Listen for a time [s]; return when that began."""

@@ -22,12 +22,15 @@ class Tally:
         Largest figure; None if nothing was measured.
     problems : list of str
         What was not as required, in sentences.
+    notes : list of str
+        What else a reader should know.
 
     """
 
     tries: int = 0
     worst: float | None = None
     problems: list = field(default_factory=list)
+    notes: list = field(default_factory=list)
 
     def figure(self, value):
         """Take one measured figure."""
@@ -90,8 +93,8 @@ class Row:
         Largest figure.
     verdict : {'held', 'FAILED'}
         Whether everything was as required.
-    problems : tuple of str
-        What was not.
+    problems, notes : tuple of str
+        What was not, and what else there is to know.
     seconds : float
         How long it took.
 
@@ -107,6 +110,7 @@ class Row:
     worst: float | None
     verdict: str
     problems: tuple
+    notes: tuple
     seconds: float
 
 
@@ -120,4 +124,5 @@ def judged(fault, tally, seconds):
         problems.append('it was not tried')
     return Row(name=fault.name, fault=fault.fault, required=fault.required, figure=fault.figure,
                unit=fault.unit, limit=fault.limit, tries=tally.tries, worst=tally.worst,
-               verdict=FAILED if problems else HELD, problems=tuple(problems), seconds=seconds)
+               verdict=FAILED if problems else HELD, problems=tuple(problems),
+               notes=tuple(tally.notes), seconds=seconds)
