@@ -46,7 +46,7 @@ class BridgeParams:
     limits: Limits
     sources: tuple
     state_timeout: float = 0.03
-    silence_timeout: float = 0.04
+    silence_timeout: float = 0.035
     velocity_cutoff: float = 50.0
     skew: float = 0.01
 
@@ -240,11 +240,13 @@ class Bridge:
         return bool(sentence) and self.fault(sentence)
 
     def _silent_robot(self, now):
-        if self._arrived is not None and \
-                now - self._arrived <= self.params.state_timeout * NANOSECONDS:
-            return ''
         if self._arrived is None:
             return f"no joint states from {', '.join(self.params.sources)} yet"
+        if now - self._arrived <= self.params.state_timeout * NANOSECONDS:
+            return ''
+        return self._about_robot(now)
+
+    def _about_robot(self, now):
         sentence = f'no new joint states for {(now - self._arrived) / 1e6:.0f} ms'
         absent = self.merger.absent()
         if self._refused_state:
@@ -257,6 +259,8 @@ class Bridge:
         spoken = max(self.watch_commands.last or 0, self._given)
         if now - spoken <= self.params.silence_timeout * NANOSECONDS:
             return ''
+        if now - self._arrived > 0.5 * (now - spoken):  # nothing to be answered
+            return self._about_robot(now)
         said = f'; refused last: {self._refused_command}' if self._refused_command else ''
         return (f'no command from {self.watch_commands.name} for '
                 f'{(now - spoken) / 1e6:.0f} ms{said}')

@@ -134,7 +134,7 @@ class JointMap:
 
     def efforts(self, torque):
         """Return efforts in the robot's units and order from torques (n_joints,) [N m]."""
-        return (torque / self._scale)[self._order]
+        return (torque / self._scale)[self._order] + 0.0  # never -0
 
     def torques(self, efforts, otherwise):
         """

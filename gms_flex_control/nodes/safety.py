@@ -8,6 +8,7 @@ import time
 
 from gms_flex_control.nodes.process import NO_EVENTS
 import rclpy
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Bool
@@ -50,14 +51,18 @@ class Safety:
             f'{node.get_name()}_safety', namespace=node.get_namespace(), context=node.context,
             use_global_arguments=False, enable_rosout=False, start_parameter_services=False)
         self._topic = node.resolve_topic_name(topic)
+        group = ReentrantCallbackGroup()  # while one handler waits the others go on
         for qos in _ANY_BUTTON:
             self._node.create_subscription(Bool, self._topic, self._on_button, qos,
-                                           event_callbacks=NO_EVENTS)
+                                           callback_group=group, event_callbacks=NO_EVENTS)
         for name, handler in (('disable', self._disable), ('reset', self._reset),
                               ('emergency_stop', self._stop), ('enable', self._enable)):
-            self._node.create_service(Trigger, node.resolve_service_name(f'~/{name}'), handler)
-        self._hold = self._node.create_client(
-            Trigger, node.resolve_service_name(hold_service)) if hold_service else None
+            self._node.create_service(Trigger, node.resolve_service_name(f'~/{name}'), handler,
+                                      callback_group=group)
+        self._hold = None
+        if hold_service:
+            self._hold = self._node.create_client(
+                Trigger, node.resolve_service_name(hold_service), callback_group=group)
         self._asked = None         # future of the hold service and when to give up
         self._executor = SingleThreadedExecutor(context=node.context)
         self._executor.add_node(self._node)

@@ -17,7 +17,7 @@ def safety_keys(joints):
         Key('backend', 'string', 'simulated robot, or bridge to a real one', default='sim',
             choices=BACKENDS),
         Key('silence_timeout', 'double', 'without a command for so long: zero torque and FAULT',
-            's', 0.04, 0.002, 1.0),
+            's', 0.035, 0.002, 1.0),
         Key('emergency_stop_topic', 'string', 'std_msgs/Bool, true is pressed',
             default='emergency_stop')]
     for joint in joints:

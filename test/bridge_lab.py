@@ -1,0 +1,164 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""A bridge between the real controller and a robot process, and what a test needs to see."""
+
+from contextlib import contextmanager
+from pathlib import Path
+import subprocess
+import sys
+import time
+
+from node_harness import (
+    CONFIG,
+    FILES,
+    Float64MultiArray,
+    JointState,
+    Lab,
+    STATES,
+    Trigger,
+    write_parameters,
+)
+import pytest
+from rclpy.qos import QoSProfile
+from ros2_control_robot import EFFORTS, MAPPING
+
+DiagnosticArray = pytest.importorskip('diagnostic_msgs.msg').DiagnosticArray
+RATE = 250.0
+
+
+class Efforts(list):
+    """Efforts at the robot with the times they came at [s]."""
+
+    def append(self, message):
+        super().append((time.monotonic(), list(message.data)))
+
+    @property
+    def last(self):
+        """Return the efforts that hold now."""
+        return self[-1][1]
+
+    def first_zero_after(self, begin):
+        """Return when torque ended for good after ``begin`` (None while it flows)."""
+        if not self or any(self.last):
+            return None
+        flowing = [k for k, (_, data) in enumerate(self) if any(data)]
+        last = flowing[-1] if flowing else -1
+        return max(self[last + 1][0], begin)
+
+
+@contextmanager
+def bridge_lab(folder, *, files=(), controller=True, robot=True, **parameters):
+    """Yield a Lab with robot, bridge, controller and trajectory running, torque not enabled."""
+    mapping = write_parameters(Path(folder) / 'mapping.yaml', MAPPING)
+    with Lab(Path(folder)) as lab:
+        lab.files = [*FILES, CONFIG / 'bridge.yaml', mapping, *files]
+        # a busy machine stops our robot of Python for longer than any real one
+        lab.given = {'compensation': 'none', 'bridge__state_timeout': 0.3, **parameters}
+        lab.processes = []
+        if robot:
+            start_robot(lab)
+        lab.plant = lab.start('plant_node', files=lab.files, **lab.given)
+        lab.trajectory = lab.start('trajectory_node', files=[
+            *lab.files, CONFIG / 'sinusoid.yaml'], trajectory__joint1__amplitude=0.3,
+            trajectory__joint2__amplitude=0.3)
+        lab.efforts, lab.reports = Efforts(), []
+        lab.states = lab.listen(JointState, STATES)
+        lab.node.create_subscription(Float64MultiArray, EFFORTS, lab.efforts.append,
+                                     QoSProfile(depth=100))
+        lab.node.create_subscription(DiagnosticArray, '/diagnostics', lambda message: [
+            lab.reports.append(one) for one in message.status if one.name == 'plant'],
+            QoSProfile(depth=100))
+        if controller:
+            start_controller(lab)
+        try:
+            yield lab
+        finally:
+            for process in lab.processes:
+                process.kill()
+                process.wait()
+
+
+def start_robot(lab):
+    """Start the robot process."""
+    with (lab.folder / 'robot.log').open('wb') as log:
+        lab.robot = subprocess.Popen(
+            [sys.executable, str(Path(__file__).with_name('ros2_control_robot.py')), str(RATE)],
+            env=lab.environment, stdout=log, stderr=subprocess.STDOUT)
+    lab.processes.append(lab.robot)
+
+
+def start_controller(lab, name='controller_node'):
+    """Start a controller."""
+    lab.controller = lab.start(name, files=lab.files, **lab.given)
+
+
+def ask(lab, name):
+    """Call a Trigger service of the plant; return its answer."""
+    return lab.call(Trigger, f'/plant/{name}')
+
+
+def enable(lab):
+    """Enable torque as soon as the bridge agrees."""
+    answers = []
+
+    def enabled():
+        answers.append(ask(lab, 'enable'))
+        return answers[-1].success
+    lab.until(enabled)
+    return answers
+
+
+def move(lab, condition=lambda: True, tries=10):
+    """
+    Enable torque, start the motion and wait until torque flows and ``condition()`` holds.
+
+    A fault meanwhile, of a machine too busy for the loop, is left and all of it tried again.
+    """
+    for _ in range(tries):
+        assert ask(lab, 'reset').success
+        lab.until(lambda: max(map(abs, lab.states[-1].velocity)) < 0.05)
+        enable(lab)
+        del lab.reports[:]
+        assert lab.call(Trigger, '/trajectory/start').success
+        lab.until(lambda: fault_of(lab) or all(lab.efforts.last) and condition())
+        if not fault_of(lab):
+            return
+    raise AssertionError(f'no motion: {fault_of(lab)}')
+
+
+def fault_of(lab):
+    """Return what the plant has said of a fault since the reports were cleared."""
+    return next((one.message for one in lab.reports if 'FAULT' in one.message), '')
+
+
+def fault(lab, act, text, undo=lambda: None, tries=5):
+    """
+    Let something happen while torque flows; return how long it then flowed on [s].
+
+    A fault of another reason, of a machine too busy for the loop, is tried again.
+    """
+    for _ in range(tries):
+        move(lab)
+        lab.more(lab.states, 10)
+        begin = time.monotonic()
+        act()
+        taken = time_to_zero(lab, begin)
+        said = report(lab, 'FAULT').message
+        if text in said:
+            return taken
+        undo()
+    raise AssertionError(f'never {text!r}, in the end {said!r}')
+
+
+def time_to_zero(lab, begin):
+    """Wait for zero efforts and for 50 ms more of them; return when they came [s]."""
+    lab.until(lambda: lab.efforts.first_zero_after(begin)
+              and time.monotonic() > lab.efforts.first_zero_after(begin) + 0.05)
+    return lab.efforts.first_zero_after(begin) - begin
+
+
+def report(lab, text):
+    """Wait until /diagnostics says ``text`` of the plant; return that message."""
+    return lab.until(lambda: next((one for one in reversed(lab.reports)
+                                   if text in one.message), None))

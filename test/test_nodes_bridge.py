@@ -1,0 +1,157 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""The bridge between the real controller and a robot of ros2_control conventions, as processes."""
+
+from functools import partial
+import math
+import signal
+
+from bridge_lab import (
+    ask,
+    bridge_lab,
+    enable,
+    fault,
+    move,
+    report,
+    start_controller,
+)
+from node_harness import array_message, COMMANDS, Float64MultiArray, Trigger
+import numpy as np
+import pytest
+from ros2_control_robot import CONSTANT, GEAR, START
+from std_msgs.msg import Bool
+
+RATE_LIMIT, LIMIT = 5.0, 0.5  # torque_rate [N m/s] and torque [N m] of config/bridge.yaml
+SILENCE_BOUND, STOP_BOUND, STATE_TIMEOUT = 0.1, 0.02, 0.3  # [s]
+
+
+@pytest.fixture(scope='module')
+def lab(tmp_path_factory):
+    """Run robot, bridge, controller and trajectory."""
+    with bridge_lab(tmp_path_factory.mktemp('bridge')) as running:
+        running.button = running.speak(Bool, '/emergency_stop')
+        stop = running.node.create_client(Trigger, '/plant/emergency_stop')
+        running.stop = stop.call_async
+        running.until(lambda: running.efforts and running.states and stop.service_is_ready())
+        yield running
+        for process in (running.plant, running.controller, running.trajectory):
+            assert process.runs and 'Traceback' not in process.printed()
+
+
+def torques(efforts):
+    """Return the joint torques that efforts at the robot mean."""
+    second, first = efforts
+    return np.array([-CONSTANT * GEAR * first, second])
+
+
+def test_zero_until_enabled_then_the_measured_state_is_held(lab):
+    assert len(lab.efforts) and not any(any(data) for _, data in lab.efforts)
+    enable(lab)
+    begin = len(lab.states)
+    lab.more(lab.states, 250)
+    held = np.array([state.position for state in lab.states[begin:]])
+    # names, signs, gear and offset undone; joint 1 without velocity, joint 2 with
+    np.testing.assert_allclose(held, np.broadcast_to([*START, *START], held.shape), atol=0.02)
+    assert list(lab.states[-1].name) == ['joint1', 'joint2', 'joint1_motor', 'joint2_motor']
+
+
+def test_torque_rises_at_its_rate_limit_and_stays_below_its_limit(lab):
+    move(lab, lambda: (np.abs(np.subtract(lab.states[-1].position[:2], START)) > 0.1).all())
+    times = np.array([when for when, _ in lab.efforts])
+    torque = np.array([torques(data) for _, data in lab.efforts])
+    assert np.abs(torque).max() <= LIMIT
+    # a tenth of a second apart, so that the jitter of the messages does not count
+    later = np.searchsorted(times, times + 0.1)
+    pairs = later < len(times)
+    rise = np.abs(torque[later[pairs]]) - np.abs(torque[pairs])
+    elapsed = times[later[pairs]] - times[pairs]
+    assert (rise <= RATE_LIMIT * (elapsed + 0.02)[:, None]).all()
+
+
+def test_a_frozen_controller_is_zero_torque_and_a_fault_that_says_how_long(lab):
+    name = f'no command from /cascade_controller#{lab.controller.process.pid} for '
+    for _ in range(3):
+        freeze, thaw = (partial(lab.controller.process.send_signal, number)
+                        for number in (signal.SIGSTOP, signal.SIGCONT))
+        try:
+            assert fault(lab, freeze, f'FAULT: {name}', thaw) < SILENCE_BOUND
+            assert not ask(lab, 'enable').success
+        finally:
+            thaw()
+        report(lab, 'they come again')
+        assert not any(lab.efforts.last)  # latched
+
+
+def test_a_killed_controller_is_zero_torque_and_a_new_one_takes_over_after_a_reset(lab):
+    assert fault(lab, lab.controller.kill, 'FAULT: no command from', tries=1) < SILENCE_BOUND
+    assert 'no command from' in ask(lab, 'reset').message + ask(lab, 'enable').message
+    start_controller(lab, 'controller_node.second')
+    move(lab)
+
+
+def test_an_emergency_stop_is_zero_at_once_latched_and_survives_a_new_controller(lab):
+    press = (lambda: lab.button.publish(Bool(data=True)), lambda: lab.stop(Trigger.Request()))
+    for way in press:
+        assert fault(lab, way, 'FAULT: emergency stop by') < STOP_BOUND
+        lab.button.publish(Bool(data=False))
+        lab.more(lab.states, 10)
+        assert 'emergency stop by' in ask(lab, 'enable').message  # latched
+    lab.controller.kill()
+    start_controller(lab, 'controller_node.third')
+    commands = lab.listen(Float64MultiArray, COMMANDS)
+    lab.until(lambda: len(commands) > 50)
+    assert 'emergency stop by' in ask(lab, 'enable').message and not any(lab.efforts.last)
+    lab.button.publish(Bool(data=True))
+    lab.until(lambda: 'release the button' in ask(lab, 'reset').message)
+    lab.button.publish(Bool(data=False))
+    lab.until(lambda: ask(lab, 'reset').success)
+
+
+def test_two_controllers_are_zero_torque_and_both_are_named(lab):
+    rival = lab.speak(Float64MultiArray, COMMANDS)
+    lab.until(rival.get_subscription_count)
+
+    def command():
+        for _ in range(5):  # what is lost on the way does not count
+            rival.publish(array_message((0.1, 0.1), 'source:/rival#1'))
+    assert fault(lab, command, 'FAULT: 2 controllers command at once: /cascade_controller#'
+                 f'{lab.controller.process.pid} and /rival#1') < SILENCE_BOUND
+
+
+@pytest.mark.parametrize('wrong, said', [
+    ([math.nan, 0.0], 'command for joint 1 is nan'), ([0.0, 1e308], 'for joint 2 is 1e+308'),
+    ([], 'command has 0 torques for 2 joints'), ([0.1] * 3, 'command has 3 torques')])
+def test_commands_that_make_no_sense_are_refused_and_end_in_zero_when_they_last(lab, wrong, said):
+    rival = lab.speak(Float64MultiArray, COMMANDS)
+    lab.until(rival.get_subscription_count)
+    move(lab)
+    lab.controller.process.send_signal(signal.SIGSTOP)
+    try:
+        lab.until(lambda: rival.publish(array_message(wrong)) or not any(lab.efforts.last))
+        assert said in report(lab, 'FAULT: no command from').message
+    finally:
+        lab.controller.process.send_signal(signal.SIGCONT)
+    assert lab.plant.runs
+
+
+def test_a_robot_that_stops_speaking_is_zero_torque(lab):
+    freeze, thaw = (partial(lab.robot.send_signal, number)
+                    for number in (signal.SIGSTOP, signal.SIGCONT))
+    try:
+        taken = fault(lab, freeze, 'FAULT: no new joint states for ', thaw)
+    finally:
+        thaw()
+    assert taken < STATE_TIMEOUT + SILENCE_BOUND
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_the_last_word_is_zero(lab, number):
+    move(lab)
+    assert any(lab.efforts.last)
+    assert lab.plant.signal(number) == 0
+    lab.until(lambda: not any(lab.efforts.last))
+    assert 'Traceback' not in lab.plant.printed()
+    lab.plant = lab.start(f'plant_node.{number}', files=lab.files, **lab.given)
+    lab.until(lambda: 'ZERO' in lab.plant.printed())
+    lab.stop = lab.node.create_client(Trigger, '/plant/emergency_stop').call_async
