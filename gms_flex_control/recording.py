@@ -57,6 +57,8 @@ class Recording:
         The observer's friction estimate [N m]; NaN where there is none.
     source : str
         Where it came from, for messages and titles.
+    supply : ndarray, shape (T,), optional
+        Voltage of the drives' supply [V]; NaN where it was not recorded, the default.
 
     Raises
     ------
@@ -76,16 +78,19 @@ class Recording:
     reference: np.ndarray
     friction_hat: np.ndarray
     source: str
+    supply: np.ndarray | None = None
 
     def __post_init__(self):
         n, samples = len(self.joints), len(self.time)
+        if self.supply is None:
+            object.__setattr__(self, 'supply', np.full(samples, np.nan))
         for field in fields(self):
             if field.name in ('joints', 'source'):
                 continue
             value = np.array(getattr(self, field.name), dtype=float)
             value.setflags(write=False)
             object.__setattr__(self, field.name, value)
-            shape = {'time': (samples,), 'reference': (samples, 5, n)}.get(
+            shape = {'time': (samples,), 'supply': (samples,), 'reference': (samples, 5, n)}.get(
                 field.name, (samples, n))
             if value.shape != shape:
                 raise BagError(f'{self.source}: {field.name} has shape {value.shape}, '

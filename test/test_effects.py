@@ -79,6 +79,8 @@ EQUATIONS = {
     'spring_offset': ([0.01], sig.TWIST, lambda s, p: s[sig.TWIST] + p[0]),
     'stiffness_drift': ([0.2, 50.0], sig.SPRING, lambda s, p: s[sig.SPRING] * (
         1 + p[0] * s[sig.TIME] / p[1])),
+    'supply_sag': ([0.05, 2.0], sig.TORQUE, lambda s, p: s[sig.TORQUE] * (
+        1 + p[0] * (s[sig.SUPPLY] - p[1]) * (s[sig.SUPPLY] > 0))),
     'torque_gain': ([0.1], sig.TORQUE, lambda s, p: s[sig.TORQUE] * (1 + p[0])),
     'torque_ripple': ([0.01, 12.0, 0.3], sig.MOTOR_TORQUE, lambda s, p: (
         s[sig.MOTOR_TORQUE] + p[0] * np.sin(p[1] * s[sig.Q_MOTOR] + p[2]))),
@@ -172,7 +174,7 @@ def test_a_term_with_values_of_nothing_leaves_the_run_as_it_is(ideal_robot, name
 
 
 @pytest.mark.parametrize('name', sorted(set(TERMS) - {
-    'base_flexibility', 'encoder_skew', 'end_stop', 'link_encoder_eccentricity'}))
+    'base_flexibility', 'encoder_skew', 'end_stop', 'link_encoder_eccentricity', 'supply_sag'}))
 def test_a_term_with_values_changes_the_run(ideal_robot, name):
     """It is wired into the plant, not only into the table."""
     values = {'actuator_saturation': [0.05], 'backlash': [0.05]}.get(name, EQUATIONS[name][0])
@@ -251,7 +253,7 @@ def test_an_effect_is_named_as_its_module_and_describes_its_parameters(name):
 def test_the_catalogue_is_its_folder():
     files = {path.stem for path in Path(catalogue.__path__[0]).glob('*.py')} - {'__init__'}
     assert set(registry.names()) == files
-    assert len(files) >= 36
+    assert len(files) >= 37
 
 
 @pytest.mark.parametrize(('wrong', 'sentence'), [

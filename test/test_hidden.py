@@ -80,8 +80,8 @@ def test_the_plant_converges_to_the_hidden_robot(ideal_robot):
 def test_every_term_acts_in_the_hidden_robot_as_in_the_plant(ideal_robot, name):
     """What an effect changes in one integrator, it changes in the other as well."""
     stage = registry.find(name).stage
-    if stage == stage.SENSOR:
-        pytest.skip('acts on what is measured, not on the motion')
+    if stage == stage.SENSOR or name == 'supply_sag':
+        pytest.skip('acts on what is measured, or with a voltage')
     figures = sizes.figures_of(ideal_robot, TURNING, 2e-3)
     rng = np.random.default_rng(3)
     spec = sizes.spec(name, 1, ideal_robot.joints, sizes.MAIN[name](rng, figures[1]))
@@ -168,6 +168,7 @@ def test_a_case_hides_what_its_kind_says(kind):
     assert len(found.clutter) == (14 if kind == 'clutter' else 0)
     assert (found.outsider is not None) == (kind == 'outside')
     assert found.robot.effects == found.effects + found.clutter
+    assert (found.kind, found.seed, found.motion) == (kind, 3, 'rich')
     assert case.nominal.effects == ()
     assert case.recording.time[-1] == pytest.approx(10.0 - 2e-3)
     assert not np.allclose(case.held_out.q_link, case.recording.q_link)
@@ -299,3 +300,13 @@ def test_hide_writes_what_a_user_has_and_the_truth(tmp_path, capsys):
 def test_seeds_that_are_none_are_refused(tmp_path, capsys, seeds):
     assert main(['hide', '--out', str(tmp_path), f'--seeds={seeds}']) == 2
     assert 'must be a number or A:B' in capsys.readouterr().err
+
+
+def test_the_supply_is_recorded_where_it_matters():
+    """With other effects it is there in half of the cases, so that it tells nothing."""
+    case = cases.make_case('single', 0, effect='supply_sag', duration=10.0)
+    volts = case.recording.supply
+    assert np.isfinite(volts).all() and volts.max() < 24.1 and np.ptp(volts) > 0.5
+    recorded = [np.isfinite(cases.make_case('clean', seed, duration=8.0).recording.supply).all()
+                for seed in range(6)]
+    assert 0 < sum(recorded) < 6

@@ -26,4 +26,5 @@ LINK_TORQUE = 14   # extra torque on the link [N m]; stage LINK adds to it
 MOTOR_TORQUE = 15  # extra torque on the motor [N m]; stage MOTOR adds to it
 SENSED_LINK = 16   # what the link encoder will be given [rad]; stage SENSOR changes it
 SENSED_MOTOR = 17  # what the motor encoder will be given [rad]; stage SENSOR changes it
-WIDTH = 18
+SUPPLY = 18        # voltage of the supply [V]; 0 where it is not known
+WIDTH = 19

@@ -168,10 +168,14 @@ def _draw(rng, kind, seed, motion, plant, duration, effect, softer):
     clutter = _clutter(rng, effects, robot, figures) if kind == 'clutter' else ()
     robot = replace(robot, effects=effects + clutter)
     with_rates = rng.random() < 0.5
-    recordings = [
-        _recording(_driven(robot, nominal, gains, reference, seeds[k], disturbances[k]), reference,
-                   time, robot, with_rates, f'{kind} {seed}')
-        for k, reference in enumerate(references)]
+    recordings = []
+    for k, reference in enumerate(references):
+        supply, seen = plants.draw_supply(rng, time)
+        run = _driven(robot, nominal, gains, reference, seeds[k], disturbances[k], supply)
+        recordings.append(_recording(run, reference, time, robot, with_rates,
+                                     f'{kind} {seed}', seen))
+    if all(spec.name != 'supply_sag' for spec in effects) and rng.random() < 0.5:
+        recordings = [replace(recording, supply=None) for recording in recordings]
     first = disturbances[0]
     return Case(recording=recordings[0], held_out=recordings[1], nominal=nominal, gains=gains,
                 truth=Truth(kind=kind, seed=seed, plant=plant, motion=motion, effects=effects,
@@ -180,9 +184,9 @@ def _draw(rng, kind, seed, motion, plant, duration, effect, softer):
                             robot=robot))
 
 
-def _driven(robot, nominal, gains, reference, seed, disturbance=None):
+def _driven(robot, nominal, gains, reference, seed, disturbance=None, supply=None):
     motion = truth.simulate(robot, nominal, gains, reference, period=PERIOD, seed=int(seed),
-                            disturbance=disturbance)
+                            disturbance=disturbance, supply=supply)
     limited = np.mean(np.abs(motion.command) >= gains.torque_limit, axis=0)
     if (sizes.rms(motion.true[:, 0] - reference[:, 0]).max() > _FARTHEST
             or limited.max() > _LIMITED):
@@ -219,7 +223,7 @@ def _clutter(rng, effects, robot, figures):
     return tuple(specs)
 
 
-def _recording(motion, reference, time, robot, with_rates, source):
+def _recording(motion, reference, time, robot, with_rates, source, supply):
     q_link, dq_link, q_motor, dq_motor = np.moveaxis(motion.measured, 1, 0)
     asked = np.vstack([np.zeros(robot.n_joints), motion.command[:-1]])
     unknown = np.full(q_link.shape, np.nan)
@@ -227,4 +231,5 @@ def _recording(motion, reference, time, robot, with_rates, source):
         joints=robot.joints, time=time, q_link=q_link, q_motor=q_motor,
         dq_link=dq_link if with_rates else unknown,
         dq_motor=dq_motor if with_rates else unknown, tau_motor=asked, command=motion.command,
-        reference=reference, friction_hat=motion.friction_hat, source=source)
+        reference=reference, friction_hat=motion.friction_hat, source=source,
+        supply=supply)

@@ -12,6 +12,7 @@ from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.robot import RobotParams
 import numpy as np
 
+NOMINAL_SUPPLY = 24.0  # [V]
 PLANTS = ('soft', 'stiff')
 COUNTS = (20000, 20000, 65536, 131072, 262144, 524288)  # per revolution, one drawn
 BELIEF = (0.01, 0.03)  # how far every believed parameter lies off the truth, either way
@@ -77,6 +78,29 @@ def draw_robot(rng, plant):
         compensation='gms', kd_link=[0.8, 0.8], lambda_link=[3.0, 3.0], kd_motor=kd_motor,
         lambda_motor=[30.0, 40.0], observer_gain=[1.0, 1.0], sign_slope=[50.0, 50.0],
         filter_bandwidth=[100.0, 100.0], torque_limit=[3.0, 3.0])
+
+
+def draw_supply(rng, time):
+    """
+    Return the voltage of a supply that others use as well, true and as measured.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Where every number comes from.
+    time : ndarray, shape (T,)
+        Sample times [s].
+
+    Returns
+    -------
+    true, measured : ndarray, shape (T,)
+        Falling by up to 1 V, with others switching another volt, noise of 10 mV [V].
+
+    """
+    turns = np.sort(rng.uniform(0.0, time[-1], max(int(time[-1] / 4.0), 1)))
+    switched = np.searchsorted(turns, time) % 2 * rng.uniform(0.5, 1.5)
+    true = NOMINAL_SUPPLY - rng.uniform(0.3, 1.0) * time / time[-1] - switched
+    return true, true + 0.01 * rng.standard_normal(len(time))
 
 
 def with_base_parameters(arm, factors):

@@ -6,6 +6,7 @@
 from typing import NamedTuple
 
 from gms_flex_control.effects.registry import find
+from gms_flex_control.hidden.plants import NOMINAL_SUPPLY
 from gms_flex_control.params.robot import EffectSpec, WHOLE_ARM
 import numpy as np
 
@@ -152,6 +153,7 @@ MAIN = {
     'link_encoder_eccentricity': lambda r, k: {'amplitude': between(r, 0.02, 0.2) * k.twist,
                                                'phase': angle(r)},
     'encoder_skew': lambda r, k: {'delay': either(r, 0.5e-3, 5e-3)},
+    'supply_sag': lambda r, k: {'ratio': between(r, 0.03, 0.1), 'nominal': NOMINAL_SUPPLY},
 }
 
 # name: values with which the torque of the effect is t [N m], about, for figures k of its joint

@@ -71,7 +71,7 @@ def strange_record(disturbance):
 
 
 def simulate(robot, model, gains, reference, *, period=2e-3, substeps=SUBSTEPS, seed=0,
-             disturbance=None):
+             disturbance=None, supply=None):
     """
     Simulate a robot under the cascade controller.
 
@@ -93,6 +93,8 @@ def simulate(robot, model, gains, reference, *, period=2e-3, substeps=SUBSTEPS, 
         Of the encoder noise.
     disturbance : Disturbance, optional
         From outside the catalogue.
+    supply : ndarray, shape (T,), optional
+        Voltage over each sample [V]; not known by default.
 
     Returns
     -------
@@ -107,8 +109,9 @@ def simulate(robot, model, gains, reference, *, period=2e-3, substeps=SUBSTEPS, 
     samples, n = len(reference), robot.n_joints
     angles, torques = np.empty((samples, 8, n)), np.empty((samples, 4, n))
     drawn = np.zeros(samples) if disturbance is None else disturbance.drawn
+    supply = np.zeros(samples) if supply is None else supply
     loop.run(np.ascontiguousarray(reference), period, substeps, at_rest(robot, reference[0, 0]),
-             constants_of(robot), strange_record(disturbance), drawn, encoder.init(n),
+             constants_of(robot), strange_record(disturbance), drawn, supply, encoder.init(n),
              encoder.constants_of(robot.encoder), np.random.default_rng(seed),
              cascade.init(model), cascade.constants_of(gains, model), cascade.workspace(n),
              angles, torques)

@@ -36,6 +36,7 @@ def state_layout(n, n_blocks):
                'v_motor_end', 'link_torque', 'motor_torque', 'applied', 'seen')
     return records.layout(
         *((name, FLOAT, (n,)) for name in vectors), ('base', FLOAT, (2,)), ('push', FLOAT, (1,)),
+        ('supply', FLOAT, (1,)),
         ('torque', FLOAT, (n, n_blocks)), ('sticking', FLAG, (n, n_blocks)),
         ('direction', FLOAT, (n,)), ('signals', FLOAT, (n, sig.WIDTH)),
         ('memory', FLOAT, (effect_table.MEMORY_SIZE,)),
@@ -51,7 +52,7 @@ def fill(x, q, v, q_motor, v_motor, command, time):
         s[j, sig.TIME], s[j, sig.JOINT], s[j, sig.JOINTS] = time, j, q.shape[0]
         s[j, sig.Q_LINK], s[j, sig.DQ_LINK] = q[j] - lean, v[j] - lean_rate
         s[j, sig.Q_MOTOR], s[j, sig.DQ_MOTOR] = q_motor[j] - lean, v_motor[j] - lean_rate
-        s[j, sig.TORQUE] = command[j]
+        s[j, sig.TORQUE], s[j, sig.SUPPLY] = command[j], x.supply[0]
         s[j, sig.TWIST] = q_motor[j] - q[j]
         s[j, sig.TWIST_RATE] = v_motor[j] - v[j]
         s[j, sig.LINK_TORQUE], s[j, sig.MOTOR_TORQUE] = 0.0, 0.0
@@ -156,11 +157,11 @@ def sense(x, time, period, c, measured, encoders, rng):
 
 
 @compiled
-def run(reference, period, substeps, x, c, strange, drawn, measured, encoders, rng,
+def run(reference, period, substeps, x, c, strange, drawn, supply, measured, encoders, rng,
         control_state, control, control_work, angles, torques):
     """Run T samples in closed loop; fills ``angles`` (T, 8, n) and ``torques`` (T, 4, n)."""
     for k in range(reference.shape[0]):
-        time = k * period
+        time, x.supply[0] = k * period, supply[k]
         sense(x, time, period, c, measured, encoders, rng)
         cascade.tick(control_state, measured, reference[k], period if k > 0 else 0.0, control,
                      control_work)

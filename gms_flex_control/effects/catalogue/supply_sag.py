@@ -1,0 +1,25 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+
+"""Torque that follows the voltage of the supply."""
+
+from gms_flex_control.effects.base import Parameter, Stage, Term
+from gms_flex_control.effects.signals import SUPPLY, TORQUE
+
+
+class SupplySag(Term):
+    """u -> u (1 + ratio (V - nominal)); nothing where the voltage V is not known."""
+
+    name = 'supply_sag'
+    stage = Stage.ACTUATOR
+    parameters = (
+        Parameter('ratio', '1/V', 'relative change of the torque constant per volt'),
+        Parameter('nominal', 'V', 'voltage at which the torque is as asked for', lower=0.0),
+    )
+
+    @staticmethod
+    def apply(s, p, memory, dt):
+        """Change the signals of one joint."""
+        if s[SUPPLY] > 0.0:
+            s[TORQUE] *= 1.0 + p[0] * (s[SUPPLY] - p[1])
