@@ -1,0 +1,214 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""From readings to joint states: mapping, clocks, several sources, velocities nobody sends."""
+
+import math
+
+from gms_flex_control.errors import ParameterError
+from gms_flex_control.hardware.mapping import Actuation, JointMap, Reading
+from gms_flex_control.hardware.merger import ReadingError, StateMerger
+from gms_flex_control.hardware.timeline import Timeline
+import numpy as np
+import pytest
+
+MS = 1_000_000
+NAN = math.nan
+
+
+def joint_map(**options):
+    """Return joint a: reversed motor behind a gear of 100, in amperes; b: rigid, in newton m."""
+    return JointMap(
+        ('a', 'b'), [Reading(name='la', offset=0.5), Reading(name='lb', sign=-1.0)],
+        [Reading(name='ma', sign=-1.0, ratio=100.0, offset=0.1), None],
+        [Actuation(name='ma', sign=-1.0, torque_constant=0.05, gear=100.0),
+         Actuation(name='lb')], **options)
+
+
+def merger(sources=('one',), **options):
+    """Return a merger of joint_map."""
+    return StateMerger(joint_map(), sources, **({'cutoff': 50.0, 'skew': 0.01} | options))
+
+
+def take(merged, names, position, stamp, *, source=0, velocity=(), effort=(), now=None):
+    """Hand over a message that comes at its stamp."""
+    return merged.take(source, list(names), position, velocity, effort, stamp,
+                       stamp if now is None else now)
+
+
+# mapping ---------------------------------------------------------------------------------------
+
+
+def test_angles_and_rates_follow_sign_gear_and_offset():
+    mapped, channels = joint_map(), np.arange(3)
+    assert mapped.names == ('la', 'lb', 'ma')
+    angle = mapped.angle(np.array([1.0, 1.0, 30.0]), channels)
+    np.testing.assert_allclose(angle, [1.5, -1.0, -0.3 + 0.1])
+    np.testing.assert_allclose(mapped.rate(np.array([1.0, 1.0, 30.0]), channels),
+                               [1.0, -1.0, -0.3])
+    link, motor = mapped.sides(angle)
+    np.testing.assert_allclose(link, [1.5, -1.0])
+    np.testing.assert_allclose(motor, [-0.2, -1.0])  # the rigid joint has one encoder
+
+
+def test_power_is_the_same_on_both_sides_of_the_gear():
+    """Torque times rate at the joint is torque times rate at the shaft."""
+    mapped = joint_map()
+    torque = np.array([3.0, 0.0])
+    current = mapped.efforts(torque)[0]
+    shaft_rate = 20.0
+    joint_rate = mapped.rate(np.array([shaft_rate]), np.array([2]))[0]
+    assert torque[0] * joint_rate == pytest.approx(0.05 * current * shaft_rate)
+
+
+def test_efforts_go_out_in_the_robots_order_and_come_back():
+    mapped = joint_map(order=('b', 'a'))
+    np.testing.assert_allclose(mapped.efforts(np.array([5.0, 0.25])), [0.25, -1.0])
+    assert mapped.command_names == ('lb', 'ma')
+    back = mapped.torques(np.array([NAN, 0.25, -1.0]), np.zeros(2))
+    np.testing.assert_allclose(back, [5.0, 0.25])
+    np.testing.assert_allclose(mapped.torques(np.full(3, NAN), np.array([7.0, 8.0])), [7.0, 8.0])
+    assert '-' not in str(mapped.efforts(np.zeros(2)))  # no negative zero on the wire
+
+
+@pytest.mark.parametrize('make, words', [
+    (lambda: Reading(name='x', sign=0.5), 'x: sign must be 1 or -1, got 0.5'),
+    (lambda: Reading(name='x', ratio=-50.0), 'a reversed encoder has sign -1'),
+    (lambda: Actuation(name='x', torque_constant=0.0), 'torque_constant must be above 0'),
+    (lambda: joint_map(order=('a', 'a')), 'must name each of'),
+    (lambda: JointMap(('a',), [Reading(name='x')], [Reading(name='x')], [Actuation(name='x')]),
+     "both called 'x'")])
+def test_a_mapping_that_makes_no_sense_is_refused(make, words):
+    with pytest.raises(ParameterError, match=words):
+        make()
+
+
+# merging ---------------------------------------------------------------------------------------
+
+
+def test_one_source_in_any_order_with_others_among_them():
+    merged = merger()
+    assert take(merged, ['tool', 'ma', 'lb', 'la'], [NAN, 30.0, 1.0, 1.0], 5 * MS,
+                velocity=[NAN, 10.0, 2.0, 3.0], effort=[NAN, 0.5, NAN, NAN])
+    np.testing.assert_allclose(merged.position, [1.5, -1.0, -0.2])
+    np.testing.assert_allclose(merged.velocity, [3.0, -2.0, -0.1])
+    np.testing.assert_array_equal(merged.effort, [NAN, NAN, 0.5])
+    assert merged.time == 5 * MS
+
+
+def test_two_sources_become_one_state_at_the_time_of_the_newer():
+    """At constant speed the older reading moved along is exact."""
+    merged = merger(('links', 'motors'))
+    speeds, q = np.array([0.7, -0.4, 2.0]), []
+    for k in range(20):
+        t = 2 * k * MS
+        links = 1e-9 * t * speeds[:2]
+        take(merged, ['la', 'lb'], list(links), t + 1, source=0, velocity=list(speeds[:2]))
+        later = t + 1 + MS // 2
+        assert take(merged, ['ma'], [1e-9 * later * speeds[2]], later, source=1,
+                    velocity=[speeds[2]])
+        q.append(merged.position.copy())
+        assert merged.time == later
+    for k, state in enumerate(q):
+        at = 1e-9 * (2 * k * MS + MS // 2)
+        np.testing.assert_allclose(
+            state, joint_map().angle(at * speeds, np.arange(3)), atol=1e-8)
+
+
+def test_the_slower_source_sets_the_pace_and_too_much_skew_makes_no_state():
+    merged = merger(('fast', 'slow'))
+    states = 0
+    for k in range(1, 41):
+        states += take(merged, ['la', 'lb'], [0.0, 0.0], k * 2 * MS, source=0)
+        if k % 4 == 0:
+            states += take(merged, ['ma'], [0.0], k * 2 * MS + 1, source=1)
+    assert states == 10
+    late = merger(('fast', 'slow'), skew=0.001)
+    take(late, ['la', 'lb'], [0.0, 0.0], 2 * MS, source=0)
+    assert not take(late, ['ma'], [0.0], 4 * MS, source=1)
+    assert late.absent() == []
+    assert take(late, ['la', 'lb'], [0.0, 0.0], 5 * MS - 1, source=0)
+
+
+@pytest.mark.parametrize('names, position, velocity, words', [
+    (['la', 'lb', 'ma', 'la'], [0.0] * 4, (), "names 'la' more than once"),
+    (['la', 'lb', 'ma'], [0.0] * 2, (), '3 names and 2 positions'),
+    (['la', 'lb', 'ma'], [], (), '3 names and 0 positions'),
+    (['la', 'lb', 'ma'], [0.0] * 3, [0.0], '3 names and 1 velocities'),
+    (['la', 'lb', 'ma'], [0.0, NAN, 0.0], (), "position nan and velocity nan for 'lb'"),
+    (['la', 'lb', 'ma'], [0.0, 0.0, math.inf], (), "inf and velocity nan for 'ma'"),
+    (['la', 'lb', 'ma'], [1e308, 0.0, 0.0], (), "position 1e\\+308 and velocity nan for 'la'"),
+    (['la', 'lb', 'ma'], [0.0] * 3, [0.0, math.inf, 0.0], "velocity inf for 'lb'"),
+    (['x', 'y'], [0.0] * 2, (), 'has none of la, lb, ma'),
+    ([], [], (), 'it has nothing'),
+    (['la', 'lb', 'ma'] + ['x'] * 10**6, [0.0] * 3, (), '1000003 names, more than any robot')])
+def test_messages_that_make_no_sense_are_refused_whole(names, position, velocity, words):
+    merged = merger()
+    take(merged, ['la', 'lb', 'ma'], [0.1, 0.2, 0.3], MS)
+    before = merged.position.copy()
+    with pytest.raises(ReadingError, match=words):
+        take(merged, names, position, 3 * MS, velocity=velocity)
+    np.testing.assert_array_equal(merged.position, before)
+    assert take(merged, ['la', 'lb', 'ma'], [0.1, 0.2, 0.3], 5 * MS)
+
+
+def test_a_name_from_two_sources_is_refused_and_a_missing_one_is_named():
+    merged = merger(('one', 'two'))
+    take(merged, ['la', 'lb'], [0.0, 0.0], MS, source=0)
+    with pytest.raises(ReadingError, match="'la' comes from one and from two"):
+        take(merged, ['la', 'ma'], [0.0, 0.0], MS, source=1)
+    assert merged.absent() == ['ma']
+
+
+def test_a_velocity_that_is_not_sent_is_the_low_passed_difference():
+    """After k samples of a ramp it is v (1 - exp(-2 pi f k dt)), of a sent one itself."""
+    merged, v, dt = merger(cutoff=20.0), 0.3, 0.002
+    for k in range(200):
+        assert take(merged, ['la', 'lb', 'ma'], [v * k * dt, 0.0, -100 * v * k * dt],
+                    (k + 1) * 2 * MS, velocity=[NAN, 5.0, NAN])
+        expected = v * (1.0 - math.exp(-2.0 * math.pi * 20.0 * k * dt))
+        np.testing.assert_allclose(merged.velocity, [expected, -5.0, expected], atol=1e-12)
+    assert merged.estimated == 400
+    take(merged, ['la', 'lb', 'ma'], [9.0, 0.0, 9.0], 2000 * MS)  # after a gap it begins anew
+    np.testing.assert_array_equal(merged.velocity, 0.0)
+
+
+# clocks ----------------------------------------------------------------------------------------
+
+
+def test_stamps_of_the_own_clock_are_kept_to_the_nanosecond():
+    timeline = Timeline()
+    stamps = [10**18 + k * 2 * MS for k in range(100)]
+    assert [timeline.read(stamp, stamp + 300_000) for stamp in stamps] == stamps
+    assert timeline.jumps == 0
+
+
+@pytest.mark.parametrize('jump', [1000 * 10**9, -1000 * 10**9, 10**17])
+def test_a_clock_that_jumps_makes_time_neither_jump_nor_run_backwards(jump):
+    timeline, times = Timeline(), []
+    for k in range(100):
+        now = 10**18 + k * 2 * MS
+        times.append(timeline.read(now + (jump if k >= 50 else 0), now))
+    assert None not in times and set(np.diff(times)) == {2 * MS}
+    assert timeline.jumps == 1
+
+
+def test_another_clock_keeps_its_steps_and_is_followed_when_it_drifts():
+    """A clock that starts at 5 s and runs 100 ppm slow for half an hour."""
+    timeline, rng, times = Timeline(), np.random.default_rng(1), []
+    for k in range(90_000):
+        now = 10**18 + k * 20 * MS + int(rng.integers(0, MS))
+        times.append(timeline.read(5 * 10**9 + round(k * 20 * MS * (1 - 1e-4)), now))
+    steps = np.diff(times)
+    assert timeline.jumps == 0
+    assert np.abs(steps - 20 * MS * (1 - 1e-4)).max() < 20 * MS * 2e-3
+    assert abs(times[-1] - now) < 10 * MS
+
+
+def test_the_same_stamp_again_is_no_new_state_and_none_at_all_is_the_arrival():
+    timeline = Timeline()
+    assert timeline.read(10**9, 10**9) == 10**9
+    assert timeline.read(10**9, 10**9 + MS) is None  # frozen
+    assert timeline.read(10**9 - MS, 10**9 + MS) is None  # overtaken
+    unstamped = Timeline()
+    assert [unstamped.read(0, now) for now in (5, 7, 7, 9)] == [5, 7, None, 9]
