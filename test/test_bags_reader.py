@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """A bag becomes a recording: by stamp and by name, or with a sentence that says why not."""
 
+from dataclasses import replace
 from pathlib import Path
 import re
 import shutil
@@ -53,7 +54,7 @@ def make_recording(samples=40):
         q_motor=q[2], dq_motor=np.where(np.isnan(q[2]), np.nan, q[3]), tau_motor=q[4],
         command=np.vstack([q[5][:-1], [[np.nan, np.nan]]]),
         reference=rng.normal(size=(samples, 5, 2)), friction_hat=rng.normal(size=(samples, 2)),
-        source='made')
+        supply=24.0 + 0.1 * rng.normal(size=samples), source='made')
 
 
 @pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
@@ -93,9 +94,24 @@ def test_a_written_recording_reads_back_equal(tmp_path):
         back = read_recording(tmp_path / 'bag')
     assert back.joints == ('x', 'y')
     for name in ('time', 'q_link', 'dq_link', 'q_motor', 'dq_motor', 'tau_motor', 'command',
-                 'reference', 'friction_hat'):
+                 'reference', 'friction_hat', 'supply'):
         np.testing.assert_allclose(getattr(back, name), getattr(recording, name), atol=1e-9)
     assert summarise(tmp_path / 'bag').checksums == 'hold'
+
+
+def test_the_voltage_of_the_supply_may_come_now_and_then(tmp_path):
+    """Between two messages a straight line, NaN without any, one number each."""
+    recording = replace(make_recording(), supply=np.where(
+        np.arange(40) % 10 == 0, 24.0 - 0.01 * np.arange(40), np.nan))
+    write_recording(tmp_path / 'bag', recording)
+    seen = read_recording(tmp_path / 'bag').supply
+    np.testing.assert_allclose(seen[:31], 24.0 - 0.01 * np.arange(31), atol=1e-9)
+    np.testing.assert_allclose(seen[31:], 23.7)
+    write_recording(tmp_path / 'without', replace(recording, supply=None))
+    assert np.isnan(read_recording(tmp_path / 'without').supply).all()
+    with pytest.raises(BagError, match="topic '/reference' message 0 has 10 numbers, expected "
+                                       'the voltage of the supply alone'):
+        read_recording(tmp_path / 'bag', topics=Topics(supply='/reference', reference='/no'))
 
 
 @pytest.mark.parametrize('storage, mode', [

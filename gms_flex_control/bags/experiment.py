@@ -4,7 +4,7 @@
 """Write a recording as the bag that the nodes' own topics would have made."""
 
 from gms_flex_control.bags.cdr import JOINT_STATE, MULTI_ARRAY, pack_joint_states
-from gms_flex_control.bags.messages import pack_command, pack_reference
+from gms_flex_control.bags.messages import pack_command, pack_reference, pack_supply
 from gms_flex_control.bags.phases import pack_phase, PHASE_TOPIC
 from gms_flex_control.bags.reader import MOTOR_SUFFIX, Topics
 from gms_flex_control.bags.writer import BagWriter
@@ -88,6 +88,8 @@ def _series(recording, motors, stamps, topics, source):
         yield topics.command, MULTI_ARRAY, _packed(
             recording.command, stamps,
             lambda torque, stamp: pack_command(torque.tolist(), stamp, source))
+    if not np.all(np.isnan(recording.supply)):
+        yield topics.supply, MULTI_ARRAY, _packed(recording.supply, stamps, pack_supply)
     if not np.all(np.isnan(recording.friction_hat)):
         error = recording.q_link - recording.reference[:, 0]
         rate = recording.dq_link - recording.reference[:, 1]

@@ -47,6 +47,12 @@ def pack_reference(values, stamp, kind='derivative'):
     return pack_multi_array(dims, values.ravel().tolist())
 
 
+def pack_supply(voltage, stamp):
+    """Pack the voltage of the drives' supply [V] at the time ``stamp`` [ns]."""
+    return pack_multi_array([('supply', 1, 1), (f'{STAMP_LABEL}{stamp}', 1, 1)],
+                            [float(voltage)])
+
+
 def pack_blocks(values, stamp=None):
     """Pack the block torques of the observer, joints x blocks [N m]."""
     values = np.asarray(values, dtype=float)

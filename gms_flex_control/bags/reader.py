@@ -33,9 +33,10 @@ class Topics(NamedTuple):
     command: str = '/effort_controller/commands'
     reference: str = '/reference'
     controller_state: str = '/cascade_controller/state'
+    supply: str = '/supply_voltage'
 
 
-_TYPES = (JOINT_STATE, MULTI_ARRAY, MULTI_ARRAY, JOINT_STATE)  # of the Topics
+_TYPES = (JOINT_STATE, MULTI_ARRAY, MULTI_ARRAY, JOINT_STATE, MULTI_ARRAY)  # of the Topics
 
 
 def read_recording(path, joints=None, motors=None, *, topics=None):
@@ -133,6 +134,7 @@ def _columns(path, series, joints, motors):
     columns['command'] = answering(stamps, received, period, series.commands(), n)
     columns['reference'] = series.reference(stamps, received, period)
     columns['friction_hat'] = series.friction(stamps)
+    columns['supply'] = series.supply(stamps, received)
     return columns
 
 
@@ -195,7 +197,7 @@ class _Series:
         return (JointTable((*joints, *filter(None, motors))), ArrayTable((n,), torques),
                 ArrayTable((N_DERIVATIVES, n),
                            lambda dims, count: reference_shape(dims, count, n)),
-                JointTable(joints, ('effort',)))
+                JointTable(joints, ('effort',)), ArrayTable((1,), one_voltage))
 
     def require_names(self):
         """Return the names of the first joint state, or raise BagError."""
@@ -252,6 +254,22 @@ class _Series:
     def friction(self, stamps):
         """Return the friction estimate at the states, shape (T, n)."""
         return by_stamp(stamps, *self._take('controller_state', 'stamps', 'effort'))
+
+    def supply(self, stamps, received):
+        """Return the voltage at the states, shape (T,), between two messages a straight line."""
+        labels, stamped, times, values = self._take('supply', *Answers._fields)
+        if not len(values):
+            return np.full(len(stamps), np.nan)
+        at, known = (stamps, labels) if stamped.all() else (received, times)
+        known, first = np.unique(known, return_index=True)
+        return np.interp(at, known, values[first, 0])
+
+
+def one_voltage(_dims, count):
+    """Return the shape (1,) of a supply's voltage; raise BagError if it is not one number."""
+    if count != 1:
+        raise BagError(f'has {count} numbers, expected the voltage of the supply alone')
+    return (1,)
 
 
 def reference_shape(dims, count, n):
