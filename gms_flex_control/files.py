@@ -1,11 +1,18 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""Files appear whole or not at all."""
+"""Files appear whole or not at all; YAML is read only as far as it is small and plain."""
 
 from contextlib import contextmanager
+import errno
 import os
 from pathlib import Path
+
+from ruamel.yaml import YAML
+from ruamel.yaml.error import MarkedYAMLError
+from ruamel.yaml.events import AliasEvent
+
+LARGEST_YAML = 1_000_000  # bytes; parameters, maps and metadata of bags have some thousands
 
 
 @contextmanager
@@ -33,6 +40,49 @@ def atomic_path(path):
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def read_yaml(path, typ='rt', largest=LARGEST_YAML):
+    """
+    Read a YAML file that somebody else may have written.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    typ : {'rt', 'safe'}
+        With line numbers, or plain Python objects; neither makes anything else.
+    largest : int
+        Size from which on it is refused [bytes].
+
+    Returns
+    -------
+    object
+        What the file holds.
+
+    Raises
+    ------
+    OSError
+        If it cannot be read or is too large.
+    UnicodeDecodeError
+        If it is not UTF-8.
+    ruamel.yaml.error.YAMLError
+        If it is not YAML, nested too deeply, or has aliases: a few lines of those stand for
+        more than fits any memory.
+
+    """
+    path = Path(path)
+    if path.stat().st_size > largest:
+        raise OSError(errno.EFBIG, f'larger than {largest} bytes', str(path))
+    text = path.read_text(encoding='utf-8')
+    try:
+        for event in YAML().parse(text) if '*' in text else ():
+            if isinstance(event, AliasEvent):
+                raise MarkedYAMLError(problem='aliases (*name) are not allowed: write it out',
+                                      problem_mark=event.start_mark)
+        return YAML(typ=typ).load(text)
+    except RecursionError:
+        raise MarkedYAMLError(problem='nested too deeply') from None
 
 
 def write_text(path, text):

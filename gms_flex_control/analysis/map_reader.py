@@ -4,12 +4,11 @@
 """YAML mappings that know their line and place, so that every mistake can be pointed at."""
 
 import math
-from pathlib import Path
 
 from gms_flex_control.analysis import units
 from gms_flex_control.errors import ImportDataError
+from gms_flex_control.files import read_yaml
 from gms_flex_control.suggest import did_you_mean
-from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 _MISSING = object()
@@ -35,7 +34,7 @@ def read_map(path):
 
     """
     try:
-        data = YAML(typ='rt').load(Path(path).read_text(encoding='utf-8'))
+        data = read_yaml(path)
     except OSError as error:
         raise ImportDataError(f'{path}: the map cannot be read ({error.strerror}); '
                               'give an existing file with --map') from error

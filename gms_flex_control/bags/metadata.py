@@ -6,10 +6,11 @@
 from typing import NamedTuple
 
 from gms_flex_control.errors import BagError
-from ruamel.yaml import YAML
+from gms_flex_control.files import read_yaml
 from ruamel.yaml.error import YAMLError
 
 VERSION = 9
+LARGEST = 10_000_000  # bytes; a thousand topics take some hundred thousand
 NEVER = 2**63 - 1  # starting time of a bag without messages
 
 _FOREVER = '\n    sec: 9223372036\n    nsec: 854775807'
@@ -133,8 +134,7 @@ def load(path):
 
     """
     try:
-        info = YAML(typ='safe').load(path.read_text(encoding='utf-8'))
-        info = info['rosbag2_bagfile_information']
+        info = read_yaml(path, 'safe', LARGEST)['rosbag2_bagfile_information']
         return FolderMetadata(tuple(str(name) for name in info['relative_file_paths']),
                               str(info['storage_identifier']), int(info['message_count']),
                               dict(info.get('custom_data') or {}))

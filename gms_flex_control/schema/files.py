@@ -7,13 +7,12 @@ import io
 from pathlib import Path
 
 from gms_flex_control.errors import ConfigError, ParameterError
-from gms_flex_control.files import write_text
+from gms_flex_control.files import read_yaml, write_text
 from gms_flex_control.schema import build
 from gms_flex_control.schema.values import known_keys
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
-LARGEST_FILE = 1_000_000  # bytes; a parameter file has a few thousand
 _WRAPPER = 'ros__parameters'
 _UNBROKEN = 4096           # characters: a line of a written file is never wrapped
 
@@ -42,10 +41,7 @@ def read_parameters(path, node=None):
     """
     path = Path(path)
     try:
-        if path.stat().st_size > LARGEST_FILE:
-            raise ConfigError(f'{path}: larger than {LARGEST_FILE} bytes, '
-                              'which no parameter file is')
-        document = YAML().load(path.read_text(encoding='utf-8'))
+        document = read_yaml(path)
     except OSError as error:
         raise ConfigError(f'{path}: cannot be read ({error.strerror})') from error
     except UnicodeDecodeError as error:

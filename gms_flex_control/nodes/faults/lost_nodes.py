@@ -90,7 +90,10 @@ def try_lost_reference(bench, tries, tally):
         late = [state for when, state in loop.states.since(begin + 0.6 * _HOLD)]
         tally.expect(any(torque_of(state).any() for state in late), 'the arm was not held')
         moved = np.ptp([state.position[:2] for state in late], axis=0).max()
-        tally.expect(moved < _STILL, f'the held arm moved by {moved:.3g} rad')
+        if loop.stalled(begin):
+            tally.notes.append('the machine was too busy to tell whether the arm was held still')
+        else:
+            tally.expect(moved < _STILL, f'the held arm moved by {moved:.3g} rad')
         loop.run(0.5 * _HOLD + _RELAX + 0.5)
         zero = zero_applied(loop, begin)
         tally.figure(zero - begin if zero else np.inf)

@@ -26,6 +26,7 @@ from std_msgs.msg import Float64MultiArray
 RATE = 250.0
 PERIOD = round(NANOSECONDS / RATE)
 CONTROLLER, TRAJECTORY, PLANT = '/cascade_controller', '/trajectory', '/plant'
+_STALL = 0.025  # between two joint states [s]
 _FRESH = 4  # samples a command acts at most
 _SMALL = {f'trajectory__{joint}__amplitude': 0.3 for joint in JOINTS}
 
@@ -236,6 +237,11 @@ class Loop:
         if self.states:
             return any(self.states[-1].effort[2:])
         return bool(self.commands) and any(self.commands[-1].data)
+
+    def stalled(self, since):
+        """Return whether the machine itself held up the loop since a moment [s]."""
+        times = [when for when, _ in self.states.since(since)]
+        return max(np.diff(times), default=np.inf) > _STALL
 
     def settle(self):
         """Wait until the arm is moved."""

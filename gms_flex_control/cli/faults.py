@@ -1,0 +1,75 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""`gms_flex faults`: try every fault on the installed nodes and print the table filled in."""
+
+from pathlib import Path
+import sys
+
+from gms_flex_control.errors import ConfigError
+from gms_flex_control.suggest import did_you_mean
+
+
+def add_parser(subparsers):
+    """Add the verb to the tool's parser."""
+    parser = subparsers.add_parser(
+        'faults', help='try faults on the installed nodes: what happens, and how fast',
+        description='Start the installed nodes over DDS on a domain of their own, on this '
+                    'machine alone and with a simulated arm, do to them what must never move an '
+                    'arm, and print the table of docs/faults.md filled in. It takes about ten '
+                    'minutes, --short about three. Figures hold for a machine with little else '
+                    'to do. Exit code 1 if anything was not as required.')
+    parser.add_argument('--short', action='store_true', help='few tries of each, for CI')
+    parser.add_argument('--only', nargs='+', metavar='FAULT', help='some rows; see --list')
+    parser.add_argument('--list', action='store_true', help='name the rows and end')
+    parser.add_argument('--json', action='store_true', help='print JSON')
+    parser.add_argument('--logs', type=Path, metavar='FOLDER',
+                        help='keep there what the nodes print')
+    parser.set_defaults(run=run)
+
+
+def run(args):
+    """Try faults and print the table; return 0, or 1 where one was not as required."""
+    table = _import_table()
+    if args.list:
+        print('\n'.join(f'{fault.name:<16} {fault.fault}' for fault in table.FAULTS.values()))
+        return 0
+    for name in args.only or ():
+        if name not in table.FAULTS:
+            raise ConfigError(f'there is no fault {name!r}{did_you_mean(name, table.FAULTS)} ('
+                              'gms_flex faults --list names all)')
+    rows = []
+    for name in args.only or table.FAULTS:
+        fault = table.FAULTS[name]
+        tries = fault.tries[0 if args.short else 1]
+        _progress(f'{len(rows) + 1} of {len(args.only or table.FAULTS)}: {fault.fault}, '
+                  f'{tries} tries ...')
+        rows.append(table.try_fault(fault, tries, _folder(args.logs, name)))
+        _progress('')
+    print(table.as_json(rows) if args.json else table.table(rows))
+    return 0 if table.all_held(rows) else 1
+
+
+def _import_table():
+    try:
+        from gms_flex_control.nodes.faults import table
+    except ModuleNotFoundError as error:
+        raise ConfigError(f'the nodes need ROS 2 ({error}); install it, or '
+                          "'pip install gms_flex_control[ros]'") from error
+    return table
+
+
+def _folder(logs, name):
+    if logs is None:
+        return None
+    folder = logs / name
+    if folder.exists():
+        raise ConfigError(f'{folder} exists: name another --logs')
+    folder.mkdir(parents=True)
+    return folder
+
+
+def _progress(text):
+    """Say on a terminal what is being done; '' takes it away."""
+    if sys.stderr.isatty():
+        print(f'\r\033[K{text}', end='', file=sys.stderr, flush=True)

@@ -1,0 +1,84 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Every row of the fault table on real node processes; and the table tells a bad node."""
+
+import json
+import sys
+
+from gms_flex_control.cli.main import main
+import pytest
+
+pytest.importorskip('rclpy')
+bench = pytest.importorskip('gms_flex_control.nodes.faults.bench')
+table = pytest.importorskip('gms_flex_control.nodes.faults.table')
+
+# how far beyond its limit a time may be on a shared machine; other times are not asserted
+SAFETY = {'dead-controller': 2.0, 'silence': 2.0, 'two-controllers': 2.0, 'emergency-stop': 5.0}
+TORQUE = 'N m'
+
+
+@pytest.mark.parametrize('name', table.FAULTS)
+def test_a_fault_never_moves_the_arm(name, tmp_path):
+    fault = table.FAULTS[name]
+    row = table.try_fault(fault, fault.tries[0], tmp_path)
+    found = [problem for problem in row.problems if not problem.startswith(fault.figure)]
+    assert not found
+    assert row.tries >= fault.tries[0] and row.worst is not None
+    if fault.unit == TORQUE or name in SAFETY:
+        assert row.worst <= SAFETY.get(name, 1.0) * fault.limit
+
+
+BAD_NODES = {
+    # never notices that the states have stopped
+    'silence': ('ControllerNode._watch = lambda self: None', 'no zero was commanded'),
+    # takes any number for a joint state
+    'numbers': ('messages.JointStateReader._refuse_bad = lambda *_: None', 'counts 0')}
+
+
+@pytest.mark.parametrize('name', BAD_NODES)
+def test_a_node_that_lacks_a_guard_fails_its_row(name, tmp_path, monkeypatch):
+    spoilt, complaint = BAD_NODES[name]
+    sound = bench.executable
+    code = ('from gms_flex_control.nodes import messages; '
+            'from gms_flex_control.nodes.controller_node import ControllerNode, main; '
+            f'{spoilt}; main()')
+    monkeypatch.setattr(bench, 'executable', lambda node: (
+        [sys.executable, '-c', code] if node == 'controller_node' else sound(node)))
+    row = table.try_fault(table.FAULTS[name], 2, tmp_path)
+    assert row.verdict == table.FAILED
+    assert any(complaint in problem for problem in row.problems), row.problems
+
+
+def test_the_verb_prints_the_table_and_json(capsys, tmp_path):
+    assert main(['faults', '--short', '--only', 'mismatch', '--logs', str(tmp_path / 'logs')]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].split() == ['fault', 'tries', 'worst', 'figure', 'limit', 'verdict']
+    assert lines[1].startswith('endpoints whose quality') and lines[1].endswith('held')
+    assert 'QoS mismatch' in (tmp_path / 'logs/mismatch/controller_node.log').read_text()
+
+
+def test_json_has_every_row_and_a_failed_row_says_why():
+    fault = table.FAULTS['silence']
+    tally = table.Tally(tries=3, problems=['the arm fell'])
+    tally.figure(60.0)
+    row = table.judged(fault, tally, 1.5)
+    read, = json.loads(table.as_json([row]))
+    assert read['verdict'] == 'FAILED' and read['worst'] == 60.0 and read['tries'] == 3
+    assert read['problems'] == ['the arm fell', 'zero commanded after 60 ms, the limit is 50 ms']
+    assert 'silence: the arm fell' in table.table([row])
+    assert not table.all_held([row])
+
+
+def test_what_was_not_tried_did_not_hold():
+    assert table.judged(table.FAULTS['bags'], table.Tally(), 0.0).verdict == table.FAILED
+
+
+def test_an_unknown_fault_is_named(capsys):
+    assert main(['faults', '--only', 'silense']) == 2
+    assert "did you mean 'silence'" in capsys.readouterr().err
+
+
+def test_the_list_names_every_row(capsys):
+    assert main(['faults', '--list']) == 0
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == [*table.FAULTS]
