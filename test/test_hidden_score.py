@@ -62,7 +62,7 @@ def test_the_parameter_error_is_of_the_size_per_unit():
 
 
 def test_gaps_count_above_the_floor():
-    gap = {'before': [5.0, 1.0], 'after': [3.0, 0.9], 'floor': [0.0, 1.0],
+    gap = {'retuned': [5.0, 1.0], 'after': [3.0, 0.9], 'floor': [0.0, 1.0],
            'free_before': [4.0, 3.0], 'free_after': [0.0, 1.0]}
     assert judgement.energy_ratio(outcome(gap=gap)) == pytest.approx(9.0 / 25.0)
     assert judgement.free_ratio(outcome(gap=gap)) == pytest.approx(0.2)
@@ -189,7 +189,8 @@ def workflow(monkeypatch):
     module = ModuleType('gms_flex_control.discrepancy.workflow')
     module.asked = []
 
-    def discrepancy(recordings, robot, options):
+    def discrepancy(recordings, robot, options, *, holdout):
+        assert len(holdout) == 1
         module.asked.append((recordings, robot, options))
         if isinstance(module.result, Exception):
             raise module.result
@@ -204,8 +205,8 @@ def test_a_job_asks_the_workflow_without_telling_it_the_truth(workflow):
     """It gets one recording and the nominal robot; of a deleted effect also the name."""
     workflow.result = SimpleNamespace(
         verdict='effects_found', gap=SimpleNamespace(
-            before=np.array([1.0, 2.0]), after=[1.0, 1.0], floor=[0.5, np.nan], free_before=1.0,
-            free_after=None),
+            retuned=np.array([1.0, 2.0]), after=[1.0, 1.0], floor=[0.5, np.nan],
+            free_before=[1.0, 1.0], free_after=np.array([0.5, 0.5])), minor=(),
         findings=(SimpleNamespace(effect='backlash', joint='joint2', main=True, runner_up='x',
                                   parameters={'half_gap': np.float64(0.1)},
                                   confusable_with=('end_stop',)),))
@@ -214,7 +215,7 @@ def test_a_job_asks_the_workflow_without_telling_it_the_truth(workflow):
     assert len(recordings) == 1 and robot.effects == ()
     assert options.without == (found['truth']['effects'][0]['effect'],)
     assert found['answers'] == {'workflow': [['backlash', 'joint2']]}
-    assert found['gap']['floor'] == [0.5, None] and found['gap']['free_after'] == []
+    assert found['gap']['floor'] == [0.5, None] and found['gap']['free_after'] == [0.5, 0.5]
     json.dumps(found, allow_nan=False)
 
 

@@ -99,11 +99,15 @@ def _size(effect, parameters):
 
 
 def energy_ratio(outcome):
-    """Return held-out residual energy above the floor, after / before; None if unknown."""
+    """
+    Return held-out residual energy above the floor, after / before; None if unknown.
+
+    Before means that the known parameters are re-tuned already.
+    """
     gap = outcome['gap']
-    if not gap or None in (*gap['before'], *gap['after'], *gap['floor']):
+    if not gap or None in (*gap['retuned'], *gap['after'], *gap['floor']):
         return None
-    before, after, floor = (np.array(gap[name]) for name in ('before', 'after', 'floor'))
+    before, after, floor = (np.array(gap[name]) for name in ('retuned', 'after', 'floor'))
     above = float(np.sum(np.maximum(before ** 2 - floor ** 2, 0.0)))
     left = float(np.sum(np.maximum(after ** 2 - floor ** 2, 0.0)))
     return left / above if above > 0.0 else None
@@ -112,7 +116,7 @@ def energy_ratio(outcome):
 def free_ratio(outcome):
     """Return the rms of the free run's error, after / before; None if unknown."""
     gap = outcome['gap']
-    if not gap or not gap['free_before'] or None in (*gap['free_before'], *gap['free_after']):
+    if not gap or None in (*gap['free_before'], *gap['free_after']):
         return None
     before, after = (float(np.linalg.norm(gap[name])) for name in ('free_before', 'free_after'))
     return after / before if before > 0.0 else None

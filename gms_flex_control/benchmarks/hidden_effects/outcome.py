@@ -55,7 +55,7 @@ def ask_workflow(case, without):
     options = Options(without=without) if without else Options()
     begin = time.perf_counter()
     try:
-        result = discrepancy([case.recording], case.nominal, options)
+        result = discrepancy([case.recording], case.nominal, options, holdout=[case.held_out])
     except GmsFlexError as error:
         return {'error': str(error), 'verdict': 'error', 'findings': [], 'gap': None,
                 'seconds': time.perf_counter() - begin}
@@ -65,21 +65,15 @@ def ask_workflow(case, without):
                 'effect': one.effect, 'joint': one.joint, 'main': bool(one.main),
                 'parameters': {name: float(value) for name, value in one.parameters.items()},
                 'runner_up': str(one.runner_up), 'confusable_with': list(map(
-                    str, one.confusable_with))} for one in result.findings]}
+                    str, one.confusable_with))} for one in (*result.findings, *result.minor)]}
 
 
 def gap_of(gap):
     """Return the gap of a result as lists of floats, None where there is none."""
     if gap is None:
         return None
-    return {name: [float(value) for value in _sequence(getattr(gap, name))]
-            for name in ('before', 'after', 'floor', 'free_before', 'free_after')}
-
-
-def _sequence(value):
-    if value is None:
-        return []
-    return list(value) if hasattr(value, '__len__') else [value]
+    return {name: [float(value) for value in getattr(gap, name)]
+            for name in ('retuned', 'after', 'floor', 'free_before', 'free_after')}
 
 
 def ranked(findings):
