@@ -1,0 +1,85 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""The SROS2 policy names exactly what the running nodes publish, subscribe to, serve and call."""
+
+from pathlib import Path
+import time
+from xml.etree import ElementTree
+
+from node_harness import CONFIG, FILES, Lab
+import pytest
+
+DiagnosticArray = pytest.importorskip('diagnostic_msgs.msg').DiagnosticArray
+POLICY = Path(__file__).parents[1] / 'sros2' / 'gms_flex_control.policy.xml'
+NODES = {'plant', 'plant_safety', 'cascade_controller', 'trajectory', 'identification'}
+RIGHTS = {'publish': 'publisher', 'subscribe': 'subscriber', 'reply': 'service',
+          'request': 'client'}
+DISCOVERED = 30.0  # after so long everything has found each other [s]
+# only with use_sim_time
+SOMETIMES = {(node, 'subscribe', '/clock') for node in NODES - {'plant_safety'}}
+
+
+def allowed():
+    """Return every (node, right, name) of the policy."""
+    return {(profile.get('node'), right, name.text.strip())
+            for profile in ElementTree.parse(POLICY).iter('profile')
+            for rule in profile for right, word in rule.attrib.items() if word == 'ALLOW'
+            for name in rule}
+
+
+def granted():
+    """Return what the policy allows the nodes that are run here."""
+    return {entry for entry in allowed() if entry[0] in NODES}
+
+
+@pytest.fixture(scope='module')
+def used(tmp_path_factory):
+    """Return every (node, right, name) of all nodes running in lockstep."""
+    with Lab(tmp_path_factory.mktemp('sros2')) as lab:
+        for name in ('controller_node', 'trajectory_node', 'plant_node'):
+            lab.start(name, mode='lockstep')
+        lab.start('identification_node', files=[*FILES, CONFIG / 'identification.yaml'],
+                  mode='lockstep', identification__bag=str(lab.folder / 'bag'))
+        found, end = set(), time.monotonic() + DISCOVERED
+
+        def complete():
+            """Look again, at least until everything that is allowed was seen."""
+            for node in lab.node.get_node_names():
+                for right, kind in RIGHTS.items():
+                    get = getattr(lab.node, f'get_{kind}_names_and_types_by_node')
+                    found.update((node, right, name) for name, _ in get(node, '/'))
+            return granted() - found <= SOMETIMES or time.monotonic() > end
+        lab.until(complete)
+        lab.more(lab.listen(DiagnosticArray, '/diagnostics'), 6)  # what comes late is seen too
+        complete()
+        return {entry for entry in found if entry[0] != 'probe'}
+
+
+def test_the_policy_is_one_that_sros2_reads():
+    """Version, enclave paths and the words of its schema."""
+    root = ElementTree.parse(POLICY).getroot()
+    assert root.tag == 'policy' and root.get('version') == '0.2.0'
+    assert all(enclave.get('path').startswith('/gms_flex_control/')
+               for enclave in root.iter('enclave'))
+    for profile in root.iter('profile'):
+        assert profile.get('ns') == '/'
+        for rule in profile:
+            assert rule.tag in ('topics', 'services') and set(rule.attrib.values()) == {'ALLOW'}
+            assert {name.tag for name in rule} == {rule.tag.removesuffix('s')}
+
+
+def test_whatever_the_nodes_do_is_allowed(used):
+    assert used - allowed() == set()
+
+
+def test_nothing_else_is_allowed(used):
+    assert granted() - used - SOMETIMES == set()
+
+
+def test_only_the_controller_may_command_and_only_the_trajectory_node_may_refer():
+    publishers = {name: {node for node, right, topic in allowed()
+                         if right == 'publish' and topic == name}
+                  for name in ('/effort_controller/commands', '/reference', '/joint_states')}
+    assert publishers == {'/effort_controller/commands': {'cascade_controller'},
+                          '/reference': {'trajectory'}, '/joint_states': {'plant'}}
