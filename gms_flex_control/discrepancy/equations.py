@@ -1,0 +1,164 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""
+The torques of Eq. (1) along a motion that was measured, with every effect of the catalogue.
+
+The same functions that move the simulated robot are called along the measured path, so an effect
+needs no second description to be looked for: what it adds here is what it would add there.
+"""
+
+from gms_flex_control.compiled import compiled
+from gms_flex_control.dynamics import chain
+from gms_flex_control.effects import signals as sig
+from gms_flex_control.effects import table as effect_table
+from gms_flex_control.effects.base import Stage
+from gms_flex_control.friction import gms
+from gms_flex_control.simulation import plant
+import numpy as np
+
+_ACTUATOR, _TWIST, _SPRING, _FRICTION, _LINK, _MOTOR, _SENSOR = (int(stage) for stage in Stage)
+_SUBSTEPS = 4  # of a sample, where an actuator changes what it is told
+
+
+@compiled
+def take_place(k, path, command, time, state, work):
+    """Put the robot where ``path`` (T, 6, n) has it at sample ``k``, and fill the signals."""
+    for j in range(command.shape[1]):
+        state.q_link[j], state.dq_link[j] = path[k, 0, j], path[k, 1, j]
+        state.q_motor[j], state.dq_motor[j] = path[k, 3, j], path[k, 4, j]
+    plant.fill_signals(state, command[k], time[k], work)
+    for j in range(command.shape[1]):
+        work.signals[j, sig.DDQ_LINK] = path[k, 2, j]
+        work.signals[j, sig.DDQ_MOTOR] = path[k, 5, j]
+
+
+@compiled
+def mean_applied(command, time, period, constants, state, work, out):
+    """Write the mean torque (T, n) the actuators give from each sample to the next."""
+    s, effects = work.signals, constants.effects
+    samples, n = command.shape
+    for k in range(samples):
+        out[k, :] = 0.0
+        for part in range(_SUBSTEPS):
+            for j in range(n):
+                s[j, sig.TIME] = time[k] + part * period / _SUBSTEPS
+                s[j, sig.JOINT], s[j, sig.JOINTS], s[j, sig.TORQUE] = j, n, command[k, j]
+            effect_table.run_stage(_ACTUATOR, s, state.memory, period / _SUBSTEPS, effects)
+            for j in range(n):
+                out[k, j] += s[j, sig.TORQUE] / _SUBSTEPS
+
+
+@compiled
+def springs(period, state, constants, work):
+    """Write twists and spring torques into the signals, effects included."""
+    s, links, effects = work.signals, constants.chain, constants.effects
+    effect_table.run_stage(_TWIST, s, state.memory, period, effects)
+    for j in range(links.moment.shape[0]):
+        s[j, sig.SPRING] = 0.0
+        if links.flexible[j]:
+            s[j, sig.SPRING] = (links.stiffness[j] * s[j, sig.TWIST]
+                                + links.damping[j] * s[j, sig.TWIST_RATE])
+    effect_table.run_stage(_SPRING, s, state.memory, period, effects)
+
+
+@compiled
+def replay_friction(k, path, period, constants, state, work):
+    """Move the blocks to sample ``k`` and write the friction torques into ``work.friction``."""
+    if k > 0:
+        for j in range(path.shape[2]):
+            work.displacement[j] = path[k, 0, j] - path[k - 1, 0, j]
+        gms.advance(state.friction, work.displacement, state.dq_link, period, constants.friction)
+    gms.total(state.friction, state.dq_link, constants.friction, work.friction)
+
+
+@compiled
+def rigid_body(q, dq, ddq, links, work, bias, inertial):
+    """Write ``C dq + g`` into ``bias`` and ``M ddq`` into ``inertial``, both (n,) [N m]."""
+    n = q.shape[0]
+    chain.multiply(links.orientation, q, work.tau)
+    for i in range(n):
+        theta = work.tau[i] + links.offset[i]
+        work.cosine[i], work.sine[i] = np.cos(theta), np.sin(theta)
+    chain.multiply(links.orientation, dq, work.omega)
+    chain.multiply(links.orientation, ddq, work.right)
+    for i in range(n):
+        held = links.moment[i] * (links.gravity[0] * work.sine[i]
+                                  - links.gravity[1] * work.cosine[i])
+        moved = 0.0
+        for k in range(n):
+            cosine = work.cosine[i] * work.cosine[k] + work.sine[i] * work.sine[k]
+            sine = work.sine[i] * work.cosine[k] - work.cosine[i] * work.sine[k]
+            held += links.coupling[i, k] * sine * work.omega[k] * work.omega[k]
+            moved += (links.coupling[i, k] * cosine + links.rigid_inertia[i, k]) * work.right[k]
+        work.tau[i], work.acceleration[i] = held, moved
+    chain.multiply_transposed(links.orientation, work.tau, bias)
+    chain.multiply_transposed(links.orientation, work.acceleration, inertial)
+
+
+@compiled
+def torques_along(path, second, command, time, period, constants, state, work, link, motor,
+                  inertial, friction):
+    """
+    Write all torques of Eq. (1) along a measured path.
+
+    Parameters
+    ----------
+    path : ndarray, shape (T, 6, n)
+        Smoothed link angle, rate and acceleration, then those of the motor.
+    second : ndarray, shape (T, n)
+        Second differences of the link angles as they were read, filtered [rad/s^2].
+    command : ndarray, shape (T, n)
+        Torque of the actuators about there, for effects that look at it [N m].
+    time : ndarray, shape (T,)
+        [s].
+    period : float
+        Sample [s].
+    constants, state, work : numpy.record
+        From simulation.plant; the state is overwritten.
+    link, motor : ndarray, shape (T, n)
+        Filled: all torques at sample k that move link and motor, those of the actuators and
+        what ``inertial`` holds left out.
+    inertial : ndarray, shape (T, n)
+        Filled: ``M second``.
+    friction : ndarray, shape (T, n)
+        Filled: friction torque of the links, effects included.
+
+    """
+    s, links, effects = work.signals, constants.chain, constants.effects
+    samples, n = command.shape
+    bias = np.empty(n)
+    for k in range(samples):
+        take_place(k, path, command, time, state, work)
+        springs(period, state, constants, work)
+        replay_friction(k, path, period, constants, state, work)
+        for j in range(n):
+            s[j, sig.FRICTION] = work.friction[j]
+        for stage in (_FRICTION, _LINK, _MOTOR):
+            effect_table.run_stage(stage, s, state.memory, period, effects)
+        rigid_body(state.q_link, state.dq_link, second[k], links, work.chain, bias, inertial[k])
+        for j in range(n):
+            friction[k, j] = s[j, sig.FRICTION]
+            link[k, j] = s[j, sig.LINK_TORQUE] - friction[k, j] - bias[j]
+            if links.flexible[j]:
+                link[k, j] += s[j, sig.SPRING]
+                motor[k, j] = s[j, sig.MOTOR_TORQUE] - s[j, sig.SPRING]
+            else:
+                link[k, j] += s[j, sig.MOTOR_TORQUE]
+                motor[k, j] = 0.0
+
+
+@compiled
+def sensor_errors(path, command, time, period, constants, state, work, link, motor):
+    """Write by how much the encoders of a model read too high along a path, (T, n) each [rad]."""
+    s = work.signals
+    for k in range(command.shape[0]):
+        take_place(k, path, command, time, state, work)
+        replay_friction(k, path, period, constants, state, work)
+        for j in range(command.shape[1]):
+            s[j, sig.FRICTION] = work.friction[j]
+            s[j, sig.SENSED_LINK], s[j, sig.SENSED_MOTOR] = state.q_link[j], state.q_motor[j]
+        effect_table.run_stage(_SENSOR, s, state.memory, period, constants.effects)
+        for j in range(command.shape[1]):
+            link[k, j] = s[j, sig.SENSED_LINK] - state.q_link[j]
+            motor[k, j] = s[j, sig.SENSED_MOTOR] - state.q_motor[j]

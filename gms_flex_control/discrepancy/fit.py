@@ -1,0 +1,152 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Gauss and Newton on all that is free: knobs within their doubt, parameters of effects."""
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+from gms_flex_control.discrepancy.bounded import solve
+from gms_flex_control.effects.registry import find
+import numpy as np
+
+FIXED = ('load', 'duration')  # parameters that only set the unit of another
+_STEP = 0.01                  # of a value, for its derivative
+_ANGLES = {'phase': 0.02, 'direction': 0.02, 'order': 0.02}
+_REACH, _ANGLE_REACH = 60.0, 25.0  # largest change at once, in steps
+_LOWEST_ORDER = 0.7   # of a wave: a slower one is no wave over the range of a joint
+_SHRINK = (1.0, 0.3, 0.1)
+_ENOUGH = 1e-4
+
+
+class Number(NamedTuple):
+    """One parameter of one effect that a fit moves."""
+
+    effect: int
+    parameter: int
+    step: float
+    reach: float
+    lower: float
+    upper: float
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """
+    A model and how far it is from the recordings.
+
+    Parameters
+    ----------
+    robot : RobotParams
+        With effects.
+    x : ndarray, shape (P,)
+        Knobs.
+    rows : ndarray, shape (R,)
+        Of the model.
+    cost : float
+        Of the rows that are fitted, see Problem.cost.
+
+    """
+
+    robot: object
+    x: np.ndarray
+    rows: np.ndarray
+    cost: float
+
+
+def numbers_of(effects, first=0):
+    """Return the Numbers of all effects from the ``first`` on."""
+    numbers = []
+    for i in range(first, len(effects)):
+        for k, parameter in enumerate(find(effects[i].name).parameters):
+            if parameter.name in FIXED:
+                continue
+            angle = _ANGLES.get(parameter.name)
+            usual = 0.1 if parameter.unit == '1' else 1e-6
+            step = angle or _STEP * max(abs(effects[i].values[k]), usual)
+            lower = _LOWEST_ORDER if parameter.name == 'order' else parameter.lower
+            numbers.append(Number(i, k, step, (_ANGLE_REACH if angle else _REACH) * step,
+                                  lower, parameter.upper))
+    return numbers
+
+
+def values_of(robot, numbers):
+    """Return the values (V,) of parameters."""
+    return np.array([robot.effects[n.effect].values[n.parameter] for n in numbers])
+
+
+def at_values(robot, numbers, values):
+    """Return a robot with parameters of its effects at values (V,), kept within bounds."""
+    lists = [list(spec.values) for spec in robot.effects]
+    for number, value in zip(numbers, values, strict=True):
+        lists[number.effect][number.parameter] = float(np.clip(value, number.lower, number.upper))
+    return replace(robot, effects=tuple(replace(spec, values=tuple(entries)) for spec, entries
+                                        in zip(robot.effects, lists, strict=True)))
+
+
+def effect_columns(problem, robot, x, rows, numbers):
+    """Return derivatives (V, R) of the rows by parameters of effects."""
+    values = values_of(robot, numbers)
+
+    def column(i):
+        at, step = values.copy(), numbers[i].step
+        step = -step if at[i] + step > numbers[i].upper else step
+        at[i] += step
+        return (problem.rows(at_values(robot, numbers, at), x) - rows) / step
+    return problem.each(column, range(len(numbers))).reshape(len(numbers), len(rows))
+
+
+def fit(problem, robot, x, knob_columns, first=0, iterations=3):
+    """
+    Move knobs and the parameters of effects from the ``first`` on to where rows are smallest.
+
+    Parameters
+    ----------
+    problem : Problem
+        The rows.
+    robot : RobotParams
+        Where to begin.
+    x : ndarray, shape (P,)
+        Knobs to begin with.
+    knob_columns : ndarray, shape (P, R)
+        Their derivatives, which hardly change.
+    first : int
+        Effects before are left as they are.
+    iterations : int
+        At most.
+
+    Returns
+    -------
+    Fitted
+
+    """
+    rows = problem.rows(robot, x)
+    cost = problem.cost(rows, x)
+    for _ in range(iterations):
+        numbers = numbers_of(robot.effects, first)
+        values = values_of(robot, numbers)
+        own = effect_columns(problem, robot, x, rows, numbers)
+        step = _step(problem, np.concatenate([knob_columns, own]), rows, x, values, numbers)
+        for shrink in _SHRINK:
+            there = at_values(robot, numbers, values + shrink * step[len(x):])
+            knobs = x + shrink * step[:len(x)]
+            moved = problem.rows(there, knobs)
+            gain = cost - problem.cost(moved, knobs)
+            if gain > 0.0:
+                break
+        else:
+            break
+        robot, x, rows, cost = there, knobs, moved, cost - gain
+        if gain < _ENOUGH * cost:
+            break
+    return Fitted(robot, x, rows, cost)
+
+
+def _step(problem, columns, rows, x, values, numbers):
+    used = columns[:, problem.fitted]
+    reach = np.array([n.reach for n in numbers])
+    low = np.concatenate([-problem.bound - x,
+                          np.maximum(np.array([n.lower for n in numbers]) - values, -reach)])
+    high = np.concatenate([problem.bound - x,
+                           np.minimum(np.array([n.upper for n in numbers]) - values, reach)])
+    return solve(used @ used.T, problem.slope(columns, rows), low, high)

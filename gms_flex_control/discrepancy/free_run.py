@@ -1,0 +1,92 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""How far a model runs away when nothing corrects it: simulated from many measured states."""
+
+from gms_flex_control.compiled import compiled
+from gms_flex_control.discrepancy.residuals import acts, corrected, fresh_state, SENSOR
+from gms_flex_control.friction import gms
+from gms_flex_control.simulation import plant
+import numpy as np
+
+HORIZON, STRIDE = 0.5, 0.5   # length of a run, and from one start to the next [s]
+_STEP = 4e-4                 # of the integration [s]
+
+
+@compiled
+def run_freely(motion, command, time, period, substeps, starts, horizon, constants, state,
+               replayed, work, link, motor):
+    """
+    Fill angles (S, horizon, n) of runs from the measured state at each of ``starts`` (S,).
+
+    Blocks are loaded as the measured motion up to there has loaded them.
+    """
+    n = command.shape[1]
+    at, ahead = 0, 0.5 * period / substeps
+    for k in range(command.shape[0]):
+        if k > 0:
+            for j in range(n):
+                work.displacement[j] = motion[k, 0, j] - motion[k - 1, 0, j]
+            gms.advance(replayed.friction, work.displacement, motion[k, 1], period,
+                        constants.friction)
+        if at < starts.shape[0] and k == starts[at]:
+            for j in range(n):
+                state.q_link[j], state.dq_link[j] = motion[k, 0, j], motion[k, 1, j]
+                state.q_motor[j], state.dq_motor[j] = motion[k, 3, j], motion[k, 4, j]
+                state.friction.direction[j] = replayed.friction.direction[j]
+                for i in range(state.friction.torque.shape[1]):
+                    state.friction.torque[j, i] = replayed.friction.torque[j, i]
+                    state.friction.sticking[j, i] = replayed.friction.sticking[j, i]
+                state.q_link[j] += ahead * state.dq_link[j]
+                state.q_motor[j] += ahead * state.dq_motor[j]
+            for step in range(horizon):
+                for j in range(n):
+                    link[at, step, j] = state.q_link[j] - ahead * state.dq_link[j]
+                    motor[at, step, j] = state.q_motor[j] - ahead * state.dq_motor[j]
+                plant.advance(state, command[k + step], time[k + step], period, substeps,
+                              constants, work)
+            at += 1
+
+
+def free_runs(path, constants):
+    """
+    Return how far free runs of a model stray from a recording.
+
+    Parameters
+    ----------
+    path : Path
+        The recording.
+    constants : numpy.record
+        The model.
+
+    Returns
+    -------
+    starts : ndarray, shape (S,)
+        Times of the starts [s].
+    link, motor : ndarray, shape (S, H, n)
+        Measured minus simulated angles [rad].
+
+    """
+    period, n = path.fine_period, len(path.joints)
+    horizon = max(round(HORIZON / period), 2)
+    starts = np.arange(round(STRIDE / period), len(path.fine_time) - horizon,
+                       max(round(STRIDE / period), 1))
+    motion, readings = path.fine_motion, path.readings
+    if acts(constants, SENSOR):
+        motion, readings = without_sensor_errors(path, constants)
+    link, motor = np.empty((2, len(starts), horizon, n))
+    run_freely(motion, path.command, path.fine_time, period, max(1, round(period / _STEP)), starts,
+               horizon, constants, fresh_state(constants), fresh_state(constants),
+               plant.workspace(n), link, motor)
+    rows = starts[:, None] + np.arange(horizon)
+    return path.fine_time[starts], readings[rows, 0] - link, readings[rows, 1] - motor
+
+
+def without_sensor_errors(path, constants):
+    """Return motion (T, 6, n) and readings (T, 2, n) of a recording, as the model sees them."""
+    motion, _ = corrected(path, constants, plant.workspace(len(path.joints)))
+    off = path.motion - motion
+    fine = np.stack([[np.interp(path.fine_time, path.time, off[:, i, j])
+                      for j in range(off.shape[2])] for i in range(6)])
+    fine = np.moveaxis(fine, 2, 0)
+    return np.ascontiguousarray(path.fine_motion - fine), path.readings - fine[:, [0, 3]]

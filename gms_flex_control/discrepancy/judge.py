@@ -1,0 +1,144 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""
+From effects that were fitted to findings that are said: what each is worth, and what it is not.
+
+A finding is judged by what would be left without it while all else is re-tuned, not by its size:
+an effect that known parameters or other effects can take the place of is none.
+"""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+from gms_flex_control.discrepancy.fit import numbers_of
+from gms_flex_control.discrepancy.result import Value
+from gms_flex_control.effects.registry import find
+import numpy as np
+
+_TAKEN = 0.01         # of its own rows: what else could take its place leaves less than this
+_CONFUSABLE = 0.98    # cosine, all else re-tuned
+_RUNNERS = 6          # hypotheses tried in the place of a finding
+_CONFIDENT = 1.959964
+CONFUSABLE = (
+    ('stiffness_error', 'stiffness_drift'), ('coulomb_error', 'friction_drift'),
+    ('link_inertia_error', 'tip_payload'), ('actuator_lag', 'input_delay'),
+    ('constant_link_torque', 'spring_offset'), ('kinematic_error', 'torque_ripple'),
+    ('quadratic_drag', 'viscous_error'), ('constant_link_torque', 'friction_asymmetry'),
+    ('actuator_deadzone', 'backlash'))
+
+
+class Judged(NamedTuple):
+    """One effect of a model and what it is worth."""
+
+    index: int         # among the robot's effects
+    own: float         # sum of squares of the rows it makes
+    loss: float        # of those that nothing else can make
+    torque: float      # rms of what it contributes [N m]
+    rows: np.ndarray   # it makes, (F,) of those fitted
+    left: np.ndarray   # what nothing else can make, (F,)
+
+
+def judged(problem, found, known):
+    """
+    Return what each effect is worth, the largest first.
+
+    Parameters
+    ----------
+    problem : Problem
+        The rows.
+    found : Found
+        Of the search.
+    known : int
+        Effects the user knew of.
+
+    Returns
+    -------
+    list of Judged
+
+    """
+    model, knobs = found.model, len(problem.knobs)
+    effects = model.robot.effects
+    numbers = numbers_of(effects, known)
+    columns, out = found.columns[:, problem.fitted], []
+    for i in range(known, len(effects)):
+        less = replace(model.robot, effects=effects[:i] + effects[i + 1:])
+        rows = (problem.rows(less, model.x) - model.rows)[problem.fitted]
+        mine = [knobs + k for k, number in enumerate(numbers) if number.effect == i]
+        basis, _ = np.linalg.qr(np.delete(columns, mine, axis=0).T)
+        left = rows - basis @ (basis.T @ rows)
+        torque = problem.torque_rms(less, model.x, model.robot)
+        out.append(Judged(i, float(rows @ rows), float(left @ left), torque, rows, left))
+    return sorted(out, key=lambda one: -one.torque)
+
+
+def stands_alone(one):
+    """Return whether an effect is more than what known parameters or others could be."""
+    return one.loss > _TAKEN * one.own
+
+
+def values_of(problem, found, known, index):
+    """Return the Values of one effect, intervals by the curvature and what is unexplained."""
+    model, knobs = found.model, len(problem.knobs)
+    numbers = numbers_of(model.robot.effects, known)
+    columns = found.columns[:, problem.fitted]
+    scale = np.sqrt(np.maximum(np.sum(columns ** 2, axis=1), 1e-300))
+    gram = (columns / scale[:, None]) @ (columns / scale[:, None]).T
+    prior = np.zeros(len(scale))
+    prior[:knobs] = (problem.bound * scale[:knobs]) ** -2 * 4.0
+    level = max(np.mean(model.rows[problem.fitted] ** 2) / problem.level, 1.0)
+    variance = np.diag(np.linalg.pinv(gram + np.diag(prior), hermitian=True)) / scale ** 2 * level
+    spec, out = model.robot.effects[index], []
+    for k, parameter in enumerate(find(spec.name).parameters):
+        value, half = spec.values[k], 0.0
+        for place, number in enumerate(numbers):
+            if (number.effect, number.parameter) == (index, k):
+                half = _CONFIDENT * float(np.sqrt(variance[knobs + place]))
+        out.append(Value(parameter.name, parameter.unit, float(value), float(value - half),
+                         float(value + half)))
+    return tuple(out)
+
+
+def rivals(problem, found, one):
+    """
+    Return what could stand in the place of an effect: (name, joint, share), the best first.
+
+    Parameters
+    ----------
+    problem : Problem
+        The rows.
+    found : Found
+        Of the search.
+    one : Judged
+        The effect.
+
+    Returns
+    -------
+    list of tuple
+        Share of its own part that each hypothesis explains, all else re-tuned.
+
+    """
+    library, spec = found.library, found.model.robot.effects[one.index]
+    knobs = len(problem.knobs)
+    numbers = numbers_of(found.model.robot.effects)
+    columns = found.columns[:, problem.fitted]
+    mine = [knobs + k for k, number in enumerate(numbers) if number.effect == one.index]
+    basis, _ = np.linalg.qr(np.delete(columns, mine, axis=0).T)
+    shares = library.shares(one.left, basis)
+    best = {}
+    for (name, joint, _), share in zip(library.guesses, shares, strict=True):
+        if (name, joint) != (spec.name, spec.joint):
+            best[name, joint] = max(best.get((name, joint), 0.0), float(share))
+    order = sorted(best.items(), key=lambda item: -item[1])
+    return [(name, joint, share) for (name, joint), share in order[:_RUNNERS]]
+
+
+def confusable(spec, others):
+    """Return names that these data, or any, hardly tell from an effect."""
+    names = {name for name, joint, share in others if share > _CONFUSABLE ** 2}
+    for pair in CONFUSABLE:
+        if spec.name in pair:
+            other = pair[1] if pair[0] == spec.name else pair[0]
+            if any(name == other and share > 0.8 for name, _, share in others):
+                names.add(other)
+    return tuple(sorted(names - {spec.name}))

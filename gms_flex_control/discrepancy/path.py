@@ -1,0 +1,217 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""A recording made ready: even samples, smoothed angles with their derivatives, held torques."""
+
+from dataclasses import dataclass
+
+from gms_flex_control.errors import BagError
+from gms_flex_control.identification.smoothing import derivatives
+import numpy as np
+from scipy.ndimage import convolve1d
+
+WORKING_PERIOD = 4e-3  # sample at which the equations are formed, if the recording is finer [s]
+_WINDOW = 0.034        # of the smoothing that velocities come from [s]
+_KNOWN = 0.98          # share of samples a torque must cover
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """
+    One measured motion as the equations take it.
+
+    The equations are formed at ``time``, every ``factor`` samples of the recording; readings and
+    held torques reach them through one symmetric filter, so none is wasted.
+
+    Parameters
+    ----------
+    joints : tuple of str
+        Link names, n of them.
+    fine_time, fine_period : ndarray, shape (T,), and float
+        Of the recording, evenly spaced [s].
+    readings : ndarray, shape (T, 2, n)
+        Angles of link and motor as read [rad]; the motor's follow the link of a rigid joint.
+    fine_motion : ndarray, shape (T, 6, n)
+        Smoothed link angle, rate, acceleration, then those of the motor.
+    command : ndarray, shape (T, n)
+        Torque held from sample k to k + 1 [N m].
+    noise : ndarray, shape (2, n)
+        Standard deviation of the readings [rad].
+    factor : int
+        Samples of the recording per sample of the equations.
+    time, period : ndarray, shape (S,), and float
+        Of the equations [s].
+    motion : ndarray, shape (S, 6, n)
+        Smoothed motion there.
+    second : ndarray, shape (S, 2, n)
+        Filtered second differences of the readings [rad/s^2].
+    drive : ndarray, shape (S, n)
+        The torque commands behind the same filter [N m].
+    twist_rest : ndarray, shape (S, n)
+        Twist as read behind the filter, less the smoothed one [rad].
+    source : str
+        Where it came from.
+
+    """
+
+    joints: tuple
+    fine_time: np.ndarray
+    fine_period: float
+    readings: np.ndarray
+    fine_motion: np.ndarray
+    command: np.ndarray
+    noise: np.ndarray
+    factor: int
+    time: np.ndarray
+    period: float
+    motion: np.ndarray
+    second: np.ndarray
+    drive: np.ndarray
+    twist_rest: np.ndarray
+    source: str
+
+    def through_filter(self, torque):
+        """Return torques (T, n) held over samples as the equations see them, shape (S, n)."""
+        return thinned(held_triangle(torque), self.factor)
+
+
+def second_difference(angle, period):
+    """Return the central second difference of angles (T, ...), zero at both ends."""
+    out = np.zeros_like(angle)
+    out[1:-1] = (angle[2:] - 2.0 * angle[1:-1] + angle[:-2]) / period ** 2
+    return out
+
+
+def held_triangle(torque):
+    """
+    Return torques (T, n) held from sample k to k + 1 as a second difference sees them.
+
+    Under a force held over each sample, ``q[k+1] - 2 q[k] + q[k-1]`` is exactly the mean of both
+    samples' accelerations times the squared period.
+    """
+    out = torque.copy()
+    out[1:] = 0.5 * (torque[1:] + torque[:-1])
+    return out
+
+
+def thinned(values, factor):
+    """Return every ``factor``-th of values (T, ...) behind two triangles of that length."""
+    if factor == 1:
+        return values
+    triangle = np.convolve(np.ones(factor), np.ones(factor))
+    kernel = np.convolve(triangle, triangle)
+    return np.ascontiguousarray(
+        convolve1d(values, kernel / kernel.sum(), axis=0, mode='nearest')[::factor])
+
+
+def seen(torque, weight):
+    """Return sampled torques (S, n) as filtered ones, ``weight`` on both neighbours."""
+    out = torque.copy()
+    out[1:-1] += weight * (torque[:-2] - 2.0 * torque[1:-1] + torque[2:])
+    return out
+
+
+def sampled_weight(factor):
+    """Return the weight of both neighbours that makes sampled torques look as filtered ones."""
+    return (1.0 / 6.0 + (factor ** 2 - 1.0) / 3.0) / (2.0 * factor ** 2)
+
+
+def path_of(recording, robot):
+    """
+    Return the Path of a recording.
+
+    Parameters
+    ----------
+    recording : Recording
+        Of the robot.
+    robot : RobotParams
+        Tells which joints have a motor side.
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    BagError
+        If angles or torques are missing.
+
+    """
+    time, period = even_time(recording)
+    readings = np.empty((len(time), 2, recording.n_joints))
+    for j, joint in enumerate(recording.joints):
+        readings[:, 0, j] = _resampled(recording, recording.q_link[:, j], time,
+                                       f'link angle of {joint!r}')
+        readings[:, 1, j] = readings[:, 0, j] if robot.arm.rigid[j] else _resampled(
+            recording, recording.q_motor[:, j], time, f'motor angle of {joint!r}')
+    return make_path(recording.joints, time, period, readings, held_torque(recording, time),
+                     recording.source)
+
+
+def make_path(joints, time, period, readings, command, source):
+    """Return the Path of even samples; arguments as the fields ``fine_...``."""
+    n = len(joints)
+    noise = np.sqrt(np.mean(np.diff(readings, 3, axis=0) ** 2, axis=0) / 20.0)
+    window = max(2 * round(0.5 * _WINDOW / period) + 1, 5)
+    motion = np.stack([np.stack(derivatives(readings[:, side, j], period, window), axis=1)
+                       for side in range(2) for j in range(n)], axis=2)
+    motion = motion.reshape(len(time), 3, 2, n).swapaxes(1, 2).reshape(len(time), 6, n)
+    factor = max(int(WORKING_PERIOD / period * (1.0 + 1e-6)), 1)
+    command = np.ascontiguousarray(command)
+    thin = np.ascontiguousarray(motion[::factor])
+    twist = thinned(seen(readings[:, 1] - readings[:, 0], 1.0 / 12.0), factor)
+    return Path(
+        joints=tuple(joints), fine_time=time, fine_period=period, readings=readings,
+        fine_motion=np.ascontiguousarray(motion), command=command, noise=noise, factor=factor,
+        time=np.ascontiguousarray(time[::factor]), period=period * factor,
+        motion=thin,
+        second=thinned(second_difference(readings, period), factor),
+        drive=thinned(held_triangle(command), factor),
+        twist_rest=twist - seen(thin[:, 3] - thin[:, 0], sampled_weight(factor)), source=source)
+
+
+def held_torque(recording, time):
+    """
+    Return the torque held from each time on, shape (T, n) [N m].
+
+    Commands if they cover the recording, else the efforts that the joint states report for the
+    sample that ended.
+    """
+    if np.isfinite(recording.command).mean() > _KNOWN:
+        torque = _held(recording.command)
+    elif np.isfinite(recording.tau_motor).mean() > _KNOWN:
+        torque = _held(recording.tau_motor)
+        torque = np.concatenate([torque[1:], torque[-1:]])
+    else:
+        raise BagError(f'{recording.source}: neither torque commands nor joint efforts cover the '
+                       'recording; record /effort_controller/commands or the effort of '
+                       '/joint_states too')
+    last = np.searchsorted(recording.time, time + 1e-9, side='right') - 1
+    return torque[np.maximum(last, 0)]
+
+
+def _held(values):
+    """Return values (T, n) with the last one before in every gap, zero at first."""
+    rows = np.where(np.isfinite(values), np.arange(len(values))[:, None], -1)
+    rows = np.maximum.accumulate(rows, axis=0)
+    return np.where(rows >= 0, np.take_along_axis(values, np.maximum(rows, 0), axis=0), 0.0)
+
+
+def even_time(recording):
+    """Return evenly spaced times (T,) over a recording, and their period [s]."""
+    time, period = recording.time, recording.period
+    steps = np.diff(time)
+    if np.abs(steps - period).max() < 1e-3 * period:
+        return time, float((time[-1] - time[0]) / (len(time) - 1))
+    count = int((time[-1] - time[0]) / period * (1.0 + 1e-9)) + 1
+    return time[0] + period * np.arange(count), period
+
+
+def _resampled(recording, values, time, what):
+    known = np.isfinite(values)
+    if known.mean() < 0.5:
+        raise BagError(f'{recording.source}: the {what} is missing; the equations of motion '
+                       'need it')
+    if time is recording.time and known.all():
+        return values
+    return np.interp(time, recording.time[known], values[known])

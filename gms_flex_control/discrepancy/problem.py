@@ -1,0 +1,165 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Recordings, a model of their robot, and the rows that say how far it is from them."""
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+import os
+
+from gms_flex_control.discrepancy.bounded import solve
+from gms_flex_control.discrepancy.known import knobs_of, tuned
+from gms_flex_control.discrepancy.residuals import unexplained
+from gms_flex_control.discrepancy.retrace import retrace
+from gms_flex_control.discrepancy.whitening import Whitening
+from gms_flex_control.simulation import plant
+import numpy as np
+
+REPLICATES = 6        # runs in which nothing is missing, per recording
+BLOCK = 2.0           # of time that is held out or not as a whole [s]
+_HELD_OUT = 4         # one block in so many
+_KNOB_STEP = 0.01
+
+
+class Problem:
+    """
+    The rows of a model, and their derivatives by what the user knows only nearly.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        The recordings.
+    robot : RobotParams
+        As believed, effects that are known included.
+    practical : float
+        Torque below which nothing matters, as a share of Coulomb friction.
+    seed : int
+        Of the runs in which nothing is missing.
+
+    """
+
+    def __init__(self, paths, robot, practical, seed=0):
+        self.paths, self.robot, self._seed = tuple(paths), robot, seed
+        self._practical = practical
+        base = plant.constants_of(robot)
+        self.knobs = knobs_of(base)
+        self.bound = np.array([knob.doubt for knob in self.knobs])
+        level = 0.5 * (robot.friction.forward.coulomb + robot.friction.backward.coulomb)
+        self.floor = practical * np.tile(level, 2)
+        self.pool = ThreadPoolExecutor(os.cpu_count() or 1)
+        self.measure(robot, np.zeros(len(self.knobs)))
+
+    def _rows(self, paths, constants):
+        return np.concatenate([whitening.rows_of(unexplained(path, constants)).ravel()
+                               for path, whitening in zip(paths, self.whitenings, strict=True)])
+
+    def measure(self, robot, x):
+        """Take the measure of rows from runs of a model in which nothing is missing."""
+        constants = self.constants(robot, x)
+        runs = [[retrace(path, constants, np.random.default_rng([self._seed, k]))
+                 for path in self.paths] for k in range(REPLICATES)]
+        residuals = list(self.pool.map(
+            lambda run: [unexplained(path, constants) for path in run], runs))
+        self.whitenings = [Whitening(np.stack(clean), path.period, self.floor)
+                           for path, clean in zip(self.paths, zip(*residuals, strict=True),
+                                                  strict=True)]
+        self._divide()
+        clean = self._rows(runs[0], constants)
+        self.level = float(np.mean(clean[self.fitted] ** 2))
+        self.attenuation = self._attenuation(runs[:2], robot, x)
+
+    def _attenuation(self, runs, robot, x):
+        """Return the part of noise in the slopes of the knobs (P,), from a pair of runs."""
+        base = self.constants(robot, x)
+        rows = [self._rows(run, base)[self.fitted] for run in runs]
+
+        def column(i):
+            moved = self.constants(robot, x + _KNOB_STEP * (np.arange(len(x)) == i))
+            one, other = (self._rows(run, moved)[self.fitted] for run in runs)
+            noise = rows[0] - rows[1]  # what both runs share is motion, not noise
+            return 0.5 * noise @ (one - other - noise) / _KNOB_STEP
+        return self.each(column, range(len(x)))
+
+    def of_others(self, paths):
+        """Return the Problem of other recordings, all of them held out."""
+        other = Problem(paths, self.robot, self._practical, self._seed)
+        other.held_out, other.fitted = other.held_out | other.fitted, other.fitted & False
+        return other
+
+    def level_of(self, joint):
+        """Return Coulomb friction of a joint, the least of all for the whole arm [N m]."""
+        level = self.floor[:self.robot.n_joints] / self._practical
+        return float(level[self.robot.joints.index(joint)] if joint in self.robot.joints
+                     else level.min())
+
+    def _divide(self):
+        """Set which rows are fitted and which held out, by blocks of time."""
+        times = np.concatenate([
+            k * 1e6 + np.repeat(whitening.time, whitening.scale.shape[1])
+            for k, whitening in enumerate(self.whitenings)])
+        used = np.concatenate([whitening.scale.ravel() > 0.0 for whitening in self.whitenings])
+        out = (times / BLOCK).astype(int) % _HELD_OUT == _HELD_OUT - 1
+        self.fitted, self.held_out = used & ~out, used & out
+
+    def held_out_moments(self):
+        """Return which rows in time are held out, bool (S,) of each recording."""
+        ends = np.cumsum([whitening.scale.size for whitening in self.whitenings])[:-1]
+        return [part.reshape(whitening.scale.shape).any(axis=1) for part, whitening in
+                zip(np.split(self.held_out, ends), self.whitenings, strict=True)]
+
+    def cost(self, rows, x):
+        """
+        Return the sum of squares of the rows that are fitted, cleared of what noise adds.
+
+        Noise of the readings stands in the rows times inertia and stiffness: without the second
+        term a smaller arm would always look better, by its smaller noise.
+        """
+        return float(np.sum(rows[self.fitted] ** 2) - 2.0 * self.attenuation @ x)
+
+    def slope(self, columns, rows):
+        """Return the downhill slope of half the cost by knobs and other columns (C, R)."""
+        slope = -columns[:, self.fitted] @ rows[self.fitted]
+        slope[:len(self.attenuation)] += self.attenuation
+        return slope
+
+    def constants(self, robot, x):
+        """Return the kernels' record of a robot with its knobs at ``x``."""
+        return tuned(plant.constants_of(robot), self.knobs, x)
+
+    def rows(self, robot, x):
+        """Return residuals of a model (R,) in units of what shows in a clean run."""
+        return self._rows(self.paths, self.constants(robot, x))
+
+    def torque_rms(self, robot, x, other):
+        """Return the rms by which two models' residual torques differ, of the larger channel."""
+        changes = [whitening.torque_rows(unexplained(path, self.constants(robot, x))
+                                         - unexplained(path, self.constants(other, x)))
+                   for path, whitening in zip(self.paths, self.whitenings, strict=True)]
+        return float(np.sqrt(np.mean(np.concatenate(changes) ** 2, axis=0)).max())
+
+    def each(self, function, jobs):
+        """Return what a function gives of each job, in threads, stacked."""
+        return np.array(list(self.pool.map(function, jobs)))
+
+    def knob_columns(self, robot, x, rows):
+        """Return derivatives of the rows by the knobs, shape (P, R)."""
+        def column(i):
+            at = x.copy()
+            at[i] += _KNOB_STEP
+            return (self.rows(robot, at) - rows) / _KNOB_STEP
+        return self.each(column, range(len(x)))
+
+    def retuned(self, robot, x, iterations=2):
+        """Return knobs, rows and the knobs' columns where the rows are smallest."""
+        for _ in range(iterations):
+            rows = self.rows(robot, x)
+            columns = self.knob_columns(robot, x, rows)
+            used = columns[:, self.fitted]
+            x = x + solve(used @ used.T, self.slope(columns, rows), -self.bound - x,
+                          self.bound - x)
+        return x, self.rows(robot, x), columns
+
+
+def with_effect(robot, spec):
+    """Return a robot with one more effect."""
+    return replace(robot, effects=(*robot.effects, spec))

@@ -1,0 +1,95 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""
+What Eq. (1) leaves unexplained along a measured path, without differentiating noise.
+
+Link and motor equation are formed from second differences of the readings as they are, filtered
+with the torques alike, so that nothing but the model's error remains. Smoothed motion serves only
+where a torque is a function of it.
+"""
+
+from gms_flex_control import records
+from gms_flex_control.discrepancy import equations
+from gms_flex_control.discrepancy.path import sampled_weight, second_difference, seen
+from gms_flex_control.effects.base import Stage
+from gms_flex_control.simulation import plant
+import numpy as np
+
+ACTUATOR, SENSOR = int(Stage.ACTUATOR), int(Stage.SENSOR)
+
+
+def unexplained(path, constants):
+    """
+    Return the residual torques of a model along a path.
+
+    Parameters
+    ----------
+    path : Path
+        The measured motion, S samples of n joints.
+    constants : numpy.record
+        The model, of simulation.plant.constants_of.
+
+    Returns
+    -------
+    ndarray, shape (S, 2 n)
+        What is missing in the link equations, then in the motor equations, zero where a joint
+        is rigid [N m]: positive pushes forward.
+
+    Notes
+    -----
+    Eq. (1): ``M ddq + C dq + g - s + F`` and ``J ddq_motor + s - u``.
+
+    """
+    n = len(path.joints)
+    work, flexible = plant.workspace(n), constants.chain.flexible
+    drive = drive_torque(path, constants, work)
+    motion, second = path.motion, path.second
+    if acts(constants, SENSOR):
+        motion, second = corrected(path, constants, work)
+    link, motor, inertial, friction = np.empty((4, *drive.shape))
+    equations.torques_along(motion, np.ascontiguousarray(second[:, 0]), drive, path.time,
+                            path.period, constants, fresh_state(constants), work, link, motor,
+                            inertial, friction)
+    weight = sampled_weight(path.factor)
+    unsmoothed = constants.chain.stiffness * path.twist_rest  # what smoothing took of the spring
+    on_link = inertial - seen(link, weight) - unsmoothed - (1.0 - flexible) * drive
+    on_motor = flexible * (constants.chain.motor_inertia * second[:, 1]
+                           - seen(motor, weight) + unsmoothed - drive)
+    return np.concatenate([on_link, on_motor], axis=1)
+
+
+def drive_torque(path, constants, work):
+    """Return the torque of the actuators (S, n) as the equations see it [N m]."""
+    if not acts(constants, ACTUATOR):
+        return path.drive
+    applied = np.empty_like(path.command)
+    equations.mean_applied(path.command, path.fine_time, path.fine_period, constants,
+                           fresh_state(constants), work, applied)
+    return path.through_filter(applied)
+
+
+def corrected(path, constants, work):
+    """Return motion (S, 6, n) and second differences (S, 2, n) cleared of sensor errors."""
+    link, motor = np.empty((2, *path.drive.shape))
+    equations.sensor_errors(path.motion, path.drive, path.time, path.period, constants,
+                            fresh_state(constants), work, link, motor)
+    off = np.stack([link, motor], axis=1)
+    rate = np.gradient(off, path.period, axis=0)
+    bend = second_difference(off, path.period)
+    errors = np.stack([off, rate, bend], axis=2).reshape(len(off), 6, -1)
+    return np.ascontiguousarray(path.motion - errors), path.second - bend
+
+
+def fresh_state(constants):
+    """Return a state of the plant whose blocks are unloaded and stick."""
+    state = records.build(plant.state_layout(*constants.friction.stiffness.shape))
+    state.friction.sticking[:] = 1
+    state.friction.direction[:] = 1.0
+    return state
+
+
+def acts(constants, stage):
+    """Return whether any effect of a model acts at a stage."""
+    start = constants.effects.stage_start
+    return start[stage] < start[stage + 1]

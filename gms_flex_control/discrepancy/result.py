@@ -1,0 +1,173 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""What a comparison of a model with recordings ended with, as plain values."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+COMPLETE, FOUND, UNEXPLAINED, BAD_DATA = 'complete', 'effects_found', 'unexplained', 'bad_data'
+
+
+class Value(NamedTuple):
+    """One parameter of an effect that was found."""
+
+    name: str
+    unit: str
+    value: float
+    low: float      # of its 95 % interval
+    high: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Finding:
+    """
+    One effect the model lacked.
+
+    Parameters
+    ----------
+    effect, joint : str
+        Catalogue name, and where; 'arm' for the whole arm.
+    values : tuple of Value
+        Its parameters.
+    main : bool
+        Whether it matters in practice; small ones are listed apart.
+    torque : float
+        What it contributes, rms over the fitted motion [N m].
+    share : float
+        Of what known parameters cannot explain, what would be left without it.
+    score : float
+        Sum of squares of rows that it removes, all else re-tuned.
+    runner_up : str or None
+        The next best explanation in its place, 'effect of joint'.
+    runner_up_score : float
+        What that one would have removed.
+    confusable_with : tuple of str
+        Effects these data tell apart only weakly, or not.
+    tells_apart : str
+        Motion that would tell; '' where nothing is confusable.
+    evidence : str
+        One sentence.
+    rms_before, rms_after : ndarray, shape (n,)
+        Held-out residual of each joint without it and with it [N m].
+
+    """
+
+    effect: str
+    joint: str
+    values: tuple
+    main: bool
+    torque: float
+    share: float
+    score: float
+    runner_up: str | None
+    runner_up_score: float
+    confusable_with: tuple
+    tells_apart: str
+    evidence: str
+    rms_before: np.ndarray
+    rms_after: np.ndarray
+
+    @property
+    def parameters(self):
+        """Return the values by name, dict of str to float."""
+        return {value.name: value.value for value in self.values}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Gap:
+    """
+    Distance between model and measurement on data that took no part in the fit.
+
+    Parameters
+    ----------
+    joints : tuple of str
+        Names.
+    before, retuned, after, floor : ndarray, shape (n,)
+        Residual torque [N m]: of the model as given, with known parameters re-tuned, with the
+        effects found, and what a run of the model shows in which nothing is missing.
+    free_before, free_after, free_floor : ndarray, shape (n,)
+        Angle by which runs of half a second stray, rms [rad]; before is re-tuned.
+    energy_ratio : float
+        Squared residual above the floor, after over re-tuned.
+
+    """
+
+    joints: tuple
+    before: np.ndarray
+    retuned: np.ndarray
+    after: np.ndarray
+    floor: np.ndarray
+    free_before: np.ndarray
+    free_after: np.ndarray
+    free_floor: np.ndarray
+    energy_ratio: float
+
+
+class Signature(NamedTuple):
+    """Where something is left that no effect explains."""
+
+    share: float       # of what known parameters cannot explain
+    equation: str      # 'link' or 'motor'
+    joint: str
+    variable: str      # what it depends on most
+    sentence: str
+
+
+class Tried(NamedTuple):
+    """One hypothesis of the first scan."""
+
+    effect: str
+    joint: str
+    score: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Discrepancy:
+    """
+    Everything that is said about a model and its recordings.
+
+    Parameters
+    ----------
+    verdict : str
+        'complete', 'effects_found', 'unexplained' or 'bad_data'.
+    findings, minor : tuple of Finding
+        Effects that matter, the largest first, and small ones.
+    unexplained : Signature or None
+        What is left.
+    gap : Gap or None
+        None where the data are bad.
+    robot : RobotParams or None
+        With known parameters re-tuned and all findings.
+    retuned : tuple of (str, str, float)
+        Known parameter, joint and relative change.
+    tried : tuple of Tried
+        The first scan.
+    faults : tuple of str
+        What is wrong with the data.
+    sources : tuple of str
+        The recordings.
+    seconds : float
+        Time it took.
+    words : str
+        One paragraph.
+    found : object
+        The search behind it, for figures.
+
+    """
+
+    verdict: str
+    findings: tuple = ()
+    minor: tuple = ()
+    unexplained: Signature | None = None
+    gap: Gap | None = None
+    robot: object = None
+    retuned: tuple = ()
+    tried: tuple = ()
+    faults: tuple = ()
+    sources: tuple = ()
+    seconds: float = 0.0
+    words: str = ''
+    found: object = None

@@ -1,0 +1,86 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""
+The motion of a recording as a model would have made it: the data if nothing were missing.
+
+The model is simulated under the recorded torque plus what keeps its motors on the recorded path.
+Torque and motion then fit the model exactly, whatever it lacks. Read through the same encoders
+and put through the same filters, such a run shows what a residual looks like where nothing is
+missing: noise, rounding, and the filters' own errors at every reversal.
+"""
+
+from gms_flex_control.analysis.signals import quantum
+from gms_flex_control.compiled import compiled
+from gms_flex_control.discrepancy.path import make_path
+from gms_flex_control.discrepancy.residuals import fresh_state
+from gms_flex_control.simulation import plant
+import numpy as np
+
+BANDWIDTH = 30.0      # of the motors' hold on the path [rad/s]
+_STEP = 4e-4          # of the integration [s]
+_FINE = 20.0          # times a count's own noise: steps below are none of an encoder
+
+
+@compiled
+def retrace_loop(motion, command, time, period, substeps, gains, constants, state, work, held,
+                 link, motor):
+    """Fill torques ``held`` and angles ``link``, ``motor`` (T, n) of a run along ``motion``."""
+    samples, n = command.shape
+    flexible = constants.chain.flexible
+    ahead = 0.5 * period / substeps  # semi-implicit angles run half a step ahead of their rates
+    for k in range(samples):
+        for j in range(n):
+            link[k, j] = state.q_link[j] - ahead * state.dq_link[j]
+            motor[k, j] = state.q_motor[j] - ahead * state.dq_motor[j]
+            rows = 3 if flexible[j] else 0
+            held[k, j] = (command[k, j] + gains[0, j] * (motion[k, rows, j] - state.q_motor[j])
+                          + gains[1, j] * (motion[k, rows + 1, j] - state.dq_motor[j]))
+        plant.advance(state, held[k], time[k], period, substeps, constants, work)
+
+
+def retrace(path, constants, rng):
+    """
+    Return a Path the model makes of a recording, read through encoders like those of it.
+
+    Parameters
+    ----------
+    path : Path
+        The recording.
+    constants : numpy.record
+        The model, of simulation.plant.constants_of.
+    rng : numpy.random.Generator
+        For noise, and for where within a count the robot stands.
+
+    Returns
+    -------
+    Path
+
+    """
+    links, n = constants.chain, len(path.joints)
+    inertia = np.where(links.flexible, links.motor_inertia, np.diag(links.coupling))
+    gains = np.stack([inertia * BANDWIDTH ** 2, 1.4 * inertia * BANDWIDTH])
+    state, first = fresh_state(constants), path.fine_motion[0]
+    state.q_link[:], state.dq_link[:], state.q_motor[:], state.dq_motor[:] = first[[0, 1, 3, 4]]
+    held, link, motor = np.empty((3, *path.command.shape))
+    retrace_loop(path.fine_motion, path.command, path.fine_time, path.fine_period,
+                 max(1, round(path.fine_period / _STEP)), gains, constants, state,
+                 plant.workspace(n), held, link, motor)
+    readings = np.stack([link, motor], axis=1)
+    for side in range(2):
+        for j in range(n):
+            readings[:, side, j] = read(readings[:, side, j], path.readings[:, side, j],
+                                        path.noise[side, j], rng)
+    return make_path(path.joints, path.fine_time, path.fine_period, readings, held, path.source)
+
+
+def read(angle, like, noise, rng):
+    """Return an angle (T,) as an encoder gives it that gave ``like`` (T,)."""
+    step = quantum(like)
+    rounding = step / np.sqrt(12.0)
+    if not noise < _FINE * rounding:  # what looks like steps is none
+        step = 0.0
+    own = np.sqrt(max(noise ** 2 - rounding ** 2, 0.0))
+    shift = step * rng.uniform()
+    noisy = angle + own * rng.standard_normal(len(angle))
+    return np.round((noisy + shift) / step) * step - shift if step > 0.0 else noisy

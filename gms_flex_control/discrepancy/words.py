@@ -1,0 +1,93 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""What was found, in plain words."""
+
+from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE, FOUND
+from gms_flex_control.effects.registry import find
+
+# motion that tells one effect from those it may be confused with
+TELLS = {
+    'stiffness_error': 'a longer recording, or one before and one after warming up',
+    'stiffness_drift': 'a longer recording, or one before and one after warming up',
+    'coulomb_error': 'the same motion at the beginning and at the end of a long run',
+    'friction_drift': 'the same motion at the beginning and at the end of a long run',
+    'link_inertia_error': 'the joint alone with the others bent and stretched',
+    'tip_payload': 'the same motion with the last link bent and stretched',
+    'actuator_lag': 'torque that changes faster, up to a tenth of the sample rate',
+    'input_delay': 'torque that changes faster, up to a tenth of the sample rate',
+    'constant_link_torque': 'motion both ways over the whole range, with rests between',
+    'spring_offset': 'a recording with another load, or with the link held',
+    'motor_torque_bias': 'a recording with another load, or with the link held',
+    'kinematic_error': 'the same path under another load',
+    'torque_ripple': 'the same path under another load',
+    'quadratic_drag': 'faster motion, over a range of speeds of 1 to 5',
+    'viscous_error': 'faster motion, over a range of speeds of 1 to 5',
+    'friction_asymmetry': 'motion both ways over the whole range, with rests between',
+    'actuator_deadzone': 'fast motion with small torque beside slow motion with large torque',
+    'backlash': 'slow reversals under load, and with the link free',
+    'torque_gain': 'a known weight hung on the link',
+    'link_encoder_eccentricity': 'whole revolutions without load',
+}
+_GENERAL = 'motion over a wider range of speed, position and load'
+
+
+def tells_apart(effect, others):
+    """Return the motion that tells an effect from others, '' if there are none."""
+    if not others:
+        return ''
+    return TELLS.get(effect) or next((TELLS[o] for o in others if o in TELLS), _GENERAL)
+
+
+def evidence_of(spec, one, others):
+    """Return one sentence on why an effect is named."""
+    sentence = (f'with it the residual loses {1e3 * one.torque:.3g} mN m rms; nothing else in '
+                f'the model takes its place for {100.0 * one.loss / one.own:.0f} % of that')
+    if others:
+        name, joint, share = others[0]
+        sentence += (f'; the next best, {name} of {joint}, would explain '
+                     f'{100.0 * min(share, 1.0):.1f} % of it')
+    return sentence + '.'
+
+
+def value_words(finding):
+    """Return the values of a finding, such as 'half_gap 0.0021 rad'."""
+    return ', '.join(f'{v.name} {v.value:.4g}{"" if v.unit == "1" else " " + v.unit}'
+                     for v in finding.values)
+
+
+def named(finding):
+    """Return a finding in few words."""
+    summary = (find(finding.effect).__doc__ or '').strip().splitlines()[0]
+    return f'{finding.effect} of {finding.joint} ({value_words(finding)}; {summary.rstrip(".")})'
+
+
+def paragraph(result):
+    """Return one paragraph on a Discrepancy."""
+    if result.verdict == BAD_DATA:
+        return result.words
+    gap, parts = result.gap, []
+    if result.verdict == COMPLETE:
+        parts.append('Nothing is missing: what the model leaves is what a run of the model itself '
+                     'leaves when read through the same encoders.')
+    if result.verdict == FOUND:
+        listed = [*result.findings, *result.minor]
+        parts.append('The model lacks ' + '; '.join(named(one) for one in listed[:5]) + '.')
+        if len(listed) > 5:
+            parts.append(f'{len(listed) - 5} further small effects are listed in the report.')
+        for one in listed[:5]:
+            if one.confusable_with:
+                parts.append(f'{one.effect} of {one.joint} could also be '
+                             f'{" or ".join(one.confusable_with)}: {one.tells_apart} would tell.')
+    if result.unexplained is not None:
+        parts.append(f'Something is there that the catalogue does not explain: '
+                     f'{result.unexplained.sentence}')
+    torques = ', '.join(
+        f'{1e3 * before:.3g} -> {1e3 * after:.3g} mN m ({joint}, floor {1e3 * floor:.3g})'
+        for joint, before, after, floor in zip(gap.joints, gap.before, gap.after, gap.floor,
+                                               strict=True))
+    strays = ', '.join(f'{1e3 * before:.3g} -> {1e3 * after:.3g} mrad' for before, after in zip(
+        gap.free_before, gap.free_after, strict=True))
+    parts.append(f'On data held out the residual torque is {torques}, and half a second of free '
+                 f'simulation strays by {strays}.')
+    return ' '.join(parts)

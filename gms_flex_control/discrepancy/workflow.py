@@ -1,0 +1,207 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""From recordings and a model to what the model lacks: check, where, what, add, show."""
+
+from dataclasses import dataclass, field, replace
+import time
+
+from gms_flex_control.discrepancy import judge
+from gms_flex_control.discrepancy.fit import effect_columns, fit, numbers_of
+from gms_flex_control.discrepancy.gap import gap_of, torque_rms
+from gms_flex_control.discrepancy.path import path_of
+from gms_flex_control.discrepancy.problem import Problem
+from gms_flex_control.discrepancy.result import (
+    BAD_DATA,
+    COMPLETE,
+    Discrepancy,
+    Finding,
+    FOUND,
+    Tried,
+    UNEXPLAINED,
+)
+from gms_flex_control.discrepancy.retuned import with_knobs
+from gms_flex_control.discrepancy.search import search
+from gms_flex_control.discrepancy.signature import signature_of
+from gms_flex_control.discrepancy.words import evidence_of, paragraph, tells_apart
+from gms_flex_control.identification.checks import check
+import numpy as np
+
+DETECTED = 1.3        # times the clean level: below, nothing is missing
+EXPLAINED = 0.05      # of what was missing: so little may be left of it
+PARTLY = 0.3          # likewise, where only effects are named that explain most of it
+DOMINANT = 0.5        # share of an effect that explains most
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """
+    How the workflow goes about it.
+
+    Parameters
+    ----------
+    practical : float
+        Torque that matters in practice, as a share of Coulomb friction; smaller effects are
+        listed apart.
+    most : int
+        How many effects may be found.
+    without : tuple of str
+        Effects that are not considered.
+    force : bool
+        Go on where the data are bad.
+    seed : int
+        Of the runs in which nothing is missing.
+
+    """
+
+    practical: float = 0.03
+    most: int = 20
+    without: tuple = field(default=())
+    force: bool = False
+    seed: int = 0
+
+
+_FLOOR = 1.0 / 6.0    # of the practical torque: what rows are measured by
+
+
+def discrepancy(recordings, robot, options=None, *, holdout=(), say=lambda text: None):
+    """
+    Find what a model lacks.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+        Of one robot.
+    robot : RobotParams
+        As believed.
+    options : Options, optional
+        How to go about it.
+    holdout : sequence of Recording
+        Further recordings on which the gap is measured; default the blocks of time held out.
+    say : callable, optional
+        Told what is being done.
+
+    Returns
+    -------
+    Discrepancy
+
+    Raises
+    ------
+    BagError
+        If a recording lacks what the equations need.
+
+    """
+    options, begun = options or Options(), time.monotonic()
+    sources = tuple(recording.source for recording in recordings)
+    say('checking the data')
+    findings = [finding for recording in (*recordings, *holdout)
+                for finding in check(recording, robot)]
+    faults = tuple(finding.text for finding in findings)
+    if any(finding.severity == 'refuse' for finding in findings) and not options.force:
+        return Discrepancy(verdict=BAD_DATA, faults=faults, sources=sources,
+                           seconds=time.monotonic() - begun,
+                           words='The data are at fault, not the model: ' + ' '.join(faults))
+    say('what runs look like in which nothing is missing')
+    problem = Problem([path_of(recording, robot) for recording in recordings], robot,
+                      _FLOOR * options.practical, options.seed)
+    known = len(robot.effects)
+    found = search(problem, most=options.most, without=options.without, say=say)
+    say('judging what was found')
+    found, entries = pruned(problem, found, known)
+    result = _told(problem, found, entries, known, options, holdout, say)
+    return replace(result, faults=faults, sources=sources, seconds=time.monotonic() - begun)
+
+
+def pruned(problem, found, known):
+    """Return the search's end without effects that something else could be, and the Judged."""
+    while True:
+        entries = judge.judged(problem, found, known)
+        weak = [one for one in entries if not judge.stands_alone(one)]
+        if not weak:
+            return found, entries
+        index = min(weak, key=lambda one: one.loss / one.own).index
+        effects = found.model.robot.effects
+        robot = replace(found.model.robot, effects=effects[:index] + effects[index + 1:])
+        knobs = found.columns[:len(problem.knobs)]
+        model = fit(problem, robot, found.model.x, knobs, first=known, iterations=2)
+        own = effect_columns(problem, model.robot, model.x, model.rows,
+                             numbers_of(model.robot.effects, known))
+        found = found._replace(model=model, columns=np.concatenate([knobs, own]))
+
+
+def missing(problem, model):
+    """Return how far a model's cost is above that of a clean run, in units of the latter."""
+    return problem.cost(model.rows, model.x) / (problem.level * problem.fitted.sum()) - 1.0
+
+
+def _told(problem, found, entries, known, options, holdout, say):
+    before, after = missing(problem, found.before), missing(problem, found.model)
+    tried = tuple(Tried(one.spec.name, one.spec.joint, one.gain) for one in found.first)
+    left = after / before if before > DETECTED - 1.0 else 0.0
+    whole = max(before * problem.level * problem.fitted.sum(), 1e-12)
+    if left > EXPLAINED:
+        strong = [one for one in entries if one.loss > DOMINANT * whole]
+        entries = strong if left < PARTLY else []
+    if len(entries) < len(found.model.robot.effects) - known:
+        found = _only(problem, found, known, entries)
+        entries = judge.judged(problem, found, known)
+    say('the gap on data held out')
+    gap = gap_of(_measured_on(problem, holdout), found)
+    findings = [_finding(problem, found, known, one, whole, options) for one in entries]
+    left_over = None
+    if left > EXPLAINED or (before > DETECTED - 1.0 and not findings):
+        left_over = signature_of(problem, found.model, min(max(missing(
+            problem, found.model), 0.0) / max(before, 1e-12), 1.0))
+    main = tuple(finding for finding in findings if finding.main)
+    verdict = FOUND if findings else UNEXPLAINED if left_over else COMPLETE
+    retuned = tuple((knob.name, problem.robot.joints[knob.joint] if knob.joint >= 0 else 'arm',
+                     float(value)) for knob, value in zip(problem.knobs, found.model.x,
+                                                          strict=True))
+    result = Discrepancy(
+        verdict=verdict, findings=main,
+        minor=tuple(finding for finding in findings if not finding.main),
+        unexplained=left_over, gap=gap, tried=tried, retuned=retuned, found=(problem, found),
+        robot=with_knobs(found.model.robot, problem.knobs, found.model.x))
+    return replace(result, words=paragraph(result))
+
+
+def _only(problem, found, known, entries):
+    """Return the search's end with only some effects, all re-tuned."""
+    effects = found.model.robot.effects
+    kept = sorted(one.index for one in entries)
+    robot = replace(found.model.robot, effects=effects[:known] + tuple(
+        effects[i] for i in kept))
+    knobs = found.columns[:len(problem.knobs)]
+    if not kept:
+        return found._replace(model=found.before, columns=knobs)
+    model = fit(problem, robot, found.before.x, knobs, first=known)
+    own = effect_columns(problem, model.robot, model.x, model.rows,
+                         numbers_of(model.robot.effects, known))
+    return found._replace(model=model, columns=np.concatenate([knobs, own]))
+
+
+def _measured_on(problem, holdout):
+    """Return the Problem a gap is measured on."""
+    if not holdout:
+        return problem
+    return problem.of_others([path_of(recording, problem.robot) for recording in holdout])
+
+
+def _finding(problem, found, known, one, whole, options):
+    spec = found.model.robot.effects[one.index]
+    others = judge.rivals(problem, found, one)
+    alike = judge.confusable(spec, others)
+    level = problem.level_of(spec.joint)
+    less = replace(found.model.robot, effects=tuple(
+        entry for i, entry in enumerate(found.model.robot.effects) if i != one.index))
+    return Finding(
+        effect=spec.name, joint=spec.joint,
+        values=judge.values_of(problem, found, known, one.index),
+        main=one.torque >= options.practical * level, torque=one.torque,
+        share=min(one.loss / whole, 1.0), score=one.loss,
+        runner_up=f'{others[0][0]} of {others[0][1]}' if others else None,
+        runner_up_score=others[0][2] * one.loss if others else 0.0,
+        confusable_with=alike, tells_apart=tells_apart(spec.name, alike),
+        evidence=evidence_of(spec, one, others),
+        rms_before=torque_rms(problem, less, found.model.x),
+        rms_after=torque_rms(problem, found.model.robot, found.model.x))
