@@ -10,7 +10,13 @@ import time
 from gms_flex_control.nodes.faults import storm
 from gms_flex_control.nodes.faults.bench import COMMANDS, STATES
 from gms_flex_control.nodes.faults.lost_nodes import torque_of
-from gms_flex_control.nodes.faults.rigs import CONTROLLER, largest_torque, Log, Loop
+from gms_flex_control.nodes.faults.rigs import (
+    CONTROLLER,
+    Diagnostics,
+    largest_torque,
+    Log,
+    Loop,
+)
 import numpy as np
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -97,7 +103,7 @@ def _release(bench, loop):
 
 def try_mismatch(bench, tries, tally):
     """Publish states too weakly for a controller in lockstep, and ask too much of its commands."""
-    controller = bench.start('controller_node', mode='lockstep')
+    controller, diagnostics = bench.start('controller_node', mode='lockstep'), Diagnostics(bench)
     weak = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
     much = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     quiet = SubscriptionEventCallbacks(use_default_callbacks=False)
@@ -117,6 +123,7 @@ def try_mismatch(bench, tries, tally):
             tally.figure(time.monotonic() - begin)
         said = controller.printed().splitlines()[-1]
         tally.expect(topic in said and '/probe' in said, f'a mismatch is told as {said!r}')
+        bench.until(lambda topic=topic: topic in diagnostics.sentence(CONTROLLER), 5.0)
         destroy(end)
         forgotten = time.monotonic() + 1.5
         bench.until(lambda forgotten=forgotten: time.monotonic() > forgotten)
