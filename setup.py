@@ -71,5 +71,8 @@ setup(
             'plant_node = gms_flex_control.nodes.plant_node:main',
             'trajectory_node = gms_flex_control.nodes.trajectory_node:main',
         ],
+        'gms_flex_control.devices': [
+            'serial_example = gms_flex_control.hardware.serial_device:SerialDevice',
+        ],
     },
 )

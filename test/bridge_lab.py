@@ -48,14 +48,14 @@ class Efforts(list):
 
 
 @contextmanager
-def bridge_lab(folder, *, files=(), controller=True, robot=True, **parameters):
+def bridge_lab(folder, *, robot=True, mapping=MAPPING, **parameters):
     """Yield a Lab with robot, bridge, controller and trajectory running, torque not enabled."""
-    mapping = write_parameters(Path(folder) / 'mapping.yaml', MAPPING)
+    mapping = write_parameters(Path(folder) / 'mapping.yaml', mapping)
     with Lab(Path(folder)) as lab:
-        lab.files = [*FILES, CONFIG / 'bridge.yaml', mapping, *files]
+        lab.files = [*FILES, CONFIG / 'bridge.yaml', mapping]
         # a busy machine stops our robot of Python for longer than any real one
         lab.given = {'compensation': 'none', 'bridge__state_timeout': 0.3, **parameters}
-        lab.processes = []
+        lab.processes, lab.clients = [], {}
         if robot:
             start_robot(lab)
         lab.plant = lab.start('plant_node', files=lab.files, **lab.given)
@@ -69,8 +69,7 @@ def bridge_lab(folder, *, files=(), controller=True, robot=True, **parameters):
         lab.node.create_subscription(DiagnosticArray, '/diagnostics', lambda message: [
             lab.reports.append(one) for one in message.status if one.name == 'plant'],
             QoSProfile(depth=100))
-        if controller:
-            start_controller(lab)
+        start_controller(lab)
         try:
             yield lab
         finally:
@@ -94,8 +93,15 @@ def start_controller(lab, name='controller_node'):
 
 
 def ask(lab, name):
-    """Call a Trigger service of the plant; return its answer."""
-    return lab.call(Trigger, f'/plant/{name}')
+    """Call a Trigger service, of the plant if ``name`` says no other; return its answer."""
+    name = name if name.startswith('/') else f'/plant/{name}'
+    client = lab.clients.get(name)  # kept: DDS may lose the answer to one that has just come
+    if client is None:
+        client = lab.clients[name] = lab.node.create_client(Trigger, name)
+    lab.until(client.service_is_ready)
+    future = client.call_async(Trigger.Request())
+    lab.until(future.done)
+    return future.result()
 
 
 def enable(lab):
@@ -120,7 +126,7 @@ def move(lab, condition=lambda: True, tries=10):
         lab.until(lambda: max(map(abs, lab.states[-1].velocity)) < 0.05)
         enable(lab)
         del lab.reports[:]
-        assert lab.call(Trigger, '/trajectory/start').success
+        assert ask(lab, '/trajectory/start').success
         lab.until(lambda: fault_of(lab) or all(lab.efforts.last) and condition())
         if not fault_of(lab):
             return

@@ -51,8 +51,9 @@ class Robot:
         second, first = message.data
         self.torque = [-CONSTANT * GEAR * first, second]
 
-    def step(self, duration, steps=10):
-        """Move."""
+    def step(self, duration):
+        """Move for the time that has passed; a busy machine may have made it long."""
+        steps = max(10, round(duration / 0.0004))
         h = duration / steps
         for _ in range(steps):
             for j in range(2):
@@ -81,13 +82,13 @@ def main():
     node.create_subscription(Float64MultiArray, EFFORTS, robot.obey, 10)
     executor = SingleThreadedExecutor()
     executor.add_node(node)
-    deadline = time.monotonic()
+    last = time.monotonic()
     while True:
-        deadline += period
-        executor.spin_once(timeout_sec=max(0.0, deadline - time.monotonic()))
-        while time.monotonic() < deadline:
-            executor.spin_once(timeout_sec=max(0.0, deadline - time.monotonic()))
-        robot.step(period)
+        while (left := last + period - time.monotonic()) > 0.0:
+            executor.spin_once(timeout_sec=left)
+        now = time.monotonic()
+        robot.step(now - last)
+        last = now
         message = robot.message()
         message.header.stamp = node.get_clock().now().to_msg()
         publisher.publish(message)

@@ -6,12 +6,16 @@
 from functools import partial
 import math
 import signal
+import subprocess
+import sys
+import time
 
 from bridge_lab import (
     ask,
     bridge_lab,
     enable,
     fault,
+    fault_of,
     move,
     report,
     start_controller,
@@ -24,6 +28,7 @@ from std_msgs.msg import Bool
 
 RATE_LIMIT, LIMIT = 5.0, 0.5  # torque_rate [N m/s] and torque [N m] of config/bridge.yaml
 SILENCE_BOUND, STOP_BOUND, STATE_TIMEOUT = 0.1, 0.02, 0.3  # [s]
+BUSY = 0.03  # what a test process beside a storm may be late itself [s]
 
 
 @pytest.fixture(scope='module')
@@ -104,6 +109,23 @@ def test_an_emergency_stop_is_zero_at_once_latched_and_survives_a_new_controller
     assert 'emergency stop by' in ask(lab, 'enable').message and not any(lab.efforts.last)
     lab.button.publish(Bool(data=True))
     lab.until(lambda: 'release the button' in ask(lab, 'reset').message)
+    lab.button.publish(Bool(data=False))
+    lab.until(lambda: ask(lab, 'reset').success)
+
+
+def test_an_emergency_stop_is_heard_in_a_storm_of_commands(lab):
+    storm = subprocess.Popen(
+        [sys.executable, '-m', 'gms_flex_control.nodes.faults.storm', COMMANDS, '30'],
+        env=lab.environment, stdout=subprocess.DEVNULL)
+    try:
+        lab.until(lambda: 'command refused: command for joint 1 is nan' in lab.plant.printed())
+        lab.button.publish(Bool(data=True))
+        begin = time.monotonic()
+        lab.until(lambda: 'emergency stop' in fault_of(lab))
+        assert time.monotonic() - begin < STOP_BOUND + BUSY
+    finally:
+        storm.kill()
+        storm.wait()
     lab.button.publish(Bool(data=False))
     lab.until(lambda: ask(lab, 'reset').success)
 

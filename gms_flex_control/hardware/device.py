@@ -87,6 +87,7 @@ class Device(ABC):
 
 
 def _built_in():
+    """Return the example, which is there in a source tree that is not installed as well."""
     from gms_flex_control.hardware.serial_device import SerialDevice
     return {'serial_example': SerialDevice}
 

@@ -131,10 +131,11 @@ def main():
         deadline = max(deadline + 1.0 / args.rate, time.monotonic() - 0.1)
         wait = max(0.0, deadline - time.monotonic())
         if select.select([sys.stdin], [], [], wait)[0]:
-            line = sys.stdin.readline()
-            if not line:
+            orders = os.read(sys.stdin.fileno(), 4096)  # whole lines, as they are typed
+            if not orders:
                 return 0
-            robot.order(line)
+            for line in orders.decode().splitlines():
+                robot.order(line)
             time.sleep(max(0.0, deadline - time.monotonic()))
         robot.step()
 

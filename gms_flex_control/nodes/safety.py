@@ -10,16 +10,14 @@ from gms_flex_control.nodes.process import NO_EVENTS
 import rclpy
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 _PATIENCE = 1.0            # with the service that lets the reference hold [s]
-# whatever the button publishes with is heard; twice does no harm
-_ANY_BUTTON = (
-    QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT),
-    QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE,
-               durability=DurabilityPolicy.TRANSIENT_LOCAL))
+# reliable, and best effort for a button that offers no more; to hear it twice does no harm
+_ANY_BUTTON = [QoSProfile(depth=1, reliability=policy) for policy in (
+    ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT)]
 
 
 class Safety:

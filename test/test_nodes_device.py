@@ -1,0 +1,80 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""The bridge to a robot without ros2_control: the serial example with its fake robot."""
+
+import json
+import os
+import subprocess
+
+from bridge_lab import ask, bridge_lab, enable, report
+import pytest
+from test_hardware_device import FAKE, order
+
+
+def start_fake(lab):
+    """Start a fake robot and put its line where the bridge looks for it."""
+    fake = subprocess.Popen(FAKE, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    path = fake.stdout.readline().strip()
+    link = lab.folder / 'line.new'
+    link.symlink_to(path)
+    os.replace(link, lab.folder / 'line')
+    lab.processes.append(fake)
+    return fake
+
+
+def figures(lab, said='ACTIVE'):
+    """Return the newest figures of the plant on /diagnostics."""
+    del lab.reports[:]
+    return {one.key: one.value for one in report(lab, said).values}
+
+
+def ask_fake(fake):
+    """Return what the fake robot knows."""
+    order(fake, 'report')
+    return json.loads(fake.stdout.readline())
+
+
+@pytest.fixture(scope='module')
+def lab(tmp_path_factory):
+    """Run bridge, controller and trajectory; the line does not exist yet."""
+    folder = tmp_path_factory.mktemp('device')
+    with bridge_lab(folder, robot=False, silence_timeout=0.3, mapping=f"""
+bridge:
+  device: serial_example
+  device_options: ['port={folder}/line', 'names=joint1,joint2,joint1_motor,joint2_motor']
+""") as running:
+        yield running
+        assert running.plant.runs and 'Traceback' not in running.plant.printed()
+
+
+def test_a_robot_at_a_line_that_comes_later_is_held_and_survives_lost_bytes(lab):
+    lab.until(lambda: 'cannot be opened' in lab.plant.printed())
+    assert 'no joint states from device serial_example yet' in ask(lab, 'enable').message
+    fake = start_fake(lab)
+    lab.until(lambda: lab.states)
+    enable(lab)
+    assert ask(lab, '/trajectory/start').success
+    lab.until(lambda: any(ask_fake(fake)['torque']))
+    order(fake, 'drop 7')
+    ask_fake(fake)
+    order(fake, 'corrupt 4')
+    lab.until(lambda: int(figures(lab, '')['frames broken']) >= 3)
+    assert ask_fake(fake)['frames'] > 20
+    lab.fake = fake
+
+
+def test_a_line_that_dies_is_a_fault_and_a_new_one_is_taken_up_after_a_reset(lab):
+    ask(lab, 'reset')
+    enable(lab)
+    order(lab.fake, 'die')
+    lab.fake.wait()
+    report(lab, 'FAULT: device serial_example')
+    assert not ask(lab, 'enable').success
+    fake = start_fake(lab)
+    lab.until(lambda: lab.plant.printed().count('is connected') == 2)
+    assert ask(lab, 'reset').success
+    enable(lab)
+    assert lab.plant.signal(2) == 0
+    lab.until(lambda: not any(ask_fake(fake)['torque']))
+    lab.plant = lab.start('plant_node.new', files=lab.files, **lab.given)
