@@ -1,0 +1,145 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""`gms_flex discrepancy`: what a model lacks, named, added and shown on data held out."""
+
+from pathlib import Path
+
+_WIDTH = 96
+
+
+def add_parser(subparsers):
+    """Add the verb to the command line."""
+    parser = subparsers.add_parser(
+        'discrepancy', help='find what a model lacks, name it, add it, show the gap shrink',
+        description='Compare a model with bags of its robot, recorded or simulated; name the '
+                    'physical effects it lacks, write them into DIR/robot.yaml, and show on data '
+                    'held out how much closer it came: report.json, report.html, pictures. Exit '
+                    'codes: 0 nothing is missing, 1 effects were found or something is '
+                    'unexplained, 2 the data or the input are bad.')
+    parser.add_argument('bags', nargs='+', metavar='BAG', help='bags of one robot')
+    parser.add_argument('--robot', metavar='FILE', nargs='+', required=True,
+                        help='the model one believes in, later files winning')
+    parser.add_argument('--out', required=True, metavar='DIR', help='folder for the results')
+    parser.add_argument('--holdout', nargs='+', default=[], metavar='BAG',
+                        help='bags on which the gap is measured; default: every fourth block '
+                             'of 2 s')
+    parser.add_argument('--max-effects', type=int, metavar='N',
+                        help='how many effects may be added (default: as many as help)')
+    parser.add_argument('--without', nargs='+', default=[], metavar='EFFECT',
+                        help='effects of the catalogue that are not considered')
+    parser.add_argument('--practical', type=float, metavar='SHARE',
+                        help='torque that matters in practice, as a share of Coulomb friction '
+                             '(default: 0.03); smaller effects are listed apart')
+    parser.add_argument('--models', nargs='+', default=[], metavar='FILE',
+                        help='further models of the robot to compare on the same bags')
+    parser.add_argument('--force', action='store_true',
+                        help='go on in spite of faults in the data')
+    parser.add_argument('--json', action='store_true', help='print report.json instead of text')
+    parser.set_defaults(run=run)
+
+
+def run(args):
+    """Compare, write and print; return the exit code of the verdict."""
+    from gms_flex_control.cli.identify import read_take
+    from gms_flex_control.discrepancy.workflow import discrepancy
+    from gms_flex_control.reports.model_comparison import compare
+    from gms_flex_control.schema.files import load_robot
+
+    out, options = Path(args.out), options_of(args)
+    refuse_out(out, args)
+    robot = load_robot(args.robot)
+    others = models_of(args, robot)
+    takes, holdout = ([read_take(path, robot)[0] for path in paths]
+                      for paths in (args.bags, args.holdout))
+    result = discrepancy(takes, robot, options, holdout=holdout, say=progress(args))
+    compared = ()
+    if others and result.found is not None:
+        compared = compare(result, [('as given', robot), ('with what was found', result.robot),
+                                    *others], holdout)
+    return written(result, compared, args)
+
+
+def written(result, compared, args):
+    """Write all files, print the words or the report; return the exit code."""
+    import sys
+    from textwrap import fill
+
+    from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE
+    from gms_flex_control.reports import discrepancy_values as files
+    from gms_flex_control.reports.model_comparison import comparison_text
+
+    out = Path(args.out)
+    values = files.report_values(result, holdout=args.holdout, models=compared)
+    if result.robot is not None:
+        files.write_robot(result, out / 'robot.yaml')
+    elif (out / 'report.json').exists():
+        (out / 'robot.yaml').unlink(missing_ok=True)  # of an earlier run: no longer true
+    files.write_report_values(values, out / 'report.json')
+    bad = result.verdict == BAD_DATA
+    if args.json:
+        print(files.as_json(values))
+    else:
+        stream = sys.stderr if bad else sys.stdout
+        print(fill(f'gms_flex discrepancy: {result.words}' if bad else result.words, _WIDTH),
+              file=stream)
+    if not args.json and not bad:
+        if compared:
+            print(f'\n{comparison_text(compared, result.gap.joints)}')
+        print(f'\nmodel   {out / "robot.yaml"}\n'
+              f'numbers {out / "report.json"}')
+    return 2 if bad else int(result.verdict != COMPLETE)
+
+
+def options_of(args):
+    """Return the Options that the arguments ask for."""
+    from gms_flex_control.discrepancy.workflow import Options
+    from gms_flex_control.effects.registry import find
+    from gms_flex_control.errors import ConfigError
+    chosen = {'force': args.force, 'without': tuple(args.without)}
+    for name in args.without:
+        find(name)
+    if args.max_effects is not None:
+        if args.max_effects < 1:
+            raise ConfigError(f'--max-effects {args.max_effects}: at least one is needed')
+        chosen['most'] = args.max_effects
+    if args.practical is not None:
+        if not 0.0 < args.practical < 1.0:
+            raise ConfigError(f'--practical {args.practical:g}: give a share of Coulomb friction '
+                              'above 0 and below 1')
+        chosen['practical'] = args.practical
+    return Options(**chosen)
+
+
+def refuse_out(out, args):
+    """Raise ConfigError if the results cannot go to ``out``."""
+    from gms_flex_control.cli.identify import refuse_file
+    from gms_flex_control.errors import ConfigError
+    refuse_file(out)
+    target = (out / 'robot.yaml').resolve()
+    for file in (*args.robot, *args.models):
+        if Path(file).resolve() == target:
+            raise ConfigError(f'{file} would be overwritten by the model that is found; name '
+                              'another folder as --out')
+
+
+def models_of(args, robot):
+    """Return name and model of each file of --models."""
+    from gms_flex_control.errors import ConfigError
+    from gms_flex_control.schema.files import load_robot
+    models = []
+    for file in args.models:
+        model = load_robot(file)
+        if model.joints != robot.joints or tuple(model.arm.rigid) != tuple(robot.arm.rigid):
+            raise ConfigError(f'{file}: its joints {", ".join(model.joints)}, flexible or rigid, '
+                              f'are not those of --robot ({", ".join(robot.joints)})')
+        models.append((str(file), model))
+    return models
+
+
+def progress(args):
+    """Return what tells progress: on a terminal only, and beside the results."""
+    import sys
+    if args.json or not sys.stderr.isatty():
+        return lambda text: None
+    return lambda text: print(f'  {text} ...', file=sys.stderr, flush=True)

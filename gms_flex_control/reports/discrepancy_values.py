@@ -1,0 +1,141 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Files for machines of a discrepancy: report.json, and robot.yaml with what was found."""
+
+import json
+import math
+from textwrap import wrap
+
+from gms_flex_control import __version__
+from gms_flex_control.discrepancy.words import named
+from gms_flex_control.files import write_text
+from gms_flex_control.schema.files import save_robot
+import numpy as np
+
+REPORT_FORMAT = 1
+_COMMENT_WIDTH = 90
+_LEAST = 1e-4     # change of a known parameter that is told
+_TORQUES = ('before', 'retuned', 'after', 'floor')
+_STRAYS = ('free_before', 'free_after', 'free_floor')
+
+
+def report_values(result, *, holdout=(), models=()):
+    """
+    Return a Discrepancy as plain data, without the search behind it.
+
+    Parameters
+    ----------
+    result : Discrepancy
+        To be told.
+    holdout : sequence of str
+        Recordings the gap was measured on, if not on blocks held out.
+    models : sequence of Compared
+        Models compared beside it.
+
+    Returns
+    -------
+    dict
+        Of str, int, float, bool, None, list and dict; a number that is not finite is None.
+        SI units: torques in N m, strays of free runs in rad.
+
+    """
+    joints = result.gap.joints if result.gap is not None else ()
+    return plain({
+        'format': REPORT_FORMAT, 'version': __version__, 'verdict': result.verdict,
+        'words': result.words, 'sources': result.sources, 'holdout': holdout,
+        'seconds': result.seconds, 'faults': result.faults,
+        'findings': [finding_values(finding, joints) for finding in result.findings],
+        'minor': [finding_values(finding, joints) for finding in result.minor],
+        'unexplained': result.unexplained._asdict() if result.unexplained else None,
+        'gap': gap_values(result.gap) if result.gap is not None else None,
+        'retuned': [{'parameter': name, 'joint': joint, 'change': change}
+                    for name, joint, change in result.retuned],
+        'tried': [one._asdict() for one in result.tried],
+        'models': [model_values(model, joints) for model in models]})
+
+
+def finding_values(finding, joints):
+    """Return a Finding as a dict, residuals by the names of ``joints``."""
+    return {
+        'effect': finding.effect, 'joint': finding.joint,
+        'parameters': {value.name: {'value': value.value, 'unit': value.unit, 'low': value.low,
+                                    'high': value.high} for value in finding.values},
+        'score': finding.score, 'share': finding.share, 'torque': finding.torque,
+        'evidence': finding.evidence, 'runner_up': finding.runner_up,
+        'runner_up_score': finding.runner_up_score,
+        'confusable_with': finding.confusable_with, 'tells_apart': finding.tells_apart,
+        'rms_before': by_joint(joints, finding.rms_before),
+        'rms_after': by_joint(joints, finding.rms_after)}
+
+
+def gap_values(gap):
+    """Return a Gap as a dict, each figure by joint."""
+    return {name: by_joint(gap.joints, getattr(gap, name)) for name in (*_TORQUES, *_STRAYS)} | {
+        'energy_ratio': gap.energy_ratio}
+
+
+def model_values(model, joints):
+    """Return a Compared as a dict, each figure by joint."""
+    return {'model': model.name, 'missing': model.missing,
+            'missing_retuned': model.missing_retuned} | {
+        name: by_joint(joints, getattr(model, name))
+        for name in ('torque', 'torque_retuned', 'free_run', 'free_run_retuned')}
+
+
+def by_joint(joints, values):
+    """Return values (n,) by the names of joints."""
+    return {joint: float(value) for joint, value in zip(joints, values, strict=True)}
+
+
+def plain(value):
+    """Return data as JSON knows it: no tuples, no numpy, None for what is not finite."""
+    if isinstance(value, dict):
+        return {key: plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple, np.ndarray)):
+        return [plain(item) for item in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def as_json(values):
+    """Return plain data as strict JSON text."""
+    return json.dumps(values, indent=2, allow_nan=False, ensure_ascii=False)
+
+
+def write_report_values(values, path):
+    """Write `report_values` to ``path``, whole or not at all."""
+    write_text(path, as_json(values) + '\n')
+
+
+def write_robot(result, path):
+    """
+    Write the robot with what was found: a ROS parameter file for nodes and tools.
+
+    Parameters
+    ----------
+    result : Discrepancy
+        With a robot.
+    path : str or Path
+        Where to.
+
+    """
+    save_robot(result.robot, path, comment=_comment(result))
+
+
+def _comment(result):
+    lines = [f'What gms_flex discrepancy {__version__} made of a robot file and of '
+             f'{", ".join(result.sources)}.', f'Verdict: {result.verdict}.']
+    for heading, findings in (('Effects that were missing', result.findings),
+                              ('Small effects', result.minor)):
+        if findings:
+            lines.append(f'{heading}: ' + '; '.join(named(one) for one in findings) + '.')
+    changes = [f'{name} of {joint} {100.0 * change:+.2f} %'
+               for name, joint, change in result.retuned if abs(change) >= _LEAST]
+    if changes:
+        lines.append('Known parameters re-tuned within their doubt: ' + ', '.join(changes) + '.')
+    return '\n'.join(part for line in lines for part in wrap(
+        line, _COMMENT_WIDTH, subsequent_indent='    '))

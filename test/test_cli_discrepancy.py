@@ -1,0 +1,159 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""`gms_flex discrepancy`: the installed verb from bag to files, and what it refuses."""
+
+from dataclasses import replace
+import json
+import subprocess
+
+from gms_flex_control.bags.experiment import write_recording
+from gms_flex_control.cli.hide import write_case
+from gms_flex_control.cli.main import main
+from gms_flex_control.experiment.processes import executable
+from gms_flex_control.hidden.cases import make_case
+from gms_flex_control.schema.files import load_robot
+import pytest
+
+DURATION = 20.0
+
+
+def refused_number(text):
+    """Fail: strict JSON has no such number."""
+    raise AssertionError(f'{text} in JSON')
+
+
+def read_json(text):
+    """Return strict JSON."""
+    return json.loads(text, parse_constant=refused_number)
+
+
+@pytest.fixture(scope='module')
+def case():
+    """Return a robot with backlash nobody knows of, driven for 20 s."""
+    return make_case('single', 3, effect='backlash', plant='soft', duration=DURATION)
+
+
+@pytest.fixture(scope='module')
+def folder(case, tmp_path_factory):
+    """Return the folder of its bag and robot file."""
+    path = tmp_path_factory.mktemp('hidden') / 'case'
+    write_case(case, path)
+    return path
+
+
+@pytest.fixture(scope='module')
+def outcome(folder):
+    """Return the finished process of the verb on it; its results are in ``folder``/out."""
+    return subprocess.run(
+        [*executable('gms_flex'), 'discrepancy', folder / 'bag', '--robot', folder / 'robot.yaml',
+         '--out', folder / 'out', '--holdout', folder / 'held_out',
+         '--models', folder / 'robot.yaml'], capture_output=True, text=True, timeout=300)
+
+
+@pytest.fixture(scope='module')
+def report(folder, outcome):
+    """Return its report.json."""
+    assert outcome.returncode == 1, outcome.stderr
+    return read_json((folder / 'out' / 'report.json').read_text(encoding='utf-8'))
+
+
+def test_the_hidden_effect_is_named_with_its_size(case, report):
+    truth, = case.truth.effects
+    found = report['findings'][0]
+    assert report['verdict'] == 'effects_found'
+    assert (found['effect'], found['joint']) == ('backlash', truth.joint)
+    gap = found['parameters']['half_gap']
+    assert gap['unit'] == 'rad' and gap['low'] < gap['value'] < gap['high']
+    assert gap['value'] == pytest.approx(truth.values[0], rel=0.02)
+    assert found['rms_after'][truth.joint] < 0.5 * found['rms_before'][truth.joint]
+    assert found['evidence'] and found['runner_up'] and found['score'] > 0.0
+
+
+def test_the_gap_shrinks_on_the_other_motion(case, report):
+    joint = case.truth.effects[0].joint
+    gap = report['gap']
+    assert report['holdout'] and set(gap['floor']) == set(case.nominal.joints)
+    assert gap['after'][joint] < 0.5 * gap['retuned'][joint] < gap['before'][joint]
+    assert gap['free_after'][joint] < 0.5 * gap['free_before'][joint]
+
+
+def test_the_model_written_has_the_effect_and_loads(case, folder, report):
+    robot = load_robot(folder / 'out' / 'robot.yaml')
+    spec, = robot.effects
+    assert (spec.name, spec.joint) == ('backlash', case.truth.effects[0].joint)
+    assert spec.values[0] == report['findings'][0]['parameters']['half_gap']['value']
+    knob = next(one for one in report['retuned'] if one['parameter'] == 'motor_inertia')
+    j = robot.joints.index(knob['joint'])
+    assert robot.arm.motor_inertia[j] == pytest.approx(
+        case.nominal.arm.motor_inertia[j] * (1.0 + knob['change']))
+
+
+def test_the_terminal_has_one_paragraph_and_no_progress(outcome, report):
+    words = outcome.stdout.split('\n\n')[0]
+    assert ' '.join(words.split()) == report['words']
+    assert max(map(len, words.splitlines())) < 99
+    assert outcome.stderr == ''
+
+
+def test_models_are_compared_by_one_yardstick(outcome, report, folder):
+    given, found, same = report['models']
+    assert [one['model'] for one in (given, found)] == ['as given', 'with what was found']
+    assert same == {**given, 'model': str(folder / 'robot.yaml')}
+    assert found['missing'] < 0.3 < given['missing_retuned'] < given['missing']
+    assert given['torque'] == pytest.approx(report['gap']['before'])
+    assert f'{folder / "robot.yaml"}: missing' in outcome.stdout
+
+
+def run(folder, *arguments, robot=None):
+    """Run the verb here, results into ``folder``/out; return the exit code."""
+    return main(['discrepancy', *map(str, arguments), '--out', str(folder / 'out'), '--robot',
+                 str(robot or folder / 'robot.yaml')])
+
+
+@pytest.fixture
+def reversed_torque(case, tmp_path):
+    """Return a bag with the torque the wrong way round."""
+    wrong = replace(case.recording, tau_motor=-case.recording.tau_motor,
+                    command=-case.recording.command)
+    write_recording(tmp_path / 'bag', wrong, case.nominal.motors)
+    return tmp_path / 'bag'
+
+
+def test_bad_data_are_named_and_end_the_run(folder, tmp_path, capsys, reversed_torque):
+    (tmp_path / 'out').mkdir()
+    for name in ('robot.yaml', 'report.json'):
+        (tmp_path / 'out' / name).write_text('of an earlier run')
+    assert run(tmp_path, reversed_torque, robot=folder / 'robot.yaml') == 2
+    printed = capsys.readouterr()
+    assert printed.out == '' and 'wrong sign' in ' '.join(printed.err.split())
+    report = read_json((tmp_path / 'out' / 'report.json').read_text(encoding='utf-8'))
+    assert report['verdict'] == 'bad_data' and report['gap'] is None
+    assert any('wrong sign' in fault for fault in report['faults'])
+    assert not (tmp_path / 'out' / 'robot.yaml').exists()
+
+
+def test_json_is_printed_and_nothing_else(folder, tmp_path, capsys, reversed_torque):
+    assert run(tmp_path, reversed_torque, '--json', robot=folder / 'robot.yaml') == 2
+    printed = capsys.readouterr()
+    assert read_json(printed.out)['verdict'] == 'bad_data' and printed.err == ''
+
+
+@pytest.mark.parametrize(('arguments', 'words'), [
+    (['--without', 'backlsh'], "did you mean 'backlash'"),
+    (['--max-effects', '0'], '--max-effects 0: at least one'),
+    (['--practical', '3'], '--practical 3: give a share')])
+def test_a_wrong_option_is_refused_before_anything_is_read(tmp_path, folder, capsys, arguments,
+                                                           words):
+    assert run(tmp_path, tmp_path / 'none', *arguments, robot=folder / 'robot.yaml') == 2
+    error = capsys.readouterr().err
+    assert error.startswith('gms_flex discrepancy: ') and error.count('\n') == 1
+    assert words in error and not (tmp_path / 'out').exists()
+
+
+def test_the_model_one_believes_in_is_not_overwritten(folder, capsys):
+    before = (folder / 'robot.yaml').read_bytes()
+    assert main(['discrepancy', str(folder / 'bag'), '--robot', str(folder / 'robot.yaml'),
+                 '--out', str(folder)]) == 2
+    assert 'would be overwritten' in capsys.readouterr().err
+    assert (folder / 'robot.yaml').read_bytes() == before
