@@ -12,6 +12,7 @@ import time
 
 from bridge_lab import (
     ask,
+    assert_fault_within,
     bridge_lab,
     enable,
     fault,
@@ -19,6 +20,7 @@ from bridge_lab import (
     move,
     report,
     start_controller,
+    time_to_zero,
 )
 from node_harness import array_message, COMMANDS, Float64MultiArray, Trigger
 import numpy as np
@@ -28,6 +30,7 @@ from std_msgs.msg import Bool
 
 RATE_LIMIT, LIMIT = 5.0, 0.5  # torque_rate [N m/s] and torque [N m] of config/bridge.yaml
 SILENCE_BOUND, STOP_BOUND, STATE_TIMEOUT = 0.1, 0.02, 0.3  # [s]
+GUARDED = 0.15  # the guardian waits for 50 ms [s]
 BUSY = 0.03  # what a test process beside a storm may be late itself [s]
 
 
@@ -80,7 +83,7 @@ def test_a_frozen_controller_is_zero_torque_and_a_fault_that_says_how_long(lab):
         freeze, thaw = (partial(lab.controller.process.send_signal, number)
                         for number in (signal.SIGSTOP, signal.SIGCONT))
         try:
-            assert fault(lab, freeze, f'FAULT: {name}', thaw) < SILENCE_BOUND
+            assert_fault_within(SILENCE_BOUND, lab, freeze, f'FAULT: {name}', undo=thaw)
             assert not ask(lab, 'enable').success
         finally:
             thaw()
@@ -89,17 +92,19 @@ def test_a_frozen_controller_is_zero_torque_and_a_fault_that_says_how_long(lab):
 
 
 def test_a_killed_controller_is_zero_torque_and_a_new_one_takes_over_after_a_reset(lab):
-    assert fault(lab, lab.controller.kill, 'FAULT: no command from', tries=1) < SILENCE_BOUND
+    kill = partial(lab.controller.process.send_signal, signal.SIGKILL)
+    assert fault(lab, kill, 'FAULT: no command from', tries=1) < SILENCE_BOUND
     assert 'no command from' in ask(lab, 'reset').message + ask(lab, 'enable').message
     start_controller(lab, 'controller_node.second')
     move(lab)
 
 
 def test_an_emergency_stop_is_zero_at_once_latched_and_survives_a_new_controller(lab):
+    release = partial(lab.button.publish, Bool(data=False))
     press = (lambda: lab.button.publish(Bool(data=True)), lambda: lab.stop(Trigger.Request()))
     for way in press:
-        assert fault(lab, way, 'FAULT: emergency stop by') < STOP_BOUND
-        lab.button.publish(Bool(data=False))
+        assert_fault_within(STOP_BOUND, lab, way, 'FAULT: emergency stop by', undo=release)
+        release()
         lab.more(lab.states, 10)
         assert 'emergency stop by' in ask(lab, 'enable').message  # latched
     lab.controller.kill()
@@ -137,8 +142,9 @@ def test_two_controllers_are_zero_torque_and_both_are_named(lab):
     def command():
         for _ in range(5):  # what is lost on the way does not count
             rival.publish(array_message((0.1, 0.1), 'source:/rival#1'))
-    assert fault(lab, command, 'FAULT: 2 controllers command at once: /cascade_controller#'
-                 f'{lab.controller.process.pid} and /rival#1') < SILENCE_BOUND
+    assert_fault_within(
+        SILENCE_BOUND, lab, command, 'FAULT: 2 controllers command at once: '
+        f'/cascade_controller#{lab.controller.process.pid} and /rival#1')
 
 
 @pytest.mark.parametrize('wrong, said', [
@@ -161,10 +167,10 @@ def test_a_robot_that_stops_speaking_is_zero_torque(lab):
     freeze, thaw = (partial(lab.robot.send_signal, number)
                     for number in (signal.SIGSTOP, signal.SIGCONT))
     try:
-        taken = fault(lab, freeze, 'FAULT: no new joint states for ', thaw)
+        assert_fault_within(STATE_TIMEOUT + SILENCE_BOUND, lab, freeze,
+                            'FAULT: no new joint states for ', undo=thaw)
     finally:
         thaw()
-    assert taken < STATE_TIMEOUT + SILENCE_BOUND
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
@@ -177,3 +183,26 @@ def test_the_last_word_is_zero(lab, number):
     lab.plant = lab.start(f'plant_node.{number}', files=lab.files, **lab.given)
     lab.until(lambda: 'ZERO' in lab.plant.printed())
     lab.stop = lab.node.create_client(Trigger, '/plant/emergency_stop').call_async
+
+
+def test_a_frozen_bridge_leaves_zero_and_stops_when_it_is_back(lab):
+    lab.until(lambda: any(one.key == 'guardian' and one.value == 'watches'
+                          for report in lab.reports[-1:] for one in report.values))
+    move(lab)
+    begin = time.monotonic()
+    lab.plant.process.send_signal(signal.SIGSTOP)
+    try:
+        assert time_to_zero(lab, begin) < GUARDED
+    finally:
+        lab.plant.process.send_signal(signal.SIGCONT)
+    report(lab, 'FAULT: no ')
+
+
+def test_a_killed_bridge_leaves_zero(lab):
+    move(lab)
+    begin = time.monotonic()
+    lab.plant.process.send_signal(signal.SIGKILL)
+    assert time_to_zero(lab, begin) < GUARDED
+    lab.plant.kill()
+    lab.plant = lab.start('plant_node.last', files=lab.files, **lab.given)
+    lab.until(lambda: 'ZERO' in lab.plant.printed())

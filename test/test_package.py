@@ -60,7 +60,8 @@ def test_every_requirement_is_locked():
     assert wanted <= locked, f'run make lock: {sorted(wanted - locked)} missing'
 
 
-def test_the_launch_file_starts_the_installed_executables(monkeypatch):
+@pytest.mark.parametrize('name, own', [('closed_loop', 'mode'), ('bridge', 'bridge_file')])
+def test_the_launch_file_starts_the_installed_executables(monkeypatch, name, own):
     """Run the launch file on stand-ins, the launch library being no Python package."""
     started, declared = [], []
     stand_in = {name: MagicMock() for name in (
@@ -70,10 +71,10 @@ def test_the_launch_file_starts_the_installed_executables(monkeypatch):
         **kwargs))
     stand_in['launch.actions'].DeclareLaunchArgument = (
         lambda name, **kwargs: declared.append(name))
-    for name, module in stand_in.items():
-        monkeypatch.setitem(sys.modules, name, module)
-    path = ROOT / 'launch' / 'closed_loop.launch.py'
-    spec = util.spec_from_file_location('closed_loop', path)
+    for stood_for, module in stand_in.items():
+        monkeypatch.setitem(sys.modules, stood_for, module)
+    path = ROOT / 'launch' / f'{name}.launch.py'
+    spec = util.spec_from_file_location(name, path)
     module = util.module_from_spec(spec)
     spec.loader.exec_module(module)
     module.generate_launch_description()
@@ -81,7 +82,7 @@ def test_the_launch_file_starts_the_installed_executables(monkeypatch):
         'plant_node', 'controller_node', 'trajectory_node']
     assert all(node.package == 'gms_flex_control' and node.executable in SCRIPTS
                and len(node.parameters) >= 2 for node in started)
-    assert declared == ['robot_file', 'controller_file', 'trajectory_file', 'mode']
+    assert sorted(declared) == sorted(['robot_file', 'controller_file', 'trajectory_file', own])
 
 
 def test_parameter_files_are_found_in_the_source_tree():

@@ -17,6 +17,7 @@ from gms_flex_control.hardware.supervisor import Supervisor
 import numpy as np
 
 _KEPT_STATES = 64          # published states that a command may answer
+_NO_COMMAND = 'no command from'
 _LONGEST_RAMP = 0.05       # a torque never rises for longer than that at once [s]
 
 
@@ -234,9 +235,8 @@ class Bridge:
         """
         if not self.supervisor.active:
             return False
-        sentence = self._silent_robot(now)
-        if not sentence:
-            sentence = self._silent_for = self._silent_controller(now)
+        sentence = self._silent_robot(now) or self._silent_controller(now)
+        self._silent_for = sentence if sentence.startswith(_NO_COMMAND) else ''
         return bool(sentence) and self.fault(sentence)
 
     def _silent_robot(self, now):
@@ -262,14 +262,14 @@ class Bridge:
         if now - self._arrived > 0.5 * (now - spoken):  # nothing to be answered
             return self._about_robot(now)
         said = f'; refused last: {self._refused_command}' if self._refused_command else ''
-        return (f'no command from {self.watch_commands.name} for '
+        return (f'{_NO_COMMAND} {self.watch_commands.name} for '
                 f'{(now - spoken) / 1e6:.0f} ms{said}')
 
     def _end_silence(self, now):
         """Say how long the silence was that was the fault, once it is over."""
         if self._silent_for and self.supervisor.reason == self._silent_for:
             silence = self.watch_commands.silence(now)
-            self.supervisor.amend(f'no command from {self.watch_commands.name} for '
+            self.supervisor.amend(f'{_NO_COMMAND} {self.watch_commands.name} for '
                                   f'{(silence or 0) / 1e6:.0f} ms; they come again')
         self._silent_for = ''
 
@@ -284,7 +284,7 @@ class Bridge:
         if silence is None:
             return 'no controller commands yet'
         if silence > self.params.silence_timeout * NANOSECONDS:
-            return f'no command from {self.watch_commands.name} for {silence / 1e6:.0f} ms'
+            return f'{_NO_COMMAND} {self.watch_commands.name} for {silence / 1e6:.0f} ms'
         return ''
 
     def enable(self, now):

@@ -185,6 +185,7 @@ class BridgedRobot:
                 if background.error is not None:
                     raise background.error
                 self._look()
+                self._link.beat()
                 time.sleep(_WATCH_PERIOD)
 
     def _look(self):

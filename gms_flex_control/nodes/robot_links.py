@@ -10,6 +10,7 @@ from gms_flex_control.errors import ConfigError
 from gms_flex_control.hardware import device as devices
 from gms_flex_control.hardware.device import DeviceError
 from gms_flex_control.nodes import messages, process
+from gms_flex_control.nodes.guardian import Guardian
 from rclpy.duration import Duration
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
@@ -55,6 +56,12 @@ class TopicLink:
             self._joint_pub = node.create_publisher(
                 JointState, values['bridge.joint_command_topic'], _NEWEST)
         self._array, self._joint = Float64MultiArray(), JointState(name=list(names))
+        self._guardian = None
+        if values['bridge.guardian']:
+            self._guardian = Guardian(
+                f'{node.get_name()}_guardian', *(publisher.topic_name if publisher else ''
+                                                 for publisher in (self._array_pub,
+                                                                   self._joint_pub)), names)
 
     def _refuse_own_topics(self, values):
         taken = {self._node.resolve_topic_name(name): name
@@ -87,6 +94,11 @@ class TopicLink:
             messages.set_stamp(self._joint.header.stamp, time.time_ns())
             self._joint_pub.publish(self._joint)
 
+    def beat(self):
+        """Tell the guardian that the bridge lives."""
+        if self._guardian is not None:
+            self._guardian.beat()
+
     def __enter__(self):
         return self
 
@@ -97,11 +109,15 @@ class TopicLink:
         """Wait until those who acknowledge have the last efforts."""
         for publisher in filter(None, (self._array_pub, self._joint_pub)):
             publisher.wait_for_all_acked(_LONGEST_GOODBYE)
+        if self._guardian is not None:
+            self._guardian.end()
 
     def figures(self):
         """Return what to report."""
         publisher = self._array_pub or self._joint_pub
-        return {'listeners of the efforts': publisher.get_subscription_count()}
+        guarded = self._guardian is not None and self._guardian.alive
+        return {'listeners of the efforts': publisher.get_subscription_count(),
+                'guardian': 'watches' if guarded else 'none'}
 
 
 class DeviceLink:
@@ -159,6 +175,9 @@ class DeviceLink:
             raise
         except Exception as error:  # noqa: B902  of a library we do not know
             raise DeviceError(f'device {self._name} failed to write: {error!r}') from error
+
+    def beat(self):
+        """Do nothing: a device ends its torque by itself."""
 
     def __enter__(self):
         self._thread.start()

@@ -64,6 +64,8 @@ def bridge_keys(joints):
             'not send', 'Hz', 50.0, 0.1, 1e4),
         Key(prefix + 'hold_service', 'string', 'called by ~/enable so that the reference begins '
             "where the robot is; '' for none", default='trajectory/reset'),
+        Key(prefix + 'guardian', 'boolean', 'start a process that sends zero efforts when the '
+            'bridge dies or freezes', default=True),
         Key(prefix + 'device', 'string', 'entry point of a robot without ros2_control; then the '
             'topics above are not used', default=''),
         Key(prefix + 'device_options', 'string_array', 'for the device, each name=value',

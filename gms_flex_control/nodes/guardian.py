@@ -1,0 +1,116 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""
+A process beside the bridge that sends zero efforts when the bridge dies or freezes.
+
+ros2_control's effort controllers hold the last effort for ever; nobody else would take it back.
+The bridge writes to a pipe while it lives. The guardian publishes nothing until that ends.
+"""
+
+import json
+import os
+import select
+import signal
+import subprocess
+import sys
+import time
+
+from gms_flex_control.nodes.transport import avoid_shared_memory
+import rclpy
+from rclpy.qos import QoSProfile
+from rclpy.signals import SignalHandlerOptions
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+
+SILENCE = 0.05             # of the bridge that is taken for its end [s]
+_BEAT, _END = b'.', b'q'
+_PERIOD = 0.005            # between zeros [s]
+_AFTERWARDS = 0.5          # zeros for a dead bridge last so long; a new one may come [s]
+
+
+class Guardian:
+    """
+    The bridge's side: start the process, and tell it that the bridge lives.
+
+    Parameters
+    ----------
+    name : str
+        Of its node.
+    array, joint : str
+        Topics of the efforts as Float64MultiArray and as JointState; '' for none.
+    names : sequence of str
+        Of the actuators.
+
+    """
+
+    def __init__(self, name, array, joint, names):
+        self._process = subprocess.Popen(
+            [sys.executable, '-m', __name__, json.dumps([name, array, joint, list(names)])],
+            stdin=subprocess.PIPE, bufsize=0, start_new_session=True)
+        os.set_blocking(self._process.stdin.fileno(), False)
+
+    @property
+    def alive(self):
+        """Return whether it watches."""
+        return self._process.poll() is None
+
+    def beat(self):
+        """Say that the bridge lives; to be called at least every 20 ms."""
+        self._write(_BEAT)
+
+    def _write(self, data):
+        try:
+            self._process.stdin.write(data)
+        except OSError:
+            pass  # it is dead, which `alive` tells, or frozen with a full pipe
+
+    def end(self):
+        """Let it go without a word, the bridge having said the last one."""
+        self._write(_END)
+        self._process.stdin.close()
+        try:
+            self._process.wait(timeout=1.0)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+
+def _publishers(node, array, joint, names):
+    """Return callables that publish zero."""
+    found = []
+    for topic, message in ((array, Float64MultiArray(data=[0.0] * len(names))),
+                           (joint, JointState(name=names, effort=[0.0] * len(names)))):
+        if topic:
+            publisher = node.create_publisher(type(message), topic, QoSProfile(depth=1))
+            found.append(lambda publisher=publisher, message=message: publisher.publish(message))
+    return found
+
+
+def main():
+    """Watch the standard input until it says that the bridge has ended in order."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)  # the bridge ends first
+    name, array, joint, names = json.loads(sys.argv[1])
+    avoid_shared_memory()
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    node = rclpy.create_node(name, enable_rosout=False, start_parameter_services=False)
+    publish = _publishers(node, array, joint, names)
+    heard, dead = time.monotonic(), None
+    while dead is None or time.monotonic() < dead + _AFTERWARDS:
+        if dead is None and select.select([sys.stdin], [], [], _PERIOD)[0]:
+            data = os.read(sys.stdin.fileno(), 65536)
+            if _END in data:
+                break
+            heard, dead = time.monotonic(), None if data else time.monotonic()
+        elif dead is not None:
+            time.sleep(_PERIOD)
+        if dead is not None or time.monotonic() - heard > SILENCE:
+            for zero in publish:
+                zero()
+    node.destroy_node()
+    rclpy.try_shutdown()
+
+
+if __name__ == '__main__':
+    main()
