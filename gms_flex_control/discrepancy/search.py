@@ -10,11 +10,11 @@ are the library. What a hypothesis gains is then linear algebra; only the best a
 
 from typing import NamedTuple
 
-from gms_flex_control.discrepancy import guesses
 from gms_flex_control.discrepancy.bounded import solve
 from gms_flex_control.discrepancy.fit import effect_columns, fit, Fitted, numbers_of
+from gms_flex_control.discrepancy.guesses import all_guesses
 from gms_flex_control.discrepancy.problem import with_effect
-from gms_flex_control.params.robot import EffectSpec, WHOLE_ARM
+from gms_flex_control.params.robot import EffectSpec
 import numpy as np
 
 MOST = 20
@@ -129,22 +129,6 @@ class Library:
 
 def _value(gram, right, x):
     return float(0.5 * x @ gram @ x - right @ x)
-
-
-def all_guesses(problem, without=()):
-    """Return (effect, joint, Guess) of the whole catalogue."""
-    scales = guesses.scales_of(problem.paths, problem.robot)
-    planar = problem.robot.arm.kind == 'planar'
-    found = []
-    for name, make in guesses.GUESSES.items():
-        if name in without:
-            continue
-        for joint, scale in zip(problem.robot.joints, scales, strict=True):
-            found += [(name, joint, guess) for guess in make(scale)]
-    for name, make in guesses.WHOLE.items():
-        if name not in without and planar:
-            found += [(name, WHOLE_ARM, guess) for guess in make(scales[0])]
-    return found
 
 
 class Found(NamedTuple):

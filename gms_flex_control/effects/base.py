@@ -57,6 +57,27 @@ class Effect(ABC):
     name: str                 # catalogue name, equal to the name of its module
     parameters: tuple         # of Parameter
     whole_arm = False         # stands under effects.arm instead of under a joint
+    evidence: str             # what it shows against, of discrepancy.signature.VARIABLES
+    confusable: tuple         # names of effects that data hardly tell from it
+    tells: str                # motion that tells it from others, as '... would tell'
+
+    @classmethod
+    @abstractmethod
+    def guesses(cls, scales):
+        """
+        Return how the effect might be there on a joint.
+
+        Parameters
+        ----------
+        scales : Scales
+            Usual sizes there, see guess.py; those of the first joint for the whole arm.
+
+        Returns
+        -------
+        list of Guess
+            Empty where it cannot act.
+
+        """
 
     @classmethod
     def values(cls, given, where):

@@ -5,7 +5,9 @@
 """Small commands that move nothing."""
 
 from gms_flex_control.effects.base import Parameter, Stage, Term
+from gms_flex_control.effects.guess import sizes
 from gms_flex_control.effects.signals import TORQUE
+import numpy as np
 
 
 class ActuatorDeadzone(Term):
@@ -13,9 +15,17 @@ class ActuatorDeadzone(Term):
 
     name = 'actuator_deadzone'
     stage = Stage.ACTUATOR
+    evidence = 'torque'
+    confusable = ('backlash',)
+    tells = 'fast motion with small torque beside slow motion with large torque'
     parameters = (
         Parameter('deadzone', 'N m', 'half width', lower=0.0),
     )
+
+    @classmethod
+    def guesses(cls, scales):
+        """Return how it might be there, list of Guess."""
+        return sizes(scales.friction * np.geomspace(0.02, 1.0, 10))
 
     @staticmethod
     def apply(s, p, memory, dt):

@@ -5,6 +5,7 @@
 """First-order lag of the torque loop."""
 
 from gms_flex_control.effects.base import Parameter, Stage, Term
+from gms_flex_control.effects.guess import sizes
 from gms_flex_control.effects.signals import TORQUE
 import numpy as np
 
@@ -15,9 +16,17 @@ class ActuatorLag(Term):
     name = 'actuator_lag'
     stage = Stage.ACTUATOR
     memory_size = 1
+    evidence = 'time since reversal'
+    confusable = ('input_delay',)
+    tells = 'torque that changes faster, up to a tenth of the sample rate'
     parameters = (
         Parameter('time_constant', 's', 'time constant', lower=0.0),
     )
+
+    @classmethod
+    def guesses(cls, scales):
+        """Return how it might be there, list of Guess."""
+        return sizes((0.001, 0.003, 0.006, 0.012, 0.02))
 
     @staticmethod
     def apply(s, p, memory, dt):

@@ -5,7 +5,9 @@
 """Largest torque the actuator gives."""
 
 from gms_flex_control.effects.base import Parameter, Stage, Term
+from gms_flex_control.effects.guess import sizes
 from gms_flex_control.effects.signals import TORQUE
+import numpy as np
 
 
 class ActuatorSaturation(Term):
@@ -13,9 +15,17 @@ class ActuatorSaturation(Term):
 
     name = 'actuator_saturation'
     stage = Stage.ACTUATOR
+    evidence = 'torque'
+    confusable = ()
+    tells = 'faster motion, which asks for torque well beyond the limit'
     parameters = (
         Parameter('limit', 'N m', 'largest torque either way', lower=0.0),
     )
+
+    @classmethod
+    def guesses(cls, scales):
+        """Return how it might be there, list of Guess."""
+        return sizes(scales.torque * np.linspace(0.2, 0.95, 16))
 
     @staticmethod
     def apply(s, p, memory, dt):

@@ -5,7 +5,9 @@
 """Play in the transmission."""
 
 from gms_flex_control.effects.base import Parameter, Stage, Term
+from gms_flex_control.effects.guess import sizes
 from gms_flex_control.effects.signals import TWIST, TWIST_RATE
+import numpy as np
 
 
 class Backlash(Term):
@@ -13,9 +15,19 @@ class Backlash(Term):
 
     name = 'backlash'
     stage = Stage.TWIST
+    evidence = 'twist'
+    confusable = ('actuator_deadzone',)
+    tells = 'slow reversals under load, and with the link free'
     parameters = (
         Parameter('half_gap', 'rad', 'half width of the play', lower=0.0),
     )
+
+    @classmethod
+    def guesses(cls, scales):
+        """Return how it might be there, list of Guess."""
+        if scales.rigid:
+            return []
+        return sizes(scales.twist * np.geomspace(0.01, 0.6, 12))
 
     @staticmethod
     def apply(s, p, memory, dt):

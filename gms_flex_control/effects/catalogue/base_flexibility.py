@@ -5,6 +5,7 @@
 """A base that gives way under the torque of a joint."""
 
 from gms_flex_control.effects.base import Parameter, Stage, Term
+from gms_flex_control.effects.guess import Guess
 from gms_flex_control.effects.signals import FRICTION, SENSED_LINK, SENSED_MOTOR, TORQUE
 import numpy as np
 
@@ -21,11 +22,23 @@ class BaseFlexibility(Term):
     name = 'base_flexibility'
     stage = Stage.SENSOR
     memory_size = 2
+    evidence = 'link acceleration'
+    confusable = ()
+    tells = 'short pulses of torque with the arm at rest'
     parameters = (
         Parameter('frequency', 'Hz', 'natural frequency w / 2 pi', lower=0.0),
         Parameter('inertia', 'kg m^2', 'inertia of the base about the joint', lower=0.0),
         Parameter('damping', '1', 'damping ratio', lower=0.0, upper=0.99),
     )
+
+    @classmethod
+    def guesses(cls, scales):
+        """Return how it might be there, list of Guess."""
+        heavy = 5.0 * scales.link_inertia
+        return [Guess(((frequency, heavy, 0.05),),
+                      lambda c, frequency=frequency: (
+                          frequency, heavy / np.clip(c[0], 0.02, 20.0), 0.05), 0.0)
+                for frequency in np.geomspace(3.0, 15.0, 9)]
 
     @staticmethod
     def apply(s, p, memory, dt):

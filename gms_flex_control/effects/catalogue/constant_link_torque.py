@@ -5,6 +5,7 @@
 """Constant torque on the link, as from a cable."""
 
 from gms_flex_control.effects.base import Parameter, Stage, Term
+from gms_flex_control.effects.guess import linear
 from gms_flex_control.effects.signals import LINK_TORQUE
 
 
@@ -13,9 +14,17 @@ class ConstantLinkTorque(Term):
 
     name = 'constant_link_torque'
     stage = Stage.LINK
+    evidence = 'link rate'
+    confusable = ('spring_offset', 'friction_asymmetry')
+    tells = 'motion both ways over the whole range, with rests between'
     parameters = (
         Parameter('bias', 'N m', 'torque'),
     )
+
+    @classmethod
+    def guesses(cls, scales):
+        """Return how it might be there, list of Guess."""
+        return linear(0.1 * scales.friction)
 
     @staticmethod
     def apply(s, p, memory, dt):

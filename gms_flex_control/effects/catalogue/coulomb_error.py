@@ -7,6 +7,7 @@
 from dataclasses import replace
 
 from gms_flex_control.effects.base import Change, Parameter
+from gms_flex_control.effects.guess import linear
 import numpy as np
 
 
@@ -14,9 +15,17 @@ class CoulombError(Change):
     """F_s and F_c -> (1 + ratio) of them, in both directions; block stiffnesses stay."""
 
     name = 'coulomb_error'
+    evidence = 'link rate'
+    confusable = ('friction_drift',)
+    tells = 'the same motion at the beginning and at the end of a long run'
     parameters = (
         Parameter('ratio', '1', 'relative error', lower=-0.95),
     )
+
+    @classmethod
+    def guesses(cls, scales):
+        """Return how it might be there, list of Guess."""
+        return linear(0.1)
 
     @staticmethod
     def change(robot, joint, values):

@@ -5,6 +5,7 @@
 """The two encoders of a joint are not read at the same time."""
 
 from gms_flex_control.effects.base import Parameter, Stage, Term
+from gms_flex_control.effects.guess import linear
 from gms_flex_control.effects.signals import DDQ_MOTOR, DQ_MOTOR, SENSED_MOTOR
 
 
@@ -13,10 +14,20 @@ class EncoderSkew(Term):
 
     name = 'encoder_skew'
     stage = Stage.SENSOR
+    evidence = 'motor rate'
+    confusable = ()
+    tells = 'motion at constant speeds, slow and fast, both ways'
     parameters = (
         Parameter('delay', 's', 'by which the motor side is older than the link side',
                   lower=-0.05, upper=0.05),
     )
+
+    @classmethod
+    def guesses(cls, scales):
+        """Return how it might be there, list of Guess."""
+        if scales.rigid:
+            return []
+        return linear(0.0005)
 
     @staticmethod
     def apply(s, p, memory, dt):

@@ -5,7 +5,9 @@
 """Stop met beyond an angle: a one-sided spring."""
 
 from gms_flex_control.effects.base import Parameter, Stage, Term
+from gms_flex_control.effects.guess import Guess
 from gms_flex_control.effects.signals import LINK_TORQUE, Q_LINK
+import numpy as np
 
 
 class EndStop(Term):
@@ -13,10 +15,22 @@ class EndStop(Term):
 
     name = 'end_stop'
     stage = Stage.LINK
+    evidence = 'link angle'
+    confusable = ()
+    tells = 'slow motion into the stop and out of it'
     parameters = (
         Parameter('angle', 'rad', 'where it begins'),
         Parameter('stiffness', 'N m/rad', 'stiffness of the stop', lower=0.0),
     )
+
+    @classmethod
+    def guesses(cls, scales):
+        """Return how it might be there, list of Guess."""
+        span, stiffness = scales.highest - scales.lowest, scales.friction / 0.05
+        inside = span * np.array([0.02, 0.05, 0.1, 0.18])
+        above, below = scales.highest - inside, scales.lowest + inside
+        return [Guess(((angle, stiffness),), lambda c, angle=angle: (angle, c[0] * stiffness), 0.0)
+                for angle in (*above[above > 0.0], *below[below < 0.0])]
 
     @staticmethod
     def apply(s, p, memory, dt):

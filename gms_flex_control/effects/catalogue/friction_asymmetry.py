@@ -5,6 +5,7 @@
 """Friction stronger one way than the other."""
 
 from gms_flex_control.effects.base import Parameter, Stage, Term
+from gms_flex_control.effects.guess import linear
 from gms_flex_control.effects.signals import DQ_LINK, FRICTION
 
 
@@ -13,9 +14,17 @@ class FrictionAsymmetry(Term):
 
     name = 'friction_asymmetry'
     stage = Stage.FRICTION
+    evidence = 'link rate'
+    confusable = ('constant_link_torque',)
+    tells = 'motion both ways over the whole range, with rests between'
     parameters = (
         Parameter('ratio', '1', 'relative difference'),
     )
+
+    @classmethod
+    def guesses(cls, scales):
+        """Return how it might be there, list of Guess."""
+        return linear(0.1)
 
     @staticmethod
     def apply(s, p, memory, dt):

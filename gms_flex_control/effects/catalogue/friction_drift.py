@@ -5,6 +5,7 @@
 """Friction that changes over the run, by warming or wear."""
 
 from gms_flex_control.effects.base import Parameter, Stage, Term
+from gms_flex_control.effects.guess import linear
 from gms_flex_control.effects.signals import FRICTION, TIME
 
 
@@ -13,10 +14,18 @@ class FrictionDrift(Term):
 
     name = 'friction_drift'
     stage = Stage.FRICTION
+    evidence = 'time'
+    confusable = ('coulomb_error',)
+    tells = 'the same motion at the beginning and at the end of a long run'
     parameters = (
         Parameter('ratio', '1', 'relative change over the duration'),
         Parameter('duration', 's', 'time in which the change happens', lower=0.0),
     )
+
+    @classmethod
+    def guesses(cls, scales):
+        """Return how it might be there, list of Guess."""
+        return linear(0.1, scales.duration)
 
     @staticmethod
     def apply(s, p, memory, dt):

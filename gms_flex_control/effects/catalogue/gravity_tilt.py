@@ -7,6 +7,7 @@
 from dataclasses import replace
 
 from gms_flex_control.effects.base import Change, Parameter
+from gms_flex_control.effects.guess import wave
 import numpy as np
 
 STANDARD_GRAVITY = 9.80665  # [m/s^2], conventional value (3rd CGPM, 1901)
@@ -17,10 +18,18 @@ class GravityTilt(Change):
 
     name = 'gravity_tilt'
     whole_arm = True
+    evidence = 'link angle'
+    confusable = ()
+    tells = 'rests in many poses all around'
     parameters = (
         Parameter('tilt', 'rad', 'angle between the plane and the horizontal'),
         Parameter('direction', 'rad', 'direction of steepest descent in the plane'),
     )
+
+    @classmethod
+    def guesses(cls, scales):
+        """Return how it might be there, list of Guess."""
+        return wave(0.002)
 
     @staticmethod
     def change(robot, joint, values):

@@ -5,6 +5,7 @@
 """Dead time between the command and the torque."""
 
 from gms_flex_control.effects.base import Parameter, Stage, Term
+from gms_flex_control.effects.guess import sizes
 from gms_flex_control.effects.signals import TORQUE
 
 _SLOTS = 32  # commands that can be on their way
@@ -20,9 +21,17 @@ class InputDelay(Term):
     name = 'input_delay'
     stage = Stage.ACTUATOR
     memory_size = 2 + 2 * _SLOTS  # time, newest slot, (since when, torque) of each slot
+    evidence = 'time since reversal'
+    confusable = ('actuator_lag',)
+    tells = 'torque that changes faster, up to a tenth of the sample rate'
     parameters = (
         Parameter('delay', 's', 'dead time', lower=0.0, upper=0.05),
     )
+
+    @classmethod
+    def guesses(cls, scales):
+        """Return how it might be there, list of Guess."""
+        return sizes((0.001, 0.003, 0.006, 0.012, 0.02))
 
     @staticmethod
     def apply(s, p, memory, dt):

@@ -5,6 +5,7 @@
 """Position error of a strain-wave gear, twice per motor revolution."""
 
 from gms_flex_control.effects.base import Parameter, Stage, Term
+from gms_flex_control.effects.guess import wave
 from gms_flex_control.effects.signals import Q_MOTOR, TWIST
 import numpy as np
 
@@ -14,10 +15,20 @@ class KinematicError(Term):
 
     name = 'kinematic_error'
     stage = Stage.TWIST
+    evidence = 'motor angle'
+    confusable = ('torque_ripple',)
+    tells = 'the same path under another load'
     parameters = (
         Parameter('amplitude', 'rad', 'amplitude of the error', lower=0.0),
         Parameter('phase', 'rad', 'phase at q_motor = 0'),
     )
+
+    @classmethod
+    def guesses(cls, scales):
+        """Return how it might be there, list of Guess."""
+        if scales.rigid:
+            return []
+        return wave(0.02 * scales.twist)
 
     @staticmethod
     def apply(s, p, memory, dt):

@@ -5,6 +5,7 @@
 """Link encoder mounted off centre."""
 
 from gms_flex_control.effects.base import Parameter, Stage, Term
+from gms_flex_control.effects.guess import wave
 from gms_flex_control.effects.signals import Q_LINK, SENSED_LINK
 import numpy as np
 
@@ -14,10 +15,20 @@ class LinkEncoderEccentricity(Term):
 
     name = 'link_encoder_eccentricity'
     stage = Stage.SENSOR
+    evidence = 'link angle'
+    confusable = ()
+    tells = 'whole revolutions without load'
     parameters = (
         Parameter('amplitude', 'rad', 'amplitude of the error', lower=0.0),
         Parameter('phase', 'rad', 'phase at q_link = 0'),
     )
+
+    @classmethod
+    def guesses(cls, scales):
+        """Return how it might be there, list of Guess."""
+        if scales.rigid:
+            return []
+        return wave(0.02 * scales.twist)
 
     @staticmethod
     def apply(s, p, memory, dt):

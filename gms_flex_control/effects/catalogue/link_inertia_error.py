@@ -7,6 +7,7 @@
 from dataclasses import replace
 
 from gms_flex_control.effects.base import Change, Parameter
+from gms_flex_control.effects.guess import linear
 import numpy as np
 
 
@@ -14,9 +15,17 @@ class LinkInertiaError(Change):
     """Mass and inertia of the link -> (1 + ratio) of them; its centre of mass stays."""
 
     name = 'link_inertia_error'
+    evidence = 'link acceleration'
+    confusable = ('tip_payload',)
+    tells = 'the joint alone with the others bent and stretched'
     parameters = (
         Parameter('ratio', '1', 'relative error', lower=-0.95),
     )
+
+    @classmethod
+    def guesses(cls, scales):
+        """Return how it might be there, list of Guess."""
+        return linear(0.1)
 
     @staticmethod
     def change(robot, joint, values):

@@ -5,6 +5,7 @@
 """Friction that grows with the torque carried."""
 
 from gms_flex_control.effects.base import Parameter, Stage, Term
+from gms_flex_control.effects.guess import linear
 from gms_flex_control.effects.signals import FRICTION, SPRING
 
 
@@ -13,10 +14,20 @@ class LoadFriction(Term):
 
     name = 'load_friction'
     stage = Stage.FRICTION
+    evidence = 'twist'
+    confusable = ()
+    tells = 'the same motion under another load'
     parameters = (
         Parameter('ratio', '1', 'relative growth at the load', lower=0.0),
         Parameter('load', 'N m', 'torque at which it is reached', lower=0.0),
     )
+
+    @classmethod
+    def guesses(cls, scales):
+        """Return how it might be there, list of Guess."""
+        if scales.rigid:
+            return []
+        return linear(0.1, scales.spring, positive=True)
 
     @staticmethod
     def apply(s, p, memory, dt):

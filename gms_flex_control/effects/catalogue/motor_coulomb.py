@@ -5,6 +5,7 @@
 """Dry friction of the motor side."""
 
 from gms_flex_control.effects.base import Parameter, Stage, Term
+from gms_flex_control.effects.guess import linear
 from gms_flex_control.effects.signals import DQ_MOTOR, MOTOR_TORQUE
 
 
@@ -13,9 +14,17 @@ class MotorCoulomb(Term):
 
     name = 'motor_coulomb'
     stage = Stage.MOTOR
+    evidence = 'motor rate'
+    confusable = ()
+    tells = 'slow motion of the motor with the link taken off'
     parameters = (
         Parameter('coulomb', 'N m', 'level', lower=0.0),
     )
+
+    @classmethod
+    def guesses(cls, scales):
+        """Return how it might be there, list of Guess."""
+        return linear(0.1 * scales.friction, positive=True)
 
     @staticmethod
     def apply(s, p, memory, dt):

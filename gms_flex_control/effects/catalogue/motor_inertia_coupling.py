@@ -6,6 +6,7 @@
 
 from gms_flex_control.effects import signals as sig
 from gms_flex_control.effects.base import Parameter, Stage, Term
+from gms_flex_control.effects.guess import linear
 
 
 class MotorInertiaCoupling(Term):
@@ -19,9 +20,17 @@ class MotorInertiaCoupling(Term):
 
     name = 'motor_inertia_coupling'
     stage = Stage.LINK
+    evidence = 'link acceleration'
+    confusable = ()
+    tells = 'fast motion of this joint with the one before it held, and free'
     parameters = (
         Parameter('inertia', 'kg m^2', 'coupling inertia S, rotor inertia times gear ratio'),
     )
+
+    @classmethod
+    def guesses(cls, scales):
+        """Return how it might be there, list of Guess."""
+        return linear(0.3 * scales.inertia)
 
     @staticmethod
     def apply(s, p, memory, dt):

@@ -7,15 +7,26 @@
 from dataclasses import replace
 
 from gms_flex_control.effects.base import Change, Parameter
+from gms_flex_control.effects.guess import linear
 
 
 class MotorInertiaError(Change):
     """J -> J (1 + ratio)."""
 
     name = 'motor_inertia_error'
+    evidence = 'link acceleration'
+    confusable = ()
+    tells = 'fast motion of the motor with the link held'
     parameters = (
         Parameter('ratio', '1', 'relative error', lower=-0.99),
     )
+
+    @classmethod
+    def guesses(cls, scales):
+        """Return how it might be there, list of Guess."""
+        if scales.rigid:
+            return []
+        return linear(0.1)
 
     @staticmethod
     def change(robot, joint, values):

@@ -5,6 +5,7 @@
 """Constant torque on the motor, as from an amplifier offset."""
 
 from gms_flex_control.effects.base import Parameter, Stage, Term
+from gms_flex_control.effects.guess import linear
 from gms_flex_control.effects.signals import MOTOR_TORQUE
 
 
@@ -13,9 +14,17 @@ class MotorTorqueBias(Term):
 
     name = 'motor_torque_bias'
     stage = Stage.MOTOR
+    evidence = 'motor rate'
+    confusable = ()
+    tells = 'a recording with another load, or with the link held'
     parameters = (
         Parameter('bias', 'N m', 'torque'),
     )
+
+    @classmethod
+    def guesses(cls, scales):
+        """Return how it might be there, list of Guess."""
+        return linear(0.1 * scales.friction)
 
     @staticmethod
     def apply(s, p, memory, dt):

@@ -5,6 +5,7 @@
 """Viscous friction of the motor side."""
 
 from gms_flex_control.effects.base import Parameter, Stage, Term
+from gms_flex_control.effects.guess import linear
 from gms_flex_control.effects.signals import DQ_MOTOR, MOTOR_TORQUE
 
 
@@ -13,9 +14,17 @@ class MotorViscous(Term):
 
     name = 'motor_viscous'
     stage = Stage.MOTOR
+    evidence = 'motor rate'
+    confusable = ()
+    tells = 'fast motion of the motor with the link taken off'
     parameters = (
         Parameter('viscous', 'N m s/rad', 'viscous coefficient', lower=0.0),
     )
+
+    @classmethod
+    def guesses(cls, scales):
+        """Return how it might be there, list of Guess."""
+        return linear(0.1 * scales.friction / scales.speed, positive=True)
 
     @staticmethod
     def apply(s, p, memory, dt):

@@ -5,6 +5,7 @@
 """Friction that varies with the position of the link."""
 
 from gms_flex_control.effects.base import Parameter, Stage, Term
+from gms_flex_control.effects.guess import orders, waves
 from gms_flex_control.effects.signals import FRICTION, Q_LINK
 import numpy as np
 
@@ -14,11 +15,19 @@ class PositionFriction(Term):
 
     name = 'position_friction'
     stage = Stage.FRICTION
+    evidence = 'link angle'
+    confusable = ()
+    tells = 'slow motion both ways over the whole range'
     parameters = (
         Parameter('ratio', '1', 'relative variation'),
         Parameter('order', '1', 'periods per revolution', lower=0.0),
         Parameter('phase', 'rad', 'phase at q_link = 0'),
     )
+
+    @classmethod
+    def guesses(cls, scales):
+        """Return how it might be there, list of Guess."""
+        return waves(0.1, orders(scales.highest - scales.lowest, 6.0))
 
     @staticmethod
     def apply(s, p, memory, dt):

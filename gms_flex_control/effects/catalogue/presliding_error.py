@@ -7,6 +7,7 @@
 from dataclasses import replace
 
 from gms_flex_control.effects.base import Change, Parameter
+from gms_flex_control.effects.guess import Guess
 import numpy as np
 
 
@@ -18,11 +19,19 @@ class PreslidingError(Change):
     """
 
     name = 'presliding_error'
+    evidence = 'time since reversal'
+    confusable = ()
+    tells = 'many small reversals, of a few mrad'
     parameters = (
         Parameter('stiffness', '1', 'relative error of all block stiffnesses', lower=-0.95),
         Parameter('tilt', '1', 'load moved from the softer to the stiffer blocks', lower=-1.0,
                   upper=1.0),
     )
+
+    @classmethod
+    def guesses(cls, scales):
+        """Return how it might be there, list of Guess."""
+        return [Guess(((-0.3, 0.0),), lambda c: (max(-0.3 * c[0], -0.9), 0.0))]
 
     @staticmethod
     def change(robot, joint, values):

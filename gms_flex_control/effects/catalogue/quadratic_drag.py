@@ -5,6 +5,7 @@
 """Drag of a fluid."""
 
 from gms_flex_control.effects.base import Parameter, Stage, Term
+from gms_flex_control.effects.guess import linear
 from gms_flex_control.effects.signals import DQ_LINK, LINK_TORQUE
 
 
@@ -13,9 +14,17 @@ class QuadraticDrag(Term):
 
     name = 'quadratic_drag'
     stage = Stage.LINK
+    evidence = 'link rate'
+    confusable = ('viscous_error',)
+    tells = 'faster motion, over a range of speeds of 1 to 5'
     parameters = (
         Parameter('drag', 'N m s^2/rad^2', 'coefficient', lower=0.0),
     )
+
+    @classmethod
+    def guesses(cls, scales):
+        """Return how it might be there, list of Guess."""
+        return linear(0.1 * scales.friction / scales.speed ** 2, positive=True)
 
     @staticmethod
     def apply(s, p, memory, dt):

@@ -5,6 +5,7 @@
 """Spring that stiffens or softens with twist."""
 
 from gms_flex_control.effects.base import Parameter, Stage, Term
+from gms_flex_control.effects.guess import linear
 from gms_flex_control.effects.signals import SPRING, TWIST
 
 
@@ -13,9 +14,19 @@ class SpringCubic(Term):
 
     name = 'spring_cubic'
     stage = Stage.SPRING
+    evidence = 'twist'
+    confusable = ()
+    tells = 'slow torque up to the largest, both ways, with the link held'
     parameters = (
         Parameter('cubic', 'N m/rad^3', 'cubic stiffness'),
     )
+
+    @classmethod
+    def guesses(cls, scales):
+        """Return how it might be there, list of Guess."""
+        if scales.rigid:
+            return []
+        return linear(0.1 * scales.spring / scales.twist ** 3)
 
     @staticmethod
     def apply(s, p, memory, dt):

@@ -5,6 +5,7 @@
 """Damping of the joint spring beyond the modelled one."""
 
 from gms_flex_control.effects.base import Parameter, Stage, Term
+from gms_flex_control.effects.guess import linear
 from gms_flex_control.effects.signals import SPRING, TWIST_RATE
 
 
@@ -13,9 +14,19 @@ class SpringDamping(Term):
 
     name = 'spring_damping'
     stage = Stage.SPRING
+    evidence = 'time since reversal'
+    confusable = ()
+    tells = 'free swings of the link with the motor held'
     parameters = (
         Parameter('damping', 'N m s/rad', 'damping of the twist', lower=0.0),
     )
+
+    @classmethod
+    def guesses(cls, scales):
+        """Return how it might be there, list of Guess."""
+        if scales.rigid:
+            return []
+        return linear(0.003, positive=True)
 
     @staticmethod
     def apply(s, p, memory, dt):

@@ -5,7 +5,9 @@
 """Rate-independent loss in the spring."""
 
 from gms_flex_control.effects.base import Parameter, Stage, Term
+from gms_flex_control.effects.guess import shapes
 from gms_flex_control.effects.signals import SPRING, TWIST
+import numpy as np
 
 
 class SpringHysteresis(Term):
@@ -14,10 +16,20 @@ class SpringHysteresis(Term):
     name = 'spring_hysteresis'
     stage = Stage.SPRING
     memory_size = 3
+    evidence = 'twist'
+    confusable = ()
+    tells = 'slow torque up and down to several heights, with the link held'
     parameters = (
         Parameter('force', 'N m', 'torque at which the element yields', lower=0.0),
         Parameter('yield', 'rad', 'twist at which it yields', lower=0.0),
     )
+
+    @classmethod
+    def guesses(cls, scales):
+        """Return how it might be there, list of Guess."""
+        if scales.rigid:
+            return []
+        return shapes(0.1 * scales.friction, scales.twist * np.geomspace(0.02, 2.0, 8))
 
     @staticmethod
     def apply(s, p, memory, dt):

@@ -5,6 +5,7 @@
 """Rest position of the spring away from zero."""
 
 from gms_flex_control.effects.base import Parameter, Stage, Term
+from gms_flex_control.effects.guess import linear
 from gms_flex_control.effects.signals import TWIST
 
 
@@ -13,9 +14,19 @@ class SpringOffset(Term):
 
     name = 'spring_offset'
     stage = Stage.TWIST
+    evidence = 'twist'
+    confusable = ('constant_link_torque',)
+    tells = 'a recording with another load, or with the link held'
     parameters = (
         Parameter('offset', 'rad', 'twist of the unloaded spring, negative'),
     )
+
+    @classmethod
+    def guesses(cls, scales):
+        """Return how it might be there, list of Guess."""
+        if scales.rigid:
+            return []
+        return linear(0.05 * scales.twist)
 
     @staticmethod
     def apply(s, p, memory, dt):

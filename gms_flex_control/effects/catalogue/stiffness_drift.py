@@ -5,6 +5,7 @@
 """Spring that changes over the run, as by warming."""
 
 from gms_flex_control.effects.base import Parameter, Stage, Term
+from gms_flex_control.effects.guess import linear
 from gms_flex_control.effects.signals import SPRING, TIME
 
 
@@ -13,10 +14,20 @@ class StiffnessDrift(Term):
 
     name = 'stiffness_drift'
     stage = Stage.SPRING
+    evidence = 'time'
+    confusable = ('stiffness_error',)
+    tells = 'a longer recording, or one before and one after warming up'
     parameters = (
         Parameter('ratio', '1', 'relative change over the duration'),
         Parameter('duration', 's', 'time in which the change happens', lower=0.0),
     )
+
+    @classmethod
+    def guesses(cls, scales):
+        """Return how it might be there, list of Guess."""
+        if scales.rigid:
+            return []
+        return linear(0.1, scales.duration)
 
     @staticmethod
     def apply(s, p, memory, dt):

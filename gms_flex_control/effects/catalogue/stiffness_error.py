@@ -7,15 +7,26 @@
 from dataclasses import replace
 
 from gms_flex_control.effects.base import Change, Parameter
+from gms_flex_control.effects.guess import linear
 
 
 class StiffnessError(Change):
     """K -> K (1 + ratio)."""
 
     name = 'stiffness_error'
+    evidence = 'twist'
+    confusable = ('stiffness_drift',)
+    tells = 'a longer recording, or one before and one after warming up'
     parameters = (
         Parameter('ratio', '1', 'relative error', lower=-0.99),
     )
+
+    @classmethod
+    def guesses(cls, scales):
+        """Return how it might be there, list of Guess."""
+        if scales.rigid:
+            return []
+        return linear(0.1)
 
     @staticmethod
     def change(robot, joint, values):

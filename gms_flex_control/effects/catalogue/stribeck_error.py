@@ -7,6 +7,7 @@
 from dataclasses import replace
 
 from gms_flex_control.effects.base import Change, Parameter
+from gms_flex_control.effects.guess import linear
 import numpy as np
 
 
@@ -14,9 +15,17 @@ class StribeckError(Change):
     """F_s -> F_s + ratio F_c, in both directions, but never below F_c."""
 
     name = 'stribeck_error'
+    evidence = 'link rate'
+    confusable = ()
+    tells = 'slow motion at many constant speeds'
     parameters = (
         Parameter('ratio', '1', 'further friction at rest over the Coulomb level', lower=-0.95),
     )
+
+    @classmethod
+    def guesses(cls, scales):
+        """Return how it might be there, list of Guess."""
+        return linear(0.1)
 
     @staticmethod
     def change(robot, joint, values):

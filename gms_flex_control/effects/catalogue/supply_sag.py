@@ -5,6 +5,7 @@
 """Torque that follows the voltage of the supply."""
 
 from gms_flex_control.effects.base import Parameter, Stage, Term
+from gms_flex_control.effects.guess import Guess
 from gms_flex_control.effects.signals import SUPPLY, TORQUE
 
 
@@ -13,10 +14,27 @@ class SupplySag(Term):
 
     name = 'supply_sag'
     stage = Stage.ACTUATOR
+    evidence = 'torque'
+    confusable = ()
+    tells = 'the same motion at two voltages of the supply'
     parameters = (
         Parameter('ratio', '1/V', 'relative change of the torque constant per volt'),
         Parameter('nominal', 'V', 'voltage at which the torque is as asked for', lower=0.0),
     )
+
+    @classmethod
+    def guesses(cls, scales):
+        """Return how it might be there, list of Guess."""
+        if scales.supply <= 0.0:
+            return []
+        volts, size = scales.supply, 0.05
+
+        def values(c):
+            """Return ratio and nominal of a sum of two sags about voltages 1 V apart."""
+            ratio = c[0] + c[1]
+            shift = c[1] / ratio if abs(c[1]) < 0.5 * volts * abs(ratio) else 0.0
+            return ratio * size, volts - shift
+        return [Guess(((size, volts), (size, volts - 1.0)), values)]
 
     @staticmethod
     def apply(s, p, memory, dt):

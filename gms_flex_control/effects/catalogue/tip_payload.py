@@ -7,6 +7,7 @@
 from dataclasses import replace
 
 from gms_flex_control.effects.base import Change, Parameter
+from gms_flex_control.effects.guess import linear
 
 
 class TipPayload(Change):
@@ -14,9 +15,17 @@ class TipPayload(Change):
 
     name = 'tip_payload'
     whole_arm = True
+    evidence = 'link acceleration'
+    confusable = ('link_inertia_error',)
+    tells = 'the same motion with the last link bent and stretched'
     parameters = (
         Parameter('mass', 'kg', 'mass of the payload', lower=0.0),
     )
+
+    @classmethod
+    def guesses(cls, scales):
+        """Return how it might be there, list of Guess."""
+        return linear(0.05, positive=True)
 
     @staticmethod
     def change(robot, joint, values):

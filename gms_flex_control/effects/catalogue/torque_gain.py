@@ -5,6 +5,7 @@
 """Torque constant other than believed."""
 
 from gms_flex_control.effects.base import Parameter, Stage, Term
+from gms_flex_control.effects.guess import linear
 from gms_flex_control.effects.signals import TORQUE
 
 
@@ -13,9 +14,17 @@ class TorqueGain(Term):
 
     name = 'torque_gain'
     stage = Stage.ACTUATOR
+    evidence = 'torque'
+    confusable = ()
+    tells = 'a known weight hung on the link'
     parameters = (
         Parameter('gain_error', '1', 'relative error'),
     )
+
+    @classmethod
+    def guesses(cls, scales):
+        """Return how it might be there, list of Guess."""
+        return linear(0.1)
 
     @staticmethod
     def apply(s, p, memory, dt):

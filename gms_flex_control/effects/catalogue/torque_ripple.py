@@ -5,6 +5,7 @@
 """Ripple of motor or gear, periodic in the motor angle."""
 
 from gms_flex_control.effects.base import Parameter, Stage, Term
+from gms_flex_control.effects.guess import orders, waves
 from gms_flex_control.effects.signals import MOTOR_TORQUE, Q_MOTOR
 import numpy as np
 
@@ -14,11 +15,19 @@ class TorqueRipple(Term):
 
     name = 'torque_ripple'
     stage = Stage.MOTOR
+    evidence = 'motor angle'
+    confusable = ('kinematic_error',)
+    tells = 'the same path under another load'
     parameters = (
         Parameter('amplitude', 'N m', 'amplitude', lower=0.0),
         Parameter('order', '1', 'periods per revolution', lower=0.0),
         Parameter('phase', 'rad', 'phase at q_motor = 0'),
     )
+
+    @classmethod
+    def guesses(cls, scales):
+        """Return how it might be there, list of Guess."""
+        return waves(0.05 * scales.friction, orders(scales.turned, 48.0))
 
     @staticmethod
     def apply(s, p, memory, dt):

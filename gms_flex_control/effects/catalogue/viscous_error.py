@@ -5,6 +5,7 @@
 """Slope of the friction over velocity other than believed."""
 
 from gms_flex_control.effects.base import Parameter, Stage, Term
+from gms_flex_control.effects.guess import linear
 from gms_flex_control.effects.signals import DQ_LINK, FRICTION
 
 
@@ -13,9 +14,17 @@ class ViscousError(Term):
 
     name = 'viscous_error'
     stage = Stage.FRICTION
+    evidence = 'link rate'
+    confusable = ('quadratic_drag',)
+    tells = 'faster motion, over a range of speeds of 1 to 5'
     parameters = (
         Parameter('slope', 'N m s/rad', 'further viscous friction'),
     )
+
+    @classmethod
+    def guesses(cls, scales):
+        """Return how it might be there, list of Guess."""
+        return linear(0.1 * scales.friction / scales.speed)
 
     @staticmethod
     def apply(s, p, memory, dt):

@@ -1,0 +1,99 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""
+First guesses of an effect: small sizes whose torques are looked for in what a model leaves.
+
+An effect that is linear in its parameters needs one guess; one that is not gives several, of
+which the data choose, and a fit goes on from there.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+
+class Scales(NamedTuple):
+    """What a recording and its model set as usual sizes on one joint."""
+
+    friction: float   # F_s [N m]
+    torque: float     # largest command [N m]
+    spring: float     # rms of the spring torque [N m]
+    twist: float      # rms of the twist [rad]; 0 where rigid
+    speed: float      # rms of the link's rate [rad/s]
+    inertia: float    # J [kg m^2]
+    link_inertia: float  # about the joint [kg m^2]
+    lowest: float     # smallest link angle [rad]
+    highest: float    # largest link angle [rad]
+    turned: float     # span of the motor angle [rad]
+    duration: float   # [s]
+    period: float     # [s]
+    supply: float = 0.0  # mean voltage of the supply [V]; 0 where it is not known
+
+    @property
+    def rigid(self):
+        """Return whether the joint has no spring."""
+        return self.twist <= 0.0
+
+
+class Guess(NamedTuple):
+    """
+    One way an effect might be there: columns of a linear problem, and what its numbers mean.
+
+    Parameters
+    ----------
+    probes : tuple of tuple of float
+        Values of all parameters of the effect, one set per column.
+    values : callable
+        Coefficients -> values of all parameters.
+    lowest, highest : float
+        Of every coefficient.
+
+    """
+
+    probes: tuple
+    values: Callable
+    lowest: float = -np.inf
+    highest: float = np.inf
+
+
+def linear(size, *fixed, positive=False):
+    """Return the guess of an effect proportional to its first parameter, list of one."""
+    return [Guess(((size, *fixed),), lambda c: (c[0] * size, *fixed),
+                  0.0 if positive else -np.inf)]
+
+
+def wave(size, *fixed):
+    """
+    Return the guess of an effect that adds like ``size sin(... + phase)``, list of one.
+
+    The phase is its last parameter; ``fixed`` are those between. Two columns a quarter apart hold
+    every phase, of sines as of cosines.
+    """
+    return [Guess(((size, *fixed, 0.0), (size, *fixed, 0.5 * np.pi)),
+                  lambda c: (size * np.hypot(c[0], c[1]), *fixed,
+                             float(np.arctan2(c[1], c[0]))))]
+
+
+def waves(size, orders):
+    """Return the guesses of `wave` for each order, the parameter after the size."""
+    return [guess for order in orders for guess in wave(size, order)]
+
+
+def orders(span, highest):
+    """Return orders up to the highest that motion over a span [rad] can tell from each other."""
+    step = np.clip(np.pi / max(span, 1e-6), 0.25, 1.0)
+    return np.arange(1.0, highest + 0.5 * step, step)
+
+
+def sizes(values, *fixed):
+    """Return guesses of an effect that is not linear in its first parameter, one per value."""
+    return [Guess(((value, *fixed),), lambda c, value=value: (value, *fixed), 0.0, 3.0)
+            for value in values]
+
+
+def shapes(size, values):
+    """Return guesses linear in the first parameter for each value of the second."""
+    return [Guess(((size, value),), lambda c, value=value: (c[0] * size, value), 0.0)
+            for value in values]
