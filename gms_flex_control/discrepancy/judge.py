@@ -18,14 +18,9 @@ import numpy as np
 
 _TAKEN = 0.01         # of its own rows: what else could take its place leaves less than this
 _CONFUSABLE = 0.98    # cosine, all else re-tuned
+_DECLARED = 0.8       # share from which an effect's own list of confusable ones counts
 _RUNNERS = 6          # hypotheses tried in the place of a finding
 _CONFIDENT = 1.959964
-CONFUSABLE = (
-    ('stiffness_error', 'stiffness_drift'), ('coulomb_error', 'friction_drift'),
-    ('link_inertia_error', 'tip_payload'), ('actuator_lag', 'input_delay'),
-    ('constant_link_torque', 'spring_offset'), ('kinematic_error', 'torque_ripple'),
-    ('quadratic_drag', 'viscous_error'), ('constant_link_torque', 'friction_asymmetry'),
-    ('actuator_deadzone', 'backlash'))
 
 
 class Judged(NamedTuple):
@@ -136,9 +131,6 @@ def rivals(problem, found, one):
 def confusable(spec, others):
     """Return names that these data, or any, hardly tell from an effect."""
     names = {name for name, joint, share in others if share > _CONFUSABLE ** 2}
-    for pair in CONFUSABLE:
-        if spec.name in pair:
-            other = pair[1] if pair[0] == spec.name else pair[0]
-            if any(name == other and share > 0.8 for name, _, share in others):
-                names.add(other)
+    declared = find(spec.name).confusable
+    names |= {name for name, _, share in others if name in declared and share > _DECLARED}
     return tuple(sorted(names - {spec.name}))

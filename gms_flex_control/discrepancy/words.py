@@ -6,37 +6,10 @@
 from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE, FOUND
 from gms_flex_control.effects.registry import find
 
-# motion that tells one effect from those it may be confused with
-TELLS = {
-    'stiffness_error': 'a longer recording, or one before and one after warming up',
-    'stiffness_drift': 'a longer recording, or one before and one after warming up',
-    'coulomb_error': 'the same motion at the beginning and at the end of a long run',
-    'friction_drift': 'the same motion at the beginning and at the end of a long run',
-    'link_inertia_error': 'the joint alone with the others bent and stretched',
-    'tip_payload': 'the same motion with the last link bent and stretched',
-    'actuator_lag': 'torque that changes faster, up to a tenth of the sample rate',
-    'input_delay': 'torque that changes faster, up to a tenth of the sample rate',
-    'constant_link_torque': 'motion both ways over the whole range, with rests between',
-    'spring_offset': 'a recording with another load, or with the link held',
-    'motor_torque_bias': 'a recording with another load, or with the link held',
-    'kinematic_error': 'the same path under another load',
-    'torque_ripple': 'the same path under another load',
-    'quadratic_drag': 'faster motion, over a range of speeds of 1 to 5',
-    'viscous_error': 'faster motion, over a range of speeds of 1 to 5',
-    'friction_asymmetry': 'motion both ways over the whole range, with rests between',
-    'actuator_deadzone': 'fast motion with small torque beside slow motion with large torque',
-    'backlash': 'slow reversals under load, and with the link free',
-    'torque_gain': 'a known weight hung on the link',
-    'link_encoder_eccentricity': 'whole revolutions without load',
-}
-_GENERAL = 'motion over a wider range of speed, position and load'
-
 
 def tells_apart(effect, others):
     """Return the motion that tells an effect from others, '' if there are none."""
-    if not others:
-        return ''
-    return TELLS.get(effect) or next((TELLS[o] for o in others if o in TELLS), _GENERAL)
+    return find(effect).tells if others else ''
 
 
 def evidence_of(spec, one, others):
