@@ -219,8 +219,9 @@ def test_a_job_asks_the_workflow_without_telling_it_the_truth(workflow):
     json.dumps(found, allow_nan=False)
 
 
-def test_a_workflow_that_fails_is_told_and_counts_against_it(workflow):
-    workflow.result = BagError('no torque')
+@pytest.mark.parametrize('error', [BagError('no torque'), np.linalg.LinAlgError('no torque')])
+def test_a_workflow_that_fails_is_told_and_counts_against_it(workflow, error):
+    workflow.result = error
     found = try_job(Job('single', 1, duration=8.0), with_peers=False)
     assert found['verdict'] == 'error' and judgement.judged(found) == 'fault'
     assert 'no torque' in text.report([found])

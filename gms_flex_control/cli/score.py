@@ -4,6 +4,7 @@
 """`gms_flex score`: the discrepancy workflow on many hidden robots, judged."""
 
 from pathlib import Path
+import sys
 
 
 def add_parser(subparsers):
@@ -95,6 +96,7 @@ def try_missing(jobs, journal, args):
     from multiprocessing import get_context
 
     from gms_flex_control.benchmarks.hidden_effects.outcome import try_job
+    from gms_flex_control.errors import SimulationError
 
     waiting = [job for job in jobs if job.key not in journal.outcomes]
     if not waiting:
@@ -103,7 +105,11 @@ def try_missing(jobs, journal, args):
     try:
         tried = [pool.submit(try_job, job, not args.no_peers) for job in waiting]
         for count, future in enumerate(as_completed(tried), 1):
-            outcome = future.result()
+            try:
+                outcome = future.result()
+            except SimulationError as error:  # nothing can be said of a robot never driven
+                print(f'left out: {error}', file=sys.stderr)
+                continue
             journal.add(outcome)
             if not args.json:
                 print(f'[{count}/{len(waiting)}] {line_of(outcome)}', flush=True)

@@ -13,6 +13,8 @@ from gms_flex_control.hidden.cases import make_case
 from gms_flex_control.hidden.written import truth_values
 
 WORKFLOW = 'workflow'
+# what a numerical failure raises; it counts against the workflow and does not end the bench
+_FAILURES = (GmsFlexError, ArithmeticError, LookupError, ValueError)
 
 
 def try_job(job, with_peers=True):
@@ -56,9 +58,9 @@ def ask_workflow(case, without):
     begin = time.perf_counter()
     try:
         result = discrepancy([case.recording], case.nominal, options, holdout=[case.held_out])
-    except GmsFlexError as error:
-        return {'error': str(error), 'verdict': 'error', 'findings': [], 'gap': None,
-                'seconds': time.perf_counter() - begin}
+    except _FAILURES as error:
+        return {'error': f'{type(error).__name__}: {error}', 'verdict': 'error', 'findings': [],
+                'gap': None, 'seconds': time.perf_counter() - begin}
     seconds = time.perf_counter() - begin
     return {'verdict': result.verdict, 'seconds': seconds, 'gap': gap_of(result.gap),
             'findings': [{
