@@ -1,0 +1,299 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""The equations behind the search for what is missing, against closed forms and other solvers."""
+
+from dataclasses import replace
+
+from core_runs import single_axis
+from gms_flex_control.discrepancy import equations
+from gms_flex_control.discrepancy.bounded import solve
+from gms_flex_control.discrepancy.guesses import all_guesses
+from gms_flex_control.discrepancy.known import knobs_of, tuned
+from gms_flex_control.discrepancy.path import make_path
+from gms_flex_control.discrepancy.problem import Problem
+from gms_flex_control.discrepancy.residuals import fresh_state, unexplained
+from gms_flex_control.discrepancy.retrace import retrace
+from gms_flex_control.discrepancy.retuned import with_knobs
+from gms_flex_control.discrepancy.whitening import Whitening
+from gms_flex_control.dynamics import chain
+from gms_flex_control.effects.registry import find
+from gms_flex_control.hidden import motions, truth
+from gms_flex_control.params.arm import ArmParams
+from gms_flex_control.params.friction import FrictionParams, StribeckParams
+from gms_flex_control.params.robot import EffectSpec
+from gms_flex_control.simulation import plant
+import numpy as np
+import pytest
+from scipy.ndimage import uniform_filter1d
+from scipy.optimize import lsq_linear
+
+NONE = StribeckParams(static=[1e-14], coulomb=[1e-14], velocity=[1.0], viscous=[0.0])
+FRICTIONLESS = FrictionParams(forward=NONE, backward=NONE, stiffness=[[1e-14]], weight=[[1.0]],
+                              attraction=[1.0])
+
+
+def driven_path(robot, gains, seed=0, duration=20.0):
+    """Return the Path of a rich motion of a robot, by the integrator of hidden robots."""
+    time = np.arange(round(duration / 2e-3)) * 2e-3
+    reference = motions.draw_reference(np.random.default_rng(7), 'rich', 'soft', time)
+    run = truth.simulate(robot, replace(robot, effects=()), gains, reference, seed=seed)
+    return make_path(robot.joints, time, 2e-3, np.ascontiguousarray(run.measured[:, [0, 2]]),
+                     run.command, 'a hidden robot')
+
+
+@pytest.mark.parametrize(('period', 'factor'), [(4e-3, 1), (2e-3, 2), (1e-3, 4)])
+def test_a_held_torque_and_the_second_difference_of_the_angle_agree_exactly(period, factor):
+    """Under torques held over samples a free axis moves on parabolas; nothing is left of them."""
+    rng, inertia = np.random.default_rng(0), 0.02
+    command = rng.standard_normal((2000, 1))
+    rate = np.concatenate([[0.0], np.cumsum(command[:-1, 0])]) * period / inertia
+    step = rate * period + 0.5 * command[:, 0] * period ** 2 / inertia
+    angle = np.concatenate([[0.0], np.cumsum(step[:-1])])
+    readings = np.repeat(angle[:, None, None], 2, axis=1)
+    robot = single_axis(FRICTIONLESS, inertia)
+    path = make_path(robot.joints, np.arange(2000) * period, period, readings, command, 'parabola')
+    assert path.factor == factor
+    left = unexplained(path, plant.constants_of(robot))[4:-4]
+    np.testing.assert_allclose(left, 0.0, atol=1e-13 * np.ptp(angle) * inertia / period ** 2)
+    assert np.abs(path.drive[4:-4]).max() > 0.5
+    heavier = unexplained(path, plant.constants_of(single_axis(FRICTIONLESS, 1.5 * inertia)))
+    np.testing.assert_allclose(heavier[4:-4, 0], 0.5 * path.drive[4:-4, 0], atol=1e-6)
+
+
+@pytest.mark.parametrize('n', [1, 2, 3])
+def test_the_rigid_body_along_a_path_is_that_of_inverse_dynamics(n):
+    """Gravity, offsets and a rigid joint included."""
+    rng = np.random.default_rng(n)
+    mass, length, com, inertia = rng.uniform(0.2, 1.0, (4, n))
+    arm = ArmParams(kind='planar', mass=mass, length=length, com=com, inertia=inertia,
+                    motor_inertia=np.full(n, 0.1), stiffness=np.where(np.arange(n) == 0, np.inf,
+                                                                      5.0),
+                    damping=np.zeros(n), gravity=[1.0, -9.0], offset=rng.standard_normal(n))
+    links, work = chain.constants_of(arm), plant.workspace(n).chain
+    for q, dq, ddq in rng.standard_normal((5, 3, n)):
+        bias, inertial = np.empty((2, n))
+        equations.rigid_body(q, dq, ddq, links, work, bias, inertial)
+        np.testing.assert_allclose(bias + inertial, chain.inverse_dynamics(q, dq, ddq, arm),
+                                   rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(bias, chain.inverse_dynamics(q, dq, 0.0 * q, arm),
+                                   rtol=1e-12, atol=1e-12)
+
+
+def test_the_true_model_leaves_nothing_of_a_hidden_robot_but_its_encoders(ideal_robot, gains):
+    """The finer integrator of hidden robots, ideal encoders: under 1 % of friction is left."""
+    path = driven_path(ideal_robot, gains)
+    left = unexplained(path, plant.constants_of(ideal_robot))[50:-50]
+    static = np.tile(ideal_robot.friction.forward.static, 2)
+    assert np.all(np.sqrt(np.mean(left ** 2, axis=0)) < 0.01 * static)
+    wrong = replace(ideal_robot, effects=(EffectSpec(
+        name='constant_link_torque', joint='joint2', values=(0.01,)),))
+    more = unexplained(path, plant.constants_of(wrong))[50:-50]
+    np.testing.assert_allclose(more - left, np.tile([0.0, -0.01, 0.0, 0.0], (len(left), 1)),
+                               atol=1e-12)
+
+
+def test_a_retraced_motion_belongs_to_its_model_whatever_the_recording_held(ideal_robot, gains):
+    """
+    The recording holds backlash and a tenth of friction as bias; the retraced one neither.
+
+    Its motors stay within 20 mrad of the recording. Up to some 10 Hz, what the model leaves of
+    it is a tenth of what it left before; above there is the encoders' noise.
+    """
+    effects = (EffectSpec(name='backlash', joint='joint1', values=(0.005,)),
+               EffectSpec(name='motor_torque_bias', joint='joint2', values=(0.01,)))
+    path = driven_path(replace(ideal_robot, effects=effects), gains)
+    constants = plant.constants_of(ideal_robot)
+    again = retrace(path, constants, np.random.default_rng(0))
+    before, after = (np.sqrt(np.mean(uniform_filter1d(
+        unexplained(one, constants)[50:-50], 10, axis=0) ** 2, axis=0)) for one in (path, again))
+    assert before[0] > 3e-3 and before[3] > 9e-3
+    assert np.all(after < 0.1 * before.max())
+    assert np.abs(again.readings - path.readings)[:, 1].max() < 0.02
+    assert np.ptp(path.readings[:, 1], axis=0).min() > 0.4
+
+
+@pytest.fixture(scope='module')
+def problem(robot, gains):
+    """Return the Problem of a clean run through encoders."""
+    return Problem([driven_path(robot, gains, seed=1)], robot, 0.005)
+
+
+def test_rows_of_even_noise_are_white_and_of_unit_variance():
+    """Coloured noise that two equations share: rows of a run that was not measured are plain."""
+    rng, period = np.random.default_rng(0), 4e-3
+    white = rng.standard_normal((7, 10000, 2)) @ [[1.0, 0.8], [0.0, 0.5]]
+    noise = white - 0.9 * np.roll(white, 1, axis=1)
+    noise[..., 1] = uniform_filter1d(noise[..., 1], 5, axis=1)
+    whitening = Whitening(noise[:6], period, np.zeros(2))
+    rows = whitening.rows_of(noise[6])[30:-30]
+    assert np.all(np.abs(rows.var(axis=0) - 1.0) < 0.15)
+    allowed = 4.0 / np.sqrt(len(rows)) + 0.03
+    for lag in (1, 2, 3, 10):
+        assert np.all(np.abs(np.mean(rows[lag:] * rows[:-lag], axis=0)) < allowed)
+    assert abs(np.mean(rows[:, 0] * rows[:, 1])) < allowed
+    assert np.mean(np.abs(rows) > 1.96) == pytest.approx(0.05, abs=0.02)
+
+
+def test_a_floor_makes_all_below_it_small():
+    """Noise a tenth of the floor counts a hundredth; noise far above is hardly changed."""
+    noise = np.random.default_rng(1).standard_normal((7, 10000, 1))
+    share = 20.0 / 125.0  # of the power of white noise that lies below 20 Hz
+    for floor, level in ((10.0, 0.01), (0.1, 1.0)):
+        whitening = Whitening(noise[:6], 4e-3, np.array([floor * np.sqrt(share)]))
+        whitening.scale[:] = 1.0
+        assert whitening.rows_of(noise[6]).var() == pytest.approx(level, rel=0.1)
+
+
+def test_fresh_clean_runs_have_unit_variance(problem, robot):
+    """Of another seed than those the measure was taken from; so is the recording itself."""
+    constants, whitening = plant.constants_of(robot), problem.whitenings[0]
+    fresh = retrace(problem.paths[0], constants, np.random.default_rng([0, 99]))
+    for path in (fresh, problem.paths[0]):
+        rows = whitening.rows_of(unexplained(path, constants))[30:-30]
+        assert np.all((rows.var(axis=0) > 0.6) & (rows.var(axis=0) < 1.6))
+        between = np.abs(np.corrcoef(rows.T) - np.eye(rows.shape[1]))
+        assert between.max() < 0.3
+    assert problem.level == pytest.approx(1.0, abs=0.25)
+
+
+def test_bounded_least_squares_agrees_with_scipy():
+    """Random problems, most with bounds that hold; also columns of very different size."""
+    rng = np.random.default_rng(4)
+    met = 0
+    for _ in range(40):
+        size = int(rng.integers(1, 12))
+        a = rng.standard_normal((30, size)) * 10.0 ** rng.uniform(-2, 2, size)
+        b = rng.standard_normal(30)
+        free = np.linalg.lstsq(a, b, rcond=None)[0]
+        width = np.abs(free) * rng.uniform(0.3, 3.0, size) + 1e-6
+        low, high = -width * rng.uniform(0.0, 1.0, size), width
+        x = solve(a.T @ a, a.T @ b, low, high)
+        exact = lsq_linear(a, b, (low, high), method='bvls', tol=1e-14).x
+        assert np.all((x >= low) & (x <= high))
+        np.testing.assert_allclose(x, exact, atol=1e-4 * np.abs(exact).max(), rtol=1e-3)
+        assert np.sum((a @ x - b) ** 2) <= np.sum((a @ exact - b) ** 2) + 1e-8
+        met += int(np.any((exact <= low) | (exact >= high)))
+    assert met > 20
+
+
+def test_bounded_least_squares_lives_with_columns_that_are_alike():
+    """The same column twice: the cost is that of one with the sum of both ranges."""
+    rng = np.random.default_rng(5)
+    a, b = rng.standard_normal((20, 1)), rng.standard_normal(20) * 5.0
+    twice, bound = np.tile(a, 2), np.array([0.1, 0.1])
+    x = solve(twice.T @ twice, twice.T @ b, -bound, bound)
+    once = np.clip(a[:, 0] @ b / (a[:, 0] @ a[:, 0]), -0.2, 0.2)
+    assert np.sum(x) == pytest.approx(once, abs=1e-9)
+
+
+def flat(record):
+    """Return all numbers of a record by name."""
+    numbers = {}
+    for part in ('chain', 'friction'):
+        entry = getattr(record, part)
+        for name in entry.dtype.names:
+            numbers[f'{part}.{name}'] = np.array(getattr(entry, name))
+    return numbers
+
+
+@pytest.mark.parametrize('arm', [{}, {'damping': [0.01, 0.02]},
+                                 {'kind': 'decoupled', 'gravity': [0.0, -9.0]},
+                                 {'kind': 'decoupled', 'stiffness': [np.inf, 5.0]}])
+def test_a_robot_of_knobs_is_the_record_of_knobs(ideal_robot, arm):
+    """And knobs at zero are the robot as it was."""
+    changed = replace(ideal_robot.arm, **arm)
+    motors = [motor * (not rigid) for motor, rigid in zip(ideal_robot.motors, changed.rigid,
+                                                          strict=True)]
+    robot = replace(ideal_robot, arm=changed, motors=tuple(motors))
+    base = plant.constants_of(robot)
+    knobs = knobs_of(base)
+    bound = np.array([knob.doubt for knob in knobs])
+    for share in (np.zeros(len(knobs)), np.random.default_rng(0).uniform(-0.4, 0.4, len(knobs))):
+        asked = flat(tuned(base, knobs, share * bound))
+        made = flat(plant.constants_of(with_knobs(robot, knobs, share * bound)))
+        used = [name for name in asked if arm.get('gravity') or name != 'chain.moment']
+        for name in used:
+            np.testing.assert_allclose(made[name], asked[name], rtol=1e-12, atol=1e-15,
+                                       err_msg=name)
+    for knob in knobs:
+        one = tuned(base, [knob], [0.01])
+        changed = [name for name, value in flat(one).items()
+                   if not np.array_equal(value, flat(base)[name])]
+        assert changed and {name.split('.')[1] for name in changed} == {
+            field for _, field, _ in knob.fields}
+
+
+def test_every_guess_is_an_effect_the_model_allows(problem):
+    """Its probes and what they stand for are values within the bounds of its parameters."""
+    guesses = all_guesses(problem)
+    places = {(name, joint) for name, joint, _ in guesses}
+    assert ('gravity_tilt', 'arm') in places and ('backlash', 'joint2') in places
+    assert 'backlash' not in {name for name, _, _ in all_guesses(problem, ('backlash',))}
+    for name, joint, guess in guesses:
+        kind = find(name)
+        for values in (*guess.probes, guess.values(np.full(len(guess.probes), 0.7))):
+            given = dict(zip([p.name for p in kind.parameters], values, strict=True))
+            assert kind.values(given, f'{joint}.{name}') == tuple(map(float, values))
+
+
+def test_what_a_guess_stands_for_is_the_sum_of_its_probes(problem):
+    """Columns times coefficients against the rows of the effect itself, for linear ones."""
+    rows = problem.rows(problem.robot, np.zeros(len(problem.knobs)))
+
+    def made(name, joint, values):
+        spec = EffectSpec(name=name, joint=joint, values=tuple(map(float, values)))
+        return problem.rows(replace(problem.robot, effects=(spec,)),
+                            np.zeros(len(problem.knobs))) - rows
+    linear = ('torque_ripple', 'position_friction', 'gravity_tilt', 'spring_cubic', 'torque_gain',
+              'kinematic_error', 'friction_drift', 'viscous_error', 'motor_inertia_coupling')
+    tried = set()
+    for name, joint, guess in all_guesses(problem):
+        if name not in linear or (name, joint) in tried:
+            continue
+        tried.add((name, joint))
+        coefficients = np.array([0.6, -0.8])[:len(guess.probes)]
+        whole = made(name, joint, guess.values(coefficients))
+        parts = sum(c * made(name, joint, probe)
+                    for c, probe in zip(coefficients, guess.probes, strict=True))
+        scale = np.sqrt(np.mean(whole ** 2))
+        assert np.sqrt(np.mean((whole - parts) ** 2)) < 0.01 * scale or scale == 0.0, name
+    assert len(tried) == 2 * len(linear) - 1
+
+
+def test_a_rigid_axis_has_guesses_of_what_can_be_there():
+    """None of a spring or of a motor side, none of the whole arm."""
+    class Given:
+        robot = single_axis(replace(FRICTIONLESS), 0.02)
+        time = np.arange(200) * 4e-3
+        paths = (make_path(robot.joints, time, 4e-3, np.repeat(
+            np.sin(time)[:, None, None], 2, axis=1), np.cos(time)[:, None], 'sine'),)
+    found = {name for name, _, _ in all_guesses(Given)}
+    assert {'torque_gain', 'friction_asymmetry', 'end_stop', 'torque_ripple'} <= found
+    assert not found & {'backlash', 'spring_cubic', 'stiffness_error', 'load_friction',
+                        'gravity_tilt', 'tip_payload', 'supply_sag', 'motor_inertia_error'}
+
+
+def test_a_supply_that_is_known_is_looked_for():
+    """Two sags about voltages 1 V apart add up to one of another ratio and nominal voltage."""
+    class Volts:
+        supply = 24.0
+    guess, = find('supply_sag').guesses(Volts)
+    c, volts = np.array([0.3, 0.4]), np.array([20.0, 23.0, 25.5])
+    ratio, nominal = guess.values(c)
+    parts = sum(k * r * (volts - v) for k, (r, v) in zip(c, guess.probes, strict=True))
+    np.testing.assert_allclose(ratio * (volts - nominal), parts, rtol=1e-12)
+
+
+def test_a_state_before_a_motion_sticks_and_is_unloaded(ideal_robot):
+    state = fresh_state(plant.constants_of(ideal_robot))
+    assert np.all(state.friction.sticking == 1) and not np.any(state.friction.torque)
+
+
+def test_a_noise_of_counts_alone_is_no_effect(problem):
+    """Re-tuning known parameters of a clean run gains less than the search would look at."""
+    x, rows, _ = problem.retuned(problem.robot, np.zeros(len(problem.knobs)))
+    assert problem.cost(rows, x) < 1.3 * problem.level * problem.fitted.sum()
+    assert np.all(np.abs(x) <= problem.bound)
+
+
