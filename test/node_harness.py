@@ -10,6 +10,7 @@ import signal
 import pytest
 
 rclpy = pytest.importorskip('rclpy')
+EventsExecutor = pytest.importorskip('rclpy.experimental').EventsExecutor
 interfaces = pytest.importorskip('rcl_interfaces.msg')
 services = pytest.importorskip('rcl_interfaces.srv')
 JointState = pytest.importorskip('sensor_msgs.msg').JointState
@@ -45,6 +46,8 @@ class Lab(bench.Bench):
         For logs.
 
     """
+
+    executor_class = staticmethod(EventsExecutor)
 
     def __enter__(self):
         super().__enter__()

@@ -49,7 +49,7 @@ def alone(tmp_path_factory):
 def plant(tmp_path_factory):
     """Run a plant in real time at 200 Hz on commands that the test makes."""
     with Lab(tmp_path_factory.mktemp('plant')) as lab:
-        lab.plant = lab.start('plant_node', rate=200.0, command_timeout=0.1)
+        lab.plant = lab.start('plant_node', rate=200.0, command_timeout=0.1, silence_timeout=0.3)
         lab.commands = lab.speak(Float64MultiArray, COMMANDS)
         lab.states = lab.listen(JointState, STATES)
         lab.until(lambda: lab.states and lab.commands.get_subscription_count())

@@ -266,10 +266,9 @@ class ControllerNode(Node):
         if self._zeros > 1:
             return
         self._counts['silences'] += 1
-        self.health.tell(WARN, f'no usable joint state for {_LONGEST_SILENCE * 1e3:g} ms: '
-                              'zero torque')
-        self.health.warn('silence', f'no usable joint state for {_LONGEST_SILENCE * 1e3:g} ms: '
-                                    'zero torque')
+        sentence = f'no usable joint state for {_LONGEST_SILENCE * 1e3:g} ms: zero torque'
+        self.health.tell(WARN, sentence)
+        self.health.warn('silence', sentence)
 
     def _on_fault(self):
         self._waiting = None

@@ -18,7 +18,7 @@ from gms_flex_control.experiment.processes import executable, ros_arguments
 from gms_flex_control.resources import share_path
 import rclpy
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.experimental import EventsExecutor
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 
@@ -118,7 +118,15 @@ class Bench:
     folder : Path
         For logs.
 
+    Attributes
+    ----------
+    executor_class : type
+        Of the probing node. EventsExecutor is faster, but cannot tell when a message was
+        published, as `rigs.Log` asks.
+
     """
+
+    executor_class = SingleThreadedExecutor
 
     def __init__(self, folder):
         self.folder, self._stack, self._processes = Path(folder), ExitStack(), []
@@ -143,7 +151,7 @@ class Bench:
                        signal_handler_options=SignalHandlerOptions.NO)
             self._node = rclpy.create_node('probe', context=self._context, enable_rosout=False,
                                            start_parameter_services=False)
-            self._executor = EventsExecutor(context=self._context)
+            self._executor = self.executor_class(context=self._context)
             self._executor.add_node(self._node)
         return self._node
 
@@ -199,10 +207,15 @@ class Bench:
                          *ros_arguments(files, given), *arguments], name)
 
     def listen(self, kind, topic, received=None):
-        """Return a list (or what else can append) that takes every message on ``topic``."""
+        """
+        Return a list that takes every message on ``topic``.
+
+        Another object may take them: by ``append(message)``, or by ``take(message, info)``,
+        where ``info`` holds the time of publishing.
+        """
         received = [] if received is None else received
         self.node.create_subscription(
-            kind, topic, received.append, QoSProfile(depth=_QUEUE),
+            kind, topic, getattr(received, 'take', received.append), QoSProfile(depth=_QUEUE),
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False))
         return received
 

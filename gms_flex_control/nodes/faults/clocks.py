@@ -11,6 +11,7 @@ from gms_flex_control.nodes.messages import NANOSECONDS
 from rosgraph_msgs.msg import Clock
 
 FAR = 1000 * NANOSECONDS
+_PATIENCE = 4      # tries of what the machine held up
 _AFTERWARDS = 0.4  # watched after each fault [s]
 _BEGUN = 'observer begun anew'
 
@@ -25,11 +26,8 @@ def try_stamps(bench, tries, tally):
         tally.expect(robot.settle(), f'no motion before: {name}')
         robot.run(_AFTERWARDS)
         resets = robot.diagnostics.figure(CONTROLLER, _BEGUN)
-        begin = time.monotonic()
         tally.tries += 1
-        expected = fault(robot, clock)
-        robot.run(_AFTERWARDS)
-        tally.figure(robot.largest(begin))
+        expected = _try_one(robot, clock, fault, tally)
         tally.expect(robot.settle(), f'no motion after: {name}')
         if expected:
             tally.expect(robot.until(lambda resets=resets: robot.diagnostics.figure(
@@ -38,6 +36,20 @@ def try_stamps(bench, tries, tally):
     tally.expect('observer begins anew' in said, 'no warning of a jump')
     tally.expect('Traceback' not in said, 'the controller had an exception')
     tally.expect(robot.controller.runs and robot.trajectory.runs, 'a node has ended')
+
+
+def _try_one(robot, clock, fault, tally):
+    """Try one fault, again where the machine was too busy to tell; return what it expects."""
+    for _ in range(_PATIENCE):
+        begin = time.monotonic()
+        expected = fault(robot, clock)
+        robot.run(_AFTERWARDS)
+        if not robot.stalled(begin):
+            tally.figure(robot.largest(begin))
+            return expected
+        robot.settle()
+    tally.notes.append('the machine was too busy to measure one of the torques')
+    return expected
 
 
 def _jump(amount):

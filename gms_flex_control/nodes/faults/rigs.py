@@ -3,7 +3,6 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """What the faults are tried on: a robot whose clock the bench holds, and the whole loop."""
 
-from bisect import bisect_left
 import time
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -32,14 +31,25 @@ _SMALL = {f'trajectory__{joint}__amplitude': 0.3 for joint in JOINTS}
 
 
 class Log:
-    """Messages with the time at which they came [s], in the order of coming."""
+    """
+    Messages with the time at which they were published [s], in the order of coming.
+
+    That time is told by DDS and counted as time.monotonic() does: a bench that is late in
+    reading does not make the nodes late.
+    """
 
     def __init__(self):
         self.messages, self.times = [], []
+        self._offset = time.time() - time.monotonic()
 
     def append(self, message):
-        """Take a message that comes now."""
+        """Take a message that was published now."""
         self.times.append(time.monotonic())
+        self.messages.append(message)
+
+    def take(self, message, info):
+        """Take a message and what DDS tells of it."""
+        self.times.append(info['source_timestamp'] / NANOSECONDS - self._offset)
         self.messages.append(message)
 
     def __len__(self):
@@ -50,8 +60,12 @@ class Log:
 
     def since(self, moment):
         """Return (time, message) of all that came at ``moment`` [s] or later."""
-        first = bisect_left(self.times, moment)
-        return list(zip(self.times[first:], self.messages[first:], strict=True))
+        return [(when, message) for when, message in zip(self.times, self.messages, strict=True)
+                if when >= moment]
+
+    def longest_gap(self, moment):
+        """Return the longest time between two messages since a moment [s]; infinite if none."""
+        return max(np.diff([when for when, _ in self.since(moment)]), default=np.inf)
 
 
 class Diagnostics:
@@ -173,6 +187,10 @@ class HeldRobot:
         return self.until(lambda: self.diagnostics.sentence(CONTROLLER) == 'following'
                           and self.pushes())
 
+    def stalled(self, since):
+        """Return whether the machine itself held up the loop since a moment [s]."""
+        return self.commands.longest_gap(since) > _STALL
+
     def largest(self, since):
         """Return the largest torque commanded since a moment [N m]; 0 without any command."""
         return largest_torque(self.commands.since(since))
@@ -240,8 +258,7 @@ class Loop:
 
     def stalled(self, since):
         """Return whether the machine itself held up the loop since a moment [s]."""
-        times = [when for when, _ in self.states.since(since)]
-        return max(np.diff(times), default=np.inf) > _STALL
+        return self.states.longest_gap(since) > _STALL
 
     def settle(self):
         """Wait until the arm is moved."""
