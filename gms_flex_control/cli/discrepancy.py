@@ -57,16 +57,17 @@ def run(args):
     if others and result.found is not None:
         compared = compare(result, [('as given', robot), ('with what was found', result.robot),
                                     *others], holdout)
-    return written(result, compared, args)
+    return written(result, compared, holdout, args)
 
 
-def written(result, compared, args):
+def written(result, compared, holdout, args):
     """Write all files, print the words or the report; return the exit code."""
     import sys
     from textwrap import fill
 
     from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE
     from gms_flex_control.reports import discrepancy_values as files
+    from gms_flex_control.reports.discrepancy import write_discrepancy_report
     from gms_flex_control.reports.model_comparison import comparison_text
 
     out = Path(args.out)
@@ -75,6 +76,7 @@ def written(result, compared, args):
         files.write_robot(result, out / 'robot.yaml')
     elif (out / 'report.json').exists():
         (out / 'robot.yaml').unlink(missing_ok=True)  # of an earlier run: no longer true
+    write_discrepancy_report(result, out, holdout=holdout, models=compared)
     files.write_report_values(values, out / 'report.json')
     bad = result.verdict == BAD_DATA
     if args.json:
@@ -86,7 +88,7 @@ def written(result, compared, args):
     if not args.json and not bad:
         if compared:
             print(f'\n{comparison_text(compared, result.gap.joints)}')
-        print(f'\nmodel   {out / "robot.yaml"}\n'
+        print(f'\nmodel   {out / "robot.yaml"}\nreport  {out / "report.html"}\n'
               f'numbers {out / "report.json"}')
     return 2 if bad else int(result.verdict != COMPLETE)
 

@@ -1,0 +1,146 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Pictures of a discrepancy: the gap, the evidence of each effect, maps of the residual."""
+
+from gms_flex_control.reports.figures import COLOURS, finished, WIDTH
+from gms_flex_control.reports.identification_figures import side_by_side
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+import numpy as np
+
+_MOST_POINTS = 4000
+# one colour for one model in every picture and chart
+GIVEN, BEFORE, AFTER, FLOOR = '0.65', COLOURS[1], COLOURS[0], '0.35'
+OWN = COLOURS[2]
+
+
+def gap_figure(gap):
+    """
+    Return the gap between model and measurement on data held out, joint by joint.
+
+    Parameters
+    ----------
+    gap : Gap
+        Of n joints.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Residual torque and stray of free runs.
+
+    """
+    figure, panels = side_by_side(2, height=1.6 + 0.75 * len(gap.joints))
+    _bars(panels[0], gap.joints, 1e3, (
+        ('as given', gap.before, GIVEN), ('known parameters re-tuned', gap.retuned, BEFORE),
+        ('with the effects found', gap.after, AFTER),
+        ('floor: nothing missing', gap.floor, FLOOR)))
+    _bars(panels[1], gap.joints, 1e3, (
+        ('known parameters re-tuned', gap.free_before, BEFORE),
+        ('with the effects found', gap.free_after, AFTER),
+        ('floor: nothing missing', gap.free_floor, FLOOR)))
+    finished(figure, panels, 'Between model and measurement, on data held out')
+    panels[0].set_xlabel('residual torque, rms [mN m]')
+    panels[1].set_xlabel('stray of free runs of 0.5 s, rms [mrad]')
+    for panel in panels:
+        panel.tick_params(axis='y', which='both', left=False, right=False)
+        panel.set_xlim(left=0.0, right=1.18 * panel.dataLim.xmax or 1.0)
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc='outside lower center', ncols=4, fontsize=8,
+                  frameon=False)
+    return figure
+
+
+def _bars(panel, joints, scale, groups):
+    height, at = 0.8 / len(groups), np.arange(len(joints), dtype=float)
+    for i, (name, values, colour) in enumerate(groups):
+        drawn = panel.barh(at + (i - 0.5 * (len(groups) - 1)) * height,
+                           scale * np.nan_to_num(values), 0.9 * height, color=colour, label=name)
+        panel.bar_label(drawn, [f'{scale * value:.3g}' for value in values], fontsize=7.5,
+                        padding=2)
+    panel.set_yticks(at, joints, parse_math=False)
+    panel.invert_yaxis()
+
+
+def evidence_figure(evidence):
+    """
+    Return the residual over an effect's own variable, without it and with it.
+
+    Parameters
+    ----------
+    evidence : Evidence
+        Of one effect.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Samples, binned means with 95 % bands, and what the effect itself contributes.
+
+    """
+    figure = Figure(figsize=(WIDTH, 3.6), layout='constrained')
+    FigureCanvasAgg(figure)
+    panel = figure.subplots()
+    step = max(1, len(evidence.x) // _MOST_POINTS)
+    panel.plot(evidence.x[::step], 1e3 * evidence.y[::step], '.', color=COLOURS[4],
+               markersize=1.8, alpha=0.35, zorder=1)
+    panel.axhline(0.0, color='0.6', linewidth=0.6)
+    for curve, colour, name in ((evidence.before, BEFORE, 'without the effect'),
+                                (evidence.after, AFTER, 'with it')):
+        panel.fill_between(curve.x, 1e3 * (curve.mean - curve.half),
+                           1e3 * (curve.mean + curve.half), color=colour, alpha=0.3, linewidth=0)
+        panel.plot(curve.x, 1e3 * curve.mean, color=colour, label=name)
+    panel.plot(evidence.own.x, 1e3 * evidence.own.mean, '--', color=OWN,
+               label='the effect itself')
+    _within(panel, evidence)
+    panel.legend(loc='best', ncols=3)
+    finished(figure, [panel], f'{evidence.effect} of {evidence.joint}')
+    panel.set_xlabel(evidence.x_label, parse_math=False)
+    panel.set_ylabel(f'{evidence.y_label} [mN m]', parse_math=False, fontsize=8)
+    return figure
+
+
+def _within(panel, evidence):
+    """Show the curves and nearly all samples, not the farthest ones."""
+    low, high = 1e3 * np.quantile(evidence.y, (0.01, 0.99))
+    for curve in (evidence.before, evidence.after, evidence.own):
+        low = min(low, 1e3 * np.min(curve.mean - curve.half, initial=0.0))
+        high = max(high, 1e3 * np.max(curve.mean + curve.half, initial=0.0))
+    margin = 0.15 * (high - low) or 1.0
+    panel.set_ylim(low - margin, high + 1.5 * margin)
+
+
+def maps_figure(maps, joint):
+    """
+    Return maps of a joint's residual, before in the upper row and after in the lower one.
+
+    Parameters
+    ----------
+    maps : sequence of Map
+        One per column.
+    joint : str
+        Its name.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    """
+    figure = Figure(figsize=(WIDTH, 4.8), layout='constrained')
+    FigureCanvasAgg(figure)
+    panels = figure.subplots(2, len(maps), squeeze=False, sharex='col', sharey='col')
+    largest = max((1e3 * np.nanquantile(np.abs(one.before), 0.98) for one in maps
+                   if np.any(np.isfinite(one.before))), default=1.0)
+    for one, (upper, lower) in zip(maps, panels.T, strict=True):
+        for panel, values in ((upper, one.before), (lower, one.after)):
+            drawn = panel.pcolormesh(one.x_edges, one.y_edges, 1e3 * values.T, cmap='RdBu_r',
+                                     vmin=-largest, vmax=largest, rasterized=True)
+            panel.set_facecolor('0.93')
+            panel.tick_params(labelsize=8)
+            panel.set_ylabel(one.y_label, fontsize=8)
+        upper.set_title(one.title, fontsize=9)
+        lower.set_xlabel(one.x_label, fontsize=8)
+    figure.colorbar(drawn, ax=panels, location='bottom', shrink=0.6, aspect=40).ax.tick_params(
+        labelsize=8)
+    figure.suptitle(f'{joint}: missing torque [mN m]\nknown parameters re-tuned (above), with the '
+                    'effects found (below)', fontsize=10, parse_math=False)
+    return figure

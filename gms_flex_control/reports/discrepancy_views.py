@@ -1,0 +1,292 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""What residuals depend on, before and after: the curves and maps behind pictures and charts."""
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+from gms_flex_control.discrepancy import signature
+from gms_flex_control.discrepancy.residuals import unexplained
+from gms_flex_control.discrepancy.retrace import retrace
+from gms_flex_control.effects.registry import find
+import numpy as np
+
+UNITS = {'time': 's', 'link angle': 'rad', 'motor angle': 'rad', 'link rate': 'rad/s',
+         'motor rate': 'rad/s', 'twist': 'rad', 'torque': 'N m',
+         'link acceleration': 'rad/s^2', 'time since reversal': 's'}
+BINS = 36
+_LEAST = 8            # samples of a bin
+_INDEPENDENT = 0.4    # share of the samples behind the low-pass that are on their own
+_PERIODS = 3.0        # so many waves over a range are laid upon each other
+_MAP_BINS = 20
+_SEED = 991           # of the run in which nothing is missing
+
+
+class Binned(NamedTuple):
+    """Means of a residual over bins of a variable, each with its 95 % band."""
+
+    x: np.ndarray      # mean of the variable, shape (B,)
+    mean: np.ndarray   # shape (B,)
+    half: np.ndarray   # half width of the band, shape (B,)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Evidence:
+    """
+    How one effect shows.
+
+    Parameters
+    ----------
+    effect, joint : str
+        The finding.
+    equation : str
+        'link' or 'motor' equation of ``of_joint``, where it shows most.
+    of_joint : str
+        Joint of that equation.
+    x_label, y_label : str
+        With units.
+    x, y : ndarray, shape (S,)
+        Variable, and the residual without the effect [N m].
+    before, after, own : Binned
+        The residual without and with the effect, and what the effect itself contributes.
+
+    """
+
+    effect: str
+    joint: str
+    equation: str
+    of_joint: str
+    x_label: str
+    y_label: str
+    x: np.ndarray
+    y: np.ndarray
+    before: Binned
+    after: Binned
+    own: Binned
+
+
+class Along:
+    """
+    Residuals and variables of all recordings at the moments that count.
+
+    Parameters
+    ----------
+    problem : Problem
+        The recordings.
+
+    """
+
+    def __init__(self, problem):
+        self.problem = problem
+        self.joints = problem.robot.joints
+        self._kept = [whitening.scale.any(axis=1) for whitening in problem.whitenings]
+        self._variables = {}
+
+    def residual(self, robot, x, paths=None):
+        """Return residual torques (S, 2n) of a model behind the low-pass [N m]."""
+        constants = self.problem.constants(robot, x)
+        return np.concatenate([
+            whitening.torque_rows(unexplained(path, constants))[kept]
+            for path, whitening, kept in zip(paths or self.problem.paths,
+                                             self.problem.whitenings, self._kept, strict=True)])
+
+    def clean(self, robot, x):
+        """Return residuals (S, 2n) of a run of a model in which nothing is missing."""
+        constants = self.problem.constants(robot, x)
+        return self.residual(robot, x, [
+            retrace(path, constants, np.random.default_rng(_SEED))
+            for path in self.problem.paths])
+
+    def variables(self, j):
+        """Return what residuals of joint ``j`` may depend on, dict of str to (S,)."""
+        if j not in self._variables:
+            parts = []
+            for path, whitening, kept in zip(self.problem.paths, self.problem.whitenings,
+                                             self._kept, strict=True):
+                time = path.time - path.time[0]
+                parts.append({name: np.interp(whitening.time[kept], time, values)
+                              for name, values in signature.variables(path, j).items()})
+            self._variables[j] = {name: np.concatenate([part[name] for part in parts])
+                                  for name in parts[0]}
+        return self._variables[j]
+
+    def channels(self, j):
+        """Return (equation, column) of each equation of joint ``j``."""
+        if self.problem.robot.arm.rigid[j]:
+            return [('link', j)]
+        return [('link', j), ('motor', len(self.joints) + j)]
+
+
+def binned(x, y, edges=None):
+    """
+    Return the means of y (S,) over bins of x (S,) that hold equally many samples.
+
+    Parameters
+    ----------
+    x, y : ndarray, shape (S,)
+        Variable and residual.
+    edges : ndarray, optional
+        Inner edges of the bins, so that others have the same.
+
+    Returns
+    -------
+    Binned
+
+    """
+    edges = bin_edges(x) if edges is None else edges
+    places = np.searchsorted(edges, x)
+    count = np.bincount(places, minlength=len(edges) + 1).astype(float)
+    full = count >= _LEAST
+
+    def means(values):
+        return np.bincount(places, weights=values, minlength=len(count))[full] / count[full]
+    mean = means(y)
+    spread = np.sqrt(np.maximum(means(y ** 2) - mean ** 2, 0.0))
+    return Binned(means(x), mean, 1.96 * spread / np.sqrt(_INDEPENDENT * count[full]))
+
+
+def bin_edges(x):
+    """Return the inner edges of bins of x (S,) that hold equally many samples."""
+    bins = int(np.clip(len(x) // (4 * _LEAST), 4, BINS))
+    return np.unique(np.quantile(x, np.linspace(0.0, 1.0, bins + 1)[1:-1]))
+
+
+def evidence_of(along, model, finding):
+    """
+    Return how an effect shows against its own variable.
+
+    Parameters
+    ----------
+    along : Along
+        The recordings.
+    model : Fitted
+        With all effects found.
+    finding : Finding
+        The effect.
+
+    Returns
+    -------
+    Evidence
+
+    Notes
+    -----
+    Friction changes sign with the motion: where the effect's contribution follows its variable
+    better after multiplication by the sign of the link's rate, that is what is shown.
+
+    """
+    specs = model.robot.effects
+    spec = next(one for one in specs if (one.name, one.joint) == (finding.effect, finding.joint))
+    less = replace(model.robot, effects=tuple(one for one in specs if one is not spec))
+    after, before = along.residual(model.robot, model.x), along.residual(less, model.x)
+    own = before - after
+    j, equation, column = _strongest(along, own, finding.joint)
+    name = find(spec.name).evidence
+    x, x_label = _folded(spec, name, along.variables(j)[name])
+    y_label = f'torque missing in the {equation} equation of {along.joints[j]}'
+    y, rest, mine = before[:, column], after[:, column], own[:, column]
+    sign = np.sign(along.variables(j)['link rate'])
+    if signature.dependence(x, sign * mine) > signature.dependence(x, mine) + 0.05:
+        y, rest, mine = sign * y, sign * rest, sign * mine
+        y_label += ' x direction of motion'
+    edges = bin_edges(x)
+    return Evidence(
+        effect=spec.name, joint=spec.joint, equation=equation, of_joint=along.joints[j],
+        x_label=x_label, y_label=y_label, x=x, y=y, before=binned(x, y, edges),
+        after=binned(x, rest, edges), own=binned(x, mine, edges))
+
+
+def _strongest(along, own, joint):
+    """Return joint index, equation and column in which an effect contributes most."""
+    candidates = [(float(np.std(own[:, column])), j, equation, column)
+                  for j in range(len(along.joints)) if joint in (along.joints[j], 'arm')
+                  for equation, column in along.channels(j)]
+    return max(candidates)[1:]
+
+
+def _folded(spec, name, x):
+    """Return a variable and its label, waves of a known order laid upon each other."""
+    values = dict(zip((p.name for p in find(spec.name).parameters), spec.values, strict=True))
+    order = values.get('order', 0.0)
+    if 'angle' in name and order > 0.0 and np.ptp(x) > _PERIODS * 2.0 * np.pi / order:
+        return (np.mod(x, 2.0 * np.pi / order),
+                f'{name} within a period of order {order:.3g} [rad]')
+    return x, f'{name} [{UNITS[name]}]'
+
+
+class Map(NamedTuple):
+    """Mean residual over two variables, before and after."""
+
+    title: str
+    x_label: str
+    y_label: str
+    x_edges: np.ndarray
+    y_edges: np.ndarray
+    before: np.ndarray  # (X, Y), NaN where there are few samples
+    after: np.ndarray
+
+
+def maps_of(along, before, after, j):
+    """
+    Return maps of the residual of a joint.
+
+    Parameters
+    ----------
+    along : Along
+        The recordings.
+    before, after : ndarray, shape (S, 2n)
+        Residuals of two models.
+    j : int
+        The joint.
+
+    Returns
+    -------
+    list of Map
+
+    """
+    values, rigid = along.variables(j), along.problem.robot.arm.rigid[j]
+    pairs = [(0, 'link angle', 'link rate'), (0, 'link acceleration', 'link rate')]
+    pairs += [(0, 'torque', 'link rate')] if rigid else [(1, 'twist', 'motor rate'),
+                                                         (1, 'motor angle', 'motor rate')]
+    found = []
+    for which, first, second in pairs:
+        equation, column = along.channels(j)[which]
+        edges = [np.linspace(*np.quantile(values[name], (0.01, 0.99)), _MAP_BINS + 1)
+                 for name in (first, second)]
+        found.append(Map(f'{equation} equation', f'{first} [{UNITS[first]}]',
+                         f'{second} [{UNITS[second]}]', *edges,
+                         *(_mean_over(values[first], values[second], residual[:, column], edges)
+                           for residual in (before, after))))
+    return found
+
+
+def _mean_over(x, y, residual, edges):
+    count, *_ = np.histogram2d(x, y, edges)
+    total, *_ = np.histogram2d(x, y, edges, weights=residual)
+    return np.where(count >= 2.0, total / np.maximum(count, 1.0), np.nan)
+
+
+def dependences(along, before, after, clean):
+    """
+    Return what residuals depend on: rows of joint, equation, variable and three shares.
+
+    Parameters
+    ----------
+    along : Along
+        The recordings.
+    before, after, clean : ndarray, shape (S, 2n)
+        Residuals; those of a clean run say what share chance alone explains.
+
+    Returns
+    -------
+    list of tuple
+
+    """
+    rows = []
+    for j, joint in enumerate(along.joints):
+        for equation, column in along.channels(j):
+            for name, values in along.variables(j).items():
+                rows.append((joint, equation, name, *(
+                    signature.dependence(values, residual[:, column])
+                    for residual in (before, after, clean))))
+    return rows
