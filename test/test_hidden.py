@@ -5,6 +5,7 @@
 
 from dataclasses import replace
 import json
+from types import SimpleNamespace
 
 from core_runs import push_plant, single_axis
 from gms_flex_control.bags.reader import read_recording
@@ -266,6 +267,12 @@ def single_friction(friction):
     return replace(friction, forward=side(friction.forward), backward=side(friction.backward),
                    stiffness=friction.stiffness[:1], weight=friction.weight[:1],
                    attraction=friction.attraction[:1])
+
+
+def test_a_longer_chain_is_refused():
+    three = SimpleNamespace(arm=SimpleNamespace(kind='planar'), n_joints=3, effects=())
+    with pytest.raises(ConfigError, match='one or two joints, got 3'):
+        truth.constants_of(three)
 
 
 def test_an_unknown_kind_is_refused_with_the_nearest():

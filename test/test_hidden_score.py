@@ -4,7 +4,9 @@
 """The bench of hidden effects: answers are judged by what was hidden, runs go on where killed."""
 
 import json
+import subprocess
 import sys
+import time
 from types import ModuleType, SimpleNamespace
 
 from gms_flex_control.benchmarks.hidden_effects import figures, judgement, peers, text
@@ -249,3 +251,35 @@ def test_score_prints_what_the_journal_holds(tmp_path, capsys):
 def test_what_score_cannot_do_is_refused(tmp_path, capsys, args, sentence):
     assert main(['score', '--out', str(tmp_path), *args]) == 2
     assert sentence in capsys.readouterr().err
+
+
+def test_workers_of_a_killed_run_end_with_it(tmp_path):
+    """Whatever they wait for: nobody would read what they find."""
+    script = tmp_path / 'run.py'
+    script.write_text(
+        'import os, sys, time\n'
+        'from concurrent.futures import ProcessPoolExecutor\n'
+        'from multiprocessing import get_context\n'
+        'from gms_flex_control.benchmarks.hidden_effects.outcome import end_with_parent\n'
+        "if __name__ == '__main__':\n"
+        '    pool = ProcessPoolExecutor(1, initializer=end_with_parent,\n'
+        "                               mp_context=get_context('spawn'))\n"
+        '    print(pool.submit(os.getpid).result(), flush=True)\n'
+        '    time.sleep(60)\n')
+    run = subprocess.Popen([sys.executable, str(script)], stdout=subprocess.PIPE, text=True)
+    worker = int(run.stdout.readline())
+    run.kill()
+    run.communicate()
+    deadline = time.monotonic() + 30.0
+    while alive(worker) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not alive(worker)
+
+
+def alive(pid):
+    """Return whether a process runs; one that ended but was not waited for does not."""
+    try:
+        with open(f'/proc/{pid}/stat', encoding='ascii') as file:
+            return file.read().rsplit(')', 1)[1].split()[0] != 'Z'
+    except FileNotFoundError:
+        return False

@@ -95,13 +95,14 @@ def try_missing(jobs, journal, args):
     from concurrent.futures import as_completed, ProcessPoolExecutor
     from multiprocessing import get_context
 
-    from gms_flex_control.benchmarks.hidden_effects.outcome import try_job
+    from gms_flex_control.benchmarks.hidden_effects.outcome import end_with_parent, try_job
     from gms_flex_control.errors import SimulationError
 
     waiting = [job for job in jobs if job.key not in journal.outcomes]
     if not waiting:
         return
-    pool = ProcessPoolExecutor(min(args.workers, len(waiting)), mp_context=get_context('spawn'))
+    pool = ProcessPoolExecutor(min(args.workers, len(waiting)), initializer=end_with_parent,
+                               mp_context=get_context('spawn'))
     try:
         tried = [pool.submit(try_job, job, not args.no_peers) for job in waiting]
         for count, future in enumerate(as_completed(tried), 1):

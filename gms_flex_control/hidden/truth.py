@@ -9,7 +9,7 @@ from typing import NamedTuple
 from gms_flex_control import records
 from gms_flex_control.control import cascade
 from gms_flex_control.effects import table as effect_table
-from gms_flex_control.errors import SimulationError
+from gms_flex_control.errors import ConfigError, SimulationError
 from gms_flex_control.hidden.kernels import loop, mechanics, outside
 from gms_flex_control.simulation import encoder
 import numpy as np
@@ -41,6 +41,9 @@ class Motion(NamedTuple):
 
 def constants_of(robot):
     """Return a RobotParams, effects included, as the record of the hidden kernels."""
+    if robot.arm.kind == 'planar' and robot.n_joints > 2:
+        raise ConfigError(f'a hidden chain has one or two joints, got {robot.n_joints}; take '
+                          'arm.kind decoupled or fewer joints')
     robot = effect_table.with_changes(robot)
     carried, base = np.zeros(robot.n_joints), (0.0, 1.0, 0.0)
     for spec in robot.effects:
