@@ -66,17 +66,24 @@ def try_restarted_controller(bench, tries, tally):
         loop.run(_GONE)
         begin = time.monotonic()
         loop.start_controller(f'controller_node.{k}')
-        bench.until(loop.moves)
-        first = next(when for when, state in loop.states.since(begin) if torque_of(state).any())
-        tally.figure(first - begin)
+        bench.until(lambda begin=begin: _pushes_of(loop, begin))
+        tally.figure(_pushes_of(loop, begin)[0][0] - begin)
         loop.run(0.5)
-        most = _first_torques(loop.commands.since(begin))
+        most = _first_torques(_pushes_of(loop, begin))
         tally.expect(most <= _GENTLE, f'it resumed with {most:.2g} N m')
+        bench.until(loop.moves)
+
+
+def _pushes_of(loop, begin):
+    """Return (time, command) of the newest controller's commands with torque since a moment."""
+    pid = loop.controller.process.pid
+    return [(when, command) for when, command in loop.commands.since(begin)
+            if any(command.data) and _is_from(command, pid)]
 
 
 def _first_torques(timed):
     """Return the largest torque in answer to the first states (their stamps count) [N m]."""
-    first = next(stamp_of(command) for _, command in timed if any(command.data))
+    first = stamp_of(timed[0][1])
     return largest_torque((when, command) for when, command in timed
                           if stamp_of(command) < first + _BEGINNING * 1e9)
 
