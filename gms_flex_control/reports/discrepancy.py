@@ -139,7 +139,7 @@ def _add_evidence_chart(report, evidence):
                    for sign, side in ((-1.0, 'low'), (1.0, 'high'))]
     curves.append(Curve('the effect itself', evidence.own.x, 1e3 * evidence.own.mean, 'c2',
                         dashed=True))
-    report.xy_chart(f'{evidence.y_label}', curves, evidence.x_label, 'torque [mN m]')
+    report.xy_chart(f'torque {evidence.title}', curves, evidence.x_label, 'torque [mN m]')
 
 
 def _add_left(report, result):

@@ -94,8 +94,9 @@ def evidence_figure(evidence):
     _within(panel, evidence)
     panel.legend(loc='best', ncols=3)
     finished(figure, [panel], f'{evidence.effect} of {evidence.joint}')
+    panel.set_title(f'torque {evidence.title}', fontsize=9, parse_math=False)
     panel.set_xlabel(evidence.x_label, parse_math=False)
-    panel.set_ylabel(f'{evidence.y_label} [mN m]', parse_math=False, fontsize=8)
+    panel.set_ylabel('torque [mN m]')
     return figure
 
 

@@ -16,7 +16,9 @@ UNITS = {'time': 's', 'link angle': 'rad', 'motor angle': 'rad', 'link rate': 'r
          'motor rate': 'rad/s', 'twist': 'rad', 'torque': 'N m',
          'link acceleration': 'rad/s^2', 'time since reversal': 's'}
 BINS = 36
-_LEAST = 8            # samples of a bin
+_LEAST = 6            # samples of a bin
+_MOVING = 0.05        # of the rms rate: slower is at rest
+_BETTER = 0.05        # share of variance by which a factor must improve
 _INDEPENDENT = 0.4    # share of the samples behind the low-pass that are on their own
 _PERIODS = 3.0        # so many waves over a range are laid upon each other
 _MAP_BINS = 20
@@ -44,8 +46,10 @@ class Evidence:
         'link' or 'motor' equation of ``of_joint``, where it shows most.
     of_joint : str
         Joint of that equation.
-    x_label, y_label : str
-        With units.
+    x_label : str
+        With unit.
+    times : str
+        What the residual is multiplied by; '' for nothing.
     x, y : ndarray, shape (S,)
         Variable, and the residual without the effect [N m].
     before, after, own : Binned
@@ -58,12 +62,18 @@ class Evidence:
     equation: str
     of_joint: str
     x_label: str
-    y_label: str
+    times: str
     x: np.ndarray
     y: np.ndarray
     before: Binned
     after: Binned
     own: Binned
+
+    @property
+    def title(self):
+        """Return what is shown, without the name of the effect."""
+        times = f', times {self.times}' if self.times else ''
+        return f'missing in the {self.equation} equation of {self.of_joint}{times}'
 
 
 class Along:
@@ -120,7 +130,7 @@ class Along:
 
 def binned(x, y, edges=None):
     """
-    Return the means of y (S,) over bins of x (S,) that hold equally many samples.
+    Return the means of y (S,) over bins of x (S,); bins of few samples are left out.
 
     Parameters
     ----------
@@ -147,9 +157,11 @@ def binned(x, y, edges=None):
 
 
 def bin_edges(x):
-    """Return the inner edges of bins of x (S,) that hold equally many samples."""
+    """Return inner edges of bins of x (S,), half of them even in x, half in samples."""
     bins = int(np.clip(len(x) // (4 * _LEAST), 4, BINS))
-    return np.unique(np.quantile(x, np.linspace(0.0, 1.0, bins + 1)[1:-1]))
+    even = np.linspace(*np.quantile(x, (0.003, 0.997)), bins // 2 + 1)
+    alike = np.quantile(x, np.linspace(0.0, 1.0, bins // 2 + 1)[1:-1])
+    return np.unique(np.concatenate([even, alike]))
 
 
 def evidence_of(along, model, finding):
@@ -172,28 +184,41 @@ def evidence_of(along, model, finding):
     Notes
     -----
     Friction changes sign with the motion: where the effect's contribution follows its variable
-    better after multiplication by the sign of the link's rate, that is what is shown.
+    better after multiplication by the sign of the link's rate, that is what is shown, of samples
+    that move. Over time, the residual is shown in the direction of the effect's contribution,
+    which the noise knows nothing of.
 
     """
     specs = model.robot.effects
     spec = next(one for one in specs if (one.name, one.joint) == (finding.effect, finding.joint))
     less = replace(model.robot, effects=tuple(one for one in specs if one is not spec))
     after, before = along.residual(model.robot, model.x), along.residual(less, model.x)
-    own = before - after
-    j, equation, column = _strongest(along, own, finding.joint)
+    j, equation, column = _strongest(along, before - after, finding.joint)
     name = find(spec.name).evidence
     x, x_label = _folded(spec, name, along.variables(j)[name])
-    y_label = f'torque missing in the {equation} equation of {along.joints[j]}'
-    y, rest, mine = before[:, column], after[:, column], own[:, column]
-    sign = np.sign(along.variables(j)['link rate'])
-    if signature.dependence(x, sign * mine) > signature.dependence(x, mine) + 0.05:
-        y, rest, mine = sign * y, sign * rest, sign * mine
-        y_label += ' x direction of motion'
+    own = before[:, column] - after[:, column]
+    sign, times = _factor(name, x, own, along.variables(j)['link rate'])
+    used = sign != 0.0
+    x, own, y, rest = (values[used] * factor for values, factor in (
+        (x, 1.0), (own, sign[used]), (before[:, column], sign[used]),
+        (after[:, column], sign[used])))
     edges = bin_edges(x)
     return Evidence(
         effect=spec.name, joint=spec.joint, equation=equation, of_joint=along.joints[j],
-        x_label=x_label, y_label=y_label, x=x, y=y, before=binned(x, y, edges),
-        after=binned(x, rest, edges), own=binned(x, mine, edges))
+        x_label=x_label, times=times, x=x, y=y, before=binned(x, y, edges),
+        after=binned(x, rest, edges), own=binned(x, own, edges))
+
+
+def _factor(name, x, own, rate):
+    """Return what the residual is multiplied by (S,), 0 where it is not shown, and its name."""
+    if name == 'time':
+        return np.where(own < 0.0, -1.0, 1.0), 'the sign of the effect'
+    moving = np.abs(rate) > _MOVING * np.sqrt(np.mean(rate ** 2))
+    sign = np.sign(rate) * moving
+    if moving.sum() > _LEAST * 8 and signature.dependence(x[moving], (sign * own)[moving]) > \
+            signature.dependence(x, own) + _BETTER:
+        return sign, 'the direction of motion'
+    return np.ones(len(x)), ''
 
 
 def _strongest(along, own, joint):
