@@ -21,17 +21,23 @@ from node_harness import (
 )
 import pytest
 from rclpy.qos import QoSProfile
-from ros2_control_robot import EFFORTS, MAPPING
+import ros2_control_robot as robot_process
+from ros2_control_robot import EFFORTS, MAPPING, NAMES
 
 DiagnosticArray = pytest.importorskip('diagnostic_msgs.msg').DiagnosticArray
 RATE = 250.0
 
 
 class Efforts(list):
-    """Efforts at the robot with the times they came at [s]."""
+    """Efforts on the wire, or those a robot says it drives with, and when they came [s]."""
 
     def append(self, message):
         super().append((time.monotonic(), list(message.data)))
+
+    def driven(self, message):
+        """Take the joint states of the robot."""
+        super().append((time.monotonic(), [message.effort[NAMES.index(name)]
+                                           for name in ('m2', 'm1')]))
 
     @property
     def last(self):
@@ -48,8 +54,12 @@ class Efforts(list):
 
 
 @contextmanager
-def bridge_lab(folder, *, robot=True, mapping=MAPPING, **parameters):
-    """Yield a Lab with robot, bridge, controller and trajectory running, torque not enabled."""
+def bridge_lab(folder, *, robot=True, mapping=MAPPING, plant=None, **parameters):
+    """
+    Yield a Lab with robot, bridge, controller and trajectory running, torque not enabled.
+
+    ``plant`` is the command of the bridge, if it is not the installed one.
+    """
     mapping = write_parameters(Path(folder) / 'mapping.yaml', mapping)
     with Lab(Path(folder)) as lab:
         lab.files = [*FILES, CONFIG / 'bridge.yaml', mapping]
@@ -58,11 +68,14 @@ def bridge_lab(folder, *, robot=True, mapping=MAPPING, **parameters):
         lab.processes, lab.clients = [], {}
         if robot:
             start_robot(lab)
-        lab.plant = lab.start('plant_node', files=lab.files, **lab.given)
+        lab.plant = lab.start('plant_node', command=plant, files=lab.files, **lab.given)
         lab.trajectory = lab.start('trajectory_node', files=[
             *lab.files, CONFIG / 'sinusoid.yaml'], trajectory__joint1__amplitude=0.3,
             trajectory__joint2__amplitude=0.3)
         lab.efforts, lab.reports = Efforts(), []
+        lab.driven = Efforts()
+        lab.node.create_subscription(JointState, robot_process.STATES, lab.driven.driven,
+                                     QoSProfile(depth=100))
         lab.states = lab.listen(JointState, STATES)
         lab.node.create_subscription(Float64MultiArray, EFFORTS, lab.efforts.append,
                                      QoSProfile(depth=100))
@@ -170,11 +183,12 @@ def assert_fault_within(bound, lab, *arguments, tries=3, **options):
     raise AssertionError(f'torque flowed on for {taken} s')
 
 
-def time_to_zero(lab, begin):
+def time_to_zero(lab, begin, efforts=None):
     """Wait for zero efforts and for 50 ms more of them; return when they came [s]."""
-    lab.until(lambda: lab.efforts.first_zero_after(begin)
-              and time.monotonic() > lab.efforts.first_zero_after(begin) + 0.05)
-    return lab.efforts.first_zero_after(begin) - begin
+    efforts = lab.efforts if efforts is None else efforts
+    lab.until(lambda: efforts.first_zero_after(begin)
+              and time.monotonic() > efforts.first_zero_after(begin) + 0.05)
+    return efforts.first_zero_after(begin) - begin
 
 
 def report(lab, text):

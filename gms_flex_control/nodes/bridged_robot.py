@@ -137,7 +137,8 @@ class BridgedRobot:
         with self._lock:
             if self._supervisor.state != 'ZERO':
                 return ''
-            return self._health.fault or self._bridge.obstacle(self.now())
+            return (self._health.fault or self._bridge.obstacle(self.now())
+                    or self._link.obstacle())
 
     def enable(self):
         """Let torque flow; return an Outcome."""
@@ -180,11 +181,12 @@ class BridgedRobot:
     def run(self, spinner):
         """Watch over both sides until a signal comes."""
         process.tighten_timers()
+        look = self._health.guard(self._look)
         with process.BackgroundSpin(spinner) as background, self._link:
             while spinner.goes_on():
                 if background.error is not None:
                     raise background.error
-                self._look()
+                look()
                 self._link.beat()
                 time.sleep(_WATCH_PERIOD)
 
@@ -192,6 +194,8 @@ class BridgedRobot:
         with self._lock:
             now = self.now()
             self._bridge.watch(now)
+            if self._supervisor.active and self._link.broken:
+                self._bridge.fault(self._link.broken)
             self._settle()
             if not self._supervisor.active and now - self._sent >= _ZERO_PERIOD:
                 self._send()

@@ -47,13 +47,23 @@ class Guardian:
     def __init__(self, name, array, joint, names):
         self._process = subprocess.Popen(
             [sys.executable, '-m', __name__, json.dumps([name, array, joint, list(names)])],
-            stdin=subprocess.PIPE, bufsize=0, start_new_session=True)
-        os.set_blocking(self._process.stdin.fileno(), False)
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0, start_new_session=True)
+        for pipe in (self._process.stdin, self._process.stdout):
+            os.set_blocking(pipe.fileno(), False)
+        self._heard_by = 0
 
     @property
-    def alive(self):
-        """Return whether it watches."""
-        return self._process.poll() is None
+    def ended(self):
+        """Return whether the process has ended, which it never should by itself."""
+        return self._process.poll() is not None
+
+    @property
+    def heard_by(self):
+        """Return how many take its efforts."""
+        told = self._process.stdout.read()
+        if told:
+            self._heard_by = told[-1]
+        return self._heard_by
 
     def beat(self):
         """Say that the bridge lives; to be called at least every 20 ms."""
@@ -63,7 +73,7 @@ class Guardian:
         try:
             self._process.stdin.write(data)
         except OSError:
-            pass  # it is dead, which `alive` tells, or frozen with a full pipe
+            pass  # it is dead, which `ended` tells, or frozen with a full pipe
 
     def end(self):
         """Let it go without a word, the bridge having said the last one."""
@@ -76,15 +86,23 @@ class Guardian:
             self._process.wait()
 
 
-def _publishers(node, array, joint, names):
-    """Return callables that publish zero."""
+def _zeros(node, array, joint, names):
+    """Return (publisher, message) of zero for each topic."""
     found = []
     for topic, message in ((array, Float64MultiArray(data=[0.0] * len(names))),
                            (joint, JointState(name=names, effort=[0.0] * len(names)))):
         if topic:
-            publisher = node.create_publisher(type(message), topic, QoSProfile(depth=1))
-            found.append(lambda publisher=publisher, message=message: publisher.publish(message))
+            found.append((node.create_publisher(type(message), topic, QoSProfile(depth=1)),
+                          message))
     return found
+
+
+def _heard_by(zeros, before):
+    """Return how many listen to the zeros; say so if it is not as ``before``."""
+    count = min(255, sum(publisher.get_subscription_count() for publisher, _ in zeros))
+    if count != before:
+        os.write(sys.stdout.fileno(), bytes([count]))
+    return count
 
 
 def main():
@@ -95,7 +113,7 @@ def main():
     avoid_shared_memory()
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node(name, enable_rosout=False, start_parameter_services=False)
-    publish = _publishers(node, array, joint, names)
+    zeros, count = _zeros(node, array, joint, names), 0
     heard, dead = time.monotonic(), None
     while dead is None or time.monotonic() < dead + _AFTERWARDS:
         if dead is None and select.select([sys.stdin], [], [], _PERIOD)[0]:
@@ -106,8 +124,10 @@ def main():
         elif dead is not None:
             time.sleep(_PERIOD)
         if dead is not None or time.monotonic() - heard > SILENCE:
-            for zero in publish:
-                zero()
+            for publisher, message in zeros:
+                publisher.publish(message)
+        if dead is None:
+            count = _heard_by(zeros, count)
     node.destroy_node()
     rclpy.try_shutdown()
 

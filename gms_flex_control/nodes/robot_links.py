@@ -99,6 +99,27 @@ class TopicLink:
         if self._guardian is not None:
             self._guardian.beat()
 
+    @property
+    def broken(self):
+        """Return a sentence if the way to the robot is broken; else ''."""
+        if self._guardian is not None and self._guardian.ended:
+            return 'the guardian process has ended; start the bridge anew'
+        return ''
+
+    def obstacle(self):
+        """Return what stands against torque here (str); '' if nothing does."""
+        listeners = self._listeners()
+        if not listeners:
+            return 'nobody takes the efforts'
+        if self._guardian is not None and self._guardian.heard_by < listeners:
+            return (self.broken or 'the guardian reaches '
+                    f'{self._guardian.heard_by} of the {listeners} who take the efforts')
+        return ''
+
+    def _listeners(self):
+        return sum(publisher.get_subscription_count()
+                   for publisher in filter(None, (self._array_pub, self._joint_pub)))
+
     def __enter__(self):
         return self
 
@@ -114,10 +135,10 @@ class TopicLink:
 
     def figures(self):
         """Return what to report."""
-        publisher = self._array_pub or self._joint_pub
-        guarded = self._guardian is not None and self._guardian.alive
-        return {'listeners of the efforts': publisher.get_subscription_count(),
-                'guardian': 'watches' if guarded else 'none'}
+        figures = {'listeners of the efforts': self._listeners()}
+        if self._guardian is not None:
+            figures['listeners of the guardian'] = self._guardian.heard_by
+        return figures
 
 
 class DeviceLink:
@@ -178,6 +199,15 @@ class DeviceLink:
 
     def beat(self):
         """Do nothing: a device ends its torque by itself."""
+
+    @property
+    def broken(self):
+        """Return a sentence if the way to the robot is broken; else ''."""
+        return '' if self._connected else f'device {self._name} is not connected'
+
+    def obstacle(self):
+        """Return what stands against torque here (str); '' if nothing does."""
+        return self.broken
 
     def __enter__(self):
         self._thread.start()

@@ -1,0 +1,77 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""The simulated plant has the same limits, services and faults as the bridge."""
+
+from bridge_lab import ask
+from node_harness import (
+    array_message,
+    COMMANDS,
+    CONFIG,
+    FILES,
+    Float64MultiArray,
+    JointState,
+    Lab,
+    stamp_of,
+    STATES,
+)
+import pytest
+
+LIMITS = {'limits__joint1__torque': 0.05, 'limits__joint2__upper': 0.3,
+          'limits__joint2__position_margin': 0.05}
+
+
+@pytest.fixture(scope='module')
+def lab(tmp_path_factory):
+    """Run a limited plant alone; the test commands it."""
+    with Lab(tmp_path_factory.mktemp('safety')) as running:
+        running.plant = running.start('plant_node', files=[*FILES, CONFIG / 'sinusoid.yaml'],
+                                      rate=200.0, silence_timeout=1.0, **LIMITS)
+        running.clients = {}
+        running.states = running.listen(JointState, STATES)
+        running.commands = running.speak(Float64MultiArray, COMMANDS)
+        running.until(lambda: running.states and running.commands.get_subscription_count())
+        yield running
+        assert running.plant.runs and 'Traceback' not in running.plant.printed()
+
+
+def push(lab, torque, condition):
+    """Command ``torque`` at each new state until ``condition(effort of the motors)`` holds."""
+    seen = [0]
+
+    def pushed():
+        if len(lab.states) > seen[0]:
+            seen[0] = len(lab.states)
+            lab.commands.publish(array_message(torque, f'stamp:{stamp_of(lab.states[-1])}',
+                                               'source:/test'))
+        return condition(list(lab.states[-1].effort[2:]))
+    lab.until(pushed)
+
+
+def test_torque_is_limited_and_ends_and_begins_by_service(lab):
+    push(lab, [0.5, 0.02], lambda effort: effort == pytest.approx([0.05, 0.02]))
+    assert ask(lab, 'disable').message == 'ZERO'
+    push(lab, [0.5, 0.02], lambda effort: effort == [0.0, 0.0])
+    assert ask(lab, 'enable').success
+    push(lab, [-0.5, 0.02], lambda effort: effort == pytest.approx([-0.05, 0.02]))
+
+
+def test_an_emergency_stop_lasts_until_reset_and_enable(lab):
+    assert 'emergency stop by service' in ask(lab, 'emergency_stop').message
+    push(lab, [0.05, 0.02], lambda effort: not any(effort))
+    assert not ask(lab, 'enable').success
+    assert ask(lab, 'reset').success
+    begin = len(lab.states)
+    push(lab, [0.05, 0.02], lambda effort: len(lab.states) > begin + 40)
+    assert not any(any(state.effort[2:]) for state in lab.states[begin + 1:])
+    assert ask(lab, 'enable').success
+    push(lab, [0.05, 0.02], any)
+
+
+def test_a_joint_pushed_beyond_its_range_is_a_fault_and_outward_torque_is_zero_before(lab):
+    push(lab, [0.0, 0.4], lambda effort: 'joint2 is at 0.3' in lab.plant.printed())
+    assert 'FAULT: joint2 is at 0.3' in lab.plant.printed()
+    beyond = [state.effort[3] for before, state in zip(lab.states, lab.states[1:], strict=False)
+              if before.position[1] >= 0.3]
+    assert beyond and not any(beyond)
+    push(lab, [0.0, -0.1], lambda effort: not any(effort))  # latched
