@@ -1,0 +1,127 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Faults of the data are named as such, before any physics."""
+
+from dataclasses import replace
+
+from gms_flex_control.discrepancy.result import BAD_DATA
+from gms_flex_control.discrepancy.workflow import discrepancy, Options
+from gms_flex_control.errors import BagError
+from gms_flex_control.hidden.cases import make_case
+import numpy as np
+import pytest
+
+CHANNELS = ('q_link', 'dq_link', 'q_motor', 'dq_motor', 'tau_motor', 'command', 'friction_hat')
+
+
+@pytest.fixture(scope='module')
+def case():
+    """Return a healthy recording and its robot."""
+    return make_case('clean', 3, duration=20.0)
+
+
+def taken(recording, rows, time=None):
+    """Return a recording of some samples, at other times if they are given."""
+    time = recording.time[rows] if time is None else time
+    return replace(recording, time=time - time[0], reference=recording.reference[rows],
+                   supply=None, **{name: getattr(recording, name)[rows] for name in CHANNELS})
+
+
+def swapped_joints(recording):
+    """Return a recording whose joints stand under each other's names."""
+    return replace(recording, **{name: getattr(recording, name)[:, ::-1] for name in CHANNELS})
+
+
+def swapped_angles(recording):
+    """Return a recording in which the link encoders are exchanged."""
+    return replace(recording, q_link=recording.q_link[:, ::-1], dq_link=recording.dq_link[:, ::-1])
+
+
+def clock_jump(recording):
+    """Return a recording whose clock was set ahead by half a second."""
+    return taken(recording, slice(None), recording.time + 0.5 * (recording.time > 9.0))
+
+
+def half_lost(recording):
+    """Return a recording with half of its samples missing, in bursts."""
+    return taken(recording, np.flatnonzero(np.arange(len(recording.time)) // 50 % 2 == 0))
+
+
+def scaled(name, factor):
+    """Return a function that scales a channel, in all its parts."""
+    return lambda recording: replace(recording, **{name: factor * getattr(recording, name)})
+
+
+def torque(factor):
+    """Return a function that scales torque, as asked for and as given."""
+    return lambda recording: replace(recording, command=factor * recording.command,
+                                     tau_motor=factor * recording.tau_motor)
+
+
+def slipped(recording):
+    """Return a recording in which an encoder slips."""
+    late = (recording.time > 8.0)[:, None]
+    return replace(recording, q_link=recording.q_link + 0.05 * late)
+
+
+def clipped(recording):
+    """Return a recording whose torque was cut off at less than it often was."""
+    limit = np.quantile(np.abs(recording.tau_motor), 0.7, axis=0)
+    return replace(recording, tau_motor=np.clip(recording.tau_motor, -limit, limit),
+                   command=np.clip(recording.command, -limit, limit))
+
+
+def repeated(recording):
+    """Return a recording in which bursts of samples repeat the one before."""
+    rows = np.arange(len(recording.time))
+    held = np.where(rows % 400 < 20, rows - rows % 400, rows)
+    return taken(recording, held, recording.time)
+
+
+REFUSED = {
+    'joints swapped': swapped_joints, 'link encoders swapped': swapped_angles,
+    'clock jump': clock_jump, 'milliseconds': lambda r: replace(r, time=1e3 * r.time),
+    'half lost': half_lost, 'no link angle': scaled('q_link', np.nan),
+    'motor reversed': scaled('q_motor', -1.0), 'motor in gear units': scaled('q_motor', 50.0),
+    'torque reversed': torque(-1.0), 'torque in mN m': torque(1e3), 'slipped': slipped,
+    'too short': lambda r: taken(r, np.arange(500))}
+TOLD = {'torque clipped': (clipped, 'clipped'), 'samples repeated': (repeated, 'repeat')}
+
+
+@pytest.mark.parametrize('name', REFUSED)
+def test_a_fault_of_the_data_ends_the_run_with_its_name(case, name):
+    result = discrepancy([REFUSED[name](case.recording)], case.nominal)
+    assert result.verdict == BAD_DATA
+    assert result.findings == () and result.unexplained is None and result.gap is None
+    assert result.faults and result.faults[0] in result.words
+    assert 'data are at fault' in result.words
+
+
+def test_a_channel_the_equations_need_is_asked_for(case):
+    with pytest.raises(BagError, match="the motor angle of 'joint1' is missing"):
+        discrepancy([scaled('q_motor', np.nan)(case.recording)], case.nominal)
+
+
+def test_a_fault_of_the_recording_held_out_counts_too(case):
+    result = discrepancy([case.recording], case.nominal,
+                         holdout=[clock_jump(case.recording)])
+    assert result.verdict == BAD_DATA and 'clock' in result.words
+
+
+@pytest.mark.parametrize('name', TOLD)
+def test_a_fault_with_which_one_can_go_on_is_told(case, name):
+    change, word = TOLD[name]
+    result = discrepancy([change(case.recording)], case.nominal, Options(most=0))
+    assert any(word in fault for fault in result.faults), result.faults
+
+
+def test_who_insists_is_answered(case):
+    """With ``force`` the faults are listed and the run goes on."""
+    result = discrepancy([slipped(case.recording)], case.nominal, Options(force=True, most=1))
+    assert result.verdict != BAD_DATA and result.faults and result.gap is not None
+
+
+def test_a_healthy_recording_has_no_fault(case):
+    result = discrepancy([case.recording], case.nominal, Options(most=0))
+    assert result.faults == () and result.verdict != BAD_DATA
