@@ -28,7 +28,7 @@ import pytest
 from ros2_control_robot import CONSTANT, GEAR, START
 from std_msgs.msg import Bool
 
-RATE_LIMIT, LIMIT, LONGEST_RAMP = 5.0, 0.5, 0.05  # torque_rate [N m/s], torque [N m] of bridge.yaml; [s]
+RATE_LIMIT, LIMIT, LONGEST_RAMP = 5.0, 0.5, 0.05  # of config/bridge.yaml; [s]
 SILENCE_BOUND, STOP_BOUND, STATE_TIMEOUT = 0.1, 0.02, 0.3  # [s]
 GUARDED = 0.15  # the guardian waits for 50 ms [s]
 BUSY = 0.03  # what a test process beside a storm may be late itself [s]
@@ -92,7 +92,7 @@ def test_torque_rises_at_its_rate_limit_and_stays_below_its_limit(lab):
     move(lab, lambda: (np.abs(np.subtract(lab.states[-1].position[:2], START)) > 0.1).all())
     torque = np.array([torques(data) for _, data in lab.efforts])
     assert np.abs(torque).max() <= LIMIT
-    # whatever time has passed, it never rises for longer at once; test_hardware_bridge has the ramp
+    # however long it took, it never rises for longer at once; test_hardware_bridge has the ramp
     assert np.diff(np.abs(torque), axis=0).max() <= RATE_LIMIT * LONGEST_RAMP + 1e-9
 
 
