@@ -264,6 +264,24 @@ def test_it_waits_for_start_when_told_to(lab):
     assert node.signal(INT) == 0
 
 
+def test_the_last_recording_is_compared_with_the_model_when_asked(lab):
+    node = lab.begin(exit_when_done=False)
+    lab.until_step(node, 'constant_velocity')
+    early = lab.call(Trigger, '/identification/discrepancy')
+    assert not early.success and 'no recording is finished' in early.message
+    lab.until(lambda: 'recorded' in node.printed() or not node.runs)
+    beside = lab.bag.with_name('bag_discrepancy')
+    lab.until(lambda: lab.call(Trigger, '/identification/discrepancy').success)
+    again = lab.call(Trigger, '/identification/discrepancy')
+    assert not again.success and 'runs already' in again.message
+    lab.until((beside / 'report.json').exists, bound=300.0)
+    report = json.loads((beside / 'report.json').read_text())
+    assert report['verdict'] != 'bad_data' and report['sources'] == [str(lab.bag)]
+    assert load_robot(beside / 'robot.yaml').joints == ('joint1', 'joint2')
+    lab.until(lambda: f'numbers {beside / "report.json"}' in node.printed())
+    assert node.signal(INT) == 0 and traceback_free(node)
+
+
 def test_without_other_nodes_it_says_whom_it_misses(lab):
     node = lab.identify(patience=0.5)
     assert node.wait() == 2

@@ -6,7 +6,7 @@
 from gms_flex_control.discrepancy.result import Gap, Value
 from gms_flex_control.reports.discrepancy_figures import evidence_figure, gap_figure, maps_figure
 from gms_flex_control.reports.discrepancy_values import plain
-from gms_flex_control.reports.discrepancy_views import bin_edges, binned, Evidence, Map
+from gms_flex_control.reports.discrepancy_views import bin_edges, binned, Evidence, follows, Map
 from gms_flex_control.reports.figures import save_figure
 import numpy as np
 
@@ -36,6 +36,13 @@ def test_bins_are_filled_alike_wherever_the_motion_went():
     curve = binned(x, x, edges)
     assert np.all(np.isfinite(np.stack(curve)))
     np.testing.assert_allclose(curve.mean, curve.x)
+
+
+def test_what_a_residual_follows_is_told_by_its_power():
+    x, y = sampled()
+    assert follows(x, np.ones_like(x)) > 0.999
+    assert follows(x, np.sign(x)) > 0.98 > 0.6 > follows(x, y) > 0.4  # half of it is noise
+    assert follows(x, np.random.default_rng(1).permutation(np.sign(x))) < 0.01
 
 
 def test_a_number_that_is_not_finite_is_null():

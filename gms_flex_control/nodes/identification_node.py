@@ -41,6 +41,7 @@ from std_srvs.srv import Trigger
 PHASE = '/identification/phase'
 _BYTES_PER_SAMPLE = 1000  # state, command and reference with their frames, generously
 _RATE_SAMPLES = 20        # joint states that tell the rate
+_JUDGED = (0, 1)          # exit codes of gms_flex discrepancy: nothing, something is missing
 _GOODBYE = 1.0            # for a last call to be answered [s]
 _LATCHED = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=100,
                       reliability=ReliabilityPolicy.RELIABLE,
@@ -73,12 +74,13 @@ class IdentificationNode(Node):
         self._bag = self._spinner = self._pending = None
         self._runner = StepRunner(self, self._journal)
         self._ordered, self._stopped = self['autostart'], False
+        self._recorded = self._asked = False
         self._phase_pub = self.create_publisher(Float64MultiArray, PHASE, _LATCHED)
         self.create_subscription(JointState, STATES, self._on_joint_states,
                                  process.subscriber_qos(self._values['mode'], _DEPTH),
                                  event_callbacks=process.NO_EVENTS)
         for name, handler in (('start', self._start), ('stop', self._stop),
-                              ('resume', self._resume)):
+                              ('resume', self._resume), ('discrepancy', self._compare)):
             self.create_service(Trigger, f'~/{name}', handler)
         left = self.plan.duration(self._journal.finished)
         self.say(f'{len(self.plan.experiments)} steps, {len(self._journal.finished)} finished; '
@@ -117,6 +119,18 @@ class IdentificationNode(Node):
         self._release()
         self._ordered = False
         response.success, response.message = True, 'zero torque; ~/resume goes on'
+        return response
+
+    def _compare(self, _request, response):
+        response.success = self._recorded and not self._asked
+        if response.success:
+            self._asked = True
+            response.message = f'begins; the result will stand in {self._beside("discrepancy")}'
+        elif self._asked:
+            response.message = 'runs already'
+        else:
+            response.message = ('no recording is finished yet; call it after the last step, with '
+                                'identification.exit_when_done false')
         return response
 
     def _release(self):
@@ -187,8 +201,12 @@ class IdentificationNode(Node):
             self._record(self._journal.next_bag())
             if self['fit']:
                 self._fit()
+            self._recorded = True
             while not self['exit_when_done'] and self._spinner.goes_on():
                 self._spinner.spin_once()
+                if self._asked:
+                    self._find_discrepancy()
+                    self._asked = False
         except StoppedError:
             self.say('ended by a signal; start again with identification.resume to go on')
 
@@ -223,24 +241,42 @@ class IdentificationNode(Node):
             self.say(f'no fit: the plan leaves out {", ".join(sorted(left_out))}, whose friction '
                      "moves the others; 'gms_flex identify' takes several bags")
             return
-        bag = Path(self['bag'])
-        out = bag.with_name(f'{bag.name}_identified')
-        save_robot(self._robot, out / 'believed_robot.yaml')
-        bags = [str(bag.with_name(name)) for name in self._journal.bags]
-        fit = subprocess.Popen(
-            [*executable('gms_flex'), 'identify', *bags, '--robot',
-             str(out / 'believed_robot.yaml'), '--out', str(out)],
-            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
-        self.say(f'fitting {", ".join(bags)}')
-        while fit.poll() is None:
-            self._spinner.spin_once(0.1)
-            if not self._spinner.goes_on():
-                fit.terminate()
-                raise StoppedError
-        printed = fit.stdout.read().strip()
-        if fit.returncode:
+        code, printed = self._gms_flex('identify', self._beside('identified'))
+        if code:
             raise ExperimentError(f'the bag is whole, but its fit failed: {printed}')
         self.say(printed)
+
+    def _find_discrepancy(self):
+        """Compare the bags with the model one believes in, with its friction if identified."""
+        friction = self._beside('identified') / 'friction.yaml'
+        code, printed = self._gms_flex('discrepancy', self._beside('discrepancy'),
+                                       [friction] if friction.exists() else [])
+        if code in _JUDGED:
+            self.say(printed)
+        else:
+            self.get_logger().warning(printed)
+
+    def _beside(self, what):
+        """Return the folder for what is made of the recording."""
+        bag = Path(self['bag'])
+        return bag.with_name(f'{bag.name}_{what}')
+
+    def _gms_flex(self, verb, out, files=()):
+        """Run a verb on the bags in a process of its own; return its code and what it printed."""
+        believed = out / 'believed_robot.yaml'
+        save_robot(self._robot, believed)
+        bags = [str(Path(self['bag']).with_name(name)) for name in self._journal.bags]
+        verb_process = subprocess.Popen(
+            [*executable('gms_flex'), verb, *bags, '--robot', str(believed), *map(str, files),
+             '--out', str(out)],
+            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+        self.say(f'{verb}: {", ".join(bags)}')
+        while verb_process.poll() is None:
+            self._spinner.spin_once(0.1)
+            if not self._spinner.goes_on():
+                verb_process.terminate()
+                raise StoppedError
+        return verb_process.returncode, verb_process.stdout.read().strip()
 
     def _carry_out(self):
         """Run steps, again after each ~/stop, until all are finished."""

@@ -12,13 +12,15 @@ from gms_flex_control.discrepancy.retrace import retrace
 from gms_flex_control.effects.registry import find
 import numpy as np
 
+VARIABLES = signature.VARIABLES
 UNITS = {'time': 's', 'link angle': 'rad', 'motor angle': 'rad', 'link rate': 'rad/s',
          'motor rate': 'rad/s', 'twist': 'rad', 'torque': 'N m',
          'link acceleration': 'rad/s^2', 'time since reversal': 's'}
 BINS = 36
 _LEAST = 6            # samples of a bin
 _MOVING = 0.05        # of the rms rate: slower is at rest
-_BETTER = 0.05        # share of variance by which a factor must improve
+_BETTER = 0.05        # share by which another factor, or joint, must improve
+_STRANGE = 0.4        # likewise another variable than the one an effect names
 _INDEPENDENT = 0.4    # share of the samples behind the low-pass that are on their own
 _PERIODS = 3.0        # so many waves over a range are laid upon each other
 _MAP_BINS = 20
@@ -194,10 +196,8 @@ def evidence_of(along, model, finding):
     less = replace(model.robot, effects=tuple(one for one in specs if one is not spec))
     after, before = along.residual(model.robot, model.x), along.residual(less, model.x)
     j, equation, column = _strongest(along, before - after, finding.joint)
-    name = find(spec.name).evidence
-    x, x_label = _folded(spec, name, along.variables(j)[name])
     own = before[:, column] - after[:, column]
-    sign, times = _factor(name, x, own, along.variables(j)['link rate'])
+    x, x_label, sign, times = _shown_over(along, spec, own, j)
     used = sign != 0.0
     x, own, y, rest = (values[used] * factor for values, factor in (
         (x, 1.0), (own, sign[used]), (before[:, column], sign[used]),
@@ -209,16 +209,39 @@ def evidence_of(along, model, finding):
         after=binned(x, rest, edges), own=binned(x, own, edges))
 
 
-def _factor(name, x, own, rate):
-    """Return what the residual is multiplied by (S,), 0 where it is not shown, and its name."""
-    if name == 'time':
-        return np.where(own < 0.0, -1.0, 1.0), 'the sign of the effect'
+def follows(x, y):
+    """Return the share of the mean square of y (S,) that its means over bins of x make."""
+    places = np.searchsorted(bin_edges(x), x)
+    count = np.maximum(np.bincount(places), 1)
+    return float(np.sum(np.bincount(places, weights=y) ** 2 / count)
+                 / max(np.sum(y ** 2), 1e-300))
+
+
+def _shown_over(along, spec, own, j):
+    """
+    Return variable (S,), its label, factor of the residual (S,) and the factor's name.
+
+    The effect names its variable; of which joint, and if it is to be another one after all, is
+    told by what its contribution follows.
+    """
+    wanted, rate = find(spec.name).evidence, along.variables(j)['link rate']
+    if wanted == 'time':
+        return (along.variables(j)[wanted], 'time [s]', np.where(own < 0.0, -1.0, 1.0),
+                'the sign of the effect')
     moving = np.abs(rate) > _MOVING * np.sqrt(np.mean(rate ** 2))
-    sign = np.sign(rate) * moving
-    if moving.sum() > _LEAST * 8 and signature.dependence(x[moving], (sign * own)[moving]) > \
-            signature.dependence(x, own) + _BETTER:
-        return sign, 'the direction of motion'
-    return np.ones(len(x)), ''
+    factors = [(np.ones(len(own)), '')]
+    if moving.sum() > _LEAST * 8:
+        factors.append((np.sign(rate) * moving, 'the direction of motion'))
+    tried = []
+    for i, joint in enumerate(along.joints):
+        for name, values in along.variables(i).items():
+            x, label = _folded(spec, name, values)
+            label = label if i == j else label.replace(name, f'{name} of {joint}')
+            for sign, times in factors if name != 'time' else ():
+                used = sign != 0.0
+                share = follows(x[used], (sign * own)[used]) - _BETTER * (bool(times) + (i != j))
+                tried.append((share - _STRANGE * (name != wanted), (x, label, sign, times)))
+    return max(tried, key=lambda one: one[0])[1]
 
 
 def _strongest(along, own, joint):
