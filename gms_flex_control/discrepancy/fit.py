@@ -14,7 +14,6 @@ FIXED = ('load', 'duration')  # parameters that only set the unit of another
 _STEP = 0.01                  # of a value, for its derivative
 _ANGLES = {'phase': 0.02, 'direction': 0.02, 'order': 0.02}
 _REACH, _ANGLE_REACH = 60.0, 25.0  # largest change at once, in steps
-_LOWEST_ORDER = 0.7   # of a wave: a slower one is no wave over the range of a joint
 _SHRINK = (1.0, 0.3, 0.1)
 _ENOUGH = 1e-4
 
@@ -58,13 +57,14 @@ def numbers_of(effects, first=0):
     """Return the Numbers of all effects from the ``first`` on."""
     numbers = []
     for i in range(first, len(effects)):
-        for k, parameter in enumerate(find(effects[i].name).parameters):
+        kind = find(effects[i].name)
+        for k, parameter in enumerate(kind.parameters):
             if parameter.name in FIXED:
                 continue
             angle = _ANGLES.get(parameter.name)
             usual = 0.1 if parameter.unit == '1' else 1e-6
             step = angle or _STEP * max(abs(effects[i].values[k]), usual)
-            lower = _LOWEST_ORDER if parameter.name == 'order' else parameter.lower
+            lower = kind.slowest if parameter.name == 'order' else parameter.lower
             numbers.append(Number(i, k, step, (_ANGLE_REACH if angle else _REACH) * step,
                                   lower, parameter.upper))
     return numbers
@@ -126,7 +126,8 @@ def fit(problem, robot, x, knob_columns, first=0, iterations=3):
         numbers = numbers_of(robot.effects, first)
         values = values_of(robot, numbers)
         own = effect_columns(problem, robot, x, rows, numbers)
-        step = _step(problem, np.concatenate([knob_columns, own]), rows, x, values, numbers)
+        step = _step(problem, np.concatenate([knob_columns, own]), rows, x, values, numbers,
+                     problem.bound_of(robot))
         for shrink in _SHRINK:
             there = at_values(robot, numbers, values + shrink * step[len(x):])
             knobs = x + shrink * step[:len(x)]
@@ -142,11 +143,11 @@ def fit(problem, robot, x, knob_columns, first=0, iterations=3):
     return Fitted(robot, x, rows, cost)
 
 
-def _step(problem, columns, rows, x, values, numbers):
+def _step(problem, columns, rows, x, values, numbers, bound):
     used = columns[:, problem.fitted]
     reach = np.array([n.reach for n in numbers])
-    low = np.concatenate([-problem.bound - x,
+    low = np.concatenate([-bound - x,
                           np.maximum(np.array([n.lower for n in numbers]) - values, -reach)])
-    high = np.concatenate([problem.bound - x,
+    high = np.concatenate([bound - x,
                            np.minimum(np.array([n.upper for n in numbers]) - values, reach)])
     return solve(used @ used.T, problem.slope(columns, rows), low, high)

@@ -8,15 +8,16 @@ A finding is judged by what would be left without it while all else is re-tuned,
 an effect that known parameters or other effects can take the place of is none.
 """
 
-from dataclasses import replace
 from typing import NamedTuple
 
-from gms_flex_control.discrepancy.fit import numbers_of
+from gms_flex_control.discrepancy.bounded import solve
+from gms_flex_control.discrepancy.fit import Fitted, numbers_of
 from gms_flex_control.discrepancy.result import Value
+from gms_flex_control.discrepancy.search import without
 from gms_flex_control.effects.registry import find
 import numpy as np
 
-_TAKEN = 0.01         # of its own rows: what else could take its place leaves less than this
+_TAKEN = 0.003        # of its own rows: what else could take its place leaves less than this
 _CONFUSABLE = 0.98    # cosine, all else re-tuned
 _DECLARED = 0.8       # share from which an effect's own list of confusable ones counts
 _RUNNERS = 6          # hypotheses tried in the place of a finding
@@ -30,8 +31,8 @@ class Judged(NamedTuple):
     own: float         # sum of squares of the rows it makes
     loss: float        # of those that nothing else can make
     torque: float      # rms of what it contributes [N m]
-    rows: np.ndarray   # it makes, (F,) of those fitted
-    left: np.ndarray   # what nothing else can make, (F,)
+    less: Fitted       # the model less it
+    others: np.ndarray  # columns of all else
 
 
 def judged(problem, found, known):
@@ -52,19 +53,27 @@ def judged(problem, found, known):
     list of Judged
 
     """
-    model, knobs = found.model, len(problem.knobs)
-    effects = model.robot.effects
-    numbers = numbers_of(effects, known)
-    columns, out = found.columns[:, problem.fitted], []
-    for i in range(known, len(effects)):
-        less = replace(model.robot, effects=effects[:i] + effects[i + 1:])
-        rows = (problem.rows(less, model.x) - model.rows)[problem.fitted]
-        mine = [knobs + k for k, number in enumerate(numbers) if number.effect == i]
-        basis, _ = np.linalg.qr(np.delete(columns, mine, axis=0).T)
-        left = rows - basis @ (basis.T @ rows)
-        torque = problem.torque_rms(less, model.x, model.robot)
-        out.append(Judged(i, float(rows @ rows), float(left @ left), torque, rows, left))
+    model, out = found.model, []
+    for i in range(known, len(model.robot.effects)):
+        less, others = without(problem, model, found.columns, known, i)
+        change = (less.rows - model.rows)[problem.fitted]
+        torque = problem.torque_rms(less.robot, model.x, model.robot)
+        retuned = least(problem, less, others)
+        out.append(Judged(i, float(change @ change), max(retuned - model.cost, 0.0), torque, less,
+                          others))
     return sorted(out, key=lambda one: -one.torque)
+
+
+def least(problem, model, columns):
+    """Return the least cost of a model with all its columns (C, R) re-tuned within bounds."""
+    knobs = len(model.x)
+    used = columns[:, problem.fitted]
+    gram, slope = used @ used.T, problem.slope(columns, model.rows)
+    free = np.full(len(columns) - knobs, np.inf)
+    bound = problem.bound_of(model.robot)
+    x = solve(gram, slope, np.concatenate([-bound - model.x, -free]),
+              np.concatenate([bound - model.x, free]))
+    return model.cost + float(x @ gram @ x - 2.0 * slope @ x)
 
 
 def stands_alone(one):
@@ -80,7 +89,8 @@ def values_of(problem, found, known, index):
     scale = np.sqrt(np.maximum(np.sum(columns ** 2, axis=1), 1e-300))
     gram = (columns / scale[:, None]) @ (columns / scale[:, None]).T
     prior = np.zeros(len(scale))
-    prior[:knobs] = (problem.bound * scale[:knobs]) ** -2 * 4.0
+    bound = np.maximum(problem.bound_of(model.robot), 1e-9)
+    prior[:knobs] = (bound * scale[:knobs]) ** -2 * 4.0
     level = max(np.mean(model.rows[problem.fitted] ** 2) / problem.level, 1.0)
     variance = np.diag(np.linalg.pinv(gram + np.diag(prior), hermitian=True)) / scale ** 2 * level
     spec, out = model.robot.effects[index], []
@@ -110,22 +120,14 @@ def rivals(problem, found, one):
     Returns
     -------
     list of tuple
-        Share of its own part that each hypothesis explains, all else re-tuned.
+        Share of its loss that each hypothesis makes good, all else re-tuned.
 
     """
-    library, spec = found.library, found.model.robot.effects[one.index]
-    knobs = len(problem.knobs)
-    numbers = numbers_of(found.model.robot.effects)
-    columns = found.columns[:, problem.fitted]
-    mine = [knobs + k for k, number in enumerate(numbers) if number.effect == one.index]
-    basis, _ = np.linalg.qr(np.delete(columns, mine, axis=0).T)
-    shares = library.shares(one.left, basis)
-    best = {}
-    for (name, joint, _), share in zip(library.guesses, shares, strict=True):
-        if (name, joint) != (spec.name, spec.joint):
-            best[name, joint] = max(best.get((name, joint), 0.0), float(share))
-    order = sorted(best.items(), key=lambda item: -item[1])
-    return [(name, joint, share) for (name, joint), share in order[:_RUNNERS]]
+    spec = found.model.robot.effects[one.index]
+    ranked = found.library.ranked(one.less, one.others)
+    return [(other.spec.name, other.spec.joint, min(other.gain / max(one.loss, 1e-12), 1.0))
+            for other in ranked[:_RUNNERS]
+            if (other.spec.name, other.spec.joint) != (spec.name, spec.joint)]
 
 
 def confusable(spec, others):

@@ -8,7 +8,7 @@ from dataclasses import replace
 import os
 
 from gms_flex_control.discrepancy.bounded import solve
-from gms_flex_control.discrepancy.known import knobs_of, tuned
+from gms_flex_control.discrepancy.known import knobs_of, REPLACED, tuned
 from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.discrepancy.retrace import retrace
 from gms_flex_control.discrepancy.whitening import Whitening
@@ -121,6 +121,13 @@ class Problem:
         slope = -columns[:, self.fitted] @ rows[self.fitted]
         slope[:len(self.attenuation)] += self.attenuation
         return slope
+
+    def bound_of(self, robot):
+        """Return the largest change of each knob (P,), 0 where an effect stands for it."""
+        replaced = {(REPLACED[spec.name], robot.joints.index(spec.joint))
+                    for spec in robot.effects if spec.name in REPLACED}
+        return np.array([0.0 if (knob.name, knob.joint) in replaced else knob.doubt
+                         for knob in self.knobs])
 
     def constants(self, robot, x):
         """Return the kernels' record of a robot with its knobs at ``x``."""

@@ -8,6 +8,7 @@ All effects of the catalogue are put along the measured motion once, at small si
 are the library. What a hypothesis gains is then linear algebra; only the best are fitted in full.
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 from gms_flex_control.discrepancy.bounded import solve
@@ -18,11 +19,16 @@ from gms_flex_control.params.robot import EffectSpec
 import numpy as np
 
 MOST = 20
-LEAST_GAIN = 100.0    # sum of squares of rows; see docs/discrepancy.md
-LEAST_SHARE = 0.03    # of what is still unexplained
+LEAST_GAIN = 250.0    # sum of squares of rows; see docs/discrepancy.md
+LEAST_SHARE = 0.01    # of what is still unexplained
+LEAST_PART = 3e-4     # of all that was missing at first
 _SHORTLIST = 3        # hypotheses that are fitted in full
+_AT_BOUND = 0.99      # of a knob's doubt: it can give no more
 _CLOSE = 0.5          # of the best gain
-_EXACT = 25           # hypotheses whose gain is found within bounds
+_SIMPLER = 0.03       # of a gain: so much less is as good, with fewer numbers
+_BETTER = 0.01        # likewise: so much more is better, with more numbers
+_ROUNDS = 3           # of adding and exchanging
+_EXACT = 12           # hypotheses whose gain is found within bounds
 
 
 class Ranked(NamedTuple):
@@ -80,12 +86,17 @@ class Library:
         problem, knobs = self._problem, len(model.x)
         own, rows = columns[:, problem.fitted], model.rows[problem.fitted]
         slope = problem.slope(columns, model.rows)
-        low = np.concatenate([-problem.bound - model.x, np.full(len(own) - knobs, -np.inf)])
-        high = np.concatenate([problem.bound - model.x, np.full(len(own) - knobs, np.inf)])
-        best = {}
-        for i in self._promising(own, rows)[:_EXACT]:
+        bound = problem.bound_of(model.robot)
+        low = np.concatenate([-bound - model.x, np.full(len(own) - knobs, -np.inf)])
+        high = np.concatenate([bound - model.x, np.full(len(own) - knobs, np.inf)])
+        gram, best = own @ own.T, {}
+        before = _value(gram, slope, solve(gram, slope, low, high))
+        free = np.ones(len(own), dtype=bool)
+        free[:knobs] = np.abs(model.x) < _AT_BOUND * bound
+        for i in self._promising(own[free], rows)[:_EXACT]:
             name, joint, guess = self.guesses[i]
-            gain, coefficients = self._gain(i, own, rows, low, high, slope)
+            value, coefficients = self._with(i, own, rows, gram, low, high, slope)
+            gain = 2.0 * (before - value)
             if gain > best.get((name, joint), Ranked(0.0, None)).gain:
                 values = tuple(float(v) for v in guess.values(coefficients))
                 best[name, joint] = Ranked(gain, EffectSpec(name=name, joint=joint,
@@ -95,36 +106,30 @@ class Library:
     def _promising(self, own, rows):
         """Return guesses by their gain without bounds, the best first."""
         basis, _ = np.linalg.qr(own.T)
-        return np.argsort(-self.shares(rows - basis @ (basis.T @ rows), basis))
-
-    def shares(self, rows, basis):
-        """
-        Return the share of rows (F,) that each guess explains beside a basis (F, B).
-
-        The rows lie beside the basis already; bounds are not kept.
-        """
+        left = rows - basis @ (basis.T @ rows)
         beside = self.columns - (self.columns @ basis) @ basis.T
-        whole, right = np.sum(self.columns ** 2, axis=1), beside @ rows
-        shares = np.zeros(len(self.guesses))
+        whole = np.sum(self.columns ** 2, axis=1)
+        right, gains = beside @ left, np.zeros(len(self.guesses))
         for i, (begin, end) in enumerate(zip(self._places[:-1], self._places[1:], strict=True)):
             gram = beside[begin:end] @ beside[begin:end].T
             if np.trace(gram) > 1e-6 * whole[begin:end].sum():
-                shares[i] = right[begin:end] @ np.linalg.lstsq(gram, right[begin:end],
-                                                               rcond=1e-10)[0]
-        return shares / (rows @ rows)
+                gains[i] = right[begin:end] @ np.linalg.lstsq(gram, right[begin:end],
+                                                              rcond=1e-10)[0]
+        return np.argsort(-gains)
 
-    def _gain(self, i, own, rows, low, high, slope):
-        """Return the gain of a guess within all bounds, and its coefficients."""
+    def _with(self, i, own, rows, gram, low, high, slope):
+        """Return half the cost with a guess, all within bounds, and its coefficients."""
         guess = self.guesses[i][2]
         added = self.columns[self._places[i]:self._places[i + 1]]
-        both = np.concatenate([own, added])
-        gram, right = both @ both.T, np.concatenate([slope, -added @ rows])
         k, count = len(own), len(added)
-        before = solve(gram[:k, :k], right[:k], low, high)
-        after = solve(gram, right, np.concatenate([low, np.full(count, guess.lowest)]),
-                      np.concatenate([high, np.full(count, guess.highest)]))
-        gain = 2.0 * (_value(gram[:k, :k], right[:k], before) - _value(gram, right, after))
-        return (gain if np.any(after[k:]) else 0.0), after[k:]
+        both = np.empty((k + count, k + count))
+        both[:k, :k], both[k:, k:] = gram, added @ added.T
+        both[:k, k:] = own @ added.T
+        both[k:, :k] = both[:k, k:].T
+        right = np.concatenate([slope, -added @ rows])
+        x = solve(both, right, np.concatenate([low, np.full(count, guess.lowest)]),
+                  np.concatenate([high, np.full(count, guess.highest)]))
+        return (_value(both, right, x) if np.any(x[k:]) else np.inf), x[k:]
 
 
 def _value(gram, right, x):
@@ -162,35 +167,132 @@ def search(problem, *, most=MOST, without=(), say=lambda text: None):
 
     """
     x, rows, knobs = problem.retuned(problem.robot, np.zeros(len(problem.knobs)))
-    before = model = Fitted(problem.robot, x, rows, problem.cost(rows, x))
+    before = Fitted(problem.robot, x, rows, problem.cost(rows, x))
     say('every effect along the motion')
-    library = Library(problem, model, without)
-    columns, first = knobs, ()
-    known = len(model.robot.effects)
-    clean = problem.level * problem.fitted.sum()
-    while len(model.robot.effects) - known < most:
-        ranked = library.ranked(model, columns)
-        first = first or tuple(ranked)
-        there = {(spec.name, spec.joint) for spec in model.robot.effects}
-        ranked = [one for one in ranked if (one.spec.name, one.spec.joint) not in there]
-        least = max(LEAST_GAIN, LEAST_SHARE * (model.cost - clean))
-        if not ranked or ranked[0].gain < least:
+    hunt = _Hunt(problem, before, knobs, Library(problem, before, without), say)
+    for _ in range(_ROUNDS):
+        grown = hunt.grow(most)
+        if not hunt.exchange() and not grown:
             break
-        added = _best_added(problem, model, ranked, columns[:len(x)])
-        if model.cost - added.cost < least:
-            break
-        say(f'{added.robot.effects[-1].name} of {added.robot.effects[-1].joint}')
-        model = fit(problem, added.robot, added.x, columns[:len(x)], first=known, iterations=2)
-        columns = np.concatenate([columns[:len(x)], effect_columns(
-            problem, model.robot, model.x, model.rows,
-            numbers_of(model.robot.effects, known))])
-    return Found(before, model, columns, first, library)
+    return Found(before, hunt.model, hunt.columns, hunt.first, hunt.library)
 
 
-def _best_added(problem, model, ranked, knob_columns):
-    """Return the best of few hypotheses, each fitted in full."""
-    close = [one for one in ranked[:_SHORTLIST] if one.gain > _CLOSE * ranked[0].gain]
-    first = len(model.robot.effects)
-    fits = [fit(problem, with_effect(model.robot, one.spec), model.x, knob_columns, first=first)
-            for one in close]
-    return min(fits, key=lambda one: one.cost)
+class _Hunt:
+    """The model as it grows."""
+
+    def __init__(self, problem, model, knobs, library, say):
+        self._problem, self.model, self._knobs, self.library = problem, model, knobs, library
+        self._known, self._say = len(model.robot.effects), say
+        self.columns, self.first, self._begun = knobs, (), model.cost
+
+    def grow(self, most):
+        """Add effects while one is worth it; return whether any was."""
+        grown = False
+        while len(self.model.robot.effects) - self._known < most:
+            ranked = self.library.ranked(self.model, self.columns)
+            self.first = self.first or tuple(ranked)
+            there = {(spec.name, spec.joint) for spec in self.model.robot.effects}
+            ranked = [one for one in ranked if (one.spec.name, one.spec.joint) not in there]
+            if not ranked or ranked[0].gain < self._least():
+                break
+            added = self._best_added(ranked)
+            if self.model.cost - added.cost < self._least():
+                break
+            self._take(added)
+            self._say(f'{added.robot.effects[-1].name} of {added.robot.effects[-1].joint}')
+            grown = True
+        return grown
+
+    def exchange(self):
+        """Put others in the place of effects where that explains more; return whether any."""
+        changed = False
+        for i in range(self._known, len(self.model.robot.effects)):
+            changed |= self._exchanged(i)
+        return changed
+
+    def _exchanged(self, i):
+        model, effects = self.model, self.model.robot.effects
+        less, others = without(self._problem, model, self.columns, self._known, i)
+        ranked = self.library.ranked(less, others)
+        there = {(spec.name, spec.joint) for spec in effects}
+        for one in ranked[:_SHORTLIST]:
+            if (one.spec.name, one.spec.joint) in there or one.gain < _CLOSE * ranked[0].gain:
+                continue
+            other = self._fit_last(with_effect(less.robot, one.spec))
+            larger = _size(one.spec) - _size(effects[i])
+            worth = LEAST_GAIN * max(larger, 0.2)
+            if larger > 0:
+                worth += _BETTER * (less.cost - model.cost)
+            if model.cost - other.cost > worth:
+                self._say(f'{one.spec.name} instead of {effects[i].name}')
+                self._take(other)
+                return True
+        return False
+
+    def _least(self):
+        clean = self._problem.level * self._problem.fitted.sum()
+        return max(LEAST_GAIN, LEAST_SHARE * (self.model.cost - clean),
+                   LEAST_PART * (self._begun - clean))
+
+    def _fit_last(self, robot):
+        """Return a robot with its last effect fitted, then with all of them."""
+        problem, x = self._problem, self.model.x
+        fitted = fit(problem, robot, x, self._knobs, first=len(robot.effects) - 1)
+        return fit(problem, fitted.robot, fitted.x, self._knobs, first=self._known, iterations=1)
+
+    def _best_added(self, ranked):
+        """Return the best of few hypotheses fitted in full, the simplest of those alike."""
+        model = self.model
+        close = [one for one in ranked[:_SHORTLIST] if one.gain > _CLOSE * ranked[0].gain]
+        fits = [self._added(one) for one in close]
+        best = model.cost - min(one.cost for one in fits)
+        alike = [one for one in fits if model.cost - one.cost >= best - _SIMPLER * abs(best)]
+        return min(alike, key=lambda one: (_size(one.robot.effects[-1]), one.cost))
+
+    def _added(self, one):
+        """Return the model with a hypothesis fitted, all re-tuned where it alone is not it."""
+        model, problem = self.model, self._problem
+        robot = with_effect(model.robot, one.spec)
+        alone = fit(problem, robot, model.x, self._knobs, first=len(model.robot.effects))
+        if model.cost - alone.cost > _CLOSE * one.gain:
+            return alone
+        return fit(problem, alone.robot, alone.x, self._knobs, first=self._known)
+
+    def _take(self, fitted):
+        problem, known = self._problem, self._known
+        self.model = fit(problem, fitted.robot, fitted.x, self._knobs, first=known, iterations=2)
+        self.columns = np.concatenate([self._knobs, effect_columns(
+            problem, self.model.robot, self.model.x, self.model.rows,
+            numbers_of(self.model.robot.effects, known))])
+
+
+def without(problem, model, columns, known, i):
+    """
+    Return a model less its effect ``i``, nothing re-tuned, and the columns of all else.
+
+    Parameters
+    ----------
+    problem : Problem
+        The rows.
+    model : Fitted
+        With the effect.
+    columns : ndarray, shape (C, R)
+        Derivatives by its knobs and by the parameters of its effects.
+    known : int
+        Effects the user knew of, which have no columns.
+    i : int
+        Which effect.
+
+    """
+    effects = model.robot.effects
+    robot = replace(model.robot, effects=effects[:i] + effects[i + 1:])
+    rows = problem.rows(robot, model.x)
+    own = [len(model.x) + k for k, number in enumerate(numbers_of(effects, known))
+           if number.effect == i]
+    return (Fitted(robot, model.x, rows, problem.cost(rows, model.x)),
+            np.delete(columns, own, axis=0))
+
+
+def _size(spec):
+    """Return how many numbers of an effect are free."""
+    return len(numbers_of((spec,)))

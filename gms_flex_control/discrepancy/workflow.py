@@ -119,7 +119,7 @@ def pruned(problem, found, known):
         weak = [one for one in entries if not judge.stands_alone(one)]
         if not weak:
             return found, entries
-        index = min(weak, key=lambda one: one.loss / one.own).index
+        index = min(weak, key=lambda one: one.loss).index
         effects = found.model.robot.effects
         robot = replace(found.model.robot, effects=effects[:index] + effects[index + 1:])
         knobs = found.columns[:len(problem.knobs)]
@@ -137,7 +137,8 @@ def missing(problem, model):
 def _told(problem, found, entries, known, options, holdout, say):
     before, after = missing(problem, found.before), missing(problem, found.model)
     tried = tuple(Tried(one.spec.name, one.spec.joint, one.gain) for one in found.first)
-    left = after / before if before > DETECTED - 1.0 else 0.0
+    slack = DETECTED - 1.0  # what a measure of noise may be wrong by
+    left = max(after - slack, 0.0) / before if before > slack else 0.0
     whole = max(before * problem.level * problem.fitted.sum(), 1e-12)
     if left > EXPLAINED:
         strong = [one for one in entries if one.loss > DOMINANT * whole]
@@ -149,7 +150,7 @@ def _told(problem, found, entries, known, options, holdout, say):
     gap = gap_of(_measured_on(problem, holdout), found)
     findings = [_finding(problem, found, known, one, whole, options) for one in entries]
     left_over = None
-    if left > EXPLAINED or (before > DETECTED - 1.0 and not findings):
+    if left > EXPLAINED or (before > slack and not findings):
         left_over = signature_of(problem, found.model, min(max(missing(
             problem, found.model), 0.0) / max(before, 1e-12), 1.0))
     main = tuple(finding for finding in findings if finding.main)

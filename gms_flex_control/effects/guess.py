@@ -81,10 +81,10 @@ def waves(size, orders):
     return [guess for order in orders for guess in wave(size, order)]
 
 
-def orders(span, highest):
-    """Return orders up to the highest that motion over a span [rad] can tell from each other."""
+def orders(span, highest, lowest=1.0):
+    """Return orders within bounds that motion over a span [rad] can tell from each other."""
     step = np.clip(np.pi / max(span, 1e-6), 0.25, 1.0)
-    return np.arange(1.0, highest + 0.5 * step, step)
+    return np.arange(lowest, highest + 0.5 * step, step)
 
 
 def sizes(values, *fixed):

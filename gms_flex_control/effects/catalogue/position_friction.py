@@ -15,6 +15,7 @@ class PositionFriction(Term):
 
     name = 'position_friction'
     stage = Stage.FRICTION
+    slowest = 0.7             # order it is looked for
     evidence = 'link angle'
     confusable = ()
     tells = 'slow motion both ways over the whole range'

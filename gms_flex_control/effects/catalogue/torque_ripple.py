@@ -15,6 +15,7 @@ class TorqueRipple(Term):
 
     name = 'torque_ripple'
     stage = Stage.MOTOR
+    slowest = 1.5             # order it is looked for: a slower wave is a constant and a slope
     evidence = 'motor angle'
     confusable = ('kinematic_error',)
     tells = 'the same path under another load'
@@ -27,7 +28,7 @@ class TorqueRipple(Term):
     @classmethod
     def guesses(cls, scales):
         """Return how it might be there, list of Guess."""
-        return waves(0.05 * scales.friction, orders(scales.turned, 48.0))
+        return waves(0.05 * scales.friction, orders(scales.turned, 48.0, 2.0))
 
     @staticmethod
     def apply(s, p, memory, dt):
