@@ -225,14 +225,20 @@ def test_a_robot_of_knobs_is_the_record_of_knobs(ideal_robot, arm):
 
 
 def test_every_guess_is_an_effect_the_model_allows(problem):
-    """Its probes and what they stand for are values within the bounds of its parameters."""
+    """
+    Its probes and what they stand for are values within the bounds of its parameters.
+
+    However large the coefficients are: a ratio of -1.2 of an inertia is no robot.
+    """
     guesses = all_guesses(problem)
     places = {(name, joint) for name, joint, _ in guesses}
     assert ('gravity_tilt', 'arm') in places and ('backlash', 'joint2') in places
     assert 'backlash' not in {name for name, _, _ in all_guesses(problem, ('backlash',))}
     for name, joint, guess in guesses:
         kind = find(name)
-        for values in (*guess.probes, guess.values(np.full(len(guess.probes), 0.7))):
+        ends = [np.clip(np.full(len(guess.probes), c), guess.lowest, guess.highest)
+                for c in (-40.0, 0.7, 40.0)]
+        for values in (*guess.probes, *map(guess.values, ends)):
             given = dict(zip([p.name for p in kind.parameters], values, strict=True))
             assert kind.values(given, f'{joint}.{name}') == tuple(map(float, values))
 

@@ -54,5 +54,12 @@ def all_guesses(problem, without=()):
             continue
         places = [WHOLE_ARM] if kind.whole_arm else joints
         for joint, scale in zip(places, scales, strict=False):
-            found += [(name, joint, guess) for guess in kind.guesses(scale)]
+            found += [(name, joint, allowed(guess, kind)) for guess in kind.guesses(scale)]
     return found
+
+
+def allowed(guess, kind):
+    """Return a Guess whose values keep within the bounds of an effect's parameters."""
+    lower = [parameter.lower for parameter in kind.parameters]
+    upper = [parameter.upper for parameter in kind.parameters]
+    return guess._replace(values=lambda c: tuple(np.clip(guess.values(c), lower, upper).tolist()))
