@@ -13,6 +13,7 @@ import hashlib
 import os
 from pathlib import Path
 import tempfile
+from threading import RLock
 
 import numba
 from numba import types
@@ -61,14 +62,18 @@ def _cache_folder():
 _CACHE_FOLDER = _cache_folder()
 
 
+_ONE_AT_A_TIME = RLock()  # numba looks at one setting for all threads
+
+
 @contextmanager
 def _cache_location():
-    previous = config.CACHE_DIR
-    config.CACHE_DIR = _CACHE_FOLDER or previous
-    try:
-        yield _CACHE_FOLDER is not None
-    finally:
-        config.CACHE_DIR = previous
+    with _ONE_AT_A_TIME:
+        previous = config.CACHE_DIR
+        config.CACHE_DIR = _CACHE_FOLDER or previous
+        try:
+            yield _CACHE_FOLDER is not None
+        finally:
+            config.CACHE_DIR = previous
 
 
 def compiled(function):

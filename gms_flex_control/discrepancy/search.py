@@ -19,7 +19,7 @@ from gms_flex_control.params.robot import EffectSpec
 import numpy as np
 
 MOST = 20
-LEAST_GAIN = 250.0    # sum of squares of rows; see docs/discrepancy.md
+LEAST_GAIN = 150.0    # sum of squares of rows; see docs/discrepancy.md
 LEAST_SHARE = 0.01    # of what is still unexplained
 LEAST_PART = 3e-4     # of all that was missing at first
 _SHORTLIST = 3        # hypotheses that are fitted in full
