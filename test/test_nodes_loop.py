@@ -25,6 +25,9 @@ from node_harness import (
 import numpy as np
 import pytest
 
+# other processes of the machine can delay real nodes beyond any bound
+pytestmark = pytest.mark.flaky(reruns=2)
+
 RATE = 200.0
 PERIOD = 5_000_000  # [ns]
 CONTROLLER, PLANT, TRAJECTORY = '/cascade_controller', '/plant', '/trajectory'

@@ -21,6 +21,9 @@ from node_harness import (
 )
 import pytest
 
+# other processes of the machine can delay real nodes beyond any bound
+pytestmark = pytest.mark.flaky(reruns=2)
+
 PERIOD = 2_000_000   # [ns]
 Clock = pytest.importorskip('rosgraph_msgs.msg').Clock
 POSITION = (0.1, 0.2, 0.15, 0.25)

@@ -8,6 +8,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+# other processes of the machine can delay real nodes beyond any bound
+pytestmark = pytest.mark.flaky(reruns=2)
+
 references = pytest.importorskip('gms_flex_control.nodes.references')
 refusal = pytest.importorskip('gms_flex_control.nodes.refusal')
 messages = pytest.importorskip('gms_flex_control.nodes.messages')

@@ -17,6 +17,9 @@ from node_harness import (
 )
 import pytest
 
+# other processes of the machine can delay real nodes beyond any bound
+pytestmark = pytest.mark.flaky(reruns=2)
+
 LIMITS = {'limits__joint1__torque': 0.05, 'limits__joint2__upper': 0.3,
           'limits__joint2__position_margin': 0.05}
 

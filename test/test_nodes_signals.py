@@ -18,6 +18,9 @@ from node_harness import (
 )
 import pytest
 
+# other processes of the machine can delay real nodes beyond any bound
+pytestmark = pytest.mark.flaky(reruns=2)
+
 INT, TERM = signal.SIGINT, signal.SIGTERM
 NODES = ('controller_node', 'trajectory_node', 'plant_node')
 

@@ -9,6 +9,9 @@ import pytest
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
+# other processes of the machine can delay real nodes beyond any bound
+pytestmark = pytest.mark.flaky(reruns=2)
+
 PERIOD = 5_000_000
 NAMES = ['joint1', 'joint2', 'joint1_motor', 'joint2_motor']
 
