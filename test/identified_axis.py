@@ -64,7 +64,7 @@ def part(take, begin, end):
     recording, phases = take
     rows = slice(*np.searchsorted(recording.time, [begin - 1e-9, end - 1e-9]))
     channels = ('q_link', 'dq_link', 'q_motor', 'dq_motor', 'tau_motor', 'command', 'reference',
-                'friction_hat')
+                'friction_hat', 'supply')
     cut = replace(recording, time=recording.time[rows] - recording.time[rows][0],
                   **{name: getattr(recording, name)[rows] for name in channels})
     shift = round(1e9 * recording.time[rows][0])
