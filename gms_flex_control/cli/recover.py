@@ -21,11 +21,11 @@ def add_parser(subparsers):
     parser.add_argument('--robot', metavar='FILE', help='the truth; default: the arm of the paper')
     parser.add_argument('--controller', metavar='FILE', help='default: the gains of the paper')
     parser.add_argument('--plan', metavar='FILE',
-                        help='default: config/identification_demo.yaml')
+                        help='default: config/identification.yaml')
     parser.add_argument('--believed', type=float, default=0.8, metavar='FACTOR',
                         help='friction believed before, times the true one (default: %(default)s)')
     parser.add_argument('--seeds', type=int, default=20, metavar='N', help='default: %(default)s')
-    parser.add_argument('--rate', type=float, default=1000.0, metavar='HZ',
+    parser.add_argument('--rate', type=float, default=500.0, metavar='HZ',
                         help='samples per second (default: %(default)s)')
     parser.add_argument('--torque-noise', type=float, default=1e-3, metavar='NM',
                         help='of the recorded torque [N m] (default: %(default)s)')
@@ -51,7 +51,7 @@ def run(args):
     gains = load_controller(args.controller or controller_file(), robot)
     believed = replace(robot, friction=scaled_friction(robot.friction, args.believed))
     plan = read_identification_plan(
-        [args.plan or share_path() / 'config' / 'identification_demo.yaml'], believed, gains)
+        [args.plan or share_path() / 'config' / 'identification.yaml'], believed, gains)
     trials = []
     for seed in range(args.seeds):
         trials.append(trial(plan, robot, believed, gains, seed, rate=args.rate,

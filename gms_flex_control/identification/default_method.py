@@ -17,27 +17,21 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from gms_flex_control.identification.coordinates import Coordinates, MOST_BLOCKS, N_STEADY
+from gms_flex_control.identification.hops import GAIN, hop
 from gms_flex_control.identification.objective import BLOCK_TIME, coarser, Objective
-from gms_flex_control.identification.refine import Prior, refine, total_cost
-from gms_flex_control.simulation.predictor import BLOCKS
+from gms_flex_control.identification.refine import Prior, refine
+from gms_flex_control.simulation.predictor import BLOCKS, parameter_rows
 import numpy as np
-from scipy.stats import norm
-from scipy.stats import t as student
 
-COARSE = 2e-3         # sample that is fine enough to find the way [s]
+COARSE = 4e-3         # sample that is fine enough to find the way [s]
+LEVELS = (8e-3, 8e-3, 4e-3, 2e-3)  # samples of hops in turn: coarse, the cost has fewer hollows
 CANDIDATES = (1, 2, 4, 6, 8)  # numbers of blocks that are tried
 _SPREAD_SHARPNESS = (3.0, 1.0)
 _SHARPNESS = (2.0, 1.0)
 _HELD_OUT = 4         # one in so many blocks of time is held out
 _STEADY_DOUBT, _BLOCK_DOUBT = 1.0, 3.0  # spread of the prior, of logarithms
-_MOST_HOPS, _IDLE_HOPS = 24, 6  # fits from beside the best: in all, and without a gain
-_GAIN = 1.02          # of the cost, that makes it worth to go on
-_KICKS = (0.002, 0.05, 0.02, 0.01)  # how far beside: F_c, F_s - F_c, v_s, sigma_2 (logarithms)
-_KICK, _FINE_KICK = 0.05, 0.12  # of attraction and yields; more of those within few counts
 _EXTRA_DOUBT = 1.0    # of corrections, in their units
-_FEW_COUNTS = 1.5
-_GOOD = 1.15          # times the lowest cost: as good an explanation
-_UPPER = 0.975        # of a 95 % interval
+_MORE_TURNS = 2       # of hops of all joints at the last level, at most
 
 
 class Candidate(NamedTuple):
@@ -62,6 +56,7 @@ class JointFit(NamedTuple):
     candidates: tuple      # of Candidate
     settled: bool
     sampling: np.ndarray   # what roughness of the cost and sampling leave open, (P,)
+    ends: tuple = ()       # of free numbers, where hops ended, the best first
 
 
 def prior_of(coordinates, free):
@@ -148,8 +143,7 @@ def fit_candidate(bundle, joint, thetas, theta, n_blocks, n_extra):
     coordinates, free = equal_blocks(theta, n_blocks, n_extra)
     prior = prior_of(coordinates, free)
     for sharpness in _SHARPNESS:
-        free = refine(objective, coordinates, free, prior, sharpness=sharpness,
-                      roughly=sharpness > 1.0).free
+        free = refine(objective, coordinates, free, prior, sharpness=sharpness, roughly=True).free
     return coordinates, free
 
 
@@ -194,9 +188,9 @@ def choose(bundle, joint, thetas, fits):
     return candidates, int(within[0])
 
 
-def fit_joint(bundle, joint, thetas, start, extra, blocks):
+def fit_joint(bundle, joint, thetas, blocks):
     """
-    Fit one joint, the others as they are.
+    Fit one joint with each number of blocks, the others as they are, and choose among them.
 
     Parameters
     ----------
@@ -205,11 +199,7 @@ def fit_joint(bundle, joint, thetas, start, extra, blocks):
     joint : int
         Which joint.
     thetas : sequence of ndarray
-        Parameters of all joints.
-    start : Start
-        Where to begin.
-    extra : ndarray, shape (R,)
-        Further coefficients to begin with.
+        Parameters of all joints, its own to begin with.
     blocks : sequence of int
         Numbers of blocks to try.
 
@@ -218,86 +208,12 @@ def fit_joint(bundle, joint, thetas, start, extra, blocks):
     JointFit
 
     """
-    training = Objective(bundle, joint, thetas, train(bundle.period))
-    coordinates, free = spread(training, start, extra)
-    theta, _ = coordinates.unpack(free)
-    fits = [fit_candidate(bundle, joint, thetas, theta, n, len(extra)) for n in blocks]
+    n_extra = len(thetas[joint]) - parameter_rows(MOST_BLOCKS, 0)
+    fits = [fit_candidate(bundle, joint, thetas, thetas[joint], n, n_extra) for n in blocks]
     candidates, chosen = choose(bundle, joint, thetas, fits)
     best = candidates[chosen]
     return JointFit(best.coordinates, best.free, prior_of(best.coordinates, best.free), None,
                     best, candidates, False, np.zeros(len(best.free)))
-
-
-def hop(objective, coordinates, free, prior, count, rng):
-    """
-    Refine again from a little beside the best so far, several times, and keep the best.
-
-    Where links stick and slip the cost is rough: a fit ends in one of many shallow hollows.
-
-    Parameters
-    ----------
-    objective, coordinates, free, prior
-        As `refine`.
-    count : float
-        Encoder step or noise [rad].
-    rng : numpy.random.Generator
-        Says where beside.
-
-    Returns
-    -------
-    free : ndarray, shape (P,)
-        The best.
-    scatter : ndarray, shape (P,)
-        Standard deviation of the good ones about the best, as much larger as Student's
-        distribution is wider for so few: what the roughness leaves open.
-
-    """
-    ends = [refine(objective, coordinates, free, prior, roughly=True)]
-    floor, idle = ends[0].evaluation.floor, 0
-    while len(ends) <= _MOST_HOPS and idle < _IDLE_HOPS:
-        best = min(ends, key=lambda end: cost_behind(end, floor, prior))
-        start = best.free + kick(coordinates, best.free, count, rng)
-        ends.append(refine(objective, coordinates, start, prior, roughly=True, floor=floor))
-        # what the best explain decides what counts as explained: bad hollows look alike above it
-        floor = min(floor, objective.floor_of(ends[-1].evaluation.square))
-        gain = cost_behind(best, floor, prior) / cost_behind(ends[-1], floor, prior)
-        idle = 0 if gain > _GAIN else idle + 1
-    ends.sort(key=lambda end: cost_behind(end, floor, prior))
-    limit = _GOOD * cost_behind(ends[0], floor, prior)
-    good = [in_order(coordinates, end.free) for end in ends
-            if cost_behind(end, floor, prior) <= limit]
-    few = student.ppf(_UPPER, max(len(good) - 1, 2)) / norm.ppf(_UPPER)  # so few tell little
-    return good[0], few * np.sqrt(np.mean(np.square(np.array(good) - good[0]), axis=0))
-
-
-def cost_behind(end, floor, prior):
-    """Return the cost of a Refined if blocks below ``floor`` [rad] counted as explained."""
-    return total_cost(replace(end.evaluation, floor=floor), end.free, prior)
-
-
-def in_order(coordinates, free):
-    """Return free numbers with blocks of equal weight from stiff to soft."""
-    if coordinates.free_weights:
-        return free
-    ordered = free.copy()
-    ordered[coordinates.yields] = np.sort(free[coordinates.yields])
-    return ordered
-
-
-def kick(coordinates, free, count, rng):
-    """
-    Return a random change of free numbers, about as large as they are uncertain.
-
-    Blocks that break away within a few counts move most, and together: a fit sees them only at
-    the moments when a count changes.
-    """
-    size = np.zeros(coordinates.size)
-    size[:N_STEADY] = [*_KICKS, *_KICKS, _KICK]
-    size[coordinates.yields] = _KICK
-    fine = np.zeros(coordinates.size)
-    fine[coordinates.yields] = np.exp(free[coordinates.yields]) < _FEW_COUNTS * count
-    return ((size + _FINE_KICK * fine) * rng.standard_normal(coordinates.size)
-            + _FINE_KICK * fine * rng.standard_normal())
 
 
 def fit_all(bundle, starts, extras, *, blocks=CANDIDATES, say=lambda text: None):
@@ -324,32 +240,68 @@ def fit_all(bundle, starts, extras, *, blocks=CANDIDATES, say=lambda text: None)
 
     """
     thetas = [rough_theta(start, extra) for start, extra in zip(starts, extras, strict=True)]
-    joints = range(len(starts))
+    joints, rough = range(len(starts)), coarser(bundle, COARSE)
     with ThreadPoolExecutor(max_workers=len(starts)) as pool:
         say('fitting each joint')
-        rough = coarser(bundle, COARSE)
-        fits = list(pool.map(lambda j: fit_joint(rough, j, thetas, starts[j], extras[j], blocks),
-                             joints))
+        training = [Objective(rough, j, thetas, train(rough.period)) for j in joints]
+        thetas = [coordinates.unpack(free)[0]
+                  for coordinates, free in pool.map(spread, training, starts, extras)]
+        fits = list(pool.map(lambda j: fit_joint(rough, j, thetas, blocks), joints))
         say('refining each joint, the others as they were found')
-        found = [fit.coordinates.unpack(fit.free)[0] for fit in fits]
-        return list(pool.map(lambda j: finish(bundle, j, found, fits[j]), joints))
+        fits = search(pool, bundle, fits)
+        thetas = [theta_of(fit) for fit in fits]
+        return list(pool.map(lambda j: finish(bundle, j, thetas, fits[j]), joints))
+
+
+def theta_of(fit):
+    """Return the parameters of a JointFit."""
+    return fit.coordinates.unpack(fit.free)[0]
+
+
+def search(pool, bundle, fits):
+    """
+    Return fits from hops of all joints, with coarse samples first and fine ones in the end.
+
+    Each has the others as last found. Links of a planar arm act on each other: with a wrong
+    friction of one joint the best of another is no hollow at all, or one far from the truth. So
+    they go on in turn while any gains.
+    """
+    periods = np.maximum(LEVELS, bundle.period)
+    coupled = bundle.arm.kind == 'planar' and len(fits) > 1
+    if not coupled:
+        periods = np.unique(periods)[::-1]
+    levels, last = [coarser(bundle, period) for period in periods], len(periods) - 1
+    if coupled:
+        levels += [levels[-1]] * _MORE_TURNS
+    for turn, level in enumerate(levels):
+        thetas = [theta_of(fit) for fit in fits]
+        tasks = [(level, j, thetas, fit, np.random.default_rng([turn, j]), turn == last)
+                 for j, fit in enumerate(fits)]
+        fits, gains = zip(*pool.map(hopped, *zip(*tasks, strict=True)), strict=True)
+        if turn >= last and max(gains) < GAIN:
+            break
+    return fits
+
+
+def hopped(bundle, joint, thetas, fit, rng, all_ends):
+    """Return the best JointFit near one, or near all its ends, and how much was gained."""
+    found = hop(Objective(bundle, joint, thetas, train(bundle.period)), fit.coordinates,
+                fit.ends if all_ends and fit.ends else (fit.free,), fit.prior,
+                2.0 * bundle.half[joint], rng)
+    return fit._replace(free=found.ends[0], sampling=found.scatter, ends=found.ends), found.gain
 
 
 def finish(bundle, joint, thetas, fit):
-    """Refine a fit now that the other joints are known: without the data held out, then on all."""
-    coordinates, prior, rough = fit.coordinates, fit.prior, coarser(bundle, COARSE)
-    training = Objective(bundle, joint, thetas, train(bundle.period))
-    held = refine(training, coordinates, fit.free, prior, sharpness=2.0, roughly=True).free
-    held, scatter = hop(Objective(rough, joint, thetas, train(rough.period)), coordinates, held,
-                        prior, 2.0 * bundle.half[joint],
-                        np.random.default_rng(joint))
-    held = refine(training, coordinates, held, prior).free
+    """Refine a fit with all samples: without the data held out, then on all."""
+    coordinates, prior = fit.coordinates, fit.prior
+    held = refine(Objective(bundle, joint, thetas, train(bundle.period)), coordinates, fit.free,
+                  prior).free
     refined = refine(Objective(bundle, joint, thetas), coordinates, held, prior)
     half = coarser(bundle, 2.0 * bundle.period)
     seldom = refine(Objective(half, joint, thetas), coordinates, refined.free, prior).free
     return fit._replace(free=refined.free, evaluation=refined.evaluation,
                         held_out=fit.held_out._replace(free=held), settled=refined.settled,
-                        sampling=np.hypot(scatter, seldom - refined.free))
+                        sampling=np.hypot(fit.sampling, seldom - refined.free))
 
 
 def rough_theta(start, extra):
