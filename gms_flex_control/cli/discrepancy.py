@@ -42,7 +42,6 @@ def add_parser(subparsers):
 def run(args):
     """Compare, write and print; return the exit code of the verdict."""
     from gms_flex_control.cli.identify import read_take
-    from gms_flex_control.discrepancy.workflow import discrepancy
     from gms_flex_control.reports.model_comparison import compare
     from gms_flex_control.schema.files import load_robot
 
@@ -52,12 +51,26 @@ def run(args):
     others = models_of(args, robot)
     takes, holdout = ([read_take(path, robot)[0] for path in paths]
                       for paths in (args.bags, args.holdout))
-    result = discrepancy(takes, robot, options, holdout=holdout, say=progress(args))
+    result = searched(takes, robot, options, holdout, args)
     compared = ()
     if others and result.found is not None:
         compared = compare(result, [('as given', robot), ('with what was found', result.robot),
                                     *others], holdout)
     return written(result, compared, holdout, args)
+
+
+def searched(takes, robot, options, holdout, args):
+    """Return the Discrepancy; raise BagError where forced data leave no number to go on with."""
+    from gms_flex_control.discrepancy.workflow import discrepancy
+    from gms_flex_control.errors import BagError
+    import numpy as np
+    try:
+        return discrepancy(takes, robot, options, holdout=holdout, say=progress(args))
+    except (np.linalg.LinAlgError, ValueError) as error:
+        if not args.force:
+            raise
+        raise BagError(f'{", ".join(args.bags)}: no model can be fitted to these data ({error}); '
+                       'without --force their faults are named, mend those first') from error
 
 
 def written(result, compared, holdout, args):
