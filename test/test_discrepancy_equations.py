@@ -301,5 +301,3 @@ def test_a_noise_of_counts_alone_is_no_effect(problem):
     x, rows, _ = problem.retuned(problem.robot, np.zeros(len(problem.knobs)))
     assert problem.cost(rows, x) < 1.3 * problem.level * problem.fitted.sum()
     assert np.all(np.abs(x) <= problem.bound)
-
-
