@@ -121,6 +121,10 @@ def test_held_out_errors_are_below_those_of_coulomb_and_viscous_friction(found):
     assert held_out.free_run_rms < 0.2 * held_out.free_run_coulomb_viscous
 
 
+def test_as_many_blocks_as_were_tried_may_be_too_few(found):
+    assert any('--blocks' in text for text in found.joints[0].warnings)
+
+
 def test_a_block_that_slips_beyond_presliding_only_is_not_passed_off_as_presliding(found):
     softest = by_name(found)[f'friction.{JOINT}.stiffness[0]']
     assert softest.value == pytest.approx(0.25 * STATIC / YIELDS.max(), rel=0.05)

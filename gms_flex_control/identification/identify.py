@@ -13,7 +13,7 @@ from gms_flex_control.identification import held_out as errors
 from gms_flex_control.identification.arm_estimates import arm_estimates
 from gms_flex_control.identification.arm_fit import estimate_arm, folded
 from gms_flex_control.identification.checks import require
-from gms_flex_control.identification.coordinates import friction_record
+from gms_flex_control.identification.coordinates import friction_record, MOST_BLOCKS
 from gms_flex_control.identification.loops import loops_of, presliding_reach
 from gms_flex_control.identification.objective import Bundle, Objective, observer_bandwidth
 from gms_flex_control.identification.paper_fit import NOT_HELD_OUT, paper_fits
@@ -223,7 +223,7 @@ class Data:
                              for one in fit.candidates),
             held_out=self._errors(joint, fit, thetas),
             warnings=(NOT_HELD_OUT,) if self.paper_spreads and not self._apart else
-            self.choices[joint].sentences if self.choices else ())
+            (*self.choices[joint].sentences, *few_blocks(fit)) if self.choices else ())
 
     def _errors(self, joint, fit, thetas):
         bundle, chosen = self.bundle, default_method.held_out(self.bundle.period)
@@ -239,6 +239,16 @@ class Data:
         return errors.held_out_errors(
             objective, bundle, theta, simple, chosen, self.step[joint],
             repeatability(self._fitted, self._phases, self.robot.arm, joint))
+
+
+def few_blocks(fit):
+    """Return a sentence where a JointFit has as many blocks as were tried and more can be."""
+    most = max(candidate.n_blocks for candidate in fit.candidates)
+    if fit.coordinates.n_blocks < most or most == MOST_BLOCKS:
+        return ()
+    return (f'N = {most} is the largest number of blocks that was tried. Where presliding needs '
+            'more, all parameters are off by more than their intervals say: try more '
+            f'(--blocks, up to {MOST_BLOCKS})',)
 
 
 def without(stretch, constant):
