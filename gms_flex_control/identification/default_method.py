@@ -19,7 +19,7 @@ from typing import NamedTuple
 from gms_flex_control.identification.coordinates import Coordinates, MOST_BLOCKS, N_STEADY
 from gms_flex_control.identification.hops import GAIN, hop
 from gms_flex_control.identification.objective import BLOCK_TIME, coarser, Objective
-from gms_flex_control.identification.refine import Prior, refine
+from gms_flex_control.identification.refine import Prior, refine, summed
 from gms_flex_control.simulation.predictor import BLOCKS, parameter_rows
 import numpy as np
 
@@ -31,6 +31,7 @@ _SHARPNESS = (2.0, 1.0)
 _HELD_OUT = 4         # one in so many blocks of time is held out
 _STEADY_DOUBT, _BLOCK_DOUBT = 1.0, 3.0  # spread of the prior, of logarithms
 _EXTRA_DOUBT = 1.0    # of corrections, in their units
+_ROUGH = 0.1          # of the cost: what hollows near the best differ by, where encoders count
 _MORE_TURNS = 2       # of hops of all joints at the last level, at most
 
 
@@ -301,7 +302,22 @@ def finish(bundle, joint, thetas, fit):
     seldom = refine(Objective(half, joint, thetas), coordinates, refined.free, prior).free
     return fit._replace(free=refined.free, evaluation=refined.evaluation,
                         held_out=fit.held_out._replace(free=held), settled=refined.settled,
-                        sampling=np.hypot(fit.sampling, seldom - refined.free))
+                        sampling=np.sqrt(fit.sampling ** 2 + (seldom - refined.free) ** 2
+                                         + roughness(refined, prior, bundle.half[joint])))
+
+
+def roughness(refined, prior, half):
+    """
+    Return the variance (P,) of free numbers that hollows near the best leave open.
+
+    Counts of an encoder make the cost rough: hollows that hops do not find are as deep as the
+    best within a tenth. This is how far the curvature lets numbers move for that much.
+    """
+    if half == 0.0:
+        return np.zeros(len(refined.free))
+    curvature, _ = summed(refined.evaluation, refined.free, prior)
+    cost = refined.evaluation.cost.sum()
+    return _ROUGH * cost * np.diag(np.linalg.pinv(curvature, hermitian=True))
 
 
 def rough_theta(start, extra):
