@@ -21,6 +21,7 @@ from gms_flex_control.benchmarks import (
 from gms_flex_control.benchmarks.timing import interleaved, Measurement
 from gms_flex_control.cli import bench
 from gms_flex_control.dynamics.chain import matrices
+from gms_flex_control.effects.signals import WIDTH
 from gms_flex_control.errors import ConfigError, GmsFlexError
 from gms_flex_control.params.encoder import EncoderParams
 from gms_flex_control.resources import controller_file, robot_file
@@ -89,7 +90,7 @@ def test_all_ways_to_join_effects_give_the_same_signals(count, tmp_path, monkeyp
     monkeypatch.setenv('NUMBA_CACHE_DIR', str(tmp_path))
     results = []
     for build in effect_dispatch.ALTERNATIVES.values():
-        signals, memory = np.linspace(0.1, 0.9, 36), np.zeros(16)
+        signals, memory = np.linspace(0.1, 0.9, 2 * WIDTH), np.zeros(16)
         build(core.EFFECTS[:count])(2, signals, memory, 1e-4)
         results.append(signals)
     # the package runs stage by stage; the entries of EFFECTS do not read what others change

@@ -101,6 +101,11 @@ class Problem:
         out = (times / BLOCK).astype(int) % _HELD_OUT == _HELD_OUT - 1
         self.fitted, self.held_out = used & ~out, used & out
 
+    @property
+    def clean_cost(self):
+        """Return the cost of a run in which nothing is missing."""
+        return self.level * float(self.fitted.sum())
+
     def held_out_moments(self):
         """Return which rows in time are held out, bool (S,) of each recording."""
         ends = np.cumsum([whitening.scale.size for whitening in self.whitenings])[:-1]

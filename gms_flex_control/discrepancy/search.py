@@ -191,8 +191,7 @@ class _Hunt:
         while len(self.model.robot.effects) - self._known < most:
             ranked = self.library.ranked(self.model, self.columns)
             self.first = self.first or tuple(ranked)
-            there = {(spec.name, spec.joint) for spec in self.model.robot.effects}
-            ranked = [one for one in ranked if (one.spec.name, one.spec.joint) not in there]
+            ranked = [one for one in ranked if may_join(one.spec, self.model.robot.effects)]
             if not ranked or ranked[0].gain < self._least():
                 break
             added = self._best_added(ranked)
@@ -214,9 +213,10 @@ class _Hunt:
         model, effects = self.model, self.model.robot.effects
         less, others = without(self._problem, model, self.columns, self._known, i)
         ranked = self.library.ranked(less, others)
-        there = {(spec.name, spec.joint) for spec in effects}
+        own = effects[i].name, effects[i].joint
         for one in ranked[:_SHORTLIST]:
-            if (one.spec.name, one.spec.joint) in there or one.gain < _CLOSE * ranked[0].gain:
+            if ((one.spec.name, one.spec.joint) == own or one.gain < _CLOSE * ranked[0].gain
+                    or not may_join(one.spec, less.robot.effects)):
                 continue
             other = self._fit_last(with_effect(less.robot, one.spec))
             larger = _size(one.spec) - _size(effects[i])
@@ -230,7 +230,7 @@ class _Hunt:
         return False
 
     def _least(self):
-        clean = self._problem.level * self._problem.fitted.sum()
+        clean = self._problem.clean_cost
         return max(LEAST_GAIN, LEAST_SHARE * (self.model.cost - clean),
                    LEAST_PART * (self._begun - clean))
 
@@ -264,6 +264,22 @@ class _Hunt:
         self.columns = np.concatenate([self._knobs, effect_columns(
             problem, self.model.robot, self.model.x, self.model.rows,
             numbers_of(self.model.robot.effects, known))])
+
+
+def may_join(spec, effects):
+    """
+    Return whether an effect may be added to others: not twice, and none that undoes another.
+
+    The torque constant together with stiffness and inertia would scale a whole joint, which no
+    motion tells from other torque, and rows are smallest where all is nothing.
+    """
+    there = {one.name for one in effects if one.joint == spec.joint}
+    scaling = there & {'stiffness_error', 'motor_inertia_error'}
+    if spec.name == 'torque_gain':
+        return spec.name not in there and not scaling
+    if spec.name in ('stiffness_error', 'motor_inertia_error'):
+        return spec.name not in there and 'torque_gain' not in there
+    return spec.name not in there
 
 
 def without(problem, model, columns, known, i):

@@ -55,7 +55,8 @@ class Whitening:
         width = max(round(_MOMENT / self.row_period), 1)
         square = uniform_filter1d(np.mean(rows ** 2, axis=0), width, axis=0, mode='nearest')
         usual = np.median(square, axis=0)
-        self.scale = 1.0 / np.sqrt(np.maximum(square, 0.25 * usual))
+        there = usual > 1e-12  # a rigid joint has no motor equation
+        self.scale = there / np.sqrt(np.maximum(square, np.where(there, 0.25 * usual, 1.0)))
         edge = round(_EDGE / self.row_period)
         self.scale[:edge] = self.scale[-edge:] = 0.0
         self.time = self.row_period * np.arange(self._rows)

@@ -21,7 +21,7 @@ from gms_flex_control.discrepancy.result import (
     UNEXPLAINED,
 )
 from gms_flex_control.discrepancy.retuned import with_knobs
-from gms_flex_control.discrepancy.search import search
+from gms_flex_control.discrepancy.search import LEAST_GAIN, search
 from gms_flex_control.discrepancy.signature import signature_of
 from gms_flex_control.discrepancy.words import evidence_of, paragraph, tells_apart
 from gms_flex_control.identification.checks import check
@@ -30,7 +30,8 @@ import numpy as np
 DETECTED = 1.3        # times the clean level: below, nothing is missing
 EXPLAINED = 0.05      # of what was missing: so little may be left of it
 PARTLY = 0.3          # likewise, where only effects are named that explain most of it
-DOMINANT = 0.5        # share of an effect that explains most
+DOMINANT = 0.6        # share of an effect that explains most
+DOUBTFUL = 0.1        # of what is still unexplained: an effect worth less is not believed
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,6 +62,9 @@ class Options:
     seed: int = 0
 
 
+_NOISE_DOUBT = 0.15   # by which the level of a clean run may be wrong
+_CHANCE = 1.1         # of held-out torque, where an effect acts seldom
+_NO_WORSE = 1.6       # of squared free runs, whose starts are only nearly known
 _FLOOR = 1.0 / 6.0    # of the practical torque: what rows are measured by
 
 
@@ -100,7 +104,8 @@ def discrepancy(recordings, robot, options=None, *, holdout=(), say=lambda text:
     if any(finding.severity == 'refuse' for finding in findings) and not options.force:
         return Discrepancy(verdict=BAD_DATA, faults=faults, sources=sources,
                            seconds=time.monotonic() - begun,
-                           words='The data are at fault, not the model: ' + ' '.join(faults))
+                           words='The data are at fault, not the model: ' + ' '.join(
+                               text.rstrip('.') + '.' for text in faults))
     say('what runs look like in which nothing is missing')
     problem = Problem([path_of(recording, robot) for recording in recordings], robot,
                       _FLOOR * options.practical, options.seed)
@@ -116,7 +121,9 @@ def pruned(problem, found, known):
     """Return the search's end without effects that something else could be, and the Judged."""
     while True:
         entries = judge.judged(problem, found, known)
-        weak = [one for one in entries if not judge.stands_alone(one)]
+        doubtful = DOUBTFUL * missing(problem, found.model) * problem.clean_cost
+        weak = [one for one in entries
+                if not judge.stands_alone(one) or one.loss < max(doubtful, LEAST_GAIN)]
         if not weak:
             return found, entries
         index = min(weak, key=lambda one: one.loss).index
@@ -131,15 +138,27 @@ def pruned(problem, found, known):
 
 def missing(problem, model):
     """Return how far a model's cost is above that of a clean run, in units of the latter."""
-    return problem.cost(model.rows, model.x) / (problem.level * problem.fitted.sum()) - 1.0
+    return problem.cost(model.rows, model.x) / problem.clean_cost - 1.0
+
+
+def helps(gap):
+    """
+    Return whether effects help on data held out: neither torque nor free runs much worse.
+
+    Torque may be a little worse by chance where an effect acts seldom, as an end stop does.
+    """
+    before, after = (float(np.sum(errors ** 2)) for errors in (gap.free_before, gap.free_after))
+    if gap.energy_ratio >= 1.0 and after >= before:
+        return False
+    return gap.energy_ratio < _CHANCE and after < _NO_WORSE * before
 
 
 def _told(problem, found, entries, known, options, holdout, say):
     before, after = missing(problem, found.before), missing(problem, found.model)
     tried = tuple(Tried(one.spec.name, one.spec.joint, one.gain) for one in found.first)
-    slack = DETECTED - 1.0  # what a measure of noise may be wrong by
-    left = max(after - slack, 0.0) / before if before > slack else 0.0
-    whole = max(before * problem.level * problem.fitted.sum(), 1e-12)
+    slack = DETECTED - 1.0
+    left = max(after - _NOISE_DOUBT, 0.0) / before if before > slack else 0.0
+    whole = max(before * problem.clean_cost, 1e-12)
     if left > EXPLAINED:
         strong = [one for one in entries if one.loss > DOMINANT * whole]
         entries = strong if left < PARTLY else []
@@ -147,7 +166,11 @@ def _told(problem, found, entries, known, options, holdout, say):
         found = _only(problem, found, known, entries)
         entries = judge.judged(problem, found, known)
     say('the gap on data held out')
-    gap = gap_of(_measured_on(problem, holdout), found)
+    measured = _measured_on(problem, holdout)
+    gap = gap_of(measured, found)
+    if entries and not helps(gap):
+        found, entries, left = _only(problem, found, known, []), [], 1.0
+        gap = gap_of(measured, found)
     findings = [_finding(problem, found, known, one, whole, options) for one in entries]
     left_over = None
     if left > EXPLAINED or (before > slack and not findings):
