@@ -80,7 +80,7 @@ def pointer_at(typing_context, address):
     return types.CPointer(types.float64)(types.intp), codegen
 
 
-@numba.njit(cache=True)
+@numba.njit  # not cached: numba would not see that WIDTH has changed in its own module
 def move(signals, dt):
     """Change what effects read, so that nothing they compute is the same in the next round."""
     for first in range(0, signals.shape[0], WIDTH):
