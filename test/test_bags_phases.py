@@ -47,7 +47,7 @@ def test_phases_count_from_the_first_sample_in_the_order_of_time(tmp_path):
 
 
 def test_phases_are_read_as_they_were_written_beside_a_recording(tmp_path):
-    shape = {'time': (6,), 'reference': (6, 5, 1)}
+    shape = {'time': (6,), 'supply': (6,), 'reference': (6, 5, 1)}
     values = {field.name: np.zeros(shape.get(field.name, (6, 1))) for field in fields(Recording)
               if field.name not in ('joints', 'source')}
     recording = Recording(**values | {'time': 2e-3 * np.arange(6)}, joints=('a',), source='x')
