@@ -68,14 +68,17 @@ def test_a_robot_at_a_line_that_comes_later_is_held_and_survives_lost_bytes(lab)
 
 
 def test_a_line_that_dies_is_a_fault_and_a_new_one_is_taken_up_after_a_reset(lab):
-    ask(lab, 'reset')
+    if lab.fake.poll() is not None:  # this test is repeated and has killed it before
+        lab.fake = start_fake(lab)
+    lab.until(lambda: ask(lab, 'reset').success and lab.states)
     enable(lab)
+    connected = lab.plant.printed().count('is connected')
     order(lab.fake, 'die')
     lab.fake.wait()
     report(lab, 'FAULT: device serial_example')
     assert not ask(lab, 'enable').success
-    fake = start_fake(lab)
-    lab.until(lambda: lab.plant.printed().count('is connected') == 2)
+    lab.fake = fake = start_fake(lab)
+    lab.until(lambda: lab.plant.printed().count('is connected') > connected)
     assert ask(lab, 'reset').success
     enable(lab)
     assert lab.plant.signal(2) == 0
