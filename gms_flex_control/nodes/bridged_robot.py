@@ -11,6 +11,7 @@ from gms_flex_control.hardware.merger import ReadingError
 from gms_flex_control.nodes import messages, process
 from gms_flex_control.nodes.health import ERROR, OK
 from gms_flex_control.nodes.robot_links import DeviceLink, TopicLink
+from gms_flex_control.nodes.supervised import SupervisedRobot
 from gms_flex_control.schema.bridge import bridge_from_values
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
@@ -20,7 +21,7 @@ _ZERO_PERIOD = 10_000_000  # zero torque is repeated that often while there is n
 _WARN_PERIOD = 5_000_000_000  # [ns]
 
 
-class BridgedRobot:
+class BridgedRobot(SupervisedRobot):
     """
     Joint states of a robot to the controller, its commands to the robot, within limits.
 
@@ -155,26 +156,11 @@ class BridgedRobot:
         with self._lock:
             return self._settled(self._supervisor.reset())
 
-    def stop(self, reason):
-        """Stop in an emergency; return an Outcome."""
-        with self._lock:
-            return self._settled(self._supervisor.stop(reason))
-
-    def button(self, pressed, name):
-        """Take the position of the emergency-stop button."""
-        with self._lock:
-            self._supervisor.button(pressed, name)
-            self._settle()
-
     def fail(self, sentence):
         """Enter the fault: something is wrong in this process or with the link."""
         with self._lock:
             self._bridge.fault(sentence)
             self._settle()
-
-    def _settled(self, outcome):
-        self._settle()
-        return outcome
 
     # the watch -----------------------------------------------------------------------------
 

@@ -16,6 +16,7 @@ from gms_flex_control.nodes import messages, process
 from gms_flex_control.nodes.health import ERROR, OK
 from gms_flex_control.nodes.loop_timing import LoopTiming
 from gms_flex_control.nodes.messages import NANOSECONDS
+from gms_flex_control.nodes.supervised import SupervisedRobot
 from gms_flex_control.schema.bridge import limits_from_values
 from gms_flex_control.schema.build import robot_from_values
 from gms_flex_control.simulation.stepped import SteppedPlant
@@ -29,7 +30,7 @@ _LATEST_START = 5        # samples the loop may be late before it gives up catch
 _WARN_PERIOD = 5.0       # [s]
 
 
-class SimulatedRobot:
+class SimulatedRobot(SupervisedRobot):
     """
     A robot that is simulated sample by sample.
 
@@ -202,10 +203,6 @@ class SimulatedRobot:
         else:
             self._node.get_logger().info(sentence)
 
-    def _settled(self, outcome):
-        self._settle()
-        return outcome
-
     def obstacle(self):
         """Return what stands against torque now (str)."""
         return self._health.fault
@@ -227,17 +224,6 @@ class SimulatedRobot:
         with self._lock:
             self._wanted = self._wanted and self._supervisor.state != 'FAULT'
             return self._settled(self._supervisor.reset())
-
-    def stop(self, reason):
-        """Stop in an emergency; return an Outcome."""
-        with self._lock:
-            return self._settled(self._supervisor.stop(reason))
-
-    def button(self, pressed, name):
-        """Take the position of the emergency-stop button."""
-        with self._lock:
-            self._supervisor.button(pressed, name)
-            self._settle()
 
     def fail(self, sentence):
         """Enter a fault that lasts until `reset`."""

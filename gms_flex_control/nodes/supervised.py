@@ -1,0 +1,34 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""What simulated and bridged robots do alike when torque is let flow or taken away."""
+
+from abc import ABC, abstractmethod
+
+
+class SupervisedRobot(ABC):
+    """
+    A robot whose torque a Supervisor lets flow; requests may come from any thread.
+
+    Subclasses set ``_supervisor``, a Supervisor, and ``_lock``, a lock that one thread may take
+    more than once.
+    """
+
+    @abstractmethod
+    def _settle(self):
+        """Say and do what a change of the supervisor's state asks for."""
+
+    def _settled(self, outcome):
+        self._settle()
+        return outcome
+
+    def stop(self, reason):
+        """Stop in an emergency; return an Outcome."""
+        with self._lock:
+            return self._settled(self._supervisor.stop(reason))
+
+    def button(self, pressed, name):
+        """Take the position of the emergency-stop button."""
+        with self._lock:
+            self._supervisor.button(pressed, name)
+            self._settle()
