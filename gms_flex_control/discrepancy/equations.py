@@ -98,7 +98,7 @@ def rigid_body(q, dq, ddq, links, work, bias, inertial):
 
 @compiled
 def torques_along(path, second, command, time, period, constants, state, work, link, motor,
-                  inertial, friction):
+                  inertial):
     """
     Write all torques of Eq. (1) along a measured path.
 
@@ -121,8 +121,6 @@ def torques_along(path, second, command, time, period, constants, state, work, l
         what ``inertial`` holds left out.
     inertial : ndarray, shape (T, n)
         Filled: ``M second``.
-    friction : ndarray, shape (T, n)
-        Filled: friction torque of the links, effects included.
 
     """
     s, links, effects = work.signals, constants.chain, constants.effects
@@ -138,8 +136,7 @@ def torques_along(path, second, command, time, period, constants, state, work, l
             effect_table.run_stage(stage, s, state.memory, period, effects)
         rigid_body(state.q_link, state.dq_link, second[k], links, work.chain, bias, inertial[k])
         for j in range(n):
-            friction[k, j] = s[j, sig.FRICTION]
-            link[k, j] = s[j, sig.LINK_TORQUE] - friction[k, j] - bias[j]
+            link[k, j] = s[j, sig.LINK_TORQUE] - s[j, sig.FRICTION] - bias[j]
             if links.flexible[j]:
                 link[k, j] += s[j, sig.SPRING]
                 motor[k, j] = s[j, sig.MOTOR_TORQUE] - s[j, sig.SPRING]

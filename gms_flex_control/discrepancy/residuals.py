@@ -47,10 +47,10 @@ def unexplained(path, constants):
     motion, second = path.motion, path.second
     if acts(constants, SENSOR):
         motion, second = corrected(path, constants, work)
-    link, motor, inertial, friction = np.empty((4, *drive.shape))
+    link, motor, inertial = np.empty((3, *drive.shape))
     equations.torques_along(motion, np.ascontiguousarray(second[:, 0]), drive, path.time,
                             path.period, constants, fresh_state(constants), work, link, motor,
-                            inertial, friction)
+                            inertial)
     weight = sampled_weight(path.factor)
     unsmoothed = constants.chain.stiffness * path.twist_rest  # what smoothing took of the spring
     on_link = inertial - seen(link, weight) - unsmoothed - (1.0 - flexible) * drive

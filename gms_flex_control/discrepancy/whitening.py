@@ -36,7 +36,7 @@ class Whitening:
     """
 
     def __init__(self, clean, period, floor):
-        self._samples, self._period = clean.shape[1], period
+        self._samples = clean.shape[1]
         length = self._samples * period
         self._bins = min(int(HIGHEST * length), self._samples // 2)
         self._rows = 2 * self._bins
