@@ -4,9 +4,10 @@
 """How far a model runs away when nothing corrects it: simulated from many measured states."""
 
 from gms_flex_control.compiled import compiled
+from gms_flex_control.discrepancy.equations import replay_friction
 from gms_flex_control.discrepancy.residuals import acts, corrected, fresh_state, SENSOR
-from gms_flex_control.friction import gms
 from gms_flex_control.simulation import plant
+from gms_flex_control.simulation.predictor import copy_state
 import numpy as np
 
 HORIZON, STRIDE = 0.5, 0.5   # length of a run, and from one start to the next [s]
@@ -24,19 +25,14 @@ def run_freely(motion, command, time, period, substeps, starts, horizon, constan
     n = command.shape[1]
     at, ahead = 0, 0.5 * period / substeps
     for k in range(command.shape[0]):
-        if k > 0:
-            for j in range(n):
-                work.displacement[j] = motion[k, 0, j] - motion[k - 1, 0, j]
-            gms.advance(replayed.friction, work.displacement, motion[k, 1], period,
-                        constants.friction)
+        for j in range(n):
+            replayed.dq_link[j] = motion[k, 1, j]
+        replay_friction(k, motion, period, constants, replayed, work)
         if at < starts.shape[0] and k == starts[at]:
+            copy_state(replayed.friction, motion[k, 0], motion[k, 1], state.friction,
+                       state.q_link, state.dq_link)
             for j in range(n):
-                state.q_link[j], state.dq_link[j] = motion[k, 0, j], motion[k, 1, j]
                 state.q_motor[j], state.dq_motor[j] = motion[k, 3, j], motion[k, 4, j]
-                state.friction.direction[j] = replayed.friction.direction[j]
-                for i in range(state.friction.torque.shape[1]):
-                    state.friction.torque[j, i] = replayed.friction.torque[j, i]
-                    state.friction.sticking[j, i] = replayed.friction.sticking[j, i]
                 state.q_link[j] += ahead * state.dq_link[j]
                 state.q_motor[j] += ahead * state.dq_motor[j]
             for step in range(horizon):
