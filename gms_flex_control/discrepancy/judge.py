@@ -13,7 +13,7 @@ from typing import NamedTuple
 from gms_flex_control.discrepancy.bounded import solve
 from gms_flex_control.discrepancy.fit import Fitted, numbers_of
 from gms_flex_control.discrepancy.result import Value
-from gms_flex_control.discrepancy.search import without
+from gms_flex_control.discrepancy.search import half_cost, limits, without
 from gms_flex_control.effects.registry import find
 import numpy as np
 
@@ -66,14 +66,10 @@ def judged(problem, found, known):
 
 def least(problem, model, columns):
     """Return the least cost of a model with all its columns (C, R) re-tuned within bounds."""
-    knobs = len(model.x)
     used = columns[:, problem.fitted]
     gram, slope = used @ used.T, problem.slope(columns, model.rows)
-    free = np.full(len(columns) - knobs, np.inf)
-    bound = problem.bound_of(model.robot)
-    x = solve(gram, slope, np.concatenate([-bound - model.x, -free]),
-              np.concatenate([bound - model.x, free]))
-    return model.cost + float(x @ gram @ x - 2.0 * slope @ x)
+    step = solve(gram, slope, *limits(problem, model, len(columns)))
+    return model.cost + 2.0 * half_cost(gram, slope, step)
 
 
 def stands_alone(one):

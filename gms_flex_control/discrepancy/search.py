@@ -86,13 +86,11 @@ class Library:
         problem, knobs = self._problem, len(model.x)
         own, rows = columns[:, problem.fitted], model.rows[problem.fitted]
         slope = problem.slope(columns, model.rows)
-        bound = problem.bound_of(model.robot)
-        low = np.concatenate([-bound - model.x, np.full(len(own) - knobs, -np.inf)])
-        high = np.concatenate([bound - model.x, np.full(len(own) - knobs, np.inf)])
+        low, high = limits(problem, model, len(own))
         gram, best = own @ own.T, {}
-        before = _value(gram, slope, solve(gram, slope, low, high))
+        before = half_cost(gram, slope, solve(gram, slope, low, high))
         free = np.ones(len(own), dtype=bool)
-        free[:knobs] = np.abs(model.x) < _AT_BOUND * bound
+        free[:knobs] = np.abs(model.x) < _AT_BOUND * problem.bound_of(model.robot)
         for i in self._promising(own[free], rows)[:_EXACT]:
             name, joint, guess = self.guesses[i]
             value, coefficients = self._with(i, own, rows, gram, low, high, slope)
@@ -129,11 +127,18 @@ class Library:
         right = np.concatenate([slope, -added @ rows])
         x = solve(both, right, np.concatenate([low, np.full(count, guess.lowest)]),
                   np.concatenate([high, np.full(count, guess.highest)]))
-        return (_value(both, right, x) if np.any(x[k:]) else np.inf), x[k:]
+        return (half_cost(both, right, x) if np.any(x[k:]) else np.inf), x[k:]
 
 
-def _value(gram, right, x):
-    return float(0.5 * x @ gram @ x - right @ x)
+def limits(problem, model, count):
+    """Return how far a model's knobs may go, with ``count`` columns in all; (count,) each."""
+    bound, free = problem.bound_of(model.robot), np.full(count - len(model.x), np.inf)
+    return (np.concatenate([-bound - model.x, -free]), np.concatenate([bound - model.x, free]))
+
+
+def half_cost(gram, slope, x):
+    """Return half the cost at a step ``x`` (P,), from half the cost before."""
+    return float(0.5 * x @ gram @ x - slope @ x)
 
 
 class Found(NamedTuple):
@@ -259,11 +264,40 @@ class _Hunt:
         return fit(problem, alone.robot, alone.x, self._knobs, first=self._known)
 
     def _take(self, fitted):
-        problem, known = self._problem, self._known
-        self.model = fit(problem, fitted.robot, fitted.x, self._knobs, first=known, iterations=2)
-        self.columns = np.concatenate([self._knobs, effect_columns(
-            problem, self.model.robot, self.model.x, self.model.rows,
-            numbers_of(self.model.robot.effects, known))])
+        self.model, self.columns = refitted(self._problem, fitted.robot, fitted.x, self._knobs,
+                                            self._known, iterations=2)
+
+
+def refitted(problem, robot, x, knobs, known, iterations=3):
+    """
+    Return a robot with all its effects fitted together, and its columns anew.
+
+    Parameters
+    ----------
+    problem : Problem
+        The rows.
+    robot : RobotParams
+        Where to begin.
+    x : ndarray, shape (P,)
+        Knobs to begin with.
+    knobs : ndarray, shape (P, R)
+        Derivatives by the knobs.
+    known : int
+        Effects the user knew of, which stay.
+    iterations : int
+        At most.
+
+    Returns
+    -------
+    model : Fitted
+    columns : ndarray, shape (C, R)
+        Derivatives by the knobs and by the parameters of effects that are not known.
+
+    """
+    model = fit(problem, robot, x, knobs, first=known, iterations=iterations)
+    own = effect_columns(problem, model.robot, model.x, model.rows,
+                         numbers_of(model.robot.effects, known))
+    return model, np.concatenate([knobs, own])
 
 
 def may_join(spec, effects):

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 import time
 
 from gms_flex_control.discrepancy import judge
-from gms_flex_control.discrepancy.fit import effect_columns, fit, numbers_of
 from gms_flex_control.discrepancy.gap import gap_of, torque_rms
 from gms_flex_control.discrepancy.path import path_of
 from gms_flex_control.discrepancy.problem import Problem
@@ -21,7 +20,7 @@ from gms_flex_control.discrepancy.result import (
     UNEXPLAINED,
 )
 from gms_flex_control.discrepancy.retuned import with_knobs
-from gms_flex_control.discrepancy.search import LEAST_GAIN, search
+from gms_flex_control.discrepancy.search import LEAST_GAIN, refitted, search
 from gms_flex_control.discrepancy.signature import signature_of
 from gms_flex_control.discrepancy.words import evidence_of, paragraph, tells_apart
 from gms_flex_control.identification.checks import check
@@ -126,14 +125,10 @@ def pruned(problem, found, known):
                 if not judge.stands_alone(one) or one.loss < max(doubtful, LEAST_GAIN)]
         if not weak:
             return found, entries
-        index = min(weak, key=lambda one: one.loss).index
-        effects = found.model.robot.effects
-        robot = replace(found.model.robot, effects=effects[:index] + effects[index + 1:])
-        knobs = found.columns[:len(problem.knobs)]
-        model = fit(problem, robot, found.model.x, knobs, first=known, iterations=2)
-        own = effect_columns(problem, model.robot, model.x, model.rows,
-                             numbers_of(model.robot.effects, known))
-        found = found._replace(model=model, columns=np.concatenate([knobs, own]))
+        less = min(weak, key=lambda one: one.loss).less
+        model, columns = refitted(problem, less.robot, less.x, found.columns[:len(problem.knobs)],
+                                  known, iterations=2)
+        found = found._replace(model=model, columns=columns)
 
 
 def missing(problem, model):
@@ -198,10 +193,8 @@ def _only(problem, found, known, entries):
     knobs = found.columns[:len(problem.knobs)]
     if not kept:
         return found._replace(model=found.before, columns=knobs)
-    model = fit(problem, robot, found.before.x, knobs, first=known)
-    own = effect_columns(problem, model.robot, model.x, model.rows,
-                         numbers_of(model.robot.effects, known))
-    return found._replace(model=model, columns=np.concatenate([knobs, own]))
+    model, columns = refitted(problem, robot, found.before.x, knobs, known)
+    return found._replace(model=model, columns=columns)
 
 
 def _measured_on(problem, holdout):
@@ -216,8 +209,6 @@ def _finding(problem, found, known, one, whole, options):
     others = judge.rivals(problem, found, one)
     alike = judge.confusable(spec, others)
     level = problem.level_of(spec.joint)
-    less = replace(found.model.robot, effects=tuple(
-        entry for i, entry in enumerate(found.model.robot.effects) if i != one.index))
     return Finding(
         effect=spec.name, joint=spec.joint,
         values=judge.values_of(problem, found, known, one.index),
@@ -227,5 +218,5 @@ def _finding(problem, found, known, one, whole, options):
         runner_up_score=others[0][2] * one.loss if others else 0.0,
         confusable_with=alike, tells_apart=tells_apart(spec.name, alike),
         evidence=evidence_of(spec, one, others),
-        rms_before=torque_rms(problem, less, found.model.x),
+        rms_before=torque_rms(problem, one.less.robot, found.model.x),
         rms_after=torque_rms(problem, found.model.robot, found.model.x))
