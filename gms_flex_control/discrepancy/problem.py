@@ -43,7 +43,6 @@ class Problem:
         self._practical = practical
         base = plant.constants_of(robot)
         self.knobs = knobs_of(base)
-        self.bound = np.array([knob.doubt for knob in self.knobs])
         level = 0.5 * (robot.friction.forward.coulomb + robot.friction.backward.coulomb)
         self.floor = practical * np.tile(level, 2)
         self.pool = ThreadPoolExecutor(os.cpu_count() or 1)
@@ -128,9 +127,10 @@ class Problem:
         return slope
 
     def bound_of(self, robot):
-        """Return the largest change of each knob (P,), 0 where an effect stands for it."""
+        """Return the largest change of each knob (P,), 0 where a new effect stands for it."""
+        known = len(self.robot.effects)
         replaced = {(REPLACED[spec.name], robot.joints.index(spec.joint))
-                    for spec in robot.effects if spec.name in REPLACED}
+                    for spec in robot.effects[known:] if spec.name in REPLACED}
         return np.array([0.0 if (knob.name, knob.joint) in replaced else knob.doubt
                          for knob in self.knobs])
 
@@ -167,8 +167,8 @@ class Problem:
             rows = self.rows(robot, x)
             columns = self.knob_columns(robot, x, rows)
             used = columns[:, self.fitted]
-            x = x + solve(used @ used.T, self.slope(columns, rows), -self.bound - x,
-                          self.bound - x)
+            bound = self.bound_of(robot)
+            x = x + solve(used @ used.T, self.slope(columns, rows), -bound - x, bound - x)
         return x, self.rows(robot, x), columns
 
 
