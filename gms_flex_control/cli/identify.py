@@ -112,10 +112,16 @@ def read_take(path, robot, guess_motors=False):
 
 
 def motors_in(path, robot):
-    """Return the motor names of the robot that the bag has, '' for the others."""
-    from gms_flex_control.bags.reader import joint_names
+    """
+    Return the motor names of the robot that the bag has, '' for the others.
+
+    A rigid joint needs none, but a bag may still give its torque as that of a motor.
+    """
+    from gms_flex_control.bags.reader import joint_names, MOTOR_SUFFIX
     names = joint_names(path)
-    return tuple(motor if motor in names else '' for motor in robot.motors)
+    wanted = (motor or joint + MOTOR_SUFFIX
+              for joint, motor in zip(robot.joints, robot.motors, strict=True))
+    return tuple(motor if motor in names else '' for motor in wanted)
 
 
 def quiet(_text):
