@@ -7,6 +7,7 @@ from itertools import pairwise
 import math
 import random
 
+from gms_flex_control.schema.files import load_robot
 from node_harness import (
     COMMANDS,
     CONFIG,
@@ -117,7 +118,38 @@ def test_controller_publishes_error_estimate_and_blocks(loop):
         [state.velocity[j] - reference.data[2 + j] for j in range(2)], abs=1e-12)
     assert all(map(math.isfinite, error.effort))
     blocks = loop.more(loop.blocks, 1)[0]
-    assert sizes(blocks) == [('joint', 2), ('block', 6)] and len(blocks.data) == 12
+    assert sizes(blocks) == [('joint', 2), ('block', 6), (f'stamp:{stamp_of(blocks)}', 1)]
+    assert len(blocks.data) == 12
+    loop.until(lambda: stamp_of(blocks) in map(stamp_of, loop.states))
+
+
+def test_sticking_blocks_of_a_joint_are_springs_wound_alike(loop):
+    """Where ~/sticking says so twice in a row, growth of ~/blocks over k_i is one for all."""
+    stiffness = np.array([loop_stiffness(joint) for joint in JOINTS])
+    loop.sticking = loop.listen(Float64MultiArray, '/cascade_controller/sticking')
+    loop.more(loop.sticking, 150)
+    torques = {stamp_of(one): np.reshape(one.data, (2, 6)) for one in loop.blocks}
+    alike, others = 0, 0
+    for before, after in pairwise(loop.sticking):
+        stamps = stamp_of(before), stamp_of(after)
+        if stamps[1] - stamps[0] != PERIOD or not all(stamp in torques for stamp in stamps):
+            continue
+        assert sizes(after)[:2] == [('joint', 2), ('block', 6)]
+        winding = (torques[stamps[1]] - torques[stamps[0]]) / stiffness
+        sticks = np.reshape([*before.data, *after.data], (2, 2, 6))
+        assert set(sticks.ravel()) <= {0.0, 1.0}
+        for wound, both in zip(winding, sticks.all(axis=0), strict=True):
+            if both.any():
+                np.testing.assert_allclose(wound[both], wound[both][0], atol=1e-9)
+                alike += 1
+                others += not np.allclose(wound, wound[both][0], atol=1e-9)
+    assert alike > 50 and others > 0
+
+
+def loop_stiffness(joint):
+    """Return k_i of the blocks of a joint of the default robot."""
+    robot = load_robot(CONFIG / 'robot.yaml')
+    return robot.friction.stiffness[robot.joints.index(joint)]
 
 
 # live parameters -----------------------------------------------------------------------------

@@ -21,7 +21,7 @@ import numpy as np
 from rclpy.duration import Duration
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout
+from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
 _LONGEST_TICK = 0.5  # a longer gap between states starts the observer anew [s]
@@ -80,14 +80,13 @@ class ControllerNode(Node):
     def _create_topics(self, mode):
         n, blocks = self._robot.friction.stiffness.shape
         self._state = JointState(name=list(self._robot.joints))
-        self._blocks = Float64MultiArray(layout=MultiArrayLayout(dim=[
-            MultiArrayDimension(label='joint', size=n, stride=n * blocks),
-            MultiArrayDimension(label='block', size=blocks, stride=blocks)]))
+        self._blocks = messages.BlockWriter(n, blocks)
         qos, depth = process.subscriber_qos(mode), process.publisher_qos(mode)
         self._command_pub = self.create_publisher(
             Float64MultiArray, 'effort_controller/commands', depth)
         self._state_pub = self.create_publisher(JointState, '~/state', depth)
         self._blocks_pub = self.create_publisher(Float64MultiArray, '~/blocks', depth)
+        self._sticking_pub = self.create_publisher(Float64MultiArray, '~/sticking', depth)
         guard = self.health.guard
         self.create_subscription(Float64MultiArray, 'reference', guard(self._on_reference), qos,
                                  event_callbacks=process.NO_EVENTS)
@@ -292,9 +291,9 @@ class ControllerNode(Node):
 
     def _publish_state(self, stamp):
         state, message = self._controller.state, self._state
-        if not self._state_pub.get_subscription_count() and \
-                not self._blocks_pub.get_subscription_count():
-            return  # three messages a tick cost more than one
+        if not any(publisher.get_subscription_count() for publisher in (
+                self._state_pub, self._blocks_pub, self._sticking_pub)):
+            return  # four messages a tick cost more than one
         messages.set_stamp(message.header.stamp, stamp)
         error, rate = state.error, state.error_rate
         if self._handover.left is not None:  # the error is that from the reference as received
@@ -303,8 +302,10 @@ class ControllerNode(Node):
         message.velocity = messages.array('d', rate.tolist())
         message.effort = messages.array('d', state.friction_hat.tolist())
         self._state_pub.publish(message)
-        self._blocks.data = messages.array('d', state.observer.blocks.torque.ravel().tolist())
-        self._blocks_pub.publish(self._blocks)
+        blocks = state.observer.blocks
+        self._blocks_pub.publish(self._blocks.write(blocks.torque, stamp))
+        if self._sticking_pub.get_subscription_count():
+            self._sticking_pub.publish(self._blocks.write(blocks.sticking.astype(float), stamp))
 
     def finish(self):
         """Leave zero torque on the wire, and stay until those who acknowledge have it."""

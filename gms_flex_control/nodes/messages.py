@@ -175,6 +175,30 @@ class CommandWriter:
         return self.message
 
 
+class BlockWriter:
+    """
+    Fill one reused message with a number for each friction block, layout [joint, block].
+
+    Parameters
+    ----------
+    n, blocks : int
+        Joints, and blocks of each.
+
+    """
+
+    def __init__(self, n, blocks):
+        self._stamp = MultiArrayDimension(size=1, stride=1)
+        self.message = Float64MultiArray(layout=MultiArrayLayout(dim=[
+            MultiArrayDimension(label='joint', size=n, stride=n * blocks),
+            MultiArrayDimension(label='block', size=blocks, stride=blocks), self._stamp]))
+
+    def write(self, values, stamp):
+        """Return the message: ``values`` (n, blocks) at the joint state of ``stamp`` [ns]."""
+        self._stamp.label = f'{_STAMP}{stamp}'
+        self.message.data = array('d', values.ravel().tolist())
+        return self.message
+
+
 def read_stamp(message):
     """Return the stamp [ns] in the layout of a Float64MultiArray, or None without one."""
     for dimension in message.layout.dim:
