@@ -34,3 +34,7 @@ class ImportDataError(GmsFlexError):
 
 class IdentificationError(GmsFlexError):
     """A recording cannot tell what is asked of it, or would tell it wrongly."""
+
+
+class BatchError(GmsFlexError):
+    """A batch of many items cannot be begun or finished."""

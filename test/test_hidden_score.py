@@ -9,8 +9,9 @@ import sys
 import time
 from types import ModuleType, SimpleNamespace
 
+from gms_flex_control.batches.journal import Journal
 from gms_flex_control.benchmarks.hidden_effects import figures, judgement, peers, text
-from gms_flex_control.benchmarks.hidden_effects.jobs import fingerprint, Job, jobs_of, Journal
+from gms_flex_control.benchmarks.hidden_effects.jobs import fingerprint, Job, jobs_of
 from gms_flex_control.benchmarks.hidden_effects.outcome import finite, try_job
 from gms_flex_control.cli.main import main
 from gms_flex_control.errors import BagError
@@ -260,7 +261,7 @@ def test_workers_of_a_killed_run_end_with_it(tmp_path):
         'import os, sys, time\n'
         'from concurrent.futures import ProcessPoolExecutor\n'
         'from multiprocessing import get_context\n'
-        'from gms_flex_control.benchmarks.hidden_effects.outcome import end_with_parent\n'
+        'from gms_flex_control.batches.processes import end_with_parent\n'
         "if __name__ == '__main__':\n"
         '    pool = ProcessPoolExecutor(1, initializer=end_with_parent,\n'
         "                               mp_context=get_context('spawn'))\n"

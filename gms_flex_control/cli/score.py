@@ -6,6 +6,8 @@
 from pathlib import Path
 import sys
 
+from gms_flex_control.cli.batch_options import add_batch_options
+
 
 def add_parser(subparsers):
     """Add the verb to the command line."""
@@ -30,8 +32,7 @@ def add_parser(subparsers):
                         help='of each recording of --kind (default: %(default)g)')
     parser.add_argument('--out', required=True, metavar='DIR',
                         help='journal outcomes.jsonl, report.txt and report.json')
-    parser.add_argument('--workers', type=int, default=2, metavar='N',
-                        help='processes (default: %(default)s)')
+    add_batch_options(parser)
     parser.add_argument('--no-peers', action='store_true', help='ask the workflow alone')
     parser.add_argument('--json', action='store_true', help='print the report as JSON')
     parser.set_defaults(run=run)
@@ -41,13 +42,11 @@ def run(args):
     """Try what is not in the journal yet, report; return 1 if a figure is missed, else 0."""
     import json
 
+    from gms_flex_control.batches.journal import Journal
     from gms_flex_control.benchmarks.hidden_effects import text
-    from gms_flex_control.benchmarks.hidden_effects.jobs import fingerprint, Journal
-    from gms_flex_control.errors import ConfigError
+    from gms_flex_control.benchmarks.hidden_effects.jobs import fingerprint
     from gms_flex_control.files import write_text
 
-    if args.workers < 1:
-        raise ConfigError(f'--workers {args.workers}: at least one is needed')
     jobs, journal = jobs_asked(args), Journal(args.out, fingerprint())
     if not args.json:
         tell_beginning(jobs, journal, args)
@@ -91,31 +90,25 @@ def tell_beginning(jobs, journal, args):
 
 
 def try_missing(jobs, journal, args):
-    """Try every job that the journal lacks, in processes, and keep each outcome at once."""
-    from concurrent.futures import as_completed, ProcessPoolExecutor
-    from multiprocessing import get_context
+    """Try every job that the journal lacks, and keep each outcome at once."""
+    from functools import partial
 
-    from gms_flex_control.benchmarks.hidden_effects.outcome import end_with_parent, try_job
+    from gms_flex_control.batches.executor import open_executor
+    from gms_flex_control.benchmarks.hidden_effects.outcome import try_job
     from gms_flex_control.errors import SimulationError
 
     waiting = [job for job in jobs if job.key not in journal.outcomes]
-    if not waiting:
-        return
-    pool = ProcessPoolExecutor(min(args.workers, len(waiting)), initializer=end_with_parent,
-                               mp_context=get_context('spawn'))
-    try:
-        tried = [pool.submit(try_job, job, not args.no_peers) for job in waiting]
-        for count, future in enumerate(as_completed(tried), 1):
+    try_one = partial(try_job, with_peers=not args.no_peers)
+    with open_executor(args.workers, args.scheduler) as executor:
+        for count, (_, result) in enumerate(executor.finished(try_one, waiting), 1):
             try:
-                outcome = future.result()
+                outcome = result()
             except SimulationError as error:  # nothing can be said of a robot never driven
                 print(f'left out: {error}', file=sys.stderr)
                 continue
             journal.add(outcome)
             if not args.json:
                 print(f'[{count}/{len(waiting)}] {line_of(outcome)}', flush=True)
-    finally:
-        pool.shutdown(cancel_futures=True)
 
 
 def line_of(outcome):

@@ -1,17 +1,13 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""Which hidden robots are tried, and the journal a killed run goes on from."""
+"""Which hidden robots are tried."""
 
-import hashlib
-import json
-from pathlib import Path
 from typing import NamedTuple
 
-import gms_flex_control
+from gms_flex_control.batches import sources
 from gms_flex_control.errors import ConfigError
 
-_ROOT = Path(gms_flex_control.__file__).parent
 # what an answer depends on
 _SOURCES = ('discrepancy', 'effects', 'friction', 'dynamics', 'hidden', 'simulation')
 
@@ -66,65 +62,4 @@ def jobs_of(name):
 
 def fingerprint():
     """Return a hash (str) of the sources an answer depends on."""
-    digest = hashlib.sha256()
-    for folder in _SOURCES:
-        for source in sorted((_ROOT / folder).rglob('*.py')):
-            digest.update(source.relative_to(_ROOT).as_posix().encode() + source.read_bytes())
-    return digest.hexdigest()[:16]
-
-
-class Journal:
-    """
-    The outcomes so far, one JSON object a line, in a folder.
-
-    Parameters
-    ----------
-    folder : Path
-        ``outcomes.jsonl`` lies in it; made if need be.
-    sources : str
-        `fingerprint` of this run: outcomes of other sources are not taken.
-
-    Raises
-    ------
-    ConfigError
-        If the folder cannot be written.
-
-    """
-
-    def __init__(self, folder, sources):
-        self.path, self._sources = Path(folder) / 'outcomes.jsonl', sources
-        self.outcomes, self.stale = {}, 0
-        try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            lines = self.path.read_text('utf-8').splitlines() if self.path.exists() else []
-        except OSError as error:
-            raise ConfigError(f'--out {folder}: {error.strerror}; name a folder that can be '
-                              'written') from error
-        for line in lines:
-            self._take(line)
-
-    def _take(self, line):
-        try:
-            outcome = json.loads(line)
-            key, sources = outcome['key'], outcome['sources']
-        except (ValueError, KeyError, TypeError):
-            return  # the line a killed run did not finish
-        if sources != self._sources:
-            self.stale += 1
-            return
-        self.outcomes[key] = outcome
-
-    def add(self, outcome):
-        """Keep an outcome (dict with 'key'), on disk at once."""
-        outcome = outcome | {'sources': self._sources}
-        self.outcomes[outcome['key']] = outcome
-        text = json.dumps(outcome, allow_nan=False) + '\n'
-        with self.path.open('a', encoding='utf-8') as file:
-            if file.tell() and not self._ends_with_newline():
-                text = '\n' + text
-            file.write(text)
-
-    def _ends_with_newline(self):
-        with self.path.open('rb') as file:
-            file.seek(-1, 2)
-            return file.read(1) == b'\n'
+    return sources.fingerprint(_SOURCES)

@@ -4,11 +4,8 @@
 """One hidden robot tried: what the workflow and its peers answer, as plain values."""
 
 import math
-import multiprocessing
-import os
 import resource
 import sys
-import threading
 import time
 
 from gms_flex_control.errors import GmsFlexError
@@ -18,14 +15,6 @@ from gms_flex_control.hidden.written import truth_values
 WORKFLOW = 'workflow'
 # what a numerical failure raises; it counts against the workflow and does not end the bench
 _FAILURES = (GmsFlexError, ArithmeticError, LookupError, ValueError)
-
-
-def end_with_parent():
-    """Let this process end when the one that started it is killed; else it would wait for ever."""
-    def wait():
-        multiprocessing.parent_process().join()
-        os._exit(1)
-    threading.Thread(target=wait, daemon=True).start()
 
 
 def try_job(job, with_peers=True):

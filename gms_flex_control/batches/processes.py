@@ -1,0 +1,82 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Items in processes of this machine; one that is killed costs no finished item."""
+
+from concurrent.futures import as_completed, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+import multiprocessing
+import os
+import threading
+
+from gms_flex_control.errors import BatchError
+
+_MOST_BREAKS = 3  # in a row without one finished item
+
+
+def end_with_parent():
+    """Let this process end when the one that started it is killed; else it would wait for ever."""
+    def wait():
+        multiprocessing.parent_process().join()
+        os._exit(1)
+    threading.Thread(target=wait, daemon=True).start()
+
+
+class Processes:
+    """
+    An Executor over processes; see executor.Executor.
+
+    Parameters
+    ----------
+    workers : int
+        How many, at least 1.
+
+    """
+
+    def __init__(self, workers):
+        self._workers = workers
+
+    def finished(self, function, items):
+        """Yield index and result of each item; what a killed process leaves is done again."""
+        waiting, breaks = list(range(len(items))), 0
+        while waiting:
+            left = []
+            for index, future in self._round(function, items, waiting):
+                if isinstance(future.exception(), BrokenProcessPool):
+                    left.append(index)
+                else:
+                    yield index, future.result
+            breaks = breaks + 1 if len(left) == len(waiting) else 0
+            if breaks == _MOST_BREAKS:
+                raise BatchError(f'a worker process was killed {breaks} times before any of the '
+                                 f'{len(left)} items left was finished; is there enough memory? '
+                                 'Ask for fewer --workers')
+            waiting = sorted(left)
+
+    def _round(self, function, items, waiting):
+        """Yield (index, future) of the items ``waiting``, in one pool."""
+        pool = ProcessPoolExecutor(min(self._workers, len(waiting)), initializer=end_with_parent,
+                                   mp_context=multiprocessing.get_context('spawn'))
+        try:
+            futures, lost = {}, []
+            for index in waiting:
+                try:
+                    futures[pool.submit(function, items[index])] = index
+                except BrokenProcessPool as error:  # died while items are still being handed in
+                    lost.append((index, _Broken(error)))
+            yield from lost
+            for future in as_completed(futures):
+                yield futures[future], future
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+class _Broken:
+    """A future of a pool that took no more items."""
+
+    def __init__(self, error):
+        self._error = error
+
+    def exception(self):
+        """Return why nothing came of it."""
+        return self._error

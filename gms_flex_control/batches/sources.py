@@ -1,0 +1,34 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""A hash of the sources that a result depends on: what other sources found is not mixed in."""
+
+import hashlib
+from pathlib import Path
+
+import gms_flex_control
+
+ROOT = Path(gms_flex_control.__file__).parent
+
+
+def fingerprint(parts=('.',)):
+    """
+    Return a hash of the package's sources.
+
+    Parameters
+    ----------
+    parts : sequence of str
+        Folders or modules within the package; default all of it.
+
+    Returns
+    -------
+    str
+        16 hexadecimal digits.
+
+    """
+    digest = hashlib.sha256()
+    for part in parts:
+        path = ROOT / part
+        for source in [path] if path.is_file() else sorted(path.rglob('*.py')):
+            digest.update(source.relative_to(ROOT).as_posix().encode() + source.read_bytes())
+    return digest.hexdigest()[:16]

@@ -1,0 +1,175 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Batches give the same results wherever they run and whoever is killed, and can go on."""
+
+from contextlib import contextmanager
+import io
+import os
+from pathlib import Path
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import batch_items
+from gms_flex_control.batches.batch import run_batch
+from gms_flex_control.batches.executor import open_executor
+from gms_flex_control.batches.journal import Journal
+from gms_flex_control.batches.progress import Progress
+from gms_flex_control.errors import BatchError, SimulationError
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PATIENCE = 60.0  # s
+ITEMS = {f'walk {seed}': seed for seed in range(6)}
+SERIAL = {key: batch_items.walk(seed) for key, seed in ITEMS.items()}
+
+
+def until(condition):
+    """Wait for a condition to hold, and return what it returned."""
+    deadline = time.monotonic() + PATIENCE
+    while not (value := condition()):
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    return value
+
+
+@pytest.fixture(scope='module')
+def processes():
+    with open_executor(workers=2) as executor:
+        yield executor
+
+
+def test_processes_return_what_a_plain_loop_returns(processes):
+    found = run_batch(batch_items.walk, ITEMS, executor=processes)
+    assert found == SERIAL and list(found) == list(ITEMS)
+
+
+def test_a_killed_run_goes_on_and_ends_as_an_undisturbed_one(tmp_path, processes):
+    """The first run saw three items; the second works on the other three alone."""
+    items = {key: (seed, str(tmp_path)) for key, seed in ITEMS.items()}
+    journal = Journal(tmp_path / 'out', 'sources')
+    run_batch(batch_items.noted_walk, dict(list(items.items())[:3]), executor=processes,
+              journal=journal)
+    with journal.path.open('a') as file:
+        file.write('{"key": "walk 3", "sour')  # killed while writing
+    again = Journal(tmp_path / 'out', 'sources')
+    assert run_batch(batch_items.noted_walk, items, executor=processes,
+                     journal=again) == SERIAL
+    assert sorted(path.name for path in tmp_path.glob('*_*')) == [f'{i}_0' for i in range(6)]
+    assert len(Journal(tmp_path / 'out', 'sources').outcomes) == 6
+
+
+def test_a_killed_worker_process_costs_no_result(tmp_path, processes):
+    items = {key: (seed, str(tmp_path), 2) for key, seed in ITEMS.items()}
+    assert run_batch(batch_items.deadly_walk, items, executor=processes) == SERIAL
+    assert (tmp_path / 'killed').exists()
+
+
+def test_an_item_that_kills_every_worker_ends_in_a_sentence(processes):
+    with pytest.raises(BatchError, match='enough memory'):
+        run_batch(batch_items.always_deadly, {'a': 1}, executor=processes)
+
+
+def test_what_an_item_raises_comes_through(processes):
+    with pytest.raises(SimulationError, match='diverged'):
+        run_batch(batch_items.fail, {'a': 0, 'b': 1}, executor=processes)
+
+
+def test_without_workers_nothing_begins():
+    with pytest.raises(BatchError, match='--workers 0'), open_executor(workers=0):
+        pass
+
+
+class Terminal(io.StringIO):
+    """A stream that says it is a terminal."""
+
+    def isatty(self):
+        return True
+
+
+def test_the_bar_is_drawn_on_a_terminal_only():
+    for stream, drawn in ((Terminal(), True), (io.StringIO(), False)):
+        with Progress(2, label='runs', stream=stream) as bar:
+            bar.step()
+            bar.step()
+        assert ('runs [##############################] 2/2' in stream.getvalue()) == drawn
+        assert bool(stream.getvalue()) == drawn
+
+
+@contextmanager
+def cluster(folder):
+    """Yield address and worker processes of a real scheduler with two workers on loopback."""
+    pytest.importorskip('distributed', reason="Dask is not installed (extra 'dask')")
+    environment = {**os.environ, 'PYTHONPATH': os.pathsep.join([str(ROOT), str(ROOT / 'test')]),
+                   'DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES': '3'}
+    started = []
+
+    def start(name, *arguments):
+        log = folder / f'{name}.log'
+        with log.open('w') as file:
+            started.append(subprocess.Popen(
+                [sys.executable, '-m', *arguments], env=environment, stdout=file, stderr=file,
+                cwd=folder))
+        return log
+
+    try:
+        log = start('scheduler', 'distributed.cli.dask_scheduler', '--host', '127.0.0.1',
+                    '--port', '0', '--no-dashboard')
+        address = until(lambda: re.search(r'Scheduler at: +(tcp://[\d.:]+)', log.read_text()))[1]
+        logs = [start(f'worker_{i}', 'distributed.cli.dask_worker', address, '--nthreads', '1',
+                      '--no-nanny', '--no-dashboard', '--host', '127.0.0.1') for i in range(2)]
+        until(lambda: all('Registered to' in log.read_text() for log in logs))
+        yield address, started[1:]
+    finally:
+        for process in started:
+            process.kill()
+            process.wait()
+
+
+def test_a_cluster_returns_the_same_even_when_a_worker_is_killed(tmp_path):
+    """Kill -9 while it works on an item; the other worker does it again."""
+    with cluster(tmp_path) as (address, workers):
+        with open_executor(scheduler=address) as executor:
+            assert run_batch(batch_items.walk, ITEMS, executor=executor) == SERIAL
+            with pytest.raises(SimulationError, match='diverged'):
+                run_batch(batch_items.fail, {'a': 0, 'b': 1}, executor=executor)
+            items = [(seed, str(tmp_path)) for seed in range(6)]
+            finished = executor.finished(batch_items.slow_walk, items)
+            found = {}
+            index, result = next(_released(finished, tmp_path, workers[0]))
+            found[index] = result()
+            found |= {index: result() for index, result in finished}
+        assert workers[0].poll() == -signal.SIGKILL
+        assert [found[i] for i in range(6)] == list(SERIAL.values())
+
+
+def _released(finished, folder, victim):
+    """Start the items, kill a worker that has begun one, then let all of them end."""
+    def disturb():
+        until(lambda: list(folder.glob(f'begun_*_{victim.pid}')))
+        victim.kill()
+        (folder / 'go').touch()
+
+    thread = threading.Thread(target=disturb)
+    thread.start()
+    yield next(finished)
+    thread.join()
+
+
+def test_a_scheduler_that_is_not_there_is_told(monkeypatch):
+    pytest.importorskip('distributed', reason="Dask is not installed (extra 'dask')")
+    monkeypatch.setattr('gms_flex_control.batches.cluster._PATIENCE', '1s')
+    with pytest.raises(BatchError, match='does not answer'), open_executor(
+            scheduler='tcp://127.0.0.1:9'):
+        pass
+
+
+def test_without_dask_the_way_out_is_told(monkeypatch):
+    monkeypatch.setitem(sys.modules, 'distributed', None)
+    with pytest.raises(BatchError, match=r"pip install 'gms_flex_control\[dask\]'"):
+        with open_executor(scheduler='tcp://127.0.0.1:8786'):
+            pass
