@@ -1,39 +1,15 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""Start plant, controller and trajectory, each with both parameter files."""
+"""
+Start robot, controller and trajectory; the arm waits for a call of /trajectory/start.
 
-from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument
-from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
-from launch_ros.actions import Node
-from launch_ros.substitutions import FindPackageShare
+ros2 launch gms_flex_control closed_loop.launch.py --show-args
+"""
 
-PACKAGE = 'gms_flex_control'
+from gms_flex_control.nodes import launch_parts as parts
 
 
 def generate_launch_description():
-    """Return the closed loop of three nodes, with its launch arguments."""
-    config = PathJoinSubstitution([FindPackageShare(PACKAGE), 'config'])
-    files = [LaunchConfiguration('robot_file'), LaunchConfiguration('controller_file')]
-    mode = {'mode': LaunchConfiguration('mode')}
-    return LaunchDescription([
-        DeclareLaunchArgument(
-            'robot_file', default_value=PathJoinSubstitution([config, 'robot.yaml']),
-            description='Parameter file of the robot'),
-        DeclareLaunchArgument(
-            'controller_file', default_value=PathJoinSubstitution([config, 'controller.yaml']),
-            description='Parameter file of the controller'),
-        DeclareLaunchArgument(
-            'trajectory_file', default_value=PathJoinSubstitution([config, 'sinusoid.yaml']),
-            description='Parameter file of the trajectory; call /trajectory/start to begin'),
-        DeclareLaunchArgument(
-            'mode', default_value='realtime', choices=['realtime', 'lockstep'],
-            description='Pace of the plant: the wall clock, or one step per command'),
-        Node(package=PACKAGE, executable='plant_node', output='screen',
-             parameters=[*files, mode]),
-        Node(package=PACKAGE, executable='controller_node', output='screen',
-             parameters=[*files, mode]),
-        Node(package=PACKAGE, executable='trajectory_node', output='screen',
-             parameters=[*files, LaunchConfiguration('trajectory_file'), mode]),
-    ])
+    """Return the closed loop around a simulated robot."""
+    return parts.description(parts.arguments(), [*parts.closed_loop(), *parts.helpers()])

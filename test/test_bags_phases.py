@@ -20,7 +20,7 @@ from gms_flex_control.recording import Phase, Recording
 import numpy as np
 import pytest
 
-STATES = '/joint_states'
+STATES, COMMANDS = '/joint_states', '/effort_controller/commands'
 
 
 def written(path, messages, kind=MULTI_ARRAY):
@@ -79,3 +79,25 @@ def test_another_type_on_the_topic_is_refused(tmp_path):
     bag = written(tmp_path / 'bag', [pack_joint_state(('a',), 1, (0.0,))], kind=JOINT_STATE)
     with pytest.raises(BagError, match='is a sensor_msgs/msg/JointState, expected'):
         read_phases(bag)
+
+
+def test_a_recording_made_in_a_namespace_is_found(tmp_path):
+    """Two loops in one bag leave no telling which is meant."""
+    def loop(space):
+        return {f'{space}{STATES}': JOINT_STATE, f'{space}{PHASE_TOPIC}': MULTI_ARRAY,
+                f'{space}/robot{STATES}': JOINT_STATE, f'{space}{COMMANDS}': MULTI_ARRAY}
+
+    def filled(path, topics):
+        with BagWriter(path, topics) as writer:
+            for k in range(5):
+                state = pack_joint_state(('a',), 5_000_000_000 + k * 2_000_000, (0.1 * k,), (0.0,))
+                writer.write(next(iter(topics)), 10 + k, state)
+            writer.write(list(topics)[1], 20, packed(5_002_000_000, 'idle', '', '', 0.0))
+        return path
+
+    bag = filled(tmp_path / 'one', loop('/left'))
+    assert np.allclose(read_recording(bag).q_link[:, 0], 0.1 * np.arange(5))
+    assert [phase.time_ns for phase in read_phases(bag)] == [2_000_000]
+    both = filled(tmp_path / 'two', loop('/left') | loop('/right'))
+    with pytest.raises(BagError, match="has no topic '/joint_states' .topics: "):
+        read_recording(both)

@@ -111,6 +111,7 @@ class FolderMetadata(NamedTuple):
     storage: str
     count: int            # messages announced; 0 as long as the recorder runs
     custom: dict
+    topics: tuple         # names
 
 
 def load(path):
@@ -137,9 +138,16 @@ def load(path):
         info = read_yaml(path, 'safe', LARGEST)['rosbag2_bagfile_information']
         return FolderMetadata(tuple(str(name) for name in info['relative_file_paths']),
                               str(info['storage_identifier']), int(info['message_count']),
-                              dict(info.get('custom_data') or {}))
+                              dict(info.get('custom_data') or {}), _topic_names(info))
     except (OSError, UnicodeDecodeError, YAMLError, KeyError, TypeError, ValueError,
             AttributeError) as error:
         reason = ' '.join(str(error).split())[:120]
         raise BagError(f'{path}: is no metadata of a bag ({type(error).__name__}: {reason}); '
                        f"run 'gms_flex repair {path.parent}' to write it anew") from error
+
+
+def _topic_names(info):
+    """Return the names of the topics; none where they are not written as rosbag2 writes them."""
+    listed = info.get('topics_with_message_count') or ()
+    metadata = [one.get('topic_metadata') for one in listed if isinstance(one, dict)]
+    return tuple(str(one['name']) for one in metadata if isinstance(one, dict) and 'name' in one)

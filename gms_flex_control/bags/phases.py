@@ -11,6 +11,7 @@ from gms_flex_control.bags.cdr import (
 )
 from gms_flex_control.bags.messages import STAMP_LABEL, stamp_of
 from gms_flex_control.bags.source import Bag
+from gms_flex_control.bags.topics import namespace_of
 from gms_flex_control.errors import BagError
 from gms_flex_control.recording import Phase
 import numpy as np
@@ -27,7 +28,7 @@ def pack_phase(phase):
     return pack_multi_array([(label, 1, 1) for label in labels], [float(phase.value)])
 
 
-def read_phases(path, *, topic=PHASE_TOPIC, joint_states='/joint_states'):
+def read_phases(path, *, topic=None, joint_states=None):
     """
     Read the phases of an identification experiment.
 
@@ -36,7 +37,7 @@ def read_phases(path, *, topic=PHASE_TOPIC, joint_states='/joint_states'):
     path : str or Path
         Bag folder or file, as for read_recording.
     topic, joint_states : str, optional
-        Topic names.
+        Topic names; by default those of our nodes, in the namespace they were recorded in.
 
     Returns
     -------
@@ -51,6 +52,8 @@ def read_phases(path, *, topic=PHASE_TOPIC, joint_states='/joint_states'):
 
     """
     bag, found, first = Bag(path), [], None
+    space = namespace_of(bag)
+    topic, joint_states = topic or space + PHASE_TOPIC, joint_states or space + '/joint_states'
     for batch in bag.batches({topic, joint_states}):
         found += [data for name, _, _, data in batch if name == topic]
         states = [data for name, _, _, data in batch if name == joint_states != topic]

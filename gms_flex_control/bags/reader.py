@@ -3,7 +3,6 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Read a bag as a recording: states, and what was asked and estimated at each of them."""
 
-from typing import NamedTuple
 import warnings
 
 from gms_flex_control.bags.cdr import JOINT_STATE, MULTI_ARRAY, unpack_joint_state
@@ -17,6 +16,7 @@ from gms_flex_control.bags.pairing import (
 )
 from gms_flex_control.bags.source import Bag, BagWarning
 from gms_flex_control.bags.tables import ArrayTable, JointTable
+from gms_flex_control.bags.topics import namespace_of, Topics
 from gms_flex_control.errors import BagError
 from gms_flex_control.recording import Recording
 import numpy as np
@@ -24,16 +24,6 @@ import numpy as np
 MOTOR_SUFFIX = '_motor'
 _BLOCK = 4096             # messages of a topic that wait to be decoded together
 _TWO_RUNS = 100_000_000  # a step back beyond this is another run, not a late message [ns]
-
-
-class Topics(NamedTuple):
-    """Where a recording is found in a bag."""
-
-    joint_states: str = '/joint_states'
-    command: str = '/effort_controller/commands'
-    reference: str = '/reference'
-    controller_state: str = '/cascade_controller/state'
-    supply: str = '/supply_voltage'
 
 
 _TYPES = (JOINT_STATE, MULTI_ARRAY, MULTI_ARRAY, JOINT_STATE, MULTI_ARRAY)  # of the Topics
@@ -54,7 +44,7 @@ def read_recording(path, joints=None, motors=None, *, topics=None):
         Motor name of each joint, '' where there is no motor side; by default
         ``<joint>_motor`` where the first joint state has it.
     topics : Topics, optional
-        Topic names.
+        Topic names; by default those of our nodes, in the namespace they were recorded in.
 
     Returns
     -------
@@ -73,8 +63,8 @@ def read_recording(path, joints=None, motors=None, *, topics=None):
         If the bag was cut off or otherwise odd, and what that means.
 
     """
-    topics = topics or Topics()
     bag = Bag(path)
+    topics = topics or Topics().within(namespace_of(bag))
     series = _Series(bag, topics, joints, motors)
     series.collect()
     if not bag.sound:
@@ -107,8 +97,8 @@ def joint_names(path, *, topics=None):
         If there is no joint state.
 
     """
-    topics = topics or Topics()
     bag = Bag(path)
+    topics = topics or Topics().within(namespace_of(bag))
     for batch in bag.batches({topics.joint_states}):
         for *_, message in batch:
             return _first_names(bag, message, topics)

@@ -8,7 +8,7 @@ import time
 from gms_flex_control.bags.writer import BagWriter
 from gms_flex_control.nodes.recorder import Recorder
 
-STATES, COMMANDS, REFERENCE = '/joint_states', '/effort_controller/commands', '/reference'
+STATES, COMMANDS, REFERENCE = 'joint_states', 'effort_controller/commands', 'reference'
 _WHO = {STATES: 'joint states', COMMANDS: 'commands of the controller',
         REFERENCE: 'references of the trajectory node'}
 
@@ -24,7 +24,7 @@ class ExperimentBag:
     path : Path
         The bag to be made.
     topics : sequence of str
-        Full names; the loop's three among them.
+        Names in the node's namespace; the loop's three among them.
     say : callable
         Called with a sentence when something happens.
 
@@ -32,7 +32,9 @@ class ExperimentBag:
 
     def __init__(self, node, path, topics, say):
         self._writer = BagWriter(path)
-        self._node, self._topics, self._say = node, topics, say
+        self._node, self._say = node, say
+        self._topics = [node.resolve_topic_name(topic) for topic in topics]
+        self._who = {node.resolve_topic_name(topic): words for topic, words in _WHO.items()}
         self._growth = {}
 
     def __enter__(self):
@@ -52,7 +54,7 @@ class ExperimentBag:
     def silent(self, bound):
         """Return what has not grown for ``bound`` seconds (list of str)."""
         now, found = time.monotonic(), []
-        for topic, words in _WHO.items():
+        for topic, words in self._who.items():
             count = self._writer.counts.get(topic, 0)
             known, since = self._growth.get(topic, (None, now))
             if count != known:

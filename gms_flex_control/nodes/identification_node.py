@@ -38,7 +38,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
-PHASE = '/identification/phase'
+PHASE = '~/phase'
 _BYTES_PER_SAMPLE = 1000  # state, command and reference with their frames, generously
 _RATE_SAMPLES = 20        # joint states that tell the rate
 _JUDGED = (0, 1)          # exit codes of gms_flex discrepancy: nothing, something is missing

@@ -18,14 +18,14 @@ class RemoteNode:
     node : rclpy.node.Node
         Which calls.
     name : str
-        Full name of the other.
+        Of the other; one without a '/' in front is in the same namespace.
     services : sequence of str
         Its private Trigger services.
 
     """
 
     def __init__(self, node, name, services=()):
-        self.name = name
+        self.name = name = node.resolve_service_name(name)
         self._set = node.create_client(SetParametersAtomically,
                                        f'{name}/set_parameters_atomically')
         self._get = node.create_client(GetParameters, f'{name}/get_parameters')

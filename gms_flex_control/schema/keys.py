@@ -279,9 +279,9 @@ def identification_node_keys():
         Key(prefix + 'exit_when_done', 'boolean', 'end when the last step is finished',
             default=True),
         Key(prefix + 'trajectory_node', 'string', 'name of the trajectory node',
-            default='/trajectory'),
+            default='trajectory'),
         Key(prefix + 'controller_node', 'string', 'name of the controller node',
-            default='/cascade_controller'),
+            default='cascade_controller'),
         Key(prefix + 'patience', 'double', 'for the other nodes to come', 's', 60.0, 0.1, 1e5),
         Key(prefix + 'silence', 'double', 'of states or commands that ends the experiment', 's',
             3.0, 0.1, 1e4))

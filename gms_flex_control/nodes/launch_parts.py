@@ -1,0 +1,146 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""What the launch files have in common: their arguments, the three nodes, recorder and RViz."""
+
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument, ExecuteProcess, GroupAction
+from launch.conditions import IfCondition, UnlessCondition
+from launch.substitutions import (
+    Command,
+    EqualsSubstitution,
+    LaunchConfiguration,
+    NotEqualsSubstitution,
+    PathJoinSubstitution,
+)
+from launch_ros.actions import Node, PushRosNamespace, SetParameter
+from launch_ros.parameter_descriptions import ParameterValue
+from launch_ros.substitutions import ExecutableInPackage, FindPackageShare
+
+PACKAGE = 'gms_flex_control'
+RECORDED = ('joint_states', 'effort_controller/commands', 'reference',
+            'cascade_controller/state', 'cascade_controller/blocks')
+_SWITCH = ('true', 'false')
+
+
+def config(name):
+    """Return the path of a file of the package's ``config`` folder, as a substitution."""
+    return PathJoinSubstitution([FindPackageShare(PACKAGE), 'config', name])
+
+
+def arguments(*, bridge='', rviz='false'):
+    """
+    Return the arguments that every launch file takes.
+
+    Parameters
+    ----------
+    bridge, rviz : str or substitution
+        Their defaults, where launch files differ.
+
+    Returns
+    -------
+    list of DeclareLaunchArgument
+
+    """
+    return [
+        DeclareLaunchArgument('robot', default_value=config('robot.yaml'),
+                              description='Parameter file of the robot'),
+        DeclareLaunchArgument('controller', default_value=config('controller.yaml'),
+                              description='Parameter file of the controller'),
+        DeclareLaunchArgument('trajectory', default_value=config('sinusoid.yaml'),
+                              description='Parameter file of the trajectory'),
+        DeclareLaunchArgument('bridge', default_value=bridge,
+                              description='Parameter file of the bridge to a real robot; empty '
+                                          'simulates the robot'),
+        DeclareLaunchArgument('mode', default_value='realtime', choices=['realtime', 'lockstep'],
+                              description='Pace of the simulation: the wall clock, or one step '
+                                          'per command as fast as it goes'),
+        DeclareLaunchArgument('record', default_value='',
+                              description='Bag to be made of the loop; empty records nothing'),
+        DeclareLaunchArgument('rviz', default_value=rviz, choices=_SWITCH,
+                              description='Show the arm in RViz'),
+        DeclareLaunchArgument('namespace', default_value='',
+                              description='Namespace of all nodes and topics'),
+        DeclareLaunchArgument('use_sim_time', default_value='false', choices=_SWITCH,
+                              description='Take the time from /clock, which the simulation '
+                                          'publishes with mode:=lockstep')]
+
+
+def description(declared, actions):
+    """
+    Return a launch file's description: its arguments, then its actions in their namespace.
+
+    Parameters
+    ----------
+    declared : list of DeclareLaunchArgument
+        See `arguments`.
+    actions : list of Action
+        See `closed_loop` and `helpers`.
+
+    Returns
+    -------
+    LaunchDescription
+
+    """
+    return LaunchDescription([
+        *declared,
+        GroupAction([PushRosNamespace(LaunchConfiguration('namespace')),
+                     SetParameter('use_sim_time', LaunchConfiguration('use_sim_time')),
+                     *actions])])
+
+
+def node(executable, *parameters, **options):
+    """Return one of our nodes with the files of robot and controller, and what is its own."""
+    files = [LaunchConfiguration('robot'), LaunchConfiguration('controller')]
+    return Node(package=PACKAGE, executable=executable, output='screen',
+                parameters=[*files, *parameters], **options)
+
+
+def closed_loop(controller=None, trajectory=None):
+    """
+    Return the robot, simulated or bridged, the controller and the trajectory.
+
+    Parameters
+    ----------
+    controller, trajectory : dict, optional
+        Parameters of theirs beyond the files.
+
+    Returns
+    -------
+    list of Node
+
+    """
+    bridge, mode = LaunchConfiguration('bridge'), {'mode': LaunchConfiguration('mode')}
+    simulated = EqualsSubstitution(bridge, '')
+    return [
+        node('plant_node', mode, {'use_sim_time': False}, condition=IfCondition(simulated)),
+        node('plant_node', bridge, {'backend': 'bridge'}, condition=UnlessCondition(simulated)),
+        node('controller_node', {**mode, **(controller or {})}),
+        node('trajectory_node', LaunchConfiguration('trajectory'),
+             {**mode, **(trajectory or {})})]
+
+
+def helpers():
+    """Return recorder, robot_state_publisher and RViz, each only where it is asked for."""
+    return [_recorder(), *_rviz()]
+
+
+def _recorder():
+    bag = LaunchConfiguration('record')
+    topics = [[LaunchConfiguration('namespace'), f'/{name}'] for name in RECORDED]
+    return ExecuteProcess(
+        cmd=[ExecutableInPackage('gms_flex', PACKAGE), 'record', '--topics', *topics,
+             '--out', bag],
+        output='screen', condition=IfCondition(NotEqualsSubstitution(bag, '')))
+
+
+def _rviz():
+    asked = IfCondition(LaunchConfiguration('rviz'))
+    urdf = Command([ExecutableInPackage('gms_flex', PACKAGE), ' urdf --robot "',
+                    LaunchConfiguration('robot'), '"'])
+    return [
+        Node(package='robot_state_publisher', executable='robot_state_publisher',
+             parameters=[{'robot_description': ParameterValue(urdf, value_type=str)}],
+             condition=asked),
+        Node(package='rviz2', executable='rviz2', arguments=['-d', config('arm.rviz')],
+             remappings=[('/robot_description', 'robot_description')], condition=asked)]

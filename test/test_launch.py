@@ -1,0 +1,227 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""The launch files load, describe themselves and start what their arguments ask for."""
+
+from importlib import util
+import json
+import os
+from pathlib import Path
+import stat
+import subprocess
+import sys
+
+from gms_flex_control import nodes
+from gms_flex_control.bags.reader import read_recording
+from gms_flex_control.experiment.driven import private_environment
+from gms_flex_control.files import read_yaml
+from gms_flex_control.schema.values import known_keys
+import launch_stand_in
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+FILES = sorted(path.name.removesuffix('.launch.py') for path in (ROOT / 'launch').iterdir()
+               if path.name.endswith('.launch.py'))
+LOOP = ['plant_node', 'controller_node', 'trajectory_node']
+SHOWN = ['robot_state_publisher', 'rviz2']
+REAL = all(util.find_spec(name) for name in ('launch', 'launch_ros', 'rclpy'))
+needs_launch = pytest.mark.skipif(not REAL, reason='launch and launch_ros are not installed')
+COMMON = {'robot', 'controller', 'trajectory', 'bridge', 'mode', 'record', 'rviz', 'namespace',
+          'use_sim_time'}
+
+
+def loaded(name, monkeypatch):
+    """Return the description of a launch file, made with the stand-in for ``launch``."""
+    for module, stand_in in launch_stand_in.modules().items():
+        monkeypatch.setitem(sys.modules, module, stand_in)
+    parts = run_file('launch_parts', Path(nodes.__file__).with_name('launch_parts.py'))
+    monkeypatch.setattr(nodes, 'launch_parts', parts, raising=False)
+    return run_file(name, ROOT / 'launch' / f'{name}.launch.py').generate_launch_description()
+
+
+def run_file(name, path):
+    """Return a file as a module that nobody else imports."""
+    spec = util.spec_from_file_location(name, path)
+    module = util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture
+def start(monkeypatch):
+    """Return a function that tells what a launch file starts with some arguments."""
+    def started(name, **given):
+        found = launch_stand_in.started(loaded(name, monkeypatch), given)
+        return {process.executable: process for process in found}
+    return started
+
+
+@pytest.mark.parametrize('name', FILES)
+def test_every_launch_file_takes_the_same_arguments_and_describes_them(name, monkeypatch):
+    entities = loaded(name, monkeypatch).given[0]
+    declared = {entity.given[0]: entity.options['description'] for entity in entities
+                if 'description' in entity.options}
+    assert set(declared) >= COMMON
+    assert all(declared.values())
+
+
+@pytest.mark.parametrize('name, processes', [
+    ('closed_loop', LOOP), ('bridge', LOOP), ('demo', [*LOOP, *SHOWN]),
+    ('identification', [*LOOP, 'identification_node'])])
+def test_a_launch_file_starts_these(name, processes, start):
+    assert sorted(start(name)) == sorted(processes)
+
+
+@pytest.mark.parametrize('name', FILES)
+def test_every_parameter_that_a_launch_file_gives_is_known(name, start):
+    """Merge files and single parameters as a node would and look every name up."""
+    for process in start(name).values():
+        if process.executable not in LOOP:
+            continue
+        names = set(process.parameters) - {'use_sim_time'}
+        for file in process.files:
+            names |= set(flat(read_yaml(file, typ='safe')['/**']['ros__parameters']))
+        known_keys(names, ('joint1', 'joint2'))
+
+
+def flat(tree, prefix=''):
+    """Return nested parameters as dotted names."""
+    found = {}
+    for name, value in tree.items():
+        found |= flat(value, f'{prefix}{name}.') if isinstance(value, dict) else {
+            prefix + name: value}
+    return found
+
+
+@pytest.mark.parametrize('name', FILES)
+def test_a_bridge_file_takes_the_place_of_the_simulation(name, start):
+    plant = start(name, bridge='my_bridge.yaml')['plant_node']
+    assert plant.parameters['backend'] == 'bridge'
+    assert plant.files[-1] == 'my_bridge.yaml'
+    simulated = start(name, bridge='', mode='lockstep')['plant_node']
+    assert 'backend' not in simulated.parameters
+    assert simulated.parameters['mode'] == 'lockstep'
+
+
+@pytest.mark.parametrize('name', FILES)
+def test_arguments_reach_the_processes(name, start):
+    found = start(name, robot='my.yaml', controller='gains.yaml', trajectory='way.yaml',
+                  namespace='left', record='bag', rviz='true', use_sim_time='true')
+    assert found['controller_node'].files == ['my.yaml', 'gains.yaml']
+    assert found['trajectory_node'].files == ['my.yaml', 'gains.yaml', 'way.yaml']
+    assert {found[node].namespace for node in LOOP} == {'left'}
+    assert found['gms_flex'].words[:3] == ['record', '--topics', 'left/joint_states']
+    assert found['gms_flex'].words[-2:] == ['--out', 'bag']
+    assert found['controller_node'].parameters['use_sim_time'] == 'true'
+    if name != 'bridge':  # the simulation makes that time
+        assert found['plant_node'].parameters['use_sim_time'] == 'False'
+    shown = found['robot_state_publisher'].parameters['robot_description']
+    assert shown == 'output of gms_flex urdf --robot "my.yaml"'
+    assert Path(found['rviz2'].words[-1]).is_file()
+
+
+FAKE = """#!{python}
+import json, sys, os
+words, files = sys.argv[1:], []
+for flag, file in zip(words, words[1:]):
+    if flag == '--params-file':
+        files.append(open(file).read())
+name = os.path.basename(__file__)
+with open(os.path.join({out!r}, name + str(os.getpid())), 'w') as out:
+    json.dump([name, words, files], out)
+if name == 'gms_flex' and words[0] == 'urdf':
+    print('<robot/>')
+"""
+
+
+@pytest.fixture
+def fakes(tmp_path, monkeypatch):
+    """Put packages into an ament prefix whose executables tell how they were started."""
+    out = tmp_path / 'out'
+    out.mkdir()
+    for package, names in {'gms_flex_control': [*LOOP, 'identification_node', 'gms_flex'],
+                           **{name: [name] for name in SHOWN}}.items():
+        index = tmp_path / 'share' / 'ament_index' / 'resource_index' / 'packages'
+        index.mkdir(parents=True, exist_ok=True)
+        (index / package).touch()
+        folder = tmp_path / 'lib' / package
+        folder.mkdir(parents=True)
+        for name in names:
+            (folder / name).write_text(FAKE.format(python=sys.executable, out=str(out)))
+            (folder / name).chmod(stat.S_IRWXU)
+    (tmp_path / 'share' / 'gms_flex_control').symlink_to(ROOT)
+    monkeypatch.setenv('AMENT_PREFIX_PATH', os.pathsep.join(
+        [str(tmp_path), *filter(None, [os.environ.get('AMENT_PREFIX_PATH')])]))
+    monkeypatch.setenv('ROS_LOG_DIR', str(tmp_path / 'log'))
+    return out
+
+
+RUN = """
+import sys
+from launch import LaunchDescription, LaunchService
+from launch.actions import IncludeLaunchDescription, RegisterEventHandler, Shutdown
+from launch.event_handlers import OnProcessExit
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+file, last, *given = sys.argv[1:]
+included = IncludeLaunchDescription(PythonLaunchDescriptionSource(file), launch_arguments=[
+    tuple(word.split(':=', 1)) for word in given])
+end = RegisterEventHandler(OnProcessExit(on_exit=lambda event, context: (
+    Shutdown() if event.process_name.startswith(last) else None)))
+service = LaunchService(argv=given)
+service.include_launch_description(LaunchDescription([end, included]))
+sys.exit(service.run())
+"""
+
+
+def really_started(out, name, **given):
+    """Run a launch file with the real library; return what its processes were given."""
+    done = subprocess.run(
+        [sys.executable, '-c', RUN, str(ROOT / 'launch' / f'{name}.launch.py'), 'none',
+         *(f'{key}:={value}' for key, value in given.items())],
+        capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return {name: (words, files) for name, words, files in
+            (json.loads(path.read_text()) for path in out.iterdir())}
+
+
+@needs_launch
+@pytest.mark.parametrize('name', FILES)
+def test_the_real_launch_starts_the_same(name, fakes, start):
+    given = {'namespace': 'left', 'rviz': 'true', 'use_sim_time': 'true', 'record': 'bag'}
+    assert set(really_started(fakes, name, **given)) == set(start(name, **given))
+
+
+@needs_launch
+def test_the_real_launch_hands_parameters_on(fakes):
+    found = really_started(fakes, 'demo', compensation='gms_paper', namespace='left')
+    words, files = found['controller_node']
+    assert 'compensation: gms_paper' in ''.join(files)
+    assert '__ns:=/left' in words
+    _, files = found['robot_state_publisher']
+    assert '<robot/>' in ''.join(files)
+    assert 'backend: bridge' not in ''.join(found['plant_node'][1])
+
+
+@needs_launch
+def test_the_real_launch_runs_the_loop_in_a_namespace(fakes, tmp_path, monkeypatch):
+    """Installed nodes track in lockstep until the time is over; what is recorded can be read."""
+    nodes_there = {'plant_node', 'controller_node', 'trajectory_node', 'gms_flex'}
+    for name in nodes_there:
+        module = 'cli.main' if name == 'gms_flex' else f'nodes.{name}'
+        script = tmp_path / 'lib' / 'gms_flex_control' / name
+        script.write_text(f'#!/bin/sh\nexec {sys.executable} -m gms_flex_control.{module} "$@"\n')
+    robot = tmp_path / 'robot.yaml'
+    text = (ROOT / 'config' / 'robot.yaml').read_text()
+    robot.write_text(text.replace('parameters:\n', 'parameters:\n    duration: 1.0\n'
+                                  '    wait_for_subscribers: 3\n', 1))
+    for name, value in private_environment().items():
+        monkeypatch.setenv(name, value)
+    done = subprocess.run(
+        [sys.executable, '-c', RUN, str(ROOT / 'launch' / 'demo.launch.py'), 'plant_node',
+         'rviz:=false', 'mode:=lockstep', 'namespace:=left', f'robot:={robot}',
+         f'record:={tmp_path / "bag"}'], capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    recording = read_recording(tmp_path / 'bag')
+    assert recording.time[-1] == pytest.approx(1.0, abs=0.01)
+    assert not np.isnan(recording.command[10:-1]).any()
