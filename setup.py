@@ -20,6 +20,7 @@ setup(
         ('share/' + package_name, ['package.xml']),
         ('share/' + package_name + '/config', sorted(glob('config/*.*'))),
         ('share/' + package_name + '/launch', sorted(glob('launch/*.launch.py'))),
+        ('share/' + package_name + '/layouts', sorted(glob('layouts/*'))),
         ('share/' + package_name + '/sros2', sorted(glob('sros2/*.xml'))),
     ],
     zip_safe=False,

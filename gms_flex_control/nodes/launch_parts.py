@@ -19,7 +19,8 @@ from launch_ros.substitutions import ExecutableInPackage, FindPackageShare
 
 PACKAGE = 'gms_flex_control'
 RECORDED = ('joint_states', 'effort_controller/commands', 'reference',
-            'cascade_controller/state', 'cascade_controller/blocks')
+            'cascade_controller/state', 'cascade_controller/blocks',
+            'cascade_controller/sticking')
 _SWITCH = ('true', 'false')
 
 

@@ -20,17 +20,17 @@ _LARGEST_RANGE = 1e300
 
 
 def _descriptor(key):
-    descriptor = ParameterDescriptor(
-        description=f'{key.description} [{key.unit}]' if key.unit else key.description,
-        read_only=not key.live)
-    if key.choices:
-        descriptor.additional_constraints = f"one of {', '.join(key.choices)}"
+    choices = f"one of {', '.join(key.choices)}" if key.choices else ''
+    unit = f' [{key.unit}]' if key.unit else ''
+    descriptor = ParameterDescriptor(  # rqt_reconfigure shows the description alone
+        description=f'{key.description}{unit}{f": {choices}" if choices else ""}',
+        additional_constraints=choices, read_only=not key.live)
     if key.kind == 'double' and max(abs(key.lower), abs(key.upper)) < _LARGEST_RANGE:
         descriptor.floating_point_range = [
             FloatingPointRange(from_value=key.lower, to_value=key.upper)]
     if key.kind == 'integer' and max(abs(key.lower), abs(key.upper)) < _LARGEST_RANGE:
         descriptor.integer_range = [
-            IntegerRange(from_value=int(key.lower), to_value=int(key.upper))]
+            IntegerRange(from_value=int(key.lower), to_value=int(key.upper), step=1)]
     return descriptor
 
 

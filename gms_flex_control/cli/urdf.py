@@ -1,0 +1,36 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Write the robot as URDF."""
+
+
+def add_parser(subparsers):
+    """Add the verb to the command line."""
+    parser = subparsers.add_parser(
+        'urdf', help='the robot as URDF, for RViz, robot_state_publisher and simulators',
+        description='Describe links, motors and inertias of a robot file as URDF. Springs, which '
+                    'URDF cannot say, stand there as comments; friction as far as URDF has it.')
+    parser.add_argument('--robot', nargs='+', metavar='FILE',
+                        help='robot files, later ones winning; default: the arm of the paper')
+    parser.add_argument('--out', metavar='FILE', help='default: print it')
+    parser.add_argument('--name', default='arm', help='of the robot (default: %(default)s)')
+    parser.add_argument('--links-only', action='store_true',
+                        help='leave out the motors: a rigid robot')
+    parser.set_defaults(run=run)
+
+
+def run(args):
+    """Write or print; return 0."""
+    from gms_flex_control.files import write_text
+    from gms_flex_control.resources import robot_file
+    from gms_flex_control.schema.files import load_robot
+    from gms_flex_control.schema.urdf import robot_urdf
+
+    robot = load_robot(args.robot or robot_file())
+    text = robot_urdf(robot, name=args.name, motors=not args.links_only)
+    if args.out:
+        write_text(args.out, text)
+        print(f'{args.out}: {robot.n_joints} joints')
+    else:
+        print(text, end='')
+    return 0

@@ -1,0 +1,145 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""A robot as URDF: links, motors and inertias, for robot_state_publisher, RViz and simulators."""
+
+import xml.etree.ElementTree as ElementTree
+
+import numpy as np
+
+BASE = 'base'
+_LEAST_MASS = 1e-6   # URDF readers want a mass where the robot file gives inertia alone [kg]
+_ROD = 0.05          # inertia about the long axis over that about the others
+_COLOURS = {'link': '0.35 0.55 0.80 1', 'motor': '0.90 0.55 0.20 1', 'base': '0.5 0.5 0.5 1'}
+_NOTE = """
+  The plane of motion is x, y; gravity in it is {gravity} m/s^2, which URDF cannot say.
+  Friction is the mean of both directions, Coulomb and viscous: presliding and the Stribeck
+  curve stand in the robot file alone.
+  {motors}
+"""
+_WITH_MOTORS = """Link and motor of a flexible joint are joints of their own, as in /joint_states.
+  URDF has no springs: each is a comment at its motor. Motor inertia is as seen at the joint; a
+  simulator turns it with the link before it, which the model of this package does not."""
+_WITHOUT_MOTORS = 'Motors and springs are left out; a joint stands for its link side.'
+
+
+def robot_urdf(robot, *, name='arm', motors=True):
+    """
+    Return a robot as URDF text.
+
+    Parameters
+    ----------
+    robot : RobotParams
+        A planar chain, or decoupled axes, which are put side by side.
+    name : str
+        Of the robot.
+    motors : bool
+        Whether flexible joints get a joint of their own for the motor, beside the link's.
+
+    Returns
+    -------
+    str
+        XML with one ``continuous`` joint per link and motor, about z, named as in the robot.
+
+    """
+    root = ElementTree.Element('robot', name=name)
+    root.append(ElementTree.Comment(_NOTE.format(
+        gravity=' '.join(f'{value + 0.0:g}' for value in robot.arm.gravity),
+        motors=_WITH_MOTORS if motors else _WITHOUT_MOTORS)))
+    for material, colour in _COLOURS.items():
+        ElementTree.SubElement(ElementTree.SubElement(root, 'material', name=material), 'color',
+                               rgba=colour)
+    size = _sizes(robot.arm)
+    base = ElementTree.SubElement(root, 'link', name=BASE)
+    _visual(base, 'base', _cylinder(0.3 * size[0], 0.02), (0.0, 0.0, -0.03))
+    for j in range(robot.n_joints):
+        _add_link(root, robot, j, size)
+        if motors and not robot.arm.rigid[j]:
+            _add_motor(root, robot, j, size)
+    ElementTree.indent(root)
+    return f'<?xml version="1.0"?>\n{ElementTree.tostring(root, encoding="unicode")}\n'
+
+
+def _sizes(arm):
+    """Return a drawn length for each link (n_joints,) [m]."""
+    told = np.where(arm.length > 0.0, arm.length, 2.0 * np.abs(arm.com))
+    return np.where(told > 0.0, told, told.max() if told.max() > 0.0 else 0.2)
+
+
+def _frame(robot, j, size):
+    """Return parent link and origin of joint j."""
+    if robot.arm.kind == 'decoupled':
+        return BASE, (0.0, 1.5 * size.max() * j, 0.0)
+    if j == 0:
+        return BASE, (0.0, 0.0, 0.0)
+    return _link_name(robot, j - 1), (robot.arm.length[j - 1], 0.0, 0.0)
+
+
+def _link_name(robot, j):
+    return f'{robot.joints[j]}_link'
+
+
+def _add_link(root, robot, j, size):
+    arm, friction = robot.arm, robot.friction
+    parent, place = _frame(robot, j, size)
+    link = ElementTree.SubElement(root, 'link', name=_link_name(robot, j))
+    _visual(link, 'link', {'box': {'size': _text(size[j], 0.12 * size[j], 0.02)}},
+            (0.5 * size[j], 0.0, 0.0))
+    inertia = arm.inertia[j]
+    _inertial(link, arm.mass[j], arm.com[j], (_ROD * inertia, inertia, inertia))
+    joint = _joint(root, robot.joints[j], parent, _link_name(robot, j), place, arm.offset[j])
+    if arm.rigid[j] and arm.motor_inertia[j] > 0.0:
+        joint.append(ElementTree.Comment(
+            f' rigid joint: motor inertia {arm.motor_inertia[j]:g} kg m^2 comes on top '))
+    forward, backward = friction.forward, friction.backward
+    ElementTree.SubElement(
+        joint, 'dynamics', damping=_text((forward.viscous[j] + backward.viscous[j]) / 2),
+        friction=_text((forward.coulomb[j] + backward.coulomb[j]) / 2))
+
+
+def _add_motor(root, robot, j, size):
+    arm, motor = robot.arm, robot.motors[j]
+    parent, place = _frame(robot, j, size)
+    rotor = ElementTree.SubElement(root, 'link', name=f'{motor}_link')
+    _visual(rotor, 'motor', _cylinder(0.12 * size[j], 0.03), (0.0, 0.0, 0.03))
+    _visual(rotor, 'motor', {'box': {'size': _text(0.3 * size[j], 0.02, 0.01)}},
+            (0.15 * size[j], 0.0, 0.05))
+    _inertial(rotor, 0.0, 0.0, (arm.motor_inertia[j],) * 3)
+    joint = _joint(root, motor, parent, f'{motor}_link', place, arm.offset[j])
+    joint.append(ElementTree.Comment(
+        f' spring to its link: {arm.stiffness[j]:g} N m/rad, {arm.damping[j]:g} N m s/rad '))
+
+
+def _joint(root, name, parent, child, place, angle):
+    joint = ElementTree.SubElement(root, 'joint', name=name, type='continuous')
+    ElementTree.SubElement(joint, 'parent', link=parent)
+    ElementTree.SubElement(joint, 'child', link=child)
+    ElementTree.SubElement(joint, 'origin', xyz=_text(*place), rpy=_text(0.0, 0.0, angle))
+    ElementTree.SubElement(joint, 'axis', xyz='0 0 1')
+    return joint
+
+
+def _inertial(link, mass, com, diagonal):
+    inertial = ElementTree.SubElement(link, 'inertial')
+    ElementTree.SubElement(inertial, 'origin', xyz=_text(com, 0.0, 0.0))
+    ElementTree.SubElement(inertial, 'mass', value=_text(max(mass, _LEAST_MASS)))
+    ixx, iyy, izz = (_text(max(value, 1e-12)) for value in diagonal)
+    ElementTree.SubElement(inertial, 'inertia', ixx=ixx, ixy='0', ixz='0', iyy=iyy, iyz='0',
+                           izz=izz)
+
+
+def _visual(link, material, geometry, place):
+    visual = ElementTree.SubElement(link, 'visual')
+    ElementTree.SubElement(visual, 'origin', xyz=_text(*place))
+    (shape, attributes), = geometry.items()
+    ElementTree.SubElement(ElementTree.SubElement(visual, 'geometry'), shape, attributes)
+    ElementTree.SubElement(visual, 'material', name=material)
+
+
+def _cylinder(radius, length):
+    return {'cylinder': {'radius': _text(radius), 'length': _text(length)}}
+
+
+def _text(*numbers):
+    """Return numbers so that they are read back as they are."""
+    return ' '.join(repr(float(number)) for number in numbers)

@@ -1,0 +1,71 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Layouts for PlotJuggler, Foxglove and RViz show what the nodes publish."""
+
+import json
+from pathlib import Path
+import re
+import xml.etree.ElementTree as ElementTree
+
+from gms_flex_control.files import read_yaml
+from gms_flex_control.resources import robot_file
+from gms_flex_control.schema.files import load_robot
+from gms_flex_control.schema.urdf import BASE
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+ROBOT = load_robot(robot_file())
+N, BLOCKS = ROBOT.friction.stiffness.shape
+ARRAYS = {'/reference': 5 * N, '/effort_controller/commands': N,  # topic: numbers in it
+          '/cascade_controller/blocks': N * BLOCKS}
+STATES = {'/joint_states': [*ROBOT.joints, *ROBOT.motors],
+          '/cascade_controller/state': list(ROBOT.joints)}
+FIELDS = ('position', 'velocity', 'effort')
+
+
+def foxglove():
+    return json.loads((ROOT / 'layouts' / 'foxglove.json').read_text())
+
+
+def test_plotjuggler_draws_series_that_exist():
+    """A joint state is /topic/joint/field to it, an array /topic/data[i]."""
+    root = ElementTree.parse(ROOT / 'layouts' / 'plotjuggler.xml').getroot()
+    known = {f'{topic}/data[{i}]' for topic, size in ARRAYS.items() for i in range(size)}
+    known |= {f'{topic}/{joint}/{field}' for topic, joints in STATES.items()
+              for joint in joints for field in FIELDS}
+    drawn = [curve.get('name') for curve in root.iter('curve')]
+    assert drawn
+    assert set(drawn) <= known
+    for splitter in root.iter('DockSplitter'):
+        sizes = splitter.get('sizes').split(';')
+        assert int(splitter.get('count')) == len(sizes) == len(splitter)
+
+
+def test_foxglove_draws_fields_that_exist():
+    for name, panel in foxglove()['configById'].items():
+        for path in panel.get('paths', ()):
+            topic, field, index = re.fullmatch(r'(/[\w/]+)\.(\w+)\[(\d+)\]',
+                                               path['value']).groups()
+            size = ARRAYS[topic] if field == 'data' else len(STATES[topic])
+            assert field in ('data', *FIELDS), name
+            assert int(index) < size, name
+
+
+def test_foxglove_places_each_of_its_panels_once():
+    def panels(node):
+        if isinstance(node, str):
+            return [node]
+        assert node['direction'] in ('row', 'column')
+        return panels(node['first']) + panels(node['second'])
+
+    layout = foxglove()
+    assert sorted(panels(layout['layout'])) == sorted(layout['configById'])
+    assert {'globalVariables', 'userNodes', 'playbackConfig'} <= set(layout)
+
+
+@pytest.mark.parametrize('frame', [
+    read_yaml(ROOT / 'config' / 'arm.rviz', 'safe')['Visualization Manager']['Global Options'][
+        'Fixed Frame'], foxglove()['configById']['3D!arm']['fixedFrame']])
+def test_the_arm_is_drawn_in_the_frame_of_its_base(frame):
+    assert frame == BASE
