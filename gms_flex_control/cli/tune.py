@@ -1,0 +1,243 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""`gms_flex tune`: gains for a robot, judged, tried and written as controller.yaml."""
+
+from pathlib import Path
+
+from gms_flex_control.cli.batch_options import add_batch_options
+
+_MOST_AT_LIMIT = 0.02  # share of a motion that may be spent at the torque limit
+EXAMPLES = """examples:
+  gms_flex tune --out tuned
+  gms_flex tune --robot robot.yaml results/friction.yaml --torque-limit 2 --rate 500 --delay 1 \\
+      --verify 200 --intervals results/report.json --out tuned"""
+
+
+def add_parser(subparsers):
+    """Add the verb to the command line."""
+    from argparse import RawDescriptionHelpFormatter
+    parser = subparsers.add_parser(
+        'tune', help='gains for a robot: proposed, judged, tried, verified',
+        formatter_class=RawDescriptionHelpFormatter, epilog=EXAMPLES,
+        description='Propose the stiffest gains of the cascade controller that keep margins,\n'
+                    'encoder noise and the conditions (39), show margins and expected tracking\n'
+                    'error, and write controller.yaml. Exit code 1 if no gains meet what is\n'
+                    'asked, or a robot drawn by --verify is not held.')
+    parser.add_argument('--robot', nargs='+', metavar='FILE',
+                        help='robot files, later ones winning; default: the arm of the paper')
+    parser.add_argument('--controller', nargs='+', metavar='FILE',
+                        help='compensation, observer and torque limits; default: gms, k_e 1')
+    parser.add_argument('--torque-limit', nargs='+', type=float, metavar='NM',
+                        help='of each joint, or one for all; default: of --controller')
+    parser.add_argument('--rate', type=float, default=500.0, metavar='HZ',
+                        help='of the controller (default: %(default)g)')
+    parser.add_argument('--delay', type=float, default=0.0, metavar='MS',
+                        help='from measurement to torque (default: %(default)g)')
+    parser.add_argument('--bandwidth', nargs='+', type=float, metavar='RAD/S',
+                        help='of each link, or one for all; default: as much as margins allow')
+    parser.add_argument('--damping', type=float, default=1.0, metavar='D',
+                        help='of the pair of link poles, at least 1 (default: %(default)g)')
+    _add_demands(parser)
+    parser.add_argument('--amplitude', type=float, default=1.0, metavar='RAD',
+                        help='of the motions simulated (default: %(default)g)')
+    parser.add_argument('--verify', type=int, default=0, metavar='N',
+                        help='try the gains on N robots drawn from the uncertainty')
+    parser.add_argument('--intervals', metavar='FILE',
+                        help='report.json of gms_flex identify: draw from its intervals; what '
+                             'has none: friction and M 30 %%, K 20 %%')
+    parser.add_argument('--seed', type=int, default=0, metavar='N', help='of the draws')
+    add_batch_options(parser)
+    parser.add_argument('--out', required=True, metavar='DIR',
+                        help='controller.yaml, tuning.json, tuning.png, journal of --verify')
+    parser.add_argument('--json', action='store_true', help='print the result as JSON')
+    parser.set_defaults(run=run)
+
+
+def _add_demands(parser):
+    parser.add_argument('--gain-margin', type=float, default=2.0, metavar='TIMES',
+                        help='factor on the torque, up and down (default: %(default)g)')
+    parser.add_argument('--phase-margin', type=float, default=30.0, metavar='DEG',
+                        help='default: %(default)g')
+    parser.add_argument('--delay-margin', type=float, metavar='MS',
+                        help='further delay that is borne (default: one sample)')
+    parser.add_argument('--noise', type=float, default=0.1, metavar='SHARE',
+                        help='of the torque limit that encoder noise may take as rms torque '
+                             '(default: %(default)g)')
+
+
+def run(args):
+    """Propose, try, write, verify; return 1 where something asked is not met, else 0."""
+    import json
+
+    from gms_flex_control.files import write_text
+    from gms_flex_control.tuning import words
+
+    robot, base, demands = asked(args)
+    proposal, trials = proposed(robot, base, demands, args.amplitude)
+    values = words.as_values(proposal, robot, demands.timing, trials)
+    if not args.json:
+        tell(proposal, trials, robot, demands)
+    if not proposal.unmet:
+        if args.verify:
+            values['verify'] = verified(robot, proposal.gains, demands, args)
+            if not args.json:
+                print(f"\n{words.verify_text(values['verify'], robot)}")
+        write(args, robot, proposal, demands)
+    write_text(Path(args.out) / 'tuning.json', json.dumps(values, indent=2) + '\n')
+    if args.json:
+        print(json.dumps(values, indent=2))
+    found = values.get('verify', {'lost': [], 'unstable': []})
+    return int(bool(proposal.unmet or found['lost'] or found['unstable']))
+
+
+def asked(args):
+    """Return robot, the controller to begin with, and the Demands of the command line."""
+    import math
+
+    from gms_flex_control.errors import ConfigError
+    from gms_flex_control.params.gains import ControllerParams
+    from gms_flex_control.resources import controller_file, robot_file
+    from gms_flex_control.schema.files import load_controller, load_robot
+    from gms_flex_control.tuning.linear_loop import Timing
+    from gms_flex_control.tuning.propose import Demands
+    import numpy as np
+
+    for name, value, least in (('rate', args.rate, 1.0), ('delay', args.delay, 0.0),
+                               ('damping', args.damping, 1.0), ('noise', args.noise, 1e-6),
+                               ('gain-margin', args.gain_margin, 1.0),
+                               ('phase-margin', args.phase_margin, 0.0),
+                               ('verify', args.verify, 0), ('amplitude', args.amplitude, 1e-6)):
+        if not least <= value < math.inf:
+            raise ConfigError(f'--{name} {value:g}: must be at least {least:g} and finite')
+    if args.delay > 50.0:
+        raise ConfigError(f'--delay {args.delay:g}: in milliseconds, at most 50')
+    robot = load_robot(args.robot or robot_file())
+    n = robot.n_joints
+    limit = per_joint('torque-limit', args.torque_limit, n)
+    if args.controller or not args.robot:
+        base = load_controller(args.controller or controller_file(), robot)
+    elif limit is None:
+        raise ConfigError('--torque-limit is needed: what the motors of this robot can give, or '
+                          '--controller with a file that says it')
+    else:
+        one = np.ones(n)
+        base = ControllerParams(
+            compensation='gms', kd_link=one, lambda_link=one, kd_motor=one, lambda_motor=one,
+            observer_gain=one, sign_slope=50.0 * one, filter_bandwidth=100.0 * one,
+            torque_limit=limit)
+    timing = Timing(1.0 / args.rate, 1e-3 * args.delay)
+    further = timing.period if args.delay_margin is None else 1e-3 * args.delay_margin
+    return robot, base, Demands(
+        timing=timing, torque_limit=base.torque_limit if limit is None else limit,
+        damping=args.damping, bandwidth=per_joint('bandwidth', args.bandwidth, n),
+        gain=args.gain_margin, phase=math.radians(args.phase_margin), delay=further,
+        noise=args.noise)
+
+
+def per_joint(name, values, n):
+    """Return an option's values as (n,), one given value for all joints; None if not given."""
+    from gms_flex_control.errors import ConfigError
+    import numpy as np
+
+    if values is None:
+        return None
+    if len(values) not in (1, n) or not all(0.0 < value < np.inf for value in values):
+        raise ConfigError(f'--{name} {values}: give one number above 0, or one for each of the '
+                          f'{n} joints')
+    return np.broadcast_to(np.array(values, dtype=float), (n,)).copy()
+
+
+def proposed(robot, base, demands, amplitude):
+    """Return the Proposal, completed by what simulation shows, and Trials by mode and motion."""
+    from dataclasses import replace
+
+    from gms_flex_control.tuning.propose import propose
+    from gms_flex_control.tuning.trial import MOTIONS, try_gains
+    import numpy as np
+
+    proposal = propose(robot, base, demands)
+    reach, trials, unmet = np.full(robot.n_joints, amplitude), {}, []
+    for mode in dict.fromkeys(('none', base.compensation)):
+        gains = replace(proposal.gains, compensation=mode)
+        trials[mode] = {}
+        for motion in MOTIONS:
+            trial, run = try_gains(robot, robot, gains, demands.timing, motion, reach)
+            trials[mode][motion] = trial
+            if trial.lost:
+                unmet.append(f'{motion}, compensation {mode}: the simulated robot was lost')
+            else:
+                unmet += at_limit(run, robot, demands.torque_limit, motion)
+    return proposal._replace(unmet=tuple(dict.fromkeys([*proposal.unmet, *unmet]))), trials
+
+
+def at_limit(run, robot, limit, motion):
+    """Return a sentence for each joint whose torque limit is met too often in a Run."""
+    import numpy as np
+
+    share = np.mean(np.abs(run.command) >= limit, axis=0)
+    return [f'{joint}: at the torque limit for {100 * share[j]:.0f} % of the {motion}; ask for '
+            'less --amplitude, or give a larger --torque-limit'
+            for j, joint in enumerate(robot.joints) if share[j] > _MOST_AT_LIMIT]
+
+
+def tell(proposal, trials, robot, demands):
+    """Print gains, margins, conditions and expected errors."""
+    from gms_flex_control.cli import check_gains
+    from gms_flex_control.tuning import words
+
+    print(words.gains_table(proposal.gains, robot))
+    print(f'\nMargins of the sampled loop, worst of all poses\n'
+          f'{words.margins_table(proposal.judgement, robot)}')
+    print('\n'.join(words.loop_lines(proposal.judgement, robot, demands.timing)))
+    print(f'\n{check_gains.text(proposal.judgement.conditions)}')
+    print(f'\nSimulated, exact model\n{words.trials_table(trials, robot)}')
+    for sentence in proposal.unmet:
+        print(f'NOT MET: {sentence}')
+
+
+def verified(robot, gains, demands, args):
+    """Return the summary of the draws asked for; finished ones are kept in --out."""
+    import hashlib
+
+    from gms_flex_control.batches.batch import run_batch
+    from gms_flex_control.batches.executor import open_executor
+    from gms_flex_control.batches.journal import Journal
+    from gms_flex_control.batches.sources import fingerprint
+    from gms_flex_control.schema.build import robot_values
+    from gms_flex_control.tuning import uncertainty, words
+    import numpy as np
+
+    intervals = uncertainty.read_intervals(args.intervals) if args.intervals else {}
+    amplitude = np.full(robot.n_joints, args.amplitude)
+    items = {f'draw {k}': uncertainty.Drawn(robot, gains, demands.timing, amplitude, intervals,
+                                            args.seed, k) for k in range(args.verify)}
+    asked_for = repr((robot_values(robot), words.controller_values(gains, robot.joints),
+                      demands.timing, args.amplitude, intervals, args.seed))
+    journal = Journal(args.out, f'{fingerprint()} '
+                      f'{hashlib.sha256(asked_for.encode()).hexdigest()[:16]}')
+    with open_executor(args.workers, args.scheduler) as executor:
+        found = run_batch(uncertainty.try_drawn, items, executor=executor, journal=journal,
+                          label='robots')
+    return uncertainty.summary(list(found.values()))
+
+
+def write(args, robot, proposal, demands):
+    """Write controller.yaml and tuning.png."""
+    from gms_flex_control import __version__
+    from gms_flex_control.reports.figures import save_figure
+    from gms_flex_control.reports.tuning_figure import tuning_figure
+    from gms_flex_control.schema.files import save_values
+    from gms_flex_control.tuning import words
+
+    out = Path(args.out)
+    comment = '\n'.join([
+        f'Gains proposed by gms_flex tune {__version__} for {args.rate:g} Hz and '
+        f'{args.delay:g} ms of delay.',
+        *words.loop_lines(proposal.judgement, robot, demands.timing)[:1],
+        words.margins_table(proposal.judgement, robot)])
+    save_values(words.controller_values(proposal.gains, robot.joints), out / 'controller.yaml',
+                comment=comment)
+    save_figure(tuning_figure(robot, proposal.gains, demands.timing), out / 'tuning.png')
+    if not args.json:
+        print(f"\n{out / 'controller.yaml'}: load it as --params-file of the controller node")

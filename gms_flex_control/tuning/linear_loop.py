@@ -1,0 +1,285 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""
+The closed loop linearised at rest, sample by sample as it runs.
+
+Arm, springs and motors are integrated exactly between samples under a held torque that comes
+late by the computation delay; velocities are the low-passed differences of the encoders; the
+controller is the derivative of its own code, control.cascade.tick. Counts of the encoders and
+the torque limit are not linear and not in it.
+"""
+
+from dataclasses import replace
+from functools import lru_cache
+from typing import NamedTuple
+
+from gms_flex_control.control import cascade
+from gms_flex_control.dynamics import chain
+from gms_flex_control.effects import table as effect_table
+from gms_flex_control.simulation import encoder
+import numpy as np
+from scipy.linalg import expm
+
+_STEP = 1e-6  # of the central differences: the law is linear there but for rounding
+_MEASURED = ('q_link', 'dq_link', 'q_motor', 'dq_motor')
+
+
+class Timing(NamedTuple):
+    """When the controller acts: sample period and delay from measurement to torque [s]."""
+
+    period: float
+    delay: float
+
+
+class LinearLoop(NamedTuple):
+    """
+    The loop cut open at the torques: ``z+ = a z + b u_in`` and ``u_out = c z``.
+
+    Closed, u_in is u_out. ``noise`` is how angles added to what the 2n encoders see (links,
+    then motors) enter z+, ``through`` how they enter u_out.
+    """
+
+    a: np.ndarray        # (N, N)
+    b: np.ndarray        # (N, n)
+    c: np.ndarray        # (n, N)
+    noise: np.ndarray    # (N, 2n)
+    through: np.ndarray  # (n, 2n)
+    period: float        # [s]
+
+    @property
+    def closed(self):
+        """Return the matrix (N, N) of the closed loop."""
+        return self.a + self.b @ self.c
+
+    @property
+    def stable(self):
+        """Return whether all poles lie within the unit circle."""
+        return bool(np.abs(np.linalg.eigvals(self.closed)).max() < 1.0)
+
+
+def arm_equations(robot, pose, *, stuck=False):
+    """
+    Return the continuous equations of the arm at rest.
+
+    Parameters
+    ----------
+    robot : RobotParams
+        The robot; of its effects those count that only change parameters.
+    pose : ndarray, shape (n_joints,)
+        Link angles [rad].
+    stuck : bool
+        Whether all blocks stick: friction is then a spring on each link; else there is none,
+        which is what a right compensation leaves.
+
+    Returns
+    -------
+    a : ndarray, shape (4n, 4n)
+        Of q_link, dq_link, q_motor, dq_motor; those of a rigid joint's motor
+        side are idle.
+    b : ndarray, shape (4n, n)
+        Of the motor torques.
+
+    """
+    robot = effect_table.with_changes(robot)
+    n, rigid = robot.n_joints, robot.arm.rigid
+    mass, pull = _mass_and_pull(robot.arm, pose)
+    stiffness = np.diag(np.where(rigid, 0.0, robot.arm.stiffness))
+    damping = np.diag(np.where(rigid, 0.0, robot.arm.damping))
+    held = np.zeros((n, n))
+    viscous = np.zeros((n, n))
+    if stuck:
+        held = np.diag(robot.friction.stiffness.sum(axis=1))
+        viscous = np.diag(np.minimum(robot.friction.forward.viscous,
+                                     robot.friction.backward.viscous))
+    links = np.linalg.solve(mass, np.hstack([
+        -stiffness - pull - held, -damping - viscous, stiffness, damping, np.diag(1.0 * rigid)]))
+    inertia = np.where(rigid, 1.0, robot.arm.motor_inertia)[:, None]
+    motors = np.hstack([stiffness, damping, -stiffness, -damping, np.diag(1.0 * ~rigid)]) / inertia
+    zero, one = np.zeros((n, n)), np.eye(n)
+    a = np.block([[zero, one, zero, zero], [links[:, :4 * n]],
+                  [zero, zero, zero, np.diag(1.0 * ~rigid)], [motors[:, :4 * n]]])
+    idle = np.flatnonzero(np.tile(rigid, 2)) + 2 * n
+    a[idle, idle] = -1.0  # nothing reads them; at 0 they would count as not stable
+    return a, np.vstack([zero, links[:, 4 * n:], zero, motors[:, 4 * n:]])
+
+
+def _mass_and_pull(arm, pose):
+    """Return M(q) and the derivative of the gravity torque there, each (n, n)."""
+    rest = np.zeros(arm.n_joints)
+
+    def gravity(q):
+        return chain.matrices(q, rest, rest, rest, arm).gravity
+
+    steps = _STEP * np.eye(arm.n_joints)
+    pull = np.stack([(gravity(pose + step) - gravity(pose - step)) / (2.0 * _STEP)
+                     for step in steps], axis=1)
+    return chain.matrices(pose, rest, rest, rest, arm).mass, pull
+
+
+def controller_law(gains, model, pose, period):
+    """
+    Return the derivative of the controller at rest.
+
+    Parameters
+    ----------
+    gains : ControllerParams
+        With compensation ``none``, or ``gms`` at a reference that rests.
+    model : RobotParams
+        As believed.
+    pose : ndarray, shape (n_joints,)
+        Link angles, also of the reference [rad].
+    period : float
+        Sample [s].
+
+    Returns
+    -------
+    ndarray, shape (3n, 7n)
+        Command and filtered friction with its rate, of the 4n measured values and the same 3n
+        of the sample before.
+
+    """
+    n = model.n_joints
+    constants, work = cascade.constants_of(gains, model), cascade.workspace(n)
+    reference = np.vstack([pose, np.zeros((4, n))])
+    held = chain.matrices(pose, *np.zeros((3, n)), model.arm).gravity
+    motor = pose + np.where(model.arm.rigid, 0.0, held / model.arm.stiffness)
+    middle = np.concatenate([pose, np.zeros(n), motor, np.zeros(n), held, np.zeros(2 * n)])
+
+    def answer(values):
+        state, measured = cascade.init(model), encoder.init(n)
+        for name, value in zip(_MEASURED, values[:4 * n].reshape(4, n), strict=True):
+            measured[name][:] = value
+        state.command[:] = values[4 * n:5 * n]
+        state.observer.filtered[:] = values[5 * n:].reshape(2, n)
+        cascade.tick(state, measured, reference, period, constants, work)
+        return np.concatenate([state.command, *state.observer.filtered])
+
+    law = np.stack([(answer(middle + step) - answer(middle - step)) / (2.0 * _STEP)
+                    for step in _STEP * np.eye(7 * n)], axis=1)
+    if gains.compensation == 'none':
+        law[n:] = 0.0  # the filter stands still
+    return law
+
+
+def linear_loop(robot, model, gains, timing, pose, *, stuck=False, law=None):
+    """
+    Return the sampled loop, linearised at rest.
+
+    Parameters
+    ----------
+    robot, model : RobotParams
+        The robot as it is, and as the controller believes it to be.
+    gains : ControllerParams
+        Of the controller. Unless stuck, without compensation: there is no friction then.
+    timing : Timing
+        Sample and delay.
+    pose : ndarray, shape (n_joints,)
+        Link angles [rad].
+    stuck : bool
+        See `arm_equations`; the compensation then counts as it is at rest.
+    law : ndarray, shape (3n, 7n), optional
+        From `law_of` with the same arguments, where it is needed for several delays.
+
+    Returns
+    -------
+    LinearLoop
+
+    """
+    n, period = robot.n_joints, timing.period
+    if law is None:
+        law = law_of(model, gains, timing, pose, stuck=stuck)
+    phi, gammas = _sampled_arm(robot, tuple(pose), timing, stuck)
+    seen, memory = _encoders(robot, period)
+    late = len(gammas) * n
+    # z: arm 4n, angles of the sample before 2n, velocities 2n, torques under way, law 3n
+    starts = np.cumsum([0, 4 * n, 2 * n, 2 * n, late, 3 * n])
+    arm, angles, rates, line, past = (slice(i, j) for i, j in zip(
+        starts[:-1], starts[1:], strict=True))
+    size = starts[-1]
+    measured = np.zeros((4 * n, size))
+    measured[:, :starts[3]] = seen
+    a, b, noise = np.zeros((size, size)), np.zeros((size, n)), np.zeros((size, 2 * n))
+    a[arm, arm], b[arm] = phi, gammas[0]
+    for k, gamma in enumerate(gammas[1:]):
+        a[arm, line][:, k * n:(k + 1) * n] = gamma
+    a[angles], noise[angles] = measured[memory.angles], np.eye(2 * n)
+    a[rates] = measured[memory.rates]
+    b[line][:n] = np.eye(n)
+    a[line, line][n:, :-n] = np.eye(late - n)
+    entering = law[:, :4 * n] @ memory.noise
+    a[past] = law[:, :4 * n] @ measured
+    a[past, past] += law[:, 4 * n:]
+    noise[past], noise[rates] = entering, memory.noise[memory.rates]
+    return LinearLoop(a, b, a[past][:n].copy(), noise, entering[:n], period)
+
+
+@lru_cache(maxsize=256)
+def _sampled_arm(robot, pose, timing, stuck):
+    return held_input(*arm_equations(robot, np.array(pose), stuck=stuck), timing)
+
+
+def law_of(model, gains, timing, pose, *, stuck=False):
+    """Return `controller_law` as it counts in `linear_loop`: no torque limit, see there."""
+    mode = gains.compensation if stuck else 'none'
+    chosen = replace(gains, torque_limit=np.full(model.n_joints, 1e300), compensation=mode)
+    return controller_law(chosen, model, pose, timing.period)
+
+
+class _Memory(NamedTuple):
+    angles: list        # rows of the measured values that are angles
+    rates: list         # and that are rates
+    noise: np.ndarray   # (4n, 2n) how noise on the angles enters all of them
+
+
+def _encoders(robot, period):
+    """Return measured values (4n, 8n) of arm, angles before and rates before, and _Memory."""
+    n = robot.n_joints
+    angles = [*range(n), *range(2 * n, 3 * n)]
+    rates = [*range(n, 2 * n), *range(3 * n, 4 * n)]
+    arm = np.eye(4 * n)
+    rigid = np.flatnonzero(robot.arm.rigid)
+    arm[2 * n + rigid], arm[3 * n + rigid] = arm[rigid], arm[n + rigid]
+    seen, noise = np.hstack([arm, np.zeros((4 * n, 4 * n))]), np.zeros((4 * n, 2 * n))
+    noise[angles] = np.eye(2 * n)
+    cutoff = float(robot.encoder.velocity_cutoff)
+    if cutoff > 0.0:
+        gain = 1.0 - np.exp(-2.0 * np.pi * cutoff * period)
+        seen[rates] = np.hstack([gain / period * arm[angles], -gain / period * np.eye(2 * n),
+                                 (1.0 - gain) * np.eye(2 * n)])
+        noise[rates] = gain / period * np.eye(2 * n)
+    return seen, _Memory(angles, rates, noise)
+
+
+def held_input(a, b, timing):
+    """
+    Return a system over one sample whose held input comes late.
+
+    Parameters
+    ----------
+    a, b : ndarray, shape (N, N) and (N, n)
+        Continuous system.
+    timing : Timing
+        Sample and delay, which may be longer.
+
+    Returns
+    -------
+    phi : ndarray, shape (N, N)
+        Transition over one sample.
+    gammas : list of ndarray, shape (N, n)
+        Of the input computed at this sample, the one before, and so on; at least two.
+
+    """
+    late, rest = divmod(timing.delay, timing.period)
+    if timing.period - rest < 1e-9 * timing.period:
+        late, rest = late + 1.0, 0.0
+    phi_after, new = _integral(a, b, timing.period - rest)
+    phi_before, old = _integral(a, b, rest)
+    nothing = [np.zeros_like(b)] * int(late)
+    return phi_after @ phi_before, [*nothing, new, phi_after @ old]
+
+
+def _integral(a, b, time):
+    n, m = b.shape
+    whole = expm(np.block([[a, b], [np.zeros((m, n + m))]]) * time)
+    return whole[:n, :n], whole[:n, n:]

@@ -1,0 +1,131 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""A proposal as tables, as plain values for JSON, and as the controller's file."""
+
+import math
+
+from gms_flex_control.analysis.table4 import align
+from gms_flex_control.tuning.propose import link_bandwidth
+from gms_flex_control.tuning.trial import MOTIONS
+import numpy as np
+
+_GAINS = ('kd_link', 'lambda_link', 'kd_motor', 'lambda_motor', 'observer_gain', 'sign_slope',
+          'filter_bandwidth', 'torque_limit')
+
+
+def controller_values(gains, joints):
+    """Return gains as the flat parameters of a controller file (dict)."""
+    values = {'compensation': gains.compensation}
+    for j, joint in enumerate(joints):
+        values |= {f'gains.{joint}.{name}': float(getattr(gains, name)[j]) for name in _GAINS}
+    return values
+
+
+def gains_table(gains, robot):
+    """Return the gains and the link's bandwidth, a row per joint, as text."""
+    speed = link_bandwidth(gains, robot)
+    rows = [[joint, *(f'{getattr(gains, name)[j]:.4g}' for name in _GAINS[:4]),
+             f'{speed[j]:.3g}'] for j, joint in enumerate(robot.joints)]
+    return align(['joint', 'kd_link', 'lambda_link', 'kd_motor', 'lambda_motor',
+                  'link bandwidth [rad/s]'], rows)
+
+
+def margins_table(judgement, robot):
+    """Return the worst margins of all poses, a row per joint, as text."""
+    rows = [[joint, f'{one.gain_up:.3g}', f'{one.gain_down:.2g}',
+             f'{math.degrees(one.phase):.1f}', f'{one.distance:.2f}', f'{one.crossover:.0f}',
+             f'{judgement.jitter.torque[j]:.3g}', f'{1e3 * judgement.jitter.angle[j]:.2g}']
+            for j, (joint, one) in enumerate(zip(robot.joints, judgement.joints, strict=True))]
+    return align(['joint', 'gain up', 'down', 'phase [deg]', 'least |1 + L|', 'crossover [rad/s]',
+                  'encoder torque [N m]', 'jitter [mrad]'], rows)
+
+
+def loop_lines(judgement, robot, timing):
+    """Return delay margin, ringing and the bound of the theory as lines of text."""
+    delay = ('more than 50 samples' if math.isinf(judgement.delay)
+             else f'{1e3 * judgement.delay:.2f} ms')
+    report = judgement.conditions
+    residual = f'{report.residual:.4g}' if math.isfinite(report.residual) else 'none'
+    held = ', '.join(f'{joint} {1e3 * value:.3g} mrad' for joint, value in zip(
+        robot.joints, held_error(judgement, robot), strict=True))
+    ringing = f'decay at {judgement.ringing:.2g} 1/s or faster'
+    if judgement.ringing < 0.0:
+        ringing = f'grow at {-judgement.ringing:.2g} 1/s until blocks slip'
+    return [f'further delay until unstable, all joints: {delay} (already there: '
+            f'{1e3 * timing.delay:.3g} ms, and the hold of {1e3 * timing.period:.3g} ms)',
+            f'while every block sticks, oscillations {ringing}',
+            f'bound (43) on the norm of all errors: {residual}; safe, far from tight',
+            f'error that static friction holds, uncompensated, F_s / (K_D1 Lambda_1): {held}']
+
+
+def held_error(judgement, robot):
+    """Return the link error static friction can hold without compensation (n,) [rad]."""
+    levels = np.maximum(robot.friction.forward.static, robot.friction.backward.static)
+    return levels / judgement.stiffness
+
+
+def trials_table(trials, robot):
+    """Return simulated figures as text; ``trials`` is mode -> motion -> Trial."""
+    rows = []
+    for motion in MOTIONS:
+        for mode, found in trials.items():
+            for j, joint in enumerate(robot.joints):
+                rows.append([motion, mode, joint, *_trial_cells(found[motion], j)])
+    return align(['motion', 'compensation', 'joint', 'rms error [mrad]', 'largest',
+                  'at rest p-p', 'rms torque [N m]'], rows)
+
+
+def _trial_cells(trial, j):
+    if trial.lost:
+        return ['lost', '-', '-', '-']
+    hold = '-' if trial.hold is None else f'{1e3 * trial.hold[j]:.3g}'
+    return [f'{1e3 * math.sqrt(trial.mse[j]):.3g}', f'{1e3 * trial.peak[j]:.3g}', hold,
+            f'{trial.torque[j]:.3g}']
+
+
+def verify_text(found, robot):
+    """Return the summary of a Monte-Carlo, from `uncertainty.summary`, as text."""
+    rows = []
+    for name, spread in [*found['rms'].items(), ('at rest p-p', found['hold'])]:
+        if spread is None:
+            continue
+        label = f'{name}, rms error' if name in MOTIONS else name
+        rows += [[label, joint, *(f'{1e3 * spread[key][j]:.3g}' for key in ('median', 'worst')),
+                  str(spread['worst_draw'][j])] for j, joint in enumerate(robot.joints)]
+    margins = ', '.join(f'{joint} {gain:.3g} times and {math.degrees(phase):.1f} degrees'
+                        for joint, gain, phase in zip(robot.joints, found['gain'],
+                                                      found['phase'], strict=True))
+    return '\n'.join([
+        align(['figure [mrad]', 'joint', 'median', 'worst', 'in draw'], rows),
+        f"{found['draws']} robots: {len(found['unstable'])} with an unstable linear loop, "
+        f"{len(found['lost'])} lost in simulation", f'least margins: {margins}'])
+
+
+def as_values(proposal, robot, timing, trials):
+    """Return a proposal as plain values for JSON."""
+    judgement = proposal.judgement
+    report = judgement.conditions
+    return {
+        'met': not proposal.unmet, 'unmet': list(proposal.unmet),
+        'gains': controller_values(proposal.gains, robot.joints),
+        'timing': timing._asdict(), 'conditions': [
+            one.__dict__ | {'met': one.met} for one in report.conditions],
+        'margins': {joint: finite(one._asdict()) for joint, one in zip(
+            robot.joints, judgement.joints, strict=True)},
+        'delay_margin': finite(judgement.delay), 'stable': judgement.stable,
+        'encoder_torque': finite(judgement.jitter.torque.tolist()),
+        'encoder_jitter': finite(judgement.jitter.angle.tolist()),
+        'stuck_decay': finite(judgement.ringing), 'residual_bound': finite(report.residual),
+        'held_error': finite(held_error(judgement, robot).tolist()),
+        'trials': {mode: {motion: one._asdict() for motion, one in found.items()}
+                   for mode, found in trials.items()}}
+
+
+def finite(value):
+    """Return plain values with None for every number that is not finite."""
+    if isinstance(value, dict):
+        return {name: finite(one) for name, one in value.items()}
+    if isinstance(value, list):
+        return [finite(one) for one in value]
+    return float(value) if math.isfinite(value) else None

@@ -1,0 +1,225 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Margins against closed forms and simulation; proposals against what was asked of them."""
+
+from dataclasses import replace
+import json
+import math
+
+from core_runs import joint_friction, single_axis
+from gms_flex_control.cli.main import main
+from gms_flex_control.params.encoder import EncoderParams
+from gms_flex_control.params.friction import FrictionParams, StribeckParams
+from gms_flex_control.params.gains import ControllerParams
+from gms_flex_control.resources import controller_file, robot_file
+from gms_flex_control.schema.build import robot_values
+from gms_flex_control.schema.files import load_controller, load_robot, save_robot
+from gms_flex_control.simulation import closed_loop
+from gms_flex_control.trajectory import builders
+from gms_flex_control.tuning import margins, trial, uncertainty
+from gms_flex_control.tuning.judge import judged
+from gms_flex_control.tuning.linear_loop import linear_loop, Timing
+from gms_flex_control.tuning.propose import Demands, pair, propose
+import numpy as np
+import pytest
+
+NOTHING = StribeckParams(static=[1e-12], coulomb=[1e-12], velocity=[0.01], viscous=[0.0])
+FRICTIONLESS = FrictionParams(forward=NOTHING, backward=NOTHING, stiffness=[[0.0]],
+                              weight=[[1.0]], attraction=[1.0])
+INERTIA, KD, RATE = 0.2, 1.5, 6.0
+STILL = np.zeros(1)
+
+
+def gains_of(**values):
+    one = {'kd_link': KD, 'lambda_link': RATE, 'kd_motor': 0.3, 'lambda_motor': 50.0,
+           'observer_gain': 1.0, 'sign_slope': 50.0, 'filter_bandwidth': 100.0,
+           'torque_limit': 1e6} | values
+    return ControllerParams(compensation='none', **{key: [value] for key, value in one.items()})
+
+
+@pytest.fixture
+def rigid():
+    return single_axis(FRICTIONLESS, INERTIA)
+
+
+@pytest.fixture
+def flexible():
+    """Return an axis with a spring and with encoders as real ones, but for the counting."""
+    axis = single_axis(FRICTIONLESS, INERTIA, stiffness=20.0, motor_inertia=0.01)
+    return replace(axis, encoder=EncoderParams(velocity_cutoff=50.0))
+
+
+def test_a_rigid_axis_has_the_loop_of_a_sampled_double_integrator(rigid):
+    """Closed form of the held torque: L(z), the gain margin 2 m / (c T), and no lower one."""
+    period, m = 2e-3, INERTIA
+    k, c = KD * RATE, KD + m * RATE
+    loop = linear_loop(rigid, rigid, gains_of(), Timing(period, 0.0), STILL)
+    w = np.array([1.0, 10.0, 100.0, 1000.0])
+    z = np.exp(1j * w * period)
+    expected = (0.5 * k * period ** 2 * (z + 1) + c * period * (z - 1)) / m / (z - 1) ** 2
+    np.testing.assert_allclose(margins.open_loop(loop, 0, w), expected, rtol=1e-6)
+    found = margins.joint_margins(loop, 0)
+    assert found.gain_up == pytest.approx(2 * m / (c * period), rel=1e-6)
+    assert found.gain_down == 0.0
+
+
+def test_a_fast_sampled_axis_has_the_margins_of_the_continuous_one(rigid):
+    m, k, c = INERTIA, KD * RATE, KD + INERTIA * RATE
+    w = math.sqrt((c * c + math.sqrt(c ** 4 + 4 * m * m * k * k)) / (2 * m * m))
+    phase = math.atan(c * w / k)
+    timing = Timing(1e-4, 0.0)
+    found = margins.joint_margins(linear_loop(rigid, rigid, gains_of(), timing, STILL), 0)
+    assert found.crossover == pytest.approx(w, rel=1e-3)
+    assert found.phase == pytest.approx(phase - 0.5e-4 * w, rel=1e-3)  # the hold is half late
+    slow = Timing(2e-3, 0.0)
+    delay = margins.delay_margin(rigid, rigid, gains_of(), slow, STILL)
+    assert delay == pytest.approx(phase / w - 1e-3, rel=0.02)
+
+
+def test_a_flexible_joint_has_the_poles_of_the_design(flexible):
+    """Eqs. (22) and (30): Lambda_1 and K_D1 / M, Lambda_2 and K_D2 / J."""
+    ideal = replace(flexible, encoder=EncoderParams())
+    loop = linear_loop(ideal, ideal, gains_of(), Timing(1e-5, 0.0), STILL)
+    poles = np.linalg.eigvals(loop.closed)
+    rates = np.sort(-np.log(poles[np.abs(poles) > 0.5].astype(complex)).real / 1e-5)
+    np.testing.assert_allclose(rates, sorted([RATE, KD / INERTIA, 50.0, 0.3 / 0.01]), rtol=0.01)
+    assert pair(10.0, 1.25, 0.5) == (pytest.approx(0.5 * 20.0), pytest.approx(5.0))
+
+
+@pytest.mark.parametrize('delay', [0.0, 1.5e-3, 2e-3, 5e-3])
+def test_the_linear_loop_moves_as_the_simulated_robot(flexible, delay):
+    """From 1 mrad beside the reference, with velocity filter and delay, sample by sample."""
+    timing, begin = Timing(2e-3, delay), 1e-3
+    run = closed_loop.run(trial.with_delay(flexible, delay), flexible, gains_of(),
+                          builders.hold(STILL), duration=0.4, substeps=200, q_link=[begin])
+    loop = linear_loop(flexible, flexible, gains_of(), timing, STILL)
+    z = np.zeros(len(loop.a))
+    z[[0, 2, 4, 5]] = begin  # link, motor, and what both encoders saw before
+    links = []
+    for _ in run.time:
+        links.append(z[0])
+        z = loop.closed @ z
+    np.testing.assert_allclose(run.true[:, 0, 0], links, atol=2e-2 * begin)
+
+
+def test_at_the_delay_margin_the_simulated_robot_begins_to_swing(flexible):
+    timing = Timing(2e-3, 0.0)
+    margin = margins.delay_margin(flexible, flexible, gains_of(), timing, STILL)
+    assert 1e-3 < margin < 0.05
+    swings = []
+    for delay in (0.93 * margin, 1.07 * margin):
+        run = closed_loop.run(trial.with_delay(flexible, delay), flexible, gains_of(),
+                              builders.hold(STILL), duration=3.0, substeps=100, q_link=[1e-6])
+        swings.append(np.ptp(run.true[-200:, 2, 0]) / np.ptp(run.true[:200, 2, 0]))
+    assert swings[0] < 0.5 and swings[1] > 2.0
+
+
+def test_encoder_noise_causes_the_torque_that_is_told(flexible):
+    noisy = replace(flexible, encoder=EncoderParams(noise=1e-4, velocity_cutoff=50.0))
+    loop = linear_loop(noisy, noisy, gains_of(), Timing(2e-3, 0.0), STILL)
+    told = margins.jitter(loop, noisy.encoder)
+    run = closed_loop.run(noisy, noisy, gains_of(), builders.hold(STILL), duration=60.0)
+    assert told.torque[0] == pytest.approx(run.command[1000:].std(), rel=0.03)
+    assert told.angle[0] == pytest.approx(run.true[1000:, 0].std(), rel=0.1)
+
+
+def test_stuck_blocks_hold_a_link_like_a_spring(rigid):
+    """Without gains the pole is that of k_i and the inertia."""
+    stiff = replace(FRICTIONLESS, stiffness=[[30.0]])
+    robot = replace(rigid, friction=stiff)
+    idle = gains_of(kd_link=0.0, lambda_link=0.0)
+    loop = linear_loop(robot, robot, idle, Timing(1e-3, 0.0), STILL, stuck=True)
+    poles = np.linalg.eigvals(loop.closed)
+    swinging = np.abs(np.log(poles[np.abs(poles.imag) > 1e-6])) / 1e-3
+    assert swinging == pytest.approx(math.sqrt(30.0 / INERTIA), rel=1e-6)
+
+
+@pytest.fixture(scope='module')
+def arm():
+    robot = load_robot(robot_file())
+    return robot, load_controller(controller_file(), robot)
+
+
+def test_a_proposal_holds_what_was_asked_and_is_stiffer_than_the_paper(arm):
+    robot, base = arm
+    demands = Demands(Timing(4e-3, 0.0), base.torque_limit, delay=2e-3)
+    found = propose(robot, base, demands)
+    assert found.unmet == ()
+    again = judged(robot, robot, found.gains, demands.timing)
+    assert again.conditions.met and again.delay >= 2e-3
+    for one, noise in zip(again.joints, again.jitter.torque, strict=True):
+        assert one.gain_up >= 2.0 and one.gain_down <= 0.5 and one.phase >= math.pi / 6
+        assert noise <= 0.1 * 2.0
+    stiffness = found.gains.kd_link * found.gains.lambda_link
+    assert np.all(stiffness > 1.2 * 0.8 * 0.5)
+
+
+def test_what_cannot_be_met_is_told(arm):
+    robot, base = arm
+    demands = Demands(Timing(20e-3, 0.02), base.torque_limit, bandwidth=np.array([40.0, 40.0]))
+    found = propose(robot, base, demands)
+    assert found.unmet and any('joint1' in sentence for sentence in found.unmet)
+
+
+def test_draws_stay_within_the_spread_and_within_intervals(arm):
+    robot, _ = arm
+    name, block = 'friction.joint1.forward.static', 'friction.joint2.stiffness[3]'
+    intervals = {name: (0.2, 0.21), block: (70.0, 71.0)}
+    believed = robot_values(robot)
+    drawn = [uncertainty.draw(robot, intervals, np.random.default_rng(k))[0] for k in range(50)]
+    values = [robot_values(one) for one in drawn]
+    assert all(0.2 <= one[name] <= 0.21 for one in values)
+    assert all(70.0 <= one['friction.joint2.stiffness'][3] <= 71.0 for one in values)
+    for key, spread in (('arm.joint1.stiffness', 0.2), ('arm.joint2.mass', 0.3),
+                        ('friction.joint2.backward.coulomb', 0.3), ('arm.joint1.length', 0.0),
+                        ('arm.joint1.motor_inertia', 0.0)):
+        ratios = np.array([one[key] for one in values]) / believed[key]
+        assert np.all(np.abs(ratios - 1.0) <= spread + 1e-12)
+        assert np.ptp(ratios) >= 1.5 * spread
+
+
+@pytest.fixture
+def axis_file(tmp_path, arm):
+    """Return the file of one flexible axis with the paper's friction."""
+    axis = single_axis(joint_friction(arm[0].friction, 0), 0.3, stiffness=1.5, motor_inertia=0.006)
+    axis = replace(axis, encoder=arm[0].encoder)
+    save_robot(axis, tmp_path / 'axis.yaml')
+    return tmp_path / 'axis.yaml'
+
+
+def test_tune_writes_what_the_controller_loads_and_goes_on_when_killed(
+        tmp_path, axis_file, capsys):
+    """The second run finds all draws in the journal; a third without it draws them again."""
+    args = ['tune', '--robot', str(axis_file), '--torque-limit', '2', '--bandwidth', '6',
+            '--verify', '3', '--json', '--out']
+    assert main([*args, str(tmp_path / 'a')]) == 0
+    told = json.loads(capsys.readouterr().out)
+    gains = load_controller(tmp_path / 'a' / 'controller.yaml', load_robot(axis_file))
+    assert gains.kd_link[0] == told['gains']['gains.axis.kd_link']
+    assert gains.compensation == 'gms' and gains.torque_limit[0] == 2.0
+    assert told['met'] and told['verify']['draws'] == 3 and not told['verify']['lost']
+    assert (tmp_path / 'a' / 'tuning.png').stat().st_size > 10_000
+    journal = tmp_path / 'a' / 'outcomes.jsonl'
+    lines = journal.read_text().splitlines()
+    journal.write_text('\n'.join(lines[:2]) + '\n')
+    assert main([*args, str(tmp_path / 'a')]) == 0
+    assert json.loads(capsys.readouterr().out) == told
+    assert journal.read_text().splitlines()[:2] == lines[:2]
+
+
+def test_tune_says_no_where_nothing_fits(tmp_path, axis_file, capsys):
+    assert main(['tune', '--robot', str(axis_file), '--torque-limit', '2', '--bandwidth', '60',
+                 '--rate', '100', '--out', str(tmp_path / 'no')]) == 1
+    assert 'NOT MET: axis' in capsys.readouterr().out
+    assert not (tmp_path / 'no' / 'controller.yaml').exists()
+
+
+@pytest.mark.parametrize(('args', 'sentence'), [
+    (['--rate', '0'], '--rate 0'), (['--damping', '0.5'], 'at least 1'),
+    (['--torque-limit', '1', '2', '3'], 'each of the 2 joints'),
+    (['--robot', str(robot_file())], '--torque-limit is needed'),
+    (['--verify', '1', '--bandwidth', '4', '--intervals', 'nowhere.json'], 'cannot be read')])
+def test_what_tune_cannot_do_is_refused(tmp_path, capsys, args, sentence):
+    assert main(['tune', '--out', str(tmp_path), *args]) == 2
+    assert sentence in capsys.readouterr().err
