@@ -14,7 +14,7 @@ setup(
     version='0.1.0',
     packages=find_packages(include=[package_name, package_name + '.*']),
     package_data={package_name: ['nodes/*.xml', 'reports/*.css', 'reports/*.js',
-                                 'reports/vendor/*']},
+                                 'reports/vendor/*', 'view/assets/*']},
     data_files=[
         ('share/ament_index/resource_index/packages', ['resource/' + package_name]),
         ('share/' + package_name, ['package.xml']),

@@ -17,7 +17,7 @@ LAYERS = ['errors', 'files', 'batches', 'suggest', 'resources', 'compiled', 'rec
           'recording', 'params', 'friction', 'effects', 'dynamics', 'trajectory', 'control',
           'hardware', 'schema', 'simulation', 'hidden', 'bags', 'experiment', 'analysis',
           'identification', 'discrepancy', 'tuning', 'comparison', 'reports', 'benchmarks',
-          'nodes', 'cli']
+          'view', 'nodes', 'cli']
 ROS = re.compile(r'rclpy|rcl_interfaces|ament_index_python|launch(_ros)?|\w+_(msgs|srvs)')
 BAGS = re.compile(r'rosbags|mcap')
 MODULES = {path.relative_to(ROOT).as_posix(): path for path in sorted(ROOT.rglob('*.py'))

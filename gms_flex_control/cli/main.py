@@ -14,7 +14,7 @@ from gms_flex_control.errors import GmsFlexError
 OK, FINDING_SAYS_NO, BAD_INPUT = 0, 1, 2
 VERBS = ('demo', 'demo_identify', 'simulate', 'record', 'info', 'repair', 'analyse', 'import_csv',
          'check_gains', 'tune', 'bench', 'torsion', 'identify', 'discrepancy', 'recover', 'hide',
-         'score', 'faults', 'urdf')
+         'score', 'faults', 'view', 'urdf')
 
 
 def build_parser():

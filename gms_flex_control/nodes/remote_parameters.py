@@ -1,0 +1,131 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Another node's parameters, asked for from threads that do not spin."""
+
+from functools import partial
+import threading
+
+from rcl_interfaces.msg import ParameterType
+from rcl_interfaces.srv import (
+    DescribeParameters,
+    GetParameters,
+    ListParameters,
+    SetParameters,
+)
+from rclpy.parameter import Parameter, parameter_value_to_python
+
+_BOUND = 3.0  # of waiting for an answer [s]
+_SERVICES = {ListParameters: 'list_parameters', GetParameters: 'get_parameters',
+             DescribeParameters: 'describe_parameters', SetParameters: 'set_parameters'}
+
+
+class RemoteParameters:
+    """
+    Clients of the parameter services of one node.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Which calls.
+    name : str
+        Full name of the other.
+    do : callable
+        Takes a callable that the spinning thread is to call soon.
+
+    """
+
+    def __init__(self, node, name, do):
+        self._do = do
+        self._clients = {kind: node.create_client(kind, f'{name}/{service}')
+                         for kind, service in _SERVICES.items()}
+
+    def is_ready(self):
+        """Return whether the node answers."""
+        return all(client.service_is_ready() for client in self._clients.values())
+
+    def ask_all(self, then):
+        """Call ``then`` with all values by name once they are there; only while spinning."""
+        if not self.is_ready():
+            return
+
+        def with_names(future):
+            names = list(future.result().result.names)
+            values = self._clients[GetParameters].call_async(GetParameters.Request(names=names))
+            values.add_done_callback(partial(with_values, names))
+
+        def with_values(names, future):
+            then({name: parameter_value_to_python(value)
+                  for name, value in zip(names, future.result().values, strict=True)})
+
+        self._clients[ListParameters].call_async(
+            ListParameters.Request()).add_done_callback(with_names)
+
+    def describe(self, prefixes):
+        """
+        Return the parameters below some prefixes.
+
+        Parameters
+        ----------
+        prefixes : sequence of str
+            Such as ``gains``; a whole name as well.
+
+        Returns
+        -------
+        list of dict or None
+            Name, value, description, lower and upper (None without a range), choices and
+            read_only of each, in the order of the node; None if it does not answer in time.
+
+        """
+        listed = self._call(ListParameters, ListParameters.Request())
+        if listed is None:
+            return None
+        names = [name for name in listed.result.names if name.split('.')[0] in prefixes]
+        values = self._call(GetParameters, GetParameters.Request(names=names))
+        described = self._call(DescribeParameters, DescribeParameters.Request(names=names))
+        if values is None or described is None:
+            return None
+        return [_described(name, parameter_value_to_python(value), descriptor)
+                for name, value, descriptor in zip(
+                    names, values.values, described.descriptors, strict=True)]
+
+    def change(self, name, value):
+        """Set one parameter; return accepted, reason and value then, None without an answer."""
+        message = Parameter(name, value=value).to_parameter_msg()
+        answer = self._call(SetParameters, SetParameters.Request(parameters=[message]))
+        now = self._call(GetParameters, GetParameters.Request(names=[name]))
+        if answer is None or now is None:
+            return None
+        result = answer.results[0]
+        return {'accepted': result.successful, 'reason': result.reason,
+                'value': parameter_value_to_python(now.values[0]) if now.values else None}
+
+    def _call(self, kind, request):
+        """Return the response of the node, None if there is none in time."""
+        done, answers = threading.Event(), []
+
+        def finish(future):
+            answers.append(future.result())
+            done.set()
+
+        def begin():
+            client = self._clients[kind]
+            if client.service_is_ready():
+                client.call_async(request).add_done_callback(finish)
+            else:
+                done.set()
+        self._do(begin)
+        done.wait(_BOUND)
+        return answers[0] if answers else None
+
+
+def _described(name, value, descriptor):
+    ranges = descriptor.floating_point_range or descriptor.integer_range
+    choices = []
+    if value is not None and descriptor.type == ParameterType.PARAMETER_STRING and \
+            descriptor.additional_constraints.startswith('one of '):
+        choices = descriptor.additional_constraints.removeprefix('one of ').split(', ')
+    return {'name': name, 'value': value, 'description': descriptor.description,
+            'lower': ranges[0].from_value if ranges else None,
+            'upper': ranges[0].to_value if ranges else None, 'choices': choices,
+            'read_only': descriptor.read_only}

@@ -1,0 +1,170 @@
+/* Copyright 2026 The gms_flex_control authors
+   Licensed under the Apache License, Version 2.0; see the LICENSE file. */
+import {Arm, JointTable, sentence} from './arm.js';
+import {BlockBars, BlockStrip} from './blocks.js';
+import {Plots} from './charts.js';
+import {Gains} from './gains.js';
+import {calm, element} from './numbers.js';
+import {ask, BagSource, LiveSource} from './sources.js';
+import {Transport} from './transport.js';
+
+const REDRAW = 100;      // of live plots [ms]
+const CALM = 300;        // of everything, for those who asked for less motion [ms]
+const RETRY = 1000;      // [ms]
+const at = (id) => document.getElementById(id);
+let shown = null;        // the view on the page
+
+/* One session on the page: a bag, or the running loop with one set of columns. */
+class View {
+  constructor(session) {
+    this.session = session;
+    this.live = session.mode === 'live';
+    this.source = this.live ? new LiveSource(session) : new BagSource(session);
+    this.source.failed = (error) => this.tell(error.message);
+    this.source.told = (text) => this.tell(text);
+    this.source.outdated = begin;
+    at('title').textContent = session.title;
+    document.title = `${session.title} · gms_flex view`;
+    at('badge').hidden = !this.live;
+    at('badge').textContent = 'live';
+    at('notes').replaceChildren(...session.notes.map((text) => element('p', {class: 'note'}, text)));
+    this.transport = new Transport(at('transport'), session, this.source);
+    this.transport.changed = () => this.paced();
+    this.transport.sought = () => this.show(true);
+    this.transport.zoomed = (factor) => this.zoom(factor);
+    this.arm = new Arm(at('arm'), at('keys-arm'), session);
+    this.build();
+    if (this.live) this.gains = new Gains(at('gains'), session);
+    this.before = performance.now();
+    this.drawn = 0;
+    this.paced();
+    requestAnimationFrame((now) => this.tick(now));
+  }
+
+  tell(text) { if (at('state').textContent !== text) at('state').textContent = text; }
+
+  /* Everything that depends on which signals there are. */
+  build() {
+    const has = (signal) => this.source.has(signal);
+    this.built = ['link', 'motor', 'reference', 'command', 'friction', 'stick'].map(has).join();
+    if (this.plots) this.plots.destroy();
+    this.plots = new Plots(at('plots'), at('chips'), this.session, this.source,
+      (time) => this.transport.seek(time));
+    this.plots.moved = () => { this.byHand = true; if (this.live) this.transport.pause(); };
+    this.table = new JointTable(at('joints'), this.session, has);
+    const missing = this.plots.missing.slice();
+    this.bars = this.strip = null;
+    at('blocks').hidden = true;
+    if (has('stick')) {
+      this.bars = new BlockBars(at('blocks'), this.session);
+      this.strip = new BlockStrip(at('plots'), this.session, this.plots);
+      this.plots.drawn = (table) => this.strip.draw(table);
+    } else missing.push(this.live ? 'friction blocks: the controller publishes none'
+      : 'friction blocks: neither in the bag nor computed, which takes a robot file');
+    at('missing').replaceChildren(...missing.map((text) => element('li', {}, `No ${text}.`)));
+    this.plots.refresh();
+  }
+
+  paced() {
+    const {transport} = this;
+    this.source.setPace(transport.playing ? transport.speed / 60 : 0);
+    if (transport.playing) this.byHand = false;
+    else this.show(true);
+  }
+
+  zoom(factor) {
+    if (factor === Infinity) this.plots.reset();
+    else this.plots.zoom(this.transport.time, factor);
+  }
+
+  /* Draw the moment; with `settled` also once its frames have been loaded. */
+  show(settled = false) {
+    const {transport, source, plots} = this, {time} = transport;
+    transport.show();
+    const frame = source.frame(time);
+    if (frame) {
+      if (this.live) this.arm.makeRoom(frame);
+      this.arm.show(frame, time, (past) => (past >= source.begin ? source.frame(past) : null));
+      this.table.show(frame);
+      if (this.bars) this.bars.show(frame);
+      plots.point(frame, time);
+      if (this.strip) this.strip.point(time);
+      document.documentElement.dataset.time = time.toFixed(4);
+    }
+    if (!settled) return;
+    if (!frame) source.ready(time).then(() => {
+      if (source.frame(time) && transport.time === time) this.show(true);
+    });
+    else at('spoken').textContent = transport.playing ? '' : sentence(this.session, frame, time);
+  }
+
+  /* The window goes along with the time. */
+  follow(now) {
+    const {plots, transport, source} = this;
+    if (this.live) {
+      if (!transport.playing || now - this.drawn < (calm.matches ? 3 * REDRAW : REDRAW)) return;
+      this.drawn = now;
+      plots.show(Math.max(source.begin, source.end - transport.window), source.end, false);
+      if (['link', 'motor', 'reference', 'command', 'friction', 'stick'].map(
+        (signal) => source.has(signal)).join() !== this.built) this.build();
+    } else if (transport.playing && (transport.time > plots.max || transport.time < plots.min)) {
+      const width = plots.max - plots.min;
+      plots.show(transport.time, transport.time + width, false);
+    }
+  }
+
+  tick(now) {
+    if (this.over) return;
+    requestAnimationFrame((next) => this.tick(next));
+    if (calm.matches && now - this.before < CALM) return;
+    const seconds = Math.min((now - this.before) / 1000, 0.5);
+    this.before = now;
+    if (this.transport.advance(seconds)) {
+      this.follow(now);
+      this.show();
+    }
+  }
+
+  close() {
+    this.over = true;
+    this.transport.destroy();
+    this.plots.destroy();
+    if (this.gains) this.gains.destroy();
+    if (this.live) this.source.close();
+  }
+}
+
+async function begin() {
+  try {
+    const session = await (await ask('/api/session')).json();
+    if (shown) shown.close();
+    shown = null;
+    if (!session.scene) {
+      wait();
+      return;
+    }
+    shown = new View(session);
+    const wanted = Number(new URLSearchParams(location.hash.slice(1)).get('t'));
+    if (wanted && !shown.live) shown.transport.seek(wanted);
+    document.documentElement.dataset.ready = session.mode;
+  } catch (error) {
+    at('state').textContent = error instanceof TypeError
+      ? 'gms_flex view has ended or cannot be reached' : error.message;
+    setTimeout(begin, RETRY);
+  }
+}
+
+/* Nothing is known yet: listen until something is. */
+function wait() {
+  const events = new EventSource('/api/live');
+  events.onmessage = (event) => {
+    const {state, version} = JSON.parse(event.data);
+    at('state').textContent = state;
+    if (!version) return;
+    events.close();
+    begin();
+  };
+  events.onerror = () => { events.close(); setTimeout(begin, RETRY); };
+}
+
+begin();

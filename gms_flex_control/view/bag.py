@@ -1,0 +1,198 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""A bag as the page asks for it: a summary, frames to play, and what a chart can show."""
+
+from pathlib import Path
+import warnings
+
+from gms_flex_control.bags.blocks import read_blocks
+from gms_flex_control.bags.reader import joint_names, read_recording
+from gms_flex_control.bags.source import BagWarning
+from gms_flex_control.errors import BagError
+from gms_flex_control.reports.series import decimate
+from gms_flex_control.view.columns import column_names, columns_of, present
+from gms_flex_control.view.friction import blocks_along
+from gms_flex_control.view.scene import extent, scene_of, unknown_scene
+import numpy as np
+
+CHUNK = 1024         # samples of one answer with frames, about
+LEVELS = 24          # of skipping every second sample once more
+_MOST_POINTS = 8000  # of one line in an answer
+
+
+def open_bag(path, robot=None, *, default=None, joints=None, motors=None):
+    """
+    Read a bag for viewing.
+
+    Parameters
+    ----------
+    path : str or Path
+        Bag folder or file.
+    robot : RobotParams, optional
+        The robot it was recorded on.
+    default : RobotParams, optional
+        Taken instead if its joints have the names of the bag's; the page says so.
+    joints, motors : sequence of str, optional
+        As `read_recording`.
+
+    Returns
+    -------
+    BagView
+
+    Raises
+    ------
+    BagError
+        If the bag cannot be read, or its joints are not those of ``robot``.
+
+    """
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter('always', BagWarning)
+        if joints is None and robot is not None:
+            there = joint_names(path)
+            joints = robot.joints
+            motors = motors or [name if name in there else '' for name in robot.motors]
+        recording = read_recording(path, joints, motors)
+    notes = [str(item.message) for item in caught if issubclass(item.category, BagWarning)]
+    if robot is not None and robot.n_joints != recording.n_joints:
+        raise BagError(f'{path}: has {recording.n_joints} joints '
+                       f'({", ".join(recording.joints)}), the robot file '
+                       f'{robot.n_joints}; name the robot of this bag')
+    if robot is None and default is not None and tuple(default.joints) == recording.joints:
+        robot = default
+        notes.append('drawn as the arm of config/robot.yaml, whose joints have the same names; '
+                     '--robot FILE names another')
+    torque, sticking = (values if values is not None and np.isfinite(values).any() else None
+                        for values in read_blocks(path, recording.time, recording.n_joints))
+    origin = 'observer'
+    if sticking is None and robot is not None:
+        origin = 'model'
+        torque, sticking = blocks_along(recording, robot.friction)
+    flexible = np.isfinite(recording.q_motor).any(axis=0)
+    scene = unknown_scene(recording.joints, flexible) if robot is None else scene_of(robot)
+    if not scene.known:
+        notes.append('lengths and friction are not known: links drawn alike; --robot FILE '
+                     'names the robot file')
+    return BagView(recording, scene, torque, sticking, origin=origin, notes=notes,
+                   title=Path(path).resolve().name)
+
+
+class BagView:
+    """
+    One recording, ready to be asked by the page.
+
+    Parameters
+    ----------
+    recording : Recording
+        Of T samples and n joints.
+    scene : Scene
+        How to draw the robot.
+    torque, sticking : ndarray, shape (T, n, N), or None
+        Of the friction blocks.
+    origin : {'observer', 'model'}
+        Where these come from.
+    notes : sequence of str
+        What somebody who looks at it should know.
+    title : str
+        Of the page.
+
+    """
+
+    live = False
+
+    def __init__(self, recording, scene, torque=None, sticking=None, *, origin='observer',
+                 notes=(), title=''):
+        self._columns = columns_of(recording, torque, sticking)
+        self._time = self._columns['time']
+        self._period = recording.period
+        self._scene, self._notes, self._title = scene, list(notes), title
+        blocks = next((values.shape[2] for values in (sticking, torque) if values is not None), 0)
+        self._names = column_names(recording.n_joints, blocks)
+        found = present(self._columns)
+        twist = [self._columns[f'twist.{j}'] for j in range(recording.n_joints)]
+        self._summary = {
+            'signals': found, 'blocks': {'count': blocks, 'origin': origin if blocks else ''},
+            'twist': max((float(np.nanmax(np.abs(one))) for one in twist
+                          if np.isfinite(one).any()), default=0.0),
+            'extent': extent(scene, recording.q_link)}
+
+    def session(self):
+        """Return what the page has to know before it draws, as a dict for JSON."""
+        return {'mode': 'bag', 'title': self._title, 'notes': self._notes,
+                'scene': self._scene.as_dict(), 'columns': self._names, 'begin': 0.0,
+                'end': float(self._time[-1]), 'period': self._period, 'chunk': CHUNK,
+                'controller': '', **self._summary}
+
+    def frames(self, level, chunk):
+        """
+        Return samples to play.
+
+        Parameters
+        ----------
+        level : int
+            Every 2**level-th sample, 0 to LEVELS.
+        chunk : int
+            Which piece of CHUNK * 2**level periods.
+
+        Returns
+        -------
+        ndarray, shape (columns, rows)
+
+        """
+        stride = 2 ** min(max(level, 0), LEVELS)
+        span = CHUNK * stride * self._period
+        first, last = np.searchsorted(self._time, [chunk * span, (chunk + 1) * span])
+        while (last - first) // stride > 4 * CHUNK:  # stamps in bursts
+            stride *= 2
+        rows = slice(-(-int(first) // stride) * stride, int(last), stride)
+        return self._table(rows)
+
+    def plots(self, begin, end, points):
+        """
+        Return what a chart of so many pixels can show of a stretch.
+
+        Parameters
+        ----------
+        begin, end : float
+            Of the stretch [s].
+        points : int
+            At most so many of each line.
+
+        Returns
+        -------
+        ndarray, shape (columns, rows)
+            The samples if they are few; else per bucket the smallest and the largest value in
+            the order they occur, and of ``stick`` the mean twice.
+
+        """
+        first = max(0, int(np.searchsorted(self._time, begin)) - 1)
+        last = min(len(self._time), int(np.searchsorted(self._time, end, side='right')) + 1)
+        points = 2 * (min(max(int(points), 2), _MOST_POINTS) // 2)
+        if last - first <= points:
+            return self._table(slice(first, last))
+        time = self._time[first:last]
+        edges = np.linspace(0, len(time), points // 2 + 1).astype(int)[:-1]
+        extremes = [name for name in self._names[1:]
+                    if name in self._columns and not name.startswith('stick')]
+        grid, values = decimate(time, [self._columns[name][first:last] for name in extremes],
+                                points)
+        lines = dict(zip(extremes, values, strict=True))
+        for name in self._names:
+            if name.startswith('stick') and name in self._columns:
+                lines[name] = np.repeat(_means(self._columns[name][first:last], edges), 2)
+        nothing = np.full(len(grid), np.nan)
+        return np.stack([grid, *(lines.get(name, nothing) for name in self._names[1:])])
+
+    def _table(self, rows):
+        time = self._time[rows]
+        nothing = np.full(len(time), np.nan)
+        return np.stack([self._columns[name][rows] if name in self._columns else nothing
+                         for name in self._names]).astype(float)
+
+
+def _means(values, edges):
+    """Return the mean of what is known in each bucket, NaN where nothing is."""
+    known = np.isfinite(values)
+    count = np.add.reduceat(known.astype(float), edges)
+    total = np.add.reduceat(np.where(known, values, 0.0), edges, dtype=float)
+    return np.divide(total, count, out=np.full(len(edges), np.nan), where=count > 0)

@@ -1,0 +1,185 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Messages of a running loop put together to rows by the stamp of their joint state."""
+
+from collections import deque
+import threading
+
+from gms_flex_control.view.columns import column_names, PER_JOINT
+import numpy as np
+
+WAIT = 0.08          # a row waits so long for what belongs to it [s]
+KEPT = 60_000        # rows that a page which opens late still gets
+_MOST_WAITING = 2000
+_MOST_AT_ONCE = 4000  # rows of one event
+_REACH = 20_000_000   # a reference further away is none [ns]
+_JUMP = 1.0           # stamps that go back or ahead by more are another run [s]
+
+
+class Rows:
+    """
+    What has come in, for any number of pages at their own pace.
+
+    Parameters
+    ----------
+    n, blocks : int
+        Joints, and friction blocks of each.
+
+    """
+
+    def __init__(self, n, blocks):
+        self.names = column_names(n, blocks)
+        self._n, self._blocks = n, blocks
+        self._place = {'block': 1 + len(PER_JOINT) * n}
+        self._place |= {signal: 1 + PER_JOINT.index(signal) * n for signal in PER_JOINT}
+        self._place['stick'] = self._place['block'] + n * blocks
+        self._waiting = {}  # stamp [ns]: (when it came [s], row)
+        self._references = deque(maxlen=64)  # stamp, angles of those that came ahead
+        self._newest = self._origin = None
+        self.restarted = False
+
+    def put_state(self, stamp, now, link, motor):
+        """
+        Begin a row.
+
+        Parameters
+        ----------
+        stamp : int
+            Of the joint state [ns].
+        now : float
+            Monotonic time [s].
+        link, motor : sequence of float
+            Angles [rad], NaN where there is none.
+
+        """
+        ahead = 0.0 if self._newest is None else (stamp - self._newest) * 1e-9
+        if abs(ahead) > _JUMP:
+            self._waiting.clear()
+            self._origin, self.restarted = None, True
+        elif self._newest is not None and ahead <= 0.0:
+            return  # sent again, or overtaken
+        if self._origin is None:
+            self._origin = stamp
+        self._newest = stamp
+        row = np.full(len(self.names), np.nan)
+        row[0] = (stamp - self._origin) * 1e-9
+        self._write(row, 'link', link)
+        self._write(row, 'motor', motor)
+        if len(self._waiting) < _MOST_WAITING:
+            self._waiting[stamp] = now, row
+
+    def put(self, signal, stamp, values):
+        """
+        Add values to the row of a stamp.
+
+        Parameters
+        ----------
+        signal : str
+            ``reference``, ``error``, ``command``, ``friction``, ``block`` or ``stick``.
+        stamp : int or None
+            Of the joint state they belong to [ns]; None for the newest.
+        values : sequence of float
+            One per joint or block.
+
+        """
+        if signal == 'reference':  # stamped ahead of the state it is for
+            self._references.append((self._newest if stamp is None else stamp, list(values)))
+            return
+        stamp = self._newest if stamp is None else stamp
+        if stamp in self._waiting:
+            self._write(self._waiting[stamp][1], signal, values)
+
+    def _write(self, row, signal, values):
+        room = self._n * (self._blocks if signal in ('block', 'stick') else 1)
+        if len(values) == room:
+            start = self._place[signal]
+            row[start:start + room] = values
+
+    def take(self, now):
+        """Return the rows that have waited long enough, shape (rows, columns)."""
+        ready = []
+        for stamp, (came, row) in list(self._waiting.items()):
+            if now - came < WAIT:
+                break
+            self._add_reference(stamp, row)
+            ready.append(row)
+            del self._waiting[stamp]
+        if not ready:
+            return np.empty((0, len(self.names)))
+        table = np.stack(ready)
+        link, motor, reference, error, twist = (self._part(table, name) for name in (
+            'link', 'motor', 'reference', 'error', 'twist'))
+        twist[:] = motor - link
+        error[:] = np.where(np.isfinite(error), error, link - reference)
+        reference[:] = link - error
+        return table
+
+    def _part(self, table, signal):
+        """Return the columns of one signal as a view."""
+        return table[:, self._place[signal]:self._place[signal] + self._n]
+
+    def _add_reference(self, stamp, row):
+        label, angles = min(self._references, default=(None, ()), key=lambda item: abs(
+            item[0] - stamp))
+        if label is not None and abs(label - stamp) <= _REACH:
+            self._write(row, 'reference', angles)
+
+
+class Feed:
+    """Rows that several threads may wait for."""
+
+    def __init__(self):
+        self._condition = threading.Condition()
+        self._rows, self._count = deque(maxlen=KEPT), 0
+        self.version, self._state = 0, ''
+
+    def begin_anew(self):
+        """Forget all rows: names or meaning of the columns have changed."""
+        with self._condition:
+            self._rows.clear()
+            self.version += 1
+            self._condition.notify_all()
+
+    def add(self, rows, state):
+        """Add rows (T, columns), and say in a sentence what is missing ('' for nothing)."""
+        with self._condition:
+            changed = state != self._state
+            self._rows.extend(rows)
+            self._count += len(rows)
+            self._state = state
+            if changed or len(rows):
+                self._condition.notify_all()
+
+    def since(self, number, wait):
+        """
+        Return the rows behind a number, as soon as there are any.
+
+        Parameters
+        ----------
+        number : int
+            Rows seen so far, from the last call; 0 for all that are kept.
+        wait : float
+            At most so long [s].
+
+        Returns
+        -------
+        number : int
+            For the next call.
+        version : int
+            Grows when the columns change.
+        state : str
+            What is missing.
+        rows : ndarray, shape (T, columns)
+
+        """
+        with self._condition:
+            version, state = self.version, self._state
+            self._condition.wait_for(lambda: self._count > number or self.version != version
+                                     or self._state != state, wait)
+            fresh = min(self._count - number, len(self._rows))
+            skipped = len(self._rows) - fresh
+            taken = min(fresh, _MOST_AT_ONCE)
+            rows = [self._rows[k] for k in range(skipped, skipped + taken)]
+            number = self._count - fresh + taken
+            return number, self.version, self._state, np.array(rows)

@@ -1,0 +1,256 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""The page over HTTP: a few fixed addresses, nothing of the file system."""
+
+import base64
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from importlib.resources import files
+import json
+import socket
+import threading
+from urllib.parse import parse_qs, urlsplit
+
+from gms_flex_control.errors import GmsFlexError
+from gms_flex_control.view.access import Access, LOOPBACK
+import numpy as np
+
+POLICY = ("default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; "
+          "img-src 'self' data:; connect-src 'self'; base-uri 'none'; form-action 'none'; "
+          "frame-ancestors 'none'")
+_LARGEST_BODY = 10_000  # bytes
+_PATIENCE = 30.0        # for a request to come whole, or a piece to be taken [s]
+_HEARTBEAT = 1.0        # at most so long without an event [s]
+_TYPES = {'html': 'text/html; charset=utf-8', 'css': 'text/css; charset=utf-8',
+          'js': 'text/javascript; charset=utf-8', 'svg': 'image/svg+xml',
+          'json': 'application/json', 'bin': 'application/octet-stream'}
+_OWN = ('index.html', 'view.css', 'icon.svg', 'main.js', 'sources.js', 'arm.js', 'shapes.js',
+        'charts.js', 'blocks.js', 'gains.js', 'transport.js', 'numbers.js')
+_SHARED = {'report.css': 'report.css', 'uPlot.css': 'vendor/uPlot.min.css',
+           'uPlot.js': 'vendor/uPlot.iife.min.js'}
+
+
+class ServerError(GmsFlexError):
+    """The page cannot be served where it was asked for."""
+
+
+class _BadRequest(Exception):
+    """What was asked for makes no sense; the message says why."""
+
+
+def assets():
+    """Return the files of the page by name, as bytes."""
+    own, shared = files('gms_flex_control.view') / 'assets', files('gms_flex_control.reports')
+    found = {name: (own / name).read_bytes() for name in _OWN}
+    return found | {name: (shared / path).read_bytes() for name, path in _SHARED.items()}
+
+
+class ViewServer(ThreadingHTTPServer):
+    """
+    Serve one view until it is closed.
+
+    Parameters
+    ----------
+    view : object
+        ``live`` (bool) and ``session()``; a bag has ``frames(level, chunk)`` and
+        ``plots(begin, end, points)``, a live one ``since(number, wait)``, ``parameters()`` and
+        ``set_parameter(name, value)``.
+    host : str
+        Address to listen on.
+    port : int
+        0 takes a free one.
+    may_set : bool
+        Whether the page may set parameters.
+
+    Raises
+    ------
+    ServerError
+        If the address cannot be listened on.
+
+    """
+
+    daemon_threads = True
+    block_on_close = False
+
+    def __init__(self, view, host=LOOPBACK, port=0, *, may_set=True):
+        self.view, self.access = view, Access(host, may_set)
+        self.files = assets()
+        self.stopped = threading.Event()
+        if ':' in host:
+            self.address_family = socket.AF_INET6
+        try:
+            super().__init__((host, port), _Handler)
+        except (OSError, OverflowError) as error:
+            reason = getattr(error, 'strerror', None) or str(error)
+            raise ServerError(f'{host}:{port} cannot be listened on ({reason.lower()}); is '
+                              'another gms_flex view running there? Name another --port, or '
+                              '--port 0 for a free one') from error
+        self._thread = threading.Thread(target=self.serve_forever, args=(0.1,), name='http',
+                                        daemon=True)
+
+    @property
+    def url(self):
+        """Return the address of the page (str)."""
+        host, port = self.server_address[:2]
+        return f'http://{f"[{host}]" if ":" in host else host}:{port}/'
+
+    def __enter__(self):
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_):
+        self.stopped.set()
+        self.shutdown()
+        self.server_close()
+        self._thread.join()
+
+    def handle_error(self, request, client_address):
+        """Say nothing of a browser that has gone; it does so whenever a page is closed."""
+
+
+class _Handler(BaseHTTPRequestHandler):
+    protocol_version = 'HTTP/1.1'
+    server_version, sys_version = 'gms_flex', ''
+    timeout = _PATIENCE
+
+    def do_GET(self):
+        self._answer(self._get)
+
+    def do_HEAD(self):
+        self._answer(self._get)
+
+    def do_POST(self):
+        self._answer(self._post)
+
+    def log_message(self, *_):
+        """Print nothing: the terminal belongs to whoever started the tool."""
+
+    def _answer(self, method):
+        refusal = self.server.access.refusal_of_host(self.headers.get('Host'))
+        if refusal:
+            self._refuse(HTTPStatus.FORBIDDEN, refusal)
+            return
+        url = urlsplit(self.path)
+        try:
+            method(url.path, parse_qs(url.query))
+        except _BadRequest as error:
+            self._refuse(HTTPStatus.BAD_REQUEST, str(error))
+        except GmsFlexError as error:
+            self._refuse(HTTPStatus.SERVICE_UNAVAILABLE, str(error))
+
+    def _get(self, path, query):
+        view, name = self.server.view, path.removeprefix('/assets/')
+        if path == '/':
+            page = self.server.files['index.html']
+            self._send(page.replace(b'{token}', self.server.access.token.encode()), 'html')
+        elif path.startswith('/assets/') and name in self.server.files:
+            self._send(self.server.files[name], name.rpartition('.')[2])
+        elif path == '/api/session':
+            self._send_json(view.session() | {'may_set': self.server.access.may_set})
+        elif path == '/api/frames' and not view.live:
+            self._send_table(view.frames(_whole(query, 'level'), _whole(query, 'chunk')))
+        elif path == '/api/plots' and not view.live:
+            self._send_table(view.plots(_number(query, 'from'), _number(query, 'to'),
+                                        _whole(query, 'points')))
+        elif path == '/api/live' and view.live:
+            self._stream()
+        elif path == '/api/parameters' and view.live:
+            self._send_json(view.parameters())
+        else:
+            self._refuse(HTTPStatus.NOT_FOUND, f'there is nothing at {path[:200]}')
+
+    def _post(self, path, _query):
+        size = _size(self.headers.get('Content-Length'))
+        body = self.rfile.read(size)
+        refusal = self.server.access.refusal_of_change(self.headers)
+        if refusal:
+            self._refuse(HTTPStatus.FORBIDDEN, refusal)
+        elif path != '/api/parameters' or not self.server.view.live:
+            self._refuse(HTTPStatus.NOT_FOUND, f'nothing can be set at {path[:200]}')
+        else:
+            name, value = _change(body)
+            self._send_json(self.server.view.set_parameter(name, value))
+
+    def _stream(self):
+        """Send what comes in as server-sent events until the page or the server goes."""
+        self._begin(HTTPStatus.OK, 'text/event-stream', None)
+        number = 0
+        while not self.server.stopped.is_set():
+            number, version, state, rows = self.server.view.since(number, _HEARTBEAT)
+            event = {'version': version, 'state': state}
+            if len(rows):
+                event['rows'] = base64.b64encode(
+                    np.ascontiguousarray(rows, dtype='<f8').tobytes()).decode()
+            self.wfile.write(f'data: {json.dumps(event)}\n\n'.encode())
+            self.wfile.flush()
+
+    def _send_json(self, value):
+        self._send(json.dumps(value, allow_nan=False).encode(), 'json')
+
+    def _send_table(self, table):
+        self._send(np.ascontiguousarray(table, dtype='<f8').tobytes(), 'bin')
+
+    def _send(self, body, kind, status=HTTPStatus.OK):
+        self._begin(status, _TYPES[kind], len(body))
+        if self.command != 'HEAD':
+            self.wfile.write(body)
+
+    def _refuse(self, status, reason):
+        self.close_connection = True
+        self._send(json.dumps({'reason': reason}).encode(), 'json', status)
+
+    def _begin(self, status, kind, length):
+        self.send_response(status)
+        self.send_header('Content-Type', kind)
+        self.send_header('Content-Security-Policy', POLICY)
+        self.send_header('X-Content-Type-Options', 'nosniff')
+        self.send_header('Referrer-Policy', 'no-referrer')
+        self.send_header('Cross-Origin-Resource-Policy', 'same-origin')
+        self.send_header('Cache-Control', 'no-store')
+        if length is None:
+            self.close_connection = True
+        else:
+            self.send_header('Content-Length', str(length))
+        if self.close_connection:
+            self.send_header('Connection', 'close')
+        self.end_headers()
+
+
+def _number(query, name):
+    """Return one finite number of a query; refuse anything else."""
+    text = query.get(name, [''])[0]
+    try:
+        value = float(text)
+    except ValueError:
+        value = np.nan
+    if not np.isfinite(value):
+        raise _BadRequest(f'{name} must be a number, got {text[:80]!r}')
+    return value
+
+
+def _whole(query, name):
+    value = _number(query, name)
+    if not 0.0 <= value < 1e9:
+        raise _BadRequest(f'{name} must be a whole number from 0 on, got {value:g}')
+    return int(value)
+
+
+def _size(text):
+    if text is None or not text.isdecimal() or int(text) > _LARGEST_BODY:
+        raise _BadRequest(f'a change has a length of at most {_LARGEST_BODY} bytes, '
+                          f'got {(text or "none")[:40]!r}')
+    return int(text)
+
+
+def _change(body):
+    """Return name and value of a parameter to be set."""
+    try:
+        change = json.loads(body)
+        name, value = change['name'], change['value']
+    except (ValueError, TypeError, KeyError, RecursionError):
+        raise _BadRequest('a change is JSON with name and value') from None
+    if not isinstance(name, str) or isinstance(value, bool) or not isinstance(
+            value, (int, float, str)):
+        raise _BadRequest('a change has a name and a number or text')
+    return name, value

@@ -1,0 +1,364 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""`gms_flex view` without a browser: columns, decimation, rows of a running loop, the server."""
+
+from dataclasses import replace
+import http.client
+import json
+import re
+import signal
+import socket
+import subprocess
+import sys
+
+from core_runs import single_axis
+from gms_flex_control.bags.blocks import read_blocks
+from gms_flex_control.bags.cdr import JOINT_STATE, MULTI_ARRAY, pack_joint_states
+from gms_flex_control.bags.messages import pack_blocks
+from gms_flex_control.bags.writer import BagWriter
+from gms_flex_control.cli.main import main
+from gms_flex_control.errors import BagError
+from gms_flex_control.friction import gms
+from gms_flex_control.recording import Recording
+from gms_flex_control.view.access import Access
+from gms_flex_control.view.bag import BagView, CHUNK, open_bag
+from gms_flex_control.view.friction import blocks_along
+from gms_flex_control.view.live import Feed, Rows
+from gms_flex_control.view.scene import extent, scene_of, unknown_scene
+from gms_flex_control.view.server import ServerError, ViewServer
+import numpy as np
+import pytest
+
+PERIOD = 0.01
+
+
+def recording(samples=5000, n=2, **changes):
+    """Return a recording of n joints with everything in it."""
+    time = PERIOD * np.arange(samples)
+    link = np.sin(time[:, None] + np.arange(n))
+    fields = {'q_link': link, 'dq_link': np.cos(time[:, None] + np.arange(n)),
+              'q_motor': link + 0.1, 'dq_motor': 0.0 * link, 'tau_motor': 0.0 * link,
+              'command': 2.0 * link, 'friction_hat': 0.3 * link,
+              'reference': np.repeat((link - 0.002)[:, None], 5, axis=1)} | changes
+    return Recording(joints=tuple(f'joint{j + 1}' for j in range(n)), time=time, source='made up',
+                     **fields)
+
+
+def view_of(recorded, torque=None, sticking=None):
+    """Return a BagView and a function that takes a column out of its tables."""
+    flexible = np.isfinite(recorded.q_motor).any(axis=0)
+    view = BagView(recorded, unknown_scene(recorded.joints, flexible), torque, sticking)
+    names = view.session()['columns']
+    return view, lambda table, name: table[names.index(name)]
+
+
+def test_frames_of_every_level_are_the_samples_in_order():
+    recorded = recording()
+    view, column = view_of(recorded)
+    for level in (0, 2):
+        stride, span = 2 ** level, CHUNK * PERIOD * 2 ** level
+        tables = [view.frames(level, chunk) for chunk in range(int(50 / span) + 1)]
+        assert view.frames(level, len(tables) + 1).shape[1] == 0
+        time = np.concatenate([column(table, 'time') for table in tables])
+        np.testing.assert_array_equal(time, recorded.time[::stride])
+        error = np.concatenate([column(table, 'error.1') for table in tables])
+        np.testing.assert_allclose(error, 0.002, atol=1e-12)
+        assert all(column(table, 'twist.0') == pytest.approx(0.1) for table in tables)
+
+
+def test_a_chart_of_few_points_keeps_every_peak_and_the_share_of_sticking():
+    link = recording().q_link.copy()
+    link[1234, 0], link[4321, 1] = 7.0, -9.0
+    sticking = np.zeros((5000, 2, 3))
+    sticking[:2500, 0, 1] = 1.0
+    view, column = view_of(recording(q_link=link), sticking, sticking)
+    table = view.plots(0.0, 50.0, 200)
+    assert table.shape[1] == 200
+    assert column(table, 'link.0').max() == 7.0 and column(table, 'link.1').min() == -9.0
+    assert column(table, 'stick.0.1').mean() == pytest.approx(0.5, abs=0.01)
+    assert not column(table, 'stick.1.2').any()
+
+
+def test_a_short_stretch_is_shown_sample_by_sample_with_its_neighbours():
+    recorded = recording()
+    view, column = view_of(recorded)
+    table = view.plots(10.004, 10.046, 200)
+    np.testing.assert_allclose(column(table, 'time'), recorded.time[1000:1006])
+
+
+@pytest.mark.parametrize(('field', 'signal'), [
+    ('reference', 'reference'), ('command', 'command'), ('friction_hat', 'friction'),
+    ('q_motor', 'motor')])
+def test_a_signal_that_was_not_recorded_is_named_as_missing(field, signal):
+    whole = recording()
+    missing = replace(whole, **{field: np.full_like(getattr(whole, field), np.nan)})
+    found = view_of(missing)[0].session()['signals']
+    gone = {'reference': {'error'}, 'motor': {'twist'}}.get(signal, set())
+    absent = {name for name, there in found.items() if not there}
+    assert absent == {signal, 'block', 'stick', *gone}
+
+
+def test_one_rigid_joint_and_many_joints_have_a_scene(robot):
+    rigid = scene_of(single_axis(one_joint(robot.friction), 0.1))
+    assert rigid.rigid == (True,) and rigid.kind == 'decoupled' and rigid.length[0] > 0.0
+    chain = unknown_scene([f'j{k}' for k in range(7)], [True] * 7)
+    straight = extent(chain, np.zeros((4, 7)))
+    np.testing.assert_allclose(straight, (0.0, 0.0, sum(chain.length), 0.0))
+    bent = extent(chain, np.array([[np.pi / 2] + [0.0] * 6]))
+    np.testing.assert_allclose(bent, (0.0, 0.0, 0.0, sum(chain.length)), atol=1e-9)
+
+
+def one_joint(friction):
+    """Return the friction of the first joint."""
+    names = ('static', 'coulomb', 'velocity', 'viscous')
+    ways = {way: replace(getattr(friction, way), **{
+        name: getattr(getattr(friction, way), name)[:1] for name in names})
+        for way in ('forward', 'backward')}
+    return replace(friction, **ways, **{name: getattr(friction, name)[:1] for name in (
+        'stiffness', 'weight', 'attraction')})
+
+
+def test_blocks_along_a_motion_are_those_of_the_model_stepped_by_hand(robot):
+    recorded = recording(samples=200)
+    torque, sticking = blocks_along(recorded, robot.friction)
+    state = gms.init(robot.friction)
+    for k in range(1, 200):
+        state = state.copy()
+        gms.advance(state, recorded.q_link[k] - recorded.q_link[k - 1], recorded.dq_link[k],
+                    PERIOD, gms.constants_of(robot.friction))
+        np.testing.assert_allclose(torque[k], state.torque, atol=1e-7)
+        np.testing.assert_array_equal(sticking[k], state.sticking)
+    assert 0.0 < sticking.mean() < 1.0
+
+
+def write_bag(path, blocks=None, late=0, start=5_000_000_000):
+    """Write 100 joint states, and block messages if given, each ``late`` ns after its state."""
+    stamps = start + 10_000_000 * np.arange(100)
+    angle = np.linspace(0.0, 1.0, 100)
+    types = {'/joint_states': JOINT_STATE}
+    types |= dict.fromkeys(blocks or {}, MULTI_ARRAY)
+    with BagWriter(path, types, atomic=True) as writer:
+        for k, message in enumerate(pack_joint_states(
+                ['joint1', 'joint2'], stamps, np.stack([angle, -angle], axis=1))):
+            writer.write('/joint_states', int(stamps[k]), message)
+            for topic, values in (blocks or {}).items():
+                writer.write(topic, int(stamps[k]) + late,
+                             pack_blocks(values[k], int(stamps[k])))
+    return path
+
+
+def test_recorded_blocks_are_found_at_the_state_whose_stamp_they_carry(tmp_path):
+    rng = np.random.default_rng(5)
+    torque, sticking = rng.random((100, 2, 4)), rng.integers(0, 2, (100, 2, 4))
+    path = write_bag(tmp_path / 'bag', {'/cascade_controller/blocks': torque,
+                                        '/cascade_controller/sticking': sticking}, late=7_000_000)
+    found = read_blocks(path, 0.01 * np.arange(100), 2)
+    np.testing.assert_array_equal(found[0], torque)
+    np.testing.assert_array_equal(found[1], sticking)
+    session = open_bag(path).session()
+    assert session['blocks'] == {'count': 4, 'origin': 'observer'}
+    assert any('--robot FILE' in note for note in session['notes'])
+
+
+def test_blocks_that_do_not_fit_the_joints_are_refused(tmp_path):
+    path = write_bag(tmp_path / 'bag', {'/cascade_controller/blocks': np.zeros((100, 1, 5))})
+    with pytest.raises(BagError, match='has 5 numbers, which are no blocks of 2 joints'):
+        open_bag(path)
+
+
+def test_a_bag_without_blocks_takes_those_of_the_robot_file(tmp_path, robot):
+    path = write_bag(tmp_path / 'bag')
+    assert open_bag(path).session()['blocks'] == {'count': 0, 'origin': ''}
+    for options in ({'robot': robot}, {'default': robot}):
+        session = open_bag(path, **options).session()
+        assert session['blocks'] == {'count': 6, 'origin': 'model'}
+        assert session['scene']['length'] == (0.35, 0.3)
+
+
+def test_rows_are_put_together_by_stamp_whatever_comes_first():
+    rows = Rows(2, 3)
+    rows.put('reference', 1_000_000_000, [0.5, 0.6])
+    rows.put_state(1_000_000_000, 0.0, [0.1, 0.2], [0.3, 0.4])
+    rows.put_state(1_002_000_000, 0.002, [0.11, 0.21], [0.31, np.nan])
+    rows.put('command', 1_000_000_000, [1.0, 2.0])
+    rows.put('stick', 1_002_000_000, [1, 0, 1, 0, 1, 0])
+    rows.put('error', 1_002_000_000, [0.01, 0.02])
+    rows.put('command', None, [3.0, 4.0])  # without a stamp: of the newest state
+    rows.put('command', 17, [9.0, 9.0])
+    rows.put('block', 1_002_000_000, [1.0])  # of another robot
+    assert rows.take(0.01).shape[0] == 0  # they wait for what belongs to them
+    table = rows.take(1.0)
+    first, second = (dict(zip(rows.names, row, strict=True)) for row in table)
+    assert first['time'] == 0.0 and second['time'] == pytest.approx(0.002)
+    assert first['error.0'] == pytest.approx(-0.4) and first['twist.1'] == pytest.approx(0.2)
+    assert (first['command.0'], second['command.1']) == (1.0, 4.0)
+    assert second['reference.0'] == pytest.approx(0.10)  # what the controller calls its error
+    assert np.isnan(second['twist.1']) and np.isnan(second['block.0.0'])
+    assert [second[f'stick.{j}.{i}'] for j in range(2) for i in range(3)] == [1, 0, 1, 0, 1, 0]
+
+
+def test_a_clock_that_jumps_begins_anew_and_late_states_are_left_out():
+    rows = Rows(1, 0)
+    for stamp in (10.0, 10.002, 10.001, 10.002, 10.004):
+        rows.put_state(int(stamp * 1e9), 0.0, [stamp], [stamp])
+    assert rows.take(1.0)[:, 0] == pytest.approx([0.0, 0.002, 0.004])
+    assert not rows.restarted
+    rows.put_state(int(1e9), 2.0, [0.0], [0.0])
+    assert rows.restarted and rows.take(3.0)[0, 0] == 0.0
+
+
+def test_every_page_gets_every_row_at_its_own_pace():
+    feed = Feed()
+    feed.add(np.arange(10.0).reshape(5, 2), '')
+    number, _, state, rows = feed.since(0, 0.0)
+    assert (number, state, len(rows)) == (5, '', 5)
+    feed.add(np.arange(4.0).reshape(2, 2), 'silent')
+    assert feed.since(number, 0.0)[2] == 'silent'
+    np.testing.assert_array_equal(feed.since(number, 0.0)[3], [[0.0, 1.0], [2.0, 3.0]])
+    assert len(feed.since(0, 0.0)[3]) == 7
+    feed.begin_anew()
+    assert feed.since(0, 0.0)[1] == 1 and len(feed.since(0, 0.0)[3]) == 0
+
+
+class FakeLoop:
+    """A running loop without ROS."""
+
+    live = True
+
+    def __init__(self):
+        self.given = []
+
+    def set_parameter(self, name, value):
+        self.given.append((name, value))
+        return {'accepted': True, 'reason': '', 'value': value}
+
+
+@pytest.fixture
+def served():
+    """Serve a made-up running loop; yield the server."""
+    with ViewServer(FakeLoop()) as server:
+        yield server
+
+
+def ask(server, method, path, body=None, **headers):
+    """Return status, headers and body of one request; '_' in a header's name is a '-'."""
+    connection = http.client.HTTPConnection(*server.server_address[:2], timeout=20)
+    connection.request(method, path, body, {
+        name.replace('_', '-'): value for name, value in headers.items()})
+    answer = connection.getresponse()
+    result = answer.status, answer.headers, answer.read()
+    connection.close()
+    return result
+
+
+CHANGE = json.dumps({'name': 'gains.joint1.kd_link', 'value': 1.5})
+
+
+def test_a_change_with_the_token_of_the_page_is_passed_on(served):
+    page = ask(served, 'GET', '/')[2].decode()
+    token = re.search(r'name="token" content="([^"]{30,})"', page).group(1)
+    host = served.url.removeprefix('http://').rstrip('/')
+    status, _, body = ask(served, 'POST', '/api/parameters', CHANGE, X_Token=token,
+                          Origin=f'http://{host}', Sec_Fetch_Site='same-origin')
+    assert (status, json.loads(body)['value']) == (200, 1.5)
+    assert served.view.given == [('gains.joint1.kd_link', 1.5)]
+
+
+@pytest.mark.parametrize(('headers', 'reason'), [
+    ({}, 'token of the page is missing'), ({'X_Token': 'x' * 32}, 'token of the page is missing'),
+    ({'X_Token': None, 'Origin': 'http://evil.example'}, 'a page of http://evil.example may not'),
+    ({'X_Token': None, 'Origin': 'null'}, 'a page of null may not'),
+    ({'X_Token': None, 'Sec_Fetch_Site': 'cross-site'}, 'a page of another site may not'),
+    ({'X_Token': None, 'Host': 'evil.example'}, "this server is not 'evil.example'")])
+def test_a_change_from_elsewhere_is_refused(served, headers, reason):
+    given = {name: served.access.token if value is None else value
+             for name, value in headers.items()}
+    status, _, body = ask(served, 'POST', '/api/parameters', CHANGE, **given)
+    assert status == 403 and reason in json.loads(body)['reason']
+    assert served.view.given == []
+
+
+@pytest.mark.parametrize('body', ['{', '[]', '{"name": 1, "value": 1}', '3', '[' * 9000,
+                                  '{"name": "gains.a", "value": true}', 'x' * 20_000])
+def test_a_change_that_is_none_is_refused(served, body):
+    status, _, answer = ask(served, 'POST', '/api/parameters', body, X_Token=served.access.token)
+    assert status == 400 and json.loads(answer)['reason'].startswith('a change')
+
+
+@pytest.mark.parametrize('path', [
+    '/../setup.py', '/assets/../server.py', '/assets/%2e%2e/server.py', '/assets//etc/passwd',
+    '/etc/passwd', '/assets/', '/api/frames?level=0&chunk=0', '/assets/index.html%00.js'])
+def test_nothing_but_the_page_can_be_fetched(served, path):
+    assert ask(served, 'GET', path)[0] == 404
+
+
+def test_pages_load_nothing_from_elsewhere_and_cannot_be_framed(served):
+    for path in ('/', *(f'/assets/{name}' for name in served.files)):
+        status, headers, body = ask(served, 'GET', path)
+        assert status == 200 and body
+        policy = headers['Content-Security-Policy']
+        assert "default-src 'none'" in policy and "frame-ancestors 'none'" in policy
+        loaded = re.findall(rb'(?:src|href|url|import|fetch)[=(\s"\']+(?:https?:)?//', body)
+        assert not loaded, path
+
+
+@pytest.mark.parametrize('path', ['/api/frames?level=-1&chunk=0', '/api/frames?level=0&chunk=nan',
+                                  '/api/plots?from=0&to=inf&points=10', '/api/plots'])
+def test_numbers_that_are_none_are_refused(path):
+    with ViewServer(view_of(recording())[0]) as server:
+        status, _, body = ask(server, 'GET', path)
+        assert status == 400 and 'must be a' in json.loads(body)['reason']
+
+
+@pytest.mark.parametrize(('host', 'asked', 'good'), [
+    ('127.0.0.1', 'localhost:80', True), ('127.0.0.1', '[::1]:80', True),
+    ('127.0.0.1', '192.168.1.5:80', False), ('127.0.0.1', None, False),
+    ('127.0.0.1', 'localhost.evil.example', False), ('0.0.0.0', '192.168.1.5:80', True),
+    ('0.0.0.0', 'evil.example:80', False), ('0.0.0.0', socket.gethostname(), True)])
+def test_only_names_of_this_machine_lead_here(host, asked, good):
+    assert (Access(host).refusal_of_host(asked) == '') is good
+
+
+def test_beyond_this_machine_parameters_are_seen_and_not_set():
+    access = Access('0.0.0.0', may_set=False)
+    assert 'without --host' in access.refusal_of_change({'X-Token': access.token})
+
+
+def test_a_port_in_use_is_one_sentence():
+    with socket.create_server(('127.0.0.1', 0)) as taken:
+        port = taken.getsockname()[1]
+        with pytest.raises(ServerError, match=f'127.0.0.1:{port} cannot be listened on .*--port'):
+            ViewServer(FakeLoop(), port=port)
+
+
+def run_view(*arguments):
+    """Start the tool and return its process."""
+    return subprocess.Popen([sys.executable, '-m', 'gms_flex_control.cli.main', 'view',
+                             *map(str, arguments)], stdout=subprocess.PIPE,
+                            stderr=subprocess.PIPE, text=True)
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_the_tool_prints_its_address_and_ends_with_0(tmp_path, number):
+    process = run_view(write_bag(tmp_path / 'bag'), '--port', 0)
+    assert process.stdout.readline().startswith('reading')
+    url = process.stdout.readline().split()[0]
+    connection = http.client.HTTPConnection(url.split('/')[2], timeout=20)
+    connection.request('GET', '/api/session')
+    assert json.loads(connection.getresponse().read())['mode'] == 'bag'
+    process.send_signal(number)
+    _, errors = process.communicate(timeout=20)
+    assert (process.returncode, errors) == (0, '')
+
+
+def test_bad_input_is_one_sentence_and_exit_code_2(tmp_path, capsys):
+    bag = write_bag(tmp_path / 'bag')
+    with socket.create_server(('127.0.0.1', 0)) as taken:
+        for arguments, words in [
+                ((tmp_path / 'none',), 'there is no such bag'), ((bag, '--port', 99999), '--port'),
+                ((bag, '--port', taken.getsockname()[1]), 'cannot be listened on'),
+                ((bag, '--host', 'no.such.invalid'), 'no.such.invalid')]:
+            assert main(['view', *map(str, arguments)]) == 2
+            errors = capsys.readouterr().err
+            assert words in errors and errors.count('\n') == 1
