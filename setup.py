@@ -28,6 +28,7 @@ setup(
     # lower bounds: what Ubuntu 24.04 ships, so that a rosdep installation works;
     # upper bounds: the next major version, or for 0.x the next minor one
     install_requires=[
+        'argcomplete>=3.1,<4',
         'setuptools',
         'matplotlib>=3.6,<4',
         'mcap>=1.5,<2',

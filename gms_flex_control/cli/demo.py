@@ -34,6 +34,7 @@ def add_parser(subparsers):
     parser.add_argument('--duration', type=float, metavar='S',
                         help=f'simulated length of each run (default: sinusoid '
                              f'{SINUSOID_DURATION:g}, polynomial to its end)')
+    parser.add_argument('--json', action='store_true', help='print table4.json, not the text')
     parser.set_defaults(run=run)
 
 
@@ -48,7 +49,10 @@ def run(args):
     driven = drive_all(plans, out)
     exact = simulate_all(plans, out)
     table = report_all(driven, exact, out)
-    print(f'\n{table}\n\nreport   {out / "report.html"}\nnumbers  {out / "table4.json"}\n'
+    if args.json:
+        print((out / 'table4.json').read_text(encoding='utf-8'), end='')
+        return 0
+    print(f'{table}\n\nreport   {out / "report.html"}\nnumbers  {out / "table4.json"}\n'
           f'bags     {out / "bags"}\ndone in {time.monotonic() - begin:.0f} s')
     return 0
 

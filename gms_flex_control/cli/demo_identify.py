@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """`gms_flex demo-identify`: the identification experiment over real ROS 2, from nothing."""
 
+import json
 from pathlib import Path
 import time
 from typing import NamedTuple
@@ -32,6 +33,7 @@ def add_parser(subparsers):
     parser.add_argument('--plan', metavar='YAML',
                         help='parameters of the experiment (default: '
                              'config/identification_demo.yaml)')
+    parser.add_argument('--json', action='store_true', help='print the outcome as JSON')
     parser.set_defaults(run=run)
 
 
@@ -42,12 +44,17 @@ def run(args):
     experiment = read_experiment(args.plan)
     prepare(out, MARKER)
     bag = drive(out, experiment)
-    verdict, lines = 0, []
+    verdict, lines, values = 0, [], {}
     if {step.joint for step in experiment.plan.experiments} == set(experiment.believed.joints):
-        fit(out, bag, experiment)
-        verdict, lines = compare(out)
+        text = fit(out, bag, experiment)
+        if not args.json:
+            print(f'{text}\n', flush=True)
+        verdict, lines, values = compare(out)
     else:
         lines = ['no fit: the plan leaves out a joint, whose friction moves the others']
+    if args.json:
+        print(json.dumps({'bag': str(bag), 'tracking': values, 'allowed': ALLOWED}, indent=2))
+        return verdict
     made = [path for path in (bag, out / 'report.html', out / 'friction.yaml', out / 'log')
             if path.exists()]
     print('\n'.join(['', *lines, '', *map(str, made),
@@ -56,7 +63,7 @@ def run(args):
 
 
 def fit(out, bag, experiment):
-    """Identify the bag and write its outcome; print it beside the truth."""
+    """Identify the bag and write its outcome; return it as text beside the truth."""
     from gms_flex_control.bags.phases import read_phases
     from gms_flex_control.bags.reader import read_recording
     from gms_flex_control.identification.identify import identify
@@ -71,7 +78,7 @@ def fit(out, bag, experiment):
     write_friction(found, out / 'friction.yaml')
     write_report_json(found, out / 'report.json')
     write_identification_report(found, out, beside=truth)
-    print(f'\n{identification_text(found, beside=truth)}\n', flush=True)
+    return identification_text(found, beside=truth)
 
 
 def compare(out):
@@ -89,6 +96,8 @@ def compare(out):
         0 if identified friction tracks nearly as well as the true one, 1 if not.
     lines : list of str
         A table.
+    values : dict
+        The same: motion, belief, rms error of each link [rad].
 
     """
     from gms_flex_control.analysis.table4 import align
@@ -102,7 +111,7 @@ def compare(out):
 
     models = {'believed': out / 'believed_robot.yaml', 'identified': out / 'friction.yaml',
               'true': robot_file()}
-    rows, worst = [], 0.0
+    rows, worst, values = [], 0.0, {}
     for motion in MOTIONS:
         rms = {}
         for name, model in models.items():
@@ -114,6 +123,7 @@ def compare(out):
                 DrivenPlan(files=files_of(motion), model=model, compensation='gms',
                            duration=plan.duration, rate=RATE), bag, log=out / 'log' / bag.name)
             rms[name] = np.sqrt(np.mean(link_error(read_recording(bag)) ** 2, axis=0))
+        values[motion] = {name: error.tolist() for name, error in rms.items()}
         ratio = rms['identified'] / rms['true']
         worst = max(worst, ratio.max())
         rows += [[motion, f'link {j + 1}', *(f'{1e3 * rms[name][j]:.3g}' for name in models),
@@ -122,7 +132,7 @@ def compare(out):
                   rows)
     verdict = f'worst ratio {worst:.2f}, {"within" if worst <= ALLOWED else "ABOVE"} {ALLOWED:g}'
     return int(worst > ALLOWED), ['Tracking error, rms, by what the controller believes of the '
-                                  'friction', table, verdict]
+                                  'friction', table, verdict], values
 
 
 class Experiment(NamedTuple):

@@ -5,6 +5,8 @@
 
 from pathlib import Path
 
+from gms_flex_control.cli.output import say
+
 _WIDTH = 96
 
 
@@ -154,7 +156,4 @@ def models_of(args, robot):
 
 def progress(args):
     """Return what tells progress: on a terminal only, and beside the results."""
-    import sys
-    if args.json or not sys.stderr.isatty():
-        return lambda text: None
-    return lambda text: print(f'  {text} ...', file=sys.stderr, flush=True)
+    return (lambda text: None) if args.json else lambda text: say(f'  {text} ...')

@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """`gms_flex faults`: try every fault on the installed nodes and print the table filled in."""
 
+import json
 from pathlib import Path
 import sys
 
@@ -32,7 +33,9 @@ def run(args):
     """Try faults and print the table; return 0, or 1 where one was not as required."""
     table = _import_table()
     if args.list:
-        print('\n'.join(f'{fault.name:<16} {fault.fault}' for fault in table.FAULTS.values()))
+        names = {fault.name: fault.fault for fault in table.FAULTS.values()}
+        print(json.dumps(names, indent=2) if args.json else
+              '\n'.join(f'{name:<16} {fault}' for name, fault in names.items()))
         return 0
     for name in args.only or ():
         if name not in table.FAULTS:

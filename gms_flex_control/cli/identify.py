@@ -65,7 +65,7 @@ def run(args):
     if args.json:
         print(json.dumps(report_json(found), indent=2, allow_nan=False))
         return 0
-    print(f'\n{identification_text(found)}\n\nparameters {out / "friction.yaml"}\n'
+    print(f'{identification_text(found)}\n\nparameters {out / "friction.yaml"}\n'
           f'report     {out / "report.html"}\nnumbers    {out / "report.json"}')
     return 0
 

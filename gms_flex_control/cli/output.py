@@ -4,13 +4,15 @@
 """Progress on the terminal, and folders that a verb makes anew."""
 
 import shutil
+import sys
 
 from gms_flex_control.errors import BagError
 
 
 def say(text):
-    """Print progress at once, also through a pipe."""
-    print(text, flush=True)
+    """Print a line of progress, beside the results and on a terminal only."""
+    if sys.stderr.isatty():
+        print(text, file=sys.stderr, flush=True)
 
 
 def refuse_foreign(out, marker, verb):

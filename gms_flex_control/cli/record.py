@@ -3,6 +3,8 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """`gms_flex record`: topics into a bag that survives kill -9."""
 
+import json
+
 from gms_flex_control.errors import BagError
 
 
@@ -18,6 +20,7 @@ def add_parser(subparsers):
     what.add_argument('--all', action='store_true', help='every topic that is not hidden')
     parser.add_argument('--out', required=True, metavar='DIR', help='the bag to be made')
     parser.add_argument('--duration', type=float, metavar='S', help='stop after S seconds')
+    parser.add_argument('--json', action='store_true', help='print the counts as JSON, no more')
     parser.set_defaults(run=run)
 
 
@@ -28,7 +31,10 @@ def run(args):
     # imported here: rclpy takes 0.1 s and may not be installed
     from gms_flex_control.nodes.recorder import record
     counts = record(args.out, None if args.all else args.topics, duration=args.duration,
-                    say=_say)
+                    say=_hush if args.json else _say)
+    if args.json:
+        print(json.dumps({'bag': args.out, 'messages': counts}, indent=2))
+        return 0
     for name, count in counts.items():
         _say(f'  {name}  {count}')
     _say(f'{args.out}: {sum(counts.values())} messages')
@@ -37,3 +43,7 @@ def run(args):
 
 def _say(text):
     print(text, flush=True)
+
+
+def _hush(_text):
+    pass

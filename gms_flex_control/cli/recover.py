@@ -6,6 +6,8 @@
 import json
 from pathlib import Path
 
+from gms_flex_control.cli.output import say
+
 # what is asked of the identification, by the last part of a parameter's name (largest error)
 ASKED = {'static': 0.03, 'coulomb': 0.03, 'viscous': 0.03, 'velocity': 0.15, 'attraction': 0.10}
 CURVE = 0.02  # of F_s, at every displacement
@@ -30,6 +32,7 @@ def add_parser(subparsers):
     parser.add_argument('--torque-noise', type=float, default=1e-3, metavar='NM',
                         help='of the recorded torque [N m] (default: %(default)s)')
     parser.add_argument('--out', metavar='FILE', help='write the figures as JSON')
+    parser.add_argument('--json', action='store_true', help='print the figures as JSON')
     parser.set_defaults(run=run)
 
 
@@ -56,21 +59,20 @@ def run(args):
     for seed in range(args.seeds):
         trials.append(trial(plan, robot, believed, gains, seed, rate=args.rate,
                             torque_noise=args.torque_noise))
-        print(f'[{seed + 1}/{args.seeds}] {trials[-1].seconds:.0f} s, '
-              f'N {", ".join(map(str, trials[-1].blocks))}, presliding curve off by '
-              f'{", ".join(f"{100 * value:.2f} %" for value in trials[-1].curve)} of F_s',
-              flush=True)
+        say(f'[{seed + 1}/{args.seeds}] {trials[-1].seconds:.0f} s, '
+            f'N {", ".join(map(str, trials[-1].blocks))}, presliding curve off by '
+            f'{", ".join(f"{100 * value:.2f} %" for value in trials[-1].curve)} of F_s')
     rows = recovered(trials)
     missed = missed_of(rows, trials)
-    print(f'\n{table(rows)}\n{summary(rows, trials)}')
-    for sentence in missed:
-        print(f'MISSED: {sentence}')
+    figures = json.dumps({
+        'seeds': args.seeds, 'rate': args.rate, 'torque_noise': args.torque_noise,
+        'parameters': [row._asdict() for row in rows],
+        'curve': [one.curve for one in trials], 'blocks': [one.blocks for one in trials],
+        'missed': missed}, indent=2, allow_nan=False)
     if args.out:
-        write_text(Path(args.out), json.dumps({
-            'seeds': args.seeds, 'rate': args.rate, 'torque_noise': args.torque_noise,
-            'parameters': [row._asdict() for row in rows],
-            'curve': [one.curve for one in trials], 'blocks': [one.blocks for one in trials],
-            'missed': missed}, indent=2, allow_nan=False) + '\n')
+        write_text(Path(args.out), figures + '\n')
+    print(figures if args.json else '\n'.join([
+        table(rows), summary(rows, trials), *(f'MISSED: {sentence}' for sentence in missed)]))
     return int(bool(missed))
 
 

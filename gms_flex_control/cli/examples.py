@@ -1,0 +1,75 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Examples for the help of every verb that does not bring its own."""
+
+from argparse import RawDescriptionHelpFormatter
+import textwrap
+
+_WIDTH = 79
+EXAMPLES = {
+    'demo': ['gms_flex demo',
+             'gms_flex demo --motions sinusoid --modes none gms --duration 6 --out short'],
+    'demo-identify': ['gms_flex demo-identify --out demo_identify_output'],
+    'simulate': ['gms_flex simulate --out my_bag',
+                 'gms_flex simulate --compensation none gms --trajectory sinusoid polynomial '
+                 '--out bags',
+                 'gms_flex simulate --robot my_robot.yaml --set gains.joint1.kd_link=1.0 '
+                 '--out my_bag'],
+    'record': ['gms_flex record --all --out my_bag',
+               'gms_flex record --topics /joint_states /effort_controller/commands /reference '
+               '--duration 60 --out my_bag'],
+    'info': ['gms_flex info my_bag', 'gms_flex info my_bag --json'],
+    'repair': ['gms_flex repair my_bag', 'gms_flex repair my_bag/my_bag_0.mcap --out mended'],
+    'analyse': ['gms_flex analyse sinusoid_none sinusoid_gms --out results',
+                'gms_flex analyse before after --label sinusoid_none --label sinusoid_gms '
+                '--out results'],
+    'import-csv': ['gms_flex import-csv rec_A.csv --map import_kr300.yaml --out kr300',
+                   'gms_flex import-csv log.csv --map my_map.yaml --resample 500 --out log_bag'],
+    'check-gains': ['gms_flex check-gains',
+                    'gms_flex check-gains --robot robot.yaml friction.yaml --controller '
+                    'controller.yaml --json'],
+    'bench': ['gms_flex bench --quick', 'gms_flex bench --only loop step --json'],
+    'torsion': ['gms_flex torsion kr300 --joint axis1 --stiffness 4.58e6 --out torsion'],
+    'identify': ['gms_flex identify my_bag --robot robot.yaml --out results',
+                 'gms_flex identify first second --robot robot.yaml --holdout third --out results',
+                 'gms_flex identify my_bag --out results'],
+    'discrepancy': ['gms_flex discrepancy my_bag --robot robot.yaml --out results',
+                    'gms_flex discrepancy my_bag --robot robot.yaml friction.yaml --holdout '
+                    'another_bag --out results'],
+    'recover': ['gms_flex recover --seeds 3', 'gms_flex recover --seeds 20 --out recover.json'],
+    'hide': ['gms_flex hide --effect backlash --out hidden',
+             'gms_flex hide --kind single double --seeds 0:5 --out hidden'],
+    'score': ['gms_flex score --out quick',
+              'gms_flex score --kind single --seeds 0:20 --no-peers --out singles'],
+    'faults': ['gms_flex faults --list', 'gms_flex faults --short --logs fault_logs'],
+    'urdf': ['gms_flex urdf --robot robot.yaml --out arm.urdf',
+             'gms_flex urdf --robot robot.yaml --links-only --out rigid.urdf'],
+    'view': ['gms_flex view my_bag --robot config/robot.yaml', 'gms_flex view live'],
+    'completion': ['eval "$(gms_flex completion bash)"',
+                   'gms_flex completion fish > ~/.config/fish/completions/gms_flex.fish']}
+
+
+def add_examples(parsers):
+    """
+    Put examples at the end of the help of verbs.
+
+    Parameters
+    ----------
+    parsers : dict of str to ArgumentParser
+        The verbs by name; one that is not in EXAMPLES keeps what it has.
+
+    """
+    for name, parser in parsers.items():
+        if name in EXAMPLES:
+            lines = [line for example in EXAMPLES[name] for line in _broken(example)]
+            parser.description = textwrap.fill(parser.description, _WIDTH)
+            parser.epilog = '\n'.join(['examples:', *(f'  {line}' for line in lines)])
+            parser.formatter_class = RawDescriptionHelpFormatter
+
+
+def _broken(example):
+    """Return a command in lines that a shell takes as they are."""
+    lines = textwrap.wrap(example, _WIDTH - 4, subsequent_indent='    ', break_on_hyphens=False,
+                          break_long_words=False)
+    return [f'{line} \\' for line in lines[:-1]] + lines[-1:]

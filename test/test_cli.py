@@ -1,0 +1,181 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""All verbs of the tool alike: help with examples, exit codes, JSON, colours, completion."""
+
+import json
+import os
+from pathlib import Path
+import pty
+import re
+import shlex
+import subprocess
+import sys
+
+from gms_flex_control.cli import main as tool
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+VERBS = [verb.replace('_', '-') for verb in tool.VERBS]
+WITHOUT_TABLE = {'urdf', 'completion', 'view'}
+BAGS = {'info', 'repair', 'analyse', 'identify', 'discrepancy', 'torsion'}
+NO_BAG = ROOT / 'test' / 'no_such_bag'
+# what is wrong with the input of a verb that takes no bag
+WRONG = {
+    'demo': '--out {file}', 'demo-identify': '--plan {missing} --out {dir}',
+    'simulate': '--robot {missing} --out {dir}', 'record': '--all --duration -1 --out {dir}',
+    'import-csv': '{missing} --map import_kr300.yaml --out {dir}',
+    'check-gains': '--robot {missing}', 'bench': '--robot {missing}',
+    'recover': '--seeds 0', 'hide': '--seeds x --out {dir}',
+    'score': '--kind single --seeds x --out {dir}', 'faults': '--only nonsense',
+    'urdf': '--robot {missing}', 'tune': '--robot {missing} --out {dir}',
+    'view': '{missing}'}
+
+
+def sub_parser(verb):
+    """Return the parser of one verb."""
+    action, = (action for action in tool.build_parser()._actions if action.dest == 'verb')
+    return action.choices[verb]
+
+
+def tool_in(environment=None, arguments=(), **options):
+    """Run the tool as a process of its own."""
+    path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get('PYTHONPATH')])])
+    return subprocess.run([sys.executable, '-m', 'gms_flex_control.cli.main', *arguments],
+                          env={**os.environ, 'PYTHONPATH': path, **(environment or {})},
+                          check=False, **options)
+
+
+@pytest.mark.parametrize('verb', VERBS)
+def test_the_help_of_a_verb_has_examples_that_parse(verb):
+    parser = sub_parser(verb)
+    text = parser.format_help()
+    assert parser.description
+    _, found, examples = text.partition('examples:\n')
+    assert found, f'{verb}: add examples to cli/examples.py'
+    commands = [line for line in examples.replace('\\\n', ' ').splitlines() if line.strip()]
+    assert commands
+    for command in commands:
+        inner = re.search(r'\$\((.*)\)', command)
+        words = inner.group(1) if inner else command.split('>')[0]
+        name, called, *arguments = shlex.split(words)
+        assert (name, called) == ('gms_flex', verb)
+        parser.parse_args(arguments)
+
+
+@pytest.mark.parametrize('verb', VERBS)
+def test_a_table_can_be_had_as_json(verb):
+    assert verb in WITHOUT_TABLE or '--json' in sub_parser(verb).format_help()
+
+
+@pytest.mark.parametrize('verb', VERBS)
+def test_an_unknown_option_is_bad_input(verb, capsys):
+    with pytest.raises(SystemExit) as ended:
+        tool.main([verb, '--no-such-option'])
+    assert ended.value.code == tool.BAD_INPUT
+    assert 'usage: gms_flex' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize('verb', [verb for verb in VERBS if verb in BAGS or verb in WRONG])
+def test_bad_input_is_said_in_one_sentence(verb, tmp_path, capsys):
+    places = {'missing': tmp_path / 'missing', 'dir': tmp_path / 'out', 'file': tmp_path / 'file'}
+    places['file'].write_text('mine')
+    if verb in BAGS:
+        places['file'] = ROOT / 'config' / 'robot.yaml'
+        extra = {'analyse': '--out {dir}', 'identify': '--robot {file} --out {dir}',
+                 'discrepancy': '--robot {file} --out {dir}',
+                 'torsion': '--joint a --stiffness 1'}
+        words = f'{{missing}} {extra.get(verb, "")}'
+    else:
+        words = WRONG[verb]
+    if verb in ('record', 'faults'):
+        pytest.importorskip('rclpy')
+    assert tool.main([verb, *words.format(**places).split()]) == tool.BAD_INPUT
+    printed, told = capsys.readouterr()
+    assert printed == '' or verb == 'view'  # it says what it reads
+    assert told.startswith(f'gms_flex {verb}: ')
+    assert told.count('\n') == 1
+    assert not places['dir'].exists()
+
+
+def test_every_verb_is_among_those_tested_for_bad_input():
+    assert set(VERBS) <= set(WRONG) | BAGS | {'completion'}
+
+
+def test_a_finding_that_says_no_is_one(tmp_path, capsys):
+    gains = tmp_path / 'gains.yaml'
+    text = (ROOT / 'config' / 'controller.yaml').read_text()
+    gains.write_text(text.replace('kd_motor: 0.2 ', 'kd_motor: 0.0001 '))
+    assert tool.main(['check-gains', '--controller', str(gains), '--json']) == tool.FINDING_SAYS_NO
+    assert json.loads(capsys.readouterr().out)['met'] is False
+    assert tool.main(['check-gains']) == tool.OK
+
+
+def test_an_error_of_the_program_is_no_finding(monkeypatch, capsys):
+    def broken(args):
+        raise ZeroDivisionError('of the program')
+
+    monkeypatch.setattr('gms_flex_control.cli.info.run', broken)
+    assert tool.main(['info', 'bag']) == tool.OWN_ERROR
+    told = capsys.readouterr().err
+    assert 'ZeroDivisionError: of the program' in told
+    assert 'please report it' in told
+
+
+def test_a_disk_that_refuses_is_bad_input(tmp_path, capsys):
+    (tmp_path / 'file').touch()
+    assert tool.main(['urdf', '--out', str(tmp_path / 'file' / 'arm.urdf')]) == tool.BAD_INPUT
+    assert capsys.readouterr().err.startswith(f'gms_flex urdf: {tmp_path}')
+
+
+@pytest.mark.parametrize('environment', [{}, {'NO_COLOR': '1'}])
+@pytest.mark.parametrize('arguments', [['--help'], ['check-gains'], ['info', '/no/such/bag']])
+def test_no_colour_comes_from_it(arguments, environment):
+    """Not even on a terminal, so there is none for NO_COLOR to forbid."""
+    terminal, end = pty.openpty()
+    tool_in({'TERM': 'xterm-256color', 'FORCE_COLOR': '1', **environment}, arguments, stdout=end,
+            stderr=end)
+    os.close(end)
+    shown = b''
+    try:
+        while part := os.read(terminal, 4096):
+            shown += part
+    except OSError:  # so Linux tells the end
+        os.close(terminal)
+    assert shown
+    assert b'\x1b[' not in shown
+
+
+@pytest.mark.parametrize('typed, offered', [
+    ('gms_flex disc', 'discrepancy'), ('gms_flex identify --rob', '--robot'),
+    ('gms_flex completion z', 'zsh'), ('gms_flex demo --modes gms_', 'gms_paper')])
+def test_the_shell_is_told_what_may_follow(typed, offered, tmp_path):
+    pytest.importorskip('argcomplete')
+    answer = tmp_path / 'answer'
+    tool_in({'_ARGCOMPLETE': '1', '_ARGCOMPLETE_STDOUT_FILENAME': str(answer), 'COMP_LINE': typed,
+             'COMP_POINT': str(len(typed)), '_ARGCOMPLETE_IFS': '\n', 'COMP_TYPE': '9'})
+    assert offered in [word.strip() for word in answer.read_text().split('\n')]
+
+
+@pytest.mark.parametrize('shell', ['bash', 'zsh', 'fish'])
+def test_each_shell_gets_its_code(shell, capsys):
+    pytest.importorskip('argcomplete')
+    assert tool.main(['completion', shell]) == tool.OK
+    assert 'gms_flex' in capsys.readouterr().out
+
+
+def test_bash_completes_a_verb(tmp_path):
+    """Let bash itself read the code and complete, with the tool on PATH."""
+    pytest.importorskip('argcomplete')
+    script = tmp_path / 'gms_flex'
+    script.write_text(f'#!/bin/sh\nexec {sys.executable} -m gms_flex_control.cli.main "$@"\n')
+    script.chmod(0o755)
+    path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get('PYTHONPATH')])])
+    done = subprocess.run(
+        ['bash', '-c', 'eval "$(gms_flex completion bash)"; COMP_WORDS=(gms_flex ident); '
+         'COMP_CWORD=1; COMP_LINE="gms_flex ident"; COMP_POINT=14; COMP_TYPE=9; '
+         '_python_argcomplete gms_flex; echo "${COMPREPLY[@]}"'],
+        capture_output=True, text=True, check=False,
+        env={**os.environ, 'PYTHONPATH': path,
+             'PATH': f'{tmp_path}{os.pathsep}{os.environ["PATH"]}'})
+    assert done.stdout.split() == ['identify'], done.stderr
