@@ -31,6 +31,10 @@ def add_parser(subparsers):
                         help='samples per second (default: %(default)s)')
     parser.add_argument('--torque-noise', type=float, default=1e-3, metavar='NM',
                         help='of the recorded torque [N m] (default: %(default)s)')
+    parser.add_argument('--first', type=int, default=0, metavar='SEED',
+                        help='the first seed (default: %(default)s)')
+    parser.add_argument('--journal', metavar='FILE',
+                        help='keep each finished seed in this file; begun again, the rest is done')
     parser.add_argument('--out', metavar='FILE', help='write the figures as JSON')
     parser.add_argument('--json', action='store_true', help='print the figures as JSON')
     parser.set_defaults(run=run)
@@ -44,7 +48,7 @@ def run(args):
     from gms_flex_control.experiment.believed import scaled_friction
     from gms_flex_control.experiment.identification_plan import read_identification_plan
     from gms_flex_control.files import write_text
-    from gms_flex_control.identification.recovery import recovered, trial
+    from gms_flex_control.identification.recovery import recovered
     from gms_flex_control.resources import controller_file, robot_file, share_path
     from gms_flex_control.schema.files import load_controller, load_robot
 
@@ -55,17 +59,14 @@ def run(args):
     believed = replace(robot, friction=scaled_friction(robot.friction, args.believed))
     plan = read_identification_plan(
         [args.plan or share_path() / 'config' / 'identification.yaml'], believed, gains)
-    trials = []
-    for seed in range(args.seeds):
-        trials.append(trial(plan, robot, believed, gains, seed, rate=args.rate,
-                            torque_noise=args.torque_noise))
-        say(f'[{seed + 1}/{args.seeds}] {trials[-1].seconds:.0f} s, '
-            f'N {", ".join(map(str, trials[-1].blocks))}, presliding curve off by '
-            f'{", ".join(f"{100 * value:.2f} %" for value in trials[-1].curve)} of F_s')
+    journal = journal_of(args, plan)
+    trials = [trial_of(args, seed, journal, (plan, robot, believed, gains))
+              for seed in range(args.first, args.first + args.seeds)]
     rows = recovered(trials)
     missed = missed_of(rows, trials)
     figures = json.dumps({
-        'seeds': args.seeds, 'rate': args.rate, 'torque_noise': args.torque_noise,
+        'seeds': [one.seed for one in trials], 'rate': args.rate,
+        'torque_noise': args.torque_noise,
         'parameters': [row._asdict() for row in rows],
         'curve': [one.curve for one in trials], 'blocks': [one.blocks for one in trials],
         'missed': missed}, indent=2, allow_nan=False)
@@ -76,13 +77,36 @@ def run(args):
     return int(bool(missed))
 
 
+def journal_of(args, plan):
+    """Return the TrialJournal of the arguments, None without."""
+    from gms_flex_control.identification.trial_journal import TrialJournal
+    return TrialJournal(args.journal, {
+        'robot': args.robot, 'controller': args.controller, 'plan': plan.fingerprint(),
+        'believed': args.believed, 'rate': args.rate,
+        'torque_noise': args.torque_noise}) if args.journal else None
+
+
+def trial_of(args, seed, journal, setting):
+    """Return the Trial of a seed, from the journal if it is there, and print how it went."""
+    from gms_flex_control.identification.recovery import trial
+    done = journal.trials.get(seed) if journal else None
+    one = done or trial(*setting, seed, rate=args.rate, torque_noise=args.torque_noise)
+    if journal and not done:
+        journal.add(one)
+    say(f'seed {seed}: {one.seconds:.0f} s, N {", ".join(map(str, one.blocks))}, presliding '
+        f'curve off by {", ".join(f"{100 * value:.2f} %" for value in one.curve)} of F_s')
+    return one
+
+
 def table(rows):
     """Return the rows as aligned text."""
     from gms_flex_control.analysis.table4 import align
-    return align(['parameter', 'true', 'median', 'worst error', 'interval holds', 'bootstrap'],
+    return align(['parameter', 'true', 'median', 'worst error', 'interval holds', 'bootstrap',
+                  'flagged'],
                  [[row.name.removeprefix('friction.'), f'{row.true:.5g}', f'{row.middle:.5g}',
                    f'{100 * row.worst:.2f} %', f'{100 * row.covered:.0f} %',
-                   f'{100 * row.bootstrap:.0f} %'] for row in rows])
+                   f'{100 * row.bootstrap:.0f} %', f'{100 * row.flagged:.0f} %']
+                  for row in rows])
 
 
 def summary(rows, trials):

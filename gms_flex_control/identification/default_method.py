@@ -24,7 +24,9 @@ from gms_flex_control.simulation.predictor import BLOCKS, parameter_rows
 import numpy as np
 
 COARSE = 4e-3         # sample that is fine enough to find the way [s]
-LEVELS = (8e-3, 8e-3, 4e-3, 2e-3)  # samples of hops in turn: coarse, the cost has fewer hollows
+# of hops in turn, samples [s] and the factor on the observer's bandwidth: with coarse samples and
+# a soft observer, which sees what acts for long, the cost has fewer hollows
+LEVELS = ((8e-3, 0.5), (4e-3, 0.5), (2e-3, 0.5), (2e-3, 1.0))
 CANDIDATES = (1, 2, 4, 6, 8)  # numbers of blocks that are tried
 _SPREAD_SHARPNESS = (3.0, 1.0)
 _SHARPNESS = (2.0, 1.0)
@@ -261,35 +263,46 @@ def theta_of(fit):
 
 def search(pool, bundle, fits):
     """
-    Return fits from hops of all joints, with coarse samples first and fine ones in the end.
+    Return fits from hops of all joints, coarse samples and a soft observer first.
 
     Each has the others as last found. Links of a planar arm act on each other: with a wrong
     friction of one joint the best of another is no hollow at all, or one far from the truth. So
     they go on in turn while any gains.
     """
-    periods = np.maximum(LEVELS, bundle.period)
+    looks = [(max(period, bundle.period), softness) for period, softness in LEVELS]
     coupled = bundle.arm.kind == 'planar' and len(fits) > 1
     if not coupled:
-        periods = np.unique(periods)[::-1]
-    levels, last = [coarser(bundle, period) for period in periods], len(periods) - 1
+        looks = list(dict.fromkeys(looks))
+    levels, last = [looked_at(bundle, *look) for look in looks], len(looks) - 1
     if coupled:
         levels += [levels[-1]] * _MORE_TURNS
     for turn, level in enumerate(levels):
         thetas = [theta_of(fit) for fit in fits]
-        tasks = [(level, j, thetas, fit, np.random.default_rng([turn, j]), turn == last)
-                 for j, fit in enumerate(fits)]
+        tasks = [(level, j, thetas, fit, np.random.default_rng([turn, j]), turn == last,
+                  turn > last) for j, fit in enumerate(fits)]
         fits, gains = zip(*pool.map(hopped, *zip(*tasks, strict=True)), strict=True)
         if turn >= last and max(gains) < GAIN:
             break
     return fits
 
 
-def hopped(bundle, joint, thetas, fit, rng, all_ends):
-    """Return the best JointFit near one, or near all its ends, and how much was gained."""
+def looked_at(bundle, period, softness):
+    """Return a bundle sampled every ``period`` [s] with another bandwidth of the observer."""
+    rough = coarser(bundle, period)
+    return rough._replace(observer=softness * rough.observer)
+
+
+def hopped(bundle, joint, thetas, fit, rng, all_ends, again=False):
+    """
+    Return the best JointFit near one, or near all its ends, and how much was gained.
+
+    What good ends differ by is kept where the same look at the data is taken ``again``.
+    """
     found = hop(Objective(bundle, joint, thetas, train(bundle.period)), fit.coordinates,
                 fit.ends if all_ends and fit.ends else (fit.free,), fit.prior,
                 2.0 * bundle.half[joint], rng)
-    return fit._replace(free=found.ends[0], sampling=found.scatter, ends=found.ends), found.gain
+    scatter = np.maximum(found.scatter, fit.sampling) if again else found.scatter
+    return fit._replace(free=found.ends[0], sampling=scatter, ends=found.ends), found.gain
 
 
 def finish(bundle, joint, thetas, fit):

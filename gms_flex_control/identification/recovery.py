@@ -8,6 +8,7 @@ from typing import NamedTuple
 from gms_flex_control.experiment.identification_simulated import simulate_identification
 from gms_flex_control.identification.beside import known_values, presliding_difference
 from gms_flex_control.identification.identify import identify
+from gms_flex_control.identification.words import NOT_IDENTIFIABLE
 import numpy as np
 
 
@@ -30,6 +31,7 @@ class Recovered(NamedTuple):
     worst: float       # largest relative error
     covered: float     # share of trials whose interval of the Jacobian holds the truth
     bootstrap: float   # the same of the bootstrap
+    flagged: float     # share of trials in which it was said not to be identifiable
     trials: int
 
 
@@ -102,5 +104,5 @@ def recovered(trials):
             float(np.max(np.abs(values / truth - 1.0))),
             float(np.mean([e.interval.low <= true <= e.interval.high for e, true in pairs])),
             float(np.mean([e.bootstrap.low <= true <= e.bootstrap.high for e, true in pairs])),
-            len(pairs)))
+            float(np.mean([NOT_IDENTIFIABLE in e.flags for e, _ in pairs])), len(pairs)))
     return tuple(rows)

@@ -1,0 +1,91 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Hops leave wrong hollows of a rough cost, coarse looks at the data come first."""
+
+from gms_flex_control.identification import default_method
+from gms_flex_control.identification.coordinates import Coordinates, N_STEADY
+from gms_flex_control.identification.hops import hop
+from gms_flex_control.identification.objective import Bundle, Evaluation
+from gms_flex_control.identification.refine import Prior, refine
+from gms_flex_control.params.arm import ArmParams
+import numpy as np
+import pytest
+
+COUNT = 1e-3          # rad
+TRUE_YIELDS = np.array([0.3e-3, 0.6e-3])
+COORDINATES = Coordinates(2)
+TRUTH = np.concatenate([np.zeros(N_STEADY), np.log(TRUE_YIELDS)])
+PRIOR = Prior(TRUTH, np.full(COORDINATES.size, 1e-9))
+RIPPLE = 0.02         # hollows of a yield lie 2 pi times that apart
+STEEP = np.where(np.arange(COORDINATES.size) < N_STEADY, 0.0, 2.0)  # above 1 they end a fit
+
+
+class Rippled:
+    """A stand-in for Objective: each number is off by its distance and a ripple on top."""
+
+    def evaluate(self, coordinates, free, sharpness, floor=None):
+        """Return the Evaluation of free numbers, one block for each."""
+        off = free - TRUTH
+        error = off + STEEP * RIPPLE * np.sin(off / RIPPLE)
+        slope = 1.0 + STEEP * np.cos(off / RIPPLE)
+        gradient, curvature = np.diag(-slope * error), np.zeros((len(free),) * 3)
+        curvature[np.arange(len(free)), np.arange(len(free)), np.arange(len(free))] = slope ** 2
+        ones = np.ones(len(free))
+        return Evaluation(error ** 2 + 1e-5, gradient, curvature, 1e3 * ones, 1e3 * ones,
+                          floor or self.floor_of(error ** 2))
+
+    def floor_of(self, square):
+        """Return the same floor for all."""
+        return 1e-2
+
+
+@pytest.mark.parametrize('seed', range(5))
+def test_hops_find_the_hollow_that_a_single_fit_misses(seed):
+    """The fit ends some hollows off, the best of the hops at the truth."""
+    start = TRUTH.copy()
+    start[COORDINATES.yields] += np.log([1.6, 0.6])
+    objective = Rippled()
+    alone = refine(objective, COORDINATES, start, PRIOR).free
+    found = hop(objective, COORDINATES, (start,), PRIOR, COUNT, np.random.default_rng(seed))
+    off = np.abs(np.exp((found.ends[0] - TRUTH)[COORDINATES.yields]) - 1.0).max()
+    assert np.abs(alone - TRUTH).max() > 2.0 * np.pi * RIPPLE
+    assert off < 0.1
+    assert found.gain > 1.5
+
+
+def test_a_start_in_the_best_hollow_gains_nothing():
+    """From the truth no hop finds better, and the best end stays there."""
+    found = hop(Rippled(), COORDINATES, (TRUTH,), PRIOR, COUNT, np.random.default_rng(0))
+    assert found.ends[0] == pytest.approx(TRUTH, abs=1e-6)
+    assert found.gain == pytest.approx(1.0)
+
+
+def bundle(period):
+    """Return a Bundle without data of two joints."""
+    arm = ArmParams(kind='decoupled', mass=[0.0] * 2, length=[0.0] * 2, com=[0.0] * 2,
+                    inertia=[0.03] * 2, motor_inertia=[0.005] * 2, stiffness=[1.5] * 2,
+                    damping=[0.0] * 2)
+    return Bundle((), arm, period, np.full(2, COUNT / 2), np.array([10.0, 20.0]), (None,) * 2)
+
+
+def test_hops_begin_coarse_with_a_soft_observer_and_end_fine_with_its_own():
+    """Coarse samples and a soft observer leave fewer hollows, fine and full tell the most."""
+    looks = [default_method.looked_at(bundle(1e-3), *look) for look in default_method.LEVELS]
+    periods, observers = [b.period for b in looks], np.array([b.observer for b in looks])
+    assert periods == sorted(periods, reverse=True)
+    assert observers[0] == pytest.approx([5.0, 10.0])
+    assert observers[-1] == pytest.approx([10.0, 20.0])
+
+
+def test_what_good_ends_differ_by_is_kept_when_the_same_look_is_taken_again(monkeypatch):
+    """A later round that finds one good end only does not make the intervals narrow."""
+    fit = default_method.JointFit(COORDINATES, TRUTH, PRIOR, None, None, (), True,
+                                  np.full(COORDINATES.size, 0.2), (TRUTH,))
+    monkeypatch.setattr(default_method, 'Objective', lambda *args: Rippled())
+    thetas = [COORDINATES.unpack(TRUTH)[0]] * 2
+    kept, afresh = (default_method.hopped(bundle(1e-3), 0, thetas, fit,
+                                          np.random.default_rng(0), False, again)[0]
+                    for again in (True, False))
+    assert np.all(kept.sampling >= 0.2)
+    assert np.all(afresh.sampling < 0.2)
