@@ -241,8 +241,8 @@ def test_a_file_that_cannot_be_read_is_named(place, tmp_path):
 @pytest.mark.parametrize(('old', 'new', 'sentence'), [
     ('kd_link: 0.8 ', 'kd_link: -0.8 ', 'gains.joint1.kd_link must be from 0 to 1e+09'),
     ('kd_link: 0.8 ', 'kd_lnk: 0.8 ', "did you mean 'gains.joint1.kd_link'?"),
-    ('compensation: gms ', 'compensation: gsm ', 'compensation must be one of none, gms_paper, '
-     "gms, got 'gsm'; did you mean 'gms'?"),
+    ('compensation: gms ', 'compensation: gsm ',
+     "disturbance_observer, got 'gsm'; did you mean 'gms'?"),
     ('      joint2:', '      joint3:', "unknown joint 'joint3'; did you mean 'joint2'?"),
     ('torque_limit: 2.0 ', '# ', 'gains.joint1.torque_limit is missing: largest motor torque'),
     ('filter_bandwidth: 100.0 ', 'filter_bandwidth: 0.0 ', 'must be from 0.001 to 100000 rad/s'),

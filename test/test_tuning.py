@@ -12,6 +12,7 @@ from gms_flex_control.cli.main import main
 from gms_flex_control.params.encoder import EncoderParams
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
 from gms_flex_control.params.gains import ControllerParams
+from gms_flex_control.params.robot import EffectSpec
 from gms_flex_control.resources import controller_file, robot_file
 from gms_flex_control.schema.build import robot_values
 from gms_flex_control.schema.files import load_controller, load_robot, save_robot
@@ -19,14 +20,14 @@ from gms_flex_control.simulation import closed_loop
 from gms_flex_control.trajectory import builders
 from gms_flex_control.tuning import margins, trial, uncertainty
 from gms_flex_control.tuning.judge import judged
-from gms_flex_control.tuning.linear_loop import linear_loop, Timing
+from gms_flex_control.tuning.linear_loop import compliance, linear_loop, Timing
 from gms_flex_control.tuning.propose import Demands, pair, propose
 import numpy as np
 import pytest
 
 NOTHING = StribeckParams(static=[1e-12], coulomb=[1e-12], velocity=[0.01], viscous=[0.0])
-FRICTIONLESS = FrictionParams(forward=NOTHING, backward=NOTHING, stiffness=[[0.0]],
-                              weight=[[1.0]], attraction=[1.0])
+FRICTIONLESS = FrictionParams(forward=NOTHING, backward=NOTHING, stiffness=[[0.0] * 6],
+                              weight=[[1.0 / 6.0] * 6], attraction=[1.0])
 INERTIA, KD, RATE = 0.2, 1.5, 6.0
 STILL = np.zeros(1)
 
@@ -124,9 +125,18 @@ def test_encoder_noise_causes_the_torque_that_is_told(flexible):
     assert told.angle[0] == pytest.approx(run.true[1000:, 0].std(), rel=0.1)
 
 
+def test_a_constant_torque_moves_the_link_as_far_as_is_told(flexible):
+    push = EffectSpec(name='constant_link_torque', joint='axis', values=(0.02,))
+    run = closed_loop.run(replace(flexible, effects=(push,)), flexible, gains_of(),
+                          builders.hold(STILL), duration=6.0)
+    told = compliance(flexible, flexible, gains_of(), Timing(2e-3, 0.0), STILL)
+    assert 0.02 * told[0, 0] == pytest.approx(run.true[-1, 0, 0], rel=1e-3)
+    assert told[0, 0] > 1.0 / (KD * RATE)
+
+
 def test_stuck_blocks_hold_a_link_like_a_spring(rigid):
     """Without gains the pole is that of k_i and the inertia."""
-    stiff = replace(FRICTIONLESS, stiffness=[[30.0]])
+    stiff = replace(FRICTIONLESS, stiffness=[[5.0] * 6])
     robot = replace(rigid, friction=stiff)
     idle = gains_of(kd_link=0.0, lambda_link=0.0)
     loop = linear_loop(robot, robot, idle, Timing(1e-3, 0.0), STILL, stuck=True)

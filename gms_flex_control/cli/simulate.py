@@ -25,7 +25,8 @@ def add_parser(subparsers):
     parser.add_argument('--trajectory', nargs='+', default=['sinusoid'], metavar='FILE',
                         help='file with trajectory parameters, or the name of one of config/')
     parser.add_argument('--compensation', nargs='+', metavar='MODE',
-                        help='none, gms_paper or gms; default: as the controller file says')
+                        help='such as none, gms_paper or gms; default: that of the controller '
+                             'file')
     parser.add_argument('--set', nargs='+', default=[], metavar='NAME=VALUE', dest='overrides',
                         help='single parameters, such as gains.joint1.kd_link=1.0')
     parser.add_argument('--duration', type=float, metavar='S',

@@ -14,13 +14,13 @@ from functools import cache, lru_cache
 from gms_flex_control import records
 from gms_flex_control.compiled import compiled
 from gms_flex_control.control import feedforward, observer
+from gms_flex_control.control.compensation import choice
+from gms_flex_control.control.compensation.choice import GMS, GMS_PAPER
 from gms_flex_control.dynamics import chain
 from gms_flex_control.friction import gms
 from gms_flex_control.params.gains import COMPENSATIONS
 from gms_flex_control.records import FLOAT
 import numpy as np
-
-NONE, GMS_PAPER, GMS = range(len(COMPENSATIONS))
 
 # Mode gms. Where the reference rests, a stuck link is a stiff, hardly damped spring, and velocity
 # feedback that comes through the motor too late shakes it: only this part of it is kept at
@@ -28,8 +28,6 @@ NONE, GMS_PAPER, GMS = range(len(COMPENSATIONS))
 REST_DAMPING, REST_VELOCITY = 0.3, 0.05
 # A reference slower than this rests [rad/s, rad/s^2].
 RESTING_SPEED, RESTING_ACCELERATION = 1e-6, 1e-5
-# How fast a deviation from the reference moves the observer's blocks [rad/s].
-DEVIATION_BANDWIDTH = 10.0
 _GAINS = ('kd_link', 'lambda_link', 'kd_motor', 'lambda_motor', 'observer_gain', 'sign_slope',
           'filter_bandwidth', 'torque_limit')
 
@@ -86,8 +84,7 @@ def constants_of(gains, robot):
 def init(robot):
     """Return a controller of ``robot`` before its first tick."""
     return records.build(state_layout(*robot.friction.stiffness.shape),
-                         observer=records.build(observer.state_layout(
-                             *robot.friction.stiffness.shape), blocks=gms.init(robot.friction)))
+                         observer=observer.init(robot.friction))
 
 
 def workspace(n):
@@ -130,52 +127,6 @@ def spring_torques(state, measured, constants, work):
         work.spring_rate[j] = links.stiffness[j] * twist_rate
         if not links.flexible[j]:
             work.spring[j] = state.command[j]
-
-
-@compiled
-def observed_displacement(state, measured, reference, dt, constants, work):
-    """
-    Write the link's displacement since the tick before, as the observer takes it.
-
-    Mode gms trusts the reference for fast motion and the encoder for slow deviation from it:
-    one encoder count can be longer than the whole presliding range.
-    """
-    gain = 1.0 - np.exp(-DEVIATION_BANDWIDTH * dt)
-    for j in range(constants.kd_link.shape[0]):
-        seen = measured.q_link[j]
-        if constants.compensation[0] == GMS:
-            if not state.started[0]:
-                state.deviation[j] = state.error[j]
-            state.deviation[j] += gain * (state.error[j] - state.deviation[j])
-            seen = reference[0, j] + state.deviation[j]
-        if not state.started[0]:
-            state.q_before[j] = seen
-        work.displacement[j] = seen - state.q_before[j]
-        state.q_before[j] = seen
-    state.started[0] = 1.0
-
-
-@compiled
-def observe(state, measured, dt, constants, work):
-    """Advance the observer by the observed motion; leaves F_hat in work.estimate[0]."""
-    blocks = state.observer.blocks
-    for j in range(constants.kd_link.shape[0]):
-        work.correction[j] = constants.observer_gain[j] * work.sliding[j]
-        if state.saturated[j]:
-            work.correction[j] = 0.0  # the error is then not the observer's fault
-        turned = work.displacement[j] * blocks.direction[j] < 0.0
-        work.smooth[j] = -blocks.direction[j] if turned else blocks.direction[j]
-        work.slope[j] = 0.0
-        if constants.compensation[0] == GMS_PAPER:
-            slope = constants.sign_slope[j]
-            work.smooth[j] = np.tanh(slope * measured.dq_link[j])
-            work.slope[j] = slope * (1.0 - work.smooth[j] ** 2)
-    observer.advance(blocks, work.displacement, measured.dq_link, work.smooth, work.correction,
-                     work.resting, dt, constants.friction)
-    gms.total(blocks, measured.dq_link, constants.friction, work.estimate[0])
-    if constants.compensation[0] == GMS:
-        filtered = state.observer.filtered
-        observer.filter_step(filtered, work.estimate[0], constants.filter_bandwidth, dt)
 
 
 @compiled
@@ -289,17 +240,7 @@ def tick(state, measured, reference, dt, constants, work):
     """
     link_errors(state, measured, reference, constants, work)
     spring_torques(state, measured, constants, work)
-    observed_displacement(state, measured, reference, dt, constants, work)
-    observe(state, measured, dt, constants, work)
-    if constants.compensation[0] == NONE:
-        work.estimate[:] = 0.0
-    elif constants.compensation[0] == GMS:
-        filtered = state.observer.filtered
-        for j in range(constants.kd_link.shape[0]):
-            bandwidth = constants.filter_bandwidth[j]
-            offset = work.estimate[0, j] - filtered[0, j]
-            work.estimate[1, j] = filtered[1, j]
-            work.estimate[2, j] = bandwidth * (bandwidth * offset - 2.0 * filtered[1, j])
+    choice.estimate(state, measured, reference, dt, constants, work)
     state.friction_hat[:] = work.estimate[0]
     model_motion(state, measured, constants, work)
     friction_derivatives(state, measured, constants, work)

@@ -170,7 +170,7 @@ def _conditions(gains, robot):
 
 def _observes(gains, j):
     """Return whether the errors of joint j's blocks are part of rho."""
-    return gains.compensation != 'none' and gains.observer_gain[j] > 0.0
+    return gains.compensation in ('gms_paper', 'gms') and gains.observer_gain[j] > 0.0
 
 
 def _largest_level(friction):
@@ -241,14 +241,14 @@ def disturbance_bound(gains, robot):
     the blocks, at most F_s. ``gms_paper``: abs(F~_i) <= alpha_i s abs(Delta) in slip and in the
     stick after it, with abs(Delta) <= 1 the sign less its tanh, so F~ <= F_s. ``gms``: Delta =
     0 while blocks slip, so they contribute nothing; estimate and friction both lie within
-    F_s, and while the command filter follows a reversal they differ by up to 2 F_s. The viscous
-    part is compensated or damps.
+    F_s, and while the command filter follows a reversal they differ by up to 2 F_s; so it is
+    taken for the others. The viscous part is compensated or damps.
 
     """
     total = 0.0
     levels = _largest_level(robot.friction)
     for j in range(robot.n_joints):
-        error = levels[j] * (2.0 if gains.compensation == 'gms' else 1.0)
+        error = levels[j] * (1.0 if gains.compensation in ('none', 'gms_paper') else 2.0)
         total += (gains.lambda_link[j] ** 2 + 1.0) * error ** 2
         if gains.compensation == 'gms_paper' and _observes(gains, j):
             pushed = robot.friction.attraction[j] * robot.friction.weight[j]

@@ -26,11 +26,22 @@ LARGEST_CORRECTION = 0.5
 @cache
 def state_layout(n, n_blocks):
     """
-    Return the dtype of an observer's memory.
+    Return the dtype of the memory of all compensations.
 
-    ``blocks``, the GMS state; ``filtered`` (2, n), command filter: estimate [N m] and its rate.
+    ``blocks``, the GMS state; ``filtered`` (2, n), command filter: estimate [N m] and its rate;
+    ``factor`` (n, N), adapted; ``bristle`` (n,), deflection of LuGre [rad]; ``velocity`` and
+    ``missing`` (n,), velocity [rad/s] and acceleration [rad/s^2] of the disturbance observer.
     """
-    return records.layout(('blocks', gms.state_layout(n, n_blocks)), ('filtered', FLOAT, (2, n)))
+    return records.layout(
+        ('blocks', gms.state_layout(n, n_blocks)), ('filtered', FLOAT, (2, n)),
+        ('factor', FLOAT, (n, n_blocks)),
+        *((name, FLOAT, (n,)) for name in ('bristle', 'velocity', 'missing')))
+
+
+def init(friction):
+    """Return the memory for joints with FrictionParams, at rest."""
+    return records.build(state_layout(*friction.stiffness.shape), blocks=gms.init(friction),
+                         factor=1.0)
 
 
 @compiled

@@ -9,7 +9,8 @@ from gms_flex_control.errors import ParameterError
 from gms_flex_control.params.checks import freeze_arrays, require_finite, require_shape
 import numpy as np
 
-COMPENSATIONS = ('none', 'gms_paper', 'gms')
+COMPENSATIONS = ('none', 'gms_paper', 'gms', 'stribeck', 'lugre', 'gms_desired', 'gms_adaptive',
+                 'disturbance_observer')
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -19,9 +20,11 @@ class ControllerParams:
 
     Parameters
     ----------
-    compensation : {'none', 'gms_paper', 'gms'}
-        No compensation; the paper's observer, corrected, with tanh; the better one: sign of the
-        last motion, command filter on the estimate, bounded observer gain.
+    compensation : str
+        ``none``; ``gms_paper``, the paper's observer, corrected, with tanh; ``gms``, the better
+        one: sign of the last motion, command filter on the estimate, bounded observer gain.
+        For comparison ``stribeck``, ``lugre``, ``gms_desired`` (driven by the reference),
+        ``gms_adaptive`` and ``disturbance_observer``; see control.compensation.
     kd_link, lambda_link : ndarray, shape (n_joints,)
         K_D1 [N m s/rad] and Lambda_1 [1/s] of the link law (11).
     kd_motor, lambda_motor : ndarray, shape (n_joints,)
@@ -29,9 +32,10 @@ class ControllerParams:
     observer_gain : ndarray, shape (n_joints,)
         k_e, how strongly the tracking error corrects slipping blocks.
     sign_slope : ndarray, shape (n_joints,)
-        k_v of r(v) = tanh(k_v v), mode gms_paper only [s/rad].
+        k_v of r(v) = tanh(k_v v), modes gms_paper and stribeck [s/rad].
     filter_bandwidth : ndarray, shape (n_joints,)
-        Natural frequency of the command filter on the friction estimate, mode gms [rad/s].
+        Natural frequency of the command filter on the friction estimate, all modes but
+        gms_paper [rad/s].
     torque_limit : ndarray, shape (n_joints,)
         Largest motor torque the controller asks for [N m].
 

@@ -15,7 +15,10 @@ import numpy as np
 COLOURS = ('#0072B2', '#D55E00', '#009E73', '#CC79A7', '#E69F00', '#56B4E9')
 STYLES = ('-', '--', '-.', ':')
 NAMES = {'none': 'without compensation', 'gms_paper': "with the paper's observer (gms_paper)",
-         'gms': 'with the improved observer (gms)'}
+         'gms': 'with the improved observer (gms)', 'stribeck': 'with a static Stribeck curve',
+         'lugre': 'with a LuGre model', 'gms_desired': 'with GMS of the desired motion',
+         'gms_adaptive': 'with adaptive GMS',
+         'disturbance_observer': 'with a disturbance observer'}
 WIDTH = 7.0  # inch
 MAX_SAMPLES = 20_000
 

@@ -6,7 +6,7 @@
 from typing import NamedTuple
 
 from gms_flex_control.control import gain_conditions
-from gms_flex_control.tuning.linear_loop import linear_loop
+from gms_flex_control.tuning.linear_loop import compliance, linear_loop
 from gms_flex_control.tuning.margins import (
     delay_margin,
     Jitter,
@@ -28,7 +28,8 @@ class Judgement(NamedTuple):
     jitter: Jitter           # worst of all poses
     ringing: float           # slowest decay of the loop while all blocks stick [1/s]; below 0
     #                          it grows until blocks slip
-    stiffness: np.ndarray    # (n,) K_D1 Lambda_1, torque per error in the end [N m/rad]
+    held: np.ndarray         # (n,) error static friction of all joints can hold without any
+    #                          compensation [rad]; NaN if not asked for
 
 
 def judged(robot, model, gains, timing, *, with_delay=True):
@@ -51,7 +52,8 @@ def judged(robot, model, gains, timing, *, with_delay=True):
     Judgement
 
     """
-    found, noises, delays, decays = [], [], [], []
+    found, noises, delays, decays, held = [], [], [], [], []
+    levels = np.maximum(robot.friction.forward.static, robot.friction.backward.static)
     for pose in poses(robot.arm):
         loop = linear_loop(robot, model, gains, timing, pose)
         if not loop.stable:
@@ -60,6 +62,7 @@ def judged(robot, model, gains, timing, *, with_delay=True):
         noises.append(jitter(loop, robot.encoder))
         if with_delay:
             delays.append(delay_margin(robot, model, gains, timing, pose))
+            held.append(np.abs(compliance(robot, model, gains, timing, pose)) @ levels)
             stuck = linear_loop(robot, model, gains, timing, pose, stuck=True)
             decays.append(-np.log(np.abs(np.linalg.eigvals(stuck.closed)).max()) / timing.period)
     return Judgement(
@@ -67,14 +70,15 @@ def judged(robot, model, gains, timing, *, with_delay=True):
         joints=tuple(_worst(column) for column in zip(*found, strict=True)),
         delay=min(delays, default=np.inf), stable=True,
         jitter=Jitter(*(np.max(values, axis=0) for values in zip(*noises, strict=True))),
-        ringing=float(min(decays, default=np.nan)), stiffness=gains.kd_link * gains.lambda_link)
+        ringing=float(min(decays, default=np.nan)),
+        held=np.max(held, axis=0) if held else np.full(robot.n_joints, np.nan))
 
 
 def _unstable(robot, model, gains):
     nothing = JointMargins(1.0, 1.0, 0.0, 0.0, np.nan)
     unbounded = np.full(robot.n_joints, np.inf)
     return Judgement(gain_conditions.check(gains, model), (nothing,) * robot.n_joints, 0.0, False,
-                     Jitter(unbounded, unbounded), np.nan, gains.kd_link * gains.lambda_link)
+                     Jitter(unbounded, unbounded), np.nan, unbounded)
 
 
 def _worst(found):

@@ -226,6 +226,35 @@ def law_of(model, gains, timing, pose, *, stuck=False):
     return controller_law(chosen, model, pose, timing.period)
 
 
+def compliance(robot, model, gains, timing, pose):
+    """
+    Return how far the links give way to a constant torque the controller knows nothing of.
+
+    Parameters
+    ----------
+    robot, model, gains, timing, pose
+        As for `linear_loop`; stable when closed.
+
+    Returns
+    -------
+    ndarray, shape (n, n)
+        Link angle [rad] per torque on each link [N m], in the end.
+
+    Notes
+    -----
+    More than ``1 / (K_D1 Lambda_1)``: the law takes acceleration and jerk from the model, which
+    believes such a torque to accelerate the links.
+
+    """
+    n, loop = robot.n_joints, linear_loop(robot, model, gains, timing, pose)
+    arm, _ = arm_equations(robot, pose)
+    mass, _ = _mass_and_pull(effect_table.with_changes(robot).arm, pose)
+    pushed = np.vstack([np.zeros((n, n)), np.linalg.inv(mass), np.zeros((2 * n, n))])
+    entering = np.zeros((len(loop.a), n))
+    entering[:4 * n] = _integral(arm, pushed, timing.period)[1]
+    return np.linalg.solve(np.eye(len(loop.a)) - loop.closed, entering)[:n]
+
+
 class _Memory(NamedTuple):
     angles: list        # rows of the measured values that are angles
     rates: list         # and that are rates

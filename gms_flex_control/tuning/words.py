@@ -8,7 +8,6 @@ import math
 from gms_flex_control.analysis.table4 import align
 from gms_flex_control.tuning.propose import link_bandwidth
 from gms_flex_control.tuning.trial import MOTIONS
-import numpy as np
 
 _GAINS = ('kd_link', 'lambda_link', 'kd_motor', 'lambda_motor', 'observer_gain', 'sign_slope',
           'filter_bandwidth', 'torque_limit')
@@ -48,7 +47,7 @@ def loop_lines(judgement, robot, timing):
     report = judgement.conditions
     residual = f'{report.residual:.4g}' if math.isfinite(report.residual) else 'none'
     held = ', '.join(f'{joint} {1e3 * value:.3g} mrad' for joint, value in zip(
-        robot.joints, held_error(judgement, robot), strict=True))
+        robot.joints, judgement.held, strict=True))
     ringing = f'decay at {judgement.ringing:.2g} 1/s or faster'
     if judgement.ringing < 0.0:
         ringing = f'grow at {-judgement.ringing:.2g} 1/s until blocks slip'
@@ -56,13 +55,7 @@ def loop_lines(judgement, robot, timing):
             f'{1e3 * timing.delay:.3g} ms, and the hold of {1e3 * timing.period:.3g} ms)',
             f'while every block sticks, oscillations {ringing}',
             f'bound (43) on the norm of all errors: {residual}; safe, far from tight',
-            f'error that static friction holds, uncompensated, F_s / (K_D1 Lambda_1): {held}']
-
-
-def held_error(judgement, robot):
-    """Return the link error static friction can hold without compensation (n,) [rad]."""
-    levels = np.maximum(robot.friction.forward.static, robot.friction.backward.static)
-    return levels / judgement.stiffness
+            f'error that static friction can hold without compensation: {held}']
 
 
 def trials_table(trials, robot):
@@ -117,7 +110,7 @@ def as_values(proposal, robot, timing, trials):
         'encoder_torque': finite(judgement.jitter.torque.tolist()),
         'encoder_jitter': finite(judgement.jitter.angle.tolist()),
         'stuck_decay': finite(judgement.ringing), 'residual_bound': finite(report.residual),
-        'held_error': finite(held_error(judgement, robot).tolist()),
+        'held_error': finite(judgement.held.tolist()),
         'trials': {mode: {motion: one._asdict() for motion, one in found.items()}
                    for mode, found in trials.items()}}
 
