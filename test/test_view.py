@@ -132,27 +132,30 @@ def test_blocks_along_a_motion_are_those_of_the_model_stepped_by_hand(robot):
     assert 0.0 < sticking.mean() < 1.0
 
 
-def write_bag(path, blocks=None, late=0, start=5_000_000_000):
+def write_bag(path, blocks=None, late=0, start=5_000_000_000, space=''):
     """Write 100 joint states, and block messages if given, each ``late`` ns after its state."""
     stamps = start + 10_000_000 * np.arange(100)
     angle = np.linspace(0.0, 1.0, 100)
-    types = {'/joint_states': JOINT_STATE}
+    states = f'{space}/joint_states'
+    types = {states: JOINT_STATE}
     types |= dict.fromkeys(blocks or {}, MULTI_ARRAY)
     with BagWriter(path, types, atomic=True) as writer:
         for k, message in enumerate(pack_joint_states(
                 ['joint1', 'joint2'], stamps, np.stack([angle, -angle], axis=1))):
-            writer.write('/joint_states', int(stamps[k]), message)
+            writer.write(states, int(stamps[k]), message)
             for topic, values in (blocks or {}).items():
                 writer.write(topic, int(stamps[k]) + late,
                              pack_blocks(values[k], int(stamps[k])))
     return path
 
 
-def test_recorded_blocks_are_found_at_the_state_whose_stamp_they_carry(tmp_path):
+@pytest.mark.parametrize('space', ['', '/left'])
+def test_recorded_blocks_are_found_at_the_state_whose_stamp_they_carry(tmp_path, space):
     rng = np.random.default_rng(5)
     torque, sticking = rng.random((100, 2, 4)), rng.integers(0, 2, (100, 2, 4))
-    path = write_bag(tmp_path / 'bag', {'/cascade_controller/blocks': torque,
-                                        '/cascade_controller/sticking': sticking}, late=7_000_000)
+    path = write_bag(tmp_path / 'bag', {
+        f'{space}/cascade_controller/blocks': torque,
+        f'{space}/cascade_controller/sticking': sticking}, late=7_000_000, space=space)
     found = read_blocks(path, 0.01 * np.arange(100), 2)
     np.testing.assert_array_equal(found[0], torque)
     np.testing.assert_array_equal(found[1], sticking)
@@ -362,3 +365,9 @@ def test_bad_input_is_one_sentence_and_exit_code_2(tmp_path, capsys):
             assert main(['view', *map(str, arguments)]) == 2
             errors = capsys.readouterr().err
             assert words in errors and errors.count('\n') == 1
+
+
+def test_live_without_ros_is_one_sentence(monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, 'gms_flex_control.nodes.viewer', None)
+    assert main(['view', 'live']) == 2
+    assert 'bags can be viewed without' in capsys.readouterr().err

@@ -7,6 +7,7 @@ from gms_flex_control.bags.cdr import MULTI_ARRAY, unpack_joint_state, unpack_mu
 from gms_flex_control.bags.pairing import by_stamp
 from gms_flex_control.bags.source import Bag
 from gms_flex_control.bags.tables import ArrayTable
+from gms_flex_control.bags.topics import namespace_of, Topics
 from gms_flex_control.errors import BagError
 import numpy as np
 
@@ -14,8 +15,7 @@ TORQUE_TOPIC, STICKING_TOPIC = '/cascade_controller/blocks', '/cascade_controlle
 _WAITING = 4096  # messages of a topic that are decoded together
 
 
-def read_blocks(path, time, n, *, topics=(TORQUE_TOPIC, STICKING_TOPIC),
-                joint_states='/joint_states'):
+def read_blocks(path, time, n, *, topics=None, joint_states=None):
     """
     Read the friction blocks of the observer at the samples of a recording.
 
@@ -28,7 +28,8 @@ def read_blocks(path, time, n, *, topics=(TORQUE_TOPIC, STICKING_TOPIC),
     n : int
         Number of joints.
     topics : tuple of str, optional
-        Of the blocks' torques and of which stick.
+        Of the blocks' torques and of which stick; by default those of our controller, in the
+        namespace they were recorded in.
     joint_states : str, optional
         The topic whose first stamp is time 0.
 
@@ -44,7 +45,11 @@ def read_blocks(path, time, n, *, topics=(TORQUE_TOPIC, STICKING_TOPIC),
         If a message is no table of blocks for n joints, or the bag cannot be read.
 
     """
-    bag, tables, waiting = Bag(path), {}, {topic: ([], []) for topic in topics}
+    bag, tables = Bag(path), {}
+    space = namespace_of(bag)
+    topics = topics or (space + TORQUE_TOPIC, space + STICKING_TOPIC)
+    joint_states = joint_states or space + Topics().joint_states
+    waiting = {topic: ([], []) for topic in topics}
     for batch in bag.batches(topics):
         for name, log, _, data in batch:
             waiting[name][0].append(log)

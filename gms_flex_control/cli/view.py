@@ -8,6 +8,8 @@ import signal
 import sys
 import webbrowser
 
+from gms_flex_control.errors import ConfigError
+
 PORT = 8642
 HIGHEST_PORT = 65535
 
@@ -19,8 +21,7 @@ def add_parser(subparsers):
         description='Serve a page that shows the arm, its spring wind-up, tracking error, torque '
                     'and friction blocks: a bag to play and scrub, or the running loop with '
                     'sliders for the gains of the controller. Everything comes from this one '
-                    'process and stays on this machine. Ctrl-C ends it.',
-        epilog='examples: gms_flex view my_bag --robot config/robot.yaml; gms_flex view live')
+                    'process and stays on this machine. Ctrl-C ends it.')
     parser.add_argument('what', metavar='BAG|live', help='a bag, or the word live (needs ROS)')
     parser.add_argument('--robot', metavar='FILE', help='robot file of the bag; default: that of '
                         'the package where the joints have the same names')
@@ -42,7 +43,6 @@ def add_parser(subparsers):
 
 def run(args):
     """Serve the page until Ctrl-C; return 0."""
-    from gms_flex_control.errors import ConfigError
     from gms_flex_control.view.access import is_loopback
     from gms_flex_control.view.server import ViewServer
 
@@ -78,7 +78,11 @@ def _interrupt(_number, _frame):
 def _view(args):
     """Return the bag or the running loop as a context."""
     if args.what == 'live':
-        from gms_flex_control.nodes.viewer import LiveView
+        try:
+            from gms_flex_control.nodes.viewer import LiveView
+        except ImportError as error:
+            raise ConfigError(f'live needs ROS 2 for Python ({error}): install the extra [ros] or '
+                              'source a workspace; bags can be viewed without') from error
         space = f'/{args.namespace.strip("/")}' if args.namespace.strip('/') else ''
         return LiveView(space, args.controller or f'{space}/cascade_controller')
     from gms_flex_control.resources import robot_file

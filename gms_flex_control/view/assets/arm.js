@@ -10,7 +10,8 @@ const WOUND = 1.5;       // the largest twist is drawn as at most this [rad]
 
 /* The robot as a drawing that follows frames. */
 export class Arm {
-  constructor(place, words, session) {
+  constructor(place, words, session, has) {
+    this.has = has;
     this.scene = session.scene;
     this.words = words;
     this.n = this.scene.joints.length;
@@ -21,7 +22,7 @@ export class Arm {
     this.room = session.extent && this.chain ? session.extent.slice() : null;
     const mean = this.scene.length.reduce((sum, one) => sum + one, 0) / this.n;
     this.mean = mean;
-    this.radius = 0.18 * mean;
+    this.radius = mean * Math.min(0.18 + 0.025 * Math.max(0, this.n - 2), 0.27);
     this.build(place);
     this.choose();
   }
@@ -94,8 +95,11 @@ export class Arm {
   /* The choice of how much the springs' winding is enlarged. */
   choose() {
     const flexible = this.scene.rigid.some((one) => !one);
-    const parts = [element('span', {class: 'key link'}), 'link', element('span', {
-      class: 'key motor'}), 'motor', element('span', {class: 'key ghost'}), 'reference'];
+    const key = (name, text) => element('span', {class: 'entry'}, element('span', {
+      class: `key ${name}`}), text);
+    const parts = [key('link', 'link')];
+    if (flexible) parts.push(key('motor', 'motor'));
+    if (this.has('reference')) parts.push(key('ghost', 'reference'));
     if (flexible) {
       this.select = element('select', {'aria-label': 'enlargement of the wind-up', id: 'factor'},
         element('option', {value: 'auto'}, 'auto'),
@@ -106,9 +110,8 @@ export class Arm {
         this.sayFactor();
         this.again();
       });
-      parts.push(element('span', {class: 'key wound'}), element('label', {},
-        'spring wind-up, drawn ', this.select));
-    } else parts.push('all joints are rigid');
+      parts.push(key('wound', element('label', {}, 'spring wind-up, drawn ', this.select)));
+    } else parts.push(element('span', {}, 'all joints are rigid'));
     this.words.replaceChildren(...parts);
     this.sayFactor();
   }

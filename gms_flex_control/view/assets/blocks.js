@@ -10,8 +10,9 @@ const origins = {observer: 'as the observer has them',
                  model: 'of the model, along the recorded motion'};
 
 function legend() {
-  return element('p', {class: 'legend'}, element('span', {class: 'key sticks'}), 'sticks (a spring)',
-    element('span', {class: 'key slips'}), 'slips');
+  return element('p', {class: 'legend'}, ...[['sticks', 'sticks, a spring'], ['slips', 'slips']].map(
+    ([name, text]) => element('span', {class: 'entry'}, element('span', {class: `key ${name}`}),
+      text)));
 }
 
 /* The blocks at the moment: how far each is loaded, and whether it slips. */
@@ -68,7 +69,7 @@ export class BlockStrip {
     this.session = session;
     this.plots = plots;
     this.height = joints.length * (count * LANE + BETWEEN);
-    this.canvas = element('canvas', {role: 'img'});
+    this.canvas = element('canvas', {role: 'img', 'aria-label': 'Stick and slip of each block'});
     this.over = element('div', {class: 'u-over'}, this.playhead = element('div', {
       class: 'playhead'}));
     const labels = element('div', {class: 'names', style: `width: ${GUTTER}px`},
@@ -94,7 +95,8 @@ export class BlockStrip {
     pen.scale(ratio, ratio);
     const {min, max} = this.plots, sticks = css('--sticks'), slips = css('--slips');
     const last = table.x.length - 1, words = [];
-    const x = Float64Array.from(table.x, (t) => (t - min) / (max - min) * width);
+    const x = Float64Array.from(table.x, (t) => Math.round(  // whole pixels stay crisp
+      (t - min) / (max - min) * width * ratio) / ratio);
     joints.forEach((name, j) => {
       let sum = 0, known = 0;
       for (let i = 0; i < count; i++) {
@@ -104,7 +106,7 @@ export class BlockStrip {
           if (!Number.isFinite(values[k])) continue;
           sum += values[k];
           known++;
-          const from = x[k], to = Math.max(k < last ? x[k + 1] : from + 1, from + 0.5);
+          const from = x[k], to = Math.max(k < last ? x[k + 1] : from, from + 1 / ratio);
           if (to < 0 || from > width) continue;
           pen.globalAlpha = values[k] ? 0.9 : 0;
           pen.fillStyle = sticks;

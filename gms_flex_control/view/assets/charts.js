@@ -76,7 +76,7 @@ class Plot {
         const room = high > low ? 0.08 * (high - low) : Math.abs(high) * 0.1 || 1e-3 * factor;
         return [low - room, high + room];
       }}},
-      axes: [{...axis, size: 22}, {...axis, size: GUTTER, space: 26}],
+      axes: [{...axis, size: 22}, {...axis, size: GUTTER, space: 20}],
       legend: {show: false},
       cursor: {y: false, drag: {x: false, y: false}, points: {size: 5}, sync: {
         key: 'time', scales: ['x', null]}},
@@ -113,6 +113,7 @@ class Plot {
 /* All plots over one window of time. */
 export class Plots {
   constructor(place, chips, session, source, seek) {
+    this.place = place;
     this.session = session;
     this.source = source;
     this.seek = seek;
@@ -198,6 +199,7 @@ export class Plots {
     const width = clamp(max - min, NARROWEST, whole);
     this.min = clamp(min, begin, begin + whole - width);
     this.max = this.min + width;
+    this.place.dataset.width = width.toFixed(3);
     if (byHand) this.moved();
     for (const plot of this.members) plot.window();
     if (this.last) this.point(...this.last);

@@ -23,6 +23,7 @@ class View {
     this.source.failed = (error) => this.tell(error.message);
     this.source.told = (text) => this.tell(text);
     this.source.outdated = begin;
+    this.source.arrived = () => { if (!this.transport.playing) this.show(true); };
     at('title').textContent = session.title;
     document.title = `${session.title} · gms_flex view`;
     at('badge').hidden = !this.live;
@@ -32,7 +33,8 @@ class View {
     this.transport.changed = () => this.paced();
     this.transport.sought = () => this.show(true);
     this.transport.zoomed = (factor) => this.zoom(factor);
-    this.arm = new Arm(at('arm'), at('keys-arm'), session);
+    this.arm = new Arm(at('arm'), at('keys-arm'), session,
+      (signal) => this.live || this.source.has(signal));
     this.build();
     if (this.live) this.gains = new Gains(at('gains'), session);
     this.before = performance.now();
@@ -77,7 +79,7 @@ class View {
     else this.plots.zoom(this.transport.time, factor);
   }
 
-  /* Draw the moment; with `settled` also once its frames have been loaded. */
+  /* Draw the moment; a `settled` one is also told in words. */
   show(settled = false) {
     const {transport, source, plots} = this, {time} = transport;
     transport.show();
@@ -91,11 +93,8 @@ class View {
       if (this.strip) this.strip.point(time);
       document.documentElement.dataset.time = time.toFixed(4);
     }
-    if (!settled) return;
-    if (!frame) source.ready(time).then(() => {
-      if (source.frame(time) && transport.time === time) this.show(true);
-    });
-    else at('spoken').textContent = transport.playing ? '' : sentence(this.session, frame, time);
+    if (settled && frame)
+      at('spoken').textContent = transport.playing ? '' : sentence(this.session, frame, time);
   }
 
   /* The window goes along with the time. */
@@ -116,6 +115,10 @@ class View {
   tick(now) {
     if (this.over) return;
     requestAnimationFrame((next) => this.tick(next));
+    if (calm.matches !== this.calm) {
+      this.calm = calm.matches;
+      this.show();
+    }
     if (calm.matches && now - this.before < CALM) return;
     const seconds = Math.min((now - this.before) / 1000, 0.5);
     this.before = now;

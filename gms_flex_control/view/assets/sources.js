@@ -42,6 +42,7 @@ export class BagSource {
     this.level = 0;
     this.chunks = new Map();
     this.failed = () => {};
+    this.arrived = () => {};
   }
 
   /* Frames of every 2^level-th sample are enough for so many seconds a frame. */
@@ -56,7 +57,10 @@ export class BagSource {
       entry = {table: null};
       entry.loaded = ask(`/api/frames?level=${level}&chunk=${number}`)
         .then((answer) => answer.arrayBuffer())
-        .then((buffer) => { entry.table = new Table(buffer, this.columns); })
+        .then((buffer) => {
+          entry.table = new Table(buffer, this.columns);
+          this.arrived();
+        })
         .catch((error) => { this.chunks.delete(key); this.failed(error); });
       if (this.chunks.size >= MOST_CHUNKS) this.chunks.delete(this.chunks.keys().next().value);
     } else {

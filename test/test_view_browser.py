@@ -1,0 +1,221 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""The page of `gms_flex view` in a real headless Chromium: bags, keyboard, gains over ROS."""
+
+import math
+import re
+import sys
+
+from devtools import Browser, BrowserError, chromium
+from gms_flex_control.bags.reader import read_recording
+from gms_flex_control.cli.main import main
+from gms_flex_control.schema.files import load_robot
+from gms_flex_control.view.bag import open_bag
+from gms_flex_control.view.server import ViewServer
+import numpy as np
+import pytest
+
+PERIOD = 0.002
+TIME = 'Number(document.documentElement.dataset.time)'
+CONTROLLER = '/cascade_controller'
+
+
+@pytest.fixture(scope='module')
+def browser(tmp_path_factory):
+    """Yield a Browser; skip where there is no Chromium that runs."""
+    if chromium() is None:
+        pytest.skip('no chromium on this machine; the server is checked by test_view.py')
+    chrome = Browser(tmp_path_factory.mktemp('chromium') / 'profile')
+    try:
+        chrome.__enter__()
+    except BrowserError as error:
+        pytest.skip(f'chromium does not run here: {error}')
+    yield chrome
+    chrome.__exit__()
+
+
+@pytest.fixture(scope='module')
+def bag(tmp_path_factory):
+    """Return the bag of 4 s of the sinusoid at 500 Hz."""
+    path = tmp_path_factory.mktemp('bag') / 'sinusoid_gms'
+    assert main(['simulate', '--duration', '4', '--set', 'rate=500.0', '--out', str(path)]) == 0
+    return path
+
+
+@pytest.fixture(scope='module')
+def server(bag):
+    """Serve that bag."""
+    from gms_flex_control.resources import robot_file
+    with ViewServer(open_bag(bag, default=load_robot(robot_file()))) as running:
+        yield running
+
+
+@pytest.fixture
+def page(browser, server):
+    """Open the page at 2 s; afterwards nothing may have gone wrong in it."""
+    browser.errors.clear()
+    browser.screen(1280, 860)
+    browser.visit(server.url + '#t=2')
+    browser.until(f'{TIME} === 2 && document.querySelectorAll("#plots canvas").length >= 5')
+    yield browser
+    browser.ask('1')  # takes what was reported meanwhile
+    assert browser.errors == []
+
+
+def angles(page):
+    """Return the angles the links are drawn at, each relative to the one before [rad]."""
+    turns = page.ask('Array.from(document.querySelectorAll("#picture .turned"), '
+                     '(part) => part.getAttribute("transform"))')
+    return [math.radians(float(re.fullmatch(r'rotate\((.*)\)', turn).group(1))) for turn in turns]
+
+
+def test_the_arm_stands_as_it_was_recorded(page, bag):
+    recording = read_recording(bag)
+    for time in (2.0, 0.5, 3.3):
+        page.visit('about:blank')
+        page.visit(page_url(page, time))
+        page.until(f'{TIME} === {time}')
+        row = np.searchsorted(recording.time, time + 1e-9) - 1
+        assert angles(page) == pytest.approx(recording.q_link[row].tolist(), abs=2e-5)
+        error = 1e3 * (recording.q_link[row] - recording.reference[row, 0])
+        shown = page.ask('Array.from(document.querySelectorAll("#joints tr td:nth-child(3)"), '
+                         '(cell) => cell.textContent.replace("\\u2212", "-"))')
+        assert [float(text) for text in shown] == pytest.approx(error.tolist(), abs=0.006)
+
+
+def page_url(page, time):
+    """Return the address of the page at a time."""
+    return f'{page.server_url}#t={time}'
+
+
+@pytest.fixture(autouse=True)
+def _address(browser, server):
+    browser.server_url = server.url
+
+
+def test_keys_play_step_scrub_and_zoom(page):
+    begin = page.ask(TIME)
+    page.press('ArrowRight')
+    page.until(f'Math.abs({TIME} - {begin + PERIOD}) < 1e-6')
+    page.press('ArrowLeft')
+    page.until(f'Math.abs({TIME} - {begin}) < 1e-6')
+    page.press('ArrowRight', shift=True)
+    page.until(f'Math.abs({TIME} - {begin + 1.0}) < 1e-6')
+    page.press('End')
+    page.until(f'{TIME} > 3.99')
+    page.press('Home')
+    page.until(f'{TIME} === 0')
+    page.press(' ')
+    page.until(f'{TIME} > 0.1')
+    assert page.ask('document.getElementById("play").getAttribute("aria-label")') == 'Pause'
+    page.press(' ')
+    page.until('document.getElementById("play").getAttribute("aria-label") === "Play"')
+    stopped = page.ask(TIME)
+    assert page.ask('document.getElementById("spoken").textContent').startswith(f'{stopped:.3f} s')
+    page.press('+')
+    page.until('document.getElementById("plots").dataset.width === "1.999"')
+    page.press('0')
+    page.until('document.getElementById("plots").dataset.width === "3.998"')
+
+
+def test_a_click_in_a_plot_goes_to_that_time(page):
+    page.click('#plot-torque .u-over')
+    page.until(f'Math.abs({TIME} - 2) < 0.02 && {TIME} !== 2')
+
+
+def test_lines_and_blocks_are_painted_and_a_joint_can_be_hidden(page):
+    painted = """(id, red, green, blue) => {
+      const canvas = document.querySelector(id + ' canvas');
+      const {data} = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height);
+      let count = 0;
+      for (let i = 0; i < data.length; i += 4)
+        count += data[i] === red && data[i + 1] === green && data[i + 2] === blue;
+      return count;
+    }"""
+    for plot in ('error', 'torque', 'twist'):  # angles of both joints are alike here
+        page.until(f'({painted})("#plot-{plot}", 0, 114, 178) > 20')
+    page.until(f'({painted})("#plot-blocks", 224, 112, 27) > 200')  # slips
+    label = page.ask('document.querySelector("#plot-blocks canvas").getAttribute("aria-label")')
+    assert re.fullmatch(r'Blocks of joint1 sticks \d+ %, joint2 sticks \d+ % of the time shown',
+                        label)
+    page.click('#chips button:first-child')
+    page.until(f'({painted})("#plot-error", 0, 114, 178) === 0')
+
+
+@pytest.mark.parametrize('width', [1280, 400])
+@pytest.mark.parametrize('dark', [False, True])
+def test_it_fits_and_everything_has_a_name(page, width, dark):
+    page.screen(width, 860, dark=dark, calm=True)
+    page.until('document.documentElement.scrollWidth <= innerWidth')
+    nameless = page.ask("""Array.from(document.querySelectorAll(
+        'button, input, select, summary, [role=img]')).filter((one) => one.checkVisibility()
+        && !(one.getAttribute('aria-label') || one.textContent.trim()
+             || (one.labels && one.labels.length))).map((one) => one.outerHTML)""")
+    assert nameless == []
+    small = page.ask("""Array.from(document.querySelectorAll('button, select, #scrub'))
+        .filter((one) => one.checkVisibility() && one.getBoundingClientRect().height < 24)
+        .map((one) => one.outerHTML)""")
+    assert small == []
+    page.until('!document.querySelector(".trail").getAttribute("d")')  # less motion was asked for
+
+
+def test_the_focus_can_be_seen_on_its_way_through_the_page(page):
+    seen = set()
+    for _ in range(12):
+        page.press('Tab')
+        name, style = page.ask("""(() => { const one = document.activeElement;
+            return [one.id || one.className || one.tagName, getComputedStyle(one).outlineStyle];
+        })()""")
+        assert name == 'BODY' or style != 'none', name
+        seen.add(name)
+    assert {'play', 'back', 'forth', 'scrub', 'speed', 'loop', 'factor'} <= seen
+
+
+def test_the_running_loop_is_shown_and_its_gains_are_set_through_ros(browser, tmp_path):
+    harness = pytest.importorskip('node_harness')
+    with harness.Lab(tmp_path) as lab:
+        view = lab.run([sys.executable, '-m', 'gms_flex_control.cli.main', 'view', 'live',
+                        '--port', '0'], 'view')
+        lab.until(lambda: 'http://' in view.printed())
+        browser.errors.clear()
+        browser.screen(1280, 860)
+        browser.visit(view.printed().split()[0])
+        browser.until('document.getElementById("state").textContent.includes("plant_node")')
+        files = [*harness.FILES, harness.CONFIG / 'sinusoid.yaml']
+        lab.start('controller_node', files=files)
+        lab.start('trajectory_node', files=files, trajectory__autostart=True)
+        lab.start('plant_node', files=files, rate=100.0)
+        browser.until('document.documentElement.dataset.ready === "live"')
+        browser.until('document.querySelectorAll("#plot-blocks, #plot-error").length === 2')
+        before = browser.ask(TIME)
+        browser.until(f'{TIME} > {before}')
+        assert len(angles(browser)) == 2
+        check_gains(browser, lab)
+        assert view.signal(harness.INT) == 0
+        assert 'Traceback' not in view.printed()
+        browser.until('document.getElementById("state").textContent.includes("has ended")')
+
+
+def check_gains(browser, lab):
+    """Set a gain by the keyboard, have one refused, and see what another tool sets."""
+    gain, row = 'gains.joint1.kd_link', '[data-name="gains.joint1.kd_link"]'
+    browser.until(f'!!document.querySelector({row!r})')
+    first = lab.get(CONTROLLER, gain)
+    browser.ask(f'document.querySelector({row!r} + " input[type=range]").focus()')
+    browser.press('ArrowRight')
+    browser.until(f'document.querySelector({row!r} + " .answer").textContent.startsWith("set to")')
+    value = lab.get(CONTROLLER, gain)
+    assert first < value < 1.1 * first
+    browser.ask(f'document.querySelector({row!r} + " input[type=number]").select()')
+    browser.type_text('-1')
+    browser.press('Enter')
+    browser.until(f'document.querySelector({row!r}).classList.contains("refused")')
+    reason = browser.ask(f'document.querySelector({row!r} + " .answer").textContent')
+    assert reason.startswith('refused: ') and 'out of range' in reason
+    assert lab.get(CONTROLLER, gain) == value
+    shown = f'document.querySelector({row!r} + " input[type=number]").value'
+    assert float(browser.ask(shown)) == pytest.approx(value, rel=1e-3)
+    browser.ask('document.activeElement.blur()')
+    assert lab.set_parameters(CONTROLLER, gains__joint1__kd_link=0.5).successful
+    browser.until(f'{shown} === "0.5"')
