@@ -36,6 +36,8 @@ class DrivenPlan:
         Simulated length [s].
     rate : float
         Joint states per simulated second [Hz].
+    plant : Path, optional
+        Robot file of the plant alone; default the robot of ``files``.
 
     """
 
@@ -44,6 +46,7 @@ class DrivenPlan:
     compensation: str
     duration: float
     rate: float
+    plant: Path = None
 
 
 def private_environment():
@@ -76,6 +79,7 @@ def drive(plan, bag, *, log):
     mode = {'mode': 'lockstep'}
     trajectory = {**mode, 'trajectory.autostart': True}
     controller_files = [*plan.files, plan.model]  # the model last: what the controller believes
+    plant_files = plan.files if plan.plant is None else [*plan.files, plan.plant]
     timing = {**mode, 'rate': plan.rate, 'duration': plan.duration,
               'wait_for_subscribers': _LISTENERS}
     bound = _START_BOUND + plan.duration * plan.rate / _SLOWEST_STEPS
@@ -90,7 +94,7 @@ def drive(plan, bag, *, log):
         processes.wait_for_text('recorder', [f'subscribed to {topic} ' for topic in TOPICS[1:]],
                                 _START_BOUND)
         processes.start('plant', [*executable('plant_node'),
-                                  *ros_arguments(plan.files, timing)])
+                                  *ros_arguments(plant_files, timing)])
         processes.wait('plant', bound)
         for name in ('trajectory', 'controller', 'recorder'):
             processes.stop(name)

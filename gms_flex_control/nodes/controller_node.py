@@ -8,6 +8,8 @@ import sys
 import time
 
 from gms_flex_control.control.gain_conditions import violations
+from gms_flex_control.effect_compensation.feedforward import CompensatingController
+from gms_flex_control.effect_compensation.known import as_parameters, compensated
 from gms_flex_control.nodes import messages, process, references
 from gms_flex_control.nodes.health import Health, OK, WARN
 from gms_flex_control.nodes.messages import NANOSECONDS
@@ -16,7 +18,6 @@ from gms_flex_control.nodes.references import Handover, Reference, References
 from gms_flex_control.nodes.refusal import all_finite
 from gms_flex_control.schema.build import controller_from_values, robot_from_values
 from gms_flex_control.schema.keys import controller_keys, controller_node_keys, robot_keys
-from gms_flex_control.simulation.stepped import SteppedController
 import numpy as np
 from rclpy.duration import Duration
 from rclpy.node import Node
@@ -53,7 +54,7 @@ class ControllerNode(Node):
         self._handover = Handover(values['resume_time'])
         self._every = values['state_every']
         self._robot = robot
-        self._controller = SteppedController(gains, robot)
+        self._controller = CompensatingController(gains, robot)
         self._limit = gains.torque_limit
         self._reader = messages.JointStateReader(robot.joints, robot.motors)
         self._command = messages.CommandWriter(
@@ -76,6 +77,10 @@ class ControllerNode(Node):
                          self.health.guard)
         self._warn_of_conditions(gains)
         self.get_logger().info(f"compensation {gains.compensation}, {values['mode']}")
+        beyond = [f'{spec.name} of {spec.joint}' for spec in robot.effects
+                  if not compensated(spec.name)]
+        if beyond:
+            self.get_logger().info(f'the model has, not compensated: {", ".join(beyond)}')
 
     def _create_topics(self, mode):
         n, blocks = self._robot.friction.stiffness.shape
@@ -112,7 +117,7 @@ class ControllerNode(Node):
         self._warn_of_conditions(gains)
 
     def _warn_of_conditions(self, gains):
-        broken = violations(gains, self._robot)
+        broken = violations(gains, as_parameters(self._robot))
         for sentence in broken:
             if sentence not in self._warned:
                 self.get_logger().warning(sentence)

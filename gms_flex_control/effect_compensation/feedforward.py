@@ -1,0 +1,151 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""
+The cascade controller that also makes up for the effects its model names.
+
+The cascade law is linear in the elastic torque it asks for, Eqs. (9) and (27) to (29): a torque
+x that the links need on top adds ``J K^-1 Lambda_2 x' + K_D2 K^-1 (x' + Lambda_2 x)`` to the
+command, and one that the motors get, y, is taken off it. x' comes from the command filter of the
+friction estimate; the term ``J K^-1 x''``, 4 % at 1 Hz, would be mostly encoder noise.
+"""
+
+from functools import cache
+
+from gms_flex_control import records
+from gms_flex_control.compiled import compiled
+from gms_flex_control.control import cascade, observer
+from gms_flex_control.effect_compensation.known import as_parameters
+from gms_flex_control.effects import signals as sig
+from gms_flex_control.effects import table as effect_table
+from gms_flex_control.effects.base import Stage
+from gms_flex_control.records import boxed, FLOAT
+from gms_flex_control.simulation import encoder
+from gms_flex_control.simulation.stepped import tick_boxed
+import numpy as np
+
+_FRICTION, _LINK, _MOTOR = int(Stage.FRICTION), int(Stage.LINK), int(Stage.MOTOR)
+
+
+@cache
+def constants_layout(n):
+    """
+    Return the dtype of effects, springs and gains as `feed` takes them.
+
+    ``links``, 1 where the links are served, 0 where an observer sees all that they lack already.
+    """
+    return records.layout(
+        ('effects', effect_table.LAYOUT), ('links', FLOAT, (1,)),
+        *((name, FLOAT, (n,)) for name in ('flexible', 'stiffness', 'motor_inertia', 'kd_motor',
+                                           'lambda_motor', 'bandwidth', 'torque_limit')))
+
+
+@cache
+def state_layout(n):
+    """Return the dtype of the filter (2, n), of what effects remember and of the work space."""
+    return records.layout(
+        ('filtered', FLOAT, (2, n)), ('started', FLOAT, (1,)), ('further', FLOAT, (n,)),
+        ('signals', FLOAT, (n, sig.WIDTH)), ('memory', FLOAT, (effect_table.MEMORY_SIZE,)))
+
+
+def constants_of(gains, model):
+    """Return gains and a model from `as_parameters` as the record `feed` takes."""
+    arm = model.arm
+    return records.build(
+        constants_layout(model.n_joints), effects=effect_table.build(model.effects, model.joints),
+        links=gains.compensation != 'disturbance_observer', flexible=~arm.rigid,
+        stiffness=np.where(arm.rigid, 1.0, arm.stiffness),
+        motor_inertia=arm.motor_inertia, kd_motor=gains.kd_motor,
+        lambda_motor=gains.lambda_motor, bandwidth=gains.filter_bandwidth,
+        torque_limit=gains.torque_limit)
+
+
+@compiled
+def sense(control, measured, constants, state):
+    """Write what the effects may read, as measured and estimated, into the signal table."""
+    s = state.signals
+    for j in range(s.shape[0]):
+        s[j, sig.JOINT], s[j, sig.JOINTS] = j, s.shape[0]
+        s[j, sig.Q_LINK], s[j, sig.DQ_LINK] = measured.q_link[j], measured.dq_link[j]
+        s[j, sig.Q_MOTOR], s[j, sig.DQ_MOTOR] = measured.q_motor[j], measured.dq_motor[j]
+        s[j, sig.TORQUE] = s[j, sig.SPRING] = control.command[j]
+        if constants.flexible[j]:
+            s[j, sig.TWIST] = measured.q_motor[j] - measured.q_link[j]
+            s[j, sig.TWIST_RATE] = measured.dq_motor[j] - measured.dq_link[j]
+            s[j, sig.SPRING] = constants.stiffness[j] * s[j, sig.TWIST]
+        s[j, sig.FRICTION] = control.friction_hat[j]
+        s[j, sig.LINK_TORQUE] = s[j, sig.MOTOR_TORQUE] = 0.0
+
+
+@compiled
+def feed(controls, measurements, dt, constant, states):
+    """
+    Add what the effects ask for to the answer of the cascade law; records come boxed.
+
+    Changes ``command``, ``friction_hat`` and ``saturated`` of the controller's state.
+    """
+    control, measured, constants, state = controls[0], measurements[0], constant[0], states[0]
+    s, further, filtered = state.signals, state.further, state.filtered
+    sense(control, measured, constants, state)
+    for stage in (_FRICTION, _LINK, _MOTOR):
+        effect_table.run_stage(stage, s, state.memory, dt, constants.effects)
+    for j in range(s.shape[0]):
+        further[j] = constants.links[0] * (
+            s[j, sig.FRICTION] - control.friction_hat[j] - s[j, sig.LINK_TORQUE])
+        control.friction_hat[j] += further[j]
+        if not state.started[0]:
+            filtered[0, j], filtered[1, j] = further[j], 0.0
+    state.started[0] = 1.0
+    observer.filter_step(filtered, further, constants.bandwidth, dt)
+    for j in range(s.shape[0]):
+        added = further[j]
+        if constants.flexible[j]:
+            turn, damping = constants.lambda_motor[j], constants.kd_motor[j]
+            added = (constants.motor_inertia[j] * turn * filtered[1, j]
+                     + damping * (filtered[1, j] + turn * further[j])) / constants.stiffness[j]
+        command = control.command[j] + added - s[j, sig.MOTOR_TORQUE]
+        limit = constants.torque_limit[j]
+        if abs(command) > limit:
+            control.saturated[j] = 1.0
+        control.command[j] = min(max(command, -limit), limit)
+
+
+class CompensatingController:
+    """
+    The cascade controller with a model that may name effects, tick by tick.
+
+    Parameters
+    ----------
+    gains : ControllerParams
+        Of the start; they may change in between.
+    model : RobotParams
+        The robot as believed. Effects that no controller can make up for are left aside.
+
+    """
+
+    def __init__(self, gains, model):
+        self._model = as_parameters(model)
+        self._work = boxed(cascade.workspace(model.n_joints))
+        self._measured = boxed(encoder.init(model.n_joints))
+        self.measured = self._measured[0]
+        self.use(gains)
+        self.reset()
+
+    def use(self, gains):
+        """Take other gains from the next tick on."""
+        self._law = boxed(cascade.constants_of(gains, self._model))
+        self._constants = boxed(constants_of(gains, self._model))
+
+    def reset(self):
+        """Forget the motion so far: observer and filters begin anew."""
+        self._state = boxed(cascade.init(self._model))
+        self._fed = boxed(records.build(state_layout(self._model.n_joints)))
+        self.state = self._state[0]
+        self._command = self.state.command
+
+    def tick(self, reference, dt):
+        """Answer ``measured`` with a torque (n_joints,) [N m]; see control.cascade.tick."""
+        tick_boxed(self._state, self._measured, reference, dt, self._law, self._work)
+        if self._model.effects:
+            feed(self._state, self._measured, dt, self._constants, self._fed)
+        return self._command

@@ -1,0 +1,123 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""The controller makes up for the effects its model names; of others it keeps its hands off."""
+
+from dataclasses import replace
+
+from gms_flex_control.effect_compensation import loop
+from gms_flex_control.effect_compensation.feedforward import CompensatingController
+from gms_flex_control.effect_compensation.known import as_parameters, compensated
+from gms_flex_control.effects.registry import find
+from gms_flex_control.params.robot import EffectSpec
+from gms_flex_control.simulation import closed_loop
+from gms_flex_control.simulation.stepped import SteppedController
+from gms_flex_control.trajectory.builders import via_points
+import numpy as np
+import pytest
+
+PERIOD = 2e-3
+MOTION = via_points([[0.0, 0.0], [0.8, -0.4], [-0.2, 0.5], [0.0, 0.0]], 2.5, 0.2)
+
+
+def spec(name, joint='joint2', **values):
+    """Return an EffectSpec."""
+    return EffectSpec(name=name, joint=joint, values=find(name).values(values, name))
+
+
+def rms(run):
+    """Return the tracking error of each link [rad]."""
+    return np.sqrt(np.mean((run.true[:, 0] - run.reference[:, 0]) ** 2, axis=0))
+
+
+@pytest.fixture(scope='module')
+def plain(robot, gains):
+    """Return a run of the default loop, which no effect disturbs."""
+    noisy = replace(robot, encoder=replace(robot.encoder, noise=1e-4))
+    return noisy, closed_loop.run(noisy, noisy, gains, MOTION, duration=2.0, seed=4)
+
+
+def test_without_effects_it_is_the_cascade_controller_bit_by_bit(plain, gains):
+    noisy, compiled_run = plain
+    run = loop.run(noisy, noisy, gains, compiled_run.reference, seed=4)
+    for name in ('time', 'measured', 'true', 'command', 'applied', 'friction_hat'):
+        assert np.array_equal(getattr(run, name), getattr(compiled_run, name)), name
+
+
+def answers(effects, robot, gains, ticks=40):
+    """Return commands and friction estimates along a made-up measurement, with model effects."""
+    found = []
+    for model, kind in ((robot, SteppedController),
+                        (replace(robot, effects=effects), CompensatingController)):
+        controller, rows = kind(gains, model), []
+        for k in range(ticks):
+            t = k * PERIOD
+            controller.measured.q_link[:] = 0.1 * t, 0.2 + 0.5 * t
+            controller.measured.dq_link[:] = 0.1, 0.5
+            controller.measured.q_motor[:] = 0.02 + 0.1 * t, 0.15 + 0.5 * t
+            controller.measured.dq_motor[:] = 0.1, 0.5
+            reference = np.zeros((5, 2))
+            reference[0], reference[1] = controller.measured.q_link, (0.1, 0.5)
+            controller.tick(reference, PERIOD if k else 0.0)
+            rows.append([controller.state.command.copy(), controller.state.friction_hat.copy()])
+        found.append(np.moveaxis(np.array(rows), 1, 0))
+    return found
+
+
+def test_a_ripple_of_the_motor_is_taken_off_its_command(robot, gains):
+    ripple = spec('torque_ripple', amplitude=0.01, order=12.0, phase=0.3)
+    (plain, _), (command, _) = answers((ripple,), robot, gains)
+    motor = 0.15 + 0.5 * PERIOD * np.arange(len(command))
+    assert command[:, 1] - plain[:, 1] == pytest.approx(-0.01 * np.sin(12.0 * motor + 0.3))
+    assert np.array_equal(command[:, 0], plain[:, 0])
+
+
+def test_a_constant_torque_on_the_link_is_met_through_the_spring(robot, gains):
+    (plain, before), (command, after) = answers(
+        (spec('constant_link_torque', bias=0.02),), robot, gains)
+    expected = -0.02 * gains.kd_motor[1] * gains.lambda_motor[1] / robot.arm.stiffness[1]
+    assert command[:, 1] - plain[:, 1] == pytest.approx(expected)
+    assert after[:, 1] - before[:, 1] == pytest.approx(-0.02)
+
+
+@pytest.mark.parametrize(('effect', 'factor'), [
+    (spec('load_friction', ratio=0.3, load=0.05), lambda q: 1.0 + 0.3 * 0.05 * 1.5 / 0.05),
+    (spec('position_friction', ratio=0.2, order=3.0, phase=0.4),
+     lambda q: 1.0 + 0.2 * np.cos(3.0 * q + 0.4))])
+def test_the_friction_estimate_follows_load_and_position(effect, factor, robot, gains):
+    (_, before), (_, after) = answers((effect,), robot, gains)
+    q = 0.2 + 0.5 * PERIOD * np.arange(len(before))
+    assert np.ptp(before[:, 1]) > 0.01
+    assert after[:, 1] == pytest.approx(factor(q) * before[:, 1])
+
+
+def test_effects_that_are_parameters_become_parameters(robot):
+    model = as_parameters(replace(robot, effects=(
+        spec('friction_asymmetry', ratio=0.1), spec('viscous_error', slope=0.02),
+        spec('gravity_tilt', 'arm', tilt=0.01, direction=0.0), spec('backlash', half_gap=0.01),
+        spec('torque_ripple', amplitude=0.01, order=6.0, phase=0.0))))
+    assert [one.name for one in model.effects] == ['torque_ripple']
+    forward, backward = model.friction.forward, model.friction.backward
+    assert forward.coulomb[1] == pytest.approx(1.1 * robot.friction.forward.coulomb[1])
+    assert backward.static[1] == pytest.approx(0.9 * robot.friction.backward.static[1])
+    assert forward.viscous[1] == pytest.approx(1.1 * robot.friction.forward.viscous[1] + 0.02)
+    assert forward.coulomb[0] == robot.friction.forward.coulomb[0]
+    assert model.arm.gravity[0] == pytest.approx(9.80665 * np.sin(0.01))
+
+
+@pytest.mark.parametrize(('effect', 'joint', 'at_most'), [
+    (spec('gravity_tilt', 'arm', tilt=0.015, direction=0.1), 0, 0.3),
+    (spec('friction_asymmetry', ratio=0.2), 1, 0.7),
+    (spec('position_friction', ratio=0.35, order=2.0, phase=0.5), 1, 0.8),
+    (spec('viscous_error', slope=0.15), 1, 0.7)])
+def test_the_links_follow_better_once_the_effect_is_known(effect, joint, at_most, robot, gains):
+    reference = MOTION.sample(np.arange(4150) * PERIOD)
+    true = replace(robot, effects=(effect,))
+    before, after = (rms(loop.run(true, model, gains, reference)) for model in (robot, true))
+    assert after[joint] < at_most * before[joint]
+
+
+def test_what_no_torque_can_undo_is_not_said_to_be_compensated():
+    assert compensated('torque_ripple') and compensated('gravity_tilt')
+    for name in ('backlash', 'input_delay', 'encoder_skew', 'motor_coulomb', 'friction_drift'):
+        assert not compensated(name)
