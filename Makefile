@@ -3,7 +3,7 @@ SHELL := /bin/bash
 BIN := .venv/bin
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo demo-identify test lint bench lock clean
+.PHONY: help demo demo-identify test lint bench screenshots lock clean
 
 # A ROS installation or another environment in the caller's shell must not leak in.
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH COLCON_PREFIX_PATH
@@ -29,6 +29,9 @@ lint: .venv/.with-test  ## Run ruff (the ament linters run among the tests)
 
 bench: .venv/.with-bench  ## Measure speed, beside MuJoCo
 	@$(BIN)/gms_flex bench
+
+screenshots: .venv/.with-test  ## Make the pictures of docs/view.md anew (needs chromium)
+	@PYTHONPATH=test $(BIN)/python scripts/screenshots.py
 
 lock: .venv/.created  ## Write constraints.txt anew from the newest versions setup.py allows
 	@$(BIN)/python -m pip install --quiet uv

@@ -201,6 +201,19 @@ def test_rows_are_put_together_by_stamp_whatever_comes_first():
     assert [second[f'stick.{j}.{i}'] for j in range(2) for i in range(3)] == [1, 0, 1, 0, 1, 0]
 
 
+def test_a_reference_of_another_time_is_carried_on_and_a_distant_one_is_none():
+    rows, speed, acceleration = Rows(2, 0), np.array([0.4, -0.2]), np.array([3.0, 5.0])
+    rows.put('reference', 1_000_000_000, [0.5, 0.6, *speed, *acceleration])
+    rows.put('reference', 1_500_000_000, [])
+    for stamp in (1_010_000_000, 1_200_000_000):
+        rows.put_state(stamp, 0.0, [0.0, 0.0], [0.0, 0.0])
+    table = rows.take(1.0)
+    reference = table[:, [rows.names.index('reference.0'), rows.names.index('reference.1')]]
+    expected = np.array([0.5, 0.6]) + 0.01 * speed + 0.5 * 0.01 ** 2 * acceleration
+    np.testing.assert_allclose(reference[0], expected, atol=1e-12)
+    assert np.isnan(reference[1]).all()
+
+
 def test_a_clock_that_jumps_begins_anew_and_late_states_are_left_out():
     rows = Rows(1, 0)
     for stamp in (10.0, 10.002, 10.001, 10.002, 10.004):

@@ -49,6 +49,8 @@ def read_blocks(path, time, n, *, topics=None, joint_states=None):
     space = namespace_of(bag)
     topics = topics or (space + TORQUE_TOPIC, space + STICKING_TOPIC)
     joint_states = joint_states or space + Topics().joint_states
+    if bag.metadata and not set(topics) & set(bag.metadata.topics):
+        return (None,) * len(topics)  # a long bag is not read once more for that
     waiting = {topic: ([], []) for topic in topics}
     for batch in bag.batches(topics):
         for name, log, _, data in batch:

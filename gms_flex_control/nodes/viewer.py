@@ -27,8 +27,9 @@ from std_msgs.msg import Float64MultiArray
 
 CONTROLLER = '/cascade_controller'
 _TUNABLE = ('compensation', 'gains')
-_ASK_PERIOD = 2.0    # of asking a controller that has not told its robot yet [s]
-_SPIN = 0.02         # [s]
+_ASK_PERIOD = 1.0    # of looking for the controller, and asking for its robot [s]
+_SPIN = 0.02         # longest wait for a message [s]
+_PASS_PERIOD = 0.03  # of passing on what has come [s]
 _SILENCE = 1.0       # of the joint states, before it is said [s]
 _DEPTH = 200
 
@@ -39,7 +40,7 @@ class ViewError(GmsFlexError):
 
 class LiveView:
     """
-    A node in a thread of its own, and what it has heard.
+    Nodes in threads of their own, and what they have heard.
 
     Parameters
     ----------
@@ -57,25 +58,33 @@ class LiveView:
         self._scene = self._rows = self._names = None
         self._links, self._motors, self._blocks = (), (), 0
         self._known = False      # whether the controller has told its robot
+        self._there = False      # whether it answers
         self._asked, self._heard = -math.inf, None
-        self._feed, self._todo = Feed(), deque()
+        self._feed, self._todo, self._told = Feed(), deque(), deque()
         self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, name='viewer', daemon=True)
+        self._threads = [threading.Thread(target=run, name=run.__name__, daemon=True)
+                         for run in (self._listen, self._ask)]
 
     def __enter__(self):
         avoid_shared_memory()
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-        self._node = rclpy.create_node(f'gms_flex_view_{time.time_ns() % 10**9}',
-                                       enable_rosout=False, start_parameter_services=False)
-        self._remote = RemoteParameters(self._node, self._controller, self._todo.append)
+        name = f'gms_flex_view_{time.time_ns() % 10**9}'
+        # apart, so that an answer does not wait behind thousands of joint states
+        self._node, self._asker = (
+            rclpy.create_node(f'{name}{end}', enable_rosout=False, start_parameter_services=False)
+            for end in ('', '_parameters'))
+        self._remote = RemoteParameters(self._asker, self._controller, self._todo.append)
         self._subscribe()
-        self._thread.start()
+        for thread in self._threads:
+            thread.start()
         return self
 
     def __exit__(self, *_):
         self._stop.set()
-        self._thread.join(timeout=5.0)
+        for thread in self._threads:
+            thread.join(timeout=5.0)
         self._node.destroy_node()
+        self._asker.destroy_node()
         rclpy.try_shutdown()
 
     def _subscribe(self):
@@ -91,25 +100,43 @@ class LiveView:
                 kind, topic, callback, process.subscriber_qos('realtime', _DEPTH),
                 event_callbacks=process.NO_EVENTS)
 
-    def _run(self):
+    def _listen(self):
+        """Take messages in, and pass them on some at a time."""
+        due = 0.0
+        for _ in self._spinning(self._node):
+            now = time.monotonic()
+            if now >= due:
+                due = now + _PASS_PERIOD
+                self._pass_on(now)
+
+    def _ask(self):
+        """Call services, and look whether the controller is there."""
+        for _ in self._spinning(self._asker):
+            while self._todo:
+                self._todo.popleft()()
+            now = time.monotonic()
+            if now - self._asked > _ASK_PERIOD:
+                self._asked = now
+                self._there = self._remote.is_ready()
+                if not self._known:
+                    self._remote.ask_all(self._told.append)
+
+    def _spinning(self, node):
+        """Yield between the callbacks of a node until the end."""
         executor = EventsExecutor()
-        executor.add_node(self._node)
+        executor.add_node(node)
         try:
             while rclpy.ok() and not self._stop.is_set():
                 executor.spin_once(timeout_sec=_SPIN)
-                while self._todo:
-                    self._todo.popleft()()
-                self._pass_on()
+                yield
         except ExternalShutdownException:
             pass
         finally:
             executor.shutdown()
 
-    def _pass_on(self):
-        now = time.monotonic()
-        if not self._known and now - self._asked > _ASK_PERIOD:
-            self._asked = now
-            self._remote.ask_all(self._meet)
+    def _pass_on(self, now):
+        while self._told:
+            self._meet(self._told.popleft())
         if self._rows is None:
             self._feed.add((), self._state(now))
             return
@@ -123,7 +150,7 @@ class LiveView:
             return f'no joint states on {self._space}/joint_states yet: is plant_node running?'
         if now - self._heard > _SILENCE:
             return f'no joint states for {int(now - self._heard)} s'
-        return '' if self._remote.is_ready() else f'{self._controller} is not there'
+        return '' if self._there else f'{self._controller} is not there'
 
     def _meet(self, values):
         """Take the robot that the controller believes in from its parameters."""
@@ -162,10 +189,9 @@ class LiveView:
         self._rows.put_state(messages.to_nanoseconds(message.header.stamp), self._heard,
                              link, motor)
 
-    def _put(self, signal, message, values=None):
+    def _put(self, signal, message):
         if self._rows is not None:
-            self._rows.put(signal, messages.read_stamp(message),
-                           message.data if values is None else values)
+            self._rows.put(signal, messages.read_stamp(message), message.data)
 
     def _on_command(self, message):
         self._put('command', message)
@@ -173,7 +199,7 @@ class LiveView:
     def _on_reference(self, message):
         dims = message.layout.dim
         if not dims or dims[0].label != messages.EFFORT:
-            self._put('reference', message, message.data[:len(self._links)])
+            self._put('reference', message)
 
     def _on_state(self, message):
         if self._rows is not None and tuple(message.name) == tuple(self._links):
@@ -190,7 +216,7 @@ class LiveView:
     def session(self):
         """Return what the page has to know before it draws, as a dict for JSON."""
         version, scene = self._feed.version, self._scene
-        title = 'live' if not self._space else f'live, {self._space}'
+        title = 'running loop' + (f' in {self._space}' if self._space else '')
         return {'mode': 'live', 'title': title, 'notes': [], 'version': version,
                 'controller': self._controller, 'scene': scene and scene.as_dict(),
                 'columns': self._rows.names if scene else [],

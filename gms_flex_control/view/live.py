@@ -4,6 +4,7 @@
 """Messages of a running loop put together to rows by the stamp of their joint state."""
 
 from collections import deque
+from math import factorial
 import threading
 
 from gms_flex_control.view.columns import column_names, PER_JOINT
@@ -14,6 +15,7 @@ KEPT = 60_000        # rows that a page which opens late still gets
 _MOST_WAITING = 2000
 _MOST_AT_ONCE = 4000  # rows of one event
 _REACH = 20_000_000   # a reference further away is none [ns]
+_DERIVATIVES = 4       # of a reference, the angle among them
 _JUMP = 1.0           # stamps that go back or ahead by more are another run [s]
 
 
@@ -80,7 +82,7 @@ class Rows:
         stamp : int or None
             Of the joint state they belong to [ns]; None for the newest.
         values : sequence of float
-            One per joint or block.
+            One per joint or block; of a reference its derivatives may follow.
 
         """
         if signal == 'reference':  # stamped ahead of the state it is for
@@ -120,10 +122,16 @@ class Rows:
         return table[:, self._place[signal]:self._place[signal] + self._n]
 
     def _add_reference(self, stamp, row):
-        label, angles = min(self._references, default=(None, ()), key=lambda item: abs(
+        """Write the nearest reference, carried on by its own derivatives."""
+        label, values = min(self._references, default=(None, ()), key=lambda item: abs(
             item[0] - stamp))
-        if label is not None and abs(label - stamp) <= _REACH:
-            self._write(row, 'reference', angles)
+        if label is None or abs(label - stamp) > _REACH or not values:
+            return
+        shift, angles = (stamp - label) * 1e-9, np.zeros(self._n)
+        for power in range(min(len(values) // self._n, _DERIVATIVES)):
+            angles += shift ** power / factorial(power) * np.array(
+                values[power * self._n:(power + 1) * self._n])
+        self._write(row, 'reference', angles)
 
 
 class Feed:
