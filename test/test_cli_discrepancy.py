@@ -48,7 +48,8 @@ def outcome(folder):
     return subprocess.run(
         [*executable('gms_flex'), 'discrepancy', folder / 'bag', '--robot', folder / 'robot.yaml',
          '--out', folder / 'out', '--holdout', folder / 'held_out',
-         '--models', folder / 'robot.yaml'], capture_output=True, text=True, timeout=300)
+         '--models', folder / 'robot.yaml', '--controller', folder / 'controller.yaml'],
+        capture_output=True, text=True, timeout=300)
 
 
 @pytest.fixture(scope='module')
@@ -76,6 +77,17 @@ def test_the_gap_shrinks_on_the_other_motion(case, report):
     assert report['holdout'] and set(gap['floor']) == set(case.nominal.joints)
     assert gap['after'][joint] < 0.5 * gap['retuned'][joint] < gap['before'][joint]
     assert gap['free_after'][joint] < 0.5 * gap['free_before'][joint]
+
+
+def test_the_closed_loop_of_the_other_motion_comes_closer(case, report, folder):
+    joint = case.truth.effects[0].joint
+    loop = report['gap']['closed_loop']
+    assert loop['sources'] == [str(folder / 'held_out')]
+    assert loop['after'][joint] < 0.5 * loop['retuned'][joint]
+    assert loop['floor'][joint] < loop['after'][joint] < loop['before'][joint]
+    assert 'The closed loop, simulated anew' in report['words']
+    page = (folder / 'out' / 'report.html').read_text(encoding='utf-8')
+    assert f'{joint}: closed loop, simulated - measured' in page
 
 
 def test_the_model_written_has_the_effect_and_loads(case, folder, report):

@@ -35,6 +35,9 @@ def add_parser(subparsers):
                              '(default: 0.03); smaller effects are listed apart')
     parser.add_argument('--models', nargs='+', default=[], metavar='FILE',
                         help='further models of the robot to compare on the same bags')
+    parser.add_argument('--controller', nargs='+', default=[], metavar='FILE',
+                        help='the controller that drove the robot while it believed --robot: its '
+                             'closed loop is simulated along the recorded /reference, too')
     parser.add_argument('--force', action='store_true',
                         help='go on in spite of faults in the data')
     parser.add_argument('--json', action='store_true', help='print report.json instead of text')
@@ -53,7 +56,8 @@ def run(args):
     others = models_of(args, robot)
     takes, holdout = ([read_take(path, robot)[0] for path in paths]
                       for paths in (args.bags, args.holdout))
-    result = searched(takes, robot, options, holdout, args)
+    result = looped(args, robot, holdout or takes,
+                    lambda: searched(takes, robot, options, holdout, args))
     compared = ()
     if others and result.found is not None:
         compared = compare(result, [('as given', robot), ('with what was found', result.robot),
@@ -73,6 +77,18 @@ def searched(takes, robot, options, holdout, args):
             raise
         raise BagError(f'{", ".join(args.bags)}: no model can be fitted to these data ({error}); '
                        'without --force their faults are named, mend those first') from error
+
+
+def looped(args, robot, recordings, search):
+    """Return what ``search`` finds, with the closed loop of --controller; refuse before it."""
+    from gms_flex_control.discrepancy.closed_loop import stretch_of, with_closed_loop
+    from gms_flex_control.schema.files import load_controller
+    if not args.controller:
+        return search()
+    gains = load_controller(args.controller, robot)
+    for recording in recordings:
+        stretch_of(recording)
+    return with_closed_loop(search(), recordings, gains)
 
 
 def written(result, compared, holdout, args):

@@ -92,6 +92,8 @@ class Gap:
         Angle by which runs of half a second stray, rms [rad]; before is re-tuned.
     energy_ratio : float
         Squared residual above the floor, after over re-tuned.
+    closed_loop : ClosedLoop or None
+        The closed loop of the recordings simulated anew; None where it was not asked for.
 
     """
 
@@ -104,6 +106,7 @@ class Gap:
     free_after: np.ndarray
     free_floor: np.ndarray
     energy_ratio: float
+    closed_loop: object = None
 
 
 class Signature(NamedTuple):

@@ -15,6 +15,7 @@ from gms_flex_control.reports.discrepancy_figures import (
     gap_figure,
     maps_figure,
 )
+from gms_flex_control.reports.discrepancy_loop import add_closed_loop
 from gms_flex_control.reports.discrepancy_views import Along, dependences, evidence_of, maps_of
 from gms_flex_control.reports.figures import save_figure
 from gms_flex_control.reports.model_comparison import comparison_rows
@@ -51,7 +52,31 @@ def write_discrepancy_report(result, folder, *, holdout=(), models=()):
         What was written, the page first.
 
     """
-    folder, pictures = Path(folder), []
+    folder = Path(folder)
+    report = Report('What the model lacks', f'{TITLES[result.verdict]} - '
+                    + ', '.join(result.sources))
+    pictures = add_discrepancy(report, result, folder, holdout=holdout, models=models)
+    return [report.write(folder / 'report.html'), *pictures]
+
+
+def add_discrepancy(report, result, folder, *, holdout=(), models=()):
+    """
+    Add everything about a discrepancy to a page and write the PNGs.
+
+    Parameters
+    ----------
+    report : Report
+        The page.
+    result, folder, holdout, models
+        As of `write_discrepancy_report`.
+
+    Returns
+    -------
+    list of Path
+        The pictures.
+
+    """
+    pictures = []
 
     def picture(figure, name):
         path = folder / name
@@ -59,8 +84,6 @@ def write_discrepancy_report(result, folder, *, holdout=(), models=()):
         pictures.append(path)
         return path
 
-    report = Report('What the model lacks', f'{TITLES[result.verdict]} - '
-                    + ', '.join(result.sources))
     _add_summary(report, result)
     if result.found is not None:
         problem, found = result.found[:2]
@@ -70,8 +93,9 @@ def write_discrepancy_report(result, folder, *, holdout=(), models=()):
         _add_left(report, result)
         _add_residuals(report, along, found, picture)
         _add_free_runs(report, problem, found, holdout)
+        add_closed_loop(report, result.gap.closed_loop)
         _add_tables(report, result, models)
-    return [report.write(folder / 'report.html'), *pictures]
+    return pictures
 
 
 def _add_summary(report, result):

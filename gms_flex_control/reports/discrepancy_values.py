@@ -72,7 +72,15 @@ def finding_values(finding, joints):
 def gap_values(gap):
     """Return a Gap as a dict, each figure by joint."""
     return {name: by_joint(gap.joints, getattr(gap, name)) for name in (*_TORQUES, *_STRAYS)} | {
-        'energy_ratio': gap.energy_ratio}
+        'energy_ratio': gap.energy_ratio, 'closed_loop': loop_values(gap.closed_loop)}
+
+
+def loop_values(again):
+    """Return a ClosedLoop as a dict, each figure by joint; None as it is."""
+    if again is None:
+        return None
+    return {'sources': again.sources} | {
+        name: by_joint(again.joints, getattr(again, name)) for name in _TORQUES}
 
 
 def model_values(model, joints):

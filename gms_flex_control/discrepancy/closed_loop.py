@@ -1,0 +1,215 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""How far the closed loop, simulated anew along a recorded reference, is from the recording."""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+from gms_flex_control.discrepancy.retuned import with_knobs
+from gms_flex_control.effect_compensation import loop
+from gms_flex_control.errors import BagError
+import numpy as np
+
+LEAST_TIME = 1.0   # with a reference all along, shorter recordings are of no use [s]
+_FARTHEST = 10.0   # strays are cut there, of loops that run away [rad]
+_EVEN = 0.02       # of the period: samples closer to an even grid are left as they are
+_SEED, _OTHER_SEED = 991, 992  # of the encoder noise
+
+
+class Stretch(NamedTuple):
+    """The longest part of a recording that has a reference, evenly sampled."""
+
+    source: str
+    begin: float           # in the recording's time [s]
+    period_ns: int
+    reference: np.ndarray  # (T, 5, n)
+    measured: np.ndarray   # (T, n) link angles [rad]
+    q_motor: np.ndarray    # (n,) at the beginning; NaN where unknown [rad]
+
+
+class ClosedLoop(NamedTuple):
+    """
+    Strays of the simulated closed loop from the measured link angles, rms (n,) [rad].
+
+    ``before`` is the model as given, ``retuned`` with known parameters re-tuned, ``after`` with
+    the effects found; ``floor`` is what two runs of the last, of other encoder noise, differ by.
+    The courses are those of the first recording.
+    """
+
+    joints: tuple
+    sources: tuple
+    before: np.ndarray
+    retuned: np.ndarray
+    after: np.ndarray
+    floor: np.ndarray
+    time: np.ndarray            # (T,) [s]
+    measured: np.ndarray        # (T, n) [rad]
+    course_before: np.ndarray   # (T, n) of the model re-tuned [rad]
+    course_after: np.ndarray    # (T, n) [rad]
+
+
+def stretch_of(recording):
+    """
+    Return what a closed loop can be simulated along.
+
+    Parameters
+    ----------
+    recording : Recording
+        Of a robot under the cascade controller.
+
+    Returns
+    -------
+    Stretch
+
+    Raises
+    ------
+    BagError
+        If it has no reference for `LEAST_TIME` on end.
+
+    """
+    known = np.isfinite(recording.reference).all(axis=(1, 2)) & np.isfinite(
+        recording.q_link).all(axis=1)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], known.astype(int), [0]])))
+    first, last = max(zip(edges[::2], edges[1::2], strict=True), default=(0, 0),
+                      key=lambda part: part[1] - part[0])
+    time = recording.time[first:last]
+    if len(time) < 2 or time[-1] - time[0] < LEAST_TIME:
+        raise BagError(f'{recording.source}: has no reference of the link angles for '
+                       f'{LEAST_TIME:g} s on end, so its closed loop cannot be simulated; record '
+                       '/reference with the joint states, or leave --controller out')
+    period = (time[-1] - time[0]) / (len(time) - 1)
+    grid = time[0] + period * np.arange(len(time))
+    reference, measured = recording.reference[first:last], recording.q_link[first:last]
+    if np.abs(time - grid).max() > _EVEN * period:
+        reference, measured = (_resampled(grid, time, values) for values in (reference, measured))
+    return Stretch(recording.source, float(time[0]), round(1e9 * period), reference, measured,
+                   recording.q_motor[first])
+
+
+def _resampled(grid, time, values):
+    """Return values (T, ...) at other times, linearly between the samples."""
+    flat = values.reshape(len(values), -1)
+    columns = [np.interp(grid, time, flat[:, i]) for i in range(flat.shape[1])]
+    return np.stack(columns, axis=1).reshape(values.shape)
+
+
+def simulated(robot, believed, gains, stretch, seed=_SEED):
+    """
+    Return the link angles that a closed loop would have measured.
+
+    Parameters
+    ----------
+    robot : RobotParams
+        The model of the plant.
+    believed : RobotParams
+        What the controller of the recording believed.
+    gains : ControllerParams
+        Of that controller.
+    stretch : Stretch
+        Where its motion began, and its reference.
+    seed : int
+        Of the encoder noise.
+
+    Returns
+    -------
+    ndarray, shape (T, n)
+        [rad]
+
+    """
+    rates = stretch.reference[0, 1]
+
+    def begin(plant):
+        q_motor = np.where(np.isfinite(stretch.q_motor), stretch.q_motor, stretch.measured[0])
+        plant.state.q_motor[:] = np.where(robot.arm.rigid, stretch.measured[0], q_motor)
+        plant.state.dq_link[:] = plant.state.dq_motor[:] = rates
+
+    run = loop.run(robot, believed, gains, stretch.reference, period_ns=stretch.period_ns,
+                   seed=seed, q_link=stretch.measured[0], prepare=begin)
+    return run.measured[:, 0]
+
+
+def closed_loop_of(problem, found, recordings, gains):
+    """
+    Simulate the closed loop of recordings with the model before and after.
+
+    Parameters
+    ----------
+    problem : Problem
+        With the robot believed in, which the recordings' controller believed in as well.
+    found : Found
+        The search's end.
+    recordings : sequence of Recording
+        With references.
+    gains : ControllerParams
+        Of the controller that drove them.
+
+    Returns
+    -------
+    ClosedLoop
+
+    """
+    stretches = [stretch_of(recording) for recording in recordings]
+    given = problem.robot
+    retuned, after = (with_knobs(one.robot, problem.knobs, one.x)
+                      for one in (found.before, found.model))
+    angles = {name: [simulated(robot, given, gains, stretch, seed) for stretch in stretches]
+              for name, robot, seed in (('before', given, _SEED), ('retuned', retuned, _SEED),
+                                        ('after', after, _SEED), ('again', after, _OTHER_SEED))}
+    measured, first = [stretch.measured for stretch in stretches], stretches[0]
+    return ClosedLoop(
+        joints=given.joints, sources=tuple(stretch.source for stretch in stretches),
+        **{name: _rms(angles[name], measured) for name in ('before', 'retuned', 'after')},
+        floor=_rms(angles['again'], angles['after']),
+        time=first.begin + 1e-9 * first.period_ns * np.arange(len(first.measured)),
+        measured=first.measured, course_before=angles['retuned'][0],
+        course_after=angles['after'][0])
+
+
+def _rms(runs, others):
+    """Return the rms difference of angles (T, n) over all recordings (n,)."""
+    squares = [np.clip(np.nan_to_num(run - other, nan=_FARTHEST), -_FARTHEST, _FARTHEST) ** 2
+               for run, other in zip(runs, others, strict=True)]
+    return np.sqrt(np.concatenate(squares).mean(axis=0))
+
+
+def with_closed_loop(result, recordings, gains):
+    """
+    Return a Discrepancy whose gap has the closed loop, too.
+
+    Parameters
+    ----------
+    result : Discrepancy
+        From `workflow.discrepancy`.
+    recordings : sequence of Recording
+        Those held out, or else those that were fitted.
+    gains : ControllerParams
+        Of the controller that drove them; it believed the robot the workflow was given.
+
+    Returns
+    -------
+    Discrepancy
+        ``gap.closed_loop`` is a ClosedLoop, and ``words`` has a sentence on it. Bad data, of
+        which there is no model, are returned as they are.
+
+    Raises
+    ------
+    BagError
+        If a recording has no reference.
+
+    """
+    if result.gap is None:
+        return result
+    again = closed_loop_of(*result.found[:2], recordings, gains)
+    return replace(result, gap=replace(result.gap, closed_loop=again),
+                   words=f'{result.words} {sentence_of(again)}')
+
+
+def sentence_of(again):
+    """Return a ClosedLoop in words."""
+    strays = ', '.join(
+        f'{1e3 * before:.3g} -> {1e3 * after:.3g} mrad ({joint}, floor {1e3 * floor:.3g})'
+        for joint, before, after, floor in zip(again.joints, again.before, again.after,
+                                               again.floor, strict=True))
+    return ('The closed loop, simulated anew along the recorded reference, strays from the link '
+            f'angles measured by {strays}.')

@@ -1,0 +1,58 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""A recorded closed loop simulated anew; that it comes closer: test_cli_discrepancy.py."""
+
+from dataclasses import replace
+
+from gms_flex_control.discrepancy.closed_loop import simulated, stretch_of
+from gms_flex_control.errors import BagError
+from gms_flex_control.recording import Recording
+from gms_flex_control.simulation import closed_loop
+from gms_flex_control.trajectory.builders import sinusoid
+import numpy as np
+import pytest
+
+
+@pytest.fixture(scope='module')
+def recording(ideal_robot, gains):
+    """Return three seconds of the default robot, read without error."""
+    run = closed_loop.run(ideal_robot, ideal_robot, gains, sinusoid([0.3, 0.2], 2.0),
+                          duration=3.0)
+    q_link, dq_link, q_motor, dq_motor = np.moveaxis(run.measured, 1, 0)
+    return Recording(joints=ideal_robot.joints, time=run.time, q_link=q_link, dq_link=dq_link,
+                     q_motor=q_motor, dq_motor=dq_motor, tau_motor=run.applied,
+                     command=run.command, reference=run.reference,
+                     friction_hat=run.friction_hat, source='bag')
+
+
+def test_the_same_robot_moves_as_it_was_recorded(recording, ideal_robot, gains):
+    stretch = stretch_of(recording)
+    assert stretch.period_ns == 2_000_000 and len(stretch.measured) == len(recording.time)
+    again = simulated(ideal_robot, ideal_robot, gains, stretch)
+    assert np.abs(again - recording.q_link).max() < 1e-12
+
+
+def test_the_longest_part_with_a_reference_is_taken(recording, ideal_robot, gains):
+    reference = recording.reference.copy()
+    reference[[100, 1400]] = np.nan
+    stretch = stretch_of(replace(recording, reference=reference))
+    assert stretch.begin == pytest.approx(101 * 2e-3)
+    assert np.array_equal(stretch.measured, recording.q_link[101:1400])
+    again = simulated(ideal_robot, ideal_robot, gains, stretch)  # from a moving arm
+    assert np.abs(again - stretch.measured)[-500:].max() < 2e-3
+
+
+def test_uneven_samples_are_put_on_an_even_grid(recording):
+    jitter = 2e-4 * np.sin(np.arange(len(recording.time)))
+    uneven = recording.time + jitter - jitter[0]
+    angles = {name: np.stack([np.interp(uneven, recording.time, getattr(recording, name)[:, j])
+                              for j in range(2)], axis=1) for name in ('q_link', 'q_motor')}
+    stretch = stretch_of(replace(recording, time=uneven, **angles))
+    assert np.abs(stretch.measured - recording.q_link)[:-1].max() < 1e-4
+    assert np.abs(stretch.measured - angles['q_link']).max() > 1e-4
+
+
+def test_without_a_reference_the_sentence_says_what_to_record(recording):
+    with pytest.raises(BagError, match='bag: has no reference.*record /reference'):
+        stretch_of(replace(recording, reference=np.full_like(recording.reference, np.nan)))
