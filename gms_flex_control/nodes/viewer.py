@@ -117,8 +117,8 @@ class LiveView:
             now = time.monotonic()
             if now - self._asked > _ASK_PERIOD:
                 self._asked = now
-                self._there = self._remote.is_ready()
-                if not self._known:
+                was, self._there = self._there, self._remote.is_ready()
+                if self._there and not (was and self._known):  # it may have another robot now
                     self._remote.ask_all(self._told.append)
 
     def _spinning(self, node):
@@ -162,8 +162,10 @@ class LiveView:
         except GmsFlexError:
             return  # a controller of somebody else
         self._known = True
-        self._links, self._motors = robot.joints, robot.motors
-        self._begin(scene_of(robot), robot.friction.stiffness.shape[1])
+        self._links, self._motors, self._names = robot.joints, robot.motors, None
+        scene, blocks = scene_of(robot), robot.friction.stiffness.shape[1]
+        if (scene, blocks) != (self._scene, self._blocks):
+            self._begin(scene, blocks)
 
     def _begin(self, scene, blocks):
         self._scene, self._blocks = scene, blocks

@@ -52,7 +52,7 @@ class Plot {
       const mine = this.lines.filter((one) => one.signal === line.signal);
       if (!mine.length) continue;
       const numbers = mine.map((one) => {
-        const cell = element('output', {style: `color: var(${colour(one.joint)})`}, '–');
+        const cell = element('output', {style: `--joint: var(${colour(one.joint)})`}, '–');
         this.cells.set(one.column, cell);
         return cell;
       });

@@ -151,8 +151,7 @@ async function begin() {
     if (wanted && !shown.live) shown.transport.seek(wanted);
     document.documentElement.dataset.ready = session.mode;
   } catch (error) {
-    at('state').textContent = error instanceof TypeError
-      ? 'gms_flex view has ended or cannot be reached' : error.message;
+    at('state').textContent = error.message;
     setTimeout(begin, RETRY);
   }
 }

@@ -5,6 +5,7 @@ import {clamp, lowerBound} from './numbers.js';
 const MOST_CHUNKS = 40;   // kept of a bag
 const LONGEST = 60;       // kept of the running loop [s]
 const REOPEN = 1000;      // after the server has gone [ms]
+export const GONE = 'gms_flex view has ended or cannot be reached';
 
 /* Columns over time as the server sends them: one column after the other. */
 class Table {
@@ -26,7 +27,7 @@ class Table {
 }
 
 export async function ask(path, options) {
-  const answer = await fetch(path, options);
+  const answer = await fetch(path, options).catch(() => { throw new Error(GONE); });
   if (!answer.ok) throw new Error((await answer.json()).reason);
   return answer;
 }
@@ -179,7 +180,7 @@ export class LiveSource {
     this.events = new EventSource('/api/live');
     this.events.onmessage = (event) => this.take(JSON.parse(event.data));
     this.events.onerror = () => {
-      this.told('gms_flex view has ended or cannot be reached');
+      this.told(GONE);
       this.events.close();
       if (!this.closed) setTimeout(() => this.outdated(), REOPEN);
     };

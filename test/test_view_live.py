@@ -1,0 +1,117 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""`gms_flex view live` without a browser: a robot of somebody else, in a namespace."""
+
+import base64
+import http.client
+import json
+import sys
+
+from node_harness import (
+    array_message,
+    Float64MultiArray,
+    INT,
+    joint_state,
+    JointState,
+    Lab,
+)
+import numpy as np
+import pytest
+
+# other processes of the machine can delay real nodes beyond any bound
+pytestmark = pytest.mark.flaky(reruns=2)
+
+NAMES = ['gripper', 'axis_b_motor', 'axis_a', 'axis_b']
+PERIOD = 10_000_000  # [ns]
+
+
+@pytest.fixture(scope='module')
+def lab(tmp_path_factory):
+    """Run the tool on a namespace that only this test speaks in; yield the Lab."""
+    with Lab(tmp_path_factory.mktemp('view')) as lab:
+        lab.view = lab.run([sys.executable, '-m', 'gms_flex_control.cli.main', 'view', 'live',
+                            '--namespace', 'left', '--port', '0'], 'view')
+        lab.states = lab.speak(JointState, '/left/joint_states')
+        lab.commands = lab.speak(Float64MultiArray, '/left/effort_controller/commands')
+        lab.references = lab.speak(Float64MultiArray, '/left/reference')
+        lab.stamp = 0
+        lab.until(lambda: 'http://' in lab.view.printed())
+        lab.until(lambda: all(one.get_subscription_count() for one in (
+            lab.states, lab.commands, lab.references)))
+        yield lab
+
+
+def ask(lab, path):
+    """Return status and JSON of one request."""
+    connection = http.client.HTTPConnection(lab.view.printed().split('/')[2], timeout=30)
+    connection.request('GET', path)
+    answer = connection.getresponse()
+    result = answer.status, json.loads(answer.read())
+    connection.close()
+    return result
+
+
+def move(lab):
+    """Publish one joint state with the reference and command that belong to it."""
+    lab.stamp += PERIOD
+    angle = lab.stamp * 1e-9
+    label = f'stamp:{lab.stamp}'
+    lab.references.publish(array_message([0.0, angle + 0.25, 0.0], label))
+    lab.states.publish(joint_state(lab.stamp, [0.0, 2 * angle, angle, 2 * angle - 0.125],
+                                   names=NAMES))
+    lab.commands.publish(array_message([1.0, 2.0, 3.0], label))
+    lab.spin()
+
+
+def known(lab):
+    """Return the session once the joints are known, moving meanwhile."""
+    move(lab)
+    return (session := ask(lab, '/api/session')[1])['scene'] and session
+
+
+def rows_of(lab, session):
+    """Return the first rows of the stream by column name."""
+    connection = http.client.HTTPConnection(lab.view.printed().split('/')[2], timeout=30)
+    connection.request('GET', '/api/live')
+    answer = connection.getresponse()
+    assert answer.headers['Content-Type'] == 'text/event-stream'
+    while True:
+        move(lab)
+        line = answer.readline()
+        if line.startswith(b'data: ') and (event := json.loads(line[6:])).get('rows'):
+            assert event['version'] == session['version']
+            connection.close()
+            names = session['columns']
+            data = np.frombuffer(base64.b64decode(event['rows'])).reshape(-1, len(names))
+            return dict(zip(names, data.T, strict=True))
+
+
+def test_joints_of_another_robot_are_told_by_name_and_drawn_alike(lab):
+    session = lab.until(lambda: known(lab))
+    assert session['title'] == 'running loop in /left'
+    assert session['scene']['joints'] == ['gripper', 'axis_a', 'axis_b']
+    assert session['scene']['rigid'] == [True, True, False] and not session['scene']['known']
+    assert session['controller'] == '/left/cascade_controller'
+
+
+def test_what_belongs_together_is_in_one_row(lab):
+    session = lab.until(lambda: known(lab))
+    for _ in range(20):
+        move(lab)
+    rows = rows_of(lab, session)
+    whole = np.isfinite(rows['command.0'] + rows['error.1'])
+    whole[:5] = False  # not everybody may have met everybody yet
+    assert whole.any()
+    np.testing.assert_allclose(rows['error.1'][whole], -0.25, atol=1e-9)
+    np.testing.assert_allclose(rows['twist.2'], 0.125, atol=1e-9)
+    assert np.isnan(rows['twist.1']).all()
+    assert {tuple(row) for row in np.stack([rows[f'command.{j}'][whole] for j in range(3)], 1)
+            } == {(1.0, 2.0, 3.0)}
+
+
+def test_without_a_controller_gains_are_a_sentence_and_the_end_is_clean(lab):
+    status, answer = ask(lab, '/api/parameters')
+    assert status == 503
+    assert answer['reason'].startswith('/left/cascade_controller does not answer')
+    assert lab.view.signal(INT) == 0 and 'Traceback' not in lab.view.printed()
