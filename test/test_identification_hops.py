@@ -24,7 +24,7 @@ STEEP = np.where(np.arange(COORDINATES.size) < N_STEADY, 0.0, 2.0)  # above 1 th
 class Rippled:
     """A stand-in for Objective: each number is off by its distance and a ripple on top."""
 
-    def evaluate(self, coordinates, free, sharpness, floor=None):
+    def evaluate(self, coordinates, free, sharpness, floor=None, *, derivatives=True):
         """Return the Evaluation of free numbers, one block for each."""
         off = free - TRUTH
         error = off + STEEP * RIPPLE * np.sin(off / RIPPLE)
@@ -47,7 +47,8 @@ def test_hops_find_the_hollow_that_a_single_fit_misses(seed):
     start[COORDINATES.yields] += np.log([1.6, 0.6])
     objective = Rippled()
     alone = refine(objective, COORDINATES, start, PRIOR).free
-    found = hop(objective, COORDINATES, (start,), PRIOR, COUNT, np.random.default_rng(seed))
+    found = hop(objective, COORDINATES, (start,), PRIOR, COUNT, np.random.default_rng(seed),
+                8)
     off = np.abs(np.exp((found.ends[0] - TRUTH)[COORDINATES.yields]) - 1.0).max()
     assert np.abs(alone - TRUTH).max() > 2.0 * np.pi * RIPPLE
     assert off < 0.1
@@ -56,7 +57,7 @@ def test_hops_find_the_hollow_that_a_single_fit_misses(seed):
 
 def test_a_start_in_the_best_hollow_gains_nothing():
     """From the truth no hop finds better, and the best end stays there."""
-    found = hop(Rippled(), COORDINATES, (TRUTH,), PRIOR, COUNT, np.random.default_rng(0))
+    found = hop(Rippled(), COORDINATES, (TRUTH,), PRIOR, COUNT, np.random.default_rng(0), 8)
     assert found.ends[0] == pytest.approx(TRUTH, abs=1e-6)
     assert found.gain == pytest.approx(1.0)
 
@@ -85,7 +86,7 @@ def test_what_good_ends_differ_by_is_kept_when_the_same_look_is_taken_again(monk
     monkeypatch.setattr(default_method, 'Objective', lambda *args: Rippled())
     thetas = [COORDINATES.unpack(TRUTH)[0]] * 2
     kept, afresh = (default_method.hopped(bundle(1e-3), 0, thetas, fit,
-                                          np.random.default_rng(0), False, again)[0]
+                                          np.random.default_rng(0), 5, False, again)[0]
                     for again in (True, False))
     assert np.all(kept.sampling >= 0.2)
     assert np.all(afresh.sampling < 0.2)

@@ -34,6 +34,7 @@ _HELD_OUT = 4         # one in so many blocks of time is held out
 _STEADY_DOUBT, _BLOCK_DOUBT = 1.0, 3.0  # spread of the prior, of logarithms
 _EXTRA_DOUBT = 1.0    # of corrections, in their units
 _ROUGH = 0.1          # of the cost: what hollows near the best differ by, where encoders count
+_PATIENCE, _PATIENCE_LAST = 8, 5  # fits in a row without a gain that end hops of a level
 _MORE_TURNS = 2       # of hops of all joints at the last level, at most
 
 
@@ -278,8 +279,9 @@ def search(pool, bundle, fits):
         levels += [levels[-1]] * _MORE_TURNS
     for turn, level in enumerate(levels):
         thetas = [theta_of(fit) for fit in fits]
-        tasks = [(level, j, thetas, fit, np.random.default_rng([turn, j]), turn == last,
-                  turn > last) for j, fit in enumerate(fits)]
+        patience = _PATIENCE if turn < last else _PATIENCE_LAST
+        tasks = [(level, j, thetas, fit, np.random.default_rng([turn, j]), patience,
+                  turn == last, turn > last) for j, fit in enumerate(fits)]
         fits, gains = zip(*pool.map(hopped, *zip(*tasks, strict=True)), strict=True)
         if turn >= last and max(gains) < GAIN:
             break
@@ -292,7 +294,7 @@ def looked_at(bundle, period, softness):
     return rough._replace(observer=softness * rough.observer)
 
 
-def hopped(bundle, joint, thetas, fit, rng, all_ends, again=False):
+def hopped(bundle, joint, thetas, fit, rng, patience, all_ends, again=False):
     """
     Return the best JointFit near one, or near all its ends, and how much was gained.
 
@@ -300,7 +302,7 @@ def hopped(bundle, joint, thetas, fit, rng, all_ends, again=False):
     """
     found = hop(Objective(bundle, joint, thetas, train(bundle.period)), fit.coordinates,
                 fit.ends if all_ends and fit.ends else (fit.free,), fit.prior,
-                2.0 * bundle.half[joint], rng)
+                2.0 * bundle.half[joint], rng, patience)
     scatter = np.maximum(found.scatter, fit.sampling) if again else found.scatter
     return fit._replace(free=found.ends[0], sampling=scatter, ends=found.ends), found.gain
 

@@ -19,10 +19,10 @@ from scipy.stats import norm
 from scipy.stats import t as student
 
 GAIN = 1.02           # of the cost, that makes it worth to go on
-_MOST, _IDLE = 32, 8  # fits from beside the best: in all, and without a gain
+_MOST = 32            # fits from beside the best in all
 _TRIED, _HOPELESS = 3, 1.25  # steps of a fit, and cost over the best beyond which it then ends
 _CARRIED, _POOR = 8, 2.0  # likewise of a fit that begins where one with coarser samples ended
-KEPT = 8              # ends of hops with coarse samples that fine ones begin from
+KEPT = 4              # ends of hops with coarse samples that fine ones begin from
 _KICKS = (0.002, 0.05, 0.02, 0.01)  # how far beside: F_c, F_s - F_c, v_s, sigma_2 (logarithms)
 _KICK, _FINE_KICK = 0.05, 0.12  # of attraction and yields; more of those within few counts
 _WIDE_KICK = 0.3      # of those together, every other time
@@ -39,7 +39,7 @@ class Hopped(NamedTuple):
     gain: float            # cost where they began over that of the best
 
 
-def hop(objective, coordinates, starts, prior, count, rng):
+def hop(objective, coordinates, starts, prior, count, rng, patience):
     """
     Refine again from a little beside the best so far, as long as it pays, and keep the best.
 
@@ -53,6 +53,8 @@ def hop(objective, coordinates, starts, prior, count, rng):
         Encoder step or noise [rad].
     rng : numpy.random.Generator
         Says where beside.
+    patience : int
+        Fits in a row without a gain after which it ends.
 
     Returns
     -------
@@ -65,7 +67,7 @@ def hop(objective, coordinates, starts, prior, count, rng):
     ends = [refine(objective, coordinates, starts[0], prior, roughly=True)]
     floor, idle = ends[0].evaluation.floor, 0
     carried = list(starts[1:])
-    while len(ends) <= _MOST and (carried or idle < _IDLE):
+    while len(ends) <= _MOST and (carried or idle < patience):
         best = min(ends, key=lambda end: cost_behind(end, floor, prior))
         lowest = cost_behind(best, floor, prior)
         if carried:

@@ -205,7 +205,7 @@ class Objective:
         chosen[:round(SETTLE_TIME / self._bundle.period)] = False
         return chosen & np.isfinite(stretch.angle[:, self.joint])
 
-    def evaluate(self, coordinates, free, sharpness, floor=None):
+    def evaluate(self, coordinates, free, sharpness, floor=None, *, derivatives=True):
         """
         Return the Evaluation of free numbers.
 
@@ -220,9 +220,12 @@ class Objective:
         floor : float, optional
             Innovation below which a block counts as explained [rad]; by default as
             `floor_of` finds it here.
+        derivatives : bool
+            Whether gradient and curvature are wanted; without, they have no columns.
 
         """
         theta, directions = coordinates.unpack(free)
+        directions = directions if derivatives else directions[:, :0]
         pools = []
         for stretch in self._bundle.stretches:
             counted = self.counted(stretch)

@@ -79,16 +79,19 @@ def _descend(objective, coordinates, free, now, prior, sharpness, iterations, en
     for count in range(1, iterations + 1):
         curvature, slope = summed(now, free, prior)
         cost = total_cost(now, free, prior)
-        for _ in range(_TRIALS):
+        for attempt in range(_TRIALS):
             step = damped_step(curvature, slope, damping)
             step = np.clip(step, -_LARGEST_STEP, _LARGEST_STEP)
-            trial = objective.evaluate(coordinates, free + step, sharpness, now.floor)
+            trial = objective.evaluate(coordinates, free + step, sharpness, now.floor,
+                                       derivatives=attempt == 0)  # one that fails needs none
             gain = cost - total_cost(trial, free + step, prior)
             if gain > 0.0:
                 break
             damping *= 6.0
         else:
             return free, now, count, True
+        if attempt:
+            trial = objective.evaluate(coordinates, free + step, sharpness, now.floor)
         free, now, damping = free + step, trial, max(damping / 6.0, 1e-9)
         if gain < enough * cost:
             return free, now, count, True
