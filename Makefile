@@ -3,7 +3,7 @@ SHELL := /bin/bash
 BIN := .venv/bin
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo demo-identify test lint bench screenshots lock clean
+.PHONY: help demo demo-identify test lint bench screenshots docs lock clean
 
 # A ROS installation or another environment in the caller's shell must not leak in.
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH COLCON_PREFIX_PATH
@@ -33,6 +33,11 @@ bench: .venv/.with-bench  ## Measure speed, beside MuJoCo
 screenshots: .venv/.with-test  ## Make the pictures of docs/view.md anew (needs chromium)
 	@PYTHONPATH=test $(BIN)/python scripts/screenshots.py
 
+docs: .venv/.with-docs  ## Make the documentation site in docs/_build/html
+	@$(BIN)/python scripts/draw_architecture.py
+	@$(BIN)/python -m sphinx -q -b html -d docs/_build/doctrees docs docs/_build/html
+	@echo "docs/_build/html/index.html"
+
 lock: .venv/.created  ## Write constraints.txt anew from the newest versions setup.py allows
 	@$(BIN)/python -m pip install --quiet uv
 	@echo pip | $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --all-extras \
@@ -40,7 +45,7 @@ lock: .venv/.created  ## Write constraints.txt anew from the newest versions set
 	  --output-file constraints.txt setup.py -
 
 clean:  ## Remove the environment and all that was made
-	rm -rf .venv demo_output demo_identify_output build install log .pytest_cache .ruff_cache *.egg-info
+	rm -rf .venv docs/_api docs/_build demo_output demo_identify_output build install log .pytest_cache .ruff_cache *.egg-info
 
 # A new lock starts a new environment, so that nothing of the old one stays.
 .venv/.created: constraints.txt scripts/create_venv.sh

@@ -60,7 +60,7 @@ setup(
         'bench': ['mujoco>=3.2,<5'],
         'dask': ['distributed>=2024.12'],
         'peers': ['pysindy>=2,<3'],
-        'docs': ['furo', 'sphinx>=8,<10'],
+        'docs': ['myst-parser>=4,<6', 'sphinx>=8,<10', 'sphinx-rtd-theme>=3,<4'],
     },
     maintainer='The gms_flex_control authors',
     maintainer_email='gms-flex-control@users.noreply.github.com',
