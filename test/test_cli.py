@@ -28,7 +28,7 @@ WRONG = {
     'check-gains': '--robot {missing}', 'bench': '--robot {missing}',
     'recover': '--seeds 0', 'hide': '--seeds x --out {dir}',
     'score': '--kind single --seeds x --out {dir}', 'faults': '--only nonsense',
-    'urdf': '--robot {missing}', 'tune': '--robot {missing} --out {dir}',
+    'urdf': '--robot {missing}', 'tune': '--robot {missing} --out {dir}', 'compare': '{missing}',
     'view': '{missing}'}
 
 

@@ -29,6 +29,12 @@ EXAMPLES = {
     'check-gains': ['gms_flex check-gains',
                     'gms_flex check-gains --robot robot.yaml friction.yaml --controller '
                     'controller.yaml --json'],
+    'tune': ['gms_flex tune --out tuned',
+             'gms_flex tune --robot robot.yaml results/friction.yaml --torque-limit 2 --delay 1 '
+             '--verify 200 --intervals results/report.json --out tuned'],
+    'compare': ['gms_flex compare', 'gms_flex compare robot.yaml --controller '
+                'tuned/controller.yaml --out comparison',
+                'gms_flex compare my_bag --robot robot.yaml --out along_bag'],
     'bench': ['gms_flex bench --quick', 'gms_flex bench --only loop step --json'],
     'torsion': ['gms_flex torsion kr300 --joint axis1 --stiffness 4.58e6 --out torsion'],
     'identify': ['gms_flex identify my_bag --robot robot.yaml --out results',

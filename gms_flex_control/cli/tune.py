@@ -8,21 +8,18 @@ from pathlib import Path
 from gms_flex_control.cli.batch_options import add_batch_options
 
 _MOST_AT_LIMIT = 0.02  # share of a motion that may be spent at the torque limit
-EXAMPLES = """examples:
-  gms_flex tune --out tuned
-  gms_flex tune --robot robot.yaml results/friction.yaml --torque-limit 2 --rate 500 --delay 1 \\
-      --verify 200 --intervals results/report.json --out tuned"""
+# what a simulated figure depends on
+SOURCES = ('params', 'friction', 'effects', 'dynamics', 'trajectory', 'control', 'simulation',
+           'tuning')
 
 
 def add_parser(subparsers):
     """Add the verb to the command line."""
-    from argparse import RawDescriptionHelpFormatter
     parser = subparsers.add_parser(
         'tune', help='gains for a robot: proposed, judged, tried, verified',
-        formatter_class=RawDescriptionHelpFormatter, epilog=EXAMPLES,
-        description='Propose the stiffest gains of the cascade controller that keep margins,\n'
-                    'encoder noise and the conditions (39), show margins and expected tracking\n'
-                    'error, and write controller.yaml. Exit code 1 if no gains meet what is\n'
+        description='Propose the stiffest gains of the cascade controller that keep margins, '
+                    'encoder noise and the conditions (39), show margins and expected tracking '
+                    'error, and write controller.yaml. Exit code 1 if no gains meet what is '
                     'asked, or a robot drawn by --verify is not held.')
     parser.add_argument('--robot', nargs='+', metavar='FILE',
                         help='robot files, later ones winning; default: the arm of the paper')
@@ -214,7 +211,7 @@ def verified(robot, gains, demands, args):
                                             args.seed, k) for k in range(args.verify)}
     asked_for = repr((robot_values(robot), words.controller_values(gains, robot.joints),
                       demands.timing, args.amplitude, intervals, args.seed))
-    journal = Journal(args.out, f'{fingerprint()} '
+    journal = Journal(args.out, f'{fingerprint(SOURCES)} '
                       f'{hashlib.sha256(asked_for.encode()).hexdigest()[:16]}')
     with open_executor(args.workers, args.scheduler) as executor:
         found = run_batch(uncertainty.try_drawn, items, executor=executor, journal=journal,

@@ -1,0 +1,140 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""`gms_flex compare`: friction compensations side by side, on a plant or along a bag."""
+
+from pathlib import Path
+
+from gms_flex_control.cli.batch_options import add_batch_options
+
+
+def add_parser(subparsers):
+    """Add the verb to the command line."""
+    parser = subparsers.add_parser(
+        'compare', help='friction compensations side by side',
+        description='Compare eight ways to compensate friction: none, static Stribeck, LuGre, '
+                    'GMS as in the paper, better, of the desired motion and adaptive, and a '
+                    'disturbance observer. On a plant (a robot file) they drive it in '
+                    'simulation, also where friction, K and M differ from what is believed, '
+                    'with coarse and fine encoders, slower and faster. Along a bag they predict '
+                    'the friction torque, fitted to its first part and judged on the rest. '
+                    'A killed run goes on when started again with the same --out.')
+    parser.add_argument('source', nargs='?', metavar='BAG|PLANT',
+                        help='a bag, or a robot file; default: the arm of the paper')
+    parser.add_argument('--robot', nargs='+', metavar='FILE',
+                        help='of a bag: robot files; default: the arm of the paper')
+    parser.add_argument('--controller', nargs='+', metavar='FILE',
+                        help='gains, such as of gms_flex tune; default: those of the paper')
+    parser.add_argument('--draws', type=int, default=50, metavar='N',
+                        help='robots with all parameters off at once (default: %(default)s)')
+    parser.add_argument('--rate', type=float, default=500.0, metavar='HZ',
+                        help='of the controller (default: %(default)g)')
+    parser.add_argument('--amplitude', type=float, default=1.0, metavar='RAD',
+                        help='of the motions (default: %(default)g)')
+    parser.add_argument('--fit', type=float, default=0.5, metavar='SHARE',
+                        help='of a bag: its first part, that is fitted (default: %(default)g)')
+    parser.add_argument('--seed', type=int, default=0, metavar='N', help='of the draws')
+    add_batch_options(parser)
+    parser.add_argument('--out', default='comparison', metavar='DIR',
+                        help='report.html, comparison.json, journal (default: %(default)s)')
+    parser.add_argument('--json', action='store_true', help='print the result as JSON')
+    parser.set_defaults(run=run)
+
+
+def run(args):
+    """Compare, write and print; return 0."""
+    import json
+
+    from gms_flex_control.errors import ConfigError
+    from gms_flex_control.files import write_text
+
+    for name, value, most in (('rate', args.rate, 1e4), ('amplitude', args.amplitude, 100.0)):
+        if not 0.0 < value <= most:
+            raise ConfigError(f'--{name} {value:g}: must be above 0 and at most {most:g}')
+    if not 0.05 <= args.fit <= 0.95:
+        raise ConfigError(f'--fit {args.fit:g}: must be from 0.05 to 0.95')
+    if args.draws < 0:
+        raise ConfigError(f'--draws {args.draws}: must be at least 0')
+    is_plant = args.source is None or Path(args.source).suffix in ('.yaml', '.yml')
+    shown, values, page = on_plant(args) if is_plant else along_bag(args)
+    write_text(Path(args.out) / 'comparison.json',
+               json.dumps(values, indent=2, allow_nan=False) + '\n')
+    page.write(Path(args.out) / 'report.html')
+    print(json.dumps(values, indent=2) if args.json
+          else f"{shown}\n\n{Path(args.out) / 'report.html'}")
+    return 0
+
+
+def on_plant(args):
+    """Return table, plain values and page of the comparison in simulation."""
+    from gms_flex_control.comparison import study, words
+    from gms_flex_control.reports.comparison import plant_page
+    from gms_flex_control.resources import controller_file, robot_file
+    from gms_flex_control.schema.files import load_controller, load_robot
+    import numpy as np
+
+    robot = load_robot(args.source or robot_file())
+    gains = load_controller(args.controller or controller_file(), robot)
+    setting = study.Setting(robot, gains, np.full(robot.n_joints, args.amplitude), args.rate,
+                            args.draws, args.seed)
+    outcomes = finished(args, study.try_cell, study.cells(setting), robot, gains,
+                        (args.amplitude, args.rate, args.seed), 'cells')
+    rows = study.table(outcomes, setting)
+    values = {'rate': args.rate, 'amplitude': args.amplitude, 'draws': args.draws,
+              'seed': args.seed, 'rows': [row._asdict() for row in rows], 'cells': outcomes}
+    return words.text(rows), values, plant_page(rows, outcomes, setting, args.source)
+
+
+def along_bag(args):
+    """Return table, plain values and page of the comparison along a bag."""
+    from gms_flex_control.cli.identify import motors_in
+    from gms_flex_control.comparison import held_out, words
+    from gms_flex_control.reports.comparison import bag_page
+    from gms_flex_control.resources import controller_file, robot_file
+    from gms_flex_control.schema.files import load_controller, load_robot
+
+    robot = load_robot(args.robot or robot_file())
+    gains = load_controller(args.controller or controller_file(), robot)
+    motors = motors_in(args.source, robot)
+    found = held_out.read_along(args.source, motors, robot)
+    held_out.split(found.pieces, args.fit)  # says now what is too short
+    items = {mode: held_out.FitItem(args.source, motors, robot, gains, args.fit, mode)
+             for mode in held_out.modes_to_fit(found.has_reference)}
+    fits = finished(args, held_out.fit_item, items, robot, gains,
+                    (content_of(args.source), args.fit), 'fits')
+    predictions = held_out.compare_along(found, gains, args.fit, fits)
+    values = {'bag': args.source, 'fit': args.fit, 'rows': [
+        {name: getattr(one, name) for name in ('mode', 'name', 'error', 'fitted', 'remark')}
+        for one in predictions]}
+    return (words.bag_text(predictions, found, robot.joints), values,
+            bag_page(predictions, found, robot.joints, args.source, args.fit))
+
+
+def finished(args, function, items, robot, gains, asked, label):
+    """Return what a batch found; what the journal in --out has of the same is not done again."""
+    import hashlib
+
+    from gms_flex_control.batches.batch import run_batch
+    from gms_flex_control.batches.executor import open_executor
+    from gms_flex_control.batches.journal import Journal
+    from gms_flex_control.batches.sources import fingerprint
+    from gms_flex_control.schema.build import robot_values
+    from gms_flex_control.tuning.words import controller_values
+
+    whole = repr((robot_values(robot), controller_values(gains, robot.joints), asked))
+    digest = hashlib.sha256(whole.encode()).hexdigest()[:16]
+    journal = Journal(args.out, f'{fingerprint(SOURCES)} {digest}')
+    with open_executor(args.workers, args.scheduler) as executor:
+        return run_batch(function, items, executor=executor, journal=journal, label=label)
+
+
+def content_of(bag):
+    """Return names and sizes of a bag's files: another recording is not taken for it."""
+    path = Path(bag)
+    files = [path] if path.is_file() else sorted(one for one in path.rglob('*') if one.is_file())
+    return [(one.name, one.stat().st_size, one.stat().st_mtime_ns) for one in files]
+
+
+# what a figure depends on
+SOURCES = ('params', 'friction', 'effects', 'dynamics', 'trajectory', 'control', 'simulation',
+           'bags', 'identification', 'tuning', 'comparison')

@@ -1,0 +1,211 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Compensations side by side: conditions, figures, batches, and friction along a recording."""
+
+from dataclasses import replace
+import json
+import re
+
+from core_runs import model_with_error
+from gms_flex_control.batches.batch import run_batch
+from gms_flex_control.batches.executor import open_executor
+from gms_flex_control.cli.main import main
+from gms_flex_control.comparison import held_out, study, words
+from gms_flex_control.comparison.along import along, predicted
+from gms_flex_control.comparison.contestants import Condition, conditions, CONTESTANTS, plant_of
+from gms_flex_control.experiment.plan import read_plan
+from gms_flex_control.experiment.simulated import simulate, simulate_to_bag, to_recording
+from gms_flex_control.params.encoder import EncoderParams
+from gms_flex_control.params.gains import COMPENSATIONS
+from gms_flex_control.resources import controller_file, robot_file, share_path
+from gms_flex_control.schema.build import robot_values
+from gms_flex_control.schema.files import load_controller, load_robot
+from gms_flex_control.simulation import closed_loop
+from gms_flex_control.trajectory import builders
+import numpy as np
+import pytest
+
+
+@pytest.fixture(scope='module')
+def arm():
+    robot = load_robot(robot_file())
+    return robot, load_controller(controller_file(), robot)
+
+
+@pytest.fixture
+def only():
+    """Return a function that leaves some compensations alone to be compared."""
+    whole = dict(CONTESTANTS)
+
+    def keep(*modes):
+        for mode in set(whole) - set(modes):
+            del CONTESTANTS[mode]
+    yield keep
+    CONTESTANTS.clear()
+    CONTESTANTS.update(whole)
+
+
+def setting_of(arm, draws=0):
+    return study.Setting(*arm, np.ones(2), 500.0, draws, 0)
+
+
+def test_every_mode_of_the_controller_is_compared():
+    assert sorted(CONTESTANTS) == sorted(COMPENSATIONS)
+
+
+def test_conditions_change_what_they_name(arm):
+    believed = robot_values(arm[0])
+    by_name = {one.name: robot_values(plant_of(arm[0], one, 0)) for one in conditions(2)}
+    for name, key, factor in (('friction +30 %', 'friction.joint1.forward.static', 1.3),
+                              ('friction -30 %', 'friction.joint2.backward.viscous', 0.7),
+                              ('K -20 %', 'arm.joint2.stiffness', 0.8),
+                              ('M +30 %', 'arm.joint1.mass', 1.3),
+                              ('M +30 %', 'arm.joint1.inertia', 1.3),
+                              ('nominal', 'arm.joint1.mass', 1.0),
+                              ('1000 Hz', 'arm.joint1.mass', 1.0)):
+        assert by_name[name][key] == pytest.approx(factor * believed[key])
+    assert by_name['4096 counts']['encoder.counts'] == 4096.0
+    drawn = [by_name[f'drawn {k}']['arm.joint1.stiffness'] for k in (0, 1)]
+    assert drawn[0] != drawn[1]
+
+
+def trial(mse, hold=0.0, torque=1.0):
+    return {'lost': False, 'mse': mse, 'hold': [hold, 0.0], 'torque': [torque] * 2,
+            'rate': [2.0, 2.0]}
+
+
+def test_the_table_is_what_the_cells_say(arm):
+    """Counted by hand: root of the mean, the worse of a group, lost where one is lost."""
+    setting = setting_of(arm, draws=2)
+    outcomes = {key: {motion: trial([1e-6, 3e-6], 4e-3) for motion in ('sinusoid', 'polynomial')}
+                for key in study.cells(setting)}
+    outcomes['gms | K +20 %']['sinusoid'] = trial([9e-6, 3e-6])
+    outcomes['gms | drawn 1']['polynomial'] = trial([1e-6, 11e-6], 7e-3)
+    outcomes['none | M -30 %']['sinusoid'] = {'lost': True}
+    rows = {row.mode: row for row in study.table(outcomes, setting)}
+    better = rows['gms']
+    assert better.errors['nominal'] == pytest.approx(2e-6 ** 0.5)
+    assert better.errors['K'] == pytest.approx(4e-6 ** 0.5)
+    assert better.drawn == [pytest.approx(2e-6 ** 0.5), pytest.approx(4e-6 ** 0.5)]
+    assert better.hold == [4e-3, 0.0] and better.drawn_hold == 7e-3
+    assert better.torque == pytest.approx(1.0) and better.rate == pytest.approx(2.0)
+    assert rows['none'].errors['M'] is None and rows['none'].errors['K'] is not None
+    line = next(one for one in words.text(list(rows.values())).splitlines()
+                if one.startswith('GMS, better'))
+    assert line.split()[2:6] == ['1.41', '1.41', '2', '1.41']
+
+
+def test_a_cell_is_the_simulation_it_names_wherever_it_is_worked_on(arm):
+    setting = setting_of(arm)
+    keys = ['gms | friction +30 %', 'none | 200 Hz']
+    items = {key: study.cells(setting)[key] for key in keys}
+    with open_executor(workers=2) as executor:
+        found = run_batch(study.try_cell, items, executor=executor)
+    assert found == {key: study.try_cell(item) for key, item in items.items()}
+    plant = model_with_error(arm[0], friction=1.3)
+    plant = replace(plant, friction=replace(plant.friction, attraction=arm[0].friction.attraction))
+    run = closed_loop.run(plant, *arm, builders.sinusoid(np.ones(2), 6.0), duration=20.0)
+    mse = np.mean((run.true[:, 0] - run.reference[:, 0]) ** 2, axis=0)
+    np.testing.assert_allclose(found[keys[0]]['sinusoid']['mse'], mse, rtol=1e-9)
+
+
+def test_a_robot_that_runs_away_is_lost_and_not_a_number(arm):
+    setting = setting_of(arm)._replace(gains=replace(arm[1], kd_motor=np.full(2, 60.0)))
+    outcome = study.try_cell(study.Cell(setting, 'gms', Condition('slow', 'slow', rate=100.0)))
+    assert study.error_of(outcome) is None or study.error_of(outcome) > 0.1
+    json.dumps(outcome, allow_nan=False)
+
+
+def test_compare_prints_the_table_and_writes_a_page_that_stands_alone(
+        tmp_path, capsys, only):
+    """Two compensations; the second time everything comes from the journal."""
+    only('none', 'gms')
+    args = ['compare', '--draws', '1', '--out', str(tmp_path)]
+    assert main([*args, '--json']) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told == json.loads((tmp_path / 'comparison.json').read_text())
+    errors = {row['mode']: row['errors'] for row in told['rows']}
+    for group in ('nominal', 'friction', 'K', 'M', '200 Hz', '65536 counts'):
+        assert errors['gms'][group] < 0.4 * errors['none'][group]
+    page = (tmp_path / 'report.html').read_text()
+    assert 'One thing different at a time' in page
+    assert not re.search(r'(src|href)="(?!#|data:)', page)
+    lines = (tmp_path / 'outcomes.jsonl').read_text()
+    assert main(args) == 0
+    out = capsys.readouterr().out
+    assert 'GMS, better' in out and (tmp_path / 'outcomes.jsonl').read_text() == lines
+
+
+@pytest.fixture(scope='module')
+def plan():
+    return read_plan([robot_file(), controller_file(), share_path() / 'config' / 'sinusoid.yaml'],
+                     duration=16.0)
+
+
+def test_the_friction_along_a_recording_is_the_one_that_acted(plan):
+    """Ideal encoders: measured, and replayed with the true parameters, against the truth."""
+    ideal = replace(plan, robot=replace(plan.robot, encoder=EncoderParams()))
+    run = simulate(ideal)
+    found = along(to_recording(run, ideal), ideal.robot)
+    piece, inner = found.pieces[0], slice(50, -50)
+    true = held_out.low_pass(run.friction, piece.window)
+    assert found.has_reference
+    for said in (piece.friction, held_out.low_pass(
+            predicted(piece, found.robot, ideal.gains, 'gms_desired'), piece.window)):
+        assert np.sqrt(np.mean((said - true)[inner] ** 2)) < 0.02 * np.std(true)
+
+
+def test_fitted_models_tell_held_out_friction_in_the_order_of_what_they_know(plan):
+    """Friction believed 0.7 of what it is; nothing tells all of it, GMS nearly none is left."""
+    model = model_with_error(plan.robot, friction=0.7)
+    found = along(to_recording(simulate(plan), plan), model)
+    masks = held_out.split(found.pieces, 0.5)
+    fits = {mode: held_out.fit(found, plan.gains, mode, masks)
+            for mode in ('stribeck', 'gms_desired')}
+    fits |= dict.fromkeys(held_out.modes_to_fit(True), np.zeros((10, 2))) | fits
+    said = {one.mode: np.array(one.error)
+            for one in held_out.compare_along(found, plan.gains, 0.5, fits)}
+    late = found.pieces[0].friction[~masks[0]]
+    np.testing.assert_allclose(said['none'], np.sqrt(np.mean(late ** 2, axis=0)))
+    assert np.all(said['stribeck'] < 0.25 * said['none'])
+    assert np.all(said['gms_desired'] < 0.5 * said['stribeck'])
+    assert np.all(said['gms_desired'] < 0.04 * said['none'])
+    assert np.all(said['gms_adaptive'] < said['gms_paper'])  # both believe 0.7; one learns
+
+
+def test_a_fit_begins_at_the_friction_of_the_file(arm):
+    same = held_out.scaled(arm[0].friction, np.zeros((10, 2)))
+    np.testing.assert_allclose(same.forward.static, arm[0].friction.forward.static)
+    np.testing.assert_allclose(same.stiffness, arm[0].friction.stiffness)
+
+
+def test_without_a_reference_what_needs_one_is_left_out(plan):
+    found = along(to_recording(simulate(plan), plan), plan.robot)._replace(has_reference=False)
+    assert held_out.modes_to_fit(False) == ['stribeck', 'lugre', 'gms_paper']
+    fits = dict.fromkeys(held_out.modes_to_fit(False), np.zeros((10, 2)))
+    said = {one.mode: one for one in held_out.compare_along(found, plan.gains, 0.5, fits)}
+    assert said['gms_desired'].error is None and said['lugre'].error is not None
+    assert said['gms'].remark == 'the bag has no reference'
+    assert words.bag_rows(list(said.values()), plan.robot.joints)[1][5][1] == '-'
+
+
+def test_compare_fits_along_a_bag(plan, tmp_path, capsys, only, monkeypatch):
+    only('none', 'stribeck')
+    monkeypatch.setattr(held_out, 'modes_to_fit', lambda has_reference: ['stribeck'])
+    simulate_to_bag(replace(plan, duration=8.0), tmp_path / 'bag')
+    assert main(['compare', str(tmp_path / 'bag'), '--out', str(tmp_path / 'out')]) == 0
+    assert 'static Stribeck' in capsys.readouterr().out
+    told = json.loads((tmp_path / 'out' / 'comparison.json').read_text())
+    errors = {row['mode']: np.array(row['error']) for row in told['rows']}
+    assert np.all(errors['stribeck'] < 0.3 * errors['none'])
+    assert 'Torque over time' in (tmp_path / 'out' / 'report.html').read_text()
+
+
+@pytest.mark.parametrize(('args', 'sentence'), [
+    (['--fit', '2'], '--fit 2'), (['--draws', '-1'], '--draws -1'), (['--rate', '0'], '--rate 0'),
+    (['nowhere'], 'nowhere'), (['nowhere.yaml'], 'nowhere.yaml'),
+    (['--draws', '0', '--workers', '0'], '--workers 0')])
+def test_what_compare_cannot_do_is_refused(tmp_path, capsys, args, sentence):
+    assert main(['compare', '--out', str(tmp_path), *args]) == 2
+    assert sentence in capsys.readouterr().err
