@@ -119,6 +119,15 @@ def test_keys_play_step_scrub_and_zoom(page):
     page.until('document.getElementById("plots").dataset.width === "3.998"')
 
 
+def test_times_and_numbers_are_written_as_people_do(page):
+    clock = 'import("/assets/numbers.js").then((numbers) => numbers.clock({}))'
+    assert [page.ask(clock.format(time)) for time in (0.004, 59.99, 59.996, 599.999)] == [
+        '0.00 s', '59.99 s', '1:00.00 min', '10:00.00 min']
+    fixed = 'import("/assets/numbers.js").then((numbers) => numbers.fixed({}, 2))'
+    assert [page.ask(fixed.format(value)) for value in (-0.001, -1.5, 'NaN')] == [
+        '0.00', '\u22121.50', '\u2013']
+
+
 def test_a_click_in_a_plot_goes_to_that_time(page):
     page.click('#plot-torque .u-over')
     page.until(f'Math.abs({TIME} - 2) < 0.02 && {TIME} !== 2')

@@ -6,12 +6,14 @@
 from contextlib import nullcontext
 import signal
 import sys
+import time
 import webbrowser
 
 from gms_flex_control.errors import ConfigError
 
 PORT = 8642
 HIGHEST_PORT = 65535
+_LOOK = 0.2  # at most between a signal and the end [s]
 
 
 def add_parser(subparsers):
@@ -59,7 +61,8 @@ def run(args):
             print(f'{server.url}  (Ctrl-C ends it)', flush=True)
             if args.open:
                 webbrowser.open(server.url)
-            signal.pause()
+            while True:  # whichever thread a signal wakes, this one then raises
+                time.sleep(_LOOK)
     except KeyboardInterrupt:
         return 0  # the way to end it
     except BaseException:

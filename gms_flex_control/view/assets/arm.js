@@ -86,6 +86,7 @@ export class Arm {
       || 0.01;
     const x = left - margin + 0.03 * width, y = -bottom + margin - 0.03 * height;
     const size = 0.032 * Math.max(width, 0.8 * height), tick = 0.3 * size;
+    this.scale.style.display = this.chain ? '' : 'none';
     this.scale.replaceChildren(
       svg('path', {d: `M${x} ${y - tick}V${y}H${x + bar}V${y - tick}`}),
       svg('text', {x: x + bar + 0.5 * size, y, 'font-size': size}));

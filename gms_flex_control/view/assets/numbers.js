@@ -28,9 +28,9 @@ export function fixed(value, places) {
 
 export function clock(seconds) {
   if (!Number.isFinite(seconds)) return '–';
-  const whole = Math.floor(Math.abs(seconds) / 60);
-  const rest = (Math.abs(seconds) - 60 * whole).toFixed(2);
-  return whole ? `${whole}:${rest.padStart(5, '0')}` : `${rest} s`;
+  const all = Math.round(Math.abs(seconds) * 100) / 100;
+  const whole = Math.floor(all / 60), rest = (all - 60 * whole).toFixed(2);
+  return whole ? `${whole}:${rest.padStart(5, '0')} min` : `${rest} s`;
 }
 
 /* First index whose x is at or beyond a value. */
