@@ -5,6 +5,7 @@
 
 from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.discrepancy.result import Signature
+from gms_flex_control.discrepancy.units import torque_scale
 import numpy as np
 
 _BINS = 24
@@ -76,7 +77,9 @@ def signature_of(problem, model, share):
     frequency, line = tone(residual, whitening.row_period)
     rms = float(np.std(residual))
     joint = problem.robot.joints[j]
-    text = (f'{1e3 * rms:.3g} mN m rms are left in the {equation} equation of {joint}')
+    scale = torque_scale(rms)
+    text = (f'{scale.told(rms)} {scale.unit} rms are left in the {equation} equation of '
+            f'{joint}')
     if line > 0.5:
         text += f', most of it a tone of {frequency:.2f} Hz'
         variable = 'time'

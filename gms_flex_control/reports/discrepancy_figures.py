@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Pictures of a discrepancy: the gap, the evidence of each effect, maps of the residual."""
 
+from gms_flex_control.discrepancy.units import angle_scale, torque_scale
 from gms_flex_control.reports.figures import COLOURS, finished, WIDTH
 from gms_flex_control.reports.identification_figures import side_by_side
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -31,17 +32,19 @@ def gap_figure(gap):
 
     """
     figure, panels = side_by_side(2, height=1.6 + 0.75 * len(gap.joints))
-    _bars(panels[0], gap.joints, 1e3, (
+    torque = torque_scale(gap.before)
+    angle = angle_scale(gap.free_before)
+    _bars(panels[0], gap.joints, torque.factor, (
         ('as given', gap.before, GIVEN), ('known parameters re-tuned', gap.retuned, BEFORE),
         ('with the effects found', gap.after, AFTER),
         ('floor: nothing missing', gap.floor, FLOOR)))
-    _bars(panels[1], gap.joints, 1e3, (
+    _bars(panels[1], gap.joints, angle.factor, (
         ('known parameters re-tuned', gap.free_before, BEFORE),
         ('with the effects found', gap.free_after, AFTER),
         ('floor: nothing missing', gap.free_floor, FLOOR)))
     finished(figure, panels, 'Between model and measurement, on data held out')
-    panels[0].set_xlabel('residual torque, rms [mN m]')
-    panels[1].set_xlabel('stray of free runs of 0.5 s, rms [mrad]')
+    panels[0].set_xlabel(f'residual torque, rms [{torque.unit}]')
+    panels[1].set_xlabel(f'stray of free runs of 0.5 s, rms [{angle.unit}]')
     for panel in panels:
         panel.tick_params(axis='y', which='both', left=False, right=False)
         panel.set_xlim(left=0.0, right=1.18 * panel.dataLim.xmax or 1.0)
@@ -80,32 +83,33 @@ def evidence_figure(evidence):
     figure = Figure(figsize=(WIDTH, 3.6), layout='constrained')
     FigureCanvasAgg(figure)
     panel = figure.subplots()
-    step = max(1, len(evidence.x) // _MOST_POINTS)
-    panel.plot(evidence.x[::step], 1e3 * evidence.y[::step], '.', color=COLOURS[4],
+    step, scale = max(1, len(evidence.x) // _MOST_POINTS), torque_scale(evidence.y)
+    size = scale.factor
+    panel.plot(evidence.x[::step], size * evidence.y[::step], '.', color=COLOURS[4],
                markersize=1.8, alpha=0.35, zorder=1)
     panel.axhline(0.0, color='0.6', linewidth=0.6)
     for curve, colour, name in ((evidence.before, BEFORE, 'without the effect'),
                                 (evidence.after, AFTER, 'with it')):
-        panel.fill_between(curve.x, 1e3 * (curve.mean - curve.half),
-                           1e3 * (curve.mean + curve.half), color=colour, alpha=0.3, linewidth=0)
-        panel.plot(curve.x, 1e3 * curve.mean, color=colour, label=name)
-    panel.plot(evidence.own.x, 1e3 * evidence.own.mean, '--', color=OWN,
+        panel.fill_between(curve.x, size * (curve.mean - curve.half),
+                           size * (curve.mean + curve.half), color=colour, alpha=0.3, linewidth=0)
+        panel.plot(curve.x, size * curve.mean, color=colour, label=name)
+    panel.plot(evidence.own.x, size * evidence.own.mean, '--', color=OWN,
                label='the effect itself')
-    _within(panel, evidence)
+    _within(panel, evidence, size)
     panel.legend(loc='best', ncols=3)
     finished(figure, [panel], f'{evidence.effect} of {evidence.joint}')
     panel.set_title(f'torque {evidence.title}', fontsize=9, parse_math=False)
     panel.set_xlabel(evidence.x_label, parse_math=False)
-    panel.set_ylabel('torque [mN m]')
+    panel.set_ylabel(f'torque [{scale.unit}]')
     return figure
 
 
-def _within(panel, evidence):
+def _within(panel, evidence, size):
     """Show the curves and nearly all samples, not the farthest ones."""
-    low, high = 1e3 * np.quantile(evidence.y, (0.01, 0.99))
+    low, high = size * np.quantile(evidence.y, (0.01, 0.99))
     for curve in (evidence.before, evidence.after, evidence.own):
-        low = min(low, 1e3 * np.min(curve.mean - curve.half, initial=0.0))
-        high = max(high, 1e3 * np.max(curve.mean + curve.half, initial=0.0))
+        low = min(low, size * np.min(curve.mean - curve.half, initial=0.0))
+        high = max(high, size * np.max(curve.mean + curve.half, initial=0.0))
     margin = 0.15 * (high - low) or 1.0
     panel.set_ylim(low - margin, high + 1.5 * margin)
 
@@ -129,12 +133,13 @@ def maps_figure(maps, joint):
     figure = Figure(figsize=(WIDTH, 4.8), layout='constrained')
     FigureCanvasAgg(figure)
     panels = figure.subplots(2, len(maps), squeeze=False, sharex='col', sharey='col')
-    largest = max((1e3 * np.nanquantile(np.abs(one.before), 0.98) for one in maps
+    scale = torque_scale([np.nan_to_num(one.before).ravel().max(initial=0.0) for one in maps])
+    largest = max((scale.factor * np.nanquantile(np.abs(one.before), 0.98) for one in maps
                    if np.any(np.isfinite(one.before))), default=1.0)
     for one, (upper, lower) in zip(maps, panels.T, strict=True):
         for panel, values in ((upper, one.before), (lower, one.after)):
-            drawn = panel.pcolormesh(one.x_edges, one.y_edges, 1e3 * values.T, cmap='RdBu_r',
-                                     vmin=-largest, vmax=largest, rasterized=True)
+            drawn = panel.pcolormesh(one.x_edges, one.y_edges, scale.factor * values.T,
+                                     cmap='RdBu_r', vmin=-largest, vmax=largest, rasterized=True)
             panel.set_facecolor('0.93')
             panel.tick_params(labelsize=8)
             panel.set_ylabel(one.y_label, fontsize=8)
@@ -142,6 +147,6 @@ def maps_figure(maps, joint):
         lower.set_xlabel(one.x_label, fontsize=8)
     figure.colorbar(drawn, ax=panels, location='bottom', shrink=0.6, aspect=40).ax.tick_params(
         labelsize=8)
-    figure.suptitle(f'{joint}: missing torque [mN m]\nknown parameters re-tuned (above), with the '
-                    'effects found (below)', fontsize=10, parse_math=False)
+    figure.suptitle(f'{joint}: missing torque [{scale.unit}]\nknown parameters re-tuned (above), '
+                    'with the effects found (below)', fontsize=10, parse_math=False)
     return figure

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from gms_flex_control.discrepancy.gap import free_rms, torque_rms
 from gms_flex_control.discrepancy.path import path_of
+from gms_flex_control.discrepancy.units import angle_scale, torque_scale
 from gms_flex_control.discrepancy.workflow import missing
 import numpy as np
 
@@ -64,27 +65,36 @@ def compare(result, models, holdout=()):
     return compared
 
 
+def _scales(compared):
+    """Return the scales of torques and strays, as given and re-tuned."""
+    torque = torque_scale([one.torque for one in compared])
+    angle = angle_scale([one.free_run for one in compared])
+    return torque, torque, angle, angle
+
+
 def comparison_rows(compared, joints):
-    """Return header and rows of a table of models, torques in mN m and strays in mrad."""
+    """Return header and rows of a table of models, torques and strays in units that suit."""
     header = ['model']
-    for what, unit in (('torque', 'mN m'), ('re-tuned', 'mN m'), ('free run', 'mrad'),
-                       ('re-tuned', 'mrad')):
-        header += [f'{what} {joint} [{unit}]' for joint in joints]
+    scales = _scales(compared)
+    for what, scale in zip(('torque', 're-tuned', 'free run', 're-tuned'), scales, strict=True):
+        header += [f'{what} {joint} [{scale.unit}]' for joint in joints]
     header += ['missing', 're-tuned']
-    rows = [[one.name, *(f'{1e3 * value:.3g}' for values in one[1:5] for value in values),
+    rows = [[one.name, *(scale.told(value) for scale, values in zip(scales, one[1:5], strict=True)
+                         for value in values),
              f'{one.missing:.3g}', f'{one.missing_retuned:.3g}'] for one in compared]
     return header, rows
 
 
 def comparison_text(compared, joints):
     """Return the models as lines of text, a block for each."""
-    lines = []
+    lines, (torque, _, angle, _) = [], _scales(compared)
     for one in compared:
         lines.append(f'{one.name}: missing {one.missing:.3g}, re-tuned {one.missing_retuned:.3g} '
                      'times what a clean run shows')
         for j, joint in enumerate(joints):
             lines.append(
-                f'  {joint}: held-out torque {1e3 * one.torque[j]:.3g} (re-tuned '
-                f'{1e3 * one.torque_retuned[j]:.3g}) mN m, free run {1e3 * one.free_run[j]:.3g} '
-                f'({1e3 * one.free_run_retuned[j]:.3g}) mrad')
+                f'  {joint}: held-out torque {torque.told(one.torque[j])} (re-tuned '
+                f'{torque.told(one.torque_retuned[j])}) {torque.unit}, free run '
+                f'{angle.told(one.free_run[j])} ({angle.told(one.free_run_retuned[j])}) '
+                f'{angle.unit}')
     return '\n'.join(lines)
