@@ -55,7 +55,7 @@ def springs(period, state, constants, work):
     s, links, effects = work.signals, constants.chain, constants.effects
     effect_table.run_stage(_TWIST, s, state.memory, period, effects)
     for j in range(links.moment.shape[0]):
-        s[j, sig.SPRING] = 0.0
+        s[j, sig.SPRING] = s[j, sig.TORQUE]  # of a rigid joint
         if links.flexible[j]:
             s[j, sig.SPRING] = (links.stiffness[j] * s[j, sig.TWIST]
                                 + links.damping[j] * s[j, sig.TWIST_RATE])

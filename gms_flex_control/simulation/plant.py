@@ -114,7 +114,7 @@ def torques(state, dt, constants, work):
     effect_table.run_stage(_ACTUATOR, s, state.memory, dt, effects)
     effect_table.run_stage(_TWIST, s, state.memory, dt, effects)
     for j in range(n):
-        s[j, sig.SPRING] = 0.0
+        s[j, sig.SPRING] = s[j, sig.TORQUE]  # of a rigid joint
         if links.flexible[j]:
             s[j, sig.SPRING] = (links.stiffness[j] * s[j, sig.TWIST]
                                 + links.damping[j] * s[j, sig.TWIST_RATE])

@@ -25,8 +25,6 @@ class LoadFriction(Term):
     @classmethod
     def guesses(cls, scales):
         """Return how it might be there, list of Guess."""
-        if scales.rigid:
-            return []
         return linear(0.1, scales.spring, positive=True)
 
     @staticmethod
