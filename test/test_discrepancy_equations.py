@@ -9,12 +9,13 @@ from core_runs import single_axis
 from gms_flex_control.discrepancy import equations
 from gms_flex_control.discrepancy.bounded import solve
 from gms_flex_control.discrepancy.guesses import all_guesses
-from gms_flex_control.discrepancy.known import knobs_of, tuned
-from gms_flex_control.discrepancy.path import make_path
+from gms_flex_control.discrepancy.known import DOUBT, knobs_of, tuned
+from gms_flex_control.discrepancy.path import make_path, standing
 from gms_flex_control.discrepancy.problem import Problem
 from gms_flex_control.discrepancy.residuals import fresh_state, unexplained
 from gms_flex_control.discrepancy.retrace import retrace
 from gms_flex_control.discrepancy.retuned import with_knobs
+from gms_flex_control.discrepancy.units import torque_scale
 from gms_flex_control.discrepancy.whitening import Whitening
 from gms_flex_control.dynamics import chain
 from gms_flex_control.effects.registry import find
@@ -39,7 +40,7 @@ def driven_path(robot, gains, seed=0, duration=20.0):
     reference = motions.draw_reference(np.random.default_rng(7), 'rich', 'soft', time)
     run = truth.simulate(robot, replace(robot, effects=()), gains, reference, seed=seed)
     return make_path(robot.joints, time, 2e-3, np.ascontiguousarray(run.measured[:, [0, 2]]),
-                     run.command, 'a hidden robot')
+                     run.command, True, 'a hidden robot')
 
 
 @pytest.mark.parametrize(('period', 'factor'), [(4e-3, 1), (2e-3, 2), (1e-3, 4)])
@@ -52,7 +53,8 @@ def test_a_held_torque_and_the_second_difference_of_the_angle_agree_exactly(peri
     angle = np.concatenate([[0.0], np.cumsum(step[:-1])])
     readings = np.repeat(angle[:, None, None], 2, axis=1)
     robot = single_axis(FRICTIONLESS, inertia)
-    path = make_path(robot.joints, np.arange(2000) * period, period, readings, command, 'parabola')
+    path = make_path(robot.joints, np.arange(2000) * period, period, readings, command, True,
+                     'parabola')
     assert path.factor == factor
     left = unexplained(path, plant.constants_of(robot))[4:-4]
     np.testing.assert_allclose(left, 0.0, atol=1e-13 * np.ptp(angle) * inertia / period ** 2)
@@ -125,7 +127,7 @@ def test_rows_of_even_noise_are_white_and_of_unit_variance():
     white = rng.standard_normal((7, 10000, 2)) @ [[1.0, 0.8], [0.0, 0.5]]
     noise = white - 0.9 * np.roll(white, 1, axis=1)
     noise[..., 1] = uniform_filter1d(noise[..., 1], 5, axis=1)
-    whitening = Whitening(noise[:6], period, np.zeros(2))
+    whitening = Whitening(noise[:6], period, np.zeros(2), np.ones(noise.shape[1:], dtype=bool))
     rows = whitening.rows_of(noise[6])[30:-30]
     assert np.all(np.abs(rows.var(axis=0) - 1.0) < 0.15)
     allowed = 4.0 / np.sqrt(len(rows)) + 0.03
@@ -135,12 +137,55 @@ def test_rows_of_even_noise_are_white_and_of_unit_variance():
     assert np.mean(np.abs(rows) > 1.96) == pytest.approx(0.05, abs=0.02)
 
 
+def test_where_an_equation_tells_nothing_its_residual_counts_nothing():
+    """A torque of a thousand times the noise while a link stands changes no row elsewhere."""
+    noise = np.random.default_rng(2).standard_normal((7, 10000, 1))
+    seen = np.ones((10000, 1), dtype=bool)
+    seen[4000:6000] = False
+    whitening = Whitening(noise[:6], 4e-3, np.zeros(1), seen)
+    stuck = noise[6].copy()
+    stuck[4000:6000] += 1000.0
+    rows = whitening.rows_of(stuck)
+    np.testing.assert_allclose(rows, whitening.rows_of(noise[6]), rtol=1e-9, atol=1e-9)
+    inside = (whitening.time > 16.01) & (whitening.time < 23.99)
+    assert not np.any(rows[inside]) and rows[~inside][30:-30].var() == pytest.approx(1.0, abs=0.2)
+
+
+def test_a_link_stands_that_its_encoder_does_not_see_move():
+    """Readings that go to and fro between two counts for longer than 0.2 s, and only these."""
+    count, period = 1e-3, 2e-3
+    time = np.arange(3000) * period
+    angle = 1.0004 + 0.5 * (np.minimum(time - 2.0, 0.0) + np.maximum(time - 4.0, 0.0))
+    angle += 0.3 * count * np.sin(40.0 * time)
+    read = np.round(angle / count) * count
+    still = standing(read[:, None], np.array([0.3 * count]), period)[:, 0]
+    assert np.all(still[(time > 2.11) & (time < 3.89)])
+    assert not np.any(still[(time < 1.99) | (time > 4.01)])
+
+
+@pytest.mark.parametrize('lengths', [(6.0, 6.0, 6.0), (6.0,), (5.0, 5.0)])
+def test_short_recordings_have_blocks_held_out_too(robot, gains, lengths):
+    """Blocks are counted over all recordings, of which each may be too short for a fourth one."""
+    problem = Problem([driven_path(robot, gains, seed=k, duration=length)
+                       for k, length in enumerate(lengths)], robot, 0.005)
+    assert problem.held_out.any() and problem.fitted.sum() > problem.held_out.sum()
+    assert not np.any(problem.held_out & problem.fitted)
+
+
+@pytest.mark.parametrize(('size', 'said'), [(0.0123, '12.3 mN m'), (4.2, '4.2 N m'),
+                                            (4630.0, '4.63 kN m'), (np.nan, 'nan mN m')])
+def test_torques_are_told_in_units_that_suit(size, said):
+    scale = torque_scale([size, 0.001])
+    assert f'{scale.told(size)} {scale.unit}' == said
+
+
 def test_a_floor_makes_all_below_it_small():
     """Noise a tenth of the floor counts a hundredth; noise far above is hardly changed."""
     noise = np.random.default_rng(1).standard_normal((7, 10000, 1))
     share = 20.0 / 125.0  # of the power of white noise that lies below 20 Hz
     for floor, level in ((10.0, 0.01), (0.1, 1.0)):
-        whitening = Whitening(noise[:6], 4e-3, np.array([floor * np.sqrt(share)]))
+        whitening = Whitening(noise[:6], 4e-3, np.array([floor * np.sqrt(share)]),
+                              np.ones(noise.shape[1:], dtype=bool))
         whitening.scale[:] = 1.0
         assert whitening.rows_of(noise[6]).var() == pytest.approx(level, rel=0.1)
 
@@ -153,7 +198,7 @@ def test_fresh_clean_runs_have_unit_variance(problem, robot):
         rows = whitening.rows_of(unexplained(path, constants))[30:-30]
         assert np.all((rows.var(axis=0) > 0.6) & (rows.var(axis=0) < 1.6))
         between = np.abs(np.corrcoef(rows.T) - np.eye(rows.shape[1]))
-        assert between.max() < 0.3
+        assert between.max() < 0.35
     assert problem.level == pytest.approx(1.0, abs=0.25)
 
 
@@ -207,7 +252,7 @@ def test_a_robot_of_knobs_is_the_record_of_knobs(ideal_robot, arm):
                                                           strict=True)]
     robot = replace(ideal_robot, arm=changed, motors=tuple(motors))
     base = plant.constants_of(robot)
-    knobs = knobs_of(base)
+    knobs = knobs_of(base, DOUBT)
     bound = np.array([knob.doubt for knob in knobs])
     for share in (np.zeros(len(knobs)), np.random.default_rng(0).uniform(-0.4, 0.4, len(knobs))):
         asked = flat(tuned(base, knobs, share * bound))
@@ -273,11 +318,15 @@ def test_a_rigid_axis_has_guesses_of_what_can_be_there():
         robot = single_axis(replace(FRICTIONLESS), 0.02)
         time = np.arange(200) * 4e-3
         paths = (make_path(robot.joints, time, 4e-3, np.repeat(
-            np.sin(time)[:, None, None], 2, axis=1), np.cos(time)[:, None], 'sine'),)
+            np.sin(time)[:, None, None], 2, axis=1), np.cos(time)[:, None], True, 'sine'),)
     found = {name for name, _, _ in all_guesses(Given)}
-    assert {'torque_gain', 'friction_asymmetry', 'end_stop', 'torque_ripple'} <= found
-    assert not found & {'backlash', 'spring_cubic', 'stiffness_error', 'load_friction',
-                        'gravity_tilt', 'tip_payload', 'supply_sag', 'motor_inertia_error'}
+    assert {'torque_gain', 'friction_asymmetry', 'end_stop', 'torque_ripple',
+            'load_friction', 'actuator_deadzone'} <= found
+    assert not found & {'backlash', 'spring_cubic', 'stiffness_error', 'gravity_tilt',
+                        'tip_payload', 'supply_sag', 'motor_inertia_error'}
+    Given.paths = (replace(Given.paths[0], commanded=False),)
+    measured = {name for name, _, _ in all_guesses(Given)}
+    assert found - measured == {'actuator_deadzone', 'actuator_saturation'}
 
 
 def test_a_supply_that_is_known_is_looked_for():
@@ -300,4 +349,4 @@ def test_a_noise_of_counts_alone_is_no_effect(problem):
     """Re-tuning known parameters of a clean run gains less than the search would look at."""
     x, rows, _ = problem.retuned(problem.robot, np.zeros(len(problem.knobs)))
     assert problem.cost(rows, x) < 1.3 * problem.level * problem.fitted.sum()
-    assert np.all(np.abs(x) <= problem.bound)
+    assert np.all(np.abs(x) <= problem.bound_of(problem.robot))

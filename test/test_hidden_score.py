@@ -206,13 +206,14 @@ def workflow(monkeypatch):
 
 def test_a_job_asks_the_workflow_without_telling_it_the_truth(workflow):
     """It gets one recording and the nominal robot; of a deleted effect also the name."""
+    finding = SimpleNamespace(effect='backlash', joint='joint2', main=True, runner_up='x',
+                              parameters={'half_gap': np.float64(0.1)},
+                              confusable_with=('end_stop',))
     workflow.result = SimpleNamespace(
         verdict='effects_found', gap=SimpleNamespace(
             retuned=np.array([1.0, 2.0]), after=[1.0, 1.0], floor=[0.5, np.nan],
-            free_before=[1.0, 1.0], free_after=np.array([0.5, 0.5])), minor=(),
-        findings=(SimpleNamespace(effect='backlash', joint='joint2', main=True, runner_up='x',
-                                  parameters={'half_gap': np.float64(0.1)},
-                                  confusable_with=('end_stop',)),))
+            free_before=[1.0, 1.0], free_after=np.array([0.5, 0.5])),
+        added=(finding,), undecided=())
     found = try_job(Job('deleted', 1, duration=8.0), with_peers=False)
     recordings, robot, options = workflow.asked[0]
     assert len(recordings) == 1 and robot.effects == ()

@@ -33,6 +33,9 @@ def add_parser(subparsers):
     parser.add_argument('--practical', type=float, metavar='SHARE',
                         help='torque that matters in practice, as a share of Coulomb friction '
                              '(default: 0.03); smaller effects are listed apart')
+    parser.add_argument('--doubt', type=float, default=1.0, metavar='TIMES',
+                        help='how many times as far as usual (4.5 %% of inertia, stiffness, '
+                             'friction) known parameters may be off (default: 1)')
     parser.add_argument('--models', nargs='+', default=[], metavar='FILE',
                         help='further models of the robot to compare on the same bags')
     parser.add_argument('--controller', nargs='+', default=[], metavar='FILE',
@@ -129,13 +132,15 @@ def options_of(args):
     from gms_flex_control.discrepancy.workflow import Options
     from gms_flex_control.effects.registry import find
     from gms_flex_control.errors import ConfigError
-    chosen = {'force': args.force, 'without': tuple(args.without)}
+    chosen = {'force': args.force, 'doubt': args.doubt, 'without': tuple(args.without)}
     for name in args.without:
         find(name)
     if args.max_effects is not None:
         if args.max_effects < 1:
             raise ConfigError(f'--max-effects {args.max_effects}: at least one is needed')
         chosen['most'] = args.max_effects
+    if not 0.0 < args.doubt <= 100.0:
+        raise ConfigError(f'--doubt {args.doubt:g}: give a number above 0, up to 100')
     if args.practical is not None:
         if not 0.0 < args.practical < 1.0:
             raise ConfigError(f'--practical {args.practical:g}: give a share of Coulomb friction '

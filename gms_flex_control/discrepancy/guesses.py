@@ -29,6 +29,10 @@ def scales_of(paths, robot):
     return found
 
 
+# what is measured as torque has passed these already
+_OF_COMMANDS = ('actuator_deadzone', 'actuator_saturation')
+
+
 def all_guesses(problem, without=()):
     """
     Return what is looked for.
@@ -47,6 +51,8 @@ def all_guesses(problem, without=()):
 
     """
     joints, found = problem.robot.joints, []
+    if not all(path.commanded for path in problem.paths):
+        without = {*without, *_OF_COMMANDS}
     scales = scales_of(problem.paths, problem.robot)
     for name in names():
         kind = find(name)

@@ -18,6 +18,7 @@ from gms_flex_control.effects.registry import find
 import numpy as np
 
 _TAKEN = 0.003        # of its own rows: what else could take its place leaves less than this
+_SURE = 0.05          # likewise: a small effect that others can make but for this is not named
 _CONFUSABLE = 0.98    # cosine, all else re-tuned
 _DECLARED = 0.8       # share from which an effect's own list of confusable ones counts
 _RUNNERS = 6          # hypotheses tried in the place of a finding
@@ -34,10 +35,15 @@ class Judged(NamedTuple):
     less: Fitted       # the model less it
     others: np.ndarray  # columns of all else
 
+    @property
+    def alone(self):
+        """Return the torque that nothing else can make, rms [N m]."""
+        return self.torque * min(self.loss / max(self.own, 1e-300), 1.0) ** 0.5
+
 
 def judged(problem, found, known):
     """
-    Return what each effect is worth, the largest first.
+    Return what each effect is worth, first the one whose torque is missed most.
 
     Parameters
     ----------
@@ -61,7 +67,7 @@ def judged(problem, found, known):
         retuned = least(problem, less, others)
         out.append(Judged(i, float(change @ change), max(retuned - model.cost, 0.0), torque, less,
                           others))
-    return sorted(out, key=lambda one: -one.torque)
+    return sorted(out, key=lambda one: -one.alone)
 
 
 def least(problem, model, columns):
@@ -70,6 +76,11 @@ def least(problem, model, columns):
     gram, slope = used @ used.T, problem.slope(columns, model.rows)
     step = solve(gram, slope, *limits(problem, model, len(columns)))
     return model.cost + 2.0 * half_cost(gram, slope, step)
+
+
+def is_sure(one):
+    """Return whether others could make only some of an effect's torque."""
+    return one.loss > _SURE * one.own
 
 
 def stands_alone(one):

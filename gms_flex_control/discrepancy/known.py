@@ -32,13 +32,15 @@ DOUBT = {'inertia': 0.045, 'gravity': 0.045, 'stiffness': 0.045, 'motor_inertia'
          'level': 0.045, 'asymmetry': 0.03, 'viscous': 0.045, 'viscous_asymmetry': 0.045,
          'static': 0.03, 'velocity': 0.1, 'attraction': 0.3, 'blocks': 0.1, 'damping': 0.1}
 
+MOST_DOUBT = 0.8  # nothing that a model has vanishes altogether
+
 # effects that are larger errors of what a knob re-tunes, which then rests
 REPLACED = {'stiffness_error': 'stiffness', 'motor_inertia_error': 'motor_inertia',
             'coulomb_error': 'level', 'viscous_error': 'viscous', 'stribeck_error': 'static',
             'presliding_error': 'blocks', 'friction_asymmetry': 'asymmetry'}
 
 
-def knobs_of(constants, doubt=DOUBT):
+def knobs_of(constants, doubt):
     """
     Return the knobs of a robot.
 

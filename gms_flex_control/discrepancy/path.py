@@ -5,14 +5,19 @@
 
 from dataclasses import dataclass
 
+from gms_flex_control.analysis.signals import quantum
 from gms_flex_control.errors import BagError
 from gms_flex_control.identification.smoothing import derivatives
 import numpy as np
-from scipy.ndimage import convolve1d
+from scipy.ndimage import convolve1d, maximum_filter1d, minimum_filter1d
 
 WORKING_PERIOD = 4e-3  # sample at which the equations are formed, if the recording is finer [s]
 _WINDOW = 0.034        # of the smoothing that velocities come from [s]
 _KNOWN = 0.98          # share of samples a torque must cover
+_STANDING = 0.2        # a link stands that its encoder does not see move for so long [s]
+_ONE_COUNT = 1.5       # counts: the reading goes to and fro between two
+_FINE = 20.0           # times a count's own noise: steps below are none of an encoder
+_DEVIATIONS = 6.0      # of noise: so far apart readings of a link at rest lie
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +54,10 @@ class Path:
         The torque commands behind the same filter [N m].
     twist_rest : ndarray, shape (S, n)
         Twist as read behind the filter, less the smoothed one [rad].
+    standing : ndarray, shape (S, n)
+        Whether the link stands as far as its encoder tells, bool.
+    commanded : bool
+        Whether ``command`` is what was asked for; else it is torque as measured.
     source : str
         Where it came from.
 
@@ -68,6 +77,8 @@ class Path:
     second: np.ndarray
     drive: np.ndarray
     twist_rest: np.ndarray
+    standing: np.ndarray
+    commanded: bool
     source: str
 
     def through_filter(self, torque):
@@ -145,10 +156,10 @@ def path_of(recording, robot):
         readings[:, 1, j] = readings[:, 0, j] if robot.arm.rigid[j] else _resampled(
             recording, recording.q_motor[:, j], time, f'motor angle of {joint!r}')
     return make_path(recording.joints, time, period, readings, held_torque(recording, time),
-                     recording.source)
+                     has_commands(recording), recording.source)
 
 
-def make_path(joints, time, period, readings, command, source):
+def make_path(joints, time, period, readings, command, commanded, source):
     """Return the Path of even samples; arguments as the fields ``fine_...``."""
     n = len(joints)
     noise = np.sqrt(np.mean(np.diff(readings, 3, axis=0) ** 2, axis=0) / 20.0)
@@ -167,7 +178,45 @@ def make_path(joints, time, period, readings, command, source):
         motion=thin,
         second=thinned(second_difference(readings, period), factor),
         drive=thinned(held_triangle(command), factor),
-        twist_rest=twist - seen(thin[:, 3] - thin[:, 0], sampled_weight(factor)), source=source)
+        twist_rest=twist - seen(thin[:, 3] - thin[:, 0], sampled_weight(factor)),
+        standing=standing(readings[:, 0], noise[0], period)[::factor],
+        commanded=commanded, source=source)
+
+
+def encoder_step(angle, noise):
+    """Return the count of an encoder by its readings (T,) [rad], 0 if they have no steps."""
+    step = quantum(angle)
+    return step if noise < _FINE * step / np.sqrt(12.0) else 0.0
+
+
+def standing(angle, noise, period):
+    """
+    Return when links stand as far as their encoders tell.
+
+    Parameters
+    ----------
+    angle : ndarray, shape (T, n)
+        As read [rad].
+    noise : ndarray, shape (n,)
+        Standard deviation of the readings [rad].
+    period : float
+        Sample [s].
+
+    Returns
+    -------
+    ndarray of bool, shape (T, n)
+
+    """
+    window = max(round(_STANDING / period), 3)
+    spread = (maximum_filter1d(angle, window, axis=0) - minimum_filter1d(angle, window, axis=0))
+    step = np.array([encoder_step(column, own)
+                     for column, own in zip(angle.T, noise, strict=True)])
+    return spread <= np.maximum(_ONE_COUNT * step, _DEVIATIONS * noise)
+
+
+def has_commands(recording):
+    """Return whether torque commands cover a recording."""
+    return bool(np.isfinite(recording.command).mean() > _KNOWN)
 
 
 def held_torque(recording, time):
@@ -177,7 +226,7 @@ def held_torque(recording, time):
     Commands if they cover the recording, else the efforts that the joint states report for the
     sample that ended.
     """
-    if np.isfinite(recording.command).mean() > _KNOWN:
+    if has_commands(recording):
         torque = _held(recording.command)
     elif np.isfinite(recording.tau_motor).mean() > _KNOWN:
         torque = _held(recording.tau_motor)

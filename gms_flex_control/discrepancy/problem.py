@@ -8,7 +8,7 @@ from dataclasses import replace
 import os
 
 from gms_flex_control.discrepancy.bounded import solve
-from gms_flex_control.discrepancy.known import knobs_of, REPLACED, tuned
+from gms_flex_control.discrepancy.known import DOUBT, knobs_of, MOST_DOUBT, REPLACED, tuned
 from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.discrepancy.retrace import retrace
 from gms_flex_control.discrepancy.whitening import Whitening
@@ -35,18 +35,41 @@ class Problem:
         Torque below which nothing matters, as a share of Coulomb friction.
     seed : int
         Of the runs in which nothing is missing.
+    doubt : float
+        How many times as far as usual known parameters may be off.
+    at_rest : bool
+        Whether link equations count while a link stands. Friction then is anything up to static
+        friction, which only a model whose friction is nearly right can follow.
 
     """
 
-    def __init__(self, paths, robot, practical, seed=0):
-        self.paths, self.robot, self._seed = tuple(paths), robot, seed
-        self._practical = practical
+    def __init__(self, paths, robot, practical, seed=0, doubt=1.0, at_rest=True):
+        self.paths, self.robot, self._seed, self._doubt = tuple(paths), robot, seed, doubt
+        self._practical, self._at_rest = practical, at_rest
         base = plant.constants_of(robot)
-        self.knobs = knobs_of(base)
+        self.knobs = knobs_of(base, {name: min(doubt * share, MOST_DOUBT)
+                                     for name, share in DOUBT.items()})
         level = 0.5 * (robot.friction.forward.coulomb + robot.friction.backward.coulomb)
         self.floor = practical * np.tile(level, 2)
         self.pool = ThreadPoolExecutor(os.cpu_count() or 1)
         self.measure(robot, np.zeros(len(self.knobs)))
+
+    def _seen(self, path):
+        """Return where the equations of a Path tell something, bool (S, 2 n)."""
+        everywhere = np.ones_like(path.standing)
+        return np.concatenate([everywhere if self._at_rest else ~path.standing, everywhere],
+                              axis=1)
+
+    def share_at_rest(self, rows):
+        """Return the share of the squares of rows (R,) that comes from links that stand."""
+        ends = np.cumsum([whitening.scale.size for whitening in self.whitenings])[:-1]
+        still = 0.0
+        for part, whitening, path in zip(np.split(rows, ends), self.whitenings, self.paths,
+                                         strict=True):
+            n = path.standing.shape[1]
+            at = np.minimum((whitening.time / path.period).astype(int), len(path.standing) - 1)
+            still += np.sum(part.reshape(whitening.scale.shape)[:, :n][path.standing[at]] ** 2)
+        return float(still / max(np.sum(rows ** 2), 1e-300))
 
     def _rows(self, paths, constants):
         return np.concatenate([whitening.rows_of(unexplained(path, constants)).ravel()
@@ -59,7 +82,8 @@ class Problem:
                  for path in self.paths] for k in range(REPLICATES)]
         residuals = list(self.pool.map(
             lambda run: [unexplained(path, constants) for path in run], runs))
-        self.whitenings = [Whitening(np.stack(clean), path.period, self.floor)
+        self.whitenings = [Whitening(np.stack(clean), path.period, self.floor,
+                                     self._seen(path))
                            for path, clean in zip(self.paths, zip(*residuals, strict=True),
                                                   strict=True)]
         self._divide()
@@ -81,7 +105,8 @@ class Problem:
 
     def of_others(self, paths):
         """Return the Problem of other recordings, all of them held out."""
-        other = Problem(paths, self.robot, self._practical, self._seed)
+        other = Problem(paths, self.robot, self._practical, self._seed, self._doubt,
+                        self._at_rest)
         other.held_out, other.fitted = other.held_out | other.fitted, other.fitted & False
         return other
 
@@ -93,11 +118,14 @@ class Problem:
 
     def _divide(self):
         """Set which rows are fitted and which held out, by blocks of time."""
-        times = np.concatenate([
-            k * 1e6 + np.repeat(whitening.time, whitening.scale.shape[1])
-            for k, whitening in enumerate(self.whitenings)])
+        blocks, count = [], 0
+        for whitening in self.whitenings:
+            block = count + (whitening.time / BLOCK).astype(int)
+            blocks.append(np.repeat(block, whitening.scale.shape[1]))
+            count = int(block[-1]) + 1
+        turn = min(_HELD_OUT, count)
+        out = np.concatenate(blocks) % turn == turn - 1
         used = np.concatenate([whitening.scale.ravel() > 0.0 for whitening in self.whitenings])
-        out = (times / BLOCK).astype(int) % _HELD_OUT == _HELD_OUT - 1
         self.fitted, self.held_out = used & ~out, used & out
 
     @property

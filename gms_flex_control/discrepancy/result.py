@@ -33,7 +33,7 @@ class Finding:
     values : tuple of Value
         Its parameters.
     main : bool
-        Whether it matters in practice; small ones are listed apart.
+        Whether it matters, in practice or beside the others; small ones are listed apart.
     torque : float
         What it contributes, rms over the fitted motion [N m].
     share : float
@@ -136,8 +136,9 @@ class Discrepancy:
     ----------
     verdict : str
         'complete', 'effects_found', 'unexplained' or 'bad_data'.
-    findings, minor : tuple of Finding
-        Effects that matter, the largest first, and small ones.
+    findings, minor, undecided : tuple of Finding
+        Effects that matter, the largest first; small ones; and small ones that these data hardly
+        tell from others, whose names are but one of several.
     unexplained : Signature or None
         What is left.
     gap : Gap or None
@@ -164,6 +165,7 @@ class Discrepancy:
     verdict: str
     findings: tuple = ()
     minor: tuple = ()
+    undecided: tuple = ()
     unexplained: Signature | None = None
     gap: Gap | None = None
     robot: object = None
@@ -174,3 +176,8 @@ class Discrepancy:
     seconds: float = 0.0
     words: str = ''
     found: object = None
+
+    @property
+    def added(self):
+        """Return all findings, those that matter first."""
+        return (*self.findings, *self.minor, *self.undecided)

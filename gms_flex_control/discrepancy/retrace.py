@@ -12,14 +12,13 @@ missing: noise, rounding, and the filters' own errors at every reversal.
 
 from gms_flex_control.analysis.signals import quantum
 from gms_flex_control.compiled import compiled
-from gms_flex_control.discrepancy.path import make_path
+from gms_flex_control.discrepancy.path import encoder_step, make_path
 from gms_flex_control.discrepancy.residuals import fresh_state
 from gms_flex_control.simulation import plant
 import numpy as np
 
 BANDWIDTH = 30.0      # of the motors' hold on the path [rad/s]
 _STEP = 4e-4          # of the integration [s]
-_FINE = 20.0          # times a count's own noise: steps below are none of an encoder
 
 
 @compiled
@@ -71,16 +70,14 @@ def retrace(path, constants, rng):
         for j in range(n):
             readings[:, side, j] = read(readings[:, side, j], path.readings[:, side, j],
                                         path.noise[side, j], rng)
-    return make_path(path.joints, path.fine_time, path.fine_period, readings, held, path.source)
+    return make_path(path.joints, path.fine_time, path.fine_period, readings, held,
+                     path.commanded, path.source)
 
 
 def read(angle, like, noise, rng):
     """Return an angle (T,) as an encoder gives it that gave ``like`` (T,)."""
-    step = quantum(like)
-    rounding = step / np.sqrt(12.0)
-    if not noise < _FINE * rounding:  # what looks like steps is none
-        step = 0.0
-    own = np.sqrt(max(noise ** 2 - rounding ** 2, 0.0))
+    step = encoder_step(like, noise)
+    own = np.sqrt(max(noise ** 2 - quantum(like) ** 2 / 12.0, 0.0))
     shift = step * rng.uniform()
     noisy = angle + own * rng.standard_normal(len(angle))
     return np.round((noisy + shift) / step) * step - shift if step > 0.0 else noisy

@@ -29,6 +29,9 @@ _SIMPLER = 0.03       # of a gain: so much less is as good, with fewer numbers
 _BETTER = 0.01        # likewise: so much more is better, with more numbers
 _ROUNDS = 3           # of adding and exchanging
 _EXACT = 12           # hypotheses whose gain is found within bounds
+_SCALED = {'stiffness_error', 'motor_inertia_error'}
+_LATE = {'actuator_lag', 'input_delay'}
+_SCALED_RIGID = {'link_inertia_error'}
 
 
 class Ranked(NamedTuple):
@@ -196,7 +199,7 @@ class _Hunt:
         while len(self.model.robot.effects) - self._known < most:
             ranked = self.library.ranked(self.model, self.columns)
             self.first = self.first or tuple(ranked)
-            ranked = [one for one in ranked if may_join(one.spec, self.model.robot.effects)]
+            ranked = [one for one in ranked if may_join(one.spec, self.model.robot)]
             if not ranked or ranked[0].gain < self._least():
                 break
             added = self._best_added(ranked)
@@ -221,7 +224,7 @@ class _Hunt:
         own = effects[i].name, effects[i].joint
         for one in ranked[:_SHORTLIST]:
             if ((one.spec.name, one.spec.joint) == own or one.gain < _CLOSE * ranked[0].gain
-                    or not may_join(one.spec, less.robot.effects)):
+                    or not may_join(one.spec, less.robot)):
                 continue
             other = self._fit_last(with_effect(less.robot, one.spec))
             larger = _size(one.spec) - _size(effects[i])
@@ -300,20 +303,28 @@ def refitted(problem, robot, x, knobs, known, iterations=3):
     return model, np.concatenate([knobs, own])
 
 
-def may_join(spec, effects):
+def may_join(spec, robot):
     """
-    Return whether an effect may be added to others: not twice, and none that undoes another.
+    Return whether an effect may be added to a robot: not twice, and none that undoes another.
 
-    The torque constant together with stiffness and inertia would scale a whole joint, which no
-    motion tells from other torque, and rows are smallest where all is nothing.
+    The torque constant together with stiffness and inertia, of a rigid joint with that of its
+    link, would scale a whole joint, which no motion tells from other torque, and rows are
+    smallest where all is nothing. Lag and delay of one actuator are told from each other hardly,
+    from their sum not at all.
     """
-    there = {one.name for one in effects if one.joint == spec.joint}
-    scaling = there & {'stiffness_error', 'motor_inertia_error'}
+    there = {one.name for one in robot.effects if one.joint == spec.joint}
+    if spec.name in there:
+        return False
+    rigid = spec.joint in robot.joints and robot.arm.rigid[robot.joints.index(spec.joint)]
+    scaled = _SCALED_RIGID if rigid else _SCALED
+    excluded = set()
     if spec.name == 'torque_gain':
-        return spec.name not in there and not scaling
-    if spec.name in ('stiffness_error', 'motor_inertia_error'):
-        return spec.name not in there and 'torque_gain' not in there
-    return spec.name not in there
+        excluded = scaled
+    elif spec.name in scaled:
+        excluded = {'torque_gain'}
+    elif spec.name in _LATE:
+        excluded = _LATE
+    return not there & excluded
 
 
 def without(problem, model, columns, known, i):

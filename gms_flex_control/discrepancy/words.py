@@ -4,7 +4,11 @@
 """What was found, in plain words."""
 
 from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE, FOUND
+from gms_flex_control.discrepancy.units import angle_scale, torque_scale
 from gms_flex_control.effects.registry import find
+
+IN_MOTION = ('Moments at which a link stands were left out: friction then holds what no model of '
+             'these foresees.')
 
 
 def tells_apart(effect, others):
@@ -14,8 +18,10 @@ def tells_apart(effect, others):
 
 def evidence_of(spec, one, others):
     """Return one sentence on why an effect is named."""
-    sentence = (f'with it the residual loses {1e3 * one.torque:.3g} mN m rms; nothing else in '
-                f'the model takes its place for {100.0 * one.loss / one.own:.0f} % of that')
+    scale = torque_scale(one.torque)
+    alone = 100.0 * one.loss / one.own
+    sentence = (f'with it the residual loses {scale.told(one.torque)} {scale.unit} rms; nothing '
+                f'else in the model takes its place for {alone:.0f} % of that')
     if others:
         name, joint, share = others[0]
         sentence += (f'; the next best, {name} of {joint}, would explain '
@@ -44,7 +50,7 @@ def paragraph(result):
         parts.append('Nothing is missing: what the model leaves is what a run of the model itself '
                      'leaves when read through the same encoders.')
     if result.verdict == FOUND:
-        listed = [*result.findings, *result.minor]
+        listed = result.added
         parts.append('The model lacks ' + '; '.join(named(one) for one in listed[:5]) + '.')
         if len(listed) > 5:
             parts.append(f'{len(listed) - 5} further small effects are listed in the report.')
@@ -55,12 +61,15 @@ def paragraph(result):
     if result.unexplained is not None:
         parts.append(f'Something is there that the catalogue does not explain: '
                      f'{result.unexplained.sentence}')
+    torque, angle = torque_scale(gap.before), angle_scale(gap.free_before)
     torques = ', '.join(
-        f'{1e3 * before:.3g} -> {1e3 * after:.3g} mN m ({joint}, floor {1e3 * floor:.3g})'
+        f'{torque.told(before)} -> {torque.told(after)} {torque.unit} ({joint}, floor '
+        f'{torque.told(floor)})'
         for joint, before, after, floor in zip(gap.joints, gap.before, gap.after, gap.floor,
                                                strict=True))
-    strays = ', '.join(f'{1e3 * before:.3g} -> {1e3 * after:.3g} mrad' for before, after in zip(
-        gap.free_before, gap.free_after, strict=True))
+    strays = ', '.join(
+        f'{angle.told(before)} -> {angle.told(after)} {angle.unit}'
+        for before, after in zip(gap.free_before, gap.free_after, strict=True))
     parts.append(f'On data held out the residual torque is {torques}, and half a second of free '
                  f'simulation strays by {strays}.')
     return ' '.join(parts)

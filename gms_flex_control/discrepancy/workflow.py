@@ -22,14 +22,18 @@ from gms_flex_control.discrepancy.result import (
 from gms_flex_control.discrepancy.retuned import with_knobs
 from gms_flex_control.discrepancy.search import LEAST_GAIN, refitted, search
 from gms_flex_control.discrepancy.signature import signature_of
-from gms_flex_control.discrepancy.words import evidence_of, paragraph, tells_apart
+from gms_flex_control.discrepancy.words import evidence_of, IN_MOTION, paragraph, tells_apart
 from gms_flex_control.identification.checks import check
 import numpy as np
 
+_AT_REST = 0.2        # of what is left: so much of it while links stand may be friction
+_UNSURE = 2.0         # times what matters, for an effect that may be another
+_UNEXPECTED = 4.0     # times the loss that was foreseen: an effect is taken back
 DETECTED = 1.3        # times the clean level: below, nothing is missing
 EXPLAINED = 0.05      # of what was missing: so little may be left of it
 PARTLY = 0.3          # likewise, where only effects are named that explain most of it
 DOMINANT = 0.6        # share of an effect that explains most
+BESIDE = 0.5          # of the torque missed most: an effect so large matters, however small
 DOUBTFUL = 0.1        # of what is still unexplained: an effect worth less is not believed
 
 
@@ -51,6 +55,8 @@ class Options:
         Go on where the data are bad.
     seed : int
         Of the runs in which nothing is missing.
+    doubt : float
+        How many times as far as usual (known.DOUBT) known parameters may be off.
 
     """
 
@@ -59,6 +65,7 @@ class Options:
     without: tuple = field(default=())
     force: bool = False
     seed: int = 0
+    doubt: float = 1.0
 
 
 _NOISE_DOUBT = 0.15   # by which the level of a clean run may be wrong
@@ -105,30 +112,51 @@ def discrepancy(recordings, robot, options=None, *, holdout=(), say=lambda text:
                            seconds=time.monotonic() - begun,
                            words='The data are at fault, not the model: ' + ' '.join(
                                text.rstrip('.') + '.' for text in faults))
+    paths = [path_of(recording, robot) for recording in recordings]
+    result = _searched(paths, robot, options, holdout, True, say)
+    problem, found = result.found
+    if result.verdict == UNEXPLAINED and problem.share_at_rest(found.model.rows) > _AT_REST:
+        say('once more, in motion alone')
+        moving = _searched(paths, robot, options, holdout, False, say)
+        if moving.verdict == FOUND:
+            result = replace(moving, words=f'{moving.words} {IN_MOTION}')
+    return replace(result, faults=faults, sources=sources, seconds=time.monotonic() - begun)
+
+
+def _searched(paths, robot, options, holdout, at_rest, say):
+    """Return the Discrepancy, links that stand considered or not."""
     say('what runs look like in which nothing is missing')
-    problem = Problem([path_of(recording, robot) for recording in recordings], robot,
-                      _FLOOR * options.practical, options.seed)
+    problem = Problem(paths, robot, _FLOOR * options.practical, options.seed, options.doubt,
+                      at_rest)
     known = len(robot.effects)
     found = search(problem, most=options.most, without=options.without, say=say)
     say('judging what was found')
     found, entries = pruned(problem, found, known)
-    result = _told(problem, found, entries, known, options, holdout, say)
-    return replace(result, faults=faults, sources=sources, seconds=time.monotonic() - begun)
+    return _told(problem, found, entries, known, options, holdout, say)
 
 
 def pruned(problem, found, known):
     """Return the search's end without effects that something else could be, and the Judged."""
+    doubtful = max(DOUBTFUL * missing(problem, found.model) * problem.clean_cost, LEAST_GAIN)
+    kept = set()
     while True:
         entries = judge.judged(problem, found, known)
-        doubtful = DOUBTFUL * missing(problem, found.model) * problem.clean_cost
-        weak = [one for one in entries
-                if not judge.stands_alone(one) or one.loss < max(doubtful, LEAST_GAIN)]
+        weak = [one for one in entries if _name(found, one) not in kept
+                and (not judge.stands_alone(one) or one.loss < doubtful)]
         if not weak:
             return found, entries
-        less = min(weak, key=lambda one: one.loss).less
-        model, columns = refitted(problem, less.robot, less.x, found.columns[:len(problem.knobs)],
-                                  known, iterations=2)
-        found = found._replace(model=model, columns=columns)
+        one = min(weak, key=lambda one: one.loss)
+        model, columns = refitted(problem, one.less.robot, one.less.x,
+                                  found.columns[:len(problem.knobs)], known)
+        if model.cost - found.model.cost > max(_UNEXPECTED * one.loss, doubtful):
+            kept.add(_name(found, one))  # others are no match for it after all
+        else:
+            found = found._replace(model=model, columns=columns)
+
+
+def _name(found, one):
+    spec = found.model.robot.effects[one.index]
+    return spec.name, spec.joint
 
 
 def missing(problem, model):
@@ -166,19 +194,23 @@ def _told(problem, found, entries, known, options, holdout, say):
     if entries and not helps(gap):
         found, entries, left = _only(problem, found, known, []), [], 1.0
         gap = gap_of(measured, found)
-    findings = [_finding(problem, found, known, one, whole, options) for one in entries]
+    largest = max((one.alone for one in entries), default=0.0)
+    findings = [_finding(problem, found, known, one, whole, largest, options) for one in entries]
+    sure = {id(finding) for finding, one in zip(findings, entries, strict=True)
+            if judge.is_sure(one) and not finding.confusable_with}
     left_over = None
     if left > EXPLAINED or (before > slack and not findings):
         left_over = signature_of(problem, found.model, min(max(missing(
             problem, found.model), 0.0) / max(before, 1e-12), 1.0))
-    main = tuple(finding for finding in findings if finding.main)
+    small = [finding for finding in findings if not finding.main]
     verdict = FOUND if findings else UNEXPLAINED if left_over else COMPLETE
     retuned = tuple((knob.name, problem.robot.joints[knob.joint] if knob.joint >= 0 else 'arm',
                      float(value)) for knob, value in zip(problem.knobs, found.model.x,
                                                           strict=True))
     result = Discrepancy(
-        verdict=verdict, findings=main,
-        minor=tuple(finding for finding in findings if not finding.main),
+        verdict=verdict, findings=tuple(finding for finding in findings if finding.main),
+        minor=tuple(finding for finding in small if id(finding) in sure),
+        undecided=tuple(finding for finding in small if id(finding) not in sure),
         unexplained=left_over, gap=gap, tried=tried, retuned=retuned, found=(problem, found),
         robot=with_knobs(found.model.robot, problem.knobs, found.model.x))
     return replace(result, words=paragraph(result))
@@ -204,15 +236,15 @@ def _measured_on(problem, holdout):
     return problem.of_others([path_of(recording, problem.robot) for recording in holdout])
 
 
-def _finding(problem, found, known, one, whole, options):
+def _finding(problem, found, known, one, whole, largest, options):
     spec = found.model.robot.effects[one.index]
     others = judge.rivals(problem, found, one)
     alike = judge.confusable(spec, others)
-    level = problem.level_of(spec.joint)
+    least = options.practical * problem.level_of(spec.joint) * (_UNSURE if alike else 1.0)
     return Finding(
         effect=spec.name, joint=spec.joint,
         values=judge.values_of(problem, found, known, one.index),
-        main=one.torque >= options.practical * level, torque=one.torque,
+        main=one.alone >= min(least, BESIDE * largest), torque=one.torque,
         share=min(one.loss / whole, 1.0), score=one.loss,
         runner_up=f'{others[0][0]} of {others[0][1]}' if others else None,
         runner_up_score=others[0][2] * one.loss if others else 0.0,

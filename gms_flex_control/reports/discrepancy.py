@@ -9,6 +9,7 @@ import re
 from gms_flex_control.discrepancy.free_run import free_runs, HORIZON
 from gms_flex_control.discrepancy.path import path_of
 from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE, FOUND, UNEXPLAINED
+from gms_flex_control.discrepancy.units import torque_scale
 from gms_flex_control.effects.registry import find
 from gms_flex_control.reports.discrepancy_figures import (
     evidence_figure,
@@ -113,15 +114,19 @@ def _add_summary(report, result):
 
 
 def _add_findings(report, result, along, model, picture):
-    if not result.findings and not result.minor:
+    findings = result.added
+    if not findings:
         return
     report.heading('What was found')
+    scale = torque_scale([one.torque for one in findings])
     report.table(
-        ('effect', 'joint', 'parameters (95 %)', 'torque [mN m]', 'share', 'could also be'),
-        [_finding_row(one) for one in (*result.findings, *result.minor)],
-        'The largest first; small ones (*) are below what matters in practice. Share: of what '
-        're-tuning cannot explain, what would be left without the effect')
-    for i, finding in enumerate((*result.findings, *result.minor)[:MOST_PICTURES]):
+        ('effect', 'joint', 'parameters (95 %)', f'torque [{scale.unit}]', 'share',
+         'could also be'),
+        [_finding_row(one, scale) for one in findings],
+        'The largest first; small ones (*) are below what matters in practice, and where one '
+        'could also be another its name is but one of several. Share: of what re-tuning cannot '
+        'explain, what would be left without the effect')
+    for i, finding in enumerate(findings[:MOST_PICTURES]):
         report.heading(f'{finding.effect} of {finding.joint}', level=3)
         report.text(_summary_of(finding.effect))
         report.text(finding.evidence[:1].upper() + finding.evidence[1:])
@@ -134,11 +139,11 @@ def _add_findings(report, result, along, model, picture):
         _add_evidence_chart(report, evidence)
 
 
-def _finding_row(finding):
+def _finding_row(finding, scale):
     values = '; '.join(f'{v.name} {v.value:.4g} ({v.low:.4g} .. {v.high:.4g})'
                        f'{"" if v.unit == "1" else " " + v.unit}' for v in finding.values)
     return (f'{finding.effect}{"" if finding.main else " *"}', finding.joint, values,
-            f'{1e3 * finding.torque:.3g}', f'{100.0 * finding.share:.1f} %',
+            scale.told(finding.torque), f'{100.0 * finding.share:.1f} %',
             ', '.join(finding.confusable_with))
 
 
@@ -152,18 +157,20 @@ def _stem(finding):
 
 
 def _add_evidence_chart(report, evidence):
-    step = max(1, len(evidence.x) // _CLOUD)
-    curves = [Curve('samples without it', evidence.x[::step], 1e3 * evidence.y[::step], 'c6',
+    step, scale = max(1, len(evidence.x) // _CLOUD), torque_scale(evidence.y)
+    size = scale.factor
+    curves = [Curve('samples without it', evidence.x[::step], size * evidence.y[::step], 'c6',
                     points=True)]
     for curve, role, name in ((evidence.before, 'c1', 'without it'),
                               (evidence.after, 'c0', 'with it')):
-        curves += [Curve(name, curve.x, 1e3 * curve.mean, role)]
-        curves += [Curve(f'{name}, 95 % {side}', curve.x, 1e3 * (curve.mean + sign * curve.half),
-                         role, dashed=True, hidden=True)
+        curves += [Curve(name, curve.x, size * curve.mean, role)]
+        curves += [Curve(f'{name}, 95 % {side}', curve.x,
+                         size * (curve.mean + sign * curve.half), role, dashed=True, hidden=True)
                    for sign, side in ((-1.0, 'low'), (1.0, 'high'))]
-    curves.append(Curve('the effect itself', evidence.own.x, 1e3 * evidence.own.mean, 'c2',
+    curves.append(Curve('the effect itself', evidence.own.x, size * evidence.own.mean, 'c2',
                         dashed=True))
-    report.xy_chart(f'torque {evidence.title}', curves, evidence.x_label, 'torque [mN m]')
+    report.xy_chart(f'torque {evidence.title}', curves, evidence.x_label,
+                    f'torque [{scale.unit}]')
 
 
 def _add_left(report, result):
@@ -192,12 +199,13 @@ def _add_residuals(report, along, found, picture):
                  'Share of the residual that is a function of one variable alone: known '
                  'parameters re-tuned, with the effects found, and in a run of the model itself')
     time, split = _first_times(along), along.problem.whitenings[0].scale.any(axis=1).sum()
+    scale = torque_scale(before[:split])
     for j, joint in enumerate(along.joints):
         for equation, column in along.channels(j):
             report.chart(f'{joint}: missing in the {equation} equation', time, [
-                Series('before', 1e3 * before[:split, column], role='c1'),
-                Series('after', 1e3 * after[:split, column], role='c0')],
-                y_label='torque [mN m]')
+                Series('before', scale.factor * before[:split, column], role='c1'),
+                Series('after', scale.factor * after[:split, column], role='c0')],
+                y_label=f'torque [{scale.unit}]')
 
 
 def _first_times(along):

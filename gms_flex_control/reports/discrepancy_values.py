@@ -47,6 +47,7 @@ def report_values(result, *, holdout=(), models=()):
         'seconds': result.seconds, 'faults': result.faults,
         'findings': [finding_values(finding, joints) for finding in result.findings],
         'minor': [finding_values(finding, joints) for finding in result.minor],
+        'undecided': [finding_values(finding, joints) for finding in result.undecided],
         'unexplained': result.unexplained._asdict() if result.unexplained else None,
         'gap': gap_values(result.gap) if result.gap is not None else None,
         'retuned': [{'parameter': name, 'joint': joint, 'change': change}
@@ -138,7 +139,9 @@ def _comment(result):
     lines = [f'What gms_flex discrepancy {__version__} made of a robot file and of '
              f'{", ".join(result.sources)}.', f'Verdict: {result.verdict}.']
     for heading, findings in (('Effects that were missing', result.findings),
-                              ('Small effects', result.minor)):
+                              ('Small effects', result.minor),
+                              ('Small effects that these data hardly tell from others',
+                               result.undecided)):
         if findings:
             lines.append(f'{heading}: ' + '; '.join(named(one) for one in findings) + '.')
     changes = [f'{name} of {joint} {100.0 * change:+.2f} %'

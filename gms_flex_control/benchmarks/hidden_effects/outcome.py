@@ -43,7 +43,7 @@ def try_job(job, with_peers=True):
     outcome['megabytes'] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (
         1024.0 if sys.platform != 'darwin' else 1024.0 ** 2)
     outcome['answers'][WORKFLOW] = [[one['effect'], one['joint']] for one in ranked(
-        outcome['findings'])]
+        outcome['findings']) if one['decided']]
     if with_peers:
         from gms_flex_control.benchmarks.hidden_effects import peers
         for name, answer in peers.ask(case, without).items():
@@ -67,7 +67,8 @@ def ask_workflow(case, without):
                 'effect': one.effect, 'joint': one.joint, 'main': bool(one.main),
                 'parameters': {name: float(value) for name, value in one.parameters.items()},
                 'runner_up': str(one.runner_up), 'confusable_with': list(map(
-                    str, one.confusable_with))} for one in (*result.findings, *result.minor)]}
+                    str, one.confusable_with)), 'decided': one not in result.undecided}
+                for one in result.added]}
 
 
 def gap_of(gap):
