@@ -25,8 +25,9 @@ def add_parser(subparsers):
                     'sliders for the gains of the controller. Everything comes from this one '
                     'process and stays on this machine. Ctrl-C ends it.')
     parser.add_argument('what', metavar='BAG|live', help='a bag, or the word live (needs ROS)')
-    parser.add_argument('--robot', metavar='FILE', help='robot file of the bag; default: that of '
-                        'the package where the joints have the same names')
+    parser.add_argument('--robot', nargs='+', metavar='FILE', help='robot file of the bag, and '
+                        'others that complete it, such as friction.yaml; default: that of the '
+                        'package where the joints have the same names')
     parser.add_argument('--joints', nargs='+', help='link names in the bag')
     parser.add_argument('--motors', nargs='+', help='motor names in the bag')
     parser.add_argument('--namespace', default='', metavar='NS',

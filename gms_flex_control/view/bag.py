@@ -109,12 +109,15 @@ class BagView:
         blocks = next((values.shape[2] for values in (sticking, torque) if values is not None), 0)
         self._names = column_names(recording.n_joints, blocks)
         found = present(self._columns)
-        twist = [self._columns[f'twist.{j}'] for j in range(recording.n_joints)]
         self._summary = {
             'signals': found, 'blocks': {'count': blocks, 'origin': origin if blocks else ''},
-            'twist': max((float(np.nanmax(np.abs(one))) for one in twist
-                          if np.isfinite(one).any()), default=0.0),
+            'twist': self._largest('twist'), 'load': self._largest('block'),
             'extent': extent(scene, recording.q_link)}
+
+    def _largest(self, signal):
+        """Return the largest size of a signal in any of its columns, 0 without one."""
+        return max((float(np.nanmax(np.abs(values))) for name, values in self._columns.items()
+                    if name.startswith(signal) and np.isfinite(values).any()), default=0.0)
 
     def session(self):
         """Return what the page has to know before it draws, as a dict for JSON."""

@@ -20,7 +20,7 @@ export class BlockBars {
   constructor(card, session) {
     const {count, origin} = session.blocks, {joints, limits} = session.scene;
     this.limits = limits;
-    this.largest = 1e-6;
+    this.largest = session.load || 1e-6;
     this.cells = joints.map(() => []);
     const rows = joints.map((name, j) => {
       const row = element('div', {class: 'lanes', role: 'img', 'aria-label': name});

@@ -48,7 +48,7 @@ class View {
   /* Everything that depends on which signals there are. */
   build() {
     const has = (signal) => this.source.has(signal);
-    this.built = ['link', 'motor', 'reference', 'command', 'friction', 'stick'].map(has).join();
+    this.built = ['link', 'motor', 'reference', 'command', 'friction', 'block', 'stick'].map(has).join();
     if (this.plots) this.plots.destroy();
     this.plots = new Plots(at('plots'), at('chips'), this.session, this.source,
       (time) => this.transport.seek(time));
@@ -57,12 +57,13 @@ class View {
     const missing = this.plots.missing.slice();
     this.bars = this.strip = null;
     at('blocks').hidden = true;
+    if (has('stick') || has('block')) this.bars = new BlockBars(at('blocks'), this.session);
+    else missing.push(this.live ? 'friction blocks: the controller publishes none'
+      : 'friction blocks: neither in the bag nor computed, which takes a robot file');
     if (has('stick')) {
-      this.bars = new BlockBars(at('blocks'), this.session);
       this.strip = new BlockStrip(at('plots'), this.session, this.plots);
       this.plots.drawn = (table) => this.strip.draw(table);
-    } else missing.push(this.live ? 'friction blocks: the controller publishes none'
-      : 'friction blocks: neither in the bag nor computed, which takes a robot file');
+    } else if (this.bars) missing.push('stick and slip: it was not recorded');
     at('missing').replaceChildren(...missing.map((text) => element('li', {}, `No ${text}.`)));
     this.plots.refresh();
   }
@@ -104,7 +105,7 @@ class View {
       if (!transport.playing || now - this.drawn < (calm.matches ? 3 * REDRAW : REDRAW)) return;
       this.drawn = now;
       plots.show(Math.max(source.begin, source.end - transport.window), source.end, false);
-      if (['link', 'motor', 'reference', 'command', 'friction', 'stick'].map(
+      if (['link', 'motor', 'reference', 'command', 'friction', 'block', 'stick'].map(
         (signal) => source.has(signal)).join() !== this.built) this.build();
     } else if (transport.playing && (transport.time > plots.max || transport.time < plots.min)) {
       const width = plots.max - plots.min;
