@@ -14,6 +14,7 @@ from gms_flex_control.identification.arm_estimates import arm_estimates
 from gms_flex_control.identification.arm_fit import estimate_arm, folded
 from gms_flex_control.identification.checks import require
 from gms_flex_control.identification.coordinates import friction_record, MOST_BLOCKS
+from gms_flex_control.identification.known_effects import believed_model, cleared
 from gms_flex_control.identification.loops import loops_of, presliding_reach
 from gms_flex_control.identification.objective import Bundle, Objective, observer_bandwidth
 from gms_flex_control.identification.paper_fit import NOT_HELD_OUT, paper_fits
@@ -95,19 +96,21 @@ def identify(takes, robot, *, holdouts=(), options=None, say=None):
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter('always')
         say('checking the data')
+        whole = options.estimate == 'all'
+        model = believed_model(robot, whole, options.force)
         for recording, _ in (*takes, *holdouts):
-            for finding in require(recording, robot, force=options.force,
-                                   rough=options.estimate == 'all'):
-                if finding.kind != 'torque_scale' or options.estimate != 'all':
+            for finding in require(recording, model, force=options.force, rough=whole):
+                if finding.kind != 'torque_scale' or not whole:
                     warnings.warn(finding.text, stacklevel=2)
-        data = Data(takes, holdouts, robot, options.estimate == 'all')
+        data = Data(takes, holdouts, model, whole)
         fits = data.fit(options, say)
         say('intervals and errors on data held out')
         joints, arm = data.results(fits, options)
     thetas = [fit.coordinates.unpack(fit.free)[0] for fit in fits]
     return Identification(
         method=options.method,
-        robot=replace(arm, friction=friction_params(thetas, fits)), believed=robot,
+        robot=replace(arm if whole else robot, friction=friction_params(thetas, fits)),
+        believed=robot,
         joints=joints, sources=tuple(take.source for take, _ in takes),
         holdouts=tuple(take.source for take, _ in holdouts),
         duration=float(sum(take.time[-1] - take.time[0] for take, _ in takes)),
@@ -122,15 +125,19 @@ class Data:
 
     Parameters
     ----------
-    takes, holdouts, robot
+    takes, holdouts
         As `identify`.
+    robot : RobotParams
+        From known_effects.believed_model.
     whole : bool
         Whether inertia, gravity, stiffness and motor inertia are estimated as well.
 
     """
 
     def __init__(self, takes, holdouts, robot, whole=False):
-        ordered = [[_ordered(take, robot), phases] for take, phases in (*takes, *holdouts)]
+        half = half_count(_ordered(takes[0][0], robot), robot)  # of readings as they are
+        ordered = [[cleared(_ordered(take, robot), robot), phases]
+                   for take, phases in (*takes, *holdouts)]
         period = common_period([take for take, _ in ordered])
         first = ordered[0][0]
         self.arm_fit = estimate_arm([take for take, _ in ordered[:len(takes)]],
@@ -147,7 +154,6 @@ class Data:
             [piece for part in pieces[:len(takes)] for piece in part], period)
         self._apart = [piece for part in pieces[len(takes):] for piece in part]
         self._phases = [phase for _, phase in takes]
-        half = half_count(first, robot)
         self.step = np.array([resolution(self._fitted, j, 2.0 * half[j])
                               for j in range(robot.n_joints)])
         self.maps = [friction_map(self._fitted, self.robot.arm, j, period, half[j])

@@ -9,12 +9,15 @@ import warnings
 from gms_flex_control.analysis.signals import quantum
 from gms_flex_control.dynamics.chain import matrices
 from gms_flex_control.errors import IdentificationError
+from gms_flex_control.identification.known_effects import effect_torque
 from gms_flex_control.identification.smoothing import derivatives, noise_of, smoothing_window
 import numpy as np
 
 SHORTEST = 2.0         # a piece below this is left out [s]
 _BRIDGED = 0.02        # torque is interpolated across gaps up to this, or two periods [s]
 _SPRING_DOUBT = 0.5    # of the torque's rms: a spring torque further off is not believed
+_AGREE_WINDOW = 0.2    # at least, where spring and motor torque are compared: a controller answers
+#                        the steps of encoders with torque that is over before one sees it move [s]
 _DAMPING_WINDOW = 0.05  # for the rate of twist [s]
 _EVEN = 0.02           # stamps within this part of a period of an even grid count as even
 
@@ -123,11 +126,15 @@ def _spring_mismatch(recording, robot, j):
         & np.isfinite(recording.tau_motor[:, j])
     if known.sum() < 100:
         return 0.0
-    grid, (q_link, q_motor, tau) = _even(recording.time[known], (
-        recording.q_link[known, j], recording.q_motor[known, j], recording.tau_motor[known, j]))
-    inertia = max(robot.arm.motor_inertia[j], robot.arm.stiffness[j] * recording.period ** 2)
-    window = smoothing_window(grid[1] - grid[0], noise_of(q_motor), inertia, np.std(tau))
-    smooth = [derivatives(x, grid[1] - grid[0], window) for x in (q_link, q_motor, tau)]
+    time, period = recording.time[known], recording.period
+    grid, (q_link, q_motor) = _even(time, (recording.q_link[known, j],
+                                           recording.q_motor[known, j]))
+    # a state tells the mean torque of the sample before it
+    tau = np.interp(grid, time - 0.5 * period, recording.tau_motor[known, j])
+    inertia = max(robot.arm.motor_inertia[j], robot.arm.stiffness[j] * period ** 2)
+    window = max(smoothing_window(period, noise_of(q_motor), inertia, np.std(tau)),
+                 2 * round(_AGREE_WINDOW / period / 2) + 1)
+    smooth = [derivatives(x, period, window) for x in (q_link, q_motor, tau)]
     spring = robot.arm.stiffness[j] * (smooth[1][0] - smooth[0][0]) + robot.arm.damping[j] * (
         smooth[1][1] - smooth[0][1])
     motor = smooth[2][0] - robot.arm.motor_inertia[j] * smooth[1][2]
@@ -233,6 +240,8 @@ def _stretch(recording, robot, sides, phases, rows, period, even):
     torque = np.stack([
         _spring(recording, robot, j, grid, time, rows, filled[:, j]) if side == 'spring'
         else _motor(recording, j, grid, time, rows) for j, side in enumerate(sides)], axis=1)
+    torque += effect_torque(robot, sides, grid - recording.time[0], filled,
+                            _motors(recording, grid, time, rows), torque, period)
     windows = [smoothing_window(period, noise_of(recording.q_link[:, j]), inertia,
                                 np.std(torque[:, j]))
                for j, inertia in enumerate(own_inertias(rigid_where(robot, sides).arm))]
@@ -254,6 +263,13 @@ def _interpolated(grid, time, values):
     if not known.any():
         raise IdentificationError('a link angle has no number at all in a piece of the recording')
     return np.interp(grid, time[known], values[known])
+
+
+def _motors(recording, grid, time, rows):
+    """Return the motor angles (T, n), NaN where there are none."""
+    return np.stack([np.interp(grid, time[known], angle[known]) if (
+        known := np.isfinite(angle)).any() else np.full(len(grid), np.nan)
+        for angle in recording.q_motor[rows].T], axis=1)
 
 
 def _spring(recording, robot, j, grid, time, rows, q_link):

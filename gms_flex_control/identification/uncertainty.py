@@ -24,6 +24,7 @@ REPLICATES = 400
 _CONFIDENT = 1.959964   # of a normal distribution, 95 % two-sided
 _LOW, _HIGH = 2.5, 97.5
 _VAGUE = np.log(2.0)    # half an interval this wide in the logarithm tells nothing
+_FARTHEST = 5.0         # step of a replicate in the logarithm: beyond nothing is known anyway
 _DISAGREE = 2.5         # ratio of widths of the two intervals
 _NOTHING = 2e-3         # of the friction level: a part this small is at its bound
 _BEYOND = 3.0           # times the reach of presliding: a block that slips later is none of it
@@ -77,7 +78,7 @@ def spread_of(objective, coordinates, free, evaluation, prior, sampling, rng):
     for row in replicates:
         times = np.bincount(rng.integers(blocks, size=blocks), minlength=blocks)
         again = np.tensordot(times, weighted, 1) + np.diag(prior.precision)
-        row[:] = free + _inverse(again) @ (times @ scores)
+        row[:] = free + np.clip(_inverse(again) @ (times @ scores), -_FARTHEST, _FARTHEST)
     replicates += sampling * rng.standard_normal(replicates.shape)
     told = 1.0 - np.clip(prior.precision * np.diag(inverse), 0.0, 1.0)
     covariance = memory * evaluation.dispersion * inverse + np.diag(sampling ** 2)
@@ -152,7 +153,8 @@ def _estimate(row, theta, variance, low, high, reach):
     if kind == 'static' and value - theta[i + 1] < _NOTHING * value:
         flags.append('at bound')
         notes.append('static and Coulomb friction are the same')
-    if told < 0.5 or _CONFIDENT * relative > _VAGUE:
+    vague = bootstrap.high > np.exp(2.0 * _VAGUE) * max(bootstrap.low, 0.0)
+    if told < 0.5 or _CONFIDENT * relative > _VAGUE or vague:
         flags.append('not identifiable')
         notes.append(_TELLS[kind])
     if kind == 'stiffness':

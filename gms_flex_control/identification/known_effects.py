@@ -1,0 +1,216 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""
+The effects that a robot file names, taken into account where friction is identified.
+
+Changes of the arm are put into the arm. What springs, links and motors do beyond it acts along the
+measured motion as in the simulated robot, and joins the torque that drives the link; errors of
+encoders are taken off the readings. Effects of the actuator stand between command and torque, and
+the torque is recorded.
+"""
+
+from dataclasses import replace
+import warnings
+
+from gms_flex_control import records
+from gms_flex_control.compiled import compiled
+from gms_flex_control.effects import signals as sig
+from gms_flex_control.effects import table as effect_table
+from gms_flex_control.effects.base import Change, Stage
+from gms_flex_control.effects.registry import find
+from gms_flex_control.errors import IdentificationError
+from gms_flex_control.identification.smoothing import derivatives
+from gms_flex_control.simulation import plant
+import numpy as np
+
+_TWIST, _SPRING, _LINK, _MOTOR, _SENSOR = (int(stage) for stage in (
+    Stage.TWIST, Stage.SPRING, Stage.LINK, Stage.MOTOR, Stage.SENSOR))
+_ON_LINK = (Stage.TWIST, Stage.SPRING, Stage.LINK, Stage.MOTOR)
+_WINDOW = 0.05        # of the rates and accelerations that effects look at [s]
+_NOT_ALONG = ('base_flexibility',)  # needs torques that only a simulation has
+_ESTIMATED = ('constant_link_torque',)  # found anew where the arm is estimated as well
+
+
+def believed_model(robot, whole=False, force=False):
+    """
+    Return a robot whose changes of the arm are in its arm.
+
+    Parameters
+    ----------
+    robot : RobotParams
+        As described, with effects.
+    whole : bool
+        Whether the arm is estimated as well.
+    force : bool
+        Warn instead of refusing, and leave out what cannot be respected.
+
+    Returns
+    -------
+    RobotParams
+        Its effects are those that act along a motion.
+
+    Raises
+    ------
+    IdentificationError
+        If an effect is one of friction, which is what is identified, or of the arm where that is
+        estimated.
+
+    """
+    kept = []
+    for spec in robot.effects:
+        reason = _reason(robot, spec, whole)
+        if reason and not force:
+            raise IdentificationError(reason)
+        if reason:
+            warnings.warn(f'{reason} (left out)', stacklevel=2)
+        else:
+            kept.append(spec)
+    return effect_table.with_changes(replace(robot, effects=tuple(kept)))
+
+
+def _reason(robot, spec, whole):
+    """Return why an effect cannot be respected, '' if it can."""
+    kind, name = find(spec.name), f'effects.{spec.joint}.{spec.name}'
+    if whole and spec.name not in _ESTIMATED:
+        return (f'{name}: --estimate all finds the arm without effects; take it out of the robot '
+                'file, or leave --estimate away')
+    if spec.name in _NOT_ALONG:
+        return f'{name}: what was measured does not tell it apart; take it out of the robot file'
+    if issubclass(kind, Change):
+        changed = kind.change(robot, 0 if kind.whole_arm else robot.joints.index(spec.joint),
+                              spec.values)
+        friction = changed.friction is not robot.friction
+    else:
+        friction = kind.stage == Stage.FRICTION
+    return (f'{name} changes the friction, which is what is identified; take it out of the robot '
+            'file, what it does is then part of the result') if friction else ''
+
+
+def cleared(recording, robot):
+    """
+    Return a recording whose angles are without the errors of encoders.
+
+    Parameters
+    ----------
+    recording : Recording
+        Joints in the robot's order.
+    robot : RobotParams
+        From `believed_model`.
+
+    Returns
+    -------
+    Recording
+        The same one where no effect is of an encoder.
+
+    """
+    sensors = [spec for spec in robot.effects if find(spec.name).stage == Stage.SENSOR]
+    if not sensors:
+        return recording
+    constants, n = _constants(robot, sensors), robot.n_joints
+    motion = _motion(recording.time, recording.q_link, recording.q_motor, recording.period)
+    link, motor = np.empty((2, len(recording.time), n))
+    _sensor_errors(motion, recording.time - recording.time[0], recording.period, constants,
+                   _state(robot), plant.workspace(n), link, motor)
+    return replace(recording, q_link=recording.q_link - link, q_motor=recording.q_motor - motor)
+
+
+def effect_torque(robot, sides, time, q_link, q_motor, torque, period):
+    """
+    Return what the effects add to the torque that drives each link.
+
+    Parameters
+    ----------
+    robot : RobotParams
+        From `believed_model`.
+    sides : sequence of {'spring', 'motor'}
+        What drives each link.
+    time : ndarray, shape (T,)
+        Even, from the beginning of the recording [s].
+    q_link, q_motor : ndarray, shape (T, n)
+        Angles [rad]; those of the motor NaN where there is none.
+    torque : ndarray, shape (T, n)
+        Of the drive, for effects that look at it [N m].
+    period : float
+        Sample [s].
+
+    Returns
+    -------
+    ndarray, shape (T, n)
+        Mean from sample k to k + 1 [N m].
+
+    """
+    acting = [spec for spec in robot.effects if find(spec.name).stage in _ON_LINK]
+    if not acting:
+        return np.zeros_like(torque)
+    spring = np.array([side == 'spring' for side in sides])
+    out = np.empty_like(torque)
+    _further_torques(_motion(time, q_link, q_motor, period), np.nan_to_num(torque), time, period,
+                     _constants(robot, acting), spring, _state(robot),
+                     plant.workspace(robot.n_joints), out)
+    return np.concatenate([0.5 * (out[1:] + out[:-1]), out[-1:]])
+
+
+def _constants(robot, effects):
+    return plant.constants_of(replace(robot, effects=tuple(effects)))
+
+
+def _state(robot):
+    return records.build(plant.state_layout(*robot.friction.stiffness.shape))
+
+
+def _motion(time, q_link, q_motor, period):
+    """Return angle, rate and acceleration of links, then motors, shape (T, 6, n)."""
+    columns, window = [], max(2 * round(_WINDOW / period / 2) + 1, 5)
+    for link, motor in zip(q_link.T, q_motor.T, strict=True):
+        for angle in (link, motor if np.isfinite(motor).any() else link):
+            known = np.isfinite(angle)
+            angle = np.interp(time, time[known], angle[known])  # as read: the twist is of these
+            _, rate, acceleration = derivatives(angle, period, window)
+            columns += [angle, rate, acceleration]
+    return np.stack(columns, 1).reshape(len(time), -1, 6).swapaxes(1, 2).copy()
+
+
+@compiled
+def _take_place(k, motion, torque, time, state, work):
+    for j in range(torque.shape[0]):
+        state.q_link[j], state.dq_link[j] = motion[k, 0, j], motion[k, 1, j]
+        state.q_motor[j], state.dq_motor[j] = motion[k, 3, j], motion[k, 4, j]
+    plant.fill_signals(state, torque, time[k], work)
+    for j in range(torque.shape[0]):
+        work.signals[j, sig.DDQ_LINK] = motion[k, 2, j]
+        work.signals[j, sig.DDQ_MOTOR] = motion[k, 5, j]
+
+
+@compiled
+def _further_torques(motion, torque, time, period, constants, spring, state, work, out):
+    """Write the torques of effects on each link at each sample into ``out`` (T, n)."""
+    s, links, effects = work.signals, constants.chain, constants.effects
+    for k in range(out.shape[0]):
+        _take_place(k, motion, torque[k], time, state, work)
+        for j in range(out.shape[1]):
+            out[k, j] = -(links.stiffness[j] * s[j, sig.TWIST]
+                          + links.damping[j] * s[j, sig.TWIST_RATE]) if spring[j] else 0.0
+        effect_table.run_stage(_TWIST, s, state.memory, period, effects)
+        for j in range(out.shape[1]):
+            s[j, sig.SPRING] = (links.stiffness[j] * s[j, sig.TWIST] + links.damping[j]
+                                * s[j, sig.TWIST_RATE]) if spring[j] else s[j, sig.TORQUE]
+        for stage in (_SPRING, _LINK, _MOTOR):
+            effect_table.run_stage(stage, s, state.memory, period, effects)
+        for j in range(out.shape[1]):
+            out[k, j] += s[j, sig.LINK_TORQUE] + (
+                s[j, sig.SPRING] if spring[j] else s[j, sig.MOTOR_TORQUE])
+
+
+@compiled
+def _sensor_errors(motion, time, period, constants, state, work, link, motor):
+    """Write by how much the encoders read too high, (T, n) each [rad]."""
+    s, none = work.signals, np.zeros(link.shape[1])
+    for k in range(link.shape[0]):
+        _take_place(k, motion, none, time, state, work)
+        for j in range(link.shape[1]):
+            s[j, sig.SENSED_LINK], s[j, sig.SENSED_MOTOR] = state.q_link[j], state.q_motor[j]
+        effect_table.run_stage(_SENSOR, s, state.memory, period, constants.effects)
+        for j in range(link.shape[1]):
+            link[k, j] = s[j, sig.SENSED_LINK] - state.q_link[j]
+            motor[k, j] = s[j, sig.SENSED_MOTOR] - state.q_motor[j]

@@ -1,0 +1,95 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Effects that the robot file names are part of the model an identification relies on."""
+
+from dataclasses import replace
+from functools import cache
+
+from gms_flex_control.errors import IdentificationError
+from gms_flex_control.experiment.identification_plan import plan_identification
+from gms_flex_control.experiment.identification_simulated import simulate_identification
+from gms_flex_control.identification.identify import Data
+from gms_flex_control.identification.known_effects import believed_model, cleared
+from gms_flex_control.params.robot import EffectSpec
+from identified_axis import axis, GAINS, JOINT, part, PLAN
+import numpy as np
+import pytest
+
+STRONG = {
+    'constant_link_torque': (0.03,), 'quadratic_drag': (0.05,), 'spring_offset': (0.02,),
+    'spring_cubic': (60.0,), 'backlash': (0.02,),
+    'spring_hysteresis': (0.02, 0.005), 'stiffness_error': (0.2,),  'stiffness_drift': (0.3, 60.0)}
+
+
+def specs(*names):
+    """Return strong effects on the joint."""
+    return tuple(EffectSpec(name=name, joint=JOINT, values=STRONG[name]) for name in names)
+
+
+@cache
+def take(name, rigid):
+    """Return a take of slow and fast strokes of an axis that has an effect."""
+    plan = plan_identification(
+        {f'identification.{key}': value for key, value in PLAN.items()}, axis(rigid=rigid), GAINS)
+    robot = replace(axis(rigid=rigid), effects=specs(name))
+    return simulate_identification(plan, robot, GAINS, 1, rate=500, model=robot)
+
+
+def steady_error(name, effects, rigid):
+    """Return how far steady friction of fast strokes is from the truth, at worst over F_c."""
+    robot = replace(axis(rigid=rigid), effects=effects)
+    (friction,) = Data([take(name, rigid)], (), believed_model(robot)).maps
+    off = []
+    for sign, truth in ((1.0, axis().friction.forward), (-1.0, axis().friction.backward)):
+        kept = friction.steady & (sign * friction.velocity > 4.0 * truth.velocity[0])
+        expected = truth.coulomb[0] + truth.viscous[0] * sign * friction.velocity[kept]
+        off.append(np.median(sign * friction.torque[kept] - expected) / truth.coulomb[0])
+    return np.abs(off).max()
+
+
+@pytest.mark.parametrize(('name', 'rigid'), [
+    *((name, False) for name in STRONG), ('constant_link_torque', True),
+    ('quadratic_drag', True)])
+def test_an_effect_that_is_named_does_not_end_in_the_friction(name, rigid):
+    """With it the steady friction is near the truth, without it farther off."""
+    known, ignored = (steady_error(name, effects, rigid) for effects in (specs(name), ()))
+    assert known < 0.09
+    assert ignored > 2.0 * known
+
+
+def test_errors_of_encoders_are_taken_off_the_readings():
+    """A motor read late on a sinusoid, a link encoder off centre: what is left is the motion."""
+    base, _ = part(take('backlash', False), 0.0, 10.0)
+    time = base.time
+    q, late, off = np.sin(2.0 * time), 4e-3, 0.02 * np.sin(np.sin(2.0 * time) + 0.3)
+    motor = q + 0.1
+    recording = replace(base, q_link=(q + off)[:, None],
+                        q_motor=(np.sin(2.0 * (time - late)) + 0.1)[:, None])
+    robot = replace(axis(), effects=(
+        EffectSpec(name='encoder_skew', joint=JOINT, values=(late,)),
+        EffectSpec(name='link_encoder_eccentricity', joint=JOINT, values=(0.02, 0.3))))
+    found = cleared(recording, believed_model(robot))
+    assert np.abs(found.q_motor[:, 0] - motor)[50:-50].max() < 1e-4
+    assert np.abs(found.q_link[:, 0] - q)[50:-50].max() < 5e-4
+
+
+@pytest.mark.parametrize(('name', 'values'), [
+    ('coulomb_error', (0.1,)), ('stribeck_error', (0.1,)), ('presliding_error', (0.1, 0.0)),
+    ('viscous_error', (0.1,)), ('position_friction', (0.1, 10.0, 0.0)),
+    ('base_flexibility', (5.0, 1.0, 0.05))])
+def test_an_effect_that_cannot_be_told_apart_is_refused_by_name(name, values):
+    """What changes the friction itself would be counted twice; with force it is left out."""
+    robot = replace(axis(), effects=(EffectSpec(name=name, joint=JOINT, values=values),))
+    with pytest.raises(IdentificationError, match=f'effects.{JOINT}.{name}.* take it out'):
+        believed_model(robot)
+    with pytest.warns(UserWarning, match='left out'):
+        assert believed_model(robot, force=True).effects == ()
+
+
+def test_where_the_arm_is_estimated_effects_are_refused_but_the_one_found_anew():
+    """A constant torque is found with the arm; a cubic spring would change what is found."""
+    robot = replace(axis(), effects=specs('constant_link_torque'))
+    assert believed_model(robot, whole=True).effects == robot.effects
+    with pytest.raises(IdentificationError, match='spring_cubic: --estimate all'):
+        believed_model(replace(axis(), effects=specs('spring_cubic')), whole=True)
