@@ -14,6 +14,7 @@ from gms_flex_control.analysis.signals import quantum
 from gms_flex_control.compiled import compiled
 from gms_flex_control.discrepancy.path import encoder_step, make_path
 from gms_flex_control.discrepancy.residuals import fresh_state
+from gms_flex_control.errors import SimulationError
 from gms_flex_control.simulation import plant
 import numpy as np
 
@@ -55,6 +56,11 @@ def retrace(path, constants, rng):
     -------
     Path
 
+    Raises
+    ------
+    SimulationError
+        If the model runs away.
+
     """
     links, n = constants.chain, len(path.joints)
     inertia = np.where(links.flexible, links.motor_inertia, np.diag(links.coupling))
@@ -66,6 +72,9 @@ def retrace(path, constants, rng):
                  max(1, round(path.fine_period / _STEP)), gains, constants, state,
                  plant.workspace(n), held, link, motor)
     readings = np.stack([link, motor], axis=1)
+    if not np.all(np.isfinite(readings)):
+        raise SimulationError(f'{path.source}: the model runs away along the recorded motion; its '
+                              'inertia, stiffness and friction are not those of this robot')
     for side in range(2):
         for j in range(n):
             readings[:, side, j] = read(readings[:, side, j], path.readings[:, side, j],

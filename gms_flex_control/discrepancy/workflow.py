@@ -23,6 +23,7 @@ from gms_flex_control.discrepancy.retuned import with_knobs
 from gms_flex_control.discrepancy.search import LEAST_GAIN, refitted, search
 from gms_flex_control.discrepancy.signature import signature_of
 from gms_flex_control.discrepancy.words import evidence_of, IN_MOTION, paragraph, tells_apart
+from gms_flex_control.errors import SimulationError
 from gms_flex_control.identification.checks import check
 import numpy as np
 
@@ -31,8 +32,7 @@ _UNSURE = 2.0         # times what matters, for an effect that may be another
 _UNEXPECTED = 4.0     # times the loss that was foreseen: an effect is taken back
 DETECTED = 1.3        # times the clean level: below, nothing is missing
 EXPLAINED = 0.05      # of what was missing: so little may be left of it
-PARTLY = 0.3          # likewise, where only effects are named that explain most of it
-DOMINANT = 0.6        # share of an effect that explains most
+PART = 0.05           # likewise: an effect must explain as much where more than that is left
 BESIDE = 0.5          # of the torque missed most: an effect so large matters, however small
 DOUBTFUL = 0.1        # of what is still unexplained: an effect worth less is not believed
 
@@ -69,6 +69,7 @@ class Options:
 
 
 _NOISE_DOUBT = 0.15   # by which the level of a clean run may be wrong
+_PART_OF_TORQUE, _PART_OF_STRAY = 0.85, 0.55  # after / before, where much is left
 _CHANCE = 1.1         # of held-out torque, where an effect acts seldom
 _NO_WORSE = 1.6       # of squared free runs, whose starts are only nearly known
 _FLOOR = 1.0 / 6.0    # of the practical torque: what rows are measured by
@@ -164,16 +165,35 @@ def missing(problem, model):
     return problem.cost(model.rows, model.x) / problem.clean_cost - 1.0
 
 
-def helps(gap):
+def helps(gap, left):
     """
-    Return whether effects help on data held out: neither torque nor free runs much worse.
+    Return whether effects help on data held out.
 
-    Torque may be a little worse by chance where an effect acts seldom, as an end stop does.
+    Neither torque nor free runs may be much worse; torque may be a little worse by chance where
+    an effect acts seldom, as an end stop does. Where much is ``left`` unexplained, effects must
+    help a good deal in both, or they but resemble what is there.
     """
     before, after = (float(np.sum(errors ** 2)) for errors in (gap.free_before, gap.free_after))
+    if left > EXPLAINED:
+        return gap.energy_ratio < _PART_OF_TORQUE and after < _PART_OF_STRAY ** 2 * before
     if gap.energy_ratio >= 1.0 and after >= before:
         return False
     return gap.energy_ratio < _CHANCE and after < _NO_WORSE * before
+
+
+def _added(problem, found, known, entries, left, measured):
+    """Return the search's end with only some effects, what they are worth, and the Gap."""
+    try:
+        if len(entries) < len(found.model.robot.effects) - known:
+            found = _only(problem, found, known, entries)
+            entries = judge.judged(problem, found, known)
+        gap = gap_of(measured, found)
+        if not entries or helps(gap, left):
+            return found, entries, gap
+    except SimulationError:
+        pass  # with these effects the robot runs away
+    found = _only(problem, found, known, [])
+    return found, [], gap_of(measured, found)
 
 
 def _told(problem, found, entries, known, options, holdout, say):
@@ -183,17 +203,10 @@ def _told(problem, found, entries, known, options, holdout, say):
     left = max(after - _NOISE_DOUBT, 0.0) / before if before > slack else 0.0
     whole = max(before * problem.clean_cost, 1e-12)
     if left > EXPLAINED:
-        strong = [one for one in entries if one.loss > DOMINANT * whole]
-        entries = strong if left < PARTLY else []
-    if len(entries) < len(found.model.robot.effects) - known:
-        found = _only(problem, found, known, entries)
-        entries = judge.judged(problem, found, known)
+        entries = [one for one in entries if one.loss > PART * whole]
     say('the gap on data held out')
-    measured = _measured_on(problem, holdout)
-    gap = gap_of(measured, found)
-    if entries and not helps(gap):
-        found, entries, left = _only(problem, found, known, []), [], 1.0
-        gap = gap_of(measured, found)
+    found, entries, gap = _added(problem, found, known, entries, left,
+                                 _measured_on(problem, holdout))
     largest = max((one.alone for one in entries), default=0.0)
     findings = [_finding(problem, found, known, one, whole, largest, options) for one in entries]
     sure = {id(finding) for finding, one in zip(findings, entries, strict=True)
