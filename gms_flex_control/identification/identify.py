@@ -14,6 +14,7 @@ from gms_flex_control.identification.arm_estimates import arm_estimates
 from gms_flex_control.identification.arm_fit import estimate_arm, folded
 from gms_flex_control.identification.checks import require
 from gms_flex_control.identification.coordinates import friction_record, MOST_BLOCKS
+from gms_flex_control.identification.coupling import coupling_sentences
 from gms_flex_control.identification.known_effects import believed_model, cleared
 from gms_flex_control.identification.loops import loops_of, presliding_reach
 from gms_flex_control.identification.objective import Bundle, Objective, observer_bandwidth
@@ -228,8 +229,14 @@ class Data:
                                        one.n_blocks == fit.coordinates.n_blocks)
                              for one in fit.candidates),
             held_out=self._errors(joint, fit, thetas),
-            warnings=(NOT_HELD_OUT,) if self.paper_spreads and not self._apart else
-            (*self.choices[joint].sentences, *few_blocks(fit)) if self.choices else ())
+            warnings=self._sentences(joint, fit, objective, theta))
+
+    def _sentences(self, joint, fit, objective, theta):
+        chosen = default_method.held_out(self.bundle.period)
+        coupled = coupling_sentences(objective, self.bundle, theta, self.robot.joints, chosen)
+        if self.paper_spreads:
+            return coupled if self._apart else (NOT_HELD_OUT, *coupled)
+        return (*self.choices[joint].sentences, *few_blocks(fit), *coupled)
 
     def _errors(self, joint, fit, thetas):
         bundle, chosen = self.bundle, default_method.held_out(self.bundle.period)
