@@ -161,6 +161,16 @@ def test_joints_are_told_by_name_whatever_their_order(tmp_path):
     np.testing.assert_array_equal(chosen.q_motor[:, 0], 9700 + k)
 
 
+def test_one_joint_of_a_bag_has_its_own_columns_of_commands_and_references(tmp_path):
+    """The messages were made for both joints; a robot file may describe but one of them."""
+    recording = make_recording()
+    write_recording(tmp_path / 'bag', recording)
+    for k, name in enumerate(recording.joints):
+        back = read_recording(tmp_path / 'bag', joints=[name])
+        np.testing.assert_allclose(back.command[:, 0], recording.command[:, k], atol=1e-9)
+        np.testing.assert_allclose(back.reference[..., 0], recording.reference[..., k], atol=1e-9)
+
+
 def test_states_of_other_machines_on_the_same_topic_are_passed_over(tmp_path):
     states = [state(k) for k in range(20)]
     other = [(k * PERIOD + 5, cdr.pack_joint_state(['gripper'], k * PERIOD + 5, [1.0]))

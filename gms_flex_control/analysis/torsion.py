@@ -10,7 +10,7 @@ the stiffness is given; how well the twist of the spring then explains the measu
 how well a mere delay between the two encoders does, is what this analysis tells.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from gms_flex_control.dynamics.chain import matrices
 from gms_flex_control.errors import BagError, ParameterError
@@ -18,7 +18,7 @@ from gms_flex_control.friction.stribeck import steady_friction
 from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.params.encoder import EncoderParams
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
-from gms_flex_control.params.robot import RobotParams
+from gms_flex_control.params.robot import EffectSpec, RobotParams
 import numpy as np
 from scipy.signal import savgol_filter
 
@@ -92,7 +92,8 @@ class TorsionStudy:
     moving : ndarray of bool, shape (T,)
         Samples used for the fit.
     robot : RobotParams
-        The axis as a decoupled flexible joint with this friction, see `first_model`.
+        The axis as a decoupled flexible joint with this friction, see `first_model`, and the zero
+        error of the encoders as its spring_offset.
     explanations : tuple of Explanation
         The given spring first.
 
@@ -170,13 +171,16 @@ def study(recording, joint, stiffness, motor_inertia=0.0):
     robot = first_model(joint, stiffness, motor_inertia, fit, recording.source)
     torque_model = motor_torque(robot, velocity, acceleration)
     load = torque - motor_inertia * acceleration  # what the spring carries, Eq. (1), motor
+    zero = EffectSpec(name='spring_offset', joint=joint,
+                      values=(float(load.mean() / stiffness - torsion.mean()),))
     return TorsionStudy(
         joint=joint, source=recording.source, time=time[edge], velocity=velocity,
         acceleration=acceleration, torque=torque, torque_model=torque_model,
         torsion=torsion - torsion.mean(), torsion_model=(load - load.mean()) / stiffness,
         torsion_offset=float(torsion.mean()), inertia=float(fit[0]),
         motor_inertia=float(motor_inertia), coulomb=(float(fit[1]), float(fit[2])),
-        viscous=float(fit[3]), moving=moving, robot=robot,
+        viscous=float(fit[3]), moving=moving,
+        robot=replace(robot, effects=(zero,)),
         explanations=tuple(_explain(torsion, load, velocity, stiffness)))
 
 

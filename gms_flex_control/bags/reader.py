@@ -135,7 +135,7 @@ class _Series:
         self._bag, self._path, self.topics = bag, bag.path, topics
         self._chosen = joints, motors
         self._waiting = {topic: ([], []) for topic in topics}  # receive times, messages
-        self._first, self._tables = None, ()
+        self._first, self._tables, self._places = None, (), None
 
     def collect(self):
         """Read the bag."""
@@ -177,17 +177,33 @@ class _Series:
             joints, motors = self.resolved()
         except BagError:  # raised again once the bag is known to be sound
             return ()
-        n = len(joints)
+        n, links = len(joints), link_names(self.require_names())
+        self._places = [links.index(name) for name in joints] if set(joints) < set(links) else None
+        widest = n if self._places is None else len(links)
 
         def torques(_dims, count):
-            if count != n:
+            if count not in (n, widest):
                 raise BagError(f'has {count} torques for {n} joints ({", ".join(joints)})')
-            return (n,)
+            return (count,)
 
-        return (JointTable((*joints, *filter(None, motors))), ArrayTable((n,), torques),
-                ArrayTable((N_DERIVATIVES, n),
-                           lambda dims, count: reference_shape(dims, count, n)),
+        def references(dims, count):
+            try:
+                return reference_shape(dims, count, n)
+            except BagError:
+                if widest == n:
+                    raise
+                return reference_shape(dims, count, widest)
+
+        return (JointTable((*joints, *filter(None, motors))), ArrayTable((widest,), torques),
+                ArrayTable((N_DERIVATIVES, widest), references),
                 JointTable(joints, ('effort',)), ArrayTable((1,), one_voltage))
+
+    def _own(self, values):
+        """Return the columns (..., n) of these joints, of messages that may be of all joints."""
+        if self._places is None:
+            return values
+        narrow = np.all(np.isnan(values[..., len(self._places):]), axis=-1, keepdims=True)
+        return np.where(narrow, values[..., :len(self._places)], values[..., self._places])
 
     def require_names(self):
         """Return the names of the first joint state, or raise BagError."""
@@ -232,11 +248,13 @@ class _Series:
 
     def commands(self):
         """Return the Answers."""
-        return Answers(*self._take('command', *Answers._fields))
+        answers = Answers(*self._take('command', *Answers._fields))
+        return answers._replace(values=self._own(answers.values))
 
     def reference(self, stamps, received, period):
         """Return the reference at the states, shape (T, 5, n)."""
         labels, stamped, times, values = self._take('reference', *Answers._fields)
+        values = self._own(values)
         if stamped.all():
             return reference_at(stamps, period, labels, values)
         return reference_at(received, period, times, values)

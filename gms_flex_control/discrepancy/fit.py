@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from gms_flex_control.discrepancy.bounded import solve
+from gms_flex_control.discrepancy.guesses import bounds_of
 from gms_flex_control.effects.registry import find
 import numpy as np
 
 FIXED = ('load', 'duration')  # parameters that only set the unit of another
-_RATIOS, _LEAST_RATIO = ('ratio', 'gain_error'), -0.7  # nothing real is all but absent
 _STEP = 0.01                  # of a value, for its derivative
 _ANGLES = {'phase': 0.02, 'direction': 0.02, 'order': 0.02}
 _REACH, _ANGLE_REACH = 60.0, 25.0  # largest change at once, in steps
@@ -63,13 +63,10 @@ def numbers_of(effects, first=0):
             if parameter.name in FIXED:
                 continue
             angle = _ANGLES.get(parameter.name)
-            lower = kind.slowest if parameter.name == 'order' else parameter.lower
             usual = 0.1 if parameter.unit == '1' else 1e-6
-            if parameter.unit == '1' and parameter.name in _RATIOS:
-                lower = max(lower, _LEAST_RATIO)
             step = angle or _STEP * max(abs(effects[i].values[k]), usual)
             numbers.append(Number(i, k, step, (_ANGLE_REACH if angle else _REACH) * step,
-                                  lower, parameter.upper))
+                                  *bounds_of(kind, parameter)))
     return numbers
 
 

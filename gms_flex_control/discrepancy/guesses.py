@@ -29,6 +29,7 @@ def scales_of(paths, robot):
     return found
 
 
+_RATIOS, _LEAST_RATIO = ('ratio', 'gain_error'), -0.55  # nothing real is all but absent
 # what is measured as torque has passed these already
 _OF_COMMANDS = ('actuator_deadzone', 'actuator_saturation')
 
@@ -64,8 +65,20 @@ def all_guesses(problem, without=()):
     return found
 
 
+def bounds_of(kind, parameter):
+    """Return the least and the largest value that is looked for of an effect's parameter."""
+    lower = kind.slowest if parameter.name == 'order' else parameter.lower
+    if parameter.unit == '1' and parameter.name in _RATIOS:
+        lower = max(lower, _LEAST_RATIO)
+    return lower, parameter.upper
+
+
 def allowed(guess, kind):
     """Return a Guess whose values keep within the bounds of an effect's parameters."""
-    lower = [parameter.lower for parameter in kind.parameters]
-    upper = [parameter.upper for parameter in kind.parameters]
+    lower, upper = np.transpose([bounds_of(kind, parameter) for parameter in kind.parameters])
+    size = guess.probes[0][0]
+    linear = len(guess.probes) == 1 and size > 0.0 and guess.values([2.0])[0] == 2.0 * size
+    if linear:  # its coefficient has bounds, too
+        guess = guess._replace(lowest=max(guess.lowest, lower[0] / size),
+                               highest=min(guess.highest, upper[0] / size))
     return guess._replace(values=lambda c: tuple(np.clip(guess.values(c), lower, upper).tolist()))

@@ -14,6 +14,7 @@ from gms_flex_control.analysis.signals import quantum
 from gms_flex_control.compiled import compiled
 from gms_flex_control.discrepancy.path import encoder_step, make_path
 from gms_flex_control.discrepancy.residuals import fresh_state
+from gms_flex_control.effects import signals as sig
 from gms_flex_control.errors import SimulationError
 from gms_flex_control.simulation import plant
 import numpy as np
@@ -30,9 +31,10 @@ def retrace_loop(motion, command, time, period, substeps, gains, constants, stat
     flexible = constants.chain.flexible
     ahead = 0.5 * period / substeps  # semi-implicit angles run half a step ahead of their rates
     for k in range(samples):
+        plant.sensed(state, command[k], time[k], period, constants, work)
         for j in range(n):
-            link[k, j] = state.q_link[j] - ahead * state.dq_link[j]
-            motor[k, j] = state.q_motor[j] - ahead * state.dq_motor[j]
+            link[k, j] = work.signals[j, sig.SENSED_LINK] - ahead * state.dq_link[j]
+            motor[k, j] = work.signals[j, sig.SENSED_MOTOR] - ahead * state.dq_motor[j]
             rows = 3 if flexible[j] else 0
             held[k, j] = (command[k, j] + gains[0, j] * (motion[k, rows, j] - state.q_motor[j])
                           + gains[1, j] * (motion[k, rows + 1, j] - state.dq_motor[j]))

@@ -32,7 +32,9 @@ _UNSURE = 2.0         # times what matters, for an effect that may be another
 _UNEXPECTED = 4.0     # times the loss that was foreseen: an effect is taken back
 DETECTED = 1.3        # times the clean level: below, nothing is missing
 EXPLAINED = 0.05      # of what was missing: so little may be left of it
-PART = 0.05           # likewise: an effect must explain as much where more than that is left
+PARTLY = 0.2          # likewise, where effects that explain most of it are named
+DOMINANT = 0.6        # share of an effect that explains most
+PART = 0.05           # share of an effect that is worth naming where much is left
 BESIDE = 0.5          # of the torque missed most: an effect so large matters, however small
 DOUBTFUL = 0.1        # of what is still unexplained: an effect worth less is not believed
 
@@ -69,7 +71,7 @@ class Options:
 
 
 _NOISE_DOUBT = 0.15   # by which the level of a clean run may be wrong
-_PART_OF_TORQUE, _PART_OF_STRAY = 0.85, 0.55  # after / before, where much is left
+_GOOD_DEAL = ((0.95, 0.3), (0.2, 1.1))  # of torque and stray squared, after / before
 _CHANCE = 1.1         # of held-out torque, where an effect acts seldom
 _NO_WORSE = 1.6       # of squared free runs, whose starts are only nearly known
 _FLOOR = 1.0 / 6.0    # of the practical torque: what rows are measured by
@@ -165,33 +167,50 @@ def missing(problem, model):
     return problem.cost(model.rows, model.x) / problem.clean_cost - 1.0
 
 
-def helps(gap, left):
+def helps(gap, much):
     """
     Return whether effects help on data held out.
 
     Neither torque nor free runs may be much worse; torque may be a little worse by chance where
-    an effect acts seldom, as an end stop does. Where much is ``left`` unexplained, effects must
-    help a good deal in both, or they but resemble what is there.
+    an effect acts seldom, as an end stop does. Asked to help ``much`` they must do more: free
+    runs stray far less, or torque is nearly explained and they stray no farther, as with an error
+    of an encoder, which moves nothing.
     """
     before, after = (float(np.sum(errors ** 2)) for errors in (gap.free_before, gap.free_after))
-    if left > EXPLAINED:
-        return gap.energy_ratio < _PART_OF_TORQUE and after < _PART_OF_STRAY ** 2 * before
-    if gap.energy_ratio >= 1.0 and after >= before:
-        return False
-    return gap.energy_ratio < _CHANCE and after < _NO_WORSE * before
+    torque, stray = gap.energy_ratio, after / max(before, 1e-300)
+    if much:
+        return any(torque < most and stray < farthest for most, farthest in _GOOD_DEAL)
+    return min(torque, stray) < 1.0 and torque < _CHANCE and stray < _NO_WORSE
 
 
-def _added(problem, found, known, entries, left, measured):
-    """Return the search's end with only some effects, what they are worth, and the Gap."""
-    try:
-        if len(entries) < len(found.model.robot.effects) - known:
-            found = _only(problem, found, known, entries)
-            entries = judge.judged(problem, found, known)
-        gap = gap_of(measured, found)
-        if not entries or helps(gap, left):
-            return found, entries, gap
-    except SimulationError:
-        pass  # with these effects the robot runs away
+def _choices(entries, left, whole):
+    """
+    Return which of the effects may be named, the best choice first, and how much they must help.
+
+    Where much is ``left`` unexplained, effects may but resemble what is there: those that explain
+    most of it are named if they help, others only if they help much.
+    """
+    if left <= EXPLAINED:
+        return (entries, False), (entries[:1], False)
+    entries = [one for one in entries if one.loss > PART * whole]
+    strong = [one for one in entries if one.loss > DOMINANT * whole and left < PARTLY]
+    return (entries, True), (entries[:1], True), (strong, False)
+
+
+def _added(problem, found, known, choices, measured):
+    """Return the search's end with the first choice that helps, its effects and the Gap."""
+    for entries, much in choices:
+        if not entries:
+            continue
+        try:
+            model = found
+            if len(entries) < len(found.model.robot.effects) - known:
+                model = _only(problem, found, known, entries)
+            gap = gap_of(measured, model)
+        except SimulationError:
+            continue  # with these effects the robot runs away
+        if helps(gap, much):
+            return model, judge.judged(problem, model, known), gap
     found = _only(problem, found, known, [])
     return found, [], gap_of(measured, found)
 
@@ -202,10 +221,8 @@ def _told(problem, found, entries, known, options, holdout, say):
     slack = DETECTED - 1.0
     left = max(after - _NOISE_DOUBT, 0.0) / before if before > slack else 0.0
     whole = max(before * problem.clean_cost, 1e-12)
-    if left > EXPLAINED:
-        entries = [one for one in entries if one.loss > PART * whole]
     say('the gap on data held out')
-    found, entries, gap = _added(problem, found, known, entries, left,
+    found, entries, gap = _added(problem, found, known, _choices(entries, left, whole),
                                  _measured_on(problem, holdout))
     largest = max((one.alone for one in entries), default=0.0)
     findings = [_finding(problem, found, known, one, whole, largest, options) for one in entries]

@@ -10,13 +10,10 @@ import os
 from gms_flex_control.compiled import compiled
 from gms_flex_control.control import cascade
 from gms_flex_control.effects import signals as sig
-from gms_flex_control.effects import table as effect_table
-from gms_flex_control.effects.base import Stage
 from gms_flex_control.simulation import encoder, plant
 import numpy as np
 
 NANOSECONDS = 1_000_000_000
-_SENSOR = int(Stage.SENSOR)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -54,11 +51,8 @@ class Run:
 @compiled
 def sense(measured, state, time, period, constants, encoders, work):
     """Take one sample with the noise drawn before: sensor effects first, then encoders."""
+    plant.sensed(state, state.applied, time, period, constants, work)
     s = work.signals
-    plant.fill_signals(state, state.applied, time, work)
-    for j in range(state.q_link.shape[0]):
-        s[j, sig.SENSED_LINK], s[j, sig.SENSED_MOTOR] = state.q_link[j], state.q_motor[j]
-    effect_table.run_stage(_SENSOR, s, state.memory, period, constants.effects)
     encoder.measure(measured, s[:, sig.SENSED_LINK], s[:, sig.SENSED_MOTOR], state.dq_link,
                     state.dq_motor, period, encoders)
 

@@ -20,7 +20,7 @@ from gms_flex_control.effects.base import Stage
 from gms_flex_control.friction import gms
 from gms_flex_control.records import FLOAT
 
-_ACTUATOR, _TWIST, _SPRING, _FRICTION, _LINK, _MOTOR, _ = (int(stage) for stage in Stage)
+_ACTUATOR, _TWIST, _SPRING, _FRICTION, _LINK, _MOTOR, _SENSOR = (int(stage) for stage in Stage)
 
 
 @cache
@@ -129,6 +129,16 @@ def torques(state, dt, constants, work):
         if not links.flexible[j]:
             drive = s[j, sig.TORQUE] + s[j, sig.MOTOR_TORQUE]
         work.chain.tau[j] = drive + s[j, sig.LINK_TORQUE] - s[j, sig.FRICTION]  # Eq. (1), link
+
+
+@compiled
+def sensed(state, command, time, period, constants, work):
+    """Write the angles that encoders are given into the signals, errors of sensors included."""
+    s = work.signals
+    fill_signals(state, command, time, work)
+    for j in range(state.q_link.shape[0]):
+        s[j, sig.SENSED_LINK], s[j, sig.SENSED_MOTOR] = state.q_link[j], state.q_motor[j]
+    effect_table.run_stage(_SENSOR, s, state.memory, period, constants.effects)
 
 
 @compiled
