@@ -19,12 +19,20 @@ from gms_flex_control.batches.batch import run_batch
 from gms_flex_control.batches.executor import open_executor
 from gms_flex_control.batches.journal import Journal
 from gms_flex_control.batches.progress import Progress
+from gms_flex_control.comparison import study
+from gms_flex_control.comparison.contestants import Condition
 from gms_flex_control.errors import BatchError, SimulationError
+from gms_flex_control.resources import controller_file, robot_file
+from gms_flex_control.schema.files import load_controller, load_robot
+import numpy as np
 import pytest
 
 ROOT = Path(__file__).parents[1]
 PATIENCE = 60.0  # s
 ITEMS = {f'walk {seed}': seed for seed in range(6)}
+ROBOT = load_robot(robot_file())
+SETTING = study.Setting(ROBOT, load_controller(controller_file(), ROBOT), np.ones(2), 500.0, 0, 0)
+CELL = {'a simulation': study.Cell(SETTING, 'gms', Condition('M +30 %', 'M', mass=1.3))}
 SERIAL = {key: batch_items.walk(seed) for key, seed in ITEMS.items()}
 
 
@@ -135,6 +143,8 @@ def test_a_cluster_returns_the_same_even_when_a_worker_is_killed(tmp_path):
     with cluster(tmp_path) as (address, workers):
         with open_executor(scheduler=address) as executor:
             assert run_batch(batch_items.walk, ITEMS, executor=executor) == SERIAL
+            assert run_batch(study.try_cell, CELL, executor=executor) == {
+                key: study.try_cell(cell) for key, cell in CELL.items()}
             with pytest.raises(SimulationError, match='diverged'):
                 run_batch(batch_items.fail, {'a': 0, 'b': 1}, executor=executor)
             items = [(seed, str(tmp_path)) for seed in range(6)]

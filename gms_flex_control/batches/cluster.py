@@ -4,6 +4,7 @@
 """Items on an existing Dask cluster (optional extra ``dask``)."""
 
 from concurrent.futures import CancelledError
+import pickle
 
 from gms_flex_control.batches.sources import fingerprint
 from gms_flex_control.errors import BatchError
@@ -11,6 +12,11 @@ from gms_flex_control.errors import BatchError
 _PATIENCE = '10s'  # for the scheduler to answer
 MISSING = ("--scheduler needs Dask: pip install 'gms_flex_control[dask]', or leave it out for "
            'processes of this machine')
+
+
+def call_packed(item, function):
+    """Return what ``function`` returns for a pickled item."""
+    return function(pickle.loads(item))
 
 
 class Cluster:
@@ -75,8 +81,10 @@ class Cluster:
         """Yield index and result of each item; the scheduler repeats what a dead worker had."""
         from distributed import as_completed, KilledWorker
 
-        # every item is a task of its own, even where another run asked for an equal one
-        futures = self._client.map(function, list(items), pure=False)
+        # every item is a task of its own, even where another run asked for an equal one; packed,
+        # because Dask looks through tuples and lists for tasks, at many times the cost
+        futures = self._client.map(call_packed, [pickle.dumps(item) for item in items],
+                                   function=function, pure=False)
         places = {future.key: index for index, future in enumerate(futures)}
         try:
             for future in as_completed(futures, loop=self._client.loop):

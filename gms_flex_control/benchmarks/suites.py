@@ -18,6 +18,7 @@ SUITES = {
     'identify': ('identified_bag', 'measure'),
     'effects': ('effect_dispatch', 'measure'),
     'arguments': ('kernel_arguments', 'measure'),
+    'batches': ('batches', 'measure'),
 }
 # the others support decisions in docs/decisions
 DEFAULT = ('loop', 'step', 'tick', 'ros', 'fit', 'identify')

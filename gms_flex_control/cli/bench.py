@@ -6,7 +6,8 @@
 from dataclasses import asdict
 import json
 
-SUITES = ('loop', 'step', 'tick', 'ros', 'fit', 'identify', 'effects', 'arguments')
+SUITES = ('loop', 'step', 'tick', 'ros', 'fit', 'identify', 'effects', 'arguments',
+          'batches')
 
 
 def add_parser(subparsers):
@@ -15,7 +16,8 @@ def add_parser(subparsers):
         'bench', help='speed on this machine, beside MuJoCo and numpy',
         description='Measure speed: medians of interleaved repetitions. Compare figures of one '
                     'run only. MuJoCo is measured where the extra "bench" is installed. The '
-                    'suites "effects" and "arguments" are those of docs/decisions and run only '
+                    'suites "effects", "arguments" and "batches" are those of docs/decisions '
+                    'and docs/scale.md and run only '
                     'when asked for.')
     parser.add_argument('--quick', action='store_true', help='rough figures in a few seconds')
     parser.add_argument('--json', action='store_true', help='print JSON')
