@@ -35,6 +35,7 @@ EXPLAINED = 0.05      # of what was missing: so little may be left of it
 PARTLY = 0.2          # likewise, where effects that explain most of it are named
 DOMINANT = 0.6        # share of an effect that explains most
 PART = 0.05           # share of an effect that is worth naming where much is left
+FEW = 3               # findings: so few are all named, small and like others though they be
 BESIDE = 0.5          # of the torque missed most: an effect so large matters, however small
 DOUBTFUL = 0.1        # of what is still unexplained: an effect worth less is not believed
 
@@ -227,7 +228,7 @@ def _told(problem, found, entries, known, options, holdout, say):
     largest = max((one.alone for one in entries), default=0.0)
     findings = [_finding(problem, found, known, one, whole, largest, options) for one in entries]
     sure = {id(finding) for finding, one in zip(findings, entries, strict=True)
-            if judge.is_sure(one) and not finding.confusable_with}
+            if len(findings) <= FEW or judge.is_sure(one) and not finding.confusable_with}
     left_over = None
     if left > EXPLAINED or (before > slack and not findings):
         left_over = signature_of(problem, found.model, min(max(missing(
