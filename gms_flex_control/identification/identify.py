@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """From recordings to friction parameters, their intervals and errors: the whole way."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 import time
 import warnings
@@ -181,27 +182,29 @@ class Data:
         fits = default_method.fit_all(self.bundle, self.starts, extras, blocks=options.blocks,
                                       say=say)
         say('comparing with a fit of the torque')
-        self.choices = [choose_fit(self.bundle, j, fits, self.step[j],
-                                   np.random.default_rng([options.seed, j, 1]))
-                        for j in range(len(fits))]
+        self.choices = per_joint(len(fits), lambda j: choose_fit(
+            self.bundle, j, fits, self.step[j], np.random.default_rng([options.seed, j, 1])))
         return [choice.fit for choice in self.choices]
 
     def results(self, fits, options):
         """Return a JointResult per joint, and the robot with the arm found."""
         thetas = [fit.coordinates.unpack(fit.free)[0] for fit in fits]
-        spreads = self.paper_spreads or [
-            self.choices[j].spread or spread_of(
+
+        def spread(j):
+            fit = fits[j]
+            return self.choices[j].spread or spread_of(
                 Objective(self.bundle, j, thetas), fit.coordinates, fit.free, fit.evaluation,
                 fit.prior, fit.sampling, np.random.default_rng([options.seed, j]))
-            for j, fit in enumerate(fits)]
+
+        spreads = self.paper_spreads or per_joint(len(fits), spread)
         further, robot = [()] * len(fits), self.described
         if self.arm_fit:
             further = arm_estimates(self.robot, self.arm_fit, thetas, spreads)
             found = folded(self.robot, self.arm_fit, thetas, spreads)
             robot = replace(robot, effects=found.effects, arm=replace(
                 found.arm, stiffness=robot.arm.stiffness))
-        return tuple(self.result(j, fits, spreads[j], further[j])
-                     for j in range(len(fits))), robot
+        return tuple(per_joint(len(fits), lambda j: self.result(
+            j, fits, spreads[j], further[j]))), robot
 
     def result(self, joint, fits, spread, further=()):
         """Return the JointResult of one joint; ``further`` are Estimates beyond friction."""
@@ -219,7 +222,7 @@ class Data:
         return JointResult(
             joint=self.robot.joints[joint], side=self.sides[joint],
             estimates=estimates_of(self.robot.joints[joint], fit.coordinates, fit.free, spread,
-                                   reach) + further,
+                                   reach, travel(self._fitted, joint)) + further,
             curve=curve, friction_map=self.maps[joint], steady_velocity=velocity,
             steady_torque=steady_friction(velocity[:, None], alone)[:, 0],
             loops=loops_of(objective, bundle, theta),
@@ -252,6 +255,12 @@ class Data:
         return errors.held_out_errors(
             objective, bundle, theta, simple, chosen, self.step[joint],
             repeatability(self._fitted, self._phases, self.robot.arm, joint))
+
+
+def per_joint(count, task):
+    """Return what ``task`` returns for each of ``count`` joints, done in as many threads."""
+    with ThreadPoolExecutor(max_workers=count) as pool:
+        return list(pool.map(task, range(count)))
 
 
 def few_blocks(fit):

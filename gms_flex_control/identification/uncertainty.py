@@ -91,7 +91,7 @@ def _inverse(curvature):
                           hermitian=True) * np.outer(scale, scale)
 
 
-def estimates_of(joint, coordinates, free, spread, reach, units=_UNITS):
+def estimates_of(joint, coordinates, free, spread, reach, travel=np.inf, units=_UNITS):
     """
     Return the Estimates of one joint's friction.
 
@@ -106,7 +106,9 @@ def estimates_of(joint, coordinates, free, spread, reach, units=_UNITS):
     spread : Spread
         Its uncertainty.
     reach : float
-        Farthest displacement in presliding [rad].
+        Farthest displacement in presliding [rad]; 0 if there was none.
+    travel : float
+        Farthest displacement at all [rad].
     units : tuple of str
         Of static, coulomb, velocity and viscous.
 
@@ -131,7 +133,7 @@ def estimates_of(joint, coordinates, free, spread, reach, units=_UNITS):
     for number, i in enumerate(order):
         rows.append((f'friction.{joint}.stiffness[{number}]', 'N m/rad', BLOCKS + i,
                      told[coordinates.yields][i], 'stiffness'))
-    return tuple(_estimate(row, theta, variance, low, high, reach) for row in rows)
+    return tuple(_estimate(row, theta, variance, low, high, (reach, travel)) for row in rows)
 
 
 def _order(theta, n_blocks):
@@ -139,7 +141,7 @@ def _order(theta, n_blocks):
     return np.argsort(theta[BLOCKS:BLOCKS + n_blocks], kind='stable')
 
 
-def _estimate(row, theta, variance, low, high, reach):
+def _estimate(row, theta, variance, low, high, reaches):
     name, unit, i, told, kind = row
     value = float(theta[i])
     relative = float(np.sqrt(variance[i]) / value) if value > 0.0 else np.inf
@@ -159,18 +161,30 @@ def _estimate(row, theta, variance, low, high, reach):
         notes.append(_TELLS[kind])
     if kind == 'stiffness':
         weight = theta[i + MOST_BLOCKS]
-        yielding = weight * theta[[STATIC, PER_DIRECTION + STATIC]].mean() / value
-        if yielding > _BEYOND * reach:
-            flags.append('not identifiable')
-            notes.append(f'slips only after {yielding:.3g} rad, beyond the {reach:.3g} rad of '
-                         'presliding in the data: a slow rise of friction after reversals, not '
-                         'a stiffness of presliding')
+        late = _slips_late(weight * theta[[STATIC, PER_DIRECTION + STATIC]].mean() / value,
+                           *reaches)
+        flags += ['not identifiable'] if late else []
+        notes += [late] if late else []
     if _differ(interval, bootstrap):
         flags.append('intervals disagree')
         notes.append('the bootstrap over blocks of time says otherwise than the Jacobian: '
                      'something repeats in the data that the model lacks')
     return Estimate(name, unit, value, interval, bootstrap, tuple(dict.fromkeys(flags)),
                     '; '.join(notes))
+
+
+def _slips_late(yielding, reach, travel):
+    """Return what is to be said of a block that slips after presliding or never, '' if none."""
+    if reach == 0.0:
+        return 'no presliding is in the data, which alone tells stiffnesses'
+    if yielding > travel:
+        return (f'slips only after {yielding:.3g} rad, farther than the joint ever moved '
+                f'({travel:.3g} rad): it never slipped, so that these data tell no break-away')
+    if yielding > _BEYOND * reach:
+        return (f'slips only after {yielding:.3g} rad, beyond the {reach:.3g} rad of presliding '
+                'in the data: a slow rise of friction after reversals, not a stiffness of '
+                'presliding')
+    return ''
 
 
 def _differ(one, other):
