@@ -34,6 +34,7 @@ DETECTED = 1.3        # times the clean level: below, nothing is missing
 EXPLAINED = 0.05      # of what was missing: so little may be left of it
 PARTLY = 0.2          # likewise, where effects that explain most of it are named
 DOMINANT = 0.6        # share of an effect that explains most
+TOO_MUCH = 0.5        # left of what was missing: no effect is named
 PART = 0.05           # share of an effect that is worth naming where much is left
 FEW = 3               # findings: so few are all named, small and like others though they be
 BESIDE = 0.5          # of the torque missed most: an effect so large matters, however small
@@ -193,6 +194,8 @@ def _choices(entries, left, whole):
     """
     if left <= EXPLAINED:
         return (entries, False), (entries[:1], False)
+    if left > TOO_MUCH:
+        return ()
     entries = [one for one in entries if one.loss > PART * whole]
     strong = [one for one in entries if one.loss > DOMINANT * whole and left < PARTLY]
     return (entries, True), (entries[:1], True), (strong, False)
