@@ -3,7 +3,7 @@ SHELL := /bin/bash
 BIN := .venv/bin
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo demo-identify test lint bench screenshots docs lock clean
+.PHONY: help demo demo-identify demo-discrepancy test lint bench screenshots docs lock clean
 
 # A ROS installation or another environment in the caller's shell must not leak in.
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH COLCON_PREFIX_PATH
@@ -20,6 +20,9 @@ demo: .venv/.with-ros  ## Run the paper's experiment over ROS 2 into demo_output
 
 demo-identify: .venv/.with-ros  ## Run identification over ROS 2 into demo_identify_output/
 	@$(BIN)/gms_flex demo-identify --out demo_identify_output
+
+demo-discrepancy: .venv/.with-ros  ## Hide an effect, find it and drive with it known, over ROS 2
+	@$(BIN)/gms_flex demo-discrepancy --out demo_discrepancy_output
 
 test: lint  ## Run the linters, the tests and a colcon build
 	@$(BIN)/python -m pytest test
@@ -45,7 +48,7 @@ lock: .venv/.created  ## Write constraints.txt anew from the newest versions set
 	  --output-file constraints.txt setup.py -
 
 clean:  ## Remove the environment and all that was made
-	rm -rf .venv docs/_api docs/_build demo_output demo_identify_output build install log .pytest_cache .ruff_cache *.egg-info
+	rm -rf .venv docs/_api docs/_build demo_output demo_identify_output demo_discrepancy_output build install log .pytest_cache .ruff_cache *.egg-info
 
 # A new lock starts a new environment, so that nothing of the old one stays.
 .venv/.created: constraints.txt scripts/create_venv.sh

@@ -23,6 +23,7 @@ NO_BAG = ROOT / 'test' / 'no_such_bag'
 # what is wrong with the input of a verb that takes no bag
 WRONG = {
     'demo': '--out {file}', 'demo-identify': '--plan {missing} --out {dir}',
+    'demo-discrepancy': '--effect nothing --out {dir}',
     'simulate': '--robot {missing} --out {dir}', 'record': '--all --duration -1 --out {dir}',
     'import-csv': '{missing} --map import_kr300.yaml --out {dir}',
     'check-gains': '--robot {missing}', 'bench': '--robot {missing}',

@@ -70,6 +70,11 @@ def link_error(recording):
     return recording.q_link - recording.reference[:, 0]
 
 
+def link_rms(recording):
+    """Return the rms tracking error of each link (n,) [rad]."""
+    return np.sqrt(np.nanmean(link_error(recording) ** 2, axis=0))
+
+
 def track(run):
     """
     Return the tracking figures of one run.

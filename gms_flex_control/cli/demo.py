@@ -76,9 +76,8 @@ def plan_of(motion, mode, duration=None):
 def drive_all(plans, out):
     """Run every combination over DDS and return its runs, labelled, with their recordings."""
     from gms_flex_control.analysis.tracking import Run
-    from gms_flex_control.bags.reader import read_recording
     from gms_flex_control.experiment.believed import mixed_error
-    from gms_flex_control.experiment.driven import drive, DrivenPlan
+    from gms_flex_control.experiment.driven import drive_recorded, DrivenPlan
     from gms_flex_control.schema.files import load_robot, save_robot
 
     warm_up(next(iter(plans.values())))
@@ -90,11 +89,11 @@ def drive_all(plans, out):
     for number, ((motion, mode), plan) in enumerate(plans.items(), 1):
         say(f'[{number}/{len(plans)}] three nodes over DDS: {motion}, {mode}, '
             f'{plan.duration:g} s simulated')
-        begin, bag = time.monotonic(), out / 'bags' / f'{motion}_{mode}'
-        bag.parent.mkdir(exist_ok=True)
-        drive(DrivenPlan(files=files_of(motion), model=model, compensation=mode,
-                         duration=plan.duration, rate=RATE), bag, log=out / 'log' / bag.name)
-        recording = read_recording(bag)
+        begin = time.monotonic()
+        recording = drive_recorded(
+            DrivenPlan(files=files_of(motion), model=model, compensation=mode,
+                       duration=plan.duration, rate=RATE),
+            out / 'bags' / f'{motion}_{mode}', log=out / 'log')
         say(f'      {len(recording.time)} joint states in {time.monotonic() - begin:.1f} s')
         runs.append(Run(motion, mode, recording))
     return runs

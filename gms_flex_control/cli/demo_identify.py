@@ -101,13 +101,10 @@ def compare(out):
 
     """
     from gms_flex_control.analysis.table4 import align
-    from gms_flex_control.analysis.tracking import link_error
-    from gms_flex_control.bags.reader import read_recording
+    from gms_flex_control.analysis.tracking import link_rms
     from gms_flex_control.cli.demo import files_of, plan_of
-    from gms_flex_control.experiment.driven import drive as drive_closed_loop
-    from gms_flex_control.experiment.driven import DrivenPlan
+    from gms_flex_control.experiment.driven import drive_recorded, DrivenPlan
     from gms_flex_control.resources import robot_file
-    import numpy as np
 
     models = {'believed': out / 'believed_robot.yaml', 'identified': out / 'friction.yaml',
               'true': robot_file()}
@@ -116,13 +113,10 @@ def compare(out):
         rms = {}
         for name, model in models.items():
             say(f'tracking the {motion} over DDS, friction as {name}')
-            bag = out / 'tracking' / f'{motion}_{name}'
-            bag.parent.mkdir(exist_ok=True)
-            plan = plan_of(motion, 'gms')
-            drive_closed_loop(
+            rms[name] = link_rms(drive_recorded(
                 DrivenPlan(files=files_of(motion), model=model, compensation='gms',
-                           duration=plan.duration, rate=RATE), bag, log=out / 'log' / bag.name)
-            rms[name] = np.sqrt(np.mean(link_error(read_recording(bag)) ** 2, axis=0))
+                           duration=plan_of(motion, 'gms').duration, rate=RATE),
+                out / 'tracking' / f'{motion}_{name}', log=out / 'log'))
         values[motion] = {name: error.tolist() for name, error in rms.items()}
         ratio = rms['identified'] / rms['true']
         worst = max(worst, ratio.max())

@@ -11,6 +11,9 @@ EXAMPLES = {
     'demo': ['gms_flex demo',
              'gms_flex demo --motions sinusoid --modes none gms --duration 6 --out short'],
     'demo-identify': ['gms_flex demo-identify --out demo_identify_output'],
+    'demo-discrepancy': ['gms_flex demo-discrepancy --seed 3',
+                         'gms_flex demo-discrepancy --effect position_friction --duration 30 '
+                         '--out found'],
     'simulate': ['gms_flex simulate --out my_bag',
                  'gms_flex simulate --compensation none gms --trajectory sinusoid polynomial '
                  '--out bags',

@@ -17,9 +17,9 @@ from gms_flex_control.errors import GmsFlexError
 
 OK, FINDING_SAYS_NO, BAD_INPUT = 0, 1, 2
 OWN_ERROR = 70  # EX_SOFTWARE of sysexits.h: never taken for a finding
-VERBS = ('demo', 'demo_identify', 'simulate', 'record', 'info', 'repair', 'analyse', 'import_csv',
-         'check_gains', 'tune', 'compare', 'bench', 'torsion', 'identify', 'discrepancy',
-         'recover', 'hide', 'score', 'faults', 'view', 'urdf', 'completion')
+VERBS = ('demo', 'demo_identify', 'demo_discrepancy', 'simulate', 'record', 'info', 'repair',
+         'analyse', 'import_csv', 'check_gains', 'tune', 'compare', 'bench', 'torsion', 'identify',
+         'discrepancy', 'recover', 'hide', 'score', 'faults', 'view', 'urdf', 'completion')
 
 
 def build_parser():

@@ -9,6 +9,7 @@ from pathlib import Path
 import random
 import re
 
+from gms_flex_control.bags.reader import read_recording
 from gms_flex_control.experiment.processes import executable, Processes, ros_arguments
 
 TOPICS = ('/joint_states', '/effort_controller/commands', '/reference',
@@ -98,6 +99,26 @@ def drive(plan, bag, *, log):
         processes.wait('plant', bound)
         for name in ('trajectory', 'controller', 'recorder'):
             processes.stop(name)
+
+
+def drive_recorded(plan, bag, *, log):
+    """
+    Run a plan as `drive` does and read what it recorded.
+
+    Parameters
+    ----------
+    plan, bag, log
+        As of `drive`; the folder of ``bag`` is made, and what the processes print goes to a
+        folder of its name in ``log``.
+
+    Returns
+    -------
+    Recording
+
+    """
+    bag.parent.mkdir(parents=True, exist_ok=True)
+    drive(plan, bag, log=log / bag.name)
+    return read_recording(bag)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,0 +1,131 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""The discrepancy demo, shortened: nine node processes, three bags, one effect found."""
+
+import json
+import os
+from pathlib import Path
+import subprocess
+import sys
+
+from gms_flex_control.bags.reader import read_recording
+from gms_flex_control.cli.main import main
+from gms_flex_control.errors import ConfigError
+from gms_flex_control.experiment.hidden_effect import drawable, hide_effect
+from gms_flex_control.experiment.plan import read_plan
+from gms_flex_control.experiment.simulated import simulate
+from gms_flex_control.resources import controller_file
+from gms_flex_control.schema.files import load_robot
+import numpy as np
+import pytest
+
+SEED, DURATION = 0, 20.0
+
+
+@pytest.fixture(scope='module')
+def outcome(tmp_path_factory):
+    """Run the demo on 20 s; return its folder and what it printed."""
+    harness = pytest.importorskip('node_harness')
+    domain, lock = harness.take_domain()
+    folder = tmp_path_factory.mktemp('demo_discrepancy') / 'output'
+    paths = [str(Path(__file__).parents[1]), *filter(None, [os.environ.get('PYTHONPATH')])]
+    done = subprocess.run(
+        [sys.executable, '-m', 'gms_flex_control.cli.main', 'demo-discrepancy', '--out', folder,
+         '--seed', str(SEED), '--duration', str(DURATION)],
+        text=True, capture_output=True, timeout=500, check=False,
+        env=dict(os.environ, PYTHONPATH=os.pathsep.join(paths), ROS_DOMAIN_ID=str(domain)))
+    lock.close()
+    assert done.returncode == 0, done.stdout + done.stderr
+    return folder, done.stdout
+
+
+@pytest.fixture(scope='module')
+def report(outcome):
+    """Return its report.json."""
+    return json.loads((outcome[0] / 'report.json').read_text(encoding='utf-8'))
+
+
+def test_what_was_hidden_is_named_and_the_gap_shrinks(outcome, report):
+    spec, = load_robot(outcome[0] / 'hidden_robot.yaml').effects
+    found = report['discrepancy']['findings'][0]
+    assert report['name_right'] and report['gap_shrank'] and report['seed'] == SEED
+    assert (found['effect'], found['joint']) == (spec.name, spec.joint)
+    assert spec.name in drawable()
+    gap = report['discrepancy']['gap']
+    for before, after in (('retuned', 'after'), ('free_before', 'free_after')):
+        assert sum(gap[after].values()) < 0.5 * sum(gap[before].values())
+
+
+def test_the_tool_was_told_no_more_than_the_robot_file(outcome):
+    hidden, believed = (load_robot(outcome[0] / f'{name}_robot.yaml')
+                        for name in ('hidden', 'believed'))
+    assert believed.effects == ()
+    off = np.abs(believed.arm.stiffness / hidden.arm.stiffness - 1.0)
+    assert np.all((off > 0.0099) & (off < 0.0301))
+
+
+def test_the_arm_follows_better_nearly_as_with_the_truth(report):
+    before, found, true = (np.array(list(report['tracking'][belief].values()))
+                           for belief in ('believed', 'found', 'true'))
+    assert np.all(found < 0.5 * before)
+    assert np.all(found < 1.5 * true)
+
+
+def test_the_closed_loop_simulated_anew_comes_closer(report):
+    loop = report['discrepancy']['gap']['closed_loop']
+    assert sum(loop['after'].values()) < 0.5 * sum(loop['retuned'].values())
+
+
+@pytest.mark.parametrize('belief', ['found', 'true'])
+def test_nodes_that_know_the_effect_agree_with_one_process(outcome, belief):
+    folder = outcome[0]
+    model = folder / ('robot.yaml' if belief == 'found' else 'hidden_robot.yaml')
+    plan = read_plan(
+        [folder / 'believed_robot.yaml', controller_file(), folder / 'trajectory.yaml',
+         folder / 'hidden_robot.yaml'], model=model, duration=5.0,
+        overrides={'rate': 500.0, 'compensation': 'gms'})
+    run, recording = simulate(plan), read_recording(folder / 'bags' / belief)
+    samples = len(run.time)
+    assert np.abs(recording.q_link[:samples] - run.measured[:, 0]).max() < 1e-9
+    assert np.abs(recording.command[:samples] - run.command).max() < 1e-9
+
+
+def test_page_text_and_pictures_tell_it_and_the_truth_comes_last(outcome):
+    folder, printed = outcome
+    page = (folder / 'report.html').read_text(encoding='utf-8')
+    places = [page.index(f'">{heading}</h2>') for heading in (
+        'Before and after', 'In words', 'What was found', 'What was hidden')]
+    assert places == sorted(places)
+    assert 'named rightly, and the gap shrank' in page and 'named rightly' in printed
+    assert 'tracking error [mrad]' in printed
+    for name in ('tracking.png', 'gap.png'):
+        assert (folder / name).read_bytes()[:8] == b'\x89PNG\r\n\x1a\n'
+
+
+def test_the_processes_leave_no_traceback(outcome):
+    logs = list((outcome[0] / 'log').glob('*/*.log'))
+    assert len(logs) == 12
+    assert not any('Traceback' in path.read_text() for path in logs)
+
+
+def test_a_seed_gives_the_same_again_and_another_something_else(robot, gains):
+    first, same, other = (hide_effect(robot, gains, seed, duration=20.0) for seed in (5, 5, 6))
+    assert first.effect == same.effect and np.array_equal(first.points, same.points)
+    assert first.effect != other.effect
+    assert first.duration == pytest.approx(20.0, abs=2.5)
+
+
+@pytest.mark.parametrize(('options', 'complaint'), [
+    ({'effect': 'backlsh'}, "effect 'backlsh' is unknown; did you mean"),
+    ({'effect': 'supply_sag'}, 'needs the voltage'),
+    ({'duration': 3.0}, '--duration 3: give 20 to 3600 s')])
+def test_what_cannot_be_hidden_is_refused(options, complaint, robot, gains):
+    with pytest.raises(ConfigError, match=complaint):
+        hide_effect(robot, gains, 0, **options)
+
+
+def test_a_folder_it_did_not_make_is_left_alone(tmp_path, capsys):
+    (tmp_path / 'thesis.tex').write_text('years of work')
+    assert main(['demo-discrepancy', '--out', str(tmp_path)]) == 2
+    assert 'was not made by gms_flex demo-discrepancy' in capsys.readouterr().err
