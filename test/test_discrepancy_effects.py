@@ -25,8 +25,6 @@ CASES = {
     'spring_cubic': 1, 'spring_damping': 102, 'spring_hysteresis': 3, 'spring_offset': 6,
     'stiffness_drift': 5, 'stiffness_error': 4, 'stribeck_error': 319, 'supply_sag': 36,
     'tip_payload': 327, 'torque_gain': 10, 'torque_ripple': 9, 'viscous_error': 18}
-# effect: why it is not named yet
-NOT_NAMED = {'supply_sag': 'the path of a recording holds no voltage yet'}
 # effect: by how much free simulation strays farther with it, its values right all the same
 STRAYS = {'base_flexibility': 1.25}
 ANGLES = ('phase', 'direction')
@@ -77,9 +75,7 @@ def test_every_effect_has_its_case():
     assert set(CASES) == set(registry.names()) == set(available_effects())
 
 
-@pytest.mark.parametrize('name', [
-    pytest.param(name, marks=[pytest.mark.xfail(reason=NOT_NAMED.get(name))] * (
-        name in NOT_NAMED)) for name in CASES])
+@pytest.mark.parametrize('name', CASES)
 def test_a_hidden_effect_is_named_first_with_its_values(name):
     """Or a declared confusable one, which then says so; free simulation strays no farther."""
     result, found, truth = outcome('single', CASES[name], effect=name, duration=SHORT)
@@ -106,9 +102,7 @@ def test_of_a_robot_that_lacks_nothing_nothing_is_said(seed, plant):
 
 
 @pytest.mark.parametrize(('seed', 'name'), [
-    (4, 'random_link_torque'), (6, 'speed_band'),
-    pytest.param(5, 'periodic_motor_torque', marks=pytest.mark.xfail(
-        reason='a model whose torques are all scaled towards zero leaves less, and is named'))])
+    (4, 'random_link_torque'), (6, 'speed_band'), (5, 'periodic_motor_torque')])
 def test_what_the_catalogue_lacks_is_unexplained(seed, name):
     """And the equation in which it is left is told."""
     result, found, truth = outcome('outside', seed, effect=name, duration=SHORT)

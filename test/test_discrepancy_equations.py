@@ -40,7 +40,7 @@ def driven_path(robot, gains, seed=0, duration=20.0):
     reference = motions.draw_reference(np.random.default_rng(7), 'rich', 'soft', time)
     run = truth.simulate(robot, replace(robot, effects=()), gains, reference, seed=seed)
     return make_path(robot.joints, time, 2e-3, np.ascontiguousarray(run.measured[:, [0, 2]]),
-                     run.command, True, 'a hidden robot')
+                     run.command, np.zeros(len(time)), True, 'a hidden robot')
 
 
 @pytest.mark.parametrize(('period', 'factor'), [(4e-3, 1), (2e-3, 2), (1e-3, 4)])
@@ -53,8 +53,8 @@ def test_a_held_torque_and_the_second_difference_of_the_angle_agree_exactly(peri
     angle = np.concatenate([[0.0], np.cumsum(step[:-1])])
     readings = np.repeat(angle[:, None, None], 2, axis=1)
     robot = single_axis(FRICTIONLESS, inertia)
-    path = make_path(robot.joints, np.arange(2000) * period, period, readings, command, True,
-                     'parabola')
+    path = make_path(robot.joints, np.arange(2000) * period, period, readings, command,
+                     np.zeros(2000), True, 'parabola')
     assert path.factor == factor
     left = unexplained(path, plant.constants_of(robot))[4:-4]
     np.testing.assert_allclose(left, 0.0, atol=1e-13 * np.ptp(angle) * inertia / period ** 2)
@@ -318,7 +318,8 @@ def test_a_rigid_axis_has_guesses_of_what_can_be_there():
         robot = single_axis(replace(FRICTIONLESS), 0.02)
         time = np.arange(200) * 4e-3
         paths = (make_path(robot.joints, time, 4e-3, np.repeat(
-            np.sin(time)[:, None, None], 2, axis=1), np.cos(time)[:, None], True, 'sine'),)
+            np.sin(time)[:, None, None], 2, axis=1), np.cos(time)[:, None], np.zeros(200), True,
+            'sine'),)
     found = {name for name, _, _ in all_guesses(Given)}
     assert {'torque_gain', 'friction_asymmetry', 'end_stop', 'torque_ripple',
             'load_friction', 'actuator_deadzone'} <= found

@@ -34,12 +34,13 @@ def take_place(k, path, command, time, state, work):
 
 
 @compiled
-def mean_applied(command, time, period, constants, state, work, out):
+def mean_applied(command, supply, time, period, constants, state, work, out):
     """Write the mean torque (T, n) the actuators give from each sample to the next."""
     s, effects = work.signals, constants.effects
     samples, n = command.shape
     for k in range(samples):
         out[k, :] = 0.0
+        s[:, sig.SUPPLY] = supply[k]
         for part in range(_SUBSTEPS):
             for j in range(n):
                 s[j, sig.TIME] = time[k] + part * period / _SUBSTEPS

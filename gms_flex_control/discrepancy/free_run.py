@@ -6,6 +6,7 @@
 from gms_flex_control.compiled import compiled
 from gms_flex_control.discrepancy.equations import replay_friction
 from gms_flex_control.discrepancy.residuals import acts, corrected, fresh_state, SENSOR
+from gms_flex_control.effects import signals as sig
 from gms_flex_control.simulation import plant
 from gms_flex_control.simulation.predictor import copy_state
 import numpy as np
@@ -15,8 +16,8 @@ _STEP = 4e-4                 # of the integration [s]
 
 
 @compiled
-def run_freely(motion, command, time, period, substeps, starts, horizon, constants, state,
-               replayed, work, link, motor):
+def run_freely(motion, command, supply, time, period, substeps, starts, horizon, constants,
+               state, replayed, work, link, motor):
     """
     Fill angles (S, horizon, n) of runs from the measured state at each of ``starts`` (S,).
 
@@ -39,6 +40,7 @@ def run_freely(motion, command, time, period, substeps, starts, horizon, constan
                 for j in range(n):
                     link[at, step, j] = state.q_link[j] - ahead * state.dq_link[j]
                     motor[at, step, j] = state.q_motor[j] - ahead * state.dq_motor[j]
+                work.signals[:, sig.SUPPLY] = supply[k + step]
                 plant.advance(state, command[k + step], time[k + step], period, substeps,
                               constants, work)
             at += 1
@@ -71,9 +73,9 @@ def free_runs(path, constants):
     if acts(constants, SENSOR):
         motion, readings = without_sensor_errors(path, constants)
     link, motor = np.empty((2, len(starts), horizon, n))
-    run_freely(motion, path.command, path.fine_time, period, max(1, round(period / _STEP)), starts,
-               horizon, constants, fresh_state(constants), fresh_state(constants),
-               plant.workspace(n), link, motor)
+    run_freely(motion, path.command, path.supply, path.fine_time, period,
+               max(1, round(period / _STEP)), starts, horizon, constants, fresh_state(constants),
+               fresh_state(constants), plant.workspace(n), link, motor)
     rows = starts[:, None] + np.arange(horizon)
     return path.fine_time[starts], readings[rows, 0] - link, readings[rows, 1] - motor
 

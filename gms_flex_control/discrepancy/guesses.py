@@ -25,7 +25,7 @@ def scales_of(paths, robot):
             link_inertia=float(arm.inertia[j] + arm.mass[j] * arm.com[j] ** 2),
             lowest=float(link.min()), highest=float(link.max()), turned=float(np.ptp(motor)),
             duration=float(max(path.time[-1] - path.time[0] for path in paths)),
-            period=paths[0].fine_period))
+            period=paths[0].fine_period, supply=min(float(path.supply.mean()) for path in paths)))
     return found
 
 

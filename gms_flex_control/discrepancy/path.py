@@ -40,6 +40,8 @@ class Path:
         Smoothed link angle, rate, acceleration, then those of the motor.
     command : ndarray, shape (T, n)
         Torque held from sample k to k + 1 [N m].
+    supply : ndarray, shape (T,)
+        Voltage of the drives' supply [V], 0 where it is not known.
     noise : ndarray, shape (2, n)
         Standard deviation of the readings [rad].
     factor : int
@@ -69,6 +71,7 @@ class Path:
     readings: np.ndarray
     fine_motion: np.ndarray
     command: np.ndarray
+    supply: np.ndarray
     noise: np.ndarray
     factor: int
     time: np.ndarray
@@ -156,10 +159,10 @@ def path_of(recording, robot):
         readings[:, 1, j] = readings[:, 0, j] if robot.arm.rigid[j] else _resampled(
             recording, recording.q_motor[:, j], time, f'motor angle of {joint!r}')
     return make_path(recording.joints, time, period, readings, held_torque(recording, time),
-                     has_commands(recording), recording.source)
+                     supply_voltage(recording, time), has_commands(recording), recording.source)
 
 
-def make_path(joints, time, period, readings, command, commanded, source):
+def make_path(joints, time, period, readings, command, supply, commanded, source):
     """Return the Path of even samples; arguments as the fields ``fine_...``."""
     n = len(joints)
     noise = np.sqrt(np.mean(np.diff(readings, 3, axis=0) ** 2, axis=0) / 20.0)
@@ -173,7 +176,8 @@ def make_path(joints, time, period, readings, command, commanded, source):
     twist = thinned(seen(readings[:, 1] - readings[:, 0], 1.0 / 12.0), factor)
     return Path(
         joints=tuple(joints), fine_time=time, fine_period=period, readings=readings,
-        fine_motion=np.ascontiguousarray(motion), command=command, noise=noise, factor=factor,
+        fine_motion=np.ascontiguousarray(motion), command=command, supply=supply,
+        noise=noise, factor=factor,
         time=np.ascontiguousarray(time[::factor]), period=period * factor,
         motion=thin,
         second=thinned(second_difference(readings, period), factor),
@@ -212,6 +216,14 @@ def standing(angle, noise, period):
     step = np.array([encoder_step(column, own)
                      for column, own in zip(angle.T, noise, strict=True)])
     return spread <= np.maximum(_ONE_COUNT * step, _DEVIATIONS * noise)
+
+
+def supply_voltage(recording, time):
+    """Return the voltage of the supply at times (T,) [V], 0 if it was not recorded throughout."""
+    known = np.isfinite(recording.supply)
+    if known.mean() < _KNOWN:
+        return np.zeros(len(time))
+    return np.interp(time, recording.time[known], recording.supply[known])
 
 
 def has_commands(recording):

@@ -64,7 +64,7 @@ def drive_torque(path, constants, work):
     if not acts(constants, ACTUATOR):
         return path.drive
     applied = np.empty_like(path.command)
-    equations.mean_applied(path.command, path.fine_time, path.fine_period, constants,
+    equations.mean_applied(path.command, path.supply, path.fine_time, path.fine_period, constants,
                            fresh_state(constants), work, applied)
     return path.through_filter(applied)
 

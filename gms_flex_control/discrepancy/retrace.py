@@ -24,13 +24,14 @@ _STEP = 4e-4          # of the integration [s]
 
 
 @compiled
-def retrace_loop(motion, command, time, period, substeps, gains, constants, state, work, held,
-                 link, motor):
+def retrace_loop(motion, command, supply, time, period, substeps, gains, constants, state, work,
+                 held, link, motor):
     """Fill torques ``held`` and angles ``link``, ``motor`` (T, n) of a run along ``motion``."""
     samples, n = command.shape
     flexible = constants.chain.flexible
     ahead = 0.5 * period / substeps  # semi-implicit angles run half a step ahead of their rates
     for k in range(samples):
+        work.signals[:, sig.SUPPLY] = supply[k]
         plant.sensed(state, command[k], time[k], period, constants, work)
         for j in range(n):
             link[k, j] = work.signals[j, sig.SENSED_LINK] - ahead * state.dq_link[j]
@@ -70,7 +71,7 @@ def retrace(path, constants, rng):
     state, first = fresh_state(constants), path.fine_motion[0]
     state.q_link[:], state.dq_link[:], state.q_motor[:], state.dq_motor[:] = first[[0, 1, 3, 4]]
     held, link, motor = np.empty((3, *path.command.shape))
-    retrace_loop(path.fine_motion, path.command, path.fine_time, path.fine_period,
+    retrace_loop(path.fine_motion, path.command, path.supply, path.fine_time, path.fine_period,
                  max(1, round(path.fine_period / _STEP)), gains, constants, state,
                  plant.workspace(n), held, link, motor)
     readings = np.stack([link, motor], axis=1)
@@ -82,7 +83,7 @@ def retrace(path, constants, rng):
             readings[:, side, j] = read(readings[:, side, j], path.readings[:, side, j],
                                         path.noise[side, j], rng)
     return make_path(path.joints, path.fine_time, path.fine_period, readings, held,
-                     path.commanded, path.source)
+                     path.supply, path.commanded, path.source)
 
 
 def read(angle, like, noise, rng):
