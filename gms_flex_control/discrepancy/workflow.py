@@ -73,7 +73,9 @@ class Options:
 
 
 _NOISE_DOUBT = 0.15   # by which the level of a clean run may be wrong
-_GOOD_DEAL = ((0.95, 0.3), (0.2, 1.1))  # of torque and stray squared, after / before
+_NEARLY_ALL = 0.2     # of held-out torque: less is left of it
+_AS_FAR = 1.02        # of squared free runs
+_GOOD_DEAL = ((0.95, 0.3), (_NEARLY_ALL, 1.1))  # of torque and stray squared, after / before
 _CHANCE = 1.1         # of held-out torque, where an effect acts seldom
 _NO_WORSE = 1.6       # of squared free runs, whose starts are only nearly known
 _FLOOR = 1.0 / 6.0    # of the practical torque: what rows are measured by
@@ -173,16 +175,17 @@ def helps(gap, much):
     """
     Return whether effects help on data held out.
 
-    Neither torque nor free runs may be much worse; torque may be a little worse by chance where
-    an effect acts seldom, as an end stop does. Asked to help ``much`` they must do more: free
-    runs stray far less, or torque is nearly explained and they stray no farther, as with an error
-    of an encoder, which moves nothing.
+    Neither torque nor free runs may be worse; torque may be a little worse by chance where an
+    effect acts seldom, as an end stop does, and free runs where torque is nearly explained. Asked
+    to help ``much`` they must do more: free runs stray far less, or torque is nearly explained
+    and they stray no farther, as with an error of an encoder, which moves nothing.
     """
     before, after = (float(np.sum(errors ** 2)) for errors in (gap.free_before, gap.free_after))
     torque, stray = gap.energy_ratio, after / max(before, 1e-300)
     if much:
         return any(torque < most and stray < farthest for most, farthest in _GOOD_DEAL)
-    return min(torque, stray) < 1.0 and torque < _CHANCE and stray < _NO_WORSE
+    farthest = _NO_WORSE if torque < _NEARLY_ALL else _AS_FAR
+    return min(torque, stray) < 1.0 and torque < _CHANCE and stray < farthest
 
 
 def _choices(entries, left, whole):
