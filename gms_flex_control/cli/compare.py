@@ -137,4 +137,5 @@ def content_of(bag):
 
 # what a figure depends on
 SOURCES = ('params', 'friction', 'effects', 'dynamics', 'trajectory', 'control', 'simulation',
-           'bags', 'identification', 'tuning', 'comparison')
+           'bags', 'identification', 'tuning', 'comparison/contestants.py',
+           'comparison/study.py', 'comparison/along.py', 'comparison/held_out.py')

@@ -34,24 +34,28 @@ def largest(values):
 
 def header(rows):
     """Return the column titles of `cells_of`."""
-    drawn = ['drawn', 'worst'] if rows[0].drawn else []
+    drawn, rest = (['drawn', 'worst'], ['drawn']) if rows[0].drawn else ([], [])
     return ['compensation', 'error', *(_GROUPS[group] for group in _GROUPS), *drawn,
-            'at rest', 'torque', 'rate']
+            'at rest', *rest, 'torque', 'rate']
 
 
 def cells_of(row):
     """Return one Row as cells of text; units as in `NOTE`."""
-    drawn = [milli(middle(row.drawn)), milli(largest(row.drawn))] if row.drawn else []
+    drawn, rest = [], []
+    if row.drawn:
+        drawn = [milli(middle(row.drawn)), milli(largest(row.drawn))]
+        rest = [milli(row.drawn_hold)]
     return [row.name, milli(row.errors['nominal']),
             *(milli(row.errors[group]) for group in _GROUPS), *drawn,
-            milli(None if row.hold is None else max(row.hold)), plain(row.torque),
+            milli(None if row.hold is None else max(row.hold)), *rest, plain(row.torque),
             plain(row.rate)]
 
 
 NOTE = ('rms error of all joints and both motions [mrad], the plant as believed, then with one '
         'thing different at a\ntime (the worse of both signs), then of robots drawn with all '
-        'of friction, K and M off (median, worst);\nlargest motion at rest [mrad], rms torque '
-        '[N m] and rms of its rate [N m/s] of the plant as believed')
+        'of friction, K and M off (median, worst);\nlargest motion at rest [mrad] of the plant '
+        'as believed and of all drawn; rms torque [N m] and rms of its\nrate [N m/s] of the '
+        'plant as believed')
 
 
 def text(rows):
