@@ -14,7 +14,7 @@ import gms_flex_control  # noqa: E402  the line above finds it
 
 project = 'gms_flex_control'
 author = 'The gms_flex_control authors'
-copyright = f'2026, {author}'
+project_copyright = f'2026, {author}'
 version = release = gms_flex_control.__version__
 
 extensions = ['myst_parser', 'sphinx.ext.autodoc', 'sphinx.ext.autosummary',
