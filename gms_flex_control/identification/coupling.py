@@ -10,9 +10,10 @@ import numpy as np
 
 _SHARE = 0.25         # of what is left, on data held out, that others must account for
 _WORTH = 0.02         # of the drive torque that must be left
+_FEWEST = 100         # samples to fit and to judge by
 
 
-def coupling_sentences(objective, bundle, theta, names, chosen):
+def coupling_sentences(objective, bundle, theta, names, chosen, apart=()):
     """
     Say whether other axes account for what the model leaves of a joint's torque.
 
@@ -28,6 +29,8 @@ def coupling_sentences(objective, bundle, theta, names, chosen):
         Of the joints.
     chosen : callable
         Stretch -> bool (T,) of the samples held out.
+    apart : sequence of Stretch
+        Of recordings held out whole; they judge where there are any.
 
     Returns
     -------
@@ -36,31 +39,29 @@ def coupling_sentences(objective, bundle, theta, names, chosen):
 
     Notes
     -----
-    Least squares of the residual on accelerations of the others and on cosines and sines of
-    their angles and of the sums with its own, as inertia and gravity of a chain have them; the
-    share it accounts for is that of data it was not fitted to.
+    Least squares of the residual on the accelerations of the others, alone or with what their
+    angles do to inertia; the share they account for is that of data they were not fitted to.
+    Gravity of a chain would need many more columns, which short recordings do not tell apart.
 
     """
     joint = objective.joint
     others = [k for k in range(len(names)) if k != joint]
     if bundle.arm.kind != 'decoupled' or not others:
         return ()
-    left, columns, torque, out = [], [], [], []
-    for stretch in bundle.stretches:
-        keep = stretch.tested[:, joint] & np.isfinite(stretch.angle).all(axis=1)
-        residual = friction_torque(stretch, bundle.arm)[:, joint] - model_friction(
-            objective, stretch, theta, bundle.period)
-        left.append(low_pass(residual, stretch.window)[keep])
-        columns.append(_columns(stretch, joint, others)[keep])
-        torque.append(stretch.torque[keep, joint])
-        out.append(chosen(stretch)[keep])
-    left, columns, torque, out = map(np.concatenate, (left, columns, torque, out))
-    if out.sum() < 2 * columns.shape[1] or (~out).sum() < 2 * columns.shape[1]:
+    parts = [_left(objective, bundle, theta, stretch, others)
+             for stretch in (*bundle.stretches, *apart)]
+    out = [chosen(stretch) & (not apart) for stretch in bundle.stretches]
+    out += [np.ones(len(stretch.angle), dtype=bool) for stretch in apart]
+    kept = [part[2] for part in parts]
+    left, columns, torque, out = (
+        np.concatenate([values[keep] for values, keep in zip(group, kept, strict=True)])
+        for group in ([part[0] for part in parts], [part[1] for part in parts],
+                      [stretch.torque[:, joint] for stretch in (*bundle.stretches, *apart)], out))
+    if min(out.sum(), (~out).sum()) < _FEWEST:
         return ()
-    fit = np.linalg.lstsq(columns[~out], left[~out], rcond=1e-9)[0]
-    before, after = rms(left[out]), rms(left[out] - columns[out] @ fit)
-    share = 1.0 - (after / max(before, 1e-300)) ** 2
-    if share < _SHARE or before < _WORTH * rms(torque):
+    share = max(_share(left, columns[:, :width], out)
+                for width in (1 + len(others), columns.shape[1]))
+    if share < _SHARE or rms(left[out]) < _WORTH * rms(torque[out]):
         return ()
     return (f'{100 * share:.0f} % of what this model leaves of the torque of {names[joint]} goes '
             f'with the motion of {", ".join(names[k] for k in others)}: the axes act on each '
@@ -69,11 +70,19 @@ def coupling_sentences(objective, bundle, theta, names, chosen):
             'links as a planar arm',)
 
 
-def _columns(stretch, joint, others):
-    """Return what inertia and gravity of other links make of the motion, shape (T, 1 + 5 O)."""
-    own, columns = np.nan_to_num(stretch.angle[:, joint]), [np.ones(len(stretch.angle))]
-    for k in others:
-        angle = np.nan_to_num(stretch.angle[:, k])
-        columns += [stretch.acceleration[:, k], np.cos(angle), np.sin(angle),
-                    np.cos(own + angle), np.sin(own + angle)]
-    return low_pass(np.stack(columns, axis=1), stretch.window)
+def _left(objective, bundle, theta, stretch, others):
+    """Return what is left of the torque (T,), columns of the others, and where both count."""
+    joint = objective.joint
+    residual = friction_torque(stretch, bundle.arm)[:, joint] - model_friction(
+        objective, stretch, theta, bundle.period)
+    bend, cosine = stretch.acceleration, np.cos(np.nan_to_num(stretch.angle[:, others]))
+    columns = np.concatenate([np.ones((len(residual), 1)), bend[:, others],
+                              bend[:, others] * cosine, bend[:, [joint]] * cosine], axis=1)
+    keep = stretch.tested[:, joint] & np.isfinite(stretch.angle).all(axis=1)
+    return low_pass(residual, stretch.window), low_pass(columns, stretch.window), keep
+
+
+def _share(left, columns, out):
+    """Return how much of the square of ``left`` columns fitted elsewhere account for."""
+    fit = np.linalg.lstsq(columns[~out], left[~out], rcond=1e-9)[0]
+    return 1.0 - (rms(left[out] - columns[out] @ fit) / max(rms(left[out]), 1e-300)) ** 2

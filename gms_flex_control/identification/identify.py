@@ -236,7 +236,8 @@ class Data:
 
     def _sentences(self, joint, fit, objective, theta):
         chosen = default_method.held_out(self.bundle.period)
-        coupled = coupling_sentences(objective, self.bundle, theta, self.robot.joints, chosen)
+        coupled = coupling_sentences(objective, self.bundle, theta, self.robot.joints, chosen,
+                                     self._apart)
         if self.paper_spreads:
             return coupled if self._apart else (NOT_HELD_OUT, *coupled)
         return (*self.choices[joint].sentences, *few_blocks(fit), *coupled)
