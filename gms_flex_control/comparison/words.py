@@ -77,7 +77,7 @@ def bag_rows(predictions, joints):
 def bag_text(predictions, found, joints):
     """Return the table of predictions along a bag with a note, str."""
     rms = np.sqrt(np.mean(np.concatenate([one.friction for one in found.pieces]) ** 2, axis=0))
-    size = ', '.join(f'{joint} {1e3 * value:.3g}' for joint, value in zip(joints, rms,
-                                                                         strict=True))
+    size = ', '.join(f'{joint} {1e3 * value:.3g}'
+                     for joint, value in zip(joints, rms, strict=True))
     return (f'{align(*bag_rows(predictions, joints))}\nrms error of the predicted friction torque '
             f'[mN m]; the measured one is {size}')
