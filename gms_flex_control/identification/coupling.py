@@ -11,6 +11,7 @@ import numpy as np
 _SHARE = 0.25         # of what is left, on data held out, that others must account for
 _WORTH = 0.02         # of the drive torque that must be left
 _FEWEST = 100         # samples to fit and to judge by
+_OWN, _SLOW = 6, 0.05  # columns of the axis itself; speed, of the usual, where its sign is clear
 
 
 def coupling_sentences(objective, bundle, theta, names, chosen, apart=()):
@@ -39,8 +40,9 @@ def coupling_sentences(objective, bundle, theta, names, chosen, apart=()):
 
     Notes
     -----
-    Least squares of the residual on the accelerations of the others, alone or with what their
-    angles do to inertia; the share they account for is that of data they were not fitted to.
+    Least squares of the residual on the axis' own motion (what the others do had its share in what
+    was fitted) and on the accelerations of the others, alone or with what their angles do to
+    inertia; the share they account for is that of data they were not fitted to.
     Gravity of a chain would need many more columns, which short recordings do not tell apart.
 
     """
@@ -60,7 +62,7 @@ def coupling_sentences(objective, bundle, theta, names, chosen, apart=()):
     if min(out.sum(), (~out).sum()) < _FEWEST:
         return ()
     share = max(_share(left, columns[:, :width], out)
-                for width in (1 + len(others), columns.shape[1]))
+                for width in (_OWN + len(others), columns.shape[1]))
     if share < _SHARE or rms(left[out]) < _WORTH * rms(torque[out]):
         return ()
     return (f'{100 * share:.0f} % of what this model leaves of the torque of {names[joint]} goes '
@@ -76,13 +78,20 @@ def _left(objective, bundle, theta, stretch, others):
     residual = friction_torque(stretch, bundle.arm)[:, joint] - model_friction(
         objective, stretch, theta, bundle.period)
     bend, cosine = stretch.acceleration, np.cos(np.nan_to_num(stretch.angle[:, others]))
-    columns = np.concatenate([np.ones((len(residual), 1)), bend[:, others],
-                              bend[:, others] * cosine, bend[:, [joint]] * cosine], axis=1)
+    rate, angle = stretch.rate[:, joint], np.nan_to_num(stretch.angle[:, joint])
+    own = [np.ones(len(rate)), bend[:, joint], rate, np.tanh(rate / (_SLOW * rms(rate) + 1e-12)),
+           np.cos(angle), np.sin(angle)]
+    columns = np.concatenate([np.stack(own, axis=1), bend[:, others], bend[:, others] * cosine,
+                              bend[:, [joint]] * cosine], axis=1)
     keep = stretch.tested[:, joint] & np.isfinite(stretch.angle).all(axis=1)
     return low_pass(residual, stretch.window), low_pass(columns, stretch.window), keep
 
 
 def _share(left, columns, out):
-    """Return how much of the square of ``left`` columns fitted elsewhere account for."""
-    fit = np.linalg.lstsq(columns[~out], left[~out], rcond=1e-9)[0]
-    return 1.0 - (rms(left[out] - columns[out] @ fit) / max(rms(left[out]), 1e-300)) ** 2
+    """Return how much of the square of ``left`` others account for, beyond the axis itself."""
+    rests = []
+    for width in (0, _OWN, columns.shape[1]):
+        part = columns[:, :width]
+        fit = np.linalg.lstsq(part[~out], left[~out], rcond=1e-9)[0]
+        rests.append(rms(left[out] - part[out] @ fit))
+    return 1.0 - (rests[2] / max(min(rests[:2]), 1e-300)) ** 2
