@@ -12,6 +12,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from gms_flex_control.discrepancy.bounded import solve
+from gms_flex_control.discrepancy.compatible import may_join
 from gms_flex_control.discrepancy.fit import effect_columns, fit, Fitted, numbers_of
 from gms_flex_control.discrepancy.guesses import all_guesses
 from gms_flex_control.discrepancy.problem import with_effect
@@ -29,9 +30,6 @@ _SIMPLER = 0.03       # of a gain: so much less is as good, with fewer numbers
 _BETTER = 0.01        # likewise: so much more is better, with more numbers
 _ROUNDS = 3           # of adding and exchanging
 _EXACT = 12           # hypotheses whose gain is found within bounds
-_SCALED = {'stiffness_error', 'motor_inertia_error'}
-_LATE = {'actuator_lag', 'input_delay'}
-_SCALED_RIGID = {'link_inertia_error'}
 
 
 class Ranked(NamedTuple):
@@ -301,30 +299,6 @@ def refitted(problem, robot, x, knobs, known, iterations=3):
     own = effect_columns(problem, model.robot, model.x, model.rows,
                          numbers_of(model.robot.effects, known))
     return model, np.concatenate([knobs, own])
-
-
-def may_join(spec, robot):
-    """
-    Return whether an effect may be added to a robot: not twice, and none that undoes another.
-
-    The torque constant together with stiffness and inertia, of a rigid joint with that of its
-    link, would scale a whole joint, which no motion tells from other torque, and rows are
-    smallest where all is nothing. Lag and delay of one actuator are told from each other hardly,
-    from their sum not at all.
-    """
-    there = {one.name for one in robot.effects if one.joint == spec.joint}
-    if spec.name in there:
-        return False
-    rigid = spec.joint in robot.joints and robot.arm.rigid[robot.joints.index(spec.joint)]
-    scaled = _SCALED_RIGID if rigid else _SCALED
-    excluded = set()
-    if spec.name == 'torque_gain':
-        excluded = scaled
-    elif spec.name in scaled:
-        excluded = {'torque_gain'}
-    elif spec.name in _LATE:
-        excluded = _LATE
-    return not there & excluded
 
 
 def without(problem, model, columns, known, i):
