@@ -19,7 +19,7 @@ def add_parser(subparsers):
         description='Hide an effect, drawn by a seed, in the simulated robot; drive it with '
                     'plant, controller and trajectory as three processes in lockstep and record '
                     'a bag; find what the model believed in lacks (the tool gets no more than '
-                    'bag and robot file, every parameter 1 to 3 %% off); drive the same motion '
+                    'bag and robot file, every parameter 1 to 3 % off); drive the same motion '
                     'with what was found, and with the true model. Exit code 0 if the name is '
                     'right and the gap shrank, 1 if not.')
     parser.add_argument('--out', default='demo_discrepancy_output', metavar='DIR',
