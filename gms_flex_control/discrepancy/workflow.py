@@ -229,10 +229,11 @@ def _told(problem, found, entries, known, options, holdout, say):
     left = max(after - _NOISE_DOUBT, 0.0) / before if before > slack else 0.0
     whole = max(before * problem.clean_cost, 1e-12)
     say('the gap on data held out')
-    found, entries, gap = _added(problem, found, known, _choices(entries, left, whole),
-                                 _measured_on(problem, holdout))
+    measured = _measured_on(problem, holdout)
+    found, entries, gap = _added(problem, found, known, _choices(entries, left, whole), measured)
     largest = max((one.alone for one in entries), default=0.0)
-    findings = [_finding(problem, found, known, one, whole, largest, options) for one in entries]
+    findings = [_finding(problem, measured, found, known, one, whole, largest, options)
+                for one in entries]
     sure = {id(finding) for finding, one in zip(findings, entries, strict=True)
             if len(findings) <= FEW or judge.is_sure(one) and not finding.confusable_with}
     left_over = None
@@ -273,7 +274,7 @@ def _measured_on(problem, holdout):
     return problem.of_others([path_of(recording, problem.robot) for recording in holdout])
 
 
-def _finding(problem, found, known, one, whole, largest, options):
+def _finding(problem, measured, found, known, one, whole, largest, options):
     spec = found.model.robot.effects[one.index]
     others = judge.rivals(problem, found, one)
     alike = judge.confusable(spec, others)
@@ -287,5 +288,5 @@ def _finding(problem, found, known, one, whole, largest, options):
         runner_up_score=others[0][2] * one.loss if others else 0.0,
         confusable_with=alike, tells_apart=tells_apart(spec.name, alike),
         evidence=evidence_of(spec, one, others),
-        rms_before=torque_rms(problem, one.less.robot, found.model.x),
-        rms_after=torque_rms(problem, found.model.robot, found.model.x))
+        rms_before=torque_rms(measured, one.less.robot, found.model.x),
+        rms_after=torque_rms(measured, found.model.robot, found.model.x))
