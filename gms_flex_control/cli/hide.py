@@ -13,7 +13,7 @@ def add_parser(subparsers):
         'hide', help='bags of simulated robots in which an effect is hidden',
         description='Draw robots in which something is hidden, drive them and write, for each, '
                     'DIR/<kind>_<seed>/ with bag and held_out (two motions of the same robot), '
-                    'robot.yaml (what its user believes, 1 to 3 %% off), controller.yaml and '
+                    'robot.yaml (what its user believes, 1 to 3 % off), controller.yaml and '
                     'truth.json. The integrator is not the one of the workflow.')
     parser.add_argument('--out', required=True, metavar='DIR')
     parser.add_argument('--kind', nargs='+', default=['single'], metavar='KIND',

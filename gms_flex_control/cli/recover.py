@@ -18,7 +18,7 @@ def add_parser(subparsers):
     parser = subparsers.add_parser(
         'recover', help='identify a simulated robot many times and compare with the truth',
         description='Simulate the identification experiment and identify it, once per seed, and '
-                    'print how each parameter comes out, how often its 95 %% interval holds the '
+                    'print how each parameter comes out, how often its 95 % interval holds the '
                     'truth, and how far the presliding curve is off.')
     parser.add_argument('--robot', metavar='FILE', help='the truth; default: the arm of the paper')
     parser.add_argument('--controller', metavar='FILE', help='default: the gains of the paper')
