@@ -33,7 +33,7 @@ _SHARPNESS = (2.0, 1.0)
 _HELD_OUT = 4         # one in so many blocks of time is held out
 _STEADY_DOUBT, _BLOCK_DOUBT = 1.0, 3.0  # spread of the prior, of logarithms
 _EXTRA_DOUBT = 1.0    # of corrections, in their units
-_ROUGH = 0.1          # of the cost: what hollows near the best differ by, where encoders count
+_ROUGH = 0.04         # of the cost: what hollows near the best differ by, where encoders count
 _PATIENCE, _PATIENCE_LAST = 8, 5  # fits in a row without a gain that end hops of a level
 _MORE_TURNS = 2       # of hops of all joints at the last level, at most
 
@@ -326,7 +326,7 @@ def roughness(refined, prior, half):
     Return the variance (P,) of free numbers that hollows near the best leave open.
 
     Counts of an encoder make the cost rough: hollows that hops do not find are as deep as the
-    best within a tenth. This is how far the curvature lets numbers move for that much.
+    best within some percent. This is how far the curvature lets numbers move for that much.
     """
     if half == 0.0:
         return np.zeros(len(refined.free))
