@@ -14,14 +14,13 @@ from functools import cache
 
 from gms_flex_control import records
 from gms_flex_control.compiled import compiled
-from gms_flex_control.control import cascade, observer
+from gms_flex_control.control import observer
 from gms_flex_control.effect_compensation.known import as_parameters
 from gms_flex_control.effects import signals as sig
 from gms_flex_control.effects import table as effect_table
 from gms_flex_control.effects.base import Stage
 from gms_flex_control.records import boxed, FLOAT
-from gms_flex_control.simulation import encoder
-from gms_flex_control.simulation.stepped import tick_boxed
+from gms_flex_control.simulation.stepped import SteppedController
 import numpy as np
 
 _FRICTION, _LINK, _MOTOR = int(Stage.FRICTION), int(Stage.LINK), int(Stage.MOTOR)
@@ -110,7 +109,7 @@ def feed(controls, measurements, dt, constant, states):
         control.command[j] = min(max(command, -limit), limit)
 
 
-class CompensatingController:
+class CompensatingController(SteppedController):
     """
     The cascade controller with a model that may name effects, tick by tick.
 
@@ -124,28 +123,21 @@ class CompensatingController:
     """
 
     def __init__(self, gains, model):
-        self._model = as_parameters(model)
-        self._work = boxed(cascade.workspace(model.n_joints))
-        self._measured = boxed(encoder.init(model.n_joints))
-        self.measured = self._measured[0]
-        self.use(gains)
-        self.reset()
+        super().__init__(gains, as_parameters(model))
 
     def use(self, gains):
         """Take other gains from the next tick on."""
-        self._law = boxed(cascade.constants_of(gains, self._model))
-        self._constants = boxed(constants_of(gains, self._model))
+        super().use(gains)
+        self._feeding = boxed(constants_of(gains, self._model))
 
     def reset(self):
         """Forget the motion so far: observer and filters begin anew."""
-        self._state = boxed(cascade.init(self._model))
+        super().reset()
         self._fed = boxed(records.build(state_layout(self._model.n_joints)))
-        self.state = self._state[0]
-        self._command = self.state.command
 
     def tick(self, reference, dt):
         """Answer ``measured`` with a torque (n_joints,) [N m]; see control.cascade.tick."""
-        tick_boxed(self._state, self._measured, reference, dt, self._law, self._work)
+        command = super().tick(reference, dt)
         if self._model.effects:
-            feed(self._state, self._measured, dt, self._constants, self._fed)
-        return self._command
+            feed(self._state, self._measured, dt, self._feeding, self._fed)
+        return command
