@@ -17,20 +17,8 @@ from gms_flex_control.friction import gms
 from gms_flex_control.simulation import plant
 import numpy as np
 
-_ACTUATOR, _TWIST, _SPRING, _FRICTION, _LINK, _MOTOR, _SENSOR = (int(stage) for stage in Stage)
+_ACTUATOR, _, _, _FRICTION, _LINK, _MOTOR, _ = (int(stage) for stage in Stage)
 _SUBSTEPS = 4  # of a sample, where an actuator changes what it is told
-
-
-@compiled
-def take_place(k, path, command, time, state, work):
-    """Put the robot where ``path`` (T, 6, n) has it at sample ``k``, and fill the signals."""
-    for j in range(command.shape[1]):
-        state.q_link[j], state.dq_link[j] = path[k, 0, j], path[k, 1, j]
-        state.q_motor[j], state.dq_motor[j] = path[k, 3, j], path[k, 4, j]
-    plant.fill_signals(state, command[k], time[k], work)
-    for j in range(command.shape[1]):
-        work.signals[j, sig.DDQ_LINK] = path[k, 2, j]
-        work.signals[j, sig.DDQ_MOTOR] = path[k, 5, j]
 
 
 @compiled
@@ -48,19 +36,6 @@ def mean_applied(command, supply, time, period, constants, state, work, out):
             effect_table.run_stage(_ACTUATOR, s, state.memory, period / _SUBSTEPS, effects)
             for j in range(n):
                 out[k, j] += s[j, sig.TORQUE] / _SUBSTEPS
-
-
-@compiled
-def springs(period, state, constants, work):
-    """Write twists and spring torques into the signals, effects included."""
-    s, links, effects = work.signals, constants.chain, constants.effects
-    effect_table.run_stage(_TWIST, s, state.memory, period, effects)
-    for j in range(links.moment.shape[0]):
-        s[j, sig.SPRING] = s[j, sig.TORQUE]  # of a rigid joint
-        if links.flexible[j]:
-            s[j, sig.SPRING] = (links.stiffness[j] * s[j, sig.TWIST]
-                                + links.damping[j] * s[j, sig.TWIST_RATE])
-    effect_table.run_stage(_SPRING, s, state.memory, period, effects)
 
 
 @compiled
@@ -128,8 +103,8 @@ def torques_along(path, second, command, time, period, constants, state, work, l
     samples, n = command.shape
     bias = np.empty(n)
     for k in range(samples):
-        take_place(k, path, command, time, state, work)
-        springs(period, state, constants, work)
+        plant.take_place(k, path, command[k], time[k], state, work)
+        plant.springs(state, period, constants, work)
         replay_friction(k, path, period, constants, state, work)
         for j in range(n):
             s[j, sig.FRICTION] = work.friction[j]
@@ -151,12 +126,11 @@ def sensor_errors(path, command, time, period, constants, state, work, link, mot
     """Write by how much the encoders of a model read too high along a path, (T, n) each [rad]."""
     s = work.signals
     for k in range(command.shape[0]):
-        take_place(k, path, command, time, state, work)
+        plant.take_place(k, path, command[k], time[k], state, work)
         replay_friction(k, path, period, constants, state, work)
         for j in range(command.shape[1]):
             s[j, sig.FRICTION] = work.friction[j]
-            s[j, sig.SENSED_LINK], s[j, sig.SENSED_MOTOR] = state.q_link[j], state.q_motor[j]
-        effect_table.run_stage(_SENSOR, s, state.memory, period, constants.effects)
+        plant.run_sensors(state, period, constants, work)
         for j in range(command.shape[1]):
             link[k, j] = s[j, sig.SENSED_LINK] - state.q_link[j]
             motor[k, j] = s[j, sig.SENSED_MOTOR] - state.q_motor[j]

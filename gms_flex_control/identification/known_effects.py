@@ -24,8 +24,8 @@ from gms_flex_control.identification.smoothing import derivatives
 from gms_flex_control.simulation import plant
 import numpy as np
 
-_TWIST, _SPRING, _LINK, _MOTOR, _SENSOR = (int(stage) for stage in (
-    Stage.TWIST, Stage.SPRING, Stage.LINK, Stage.MOTOR, Stage.SENSOR))
+_TWIST, _SPRING, _LINK, _MOTOR = (int(stage) for stage in (
+    Stage.TWIST, Stage.SPRING, Stage.LINK, Stage.MOTOR))
 _ON_LINK = (Stage.TWIST, Stage.SPRING, Stage.LINK, Stage.MOTOR)
 _WINDOW = 0.05        # of the rates and accelerations that effects look at [s]
 _NOT_ALONG = ('base_flexibility',)  # needs torques that only a simulation has
@@ -172,22 +172,11 @@ def _motion(time, q_link, q_motor, period):
 
 
 @compiled
-def _take_place(k, motion, torque, time, state, work):
-    for j in range(torque.shape[0]):
-        state.q_link[j], state.dq_link[j] = motion[k, 0, j], motion[k, 1, j]
-        state.q_motor[j], state.dq_motor[j] = motion[k, 3, j], motion[k, 4, j]
-    plant.fill_signals(state, torque, time[k], work)
-    for j in range(torque.shape[0]):
-        work.signals[j, sig.DDQ_LINK] = motion[k, 2, j]
-        work.signals[j, sig.DDQ_MOTOR] = motion[k, 5, j]
-
-
-@compiled
 def _further_torques(motion, torque, time, period, constants, spring, state, work, out):
     """Write the torques of effects on each link at each sample into ``out`` (T, n)."""
     s, links, effects = work.signals, constants.chain, constants.effects
     for k in range(out.shape[0]):
-        _take_place(k, motion, torque[k], time, state, work)
+        plant.take_place(k, motion, torque[k], time[k], state, work)
         for j in range(out.shape[1]):
             out[k, j] = -(links.stiffness[j] * s[j, sig.TWIST]
                           + links.damping[j] * s[j, sig.TWIST_RATE]) if spring[j] else 0.0
@@ -207,10 +196,8 @@ def _sensor_errors(motion, time, period, constants, state, work, link, motor):
     """Write by how much the encoders read too high, (T, n) each [rad]."""
     s, none = work.signals, np.zeros(link.shape[1])
     for k in range(link.shape[0]):
-        _take_place(k, motion, none, time, state, work)
-        for j in range(link.shape[1]):
-            s[j, sig.SENSED_LINK], s[j, sig.SENSED_MOTOR] = state.q_link[j], state.q_motor[j]
-        effect_table.run_stage(_SENSOR, s, state.memory, period, constants.effects)
+        plant.take_place(k, motion, none, time[k], state, work)
+        plant.run_sensors(state, period, constants, work)
         for j in range(link.shape[1]):
             link[k, j] = s[j, sig.SENSED_LINK] - state.q_link[j]
             motor[k, j] = s[j, sig.SENSED_MOTOR] - state.q_motor[j]

@@ -107,18 +107,25 @@ def fill_signals(state, command, time, work):
 
 
 @compiled
-def torques(state, dt, constants, work):
-    """Evaluate springs, friction and effects; leaves the torque on the links in work.chain.tau."""
+def springs(state, dt, constants, work):
+    """Write twists and what drives each link into the signals, effects included."""
     s, links, effects = work.signals, constants.chain, constants.effects
-    n = state.q_link.shape[0]
-    effect_table.run_stage(_ACTUATOR, s, state.memory, dt, effects)
     effect_table.run_stage(_TWIST, s, state.memory, dt, effects)
-    for j in range(n):
+    for j in range(links.moment.shape[0]):
         s[j, sig.SPRING] = s[j, sig.TORQUE]  # of a rigid joint
         if links.flexible[j]:
             s[j, sig.SPRING] = (links.stiffness[j] * s[j, sig.TWIST]
                                 + links.damping[j] * s[j, sig.TWIST_RATE])
     effect_table.run_stage(_SPRING, s, state.memory, dt, effects)
+
+
+@compiled
+def torques(state, dt, constants, work):
+    """Evaluate springs, friction and effects; leaves the torque on the links in work.chain.tau."""
+    s, links, effects = work.signals, constants.chain, constants.effects
+    n = state.q_link.shape[0]
+    effect_table.run_stage(_ACTUATOR, s, state.memory, dt, effects)
+    springs(state, dt, constants, work)
     gms.total(state.friction, state.dq_link, constants.friction, work.friction)
     for j in range(n):
         s[j, sig.FRICTION] = work.friction[j]
@@ -134,11 +141,45 @@ def torques(state, dt, constants, work):
 @compiled
 def sensed(state, command, time, period, constants, work):
     """Write the angles that encoders are given into the signals, errors of sensors included."""
-    s = work.signals
     fill_signals(state, command, time, work)
+    run_sensors(state, period, constants, work)
+
+
+@compiled
+def run_sensors(state, period, constants, work):
+    """Write the angles that encoders are given, with all other signals filled before."""
+    s = work.signals
     for j in range(state.q_link.shape[0]):
         s[j, sig.SENSED_LINK], s[j, sig.SENSED_MOTOR] = state.q_link[j], state.q_motor[j]
     effect_table.run_stage(_SENSOR, s, state.memory, period, constants.effects)
+
+
+@compiled
+def take_place(k, motion, torque, time, state, work):
+    """
+    Put the robot where a measured motion has it, and fill the signals.
+
+    Parameters
+    ----------
+    k : int
+        Sample.
+    motion : ndarray, shape (T, 6, n)
+        Angle, rate and acceleration of links, then of motors [rad, s].
+    torque : ndarray, shape (n,)
+        Of the actuators [N m].
+    time : float
+        [s]
+    state, work : numpy.record
+        Changed.
+
+    """
+    for j in range(torque.shape[0]):
+        state.q_link[j], state.dq_link[j] = motion[k, 0, j], motion[k, 1, j]
+        state.q_motor[j], state.dq_motor[j] = motion[k, 3, j], motion[k, 4, j]
+    fill_signals(state, torque, time, work)
+    for j in range(torque.shape[0]):
+        work.signals[j, sig.DDQ_LINK] = motion[k, 2, j]
+        work.signals[j, sig.DDQ_MOTOR] = motion[k, 5, j]
 
 
 @compiled
