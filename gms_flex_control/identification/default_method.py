@@ -30,7 +30,7 @@ LEVELS = ((8e-3, 0.5), (4e-3, 0.5), (2e-3, 0.5), (2e-3, 1.0))
 CANDIDATES = (1, 2, 4, 6, 8)  # numbers of blocks that are tried
 _SPREAD_SHARPNESS = (3.0, 1.0)
 _SHARPNESS = (2.0, 1.0)
-_HELD_OUT = 4         # one in so many blocks of time is held out
+FOLDS = 4             # one in so many blocks of time is held out
 _STEADY_DOUBT, _BLOCK_DOUBT = 1.0, 3.0  # spread of the prior, of logarithms
 _EXTRA_DOUBT = 1.0    # of corrections, in their units
 _ROUGH = 0.04         # of the cost: what hollows near the best differ by, where encoders count
@@ -71,25 +71,25 @@ def prior_of(coordinates, free):
     return Prior(free.copy(), precision)
 
 
-def held_out(period):
-    """Return a function Stretch -> bool (T,) of the samples not to be fitted."""
+def held_out(period, turn=0):
+    """Return a function Stretch -> bool (T,) of the samples not to be fitted in a turn."""
     length = max(round(BLOCK_TIME / period), 1)
     return lambda stretch: (stretch.first_block + np.arange(len(stretch.angle)) // length
-                            ) % _HELD_OUT == _HELD_OUT - 1
+                            ) % FOLDS == FOLDS - 1 - turn
 
 
 def numbered(stretches, period):
     """Return stretches with their blocks of time numbered; the last of few is held out."""
     counts = [max(len(stretch.angle) * period // BLOCK_TIME, 1.0) for stretch in stretches]
-    begin = max(_HELD_OUT - int(sum(counts)), 0)
+    begin = max(FOLDS - int(sum(counts)), 0)
     firsts = begin + np.concatenate([[0], np.cumsum(counts)]).astype(int)
     return [replace(stretch, first_block=int(first))
             for stretch, first in zip(stretches, firsts[:-1], strict=True)]
 
 
-def train(period):
-    """Return a function Stretch -> bool (T,) of the samples to be fitted."""
-    out = held_out(period)
+def train(period, turn=0):
+    """Return a function Stretch -> bool (T,) of the samples to be fitted in a turn."""
+    out = held_out(period, turn)
     return lambda stretch: ~out(stretch)
 
 

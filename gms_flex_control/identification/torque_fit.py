@@ -8,15 +8,18 @@ The predictor's innovations weigh every moment by how well it is understood, whi
 most from an arm that is as described. On a machine with forces that nobody has described, few
 moments are, and they need not be like the rest: there a plain fit of the torque predicts better.
 Both are tried, and Coulomb and viscous friction with a single stiff block as well; torque and
-free simulation choose among them, on the data held out, or on all where these are few.
+free simulation choose among them on the data held out; where these are few, on all of them and
+on each quarter held out in turn.
 """
 
+from functools import cache
 from typing import NamedTuple
 
 from gms_flex_control.identification import held_out as errors
 from gms_flex_control.identification.coordinates import friction_record
-from gms_flex_control.identification.default_method import held_out, prior_of, train
+from gms_flex_control.identification.default_method import FOLDS, held_out, prior_of, train
 from gms_flex_control.identification.objective import BLOCK_TIME, coarser, Objective
+from gms_flex_control.identification.refine import refine
 from gms_flex_control.identification.smoothing import low_pass
 from gms_flex_control.identification.steady import friction_torque
 from gms_flex_control.identification.uncertainty import REPLICATES, Spread
@@ -37,7 +40,7 @@ _SENTENCES = {
              'them, would tell it.',)}
 _MOST = 20_000        # samples that are looked at
 _YIELDS = (1.0, 5.0, 25.0)  # of the simple one's block, of the usual
-_SHORT = 60.0         # data in which what is held out is too little to choose by [s]
+_SHORT = 60.0         # data in which one part held out is too little to choose by [s]
 _WORTH = 0.97         # of the error on data held out: a fit that is no better is not taken
 _CLEAR = 0.9          # likewise where the fit itself has seen the data that decide
 _MEMORY = 0.1         # of what a fit leaves of the torque, at least [s]
@@ -58,6 +61,20 @@ class Choice(NamedTuple):
     def sentences(self):
         """Return what is to be said of the kind, a tuple of str."""
         return _SENTENCES[self.kind]
+
+
+class Look(NamedTuple):
+    """Which samples are fitted and which judge the fit, each Stretch -> bool (T,)."""
+
+    fitted: object
+    out: object
+
+
+class Trial(NamedTuple):
+    """How a fit is compared with the simple one."""
+
+    looks: tuple   # of Look; their errors count together
+    enough: float  # error relative to that of the simple one that a fit must stay below
 
 
 class _Piece(NamedTuple):
@@ -210,21 +227,133 @@ def choose_fit(bundle, joint, fits, step, rng):
     samples = sum(len(stretch.angle) for stretch in bundle.stretches)
     thin = coarser(bundle, bundle.period * max(samples // _MOST, 1))
     thetas = [fit.coordinates.unpack(fit.free)[0] for fit in fits]
-    objective = Objective(thin, joint, thetas)
-    fit, chosen = fits[joint], train(thin.period)
-    known = fit.coordinates, fit.held_out.free
-    plain = _simple(objective, thin, step, chosen)
-    least = _errors(objective, thin, *plain, step)
-    training = TorqueError(objective, thin, chosen, step)
-    fair = _penalty(training, thin, known[0].size, plain[0].size)
-    enough = _WORTH if _seconds(thin) > _SHORT else _CLEAR
-    if fair * _worse(_errors(objective, thin, *known, step), least) < enough:
-        return Choice(INNOVATIONS, fit, None)
-    begin = _levelled(known[1], plain[1])
-    moved = known[0], fit_torque(training, known[0], begin, _belief(known[0], begin))
-    if fair * _worse(_errors(objective, thin, *moved, step), least) < enough:
-        return _finished(TORQUE, objective, thin, fit, *moved, step, rng)
-    return _finished(SIMPLE, objective, thin, fit, *plain, step, rng)
+    contest = _Contest(thin, joint, thetas, fits[joint], step)
+    if all(contest.won(trial, contest.by_innovations) for trial in contest.trials):
+        return Choice(INNOVATIONS, fits[joint], None)
+    kind = TORQUE if all(contest.won(trial, contest.by_torque)
+                         for trial in contest.trials) else SIMPLE
+    return contest.finished(kind, rng)
+
+
+class _Contest:
+    """
+    Fits of one joint beside the simple one.
+
+    Parameters
+    ----------
+    bundle : Bundle
+        Data to compare by.
+    joint : int
+        Which joint.
+    thetas : sequence of ndarray
+        Parameters of all joints.
+    fit : JointFit
+        By the innovations.
+    step : float
+        Encoder step or noise [rad].
+
+    """
+
+    def __init__(self, bundle, joint, thetas, fit, step):
+        self._bundle, self._fit, self._step = bundle, fit, step
+        self._objective_of = lambda chosen: Objective(bundle, joint, thetas, chosen)
+        self._objective = Objective(bundle, joint, thetas)
+        self.trials = _trials(bundle)
+        self._first = self.trials[0].looks[0]
+        self.simple, self.by_torque = cache(self._simple), cache(self._by_torque)
+
+    def won(self, trial, fitted):
+        """Return whether ``fitted``, Look -> Coordinates and free numbers, is better enough."""
+        found = self._errors(trial.looks, [fitted(look) for look in trial.looks])
+        least = self._errors(trial.looks, [self.simple(look) for look in trial.looks])
+        return self._penalty(trial) * np.nanmax(found / least) < trial.enough
+
+    def by_innovations(self, look):
+        """Return Coordinates and free numbers of the fit by the innovations."""
+        if look is self._first:
+            return self._fit.coordinates, self._fit.held_out.free
+        return self._fit.coordinates, refine(
+            self._objective_of(look.fitted), self._fit.coordinates, self._fit.free,
+            self._fit.prior).free
+
+    def _by_torque(self, look):
+        """Return Coordinates and free numbers of a fit of the torque."""
+        coordinates, free = self.by_innovations(look)
+        begin = _levelled(free, self.simple(look)[1])
+        return coordinates, fit_torque(self._error(look.fitted), coordinates, begin,
+                                       _belief(coordinates, begin))
+
+    def _simple(self, look):
+        """
+        Return Coulomb and viscous friction as Coordinates and free numbers.
+
+        Its one block is as stiff as suits the torque best, as long as free motion does not
+        suffer.
+        """
+        plain = errors.coulomb_viscous(self._objective, self._bundle.stretches, self._bundle.arm,
+                                       self._objective.joint, self._step, look.fitted)
+        tried = [errors.simple_free(plain, factor * self._step, len(plain) - 4)
+                 for factor in _YIELDS]
+        found = [self._errors([look], [pair]) for pair in tried]
+        fine = [k for k, pair in enumerate(found) if not pair[1] > found[0][1]]
+        return tried[min(fine, key=lambda k: found[k][0])]
+
+    def finished(self, kind, rng):
+        """Return the Choice of a kind, fitted to all data."""
+        coordinates, held = (self.by_torque if kind == TORQUE else self.simple)(self._first)
+        error, prior = self._error(_everything), prior_of(coordinates, held)
+        if kind == SIMPLE:
+            free = self.simple(Look(_everything, self._first.out))[1]
+        else:
+            prior = _belief(coordinates, held)
+            free = fit_torque(error, coordinates, held, prior)
+        chosen = self._fit.held_out._replace(coordinates=coordinates, free=held,
+                                             n_blocks=coordinates.n_blocks)
+        fit = self._fit._replace(coordinates=coordinates, free=free, prior=prior,
+                                 held_out=chosen, sampling=np.zeros(len(free)))
+        return Choice(kind, fit, torque_spread(error, coordinates, free, prior, rng))
+
+    def _penalty(self, trial):
+        """
+        Return by how much more a fit flatters itself than the simple one.
+
+        Akaike's final prediction error, samples counted by how long an error lasts; 1 where the
+        data held out decide, which took no part in the fit.
+        """
+        look = trial.looks[0]
+        if look.out is not _everything:
+            return 1.0
+        error, size = self._error(look.fitted), self._fit.coordinates.size
+        least = self.simple(look)[0].size
+        count = max(len(error.block) / error.memory, 1.1 * size)
+        return float(np.sqrt((count + size) * (count - least) / (count - size) / (count + least)))
+
+    def _errors(self, looks, fits):
+        """Return the errors of torque and of free simulation (2,) where looks judge."""
+        found = []
+        for look, (coordinates, free) in zip(looks, fits, strict=True):
+            theta = coordinates.unpack(free)[0]
+            found.append([errors.rms(self._error(look.out)(theta)), errors.free_run_error(
+                self._objective, self._bundle, theta, look.out)])
+        return np.sqrt(np.nanmean(np.square(found), axis=0))
+
+    def _error(self, chosen):
+        return TorqueError(self._objective, self._bundle, chosen, self._step)
+
+
+def _trials(bundle):
+    """
+    Return what a fit has to pass, a tuple of Trial.
+
+    Where data are few, one part of them held out may be like no other, and a motion that lacks
+    a quarter may not tell the simple model either: a fit must be better on all of them, by more
+    than it flatters itself, and as each quarter is held out in turn.
+    """
+    period = bundle.period
+    if period * sum(len(stretch.angle) for stretch in bundle.stretches) > _SHORT:
+        return (Trial((Look(train(period), held_out(period)),), _WORTH),)
+    turns = tuple(Look(train(period, turn), held_out(period, turn)) for turn in range(FOLDS))
+    return Trial((Look(train(period), _everything),), _CLEAR), Trial(turns, _WORTH)
 
 
 def _levelled(free, plain):
@@ -245,64 +374,5 @@ def _belief(coordinates, free):
     return prior
 
 
-def _penalty(error, bundle, size, least):
-    """
-    Return by how much more a fit of ``size`` numbers flatters itself than one of ``least``.
-
-    Akaike's final prediction error, samples counted by how long an error lasts; 1 where the
-    data held out decide, which took no part in the fit.
-    """
-    if _seconds(bundle) > _SHORT:
-        return 1.0
-    count = max(len(error.block) / error.memory, 1.1 * size)
-    return float(np.sqrt((count + size) * (count - least) / (count - size) / (count + least)))
-
-
-def _seconds(bundle):
-    return bundle.period * sum(len(stretch.angle) for stretch in bundle.stretches)
-
-
-def _worse(found, least):
-    """Return the larger of both errors (2,) relative to those of the simple model (2,)."""
-    return float(np.nanmax(found / least))
-
-
-def _simple(objective, bundle, step, chosen):
-    """
-    Return Coulomb and viscous friction as Coordinates and free numbers.
-
-    Its one block is as stiff as suits the torque best, as long as free motion does not suffer.
-    """
-    plain = errors.coulomb_viscous(objective, bundle.stretches, bundle.arm, objective.joint,
-                                   step, chosen)
-    tried = [errors.simple_free(plain, factor * step, len(plain) - 4) for factor in _YIELDS]
-    found = [_errors(objective, bundle, *pair, step) for pair in tried]
-    fine = [k for k, pair in enumerate(found) if not pair[1] > found[0][1]]
-    return tried[min(fine, key=lambda k: found[k][0])]
-
-
-def _finished(kind, objective, bundle, fit, coordinates, held, step, rng):
-    """Return the Choice of a kind, fitted to all data."""
-    error = TorqueError(objective, bundle, _everything, step)
-    prior = _belief(coordinates, held) if kind == TORQUE else prior_of(coordinates, held)
-    if kind == SIMPLE:
-        free = _simple(objective, bundle, step, _everything)[1]
-    else:
-        free = fit_torque(error, coordinates, held, prior)
-    chosen = fit.held_out._replace(coordinates=coordinates, free=held,
-                                   n_blocks=coordinates.n_blocks)
-    fit = fit._replace(coordinates=coordinates, free=free, prior=prior, held_out=chosen,
-                       sampling=np.zeros(len(free)))
-    return Choice(kind, fit, torque_spread(error, coordinates, free, prior, rng))
-
-
 def _everything(stretch):
     return np.ones(len(stretch.angle), dtype=bool)
-
-
-def _errors(objective, bundle, coordinates, free, step):
-    """Return the errors of torque and of free simulation (2,)."""
-    theta = coordinates.unpack(free)[0]
-    out = held_out(bundle.period) if _seconds(bundle) > _SHORT else _everything
-    return np.array([errors.rms(TorqueError(objective, bundle, out, step)(theta)),
-                     errors.free_run_error(objective, bundle, theta, out)])
