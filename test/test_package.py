@@ -54,6 +54,7 @@ def test_every_requirement_is_locked():
               for r in sum(extras.values(), setup_argument('install_requires'))}
     locked = {line.partition('==')[0].strip() for line in
               (ROOT / 'constraints.txt').read_text(encoding='utf-8').splitlines() if '==' in line}
+    wanted.discard('gms_flex_control')  # an extra that takes another in
     assert wanted <= locked, f'run make lock: {sorted(wanted - locked)} missing'
 
 
