@@ -228,10 +228,12 @@ class Loop:
     def __init__(self, bench, *, rate=RATE, controller_parameters=None, deaf_to=''):
         self.bench = bench
         self.commands, self.states, self.diagnostics = Log(), Log(), Diagnostics(bench)
+        self._heard = []
         for kind, topic, log in ((Float64MultiArray, COMMANDS, self.commands),
                                  (JointState, STATES, self.states)):
             if topic != deaf_to:
                 bench.listen(kind, topic, log)
+                self._heard.append(log)
         self._files = [*default_files(), config('sinusoid.yaml')]
         self._parameters = controller_parameters or {}
         self.start_controller()
@@ -261,8 +263,8 @@ class Loop:
         return self.states.longest_gap(since) > _STALL
 
     def settle(self):
-        """Wait until the arm is moved."""
-        self.bench.until(lambda: max(len(self.commands), len(self.states)) > 50 and self.moves())
+        """Wait until the arm is moved, and heard to be."""
+        self.bench.until(lambda: all(len(log) > 50 for log in self._heard) and self.moves())
 
     def run(self, duration):
         """Listen for a time [s]; return when that began."""
