@@ -141,7 +141,7 @@ def free_run_error(objective, bundle, theta, chosen):
         predictor.simulate_freely(
             stretch.angle, np.ascontiguousarray(stretch.rate[0]), stretch.torque, extra,
             theta[len(theta) - extra.shape[1]:], bundle.period, links, objective.friction(theta),
-            joint, np.stack([2.0 * bundle.observer, bundle.observer ** 2]), bundle.half, first,
+            joint, bundle.observer_gains(), bundle.half, first,
             stride, horizon, records.build(blocks), records.build(blocks), plant.workspace(n),
             predicted)
         for start in range(starts):

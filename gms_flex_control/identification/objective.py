@@ -33,6 +33,11 @@ class Bundle(NamedTuple):
     observer: np.ndarray  # bandwidth per joint (n,) [rad/s]
     extras: tuple        # per joint a function Stretch -> (T, R) of further torques, or None
 
+    def observer_gains(self, sharpness=1.0):
+        """Return gains of rate and angle (2, n), ``sharpness`` times as fast if samples allow."""
+        bandwidth = np.minimum(sharpness * self.observer, _FASTEST_STEP / self.period)
+        return np.stack([2.0 * bandwidth, bandwidth ** 2])
+
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
@@ -173,7 +178,6 @@ class Objective:
         """Return predicted angles, innovations (T, n) and jacobian (T, P) of a stretch."""
         bundle, n = self._bundle, stretch.angle.shape[1]
         extra = self.extra(stretch)
-        bandwidth = np.minimum(sharpness * bundle.observer, _FASTEST_STEP / bundle.period)
         samples, width = len(stretch.angle), directions.shape[1]
         predicted, innovation = np.empty((2, samples, n))
         jacobian = np.empty((samples, width))
@@ -182,7 +186,7 @@ class Objective:
             theta[len(theta) - extra.shape[1]:], bundle.period, self._links,
             self.friction(theta), self._carried if width else self._alone,
             np.ascontiguousarray(directions),
-            np.stack([2.0 * bandwidth, bandwidth ** 2]), bundle.half,
+            bundle.observer_gains(sharpness), bundle.half,
             records.build(gms.state_layout(n, MOST_BLOCKS)), plant.workspace(n), predicted,
             innovation, jacobian)
         return predicted, innovation, jacobian

@@ -38,7 +38,8 @@ _SENTENCES = {
              'viscous friction, which is what was taken (one stiff block, no Stribeck part). '
              'Slow reversals and torque ramps below break-away, with an encoder that resolves '
              'them, would tell it.',)}
-_MOST = 20_000        # samples that are looked at
+_MOST = 20_000        # samples that are looked at, if they are no further apart than
+_COARSE = 8e-3        # [s]
 _YIELDS = (1.0, 5.0, 25.0)  # of the simple one's block, of the usual
 _SHORT = 60.0         # data in which one part held out is too little to choose by [s]
 _WORTH = 0.97         # of the error on data held out: a fit that is no better is not taken
@@ -225,7 +226,7 @@ def choose_fit(bundle, joint, fits, step, rng):
 
     """
     samples = sum(len(stretch.angle) for stretch in bundle.stretches)
-    thin = coarser(bundle, bundle.period * max(samples // _MOST, 1))
+    thin = coarser(bundle, min(bundle.period * max(samples // _MOST, 1), _COARSE))
     thetas = [fit.coordinates.unpack(fit.free)[0] for fit in fits]
     contest = _Contest(thin, joint, thetas, fits[joint], step)
     if all(contest.won(trial, contest.by_innovations) for trial in contest.trials):
