@@ -13,6 +13,7 @@ from gms_flex_control.params.encoder import EncoderParams
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.robot import RobotParams
+from gms_flex_control.recording import Recording
 import numpy as np
 
 JOINT = 'joint1'
@@ -73,3 +74,22 @@ def part(take, begin, end):
     late = [phase for phase in kept if phase.time_ns > shift]
     return cut, tuple(phase._replace(time_ns=max(phase.time_ns - shift, 0))
                       for phase in (*early, *late))
+
+
+def pendulum(inertia=0.02, pull=0.5, offset=-1.2, constant=0.0, seconds=40.0, rate=200.0, seed=0,
+             ripple=(0.0, 0.0, 0.0), pace=1.0):
+    """Return a Recording of a pendulum with Coulomb and viscous friction, in closed form."""
+    time = np.arange(int(seconds * rate)) / rate
+    parts = [(0.9, 0.31 * pace, 0.0), (0.5, 0.83 * pace, 1.0), (0.25, 1.7 * pace, 2.0)]
+    q = sum(a * np.sin(2 * np.pi * f * time + p) for a, f, p in parts)
+    dq = sum(a * 2 * np.pi * f * np.cos(2 * np.pi * f * time + p) for a, f, p in parts)
+    ddq = -sum(a * (2 * np.pi * f) ** 2 * np.sin(2 * np.pi * f * time + p) for a, f, p in parts)
+    torque = (inertia * ddq + pull * np.cos(q + offset) + 0.06 * np.tanh(dq / 0.01) + 0.01 * dq
+              + constant - ripple[0] * np.sin(ripple[1] * q + ripple[2]))
+    torque = torque + 2e-3 * np.random.default_rng(seed).standard_normal(len(time))
+    held = np.append(torque[0], 0.5 * (torque[1:] + torque[:-1]))
+    none, column = np.full((len(time), 1), np.nan), q[:, None]
+    return Recording(joints=('swing',), time=time, q_link=column, dq_link=none, q_motor=none,
+                     dq_motor=none, tau_motor=held[:, None], command=none,
+                     reference=np.full((len(time), 5, 1), np.nan), friction_hat=none,
+                     source='pendulum')

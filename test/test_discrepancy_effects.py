@@ -9,6 +9,9 @@ from gms_flex_control.discrepancy.signature import VARIABLES
 from gms_flex_control.discrepancy.workflow import discrepancy
 from gms_flex_control.effects import registry
 from gms_flex_control.hidden.cases import available_effects, make_case
+from gms_flex_control.identification.identify import identify, Options
+from gms_flex_control.identification.unknown_robot import rigid_axes
+from identified_axis import pendulum
 import numpy as np
 import pytest
 
@@ -110,6 +113,20 @@ def test_what_the_catalogue_lacks_is_unexplained(seed, name):
     assert result.unexplained.joint == truth.outsider_joint
     assert result.unexplained.equation == ('motor' if 'motor' in name else 'link')
     assert 'does not explain' in result.words
+
+
+def test_a_ripple_finer_than_any_guess_is_found():
+    """As of a gear's teeth seen at its output, hundreds per revolution."""
+    take = pendulum(pace=0.2)
+    model = identify([(take, ())], rigid_axes(take), options=Options(
+        estimate='all', blocks=(1,))).robot
+    result = discrepancy([pendulum(pace=0.2, ripple=(0.02, 157.0, 0.6), seed=1)], model)
+    assert result.verdict in (FOUND, COMPLETE)
+    values = {value.name: value.value for value in result.findings[0].values}
+    assert result.findings[0].effect == 'torque_ripple'
+    assert values['amplitude'] == pytest.approx(0.02, rel=0.1)
+    assert values['order'] == pytest.approx(157.0, abs=0.3)
+    assert result.gap.after[0] < 0.5 * result.gap.before[0]
 
 
 @pytest.mark.parametrize('seed', [2, 5])

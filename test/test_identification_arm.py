@@ -14,32 +14,13 @@ from gms_flex_control.identification.identify import identify, Options
 from gms_flex_control.identification.motor_side import fit_motor
 from gms_flex_control.identification.rigid_body import fit_axis, held_torque, rows_of
 from gms_flex_control.identification.unknown_robot import rigid_axes
-from gms_flex_control.recording import Recording
-from identified_axis import axis, experiment
+from identified_axis import axis, experiment, pendulum
 import numpy as np
 import pytest
 
 DATA = Path(__file__).parents[2] / 'shared' / 'data'
 ALL = Options(estimate='all', blocks=(1, 3))
 real = pytest.mark.skipif(not DATA.is_dir(), reason='the recordings are not beside the project')
-
-
-def pendulum(inertia=0.02, pull=0.5, offset=-1.2, constant=0.0, seconds=40.0, rate=200.0, seed=0):
-    """Return a Recording of a pendulum with Coulomb and viscous friction, in closed form."""
-    time = np.arange(int(seconds * rate)) / rate
-    parts = [(0.9, 0.31, 0.0), (0.5, 0.83, 1.0), (0.25, 1.7, 2.0)]
-    q = sum(a * np.sin(2 * np.pi * f * time + p) for a, f, p in parts)
-    dq = sum(a * 2 * np.pi * f * np.cos(2 * np.pi * f * time + p) for a, f, p in parts)
-    ddq = -sum(a * (2 * np.pi * f) ** 2 * np.sin(2 * np.pi * f * time + p) for a, f, p in parts)
-    torque = (inertia * ddq + pull * np.cos(q + offset) + 0.06 * np.tanh(dq / 0.01) + 0.01 * dq
-              + constant)
-    torque = torque + 2e-3 * np.random.default_rng(seed).standard_normal(len(time))
-    held = np.append(torque[0], 0.5 * (torque[1:] + torque[:-1]))
-    none, column = np.full((len(time), 1), np.nan), q[:, None]
-    return Recording(joints=('swing',), time=time, q_link=column, dq_link=none, q_motor=none,
-                     dq_motor=none, tau_motor=held[:, None], command=none,
-                     reference=np.full((len(time), 5, 1), np.nan), friction_hat=none,
-                     source='pendulum')
 
 
 def test_inertia_and_gravity_of_a_pendulum_are_those_it_was_made_with():
@@ -60,6 +41,29 @@ def test_gravity_is_not_made_up_where_there_is_none():
 def test_a_torque_too_large_for_asymmetry_of_friction_is_a_constant():
     fit = fit_axis(rows_of([pendulum(pull=0.0, constant=0.2)], held_torque(0), 0), 'swing', '-')
     assert fit.constant == pytest.approx(0.2, rel=0.03)
+
+
+def test_a_ripple_of_the_gear_is_found_and_friction_is_not_bent_by_it():
+    take = pendulum(ripple=(0.03, 40.0, 0.6))
+    found = identify([(take, ())], rigid_axes(take), options=ALL)
+    ripple, = found.robot.effects
+    amplitude, order, phase = ripple.values
+    assert ripple.name == 'torque_ripple'
+    assert amplitude == pytest.approx(0.03, rel=0.1)
+    assert order == pytest.approx(40.0, abs=0.1)
+    assert np.angle(np.exp(1j * (phase - 0.6))) == pytest.approx(0.0, abs=0.1)
+    by_name = {estimate.name: estimate for estimate in found.joints[0].estimates}
+    low, high = by_name['effects.swing.torque_ripple.order'].interval
+    assert low < 40.0 < high
+    steady = found.robot.friction.forward
+    assert steady.coulomb[0] == pytest.approx(0.06, rel=0.05)
+    assert steady.viscous[0] == pytest.approx(0.01, rel=0.3)
+
+
+def test_no_ripple_is_made_up_where_there_is_none():
+    take = pendulum()
+    arm_fit = estimate_arm([take], rigid_axes(take))
+    assert arm_fit.ripples == (None,) and not arm_fit.robot.effects
 
 
 def test_an_axis_put_into_the_arm_has_the_torque_it_was_put_in_with():

@@ -9,8 +9,8 @@ from gms_flex_control.params.robot import WHOLE_ARM
 import numpy as np
 
 
-def scales_of(paths, robot):
-    """Return the Scales of each joint over all paths."""
+def scales_of(paths, robot, fine_orders):
+    """Return the Scales of each joint over all paths, ``fine_orders`` a tuple per joint."""
     arm, found = robot.arm, []
     for j in range(robot.n_joints):
         link, rate, motor = (np.concatenate([path.motion[:, row, j] for path in paths])
@@ -25,7 +25,8 @@ def scales_of(paths, robot):
             link_inertia=float(arm.inertia[j] + arm.mass[j] * arm.com[j] ** 2),
             lowest=float(link.min()), highest=float(link.max()), turned=float(np.ptp(motor)),
             duration=float(max(path.time[-1] - path.time[0] for path in paths)),
-            period=paths[0].fine_period, supply=min(float(path.supply.mean()) for path in paths)))
+            period=paths[0].fine_period, supply=min(float(path.supply.mean()) for path in paths),
+            fine_orders=fine_orders[j]))
     return found
 
 
@@ -34,7 +35,7 @@ _RATIOS, _LEAST_RATIO = ('ratio', 'gain_error'), -0.55  # nothing real is all bu
 _OF_COMMANDS = ('actuator_deadzone', 'actuator_saturation')
 
 
-def all_guesses(problem, without=()):
+def all_guesses(problem, without=(), fine_orders=None):
     """
     Return what is looked for.
 
@@ -44,6 +45,8 @@ def all_guesses(problem, without=()):
         The recordings and the robot.
     without : collection of str
         Effects that are left out.
+    fine_orders : sequence of tuple of float, optional
+        Orders of waves finer than those guessed that are looked for as well, per joint.
 
     Returns
     -------
@@ -54,7 +57,7 @@ def all_guesses(problem, without=()):
     joints, found = problem.robot.joints, []
     if not all(path.commanded for path in problem.paths):
         without = {*without, *_OF_COMMANDS}
-    scales = scales_of(problem.paths, problem.robot)
+    scales = scales_of(problem.paths, problem.robot, fine_orders or [()] * len(joints))
     for name in names():
         kind = find(name)
         if name in without or (kind.whole_arm and problem.robot.arm.kind != 'planar'):

@@ -13,9 +13,11 @@ from typing import NamedTuple
 
 from gms_flex_control.discrepancy.bounded import solve
 from gms_flex_control.discrepancy.compatible import may_join
+from gms_flex_control.discrepancy.fine_waves import fine_orders
 from gms_flex_control.discrepancy.fit import effect_columns, fit, Fitted, numbers_of
 from gms_flex_control.discrepancy.guesses import all_guesses
 from gms_flex_control.discrepancy.problem import with_effect
+from gms_flex_control.effects.catalogue.torque_ripple import HIGHEST_GUESSED
 from gms_flex_control.params.robot import EffectSpec
 import numpy as np
 
@@ -56,7 +58,8 @@ class Library:
 
     def __init__(self, problem, model, without=()):
         self._problem = problem
-        self.guesses = all_guesses(problem, without)
+        self.guesses = all_guesses(problem, without,
+                                   fine_orders(problem, model, HIGHEST_GUESSED))
         jobs = [(name, joint, values) for name, joint, guess in self.guesses
                 for values in guess.probes]
 

@@ -30,6 +30,7 @@ class Scales(NamedTuple):
     duration: float   # [s]
     period: float     # [s]
     supply: float = 0.0  # mean voltage of the supply [V]; 0 where it is not known
+    fine_orders: tuple = ()  # of waves over the motor angle that stand out [1/rad]
 
     @property
     def rigid(self):

@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """What was found of the arm as estimates with intervals, and what these data cannot tell."""
 
+from gms_flex_control.identification import axis_ripple
 from gms_flex_control.identification.arm_fit import (
     axis_numbers,
     combined,
@@ -99,11 +100,26 @@ def _axis_rows(robot, arm_fit, joint, theta, spread, name):
                                                             angle + _CONFIDENT * error),
             Interval(*np.percentile(drawn_angle, [2.5, 97.5])),
             () if told else ('not identifiable',), '' if told else _TELLS_GRAVITY))
-    else:
+    if arm_fit.ripples[joint]:
+        rows += _ripple_rows(arm_fit.ripples[joint],
+                             f'effects.{robot.joints[joint]}.{axis_ripple.NAME}')
+    if 1 not in numbers:
         rows.append(Estimate(f'{name}.gravity_torque', 'N m', 0.0, _UNKNOWN, _UNKNOWN,
                              ('not identifiable',),
                              'no gravity is seen in this motion: it does not lower the error on '
                              'data held out'))
+    return rows
+
+
+def _ripple_rows(ripple, name):
+    rows = []
+    for part, unit, error, note in (
+            ('amplitude', 'N m', ripple.amplitude_error, 'taken off the torque before friction '
+             'was fitted'),
+            ('order', '1', ripple.order_error, 'periods in 2 pi of the angle')):
+        value = getattr(ripple, part)
+        interval = Interval(value - _CONFIDENT * error, value + _CONFIDENT * error)
+        rows.append(Estimate(f'{name}.{part}', unit, value, interval, interval, (), note))
     return rows
 
 

@@ -12,6 +12,7 @@ through the predictor, as further torques, and folded back into the arm.
 from dataclasses import replace
 from typing import NamedTuple
 
+from gms_flex_control.identification.axis_ripple import fit_axis_with_ripple
 from gms_flex_control.identification.chain_fit import (
     base_regressors,
     base_values,
@@ -20,7 +21,6 @@ from gms_flex_control.identification.chain_fit import (
 )
 from gms_flex_control.identification.motor_side import fit_motor
 from gms_flex_control.identification.rigid_body import (
-    fit_axis,
     held_torque,
     rows_of,
     spring_torque,
@@ -45,6 +45,7 @@ class ArmFit(NamedTuple):
     constant: np.ndarray  # (n,), torque needed at any angle and speed [N m]
     friction: tuple  # per joint its usual friction [N m], None where not looked for
     shares: tuple    # per joint the torque of its inertia, of the whole
+    ripples: tuple   # per joint its Ripple, None where there is none
 
     def extras(self):
         """Return per joint a function Stretch -> further torques (T, R) per unit of correction."""
@@ -107,10 +108,12 @@ def estimate_arm(recordings, robot):
     drives = [drive_of(recordings, robot.arm, j) for j in range(n)]
     if is_chain(robot.arm):
         return _chain(recordings, robot, drives, motors)
-    numbers, units, axes, constant, arm = [], [], [], np.zeros(n), robot.arm
+    numbers, units, axes, ripples, constant, arm = [], [], [], [], np.zeros(n), robot.arm
     for j in range(n):
         rows = rows_of(recordings, drives[j], j)
-        axis = fit_axis(rows, robot.joints[j], recordings[0].source)
+        axis, ripple = fit_axis_with_ripple(recordings, rows, j, robot.joints[j],
+                                            recordings[0].source)
+        ripples.append(ripple)
         inertia = inertia_to_use(axis, rows)
         arm = with_axis(arm, j, inertia, axis.cosine, axis.sine)
         size = np.array([inertia, axis.gravity_torque, axis.gravity_torque, axis.constant])
@@ -119,9 +122,12 @@ def estimate_arm(recordings, robot):
         units.append(np.maximum(_ERRORS * axis.error, _PART * np.abs(size))[chosen])
         axes.append(axis)
         constant[j] = axis.constant
-    return ArmFit(replace(robot, arm=arm), motors, tuple(numbers), tuple(units),
-                  tuple(axis.has_gravity for axis in axes), constant,
-                  tuple(axis.friction for axis in axes), tuple(axis.share for axis in axes))
+    effects = tuple(ripple.effect(joint) for joint, ripple in zip(
+        robot.joints, ripples, strict=True) if ripple)
+    return ArmFit(replace(robot, arm=arm, effects=robot.effects + effects), motors,
+                  tuple(numbers), tuple(units), tuple(axis.has_gravity for axis in axes),
+                  constant, tuple(axis.friction for axis in axes),
+                  tuple(axis.share for axis in axes), tuple(ripples))
 
 
 def _chain(recordings, robot, drives, motors):
@@ -131,7 +137,7 @@ def _chain(recordings, robot, drives, motors):
     numbers = tuple(acting(n, j, gravity) for j in range(n))
     return ArmFit(replace(robot, arm=arm), motors, numbers,
                   tuple(units[chosen] for chosen in numbers), (gravity,) * n, np.zeros(n),
-                  (None,) * n, (1.0,) * n)
+                  (None,) * n, (1.0,) * n, (None,) * n)
 
 
 def acting(n, joint, gravity):

@@ -56,6 +56,11 @@ class AxisFit(NamedTuple):
     explained: float       # share of the torque's variance
     inertia_told: bool     # whether the inertia is clearly above zero
     share: float           # torque of the inertia, of the whole
+    left: np.ndarray       # (S,), torque that is not explained; 0 where the axis hardly moves
+    rippling: np.ndarray   # (S,), torque of the ripple; likewise
+    wave: np.ndarray       # (2,), needed torque per sine and cosine of a ripple [N m]
+    wave_error: float      # standard error of its amplitude [N m]
+    off: float             # robust error on data held out [N m]
 
     @property
     def gravity_torque(self):
@@ -131,7 +136,7 @@ def friction_regressors(rate):
     return np.stack(columns, axis=1)
 
 
-def fit_axis(rows, joint, source):
+def fit_axis(rows, joint, source, wave=None):
     """
     Fit inertia and gravity of one axis.
 
@@ -141,6 +146,8 @@ def fit_axis(rows, joint, source):
         From `rows_of`.
     joint, source : str
         For messages.
+    wave : ndarray, shape (S, 2), optional
+        Sine and cosine of a ripple that is fitted as well, filtered as the rows.
 
     Returns
     -------
@@ -158,11 +165,14 @@ def fit_axis(rows, joint, source):
         raise IdentificationError(f'{source}: {joint} moves in {moving.sum()} samples only; '
                                   'record longer motion to tell its inertia')
     rows = Rows(*(part[moving] for part in rows))
+    wave = np.empty((len(moving), 0)) if wave is None else wave
     gravity = np.stack([np.cos(rows.angle), np.sin(rows.angle)], axis=1)
-    others = np.concatenate([rows.acceleration[:, None], friction_regressors(rows.rate)], axis=1)
+    others = np.concatenate([rows.acceleration[:, None], friction_regressors(rows.rate),
+                             wave[moving]], axis=1)
     both = np.concatenate([rows.acceleration[:, None], gravity, others[:, 1:]], axis=1)
     enough = _WORTH if np.ptp(rows.angle) > _NARROW else _CLEAR
-    has_gravity = _held_out(both, rows) < enough * _held_out(others, rows)
+    with_gravity, off = _held_out(both, rows), _held_out(others, rows)
+    has_gravity = with_gravity < enough * off
     columns = both if has_gravity else others
     values, error = _solution(columns, rows)
     told = values[0] > _CONFIDENT * error[0]
@@ -170,17 +180,22 @@ def fit_axis(rows, joint, source):
         kept, wide = _solution(columns[:, 1:], rows)
         values, error = np.append(0.0, kept), np.append(error[0], wide)
     rest = rows.torque - columns @ values
+    wave = slice(columns.shape[1] - wave.shape[1], None)
+    left, rippling = np.zeros((2, len(moving)))
+    left[moving], rippling[moving] = rest, columns[:, wave] @ values[wave]
     found = np.zeros((2, 4))
     count = 3 if has_gravity else 1
     found[:, :count] = values[:count], error[:count]
-    friction = columns[:, count:] @ values[count:]
+    friction = columns[:, count:wave.start] @ values[count:wave.start]
     levels = _levels(friction, rows.rate)
     if min(levels) < _LOPSIDED * max(levels):
         found[:, 3] = 0.5 * (levels[0] - levels[1]), error[count]
     level = max(0.5 * sum(levels), _LEAST * float(np.std(rows.torque)))
     return AxisFit(*map(float, found[0]), level, found[1], bool(has_gravity),
                    float(1.0 - np.var(rest) / (np.var(rows.torque) or 1.0)), bool(told),
-                   float(values[0] * np.std(rows.acceleration) / (np.std(rows.torque) or 1.0)))
+                   float(values[0] * np.std(rows.acceleration) / (np.std(rows.torque) or 1.0)),
+                   left, rippling, values[wave], float(np.sqrt(np.sum(error[wave] ** 2))),
+                   with_gravity if has_gravity else off)
 
 
 def _levels(friction, rate):

@@ -40,10 +40,12 @@ _SENTENCES = {
              'them, would tell it.',)}
 _MOST = 20_000        # samples that are looked at, if they are no further apart than
 _COARSE = 8e-3        # [s]
-_YIELDS = (1.0, 5.0, 25.0)  # of the simple one's block, of the usual
+_YIELDS = (1.0, 0.1, 0.3, 5.0, 25.0)  # of the simple one's block, of the usual
 _SHORT = 60.0         # data in which one part held out is too little to choose by [s]
 _WORTH = 0.97         # of the error on data held out: a fit that is no better is not taken
 _CLEAR = 0.9          # likewise where the fit itself has seen the data that decide
+_NEXT_TO_NOTHING = 0.05  # of the friction torque
+_FAR, _LITTLE = 0.7, 1.3  # of the errors of the innovations: where torque decides after all
 _MEMORY = 0.1         # of what a fit leaves of the torque, at least [s]
 _DROP, _LEVEL_DOUBT = 0.1, 0.3  # of Coulomb friction: F_s - F_c to begin with; of its logarithm
 _STEP = 1e-4          # of a free number, for a derivative
@@ -123,6 +125,7 @@ class TorqueError:
                     counts, block))
         blocks = [piece.block[piece.counts] for piece in self._pieces]
         self.block = np.unique(np.concatenate(blocks), return_inverse=True)[1]
+        self.measured = np.concatenate([piece.measured[piece.counts] for piece in self._pieces])
         self.memory = max(_MEMORY / bundle.period,
                           *(2.0 * piece.window for piece in self._pieces))
 
@@ -229,11 +232,13 @@ def choose_fit(bundle, joint, fits, step, rng):
     thin = coarser(bundle, min(bundle.period * max(samples // _MOST, 1), _COARSE))
     thetas = [fit.coordinates.unpack(fit.free)[0] for fit in fits]
     contest = _Contest(thin, joint, thetas, fits[joint], step)
-    if all(contest.won(trial, contest.by_innovations) for trial in contest.trials):
+    usual = contest.wins(contest.by_innovations)
+    if usual and contest.explained():
         return Choice(INNOVATIONS, fits[joint], None)
-    kind = TORQUE if all(contest.won(trial, contest.by_torque)
-                         for trial in contest.trials) else SIMPLE
-    return contest.finished(kind, rng)
+    other = contest.wins(contest.by_torque)
+    if usual and not (other and contest.clearly_better()):
+        return Choice(INNOVATIONS, fits[joint], None)
+    return contest.finished(TORQUE if other else SIMPLE, rng)
 
 
 class _Contest:
@@ -263,11 +268,27 @@ class _Contest:
         self._first = self.trials[0].looks[0]
         self.simple, self.by_torque = cache(self._simple), cache(self._by_torque)
 
-    def won(self, trial, fitted):
-        """Return whether ``fitted``, Look -> Coordinates and free numbers, is better enough."""
+    def wins(self, fitted):
+        """Return whether ``fitted``, Look -> Coordinates and free numbers, passes all trials."""
+        return all(self._passes(trial, fitted) for trial in self.trials)
+
+    def explained(self):
+        """Return whether the fit by the innovations leaves next to nothing of the torque."""
+        error = self._error(self._first.out)
+        left = error(self._fit.coordinates.unpack(self._fit.held_out.free)[0])
+        return errors.rms(left) < _NEXT_TO_NOTHING * errors.rms(error.measured)
+
+    def _passes(self, trial, fitted):
         found = self._errors(trial.looks, [fitted(look) for look in trial.looks])
         least = self._errors(trial.looks, [self.simple(look) for look in trial.looks])
         return self._penalty(trial) * np.nanmax(found / least) < trial.enough
+
+    def clearly_better(self):
+        """Return whether the fit of the torque is far better there, and little worse freely."""
+        looks = self.trials[-1].looks
+        torque, free = (self._errors(looks, [self.by_torque(look) for look in looks])
+                        / self._errors(looks, [self.by_innovations(look) for look in looks]))
+        return torque < _FAR and not free > _LITTLE
 
     def by_innovations(self, look):
         """Return Coordinates and free numbers of the fit by the innovations."""
@@ -288,16 +309,15 @@ class _Contest:
         """
         Return Coulomb and viscous friction as Coordinates and free numbers.
 
-        Its one block is as stiff as suits the torque best, as long as free motion does not
-        suffer.
+        Its one block is as stiff as suits torque and free motion together: too soft it lags
+        behind a reversal, too stiff for the samples it chatters.
         """
         plain = errors.coulomb_viscous(self._objective, self._bundle.stretches, self._bundle.arm,
                                        self._objective.joint, self._step, look.fitted)
         tried = [errors.simple_free(plain, factor * self._step, len(plain) - 4)
                  for factor in _YIELDS]
-        found = [self._errors([look], [pair]) for pair in tried]
-        fine = [k for k, pair in enumerate(found) if not pair[1] > found[0][1]]
-        return tried[min(fine, key=lambda k: found[k][0])]
+        found = [np.prod(self._errors([look], [pair])) for pair in tried]
+        return tried[int(np.argmin(found))]
 
     def finished(self, kind, rng):
         """Return the Choice of a kind, fitted to all data."""

@@ -10,6 +10,7 @@ NOT_IDENTIFIABLE = 'not identifiable'
 SET = 'set, not fitted'
 WELL_KNOWN = 0.1      # half of the 95 % interval over the value, at most
 _UNEXPLAINED = 0.5    # of the drive torque: beyond, nothing is to be trusted
+_ENDLESS = 1e6       # upper end over lower end of an interval that says nothing
 _AT_FLOOR = 1.3       # error over floor that counts as the floor itself
 STANDINGS = ('well known', 'roughly known', 'doubtful', NOT_IDENTIFIABLE, SET)
 
@@ -68,10 +69,11 @@ def percent(share):
 
 
 def span(interval):
-    """Return an Interval as text, such as '0.1 .. 0.2'; '-' if unknown or without width."""
-    if not np.isfinite(interval).any() or interval[0] == interval[1]:
+    """Return an Interval as text, such as '0.1 .. 0.2'; '-' if unknown or without width or end."""
+    low, high = interval
+    if not np.isfinite(interval).any() or low == high or 0.0 < _ENDLESS * low < high:
         return '-'
-    return f'{number(interval[0])} .. {number(interval[1])}'
+    return f'{number(low)} .. {number(high)}'
 
 
 def floor_shares(held_out):

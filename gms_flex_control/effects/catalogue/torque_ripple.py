@@ -9,6 +9,8 @@ from gms_flex_control.effects.guess import orders, waves
 from gms_flex_control.effects.signals import MOTOR_TORQUE, Q_MOTOR
 import numpy as np
 
+HIGHEST_GUESSED = 48.0  # order; finer waves are told by the data
+
 
 class TorqueRipple(Term):
     """y += amplitude sin(order q_motor + phase)."""
@@ -28,7 +30,8 @@ class TorqueRipple(Term):
     @classmethod
     def guesses(cls, scales):
         """Return how it might be there, list of Guess."""
-        return waves(0.05 * scales.friction, orders(scales.turned, 48.0, 2.0))
+        return waves(0.05 * scales.friction,
+                     (*orders(scales.turned, HIGHEST_GUESSED, 2.0), *scales.fine_orders))
 
     @staticmethod
     def apply(s, p, memory, dt):
