@@ -28,7 +28,7 @@ _ROUNDS = 8
 _NARROW = 1.0      # range of angles in which gravity is hardly told from a constant [rad]
 _CLEAR = 0.5       # of the held-out error: gravity must help this much there
 _WORTH = 0.97      # of the held-out error: gravity that helps less is not there
-_LOPSIDED = 0.35   # of the friction the other way: below this there is a constant torque
+_LOPSIDED = 0.5    # of the friction the other way: below this there is a constant torque
 _LEAST = 0.02      # of the torque: friction to begin with, at least
 _CONFIDENT = 1.959964
 
