@@ -7,6 +7,7 @@ import json
 import sys
 
 from gms_flex_control.cli.main import main
+import numpy as np
 import pytest
 
 # other processes of the machine can delay real nodes beyond any bound
@@ -15,6 +16,7 @@ pytestmark = pytest.mark.flaky(reruns=2)
 pytest.importorskip('rclpy')
 bench = pytest.importorskip('gms_flex_control.nodes.faults.bench')
 table = pytest.importorskip('gms_flex_control.nodes.faults.table')
+soak = pytest.importorskip('gms_flex_control.nodes.faults.soak')
 
 # how far beyond its limit a time may be on a shared machine; other times are not asserted
 SAFETY = {'clocks': 2.0, 'dead-controller': 2.0, 'silence': 2.0, 'two-controllers': 2.0,
@@ -79,6 +81,38 @@ def test_json_has_every_row_and_a_failed_row_says_why():
 
 def test_what_was_not_tried_did_not_hold():
     assert table.judged(table.FAULTS['bags'], table.Tally(), 0.0).verdict == table.FAILED
+
+
+def window(missed, memory):
+    """Return a Window of a run."""
+    return soak.Window(30_000, missed, 2.2e-3, 5e-3, (memory, 90e6, 80e6))
+
+
+def test_a_soak_counts_each_command_and_sees_each_process(tmp_path):
+    with bench.Bench(tmp_path) as place:
+        windows = soak.soak(place, 4.5, window=1.5)
+    assert len(windows) == 3
+    assert all(0 < one.commands <= 1.5 * 1.2 * soak.RATE for one in windows)
+    assert all(20e6 < part < 2e9 for one in windows for part in one.memory)
+    assert 0.9 / soak.RATE < windows[-1].p99 <= windows[-1].longest
+
+
+def test_a_soak_tells_growth_and_a_trend_from_noise():
+    steady = [window(3, 100e6 + 1e4 * (k % 3)) for k in range(30)]
+    assert soak.judged(steady) == []
+    assert 'no growth of memory' in soak.table(steady)
+    grows = soak.judged([window(3, 100e6 + 1e5 * k) for k in range(30)])
+    assert len(grows) == 1 and grows[0].startswith('plant_node: memory grew from 100.3 to 102.0')
+    later = soak.judged([window(k // 3, 100e6) for k in range(30)])
+    assert len(later) == 1 and later[0].startswith('deadlines: ')
+    ended = [*steady[:20], *[window(3, np.nan)] * 10]
+    assert soak.judged(ended)
+
+
+@pytest.mark.parametrize('minutes', ['0', '-1', 'nan', '1e9'])
+def test_a_soak_of_no_length_is_refused(minutes, capsys):
+    assert main(['faults', '--soak', minutes]) == 2
+    assert '--soak' in capsys.readouterr().err
 
 
 def test_an_unknown_fault_is_named(capsys):

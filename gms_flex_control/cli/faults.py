@@ -3,12 +3,16 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """`gms_flex faults`: try every fault on the installed nodes and print the table filled in."""
 
+from contextlib import nullcontext
 import json
 from pathlib import Path
 import sys
+from tempfile import TemporaryDirectory
 
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.suggest import did_you_mean
+
+_LONGEST_SOAK = 10_000.0  # [min]
 
 
 def add_parser(subparsers):
@@ -23,6 +27,9 @@ def add_parser(subparsers):
     parser.add_argument('--short', action='store_true', help='few tries of each, for CI')
     parser.add_argument('--only', nargs='+', metavar='FAULT', help='some rows; see --list')
     parser.add_argument('--list', action='store_true', help='name the rows and end')
+    parser.add_argument('--soak', type=float, metavar='MINUTES',
+                        help='instead of faults: run the loop at 500 Hz so long, and watch memory '
+                             'and missed deadlines')
     parser.add_argument('--json', action='store_true', help='print JSON')
     parser.add_argument('--logs', type=Path, metavar='FOLDER',
                         help='keep there what the nodes print')
@@ -41,6 +48,11 @@ def run(args):
         if name not in table.FAULTS:
             raise ConfigError(f'there is no fault {name!r}{did_you_mean(name, table.FAULTS)} ('
                               'gms_flex faults --list names all)')
+    if args.soak is not None:
+        if not 0.0 < args.soak <= _LONGEST_SOAK:
+            raise ConfigError(f'--soak {args.soak:g}: expected minutes above 0, at most '
+                              f'{_LONGEST_SOAK:g}')
+        return _soaked(args)
     rows = []
     for name in args.only or table.FAULTS:
         fault = table.FAULTS[name]
@@ -51,6 +63,19 @@ def run(args):
         _progress('')
     print(table.as_json(rows) if args.json else table.table(rows))
     return 0 if table.all_held(rows) else 1
+
+
+def _soaked(args):
+    from gms_flex_control.nodes.faults import soak
+    from gms_flex_control.nodes.faults.bench import Bench
+    with nullcontext(_folder(args.logs, 'soak')) if args.logs else TemporaryDirectory() as place:
+        with Bench(Path(place)) as bench:
+            windows = soak.soak(bench, 60.0 * args.soak, say=_progress)
+    _progress('')
+    wrong = soak.judged(windows)
+    print(json.dumps({'windows': [window._asdict() for window in windows], 'problems': wrong},
+                     indent=2) if args.json else soak.table(windows))
+    return 1 if wrong else 0
 
 
 def _import_table():
