@@ -12,7 +12,12 @@ from gms_flex_control.bags.cdr import (
     pack_multi_array,
 )
 from gms_flex_control.bags.experiment import write_recording
-from gms_flex_control.bags.phases import pack_phase, PHASE_TOPIC, read_phases
+from gms_flex_control.bags.phases import (
+    pack_phase,
+    PHASE_TOPIC,
+    read_experiment,
+    read_phases,
+)
 from gms_flex_control.bags.reader import read_recording
 from gms_flex_control.bags.writer import BagWriter
 from gms_flex_control.errors import BagError
@@ -57,10 +62,14 @@ def test_phases_are_read_as_they_were_written_beside_a_recording(tmp_path):
     write_recording(tmp_path / 'bag', recording, start=7_000_000_000, phases=phases)
     assert read_phases(tmp_path / 'bag') == phases
     assert np.array_equal(read_recording(tmp_path / 'bag').time, recording.time)
+    both = read_experiment(tmp_path / 'bag')
+    assert both[1] == phases
+    assert np.array_equal(both[0].time, recording.time)
 
 
 def test_a_bag_without_the_topic_has_no_phases(tmp_path):
     assert read_phases(written(tmp_path / 'bag', [])) == ()
+    assert read_experiment(tmp_path / 'bag')[1] == ()
 
 
 @pytest.mark.parametrize('message', [
@@ -71,8 +80,9 @@ def test_a_bag_without_the_topic_has_no_phases(tmp_path):
     packed(1, 'idle', '', '', 0.0)[:30]])
 def test_a_message_that_is_no_phase_is_named(message, tmp_path):
     bag = written(tmp_path / 'bag', [packed(1, 'idle', '', '', 0.0), message])
-    with pytest.raises(BagError, match="topic '/identification/phase' message 1 "):
-        read_phases(bag)
+    for read in (read_phases, read_experiment):
+        with pytest.raises(BagError, match="topic '/identification/phase' message 1 "):
+            read(bag)
 
 
 def test_another_type_on_the_topic_is_refused(tmp_path):
@@ -98,6 +108,7 @@ def test_a_recording_made_in_a_namespace_is_found(tmp_path):
     bag = filled(tmp_path / 'one', loop('/left'))
     assert np.allclose(read_recording(bag).q_link[:, 0], 0.1 * np.arange(5))
     assert [phase.time_ns for phase in read_phases(bag)] == [2_000_000]
+    assert read_experiment(bag)[1] == read_phases(bag)
     both = filled(tmp_path / 'two', loop('/left') | loop('/right'))
     with pytest.raises(BagError, match="has no topic '/joint_states' .topics: "):
         read_recording(both)

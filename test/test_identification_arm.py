@@ -60,6 +60,14 @@ def test_a_ripple_of_the_gear_is_found_and_friction_is_not_bent_by_it():
     assert steady.viscous[0] == pytest.approx(0.01, rel=0.3)
 
 
+def test_a_ripple_of_a_robot_that_is_described_is_told():
+    model = identify([(pendulum(), ())], rigid_axes(pendulum()), options=ALL).robot
+    for take, told in ((pendulum(seed=1, ripple=(0.03, 40.0, 0.6)), True),
+                       (pendulum(seed=1), False)):
+        warned = identify([(take, ())], model, options=Options(blocks=(1,))).joints[0].warnings
+        assert any('about 0.028 N m, 40 periods' in sentence for sentence in warned) == told
+
+
 def test_no_ripple_is_made_up_where_there_is_none():
     take = pendulum()
     arm_fit = estimate_arm([take], rigid_axes(take))

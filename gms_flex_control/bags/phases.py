@@ -10,6 +10,7 @@ from gms_flex_control.bags.cdr import (
     unpack_multi_array,
 )
 from gms_flex_control.bags.messages import STAMP_LABEL, stamp_of
+from gms_flex_control.bags.reader import read_beside
 from gms_flex_control.bags.source import Bag
 from gms_flex_control.bags.topics import namespace_of
 from gms_flex_control.errors import BagError
@@ -63,8 +64,38 @@ def read_phases(path, *, topic=None, joint_states=None):
     if found and bag.topics[topic].type_name != MULTI_ARRAY:
         raise BagError(f'{path}: topic {topic!r} is a {bag.topics[topic].type_name}, expected '
                        f'{MULTI_ARRAY}')
-    phases = [_phase(path, topic, k, data) for k, data in enumerate(found)]
-    return tuple(phase._replace(time_ns=phase.time_ns - (first or 0))
+    return _phases(path, topic, found, first or 0)
+
+
+def read_experiment(path, joints=None, motors=None):
+    """
+    Read a recording and the phases of its experiment, the bag but once.
+
+    Parameters
+    ----------
+    path, joints, motors
+        As `reader.read_recording`.
+
+    Returns
+    -------
+    recording : Recording
+    phases : tuple of Phase
+        As `read_phases`.
+
+    Raises
+    ------
+    BagError
+        As both.
+
+    """
+    recording, begin, aside = read_beside(path, joints, motors, aside=[PHASE_TOPIC])
+    return recording, _phases(path, *aside[PHASE_TOPIC], begin)
+
+
+def _phases(path, topic, messages, begin):
+    """Return the Phases of messages, time since ``begin`` [ns]."""
+    phases = [_phase(path, topic, k, data) for k, data in enumerate(messages)]
+    return tuple(phase._replace(time_ns=phase.time_ns - begin)
                  for phase in sorted(phases, key=lambda phase: phase.time_ns))
 
 

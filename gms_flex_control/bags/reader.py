@@ -63,17 +63,48 @@ def read_recording(path, joints=None, motors=None, *, topics=None):
         If the bag was cut off or otherwise odd, and what that means.
 
     """
+    return read_beside(path, joints, motors, topics=topics)[0]
+
+
+def read_beside(path, joints=None, motors=None, *, topics=None, aside=()):
+    """
+    Read one experiment, and the messages of further topics as they are.
+
+    Parameters
+    ----------
+    path, joints, motors, topics
+        As `read_recording`.
+    aside : sequence of str
+        Further topics, in the namespace of the others.
+
+    Returns
+    -------
+    recording : Recording
+    begin : int
+        Its first stamp [ns].
+    aside : dict of str to (str, list of bytes)
+        By the names given: the topic's name in the bag and its messages, none where the bag has
+        no such topic.
+
+    Raises, warns
+        As `read_recording`; a further topic may be of any type.
+
+    """
     bag = Bag(path)
-    topics = topics or Topics().within(namespace_of(bag))
+    space = namespace_of(bag)
+    topics = topics or Topics().within(space)
+    further = {space + name: [] for name in aside}
     series = _Series(bag, topics, joints, motors)
-    series.collect()
+    series.collect(further)
     if not bag.sound:
         first = next(item for item in bag.damage if item.lost != 0)
         raise BagError(f"{path}: {first}; run 'gms_flex repair {path}' to keep the rest")
     series.require_names()
     bag.warn()
     joints, motors = series.resolved()
-    return Recording(joints=joints, source=str(path), **_columns(path, series, joints, motors))
+    begin, columns = _columns(path, series, joints, motors)
+    return (Recording(joints=joints, source=str(path), **columns), begin,
+            {name: (space + name, further[space + name]) for name in aside})
 
 
 def joint_names(path, *, topics=None):
@@ -106,7 +137,7 @@ def joint_names(path, *, topics=None):
 
 
 def _columns(path, series, joints, motors):
-    """Return the arrays of the Recording by name."""
+    """Return the first stamp [ns], and the arrays of the Recording by name."""
     stamps, received, order = series.clock()
     n, samples = len(joints), len(stamps)
     if samples < 2:
@@ -125,7 +156,7 @@ def _columns(path, series, joints, motors):
     columns['reference'] = series.reference(stamps, received, period)
     columns['friction_hat'] = series.friction(stamps)
     columns['supply'] = series.supply(stamps, received)
-    return columns
+    return int(stamps[0]), columns
 
 
 class _Series:
@@ -137,10 +168,13 @@ class _Series:
         self._waiting = {topic: ([], []) for topic in topics}  # receive times, messages
         self._first, self._tables, self._places = None, (), None
 
-    def collect(self):
-        """Read the bag."""
-        for batch in self._bag.batches(self._waiting):
+    def collect(self, further):
+        """Read the bag; messages of ``further`` topics are put into their lists."""
+        for batch in self._bag.batches({*self._waiting, *further}):
             for topic, log, _, message in batch:
+                if topic in further:
+                    further[topic].append(message)
+                    continue
                 times, messages = self._waiting[topic]
                 times.append(log)
                 messages.append(message)

@@ -94,21 +94,19 @@ def options_of(args):
 
 def robot_of(args):
     """Return the robot of the arguments; without a file, rigid axes named as in the bag."""
-    from gms_flex_control.bags.reader import read_recording
-    from gms_flex_control.identification.unknown_robot import only_joints, rigid_axes
+    from gms_flex_control.bags.reader import joint_names, link_names
+    from gms_flex_control.identification.unknown_robot import only_joints, rigid_joints
     from gms_flex_control.schema.files import load_robot
     if args.robot is None:
-        return rigid_axes(read_recording(args.bags[0], args.joints))
+        return rigid_joints(args.joints or link_names(joint_names(args.bags[0])))
     robot = load_robot(args.robot)
     return only_joints(robot, args.joints) if args.joints else robot
 
 
 def read_take(path, robot, guess_motors=False):
     """Return a bag as (Recording, phases), motors by their names in the bag if to be guessed."""
-    from gms_flex_control.bags.phases import read_phases
-    from gms_flex_control.bags.reader import read_recording
-    motors = None if guess_motors else motors_in(path, robot)
-    return read_recording(path, robot.joints, motors), read_phases(path)
+    from gms_flex_control.bags.phases import read_experiment
+    return read_experiment(path, robot.joints, None if guess_motors else motors_in(path, robot))
 
 
 def motors_in(path, robot):

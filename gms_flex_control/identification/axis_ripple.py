@@ -12,13 +12,16 @@ from typing import NamedTuple
 
 from gms_flex_control.analysis.signals import derivative_window, smoothed
 from gms_flex_control.analysis.waves import standing_out
+from gms_flex_control.identification.held_out import model_friction
 from gms_flex_control.identification.rigid_body import fit_axis
+from gms_flex_control.identification.steady import friction_torque
 from gms_flex_control.params.robot import EffectSpec
 import numpy as np
 from scipy.optimize import minimize_scalar
 
 NAME = 'torque_ripple'  # the effect
 _FEWEST = 6.0      # waves in the range of angles: with fewer it may be gravity or friction
+_MUCH = 0.1        # of the squares of what is left: a ripple below is not worth a word
 _WORTH = 0.97      # of the error on data held out: a ripple that helps less is not there
 _CLEAR = 3.0       # standard errors: likewise
 _ROUNDS = 4        # of order and all else in turn
@@ -81,6 +84,49 @@ def fit_axis_with_ripple(recordings, rows, joint, name, source):
     doubt = found.wave_error / size * np.sqrt(12.0) / span  # a line through the phase
     return found, Ripple(size, order, float(np.arctan2(-found.wave[1], -found.wave[0])),
                          found.wave_error, float(doubt))
+
+
+def ripple_sentences(objective, bundle, theta, name):
+    """
+    Say whether a ripple is in what a fit leaves of a joint's torque.
+
+    Parameters
+    ----------
+    objective : Objective
+        Joint and the others' friction.
+    bundle : Bundle
+        The data.
+    theta : ndarray
+        Parameters of the joint.
+    name : str
+        Of the joint.
+
+    Returns
+    -------
+    tuple of str
+        A sentence, or none.
+
+    """
+    joint, parts = objective.joint, []
+    for stretch in bundle.stretches:
+        keep = stretch.tested[:, joint] & np.isfinite(stretch.angle[:, joint])
+        if keep.any():
+            left = friction_torque(stretch, bundle.arm)[:, joint] - model_friction(
+                objective, stretch, theta, bundle.period)
+            parts.append((stretch.angle[keep, joint], left[keep], stretch.rate[keep, joint]))
+    angles, torques, rates = zip(*parts, strict=True)
+    span = max(float(np.ptp(angle)) for angle in angles)
+    orders = standing_out(angles, torques, rates, 2.0 * np.pi * _FEWEST / max(span, 1e-300))
+    if not orders:
+        return ()
+    angle, torque = np.concatenate(angles), np.concatenate(torques)
+    waves = np.stack([np.sin(orders[0] * angle), np.cos(orders[0] * angle)], axis=1)
+    size = float(np.hypot(*np.linalg.lstsq(waves, torque, rcond=None)[0]))
+    if 0.5 * size ** 2 < _MUCH * np.mean(torque ** 2):
+        return ()
+    return (f'A ripple of about {size:.2g} N m, {orders[0]:.4g} periods per revolution of {name}, '
+            'is in what this model leaves of the torque. `gms_flex discrepancy` sizes it and adds '
+            'it to the robot file; identified again with that file, friction is free of it',)
 
 
 def _nearest_best(recordings, joint, torque, order, span):

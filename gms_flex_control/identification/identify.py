@@ -13,6 +13,7 @@ from gms_flex_control.identification import default_method
 from gms_flex_control.identification import held_out as errors
 from gms_flex_control.identification.arm_estimates import arm_estimates
 from gms_flex_control.identification.arm_fit import estimate_arm, folded
+from gms_flex_control.identification.axis_ripple import ripple_sentences
 from gms_flex_control.identification.checks import require
 from gms_flex_control.identification.coordinates import friction_record, MOST_BLOCKS
 from gms_flex_control.identification.coupling import coupling_sentences
@@ -240,7 +241,8 @@ class Data:
                                      self._apart)
         if self.paper_spreads:
             return coupled if self._apart else (NOT_HELD_OUT, *coupled)
-        return (*self.choices[joint].sentences, *few_blocks(fit), *coupled)
+        rippled = ripple_sentences(objective, self.bundle, theta, self.robot.joints[joint])
+        return (*self.choices[joint].sentences, *few_blocks(fit), *rippled, *coupled)
 
     def _errors(self, joint, fit, thetas):
         bundle, chosen = self.bundle, default_method.held_out(self.bundle.period)

@@ -25,14 +25,32 @@ def rigid_axes(recording):
     Returns
     -------
     RobotParams
+        As `rigid_joints`.
+
+    """
+    return rigid_joints(recording.joints)
+
+
+def rigid_joints(names):
+    """
+    Return a robot of decoupled rigid axes of these names.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Of the joints.
+
+    Returns
+    -------
+    RobotParams
         Unit inertia and friction; `--estimate all` replaces them.
 
     """
-    n = len(recording.joints)
+    n = len(names)
     one, zero = np.ones(n), np.zeros(n)
     steady = StribeckParams(static=one, coulomb=one, velocity=one, viscous=zero)
     return RobotParams(
-        joints=recording.joints, motors=('',) * n, encoder=EncoderParams(),
+        joints=tuple(names), motors=('',) * n, encoder=EncoderParams(),
         arm=ArmParams(kind='decoupled', mass=zero, length=zero, com=zero, inertia=one,
                       motor_inertia=zero, stiffness=np.full(n, np.inf), damping=zero),
         friction=FrictionParams(forward=steady, backward=steady, stiffness=np.full((n, 1), 100.0),
