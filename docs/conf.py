@@ -39,6 +39,7 @@ autodoc_mock_imports = [name for name in (
     'pysindy', 'distributed', 'dask') if find_spec(name) is None or not find_spec(name).origin]
 napoleon_google_docstring = False
 napoleon_use_rtype = False
+napoleon_use_ivar = True  # an attribute that is also a member is described but once
 
 myst_enable_extensions = ['colon_fence', 'dollarmath']
 myst_heading_anchors = 4
