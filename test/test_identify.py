@@ -8,6 +8,7 @@ from dataclasses import replace
 from core_runs import scaled_friction
 from gms_flex_control.identification.identify import Data, identify, Options
 from gms_flex_control.identification.output import write_friction
+from gms_flex_control.recording import Phase
 from gms_flex_control.schema.files import load_robot, save_robot
 from identified_axis import axis, experiment, JOINT, part, STATIC, without_phases, YIELDS
 import numpy as np
@@ -248,3 +249,14 @@ def test_recordings_of_unlike_rates_are_taken_at_the_slower_one():
     slow = (replace(take[0], time=1.5 * take[0].time, source='slow'), ())
     with pytest.warns(UserWarning, match='sampled every 2 to 3 ms; all are taken every 3 ms'):
         assert Data([take, slow], (), axis()).bundle.period == pytest.approx(3e-3)
+
+
+def test_few_data_of_which_a_quarter_is_no_test_of_the_joint_are_fitted():
+    """Each quarter is held out in turn, but one with nothing in it."""
+    take, _ = part(experiment(), 0.0, 20.0)
+    phases = tuple(Phase(2 * k * 10**9, *(('idle', '', '', 0.0) if k % 4 == 1 else
+                                          ('sliding', JOINT, f'step{k}', 0.1)))
+                   for k in range(10))
+    steady = identify([(take, phases)], axis(), options=Options(
+        blocks=(1, 3))).robot.friction.forward
+    assert steady.coulomb[0] == pytest.approx(0.09087, rel=0.05)

@@ -264,9 +264,21 @@ class _Contest:
         self._bundle, self._fit, self._step = bundle, fit, step
         self._objective_of = lambda chosen: Objective(bundle, joint, thetas, chosen)
         self._objective = Objective(bundle, joint, thetas)
-        self.trials = _trials(bundle)
-        self._first = self.trials[0].looks[0]
+        first, *others = _trials(bundle)
+        self.trials = (first, *filter(None, map(self._that_tell, others)))
+        self._first = first.looks[0]
         self.simple, self.by_torque = cache(self._simple), cache(self._by_torque)
+
+    def _that_tell(self, trial):
+        """Return a Trial of the looks whose both parts have motion of the joint; None if none."""
+        looks = tuple(look for look in trial.looks
+                      if self._moves(look.fitted) and self._moves(look.out))
+        return trial._replace(looks=looks) if looks else None
+
+    def _moves(self, chosen):
+        joint, bundle = self._objective.joint, self._bundle
+        return any((chosen(stretch) & stretch.tested[:, joint] & errors.moving(
+            stretch, joint, self._step, bundle.half[joint])).any() for stretch in bundle.stretches)
 
     def wins(self, fitted):
         """Return whether ``fitted``, Look -> Coordinates and free numbers, passes all trials."""
@@ -316,7 +328,7 @@ class _Contest:
                                        self._objective.joint, self._step, look.fitted)
         tried = [errors.simple_free(plain, factor * self._step, len(plain) - 4)
                  for factor in _YIELDS]
-        found = [np.prod(self._errors([look], [pair])) for pair in tried]
+        found = [np.nanprod(self._errors([look], [pair])) for pair in tried]
         return tried[int(np.argmin(found))]
 
     def finished(self, kind, rng):
@@ -356,7 +368,7 @@ class _Contest:
             theta = coordinates.unpack(free)[0]
             found.append([errors.rms(self._error(look.out)(theta)), errors.free_run_error(
                 self._objective, self._bundle, theta, look.out)])
-        return np.sqrt(np.nanmean(np.square(found), axis=0))
+        return _root_mean_square(np.array(found))
 
     def _error(self, chosen):
         return TorqueError(self._objective, self._bundle, chosen, self._step)
@@ -393,6 +405,13 @@ def _belief(coordinates, free):
     for at in (0, PER_DIRECTION):
         prior.precision[at] = _LEVEL_DOUBT ** -2
     return prior
+
+
+def _root_mean_square(rows):
+    """Return the root mean square of the columns of (L, E), NaN left out, as (E,)."""
+    known = np.isfinite(rows)
+    count = np.where(known.any(axis=0), known.sum(axis=0), np.nan)
+    return np.sqrt(np.square(np.where(known, rows, 0.0)).sum(axis=0) / count)
 
 
 def _everything(stretch):
