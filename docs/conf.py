@@ -18,7 +18,7 @@ project_copyright = f'2026, {author}'
 version = release = gms_flex_control.__version__
 
 extensions = ['myst_parser', 'sphinx.ext.autodoc', 'sphinx.ext.autosummary',
-              'sphinx.ext.napoleon']
+              'sphinx.ext.napoleon', 'sphinx-mathjax-offline']
 source_suffix = {'.md': 'markdown', '.rst': 'restructuredtext'}
 exclude_patterns = ['_build']
 templates_path = ['_templates']
