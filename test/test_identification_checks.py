@@ -19,11 +19,13 @@ from gms_flex_control.experiment.simulated import simulate, to_recording
 from gms_flex_control.identification.checks import check, require
 from gms_flex_control.identification.equations import filtered, rigid_torque
 from gms_flex_control.identification.findings import signals_of
+from gms_flex_control.identification.unknown_robot import rigid_axes
 from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.params.encoder import EncoderParams
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
 from gms_flex_control.params.robot import RobotParams
 from gms_flex_control.schema.files import load_controller, load_robot
+from identified_axis import pendulum
 import numpy as np
 import pytest
 
@@ -278,6 +280,16 @@ def test_placeholders_for_inertia_make_a_factor_a_warning():
         found = check(recording, guessed, rough=rough)
         assert {finding[0] for finding in found} == {'torque_scale'}
         assert {finding.severity for finding in found} == {severity}
+
+
+@pytest.mark.parametrize(('share', 'severity'), [(1 / 20, 'warn'), (1 / 500, 'refuse')])
+def test_where_friction_is_nearly_all_an_inertia_hardly_tells_the_scale(share, severity):
+    """One that identification could not tell is no reason to refuse the same machine."""
+    take = pendulum(inertia=8e-4, pull=0.0)
+    robot = rigid_axes(take)
+    robot = replace(robot, arm=replace(robot.arm, inertia=[8e-4 * share]))
+    found, = check(take, robot)
+    assert (found[0], found.severity) == ('torque_scale', severity)
 
 
 def test_the_gap_is_measured():

@@ -25,6 +25,8 @@ import numpy as np
 CLIPPED_WARN, CLIPPED_REFUSE = 0.005, 0.5  # shares of the moving samples
 SCALE_STIFFNESS = 4.0       # refused beyond this factor of what the spring says
 SCALE_INERTIA = (3.0, 8.0)  # warned about, refused: the inertia of a rigid joint is less known
+SCALE_SLIGHT = 50.0         # likewise where friction is nearly all: little torque tells inertia
+_NEARLY_ALL = 0.9           # of the variance
 _CLEAR = 0.5                # of the variance a fit must explain to be believed
 _EXACT = 0.95               # a fit as good as this is no delay between encoders
 _UNEXPLAINED = 0.2          # less than this is no fit at all
@@ -207,9 +209,10 @@ def _inertia_scale(signals, motion, total, j):
         return
     ratio = float(whole.weights[0])
     factor = max(ratio, 1 / ratio)
+    refused = SCALE_SLIGHT if friction > _NEARLY_ALL else SCALE_INERTIA[1]
     if factor > SCALE_INERTIA[0]:
         yield Finding('torque_scale', signals.joints[j],
-                      'refuse' if factor > SCALE_INERTIA[1] else 'warn',
+                      'refuse' if factor > refused else 'warn',
                       f'{signals.source}: the torque of {signals.joints[j]} is {ratio:.3g} '
                       "times what the robot's inertia and gravity need; give the torque in N m "
                       'at the joint (unit, gear ratio, torque constant), or correct the inertia')
