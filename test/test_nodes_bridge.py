@@ -22,10 +22,11 @@ from bridge_lab import (
     time_to_zero,
 )
 from gms_flex_control.nodes.faults import broken_node
-from node_harness import array_message, COMMANDS, Float64MultiArray, Trigger
+from gms_flex_control.nodes.messages import to_nanoseconds
+from node_harness import array_message, COMMANDS, Float64MultiArray, JointState, Trigger
 import numpy as np
 import pytest
-from ros2_control_robot import CONSTANT, GEAR, START
+from ros2_control_robot import CONSTANT, GEAR, MAPPING, START
 from std_msgs.msg import Bool
 
 # other processes of the machine can delay real nodes beyond any bound
@@ -238,6 +239,26 @@ def test_an_exception_is_one_traceback_zero_torque_and_a_fault(tmp_path, place, 
         lab.until(lambda: not any(lab.efforts.last))
         assert lab.plant.printed().count('Traceback') == 1
         move(lab)
+
+
+def test_efforts_go_out_as_joint_states_as_well_and_end_in_zero(tmp_path):
+    """By the names of the robot's actuators; the guardian ends them as it ends the array."""
+    mapping = MAPPING.replace('effort: {sign', 'effort: {name: m1, sign').replace(
+        'motor: {name: m2}', 'motor: {name: m2}\n    effort: {name: m2}')
+    with bridge_lab(tmp_path, mapping=mapping, bridge__command_type='both') as lab:
+        commands = lab.listen(JointState, '/robot/joint_commands')
+        lab.until(lambda: lab.efforts and lab.states)
+        move(lab)
+        lab.more(commands, 100)
+        sent = {tuple(data) for _, data in lab.efforts}
+        named = [command for command in commands[:-10] if any(command.effort)]
+        assert named and all(list(command.name) == ['m2', 'm1'] for command in named)
+        # either topic may lose a message in a process that is late
+        assert np.mean([tuple(command.effort) in sent for command in named]) > 0.8
+        assert all(to_nanoseconds(command.header.stamp) > 0 for command in named)
+        lab.plant.process.send_signal(signal.SIGKILL)
+        lab.until(lambda: not any(commands[-1].effort))
+        lab.plant.kill()
 
 
 def move_on(lab):
