@@ -12,9 +12,13 @@ from gms_flex_control.cli.output import prepare, refuse_foreign, say
 
 RATE = 500.0  # joint states per second [Hz]
 BELIEVED_FRICTION = 0.8  # of the true one, before identification
-ALLOWED = 1.5  # rms error of tracking, identified over true
+ALLOWED = 1.5  # rms error of tracking, identified over true, medians of robots alike
 MOTIONS = ('sinusoid', 'polynomial')
 MARKER = '.gms_flex_demo_identify'
+_HEADING = (
+    'Tracking error, rms, by what the controller believes of the friction: one run over DDS, and',
+    'in brackets the median of 16 simulated robots whose presliding differs by 0.1 %. In one run',
+    'chance decides what a good compensation leaves; the ratio is that of the medians.')
 
 
 def add_parser(subparsers):
@@ -83,7 +87,7 @@ def fit(out, bag, experiment):
 
 def compare(out):
     """
-    Track the trajectories over DDS with three beliefs of the friction.
+    Track the trajectories with three beliefs of the friction, over DDS and with robots alike.
 
     Parameters
     ----------
@@ -97,36 +101,42 @@ def compare(out):
     lines : list of str
         A table.
     values : dict
-        The same: motion, belief, rms error of each link [rad].
+        Motion, belief, rms error of each link [rad], over DDS; with ``copies`` the medians.
 
     """
+    from gms_flex_control.analysis.copies import tracking_of_copies
     from gms_flex_control.analysis.table4 import align
     from gms_flex_control.analysis.tracking import link_rms
     from gms_flex_control.cli.demo import files_of, plan_of
     from gms_flex_control.experiment.driven import drive_recorded, DrivenPlan
     from gms_flex_control.resources import robot_file
+    from gms_flex_control.schema.files import load_robot
+    import numpy as np
 
     models = {'believed': out / 'believed_robot.yaml', 'identified': out / 'friction.yaml',
               'true': robot_file()}
     rows, worst, values = [], 0.0, {}
     for motion in MOTIONS:
-        rms = {}
+        rms, usual, plan = {}, {}, plan_of(motion, 'gms')
         for name, model in models.items():
             say(f'tracking the {motion} over DDS, friction as {name}')
             rms[name] = link_rms(drive_recorded(
                 DrivenPlan(files=files_of(motion), model=model, compensation='gms',
-                           duration=plan_of(motion, 'gms').duration, rate=RATE),
+                           duration=plan.duration, rate=RATE),
                 out / 'tracking' / f'{motion}_{name}', log=out / 'log'))
-        values[motion] = {name: error.tolist() for name, error in rms.items()}
-        ratio = rms['identified'] / rms['true']
+            usual[name] = np.median(tracking_of_copies(
+                plan, load_robot([robot_file(), model])), axis=0)
+        values[motion] = {name: error.tolist() for name, error in rms.items()} | {
+            'copies': {name: error.tolist() for name, error in usual.items()}}
+        ratio = usual['identified'] / usual['true']
         worst = max(worst, ratio.max())
-        rows += [[motion, f'link {j + 1}', *(f'{1e3 * rms[name][j]:.3g}' for name in models),
-                  f'{ratio[j]:.2f}'] for j in range(len(ratio))]
+        rows += [[motion, f'link {j + 1}', *(
+            f'{1e3 * rms[name][j]:.3g} ({1e3 * usual[name][j]:.3g})' for name in models),
+            f'{ratio[j]:.2f}'] for j in range(len(ratio))]
     table = align(['motion', '', *(f'{name} [mrad]' for name in models), 'identified / true'],
                   rows)
     verdict = f'worst ratio {worst:.2f}, {"within" if worst <= ALLOWED else "ABOVE"} {ALLOWED:g}'
-    return int(worst > ALLOWED), ['Tracking error, rms, by what the controller believes of the '
-                                  'friction', table, verdict], values
+    return int(worst > ALLOWED), [*_HEADING, table, verdict], values
 
 
 class Experiment(NamedTuple):

@@ -1,0 +1,40 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Tracking of robots that hardly differ."""
+
+from dataclasses import replace
+
+from gms_flex_control.analysis.copies import tracking_of_copies
+from gms_flex_control.analysis.tracking import link_rms
+from gms_flex_control.cli.demo import plan_of
+from gms_flex_control.experiment.believed import mixed_error
+from gms_flex_control.experiment.simulated import simulate, to_recording
+import numpy as np
+import pytest
+
+
+@pytest.fixture(scope='module')
+def plan():
+    """Return ten seconds of the polynomial motion."""
+    return plan_of('polynomial', 'gms', duration=10.0)
+
+
+def test_copies_without_a_difference_track_alike(plan):
+    errors = tracking_of_copies(plan, plan.robot, count=2, spread=0.0)
+    alone = link_rms(to_recording(simulate(replace(plan, model=plan.robot)), plan, 'alone'))
+    np.testing.assert_allclose(errors, [alone, alone], rtol=1e-12)
+
+
+def test_every_belief_meets_the_same_robots(plan):
+    believed = mixed_error(plan.robot)
+    errors = [tracking_of_copies(plan, believed, count=4, spread=0.05, seed=seed)
+              for seed in (3, 3, 4)]
+    np.testing.assert_array_equal(errors[0], errors[1])
+    assert (errors[0] != errors[2]).all() and np.ptp(errors[0], axis=0).all()
+
+
+def test_friction_that_is_known_tracks_better_in_the_median(plan):
+    known, believed = (np.median(tracking_of_copies(plan, model, count=5), axis=0)
+                       for model in (plan.robot, mixed_error(plan.robot)))
+    assert (known < 0.7 * believed).all()
