@@ -1,9 +1,10 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""Fixtures shared by the tests of the physics core."""
+"""Fixtures shared by the tests of the physics core, and which cores a test may use."""
 
 from dataclasses import replace
+import os
 from pathlib import Path
 
 from gms_flex_control.params.encoder import EncoderParams
@@ -11,6 +12,27 @@ from gms_flex_control.schema.files import load_controller, load_robot
 import pytest
 
 CONFIG = Path(__file__).parents[1] / 'config'
+
+
+CORES = sorted(os.sched_getaffinity(0)) if hasattr(os, 'sched_getaffinity') else []
+
+
+NODES = ('nodes', 'demo', 'colcon', 'sros2')  # in the names of files; and all that are flaky
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item):
+    """
+    Let real nodes have all cores, other tests that run beside them one of their own.
+
+    A computation with a thread per core would starve the nodes of a test in the other process.
+    """
+    worker = os.environ.get('PYTEST_XDIST_WORKER', '')
+    if not worker or len(CORES) < 2:
+        return
+    own = CORES[int(worker.removeprefix('gw')) % len(CORES)]
+    nodes = item.get_closest_marker('flaky') or any(word in item.path.stem for word in NODES)
+    os.sched_setaffinity(0, CORES if nodes else [own])
 
 
 @pytest.fixture(scope='session')
