@@ -165,14 +165,15 @@ def test_a_gain_changes_and_a_whole_number_is_taken_for_a_double(loop):
 
 
 @pytest.mark.parametrize('node, name, value, reason', [
-    (CONTROLLER, KD, math.nan, 'range'),
-    (CONTROLLER, KD, math.inf, 'range'),
-    (CONTROLLER, KD, -0.1, 'range'),
+    (CONTROLLER, KD, math.nan, 'must be finite, got nan'),
+    (CONTROLLER, KD, math.inf, 'must be finite, got inf'),
+    (CONTROLLER, KD, -0.1, 'must be from 0 to 1e+09 N m s/rad, got -0.1'),
+    (CONTROLLER, KD, 2e9, 'must be from 0 to 1e+09 N m s/rad, got 2e+09'),
     (CONTROLLER, KD, 'stiff', 'type'),
     (CONTROLLER, KD, True, 'type'),
     (CONTROLLER, KD, [0.8], 'type'),
     (CONTROLLER, KD, None, 'cannot be undeclared'),
-    (CONTROLLER, 'gains__joint1__filter_bandwidth', 0, 'range'),
+    (CONTROLLER, 'gains__joint1__filter_bandwidth', 0, 'from 0.001 to 100000 rad/s, got 0'),
     (CONTROLLER, 'compensation', 'gsm', "disturbance_observer, got 'gsm'"),
     (CONTROLLER, 'compensation', 3, 'type'),
     (CONTROLLER, 'arm__joint1__mass', 2.0, 'read-only'),
@@ -180,7 +181,7 @@ def test_a_gain_changes_and_a_whole_number_is_taken_for_a_double(loop):
     (CONTROLLER, 'gains__joint1__kd_lnk', 1.0, 'declared'),
     (PLANT, 'rate', 100.0, 'read-only'),
     (TRAJECTORY, 'trajectory__type', 'sinus', "did you mean 'sinusoid'"),
-    (TRAJECTORY, 'trajectory__joint1__period', 0.0, 'range'),
+    (TRAJECTORY, 'trajectory__joint1__period', 0.0, 'from 0.001 to 10000 s, got 0'),
     (TRAJECTORY, 'trajectory__joint1__amplitude', math.nan, 'must be finite, got nan'),
     (TRAJECTORY, 'trajectory__repeats', 0, 'range')])
 def test_a_bad_value_is_refused_with_a_reason_and_the_old_one_stays(loop, node, name, value,
@@ -205,18 +206,45 @@ def test_a_group_is_taken_whole_or_not_at_all(loop):
     assert loop.get(TRAJECTORY, 'trajectory.type') == 'sinusoid'
 
 
-def test_descriptors_tell_meaning_unit_and_range(loop):
+def described(loop, node, *names):
+    """Return the descriptors of parameters."""
     kind = services.DescribeParameters
-    names = ['gains.joint1.kd_link', 'compensation', 'arm.joint1.mass', 'state_every']
-    gain, mode, mass, every = loop.call(
-        kind, f'{CONTROLLER}/describe_parameters', kind.Request(names=names)).descriptors
+    return loop.call(kind, f'{node}/describe_parameters', kind.Request(names=names)).descriptors
+
+
+def offered(loop, name='gains.joint1.kd_link', node=CONTROLLER):
+    """Return both ends of the range that a slider of a parameter is offered."""
+    descriptor, = described(loop, node, name)
+    range_, = descriptor.floating_point_range
+    return range_.from_value, range_.to_value
+
+
+def test_descriptors_tell_meaning_unit_and_range(loop):
+    gain, mode, mass, every = described(
+        loop, CONTROLLER, 'gains.joint1.kd_link', 'compensation', 'arm.joint1.mass',
+        'state_every')
     assert gain.description == 'K_D1 of the link law [N m s/rad]' and not gain.read_only
-    assert (gain.floating_point_range[0].from_value, gain.floating_point_range[0].to_value) == (
-        0.0, 1e9)
+    assert gain.additional_constraints.startswith('from 0 to 1e+09; the range is what sliders')
     assert mode.additional_constraints == f"one of {', '.join(COMPENSATIONS)}"
     assert mass.read_only and mass.description == 'mass of the link [kg]'
     assert every.integer_range[0].from_value == 1
     assert every.type == interfaces.ParameterType.PARAMETER_INTEGER
+
+
+def test_the_range_offered_to_sliders_follows_the_value_and_refuses_nothing(loop):
+    assert offered(loop) == (0.0, 5.0)
+    assert offered(loop, 'gains.joint1.lambda_motor') == (0.0, 200.0)
+    assert offered(loop, 'trajectory.hold_time', TRAJECTORY) == (0.0, 50.0)
+    assert offered(loop, 'trajectory.joint1.travel', TRAJECTORY) == (0.0, math.inf)
+    assert not described(loop, TRAJECTORY, 'trajectory.joint1.phase')[0].floating_point_range
+    assert loop.set_parameters(CONTROLLER, **{KD: 300.0}).successful  # sixty times its end
+    assert offered(loop) == (0.0, 2000.0)
+    together = {KD: 1e6, 'gains__joint2__kd_link': 'stiff'}  # ROS refuses the type
+    assert not loop.set_parameters(CONTROLLER, together=True, **together).successful
+    assert not loop.set_parameters(CONTROLLER, **{KD: -1.0}).successful
+    assert offered(loop) == (0.0, 2000.0)
+    assert loop.set_parameters(CONTROLLER, **{KD: 0.8}).successful
+    assert offered(loop) == (0.0, 5.0)
 
 
 def test_compensation_changes_while_it_moves(loop):

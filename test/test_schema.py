@@ -11,6 +11,8 @@ from core_runs import stribeck
 from gms_flex_control.errors import ConfigError, ParameterError
 from gms_flex_control.params.robot import EffectSpec
 from gms_flex_control.schema.files import load_controller, load_robot, save_robot
+from gms_flex_control.schema.keys import controller_keys, trajectory_keys
+from gms_flex_control.schema.offered import offered_range
 import numpy as np
 import pytest
 
@@ -275,3 +277,25 @@ def test_joints_may_have_different_numbers_of_blocks(robot, tmp_path):
     assert friction.stiffness.shape == (2, 6)
     np.testing.assert_array_equal(friction.stiffness[0], [5.0, 50.0, 0.0, 0.0, 0.0, 0.0])
     np.testing.assert_array_equal(friction.weight[0], [0.25, 0.75, 0.0, 0.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize('key', [
+    key for key in (*controller_keys(['j']), *trajectory_keys(['j']))
+    if key.live and key.kind == 'double'], ids=lambda key: key.name)
+def test_a_linear_slider_of_a_hundred_positions_can_use_the_range_offered(key):
+    """From a finger to a crane: value and five times it are within, a step is an eighth."""
+    if key.lower == -np.inf:  # an angle, a torque: no end, and rqt_reconfigure has atan for that
+        assert offered_range(key, 1.0) is None
+        return
+    for value in np.geomspace(max(key.lower, 1e-6), min(key.upper, 1e9), 200):
+        low, high = offered_range(key, float(value))
+        assert low == key.lower and value <= high <= key.upper
+        assert high == key.upper or 5.0 * value <= high * (1.0 + 1e-8)
+        assert (high - low) / 100 <= 0.12501 * value
+    assert offered_range(key, 0.0) == (key.lower, np.inf)
+
+
+def test_the_range_offered_ends_at_a_round_number():
+    gain, = (key for key in controller_keys(['j']) if key.name == 'gains.j.kd_link')
+    ends = [offered_range(gain, number)[1] for number in (0.2, 0.8, 3.0, 40.0, 1.5e-5, 7e8)]
+    assert ends == pytest.approx([1.0, 5.0, 20.0, 200.0, 1e-4, 1e9], rel=1e-12)

@@ -222,10 +222,15 @@ def check_gains(browser, lab):
     browser.press('Enter')
     browser.until(f'document.querySelector({row!r}).classList.contains("refused")')
     reason = browser.ask(f'document.querySelector({row!r} + " .answer").textContent')
-    assert reason.startswith('refused: ') and 'out of range' in reason
+    assert reason.startswith('refused: ') and 'must be from 0 to' in reason
     assert lab.get(CONTROLLER, gain) == value
     shown = f'document.querySelector({row!r} + " input[type=number]").value'
     assert float(browser.ask(shown)) == pytest.approx(value, rel=1e-3)
     browser.ask('document.activeElement.blur()')
     assert lab.set_parameters(CONTROLLER, gains__joint1__kd_link=0.5).successful
     browser.until(f'{shown} === "0.5"')
+    assert lab.set_parameters(CONTROLLER, gains__joint1__kd_link=40.0).successful  # beyond its end
+    browser.until(f'{shown} === "40"')
+    browser.ask(f'document.querySelector({row!r} + " input[type=range]").focus()')
+    browser.press('ArrowLeft')
+    browser.until(f'document.querySelector({row!r} + " .answer").textContent === "set to 39.54"')

@@ -3,35 +3,54 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Node parameters from the schema: declared, coerced, judged, applied."""
 
+import math
+
 from gms_flex_control.errors import ConfigError, GmsFlexError
 from gms_flex_control.schema import build
 from gms_flex_control.schema.key import REQUIRED
-from gms_flex_control.schema.values import checked, known_keys
+from gms_flex_control.schema.offered import offered_range
+from gms_flex_control.schema.values import checked, known_keys, range_in_words
 from rcl_interfaces.msg import (
     FloatingPointRange,
     IntegerRange,
     ParameterDescriptor,
+    ParameterType,
     SetParametersResult,
 )
 from rclpy.parameter import Parameter
 
 _BUILT_IN = ('use_sim_time', 'start_type_description_service', 'qos_overrides')
-_LARGEST_RANGE = 1e300
+_TYPES = {kind: getattr(ParameterType, f'PARAMETER_{kind.upper()}')
+          for kind in ('double', 'integer', 'string', 'double_array', 'string_array')} | {
+              'boolean': ParameterType.PARAMETER_BOOL}
 
 
-def _descriptor(key):
+def _descriptor(key, value):
+    """Return what ROS tells of a parameter that has a value."""
     choices = f"one of {', '.join(key.choices)}" if key.choices else ''
     unit = f' [{key.unit}]' if key.unit else ''
     descriptor = ParameterDescriptor(  # rqt_reconfigure shows the description alone
         description=f'{key.description}{unit}{f": {choices}" if choices else ""}',
-        additional_constraints=choices, read_only=not key.live)
-    if key.kind == 'double' and max(abs(key.lower), abs(key.upper)) < _LARGEST_RANGE:
-        descriptor.floating_point_range = [
-            FloatingPointRange(from_value=key.lower, to_value=key.upper)]
-    if key.kind == 'integer' and max(abs(key.lower), abs(key.upper)) < _LARGEST_RANGE:
+        type=_TYPES[key.kind], additional_constraints=choices, read_only=not key.live)
+    if _is_offered(key):
+        low, high = offered_range(key, value)
+        descriptor.additional_constraints = (
+            f'{range_in_words(key)}; the range is what sliders are offered and follows the value')
+    else:
+        low, high = key.lower, key.upper
+        if math.isinf(low) or math.isinf(high):
+            return descriptor
+    if key.kind == 'double':  # no step: ROS refuses what is not on its grid
+        descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
+    if key.kind == 'integer':
         descriptor.integer_range = [
-            IntegerRange(from_value=int(key.lower), to_value=int(key.upper), step=1)]
+            IntegerRange(from_value=int(low), to_value=int(high), step=1)]
     return descriptor
+
+
+def _is_offered(key):
+    """Return whether a key's range in ROS is the one that sliders are offered."""
+    return key.kind == 'double' and key.live and offered_range(key, 0.0) is not None
 
 
 class NodeParameters:
@@ -67,9 +86,10 @@ class NodeParameters:
         for name in given:
             node.undeclare_parameter(name)
         for name, key in self._keys.items():
-            node.declare_parameter(name, _ros_value(key, self.values[name]), _descriptor(key),
-                                   ignore_override=True)
+            node.declare_parameter(name, _ros_value(key, self.values[name]),
+                                   _descriptor(key, self.values[name]), ignore_override=True)
         self._apply = None
+        self._open = ()  # names whose range ROS does not check meanwhile
 
     @staticmethod
     def _value(key, given):
@@ -100,7 +120,33 @@ class NodeParameters:
         self._node.add_post_set_parameters_callback(guard(self._on_changed))
 
     def _coerce(self, parameters):
-        return [self._as_double(parameter) for parameter in parameters]
+        coerced = [self._as_double(parameter) for parameter in parameters]
+        self._make_room(coerced)
+        return coerced
+
+    def _make_room(self, parameters):
+        """Keep ROS from refusing what lies beyond the range offered; `checked` judges it."""
+        self._offer(self._open)  # those of a setting that ROS refused for another reason
+        self._open = [parameter.name for parameter in parameters if self._is_beyond(parameter)]
+        for name in self._open:
+            descriptor = self._node.describe_parameter(name)
+            self._node.set_descriptor(name, ParameterDescriptor(
+                description=descriptor.description, type=descriptor.type,
+                additional_constraints=descriptor.additional_constraints))
+
+    def _is_beyond(self, parameter):
+        key = self._keys.get(parameter.name)
+        if key is None or not _is_offered(key) or parameter.type_ != Parameter.Type.DOUBLE:
+            return False
+        low, high = offered_range(key, self.values[parameter.name])
+        return not low <= parameter.value <= high
+
+    def _offer(self, names):
+        """Let the ranges of parameters follow their values."""
+        for name in names:
+            key = self._keys[name]
+            if _is_offered(key):
+                self._node.set_descriptor(name, _descriptor(key, self.values[name]))
 
     def _as_double(self, parameter):
         key = self._keys.get(parameter.name)
@@ -120,6 +166,13 @@ class NodeParameters:
         return values
 
     def _on_set(self, parameters):
+        result = self._judged(parameters)
+        if not result.successful:
+            self._offer(self._open)
+            self._open = ()
+        return result
+
+    def _judged(self, parameters):
         try:
             self._judge(self._candidate(parameters))
         except GmsFlexError as error:
@@ -135,6 +188,8 @@ class NodeParameters:
             judged = self._judge(values)
             self.values = values
             self._apply(judged)
+        self._offer(parameter.name for parameter in parameters if parameter.name in self._keys)
+        self._open = ()
 
 
 def _ros_value(key, value):

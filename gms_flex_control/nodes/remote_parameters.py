@@ -4,6 +4,7 @@
 """Another node's parameters, asked for from threads that do not spin."""
 
 from functools import partial
+import math
 import threading
 
 from rcl_interfaces.msg import ParameterType
@@ -73,8 +74,8 @@ class RemoteParameters:
         Returns
         -------
         list of dict or None
-            Name, value, description, lower and upper (None without a range), choices and
-            read_only of each, in the order of the node; None if it does not answer in time.
+            Name, value, description, lower and upper (None where there is no such end), choices
+            and read_only of each, in the order of the node; None if it does not answer in time.
 
         """
         listed = self._call(ListParameters, ListParameters.Request())
@@ -120,12 +121,16 @@ class RemoteParameters:
 
 
 def _described(name, value, descriptor):
-    ranges = descriptor.floating_point_range or descriptor.integer_range
+    ranges = [*descriptor.floating_point_range, *descriptor.integer_range]
+    lower, upper = (ranges[0].from_value, ranges[0].to_value) if ranges else (None, None)
     choices = []
     if value is not None and descriptor.type == ParameterType.PARAMETER_STRING and \
             descriptor.additional_constraints.startswith('one of '):
         choices = descriptor.additional_constraints.removeprefix('one of ').split(', ')
     return {'name': name, 'value': value, 'description': descriptor.description,
-            'lower': ranges[0].from_value if ranges else None,
-            'upper': ranges[0].to_value if ranges else None, 'choices': choices,
+            'lower': _finite(lower), 'upper': _finite(upper), 'choices': choices,
             'read_only': descriptor.read_only}
+
+
+def _finite(number):
+    return number if number is not None and math.isfinite(number) else None

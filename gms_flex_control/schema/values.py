@@ -85,11 +85,12 @@ def _check_range(key, number):
     if math.isnan(number) or (math.isinf(number) and not infinite_allowed):
         raise ConfigError(f'{key.name} must be finite, got {number}')
     if not key.lower <= number <= key.upper:
-        raise ConfigError(f'{key.name} must be {_range_in_words(key)}'
+        raise ConfigError(f'{key.name} must be {range_in_words(key)}'
                           f'{f" {key.unit}" if key.unit else ""}, got {number:g}')
 
 
-def _range_in_words(key):
+def range_in_words(key):
+    """Return what numbers a key allows, without the unit (str)."""
     if math.isfinite(key.upper):
         return f'from {key.lower:g} to {key.upper:g}'
     return 'above 0' if key.lower == SMALLEST else f'at least {key.lower:g}'

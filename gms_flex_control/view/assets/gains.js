@@ -4,7 +4,7 @@ import {clamp, element, format} from './numbers.js';
 import {ask} from './sources.js';
 
 const STEPS = 400;      // of a slider
-const SPAN = 10;        // a slider reaches this many times the first value, up and down
+const SPAN = 10;        // a slider reaches this many times the value, up and down
 const LOOK = 3000;      // others may set gains as well [ms]
 const token = () => document.querySelector('meta[name=token]').content;
 
@@ -19,8 +19,6 @@ class Gain {
     const short = this.name.split('.').pop();
     const id = `gain-${this.name.replaceAll('.', '-')}`;
     const [, text, unit] = /^(.*?)(?: \[(.*)\])?$/.exec(this.description) || [];
-    this.low = Math.max(this.lower ?? -Infinity, this.first > 0 ? this.first / SPAN : 0);
-    this.high = Math.min(this.upper ?? Infinity, this.first > 0 ? this.first * SPAN : 1);
     this.number = element('input', {type: 'number', step: 'any', id, value: plain(this.first),
                                     'aria-describedby': `${id}-answer`});
     this.slider = element('input', {type: 'range', min: '0', max: String(STEPS), 'aria-label':
@@ -36,6 +34,12 @@ class Gain {
     this.hold(this.first);
   }
 
+  /* Let the slider reach from below a value to above it; what is too much the node refuses. */
+  reach(value) {
+    this.low = Math.max(this.lower ?? -Infinity, value > 0 ? value / SPAN : 0);
+    this.high = value > 0 ? value * SPAN : 1;
+  }
+
   atSlider() {
     const share = Number(this.slider.value) / STEPS;
     return this.low > 0 ? this.low * (this.high / this.low) ** share
@@ -44,6 +48,7 @@ class Gain {
 
   /* Show what holds. */
   hold(value) {
+    if (value === this.first || value < this.low || value > this.high) this.reach(value);
     this.value = value;
     this.number.value = plain(value);
     const share = this.low > 0 ? Math.log(Math.max(value, 1e-300) / this.low)
