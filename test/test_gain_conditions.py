@@ -7,6 +7,7 @@ import argparse
 from dataclasses import replace
 import json
 from pathlib import Path
+import re
 
 from gms_flex_control.cli import check_gains
 from gms_flex_control.control import gain_conditions
@@ -162,6 +163,11 @@ def test_the_command_prints_condition_value_limit_and_verdict(capsys, tmp_path):
     stiff = tmp_path / 'stiff.yaml'
     stiff.write_text('/**:\n  ros__parameters:\n    arm:\n      joint1:\n'
                      '        stiffness: 40.0\n', encoding='utf-8')
+    # the bound, and the two factors of which it is made
+    pushed, spread = (float(re.search(f'{name}.*= ([0-9.]+)', out).group(1))
+                      for name in ('D_bar / alpha', 'lmax / lmin'))
+    bound = float(re.search(r'ends below ([0-9.]+)\.\n  No prediction', out).group(1))
+    assert pushed * spread == pytest.approx(bound, rel=0.02)
     assert tool('--robot', CONFIG / 'robot.yaml', stiff) == 1
     out = capsys.readouterr().out
     assert 'VIOLATED' in out and 'none, N_2 is not positive definite' in out

@@ -218,6 +218,19 @@ def test_tune_writes_what_the_controller_loads_and_goes_on_when_killed(
     assert journal.read_text().splitlines()[:2] == lines[:2]
 
 
+def test_tune_tells_the_error_to_expect_and_that_the_bound_is_none(tmp_path, axis_file, capsys):
+    """The larger of both motions, by simulation, beside what friction alone can hold."""
+    assert main(['tune', '--robot', str(axis_file), '--torque-limit', '2', '--bandwidth', '6',
+                 '--out', str(tmp_path)]) == 0
+    out = capsys.readouterr().out
+    trials = json.loads((tmp_path / 'tuning.json').read_text())['trials']['gms'].values()
+    mse, peak = (max(trial[name][0] for trial in trials) for name in ('mse', 'peak'))
+    assert (f'expected error, gms, the worse motion: axis {1e3 * math.sqrt(mse):.3g} mrad rms, '
+            f'{1e3 * peak:.3g} at most\n' in out)
+    assert 'static friction can hold without compensation: axis ' in out
+    assert out.count('(43)') == 1 and 'No prediction' in out
+
+
 def test_tune_says_no_where_nothing_fits(tmp_path, axis_file, capsys):
     assert main(['tune', '--robot', str(axis_file), '--torque-limit', '2', '--bandwidth', '60',
                  '--rate', '100', '--out', str(tmp_path / 'no')]) == 1

@@ -189,6 +189,7 @@ def tell(proposal, trials, robot, demands):
     print('\n'.join(words.loop_lines(proposal.judgement, robot, demands.timing)))
     print(f'\n{check_gains.text(proposal.judgement.conditions)}')
     print(f'\nSimulated, exact model\n{words.trials_table(trials, robot)}')
+    print('\n'.join(words.expected_lines(trials, proposal.judgement, robot)))
     for sentence in proposal.unmet:
         print(f'NOT MET: {sentence}')
 

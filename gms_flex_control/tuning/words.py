@@ -41,21 +41,52 @@ def margins_table(judgement, robot):
 
 
 def loop_lines(judgement, robot, timing):
-    """Return delay margin, ringing and the bound of the theory as lines of text."""
+    """Return delay margin and ringing as lines of text."""
     delay = ('more than 50 samples' if math.isinf(judgement.delay)
              else f'{1e3 * judgement.delay:.2f} ms')
-    report = judgement.conditions
-    residual = f'{report.residual:.4g}' if math.isfinite(report.residual) else 'none'
-    held = ', '.join(f'{joint} {1e3 * value:.3g} mrad' for joint, value in zip(
-        robot.joints, judgement.held, strict=True))
     ringing = f'decay at {judgement.ringing:.2g} 1/s or faster'
     if judgement.ringing < 0.0:
         ringing = f'grow at {-judgement.ringing:.2g} 1/s until blocks slip'
     return [f'further delay until unstable, all joints: {delay} (already there: '
             f'{1e3 * timing.delay:.3g} ms, and the hold of {1e3 * timing.period:.3g} ms)',
-            f'while every block sticks, oscillations {ringing}',
-            f'bound (43) on the norm of all errors: {residual}; safe, far from tight',
+            f'while every block sticks, oscillations {ringing}']
+
+
+def expected_lines(trials, judgement, robot):
+    """
+    Return what error of the links to expect.
+
+    Parameters
+    ----------
+    trials : dict
+        As for `trials_table`; the last mode is the one that is meant.
+    judgement : Judgement
+        Of the same gains.
+    robot : RobotParams
+        Names the joints.
+
+    Returns
+    -------
+    list of str
+        Lines of text.
+
+    """
+    mode = list(trials)[-1]
+    told = '; '.join(f'{joint} {_expected(trials[mode].values(), j)}'
+                     for j, joint in enumerate(robot.joints))
+    held = ', '.join(f'{joint} {1e3 * value:.3g} mrad' for joint, value in zip(
+        robot.joints, judgement.held, strict=True))
+    return [f'expected error, {mode}, the worse motion: {told}',
             f'error that static friction can hold without compensation: {held}']
+
+
+def _expected(found, j):
+    if any(trial.lost for trial in found):
+        return 'lost'
+    rms, peak = (1e3 * max(value[j] for value in values) for values in (
+        [[math.sqrt(one) for one in trial.mse] for trial in found],
+        [trial.peak for trial in found]))
+    return f'{rms:.3g} mrad rms, {peak:.3g} at most'
 
 
 def trials_table(trials, robot):
