@@ -3,16 +3,10 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Batches give the same results wherever they run and whoever is killed, and can go on."""
 
-from contextlib import contextmanager
 import io
-import os
-from pathlib import Path
-import re
 import signal
-import subprocess
 import sys
 import threading
-import time
 
 import batch_items
 from gms_flex_control.batches.batch import run_batch
@@ -24,25 +18,15 @@ from gms_flex_control.comparison.contestants import Condition
 from gms_flex_control.errors import BatchError, SimulationError
 from gms_flex_control.resources import controller_file, robot_file
 from gms_flex_control.schema.files import load_controller, load_robot
+from loopback_cluster import cluster, until
 import numpy as np
 import pytest
 
-ROOT = Path(__file__).parents[1]
-PATIENCE = 60.0  # s
 ITEMS = {f'walk {seed}': seed for seed in range(6)}
 ROBOT = load_robot(robot_file())
 SETTING = study.Setting(ROBOT, load_controller(controller_file(), ROBOT), np.ones(2), 500.0, 0, 0)
 CELL = {'a simulation': study.Cell(SETTING, 'gms', Condition('M +30 %', 'M', mass=1.3))}
 SERIAL = {key: batch_items.walk(seed) for key, seed in ITEMS.items()}
-
-
-def until(condition):
-    """Wait for a condition to hold, and return what it returned."""
-    deadline = time.monotonic() + PATIENCE
-    while not (value := condition()):
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
-    return value
 
 
 @pytest.fixture(scope='module')
@@ -106,36 +90,6 @@ def test_the_bar_is_drawn_on_a_terminal_only():
             bar.step()
         assert ('runs [##############################] 2/2' in stream.getvalue()) == drawn
         assert bool(stream.getvalue()) == drawn
-
-
-@contextmanager
-def cluster(folder):
-    """Yield address and worker processes of a real scheduler with two workers on loopback."""
-    pytest.importorskip('distributed', reason="Dask is not installed (extra 'dask')")
-    environment = {**os.environ, 'PYTHONPATH': os.pathsep.join([str(ROOT), str(ROOT / 'test')]),
-                   'DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES': '3'}
-    started = []
-
-    def start(name, *arguments):
-        log = folder / f'{name}.log'
-        with log.open('w') as file:
-            started.append(subprocess.Popen(
-                [sys.executable, '-m', *arguments], env=environment, stdout=file, stderr=file,
-                cwd=folder))
-        return log
-
-    try:
-        log = start('scheduler', 'distributed.cli.dask_scheduler', '--host', '127.0.0.1',
-                    '--port', '0', '--no-dashboard')
-        address = until(lambda: re.search(r'Scheduler at: +(tcp://[\d.:]+)', log.read_text()))[1]
-        logs = [start(f'worker_{i}', 'distributed.cli.dask_worker', address, '--nthreads', '1',
-                      '--no-nanny', '--no-dashboard', '--host', '127.0.0.1') for i in range(2)]
-        until(lambda: all('Registered to' in log.read_text() for log in logs))
-        yield address, started[1:]
-    finally:
-        for process in started:
-            process.kill()
-            process.wait()
 
 
 def test_a_cluster_returns_the_same_even_when_a_worker_is_killed(tmp_path):

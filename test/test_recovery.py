@@ -1,16 +1,20 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""Trials of a recovery: what is counted, and the journal that lets a long run go on."""
+"""Trials of a recovery: what is counted, and that they are the same wherever they are done."""
 
+import json
+import math
+
+from gms_flex_control.cli.main import main
 from gms_flex_control.cli.recover import missed_of, table
-from gms_flex_control.errors import IdentificationError
-from gms_flex_control.identification.recovery import recovered, Trial
+from gms_flex_control.identification.recovery import as_values, from_values, recovered, Trial
 from gms_flex_control.identification.result import Estimate, Interval
-from gms_flex_control.identification.trial_journal import TrialJournal
+from gms_flex_control.schema.files import save_robot, save_values
+from gms_flex_control.tuning.words import controller_values
+from identified_axis import axis, GAINS
+from loopback_cluster import cluster
 import pytest
-
-SETTINGS = {'rate': 500.0, 'plan': 'abc'}
 
 
 def trial(seed, value, *, curve=0.01, flags=()):
@@ -37,25 +41,60 @@ def test_what_is_asked_and_missed_is_said():
     assert missed_of(recovered([trial(0, 1.02)]), [trial(0, 1.02)]) == []
 
 
-def test_a_journal_gives_back_its_trials_and_lacks_a_line_cut_off(tmp_path):
-    """What was finished is there again, intervals and flags included."""
-    path = tmp_path / 'a' / 'trials.jsonl'
-    journal = TrialJournal(path, SETTINGS)
-    trials = [trial(3, 0.9, flags=('at bound',)), trial(1, 1.1)]
-    for one in trials:
-        journal.add(one)
-    path.write_text(path.read_text() + '{"seed": 4, "estim')
-    again = TrialJournal(path, SETTINGS)
-    assert again.trials == {3: trials[0], 1: trials[1]}
-    assert recovered(again.trials.values()) == recovered(trials)
+def test_a_trial_is_the_same_after_json():
+    """Intervals without end, and flags, included."""
+    one = trial(3, 0.9, flags=('at bound', 'not identifiable'))
+    estimate, true = one.estimates[0]
+    wide = estimate._replace(interval=Interval(-math.inf, math.inf))
+    one = one._replace(estimates=((wide, true),))
+    text = json.dumps(as_values(one), allow_nan=False)
+    assert from_values(json.loads(text)) == one
 
 
-@pytest.mark.parametrize('content, message', [
-    ('{"rate": 100.0, "plan": "abc"}\n', 'other settings'),
-    ('hello', 'is no journal'), ('{"rate": 500.0, "plan": "abc"}\n[]\n', 'is no journal')])
-def test_a_file_that_is_no_journal_of_these_trials_is_refused(tmp_path, content, message):
-    """The sentence names the file and the way out."""
-    path = tmp_path / 'trials.jsonl'
-    path.write_text(content)
-    with pytest.raises(IdentificationError, match=f'trials.jsonl: .*{message}.*name another file'):
-        TrialJournal(path, SETTINGS)
+PLAN = """
+identification:
+  experiments: [constant_velocity, break_away]
+  speeds: 4
+  repeats: 1
+  dwell_time: 0.3
+  counts: 6.0
+  rest_time: 0.1
+  torque_rate: 0.5
+  break_away_repeats: 1
+  joint1: {lower: -1.6, upper: 1.6, velocity: 2.5, acceleration: 6.0}
+"""
+
+
+@pytest.fixture
+def recover(tmp_path):
+    """Return a function that recovers a rigid axis, two seeds; it returns figures and journal."""
+    robot = axis(rigid=True)
+    save_robot(robot, tmp_path / 'robot.yaml')
+    save_values(controller_values(GAINS, robot.joints), tmp_path / 'controller.yaml')
+    (tmp_path / 'plan.yaml').write_text(
+        '/**:\n  ros__parameters:' + PLAN.replace('\n', '\n    ').rstrip() + '\n')
+    files = [word for name in ('robot', 'controller', 'plan')
+             for word in (f'--{name}', str(tmp_path / f'{name}.yaml'))]
+
+    def run(name, *options):
+        out = tmp_path / name
+        assert main(['recover', *files, '--seeds', '2', '--rate', '200', '--out', str(out),
+                     *options]) in (0, 1)
+        return (out / 'recovery.json').read_text(), out / 'outcomes.jsonl'
+    return run
+
+
+def test_a_recovery_that_goes_on_or_runs_on_a_cluster_finds_the_same(tmp_path, recover):
+    """The second run finds one seed in the journal, the last one all of them."""
+    figures, journal = recover('out')
+    lines = journal.read_text().splitlines()
+    assert json.loads(figures)['seeds'] == [0, 1] and len(lines) == 2
+    journal.write_text(lines[1] + '\n' + lines[0][:40])
+    assert recover('out')[0] == figures
+    kept = journal.read_text().splitlines()
+    assert kept[0] == lines[1] and len(kept) == 3
+    with cluster(tmp_path) as (address, _):
+        found, journal = recover('cluster', '--scheduler', address)
+    assert found == figures
+    assert recover('cluster', '--workers', '1')[0] == figures  # all from the journal
+    assert len(journal.read_text().splitlines()) == 2

@@ -46,7 +46,7 @@ EXAMPLES = {
     'discrepancy': ['gms_flex discrepancy my_bag --robot robot.yaml --out results',
                     'gms_flex discrepancy my_bag --robot robot.yaml friction.yaml --holdout '
                     'another_bag --out results'],
-    'recover': ['gms_flex recover --seeds 3', 'gms_flex recover --seeds 20 --out recover.json'],
+    'recover': ['gms_flex recover --seeds 3', 'gms_flex recover --seeds 20 --out recovery'],
     'hide': ['gms_flex hide --effect backlash --out hidden',
              'gms_flex hide --kind single double --seeds 0:5 --out hidden'],
     'score': ['gms_flex score --out quick',

@@ -6,11 +6,14 @@
 import json
 from pathlib import Path
 
-from gms_flex_control.cli.output import say
+from gms_flex_control.cli.batch_options import add_batch_options
 
 # what is asked of the identification, by the last part of a parameter's name (largest error)
 ASKED = {'static': 0.03, 'coulomb': 0.03, 'viscous': 0.03, 'velocity': 0.15, 'attraction': 0.10}
 CURVE = 0.02  # of F_s, at every displacement
+# what an outcome depends on
+SOURCES = ('params', 'friction', 'effects', 'dynamics', 'trajectory', 'control',
+           'effect_compensation', 'simulation', 'experiment', 'identification')
 
 
 def add_parser(subparsers):
@@ -19,7 +22,9 @@ def add_parser(subparsers):
         'recover', help='identify a simulated robot many times and compare with the truth',
         description='Simulate the identification experiment and identify it, once per seed, and '
                     'print how each parameter comes out, how often its 95 % interval holds the '
-                    'truth, and how far the presliding curve is off.')
+                    'truth, and how far the presliding curve is off. A killed run goes on when '
+                    'started again with the same --out. Exit code 1 if what is asked of the '
+                    'identification is missed.')
     parser.add_argument('--robot', metavar='FILE', help='the truth; default: the arm of the paper')
     parser.add_argument('--controller', metavar='FILE', help='default: the gains of the paper')
     parser.add_argument('--plan', metavar='FILE',
@@ -33,9 +38,9 @@ def add_parser(subparsers):
                         help='of the recorded torque [N m] (default: %(default)s)')
     parser.add_argument('--first', type=int, default=0, metavar='SEED',
                         help='the first seed (default: %(default)s)')
-    parser.add_argument('--journal', metavar='FILE',
-                        help='keep each finished seed in this file; begun again, the rest is done')
-    parser.add_argument('--out', metavar='FILE', help='write the figures as JSON')
+    add_batch_options(parser)
+    parser.add_argument('--out', default='recovery', metavar='DIR',
+                        help='recovery.json, journal of the seeds (default: %(default)s)')
     parser.add_argument('--json', action='store_true', help='print the figures as JSON')
     parser.set_defaults(run=run)
 
@@ -59,9 +64,7 @@ def run(args):
     believed = replace(robot, friction=scaled_friction(robot.friction, args.believed))
     plan = read_identification_plan(
         [args.plan or share_path() / 'config' / 'identification.yaml'], believed, gains)
-    journal = journal_of(args, plan)
-    trials = [trial_of(args, seed, journal, (plan, robot, believed, gains))
-              for seed in range(args.first, args.first + args.seeds)]
+    trials = trials_of(args, (plan, robot, believed, gains))
     rows = recovered(trials)
     missed = missed_of(rows, trials)
     figures = json.dumps({
@@ -70,32 +73,36 @@ def run(args):
         'parameters': [row._asdict() for row in rows],
         'curve': [one.curve for one in trials], 'blocks': [one.blocks for one in trials],
         'missed': missed}, indent=2, allow_nan=False)
-    if args.out:
-        write_text(Path(args.out), figures + '\n')
+    write_text(Path(args.out) / 'recovery.json', figures + '\n')
     print(figures if args.json else '\n'.join([
         table(rows), summary(rows, trials), *(f'MISSED: {sentence}' for sentence in missed)]))
     return int(bool(missed))
 
 
-def journal_of(args, plan):
-    """Return the TrialJournal of the arguments, None without."""
-    from gms_flex_control.identification.trial_journal import TrialJournal
-    return TrialJournal(args.journal, {
-        'robot': args.robot, 'controller': args.controller, 'plan': plan.fingerprint(),
-        'believed': args.believed, 'rate': args.rate,
-        'torque_noise': args.torque_noise}) if args.journal else None
+def trials_of(args, setting):
+    """Return the Trial of each seed; those in the journal of --out are not done again."""
+    import hashlib
 
+    from gms_flex_control.batches.batch import run_batch
+    from gms_flex_control.batches.executor import open_executor
+    from gms_flex_control.batches.journal import Journal
+    from gms_flex_control.batches.sources import fingerprint
+    from gms_flex_control.identification.recovery import from_values, TrialItem, try_item
+    from gms_flex_control.schema.build import robot_values
+    from gms_flex_control.tuning.words import controller_values
+    import numpy as np
 
-def trial_of(args, seed, journal, setting):
-    """Return the Trial of a seed, from the journal if it is there, and print how it went."""
-    from gms_flex_control.identification.recovery import trial
-    done = journal.trials.get(seed) if journal else None
-    one = done or trial(*setting, seed, rate=args.rate, torque_noise=args.torque_noise)
-    if journal and not done:
-        journal.add(one)
-    say(f'seed {seed}: {one.seconds:.0f} s, N {", ".join(map(str, one.blocks))}, presliding '
-        f'curve off by {", ".join(f"{100 * value:.2f} %" for value in one.curve)} of F_s')
-    return one
+    plan, robot, _, gains = setting
+    asked = json.dumps([robot_values(robot), controller_values(gains, robot.joints), vars(plan),
+                        args.believed, args.rate, args.torque_noise],
+                       default=np.ndarray.tolist)
+    journal = Journal(args.out, f'{fingerprint(SOURCES)} '
+                      f'{hashlib.sha256(asked.encode()).hexdigest()[:16]}')
+    items = {f'seed {seed}': TrialItem(*setting, seed, args.rate, args.torque_noise)
+             for seed in range(args.first, args.first + args.seeds)}
+    with open_executor(args.workers, args.scheduler) as executor:
+        found = run_batch(try_item, items, executor=executor, journal=journal, label='seeds')
+    return [from_values(values) for values in found.values()]
 
 
 def table(rows):

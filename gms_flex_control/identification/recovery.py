@@ -3,11 +3,13 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """How well an experiment on a simulated robot gives back the friction that is in it."""
 
+import math
 from typing import NamedTuple
 
 from gms_flex_control.experiment.identification_simulated import simulate_identification
 from gms_flex_control.identification.beside import known_values, presliding_difference
 from gms_flex_control.identification.identify import identify
+from gms_flex_control.identification.result import Estimate, Interval
 from gms_flex_control.identification.words import NOT_IDENTIFIABLE
 import numpy as np
 
@@ -33,6 +35,52 @@ class Recovered(NamedTuple):
     bootstrap: float   # the same of the bootstrap
     flagged: float     # share of trials in which it was said not to be identifiable
     trials: int
+
+
+class TrialItem(NamedTuple):
+    """A trial to be done, perhaps in another process; see `trial`."""
+
+    plan: object
+    robot: object
+    believed: object
+    gains: object
+    seed: int
+    rate: float
+    torque_noise: float
+
+
+def try_item(item):
+    """Return the Trial of a TrialItem as `as_values` does."""
+    *setting, seed, rate, torque_noise = item
+    return as_values(trial(*setting, seed, rate=rate, torque_noise=torque_noise))
+
+
+def as_values(one):
+    """Return a Trial as plain values for JSON, from which `from_values` makes it again."""
+    pairs = [[*estimate._replace(value=_written(estimate.value),
+                                 interval=[*map(_written, estimate.interval)],
+                                 bootstrap=[*map(_written, estimate.bootstrap)]), _written(true)]
+             for estimate, true in one.estimates]
+    return {**one._asdict(), 'estimates': pairs, 'blocks': [*map(int, one.blocks)],
+            'curve': [*map(_written, one.curve)]}
+
+
+def _written(number):
+    """Return a float; as text what JSON has no number for."""
+    return float(number) if math.isfinite(number) else str(float(number))
+
+
+def from_values(values):
+    """Return the Trial of what `as_values` returned."""
+    pairs = []
+    for *fields, true in values['estimates']:
+        estimate = Estimate(*fields)
+        pairs.append((estimate._replace(
+            value=float(estimate.value), interval=Interval(*map(float, estimate.interval)),
+            bootstrap=Interval(*map(float, estimate.bootstrap)), flags=tuple(estimate.flags)),
+            float(true)))
+    return Trial(**{**values, 'estimates': tuple(pairs), 'blocks': tuple(values['blocks']),
+                    'curve': tuple(map(float, values['curve']))})
 
 
 def trial(plan, robot, believed, gains, seed, *, rate, torque_noise, options=None):
