@@ -85,10 +85,12 @@ def test_a_message_that_is_no_phase_is_named(message, tmp_path):
             read(bag)
 
 
-def test_another_type_on_the_topic_is_refused(tmp_path):
+@pytest.mark.parametrize('read', [read_phases, read_experiment])
+def test_another_type_on_the_topic_is_refused(read, tmp_path):
     bag = written(tmp_path / 'bag', [pack_joint_state(('a',), 1, (0.0,))], kind=JOINT_STATE)
-    with pytest.raises(BagError, match='is a sensor_msgs/msg/JointState, expected'):
-        read_phases(bag)
+    with pytest.raises(BagError, match="topic '/identification/phase' is a "
+                                       'sensor_msgs/msg/JointState, expected std_msgs'):
+        read(bag)
 
 
 def test_a_recording_made_in_a_namespace_is_found(tmp_path):

@@ -10,9 +10,10 @@ import pty
 import subprocess
 import sys
 
-from gms_flex_control.bags.phases import read_phases
-from gms_flex_control.bags.reader import read_recording
+from gms_flex_control.bags import phases, reader, source
+from gms_flex_control.cli import demo_identify
 from gms_flex_control.cli.main import main
+from gms_flex_control.errors import IdentificationError
 import numpy as np
 import pytest
 
@@ -70,10 +71,34 @@ def test_progress_is_shown_step_by_step_up_to_the_end_on_a_terminal(outcome):
 
 
 def test_the_bag_holds_the_motion_and_its_phases(outcome):
-    recording, phases = (read(outcome[0] / 'bag') for read in (read_recording, read_phases))
-    assert {phase.phase for phase in phases} == {'break_away', 'sliding', 'approach', 'idle'}
+    recording, found = phases.read_experiment(outcome[0] / 'bag')
+    assert {phase.phase for phase in found} == {'break_away', 'sliding', 'approach', 'idle'}
     assert np.isfinite(recording.tau_motor).all()
     assert np.ptp(recording.q_link[:, 1]) > 0.2
+
+
+def test_the_fit_gets_recording_and_phases_of_a_bag_read_once(outcome, monkeypatch):
+    opened, fitted = [], []
+
+    class Counted(source.Bag):
+        def __init__(self, path):
+            opened.append(path)
+            super().__init__(path)
+
+    def stop(takes, *_, **__):
+        fitted.extend(takes)
+        raise IdentificationError('enough')
+
+    for module in (reader, phases):
+        monkeypatch.setattr(module, 'Bag', Counted)
+    monkeypatch.setattr('gms_flex_control.identification.identify.identify', stop)
+    bag = outcome[0] / 'bag'
+    with pytest.raises(IdentificationError, match='enough'):
+        demo_identify.fit(outcome[0], bag, demo_identify.read_experiment())
+    assert opened == [bag]
+    (recording, found), = fitted
+    assert found == phases.read_phases(bag)
+    assert len(recording.time) == len(reader.read_recording(bag).time)
 
 
 def test_the_processes_leave_no_traceback(outcome):

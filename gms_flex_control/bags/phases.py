@@ -10,7 +10,7 @@ from gms_flex_control.bags.cdr import (
     unpack_multi_array,
 )
 from gms_flex_control.bags.messages import STAMP_LABEL, stamp_of
-from gms_flex_control.bags.reader import read_beside
+from gms_flex_control.bags.reader import Aside, read_beside
 from gms_flex_control.bags.source import Bag
 from gms_flex_control.bags.topics import namespace_of
 from gms_flex_control.errors import BagError
@@ -61,10 +61,7 @@ def read_phases(path, *, topic=None, joint_states=None):
         if states:
             stamp = _first_stamp(path, joint_states, states)
             first = stamp if first is None else min(first, stamp)
-    if found and bag.topics[topic].type_name != MULTI_ARRAY:
-        raise BagError(f'{path}: topic {topic!r} is a {bag.topics[topic].type_name}, expected '
-                       f'{MULTI_ARRAY}')
-    return _phases(path, topic, found, first or 0)
+    return _phases(path, Aside(topic, bag.type_of(topic), found), first or 0)
 
 
 def read_experiment(path, joints=None, motors=None):
@@ -89,11 +86,14 @@ def read_experiment(path, joints=None, motors=None):
 
     """
     recording, begin, aside = read_beside(path, joints, motors, aside=[PHASE_TOPIC])
-    return recording, _phases(path, *aside[PHASE_TOPIC], begin)
+    return recording, _phases(path, aside[PHASE_TOPIC], begin)
 
 
-def _phases(path, topic, messages, begin):
+def _phases(path, aside, begin):
     """Return the Phases of messages, time since ``begin`` [ns]."""
+    topic, type_name, messages = aside
+    if messages and type_name != MULTI_ARRAY:
+        raise BagError(f'{path}: topic {topic!r} is a {type_name}, expected {MULTI_ARRAY}')
     phases = [_phase(path, topic, k, data) for k, data in enumerate(messages)]
     return tuple(phase._replace(time_ns=phase.time_ns - begin)
                  for phase in sorted(phases, key=lambda phase: phase.time_ns))

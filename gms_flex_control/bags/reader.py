@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Read a bag as a recording: states, and what was asked and estimated at each of them."""
 
+from typing import NamedTuple
 import warnings
 
 from gms_flex_control.bags.cdr import JOINT_STATE, MULTI_ARRAY, unpack_joint_state
@@ -27,6 +28,14 @@ _TWO_RUNS = 100_000_000  # a step back beyond this is another run, not a late me
 
 
 _TYPES = (JOINT_STATE, MULTI_ARRAY, MULTI_ARRAY, JOINT_STATE, MULTI_ARRAY)  # of the Topics
+
+
+class Aside(NamedTuple):
+    """The messages of a topic as they are."""
+
+    topic: str       # its name in the bag
+    type_name: str   # its type, '' where the bag has no such topic
+    messages: list   # of bytes
 
 
 def read_recording(path, joints=None, motors=None, *, topics=None):
@@ -82,9 +91,8 @@ def read_beside(path, joints=None, motors=None, *, topics=None, aside=()):
     recording : Recording
     begin : int
         Its first stamp [ns].
-    aside : dict of str to (str, list of bytes)
-        By the names given: the topic's name in the bag and its messages, none where the bag has
-        no such topic.
+    aside : dict of str to Aside
+        By the names given.
 
     Raises, warns
         As `read_recording`; a further topic may be of any type.
@@ -104,7 +112,8 @@ def read_beside(path, joints=None, motors=None, *, topics=None, aside=()):
     joints, motors = series.resolved()
     begin, columns = _columns(path, series, joints, motors)
     return (Recording(joints=joints, source=str(path), **columns), begin,
-            {name: (space + name, further[space + name]) for name in aside})
+            {name: Aside(space + name, bag.type_of(space + name), further[space + name])
+             for name in aside})
 
 
 def joint_names(path, *, topics=None):
@@ -183,11 +192,10 @@ class _Series:
         for topic, type_name in zip(self.topics, _TYPES, strict=True):
             if not self._has_type(topic, type_name):
                 raise BagError(f'{self._path}: topic {topic!r} is a '
-                               f'{self._bag.topics[topic].type_name}, expected {type_name}')
+                               f'{self._bag.type_of(topic)}, expected {type_name}')
 
     def _has_type(self, topic, type_name):
-        return (topic not in self._bag.topics
-                or self._bag.topics[topic].type_name == type_name)
+        return topic not in self._bag.topics or self._bag.type_of(topic) == type_name
 
     def _decode(self, least):
         """Decode the topics of which ``least`` messages wait, once the joints are known."""

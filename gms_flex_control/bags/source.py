@@ -140,6 +140,10 @@ class Bag:
         for name, topic in topics.items():
             self.topics.setdefault(name, topic)
 
+    def type_of(self, topic):
+        """Return the type of a topic met so far, '' where there is no such (str)."""
+        return self.topics[topic].type_name if topic in self.topics else ''
+
     def _compare(self, found):
         announced = self.metadata.count if self.metadata else 0
         lost = [item.lost for item in self.damage]

@@ -68,8 +68,7 @@ def run(args):
 
 def fit(out, bag, experiment):
     """Identify the bag and write its outcome; return it as text beside the truth."""
-    from gms_flex_control.bags.phases import read_phases
-    from gms_flex_control.bags.reader import read_recording
+    from gms_flex_control.bags import phases
     from gms_flex_control.identification.identify import identify
     from gms_flex_control.identification.output import write_friction, write_report_json
     from gms_flex_control.reports.identification import write_identification_report
@@ -77,7 +76,7 @@ def fit(out, bag, experiment):
     from gms_flex_control.resources import robot_file
     from gms_flex_control.schema.files import load_robot
 
-    found = identify([(read_recording(bag), read_phases(bag))], experiment.believed, say=say)
+    found = identify([phases.read_experiment(bag)], experiment.believed, say=say)
     truth = load_robot(robot_file())
     write_friction(found, out / 'friction.yaml')
     write_report_json(found, out / 'report.json')
