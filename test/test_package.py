@@ -47,6 +47,24 @@ def test_every_executable_can_be_imported(script):
     assert callable(getattr(import_module(module), function))
 
 
+def public(node, trail=''):
+    """Yield (name, definition) of what a module offers; functions in functions are its own."""
+    for child in ast.iter_child_nodes(node):
+        if isinstance(child, (ast.FunctionDef, ast.ClassDef)) and not child.name.startswith('_'):
+            yield trail + child.name, child
+            if isinstance(child, ast.ClassDef):
+                yield from public(child, f'{trail}{child.name}.')
+
+
+def test_everything_public_says_what_it_is():
+    """The linter asks for the form of a docstring, not for one."""
+    silent = [f'{path.relative_to(ROOT)}: {name}'
+              for path in sorted((ROOT / 'gms_flex_control').rglob('*.py'))
+              for name, node in public(ast.parse(path.read_text(encoding='utf-8')))
+              if not ast.get_docstring(node)]
+    assert silent == []
+
+
 def test_every_requirement_is_locked():
     """Check that constraints.txt names each direct dependency, so that no version drifts."""
     extras = setup_argument('extras_require')

@@ -69,6 +69,7 @@ class Damage:
     lost: int | None  # messages that cannot be had back, None if nobody knows
 
     def __str__(self):
+        """Return where, why and how much was lost, as text."""
         lost = {None: 'an unknown number of messages', 1: '1 message'}.get(
             self.lost, f'{self.lost} messages')
         return f'{self.where}: {self.reason}; ' + (

@@ -57,6 +57,7 @@ class BagWriter:
         self._broken = False
 
     def __enter__(self):
+        """Make the folder and begin its first file; raise BagError where that cannot be."""
         if not self._final.name:
             raise BagError(f'{self.path}: is no name for a bag; give a new folder')
         self._refuse_existing()
@@ -197,6 +198,7 @@ class BagWriter:
         return sum(self.counts.values())
 
     def __exit__(self, kind, value, trace):
+        """End the bag; an ``atomic`` one gets its name, or is removed after an exception."""
         if self._atomic and kind is not None:
             self._abandon()
             return

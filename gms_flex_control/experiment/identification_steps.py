@@ -91,6 +91,7 @@ class Planner:
         self._gravity = {}
 
     def __getitem__(self, name):
+        """Return the value of a key below ``identification``."""
         return self._flat[f'identification.{name}']
 
     def plan(self, experiment, joint):

@@ -165,9 +165,11 @@ class Processes:
         return f'; see {self._path(name)}'
 
     def __enter__(self):
+        """Return the processes, none of them started yet."""
         return self
 
     def __exit__(self, *_):
+        """Kill what still runs, and close the logs."""
         for process in self._running.values():
             if process.poll() is None:
                 process.kill()

@@ -38,6 +38,7 @@ class ExperimentBag:
         self._growth = {}
 
     def __enter__(self):
+        """Make the bag and begin to record."""
         self._writer.__enter__()
         self._recorder = Recorder(self._node, self._writer, self._topics, self._say)
         return self
@@ -64,6 +65,7 @@ class ExperimentBag:
         return found
 
     def __exit__(self, *failure):
+        """End the recording and the bag."""
         try:
             self._recorder.close()
         finally:

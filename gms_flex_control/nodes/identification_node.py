@@ -87,6 +87,7 @@ class IdentificationNode(Node):
                  f'about {left:.0f} s to go')
 
     def __getitem__(self, name):
+        """Return the value of a parameter below ``identification``."""
         return self._values[f'identification.{name}']
 
     def say(self, sentence):

@@ -165,6 +165,7 @@ class BackgroundSpin:
         self._thread = threading.Thread(target=self._spin, name='executor', daemon=True)
 
     def __enter__(self):
+        """Begin to spin."""
         self._thread.start()
         return self
 
@@ -176,5 +177,6 @@ class BackgroundSpin:
             self.error = error
 
     def __exit__(self, *_):
+        """Stop spinning, and wait a second at most for the callback that runs."""
         self._stop.set()
         self._thread.join(timeout=1.0)

@@ -121,10 +121,11 @@ class TopicLink:
                    for publisher in filter(None, (self._array_pub, self._joint_pub)))
 
     def __enter__(self):
+        """Return the link; it listens since it was made."""
         return self
 
     def __exit__(self, *_):
-        pass
+        """Leave the topics to the node."""
 
     def finish(self):
         """Wait until those who acknowledge have the last efforts."""
@@ -210,10 +211,12 @@ class DeviceLink:
         return self.broken
 
     def __enter__(self):
+        """Begin to read the device, in a thread of its own."""
         self._thread.start()
         return self
 
     def __exit__(self, *_):
+        """Stop reading, and wait a second at most for the thread."""
         self._over.set()
         self._thread.join(timeout=1.0)
 

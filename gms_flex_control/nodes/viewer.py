@@ -66,6 +66,7 @@ class LiveView:
                          for run in (self._listen, self._ask)]
 
     def __enter__(self):
+        """Join the ROS graph and begin to listen."""
         avoid_shared_memory()
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         name = f'gms_flex_view_{time.time_ns() % 10**9}'
@@ -80,6 +81,7 @@ class LiveView:
         return self
 
     def __exit__(self, *_):
+        """Stop the threads and leave the ROS graph."""
         self._stop.set()
         for thread in self._threads:
             thread.join(timeout=5.0)

@@ -96,10 +96,12 @@ class ViewServer(ThreadingHTTPServer):
         return f'http://{f"[{host}]" if ":" in host else host}:{port}/'
 
     def __enter__(self):
+        """Begin to serve."""
         self._thread.start()
         return self
 
     def __exit__(self, *_):
+        """Stop serving, and close the port."""
         self.stopped.set()
         self.shutdown()
         self.server_close()
