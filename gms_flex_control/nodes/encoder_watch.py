@@ -1,0 +1,85 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Frozen encoders as the controller node sees them: what is measured, sent and given."""
+
+import math
+from types import SimpleNamespace
+
+from gms_flex_control.control.frozen_encoders import FrozenEncoders
+import numpy as np
+
+_NOTHING = 0.01  # of the torque limit: a motor of less effort is given none
+
+
+class EncoderWatch:
+    """
+    Look for frozen encoders, state by state.
+
+    A robot that says that a motor gets nothing, being disabled or stopped, is believed: what is
+    sent then turns nobody.
+
+    Parameters
+    ----------
+    robot : RobotParams
+        As believed.
+    torque_limit : ndarray, shape (n_joints,)
+        Largest torque that is sent [N m].
+    measured : numpy.record
+        Where each state is written.
+
+    Attributes
+    ----------
+    frozen : str
+        Which encoder is frozen, since when and why; '' while none is.
+    began, thawed : bool
+        Whether that began, or ended, with the last state.
+    count : int
+        How often it began.
+
+    """
+
+    def __init__(self, robot, torque_limit, measured):
+        self._judge = FrozenEncoders(robot, torque_limit)
+        # a field of a record takes Python more than a microsecond to look up
+        self._measured = SimpleNamespace(**{name: getattr(measured, name) for name in (
+            'q_link', 'dq_link', 'q_motor', 'dq_motor')})
+        self._acting = np.zeros(robot.n_joints)
+        self.frozen, self.began, self.thawed, self.count = '', False, False, 0
+        self.use(torque_limit)
+
+    def use(self, torque_limit):
+        """Take another torque limit (n_joints,) [N m]."""
+        self._judge.use(torque_limit)
+        self._nothing = (_NOTHING * torque_limit).tolist()
+
+    def reset(self):
+        """Take back what was found."""
+        self._judge.reset()
+        self.frozen, self.began, self.thawed = '', False, False
+
+    def act(self, torque, efforts):
+        """
+        Take what has acted on the motors until the state that is looked at next.
+
+        Parameters
+        ----------
+        torque : ndarray, shape (n_joints,)
+            Sent [N m].
+        efforts : sequence of float
+            What the robot says it gave, NaN where it does not measure that [N m]; may be empty.
+
+        """
+        self._acting[:] = torque
+        for j, effort in enumerate(efforts):
+            if abs(effort) <= self._nothing[j]:
+                self._acting[j] = math.nan
+
+    def look(self, elapsed):
+        """Look at the state measured, ``elapsed`` [s] after the one before; return `frozen`."""
+        before = self.frozen
+        self.frozen = self._judge.look(self._measured, self._acting, elapsed) or ''
+        self.began = bool(self.frozen) and not before
+        self.thawed = bool(before) and not self.frozen
+        self.count += self.began
+        return self.frozen
