@@ -20,7 +20,7 @@ soak = pytest.importorskip('gms_flex_control.nodes.faults.soak')
 
 # how far beyond its limit a time may be on a shared machine; other times are not asserted
 SAFETY = {'clocks': 2.0, 'dead-controller': 2.0, 'silence': 2.0, 'two-controllers': 2.0,
-          'emergency-stop': 2.0}
+          'frozen-encoders': 2.0, 'emergency-stop': 2.0}
 # the first two stops are without a storm, which on a crowded machine delays the others
 TRIES = {'emergency-stop': 2}
 TORQUE = 'N m'
@@ -41,6 +41,9 @@ def test_a_fault_never_moves_the_arm(name, tmp_path):
 BAD_NODES = {
     # never notices that the states have stopped
     'silence': ('ControllerNode._watch = lambda self: None', 'no zero was commanded'),
+    # never notices that angles stay the same
+    'frozen-encoders': ('from gms_flex_control.nodes.encoder_watch import EncoderWatch; '
+                        "EncoderWatch.look = lambda *_: ''", 'the controller says'),
     # takes any number for a joint state
     'numbers': ('messages.JointStateReader._refuse_bad = lambda *_: None', 'counts 0')}
 

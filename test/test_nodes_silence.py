@@ -3,7 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """A controller whose joint states stop, or make no sense, leaves zero torque on the wire."""
 
-from node_harness import array_message, joint_state, Lab, stamp_of
+from node_harness import array_message, joint_state, Lab, stamp_of, Trigger
 import numpy as np
 import pytest
 from sensor_msgs.msg import JointState
@@ -31,23 +31,29 @@ def lab(tmp_path_factory):
         assert running.controller.runs and 'Traceback' not in running.controller.printed()
 
 
-def push(lab, position=(0.0, 0.0, 0.0, 0.0)):
-    """Send states with references 0.2 rad ahead until one is answered; return the answer."""
+def push(lab, position=(0.0, 0.0, 0.0, 0.0), *, velocity=None, frozen=(), ahead=0.2):
+    """
+    Send states with references ``ahead`` [rad] until one is answered; return the answer.
+
+    All angles shiver by a microradian but those whose indices are in ``frozen``.
+    """
     first, seen = lab.stamp + PERIOD, len(lab.commands)
     motion = np.zeros((5, 2))
-    motion[0] = 0.2
+    motion[0] = ahead
 
     def answers():
         lab.stamp += PERIOD
+        shiver = 1e-6 * (lab.stamp // PERIOD % 2)
+        angles = [angle + shiver * (k not in frozen) for k, angle in enumerate(position)]
         lab.references.publish(array_message(motion.ravel(), f'stamp:{lab.stamp}'))
-        lab.states.publish(joint_state(lab.stamp, position, names=NAMES))
+        lab.states.publish(joint_state(lab.stamp, angles, names=NAMES, velocity=velocity))
         return [one for one in lab.commands[seen:] if first <= stamp_of(one)]
     return lab.until(answers)[-1]
 
 
-def moving(lab):
+def moving(lab, **options):
     """Return whether the controller pushes."""
-    return any(abs(torque) > 0.01 for torque in push(lab).data)
+    return any(abs(torque) > 0.01 for torque in push(lab, **options).data)
 
 
 def test_silence_is_answered_with_zero(lab):
@@ -71,3 +77,45 @@ def test_a_state_that_makes_no_sense_gives_no_torque_that_is_not_finite(lab):
     assert np.isfinite(push(lab, (9e5, 0.0, 0.0, 0.0)).data).all()
     assert np.isfinite([one.data for one in lab.commands]).all()
     lab.until(lambda: moving(lab))  # and it goes on with the next sound one
+
+
+TURNS = {'velocity': (0.5, 0.0, 0.0, 0.0), 'frozen': (0,)}  # joint1 says so, not its encoder
+STANDS = {'frozen': (0,)}
+MOTORS = {'frozen': (2, 3), 'ahead': 1.0}
+
+
+def freeze(lab):
+    """Let joint1 turn with its encoder frozen until torque ends; return after what time [ns]."""
+    lab.until(lambda: moving(lab))
+    lab.until(lambda: moving(lab, **STANDS))
+    begin = lab.stamp
+    lab.until(lambda: not any(push(lab, **TURNS).data))
+    return next(stamp_of(one) for one in lab.commands
+                if stamp_of(one) > begin and not any(one.data)) - begin
+
+
+def test_an_angle_that_stays_the_same_though_its_velocity_tells_of_more_ends_torque(lab):
+    assert freeze(lab) <= 50_000_000  # 20 mrad take 40 ms
+    lab.until(lambda: 'joint1 has been at exactly 0 rad for' in lab.controller.printed())
+    assert 'call /cascade_controller/reset' in lab.controller.printed()
+    # it stays so for as long as the angle does, now at rest
+    assert not any(any(push(lab, **STANDS).data) for _ in range(50))
+
+
+def test_once_the_angle_changes_torque_rises_again_from_zero(lab):
+    freeze(lab)
+    torques = [max(map(abs, push(lab).data)) for _ in range(20)]
+    assert torques[0] < 0.02 < 0.1 < torques[-1]
+
+
+def test_a_reset_leads_on_though_the_angle_stays_the_same(lab):
+    freeze(lab)
+    assert lab.call(Trigger, '/cascade_controller/reset').success
+    lab.until(lambda: moving(lab, **STANDS))
+
+
+def test_a_motor_that_does_not_give_way_to_its_torque_ends_it(lab):
+    lab.until(lambda: moving(lab))
+    lab.until(lambda: not any(push(lab, **MOTORS).data))
+    lab.until(lambda: 'the encoder is frozen or the motor blocked' in lab.controller.printed())
+    lab.until(lambda: moving(lab))

@@ -11,6 +11,7 @@ from gms_flex_control.control.gain_conditions import violations
 from gms_flex_control.effect_compensation.feedforward import CompensatingController
 from gms_flex_control.effect_compensation.known import as_parameters, compensated
 from gms_flex_control.nodes import messages, process, references
+from gms_flex_control.nodes.encoder_watch import EncoderWatch
 from gms_flex_control.nodes.health import Health, OK, WARN
 from gms_flex_control.nodes.messages import NANOSECONDS
 from gms_flex_control.nodes.parameters import NodeParameters
@@ -56,10 +57,12 @@ class ControllerNode(Node):
         self._robot = robot
         self._controller = CompensatingController(gains, robot)
         self._limit = gains.torque_limit
+        self._encoders = EncoderWatch(robot, gains.torque_limit, self._controller.measured)
         self._reader = messages.JointStateReader(robot.joints, robot.motors)
         self._command = messages.CommandWriter(
             robot.n_joints, f'{self.get_fully_qualified_name()}#{os.getpid()}')
         self._zero = np.zeros(robot.n_joints)
+        self._sent = self._zero.copy()  # the last command
         self._last = None        # stamp of the state answered last
         self._answered = None    # when the last state was answered [s]; None before the first
         self._zeros = 0          # sent since then
@@ -114,6 +117,7 @@ class ControllerNode(Node):
     def _use(self, gains):
         self._controller.use(gains)
         self._limit = gains.torque_limit
+        self._encoders.use(gains.torque_limit)
         self._warn_of_conditions(gains)
 
     def _warn_of_conditions(self, gains):
@@ -144,7 +148,7 @@ class ControllerNode(Node):
             return
         if self._last is not None and stamp == self._last:
             if self._lockstep:  # sent again: the answer was lost or came before the plant
-                self._publish_command(self._controller.state.command, stamp)
+                self._publish_command(self._sent, stamp)
             return
         if self._lockstep and stamp == self._waiting:  # sent again while we wait
             self.health.tell(WARN, 'waiting for a reference')
@@ -159,6 +163,7 @@ class ControllerNode(Node):
             self._counts['states refused'] += 1
             self.health.warn('joint state', f'joint state refused: {error}')
             return
+        self._encoders.act(self._sent, self._reader.motor_efforts(message))
         if self._lockstep and not self._references.has(stamp):
             self._waiting = stamp
             return
@@ -176,16 +181,23 @@ class ControllerNode(Node):
         silent, self._zeros = self._zeros > 0, 0
         self._last = stamp
         self._note_answer()
+        frozen = self._encoders.look(elapsed)
         if jumped:
             self._begin_anew(elapsed)
-            if not self._lockstep:  # the next state tells whether this clock goes on
-                self._publish_command(self._zero, stamp)
-                return
             elapsed = 0.0
-        elif silent:
+        elif silent or self._encoders.thawed:
             self._begins = True
             self._controller.state.started[0] = 0.0  # nobody knows the way since
             elapsed = 0.0
+        if frozen:
+            self._let_go(stamp, frozen)
+        elif jumped and not self._lockstep:  # the next state tells whether this clock goes on
+            self._publish_command(self._zero, stamp)
+        else:
+            self._obey(stamp, elapsed)
+
+    def _obey(self, stamp, elapsed):
+        """Answer a state as its reference asks."""
         reference = self._references.at(stamp)
         if reference is None:
             self._give_zero(stamp)
@@ -207,6 +219,16 @@ class ControllerNode(Node):
         self._controller.reset()
         self._references.forget_motion()
         self._begins = True
+
+    def _let_go(self, stamp, frozen):
+        """Answer a state with a frozen encoder in it; the observer stays, as in a silence."""
+        self._publish_command(self._zero, stamp)
+        sentence = f'{frozen}: zero torque until it changes, or ~/reset'
+        self.health.tell(WARN, sentence)
+        if self._encoders.began:
+            self._references.forget_motion()
+            self.health.warn('encoder', f'{sentence}; turn the joint by hand, or once the cause '
+                             f'is found call {self.get_fully_qualified_name()}/reset')
 
     def _follow(self, stamp, reference, elapsed):
         """Answer a state with the torque that follows a reference."""
@@ -282,6 +304,7 @@ class ControllerNode(Node):
         """End a fault: begin anew from the measured state."""
         self._controller.reset()
         self._references.forget_motion()
+        self._encoders.reset()
         self._begins = True
         self.health.recover()
         response.success, response.message = True, 'begins anew from the measured state'
@@ -289,9 +312,11 @@ class ControllerNode(Node):
 
     def _figures(self):
         longest, self._longest = self._longest, 0.0
-        return {**self._counts, 'longest time between answers [ms]': f'{longest * 1e3:.1f}'}
+        return {**self._counts, 'frozen encoders': self._encoders.count,
+                'longest time between answers [ms]': f'{longest * 1e3:.1f}'}
 
     def _publish_command(self, torque, stamp):
+        self._sent[:] = torque
         self._command_pub.publish(self._command.write(torque, stamp))
 
     def _publish_state(self, stamp):

@@ -91,6 +91,13 @@ class JointStateReader:
         measured.q_link[:], measured.q_motor[:] = q[:n], q[n:]
         measured.dq_link[:], measured.dq_motor[:] = dq[:n], dq[n:]
 
+    def motor_efforts(self, message):
+        """Return the efforts (n) of a message just read; none where it does not tell them."""
+        effort = message.effort
+        if len(effort) != len(message.name):
+            return []
+        return [effort[index] for index in self._order[self._n:]]
+
     def _refuse_bad(self, field, values):
         bad = first_bad(values, LARGEST_STATE)
         if bad is not None:

@@ -120,6 +120,8 @@ class HeldRobot:
         Added to the stamps that are published [ns].
     quiet : bool
         Whether the states are kept back.
+    spoil : callable
+        Changes each state before it is published.
 
     """
 
@@ -129,6 +131,7 @@ class HeldRobot:
         self._plant = SteppedPlant(robot, period=PERIOD / NANOSECONDS, substeps=20)
         self._writer = JointStateWriter(robot.joints, robot.motors)
         self.stamp, self.shift, self.quiet = 10 * NANOSECONDS, 0, False
+        self.spoil = lambda message: None
         bench.listen(Float64MultiArray, COMMANDS, self.commands)
         self.states = bench.speak(JointState, STATES)
         self.controller = bench.start('controller_node', command=controller, **parameters or {})
@@ -150,7 +153,9 @@ class HeldRobot:
         self._plant.advance(self._torque())
         self.stamp += PERIOD
         if not self.quiet:
-            self.states.publish(self.message())
+            message = self.message()
+            self.spoil(message)
+            self.states.publish(message)
         self._deadline = max(self._deadline + 1.0 / RATE, time.monotonic())  # never in bursts
         while (left := self._deadline - time.monotonic()) > 0:
             self.bench.spin(left)

@@ -1,16 +1,21 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""Joint states stop, or come again and again with the same stamp."""
+"""Joint states stop, come again with the same stamp, or with the same angles and fresh stamps."""
 
+from itertools import cycle, islice
 import time
 
-from gms_flex_control.nodes.faults.rigs import CONTROLLER, HeldRobot, zero_after
+from gms_flex_control.nodes.faults.rigs import CONTROLLER, HeldRobot, PERIOD, zero_after
+from gms_flex_control.nodes.faults.wire import NAMES, stamp_of
 from sensor_msgs.msg import JointState
 
 _LONG_ENOUGH = 0.3   # of silence [s]; the observer outlives it
 _REMEMBERED = 0.3    # of the friction estimate before it, at least; a reset leaves nothing
 _FAINT = 0.02        # an estimate too small to compare [N m]
+_FAST = 0.25         # links move at least that fast when an encoder freezes [rad/s]
+_LONGEST = 5.0       # until it is told [s]
+_AFTERWARDS = 0.5    # so long it stays after it was told [s]
 
 
 def try_silence(bench, tries, tally):
@@ -48,3 +53,51 @@ def _compare(tally, before, after):
     kept = all(abs(a) >= _REMEMBERED * abs(b) or abs(b) < _FAINT
                for b, a in zip(before, after, strict=True))
     tally.expect(kept, f'the observer forgot: friction {before} N m before, {after} after')
+
+
+def try_frozen_encoders(bench, tries, tally):
+    """Let angles stay the same in motion, their stamps going on."""
+    robot = HeldRobot(bench)
+    for case in islice(cycle(_FREEZES), tries):
+        tally.tries += 1
+        _try_to_freeze(robot, *case, tally)
+    tally.expect(robot.controller.runs, 'the controller ended')
+
+
+def _try_to_freeze(robot, name, angles, moving, tally):
+    robot.settle()
+    robot.until(lambda: min(map(abs, robot.message().velocity[:2])) > _FAST)
+    before, begin, moment = _count(robot), robot.stamp, time.monotonic()
+    robot.spoil = _freezing(robot, angles, moving)
+    told = robot.until(lambda: all(NAMES[k] in robot.diagnostics.sentence(CONTROLLER)
+                                   for k in angles), _LONGEST)
+    tally.expect(told, f'{name}: the controller says {robot.diagnostics.sentence(CONTROLLER)!r}')
+    later = robot.run(_AFTERWARDS)
+    tally.expect(not robot.largest(later), f'{name}: a torque though it was told')
+    torques = [stamp_of(one) for _, one in robot.commands.since(moment) if any(one.data)]
+    if moving:  # the other way round it hangs on the torque
+        tally.figure((max(torques, default=begin) + PERIOD - begin) / 1e6)
+    robot.spoil = lambda message: None
+    tally.expect(robot.settle(), f'{name}: no motion once the angles change again')
+    tally.expect(robot.until(lambda: _count(robot) > before, 3.0), f'{name}: it is not counted')
+
+
+def _count(robot):
+    return robot.diagnostics.figure(CONTROLLER, 'frozen encoders')
+
+
+# what freezes, which of the angles, and whether their velocities go on
+_FREEZES = (('a link', (0,), True), ('a motor without its velocity', (3,), False),
+            ('all angles', (0, 1, 2, 3), True), ('a motor', (2,), True))
+
+
+def _freezing(robot, angles, moving):
+    """Return what replaces some angles of a state by those of now, their velocities by zero."""
+    held = list(robot.message().position)
+
+    def freeze(message):
+        for k in angles:
+            message.position[k] = held[k]
+            if not moving:
+                message.velocity[k] = 0.0
+    return freeze
