@@ -9,14 +9,17 @@ import math
 
 from core_runs import joint_friction, single_axis
 from gms_flex_control.cli.main import main
+from gms_flex_control.hardware.limits import limited, violation
 from gms_flex_control.params.encoder import EncoderParams
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.robot import EffectSpec
 from gms_flex_control.resources import controller_file, robot_file
+from gms_flex_control.schema.bridge import limits_from_values
 from gms_flex_control.schema.build import robot_values
-from gms_flex_control.schema.files import load_controller, load_robot, save_robot
+from gms_flex_control.schema.files import load_controller, load_robot, read_values, save_robot
 from gms_flex_control.simulation import closed_loop
+from gms_flex_control.simulation.stepped import SteppedController, SteppedPlant
 from gms_flex_control.trajectory import builders
 from gms_flex_control.tuning import margins, trial, uncertainty
 from gms_flex_control.tuning.judge import judged
@@ -170,6 +173,37 @@ def test_what_cannot_be_met_is_told(arm):
     demands = Demands(Timing(20e-3, 0.02), base.torque_limit, bandwidth=np.array([40.0, 40.0]))
     found = propose(robot, base, demands)
     assert found.unmet and any('joint1' in sentence for sentence in found.unmet)
+
+
+def test_a_torque_that_may_rise_but_slowly_asks_for_gentle_gains(arm):
+    """As docs/tuning.md says, and the tutorial with a robot does."""
+    robot, paper = arm
+    values, _ = read_values([robot_file().with_name('bridge.yaml')])
+    limits = limits_from_values(values, robot.joints)
+    for rate in (200.0, 500.0):
+        assert 'moves at' in ended_by(limits, robot, paper, rate, 3.0)
+    demands = Demands(timing=Timing(5e-3, 5e-3), torque_limit=paper.torque_limit,
+                      bandwidth=np.full(2, 3.0), gain=3.0, delay=5e-3)
+    gentle = propose(robot, paper, demands)
+    assert not gentle.unmet
+    assert ended_by(limits, robot, gentle.gains, 200.0, 8.0) == ''
+
+
+def ended_by(limits, robot, gains, rate, duration):
+    """Return the fault of a sinusoid of 0.3 rad behind limits, '' without."""
+    plant, controller = SteppedPlant(robot, period=1.0 / rate, substeps=20), SteppedController(
+        gains, robot)
+    motion, torque = builders.sinusoid(np.full(2, 0.3), 6.0), np.zeros(2)
+    for k in range(round(duration * rate)):
+        state = plant.measured
+        if fault := violation(robot.joints, state, limits):
+            return fault
+        for name in ('q_link', 'dq_link', 'q_motor', 'dq_motor'):
+            getattr(controller.measured, name)[:] = getattr(state, name)
+        asked = controller.tick(motion.sample(k / rate), 1.0 / rate if k else 0.0)
+        torque = limited(asked, torque, 1.0 / rate, state.q_link, state.dq_link, limits)
+        plant.advance(torque)
+    return ''
 
 
 def test_draws_stay_within_the_spread_and_within_intervals(arm):
