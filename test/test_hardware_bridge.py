@@ -5,7 +5,7 @@
 
 from gms_flex_control.errors import ConfigError, ParameterError
 from gms_flex_control.hardware.bridge import Bridge, BridgeParams
-from gms_flex_control.hardware.command_watch import CommandWatch
+from gms_flex_control.hardware.command_watch import CommandWatch, SourceWatch
 from gms_flex_control.hardware.limits import Limits, UNLIMITED
 from gms_flex_control.hardware.mapping import Actuation, JointMap, Reading
 from gms_flex_control.hardware.supervisor import Supervisor
@@ -153,6 +153,17 @@ def test_two_controllers_are_told_at_once_and_a_restarted_one_is_not_two():
     assert watch.hear('/c#1', 0) == '' and watch.hear('/c#2', 60 * MS) == ''
     assert 'somebody without a source label' in watch.hear('', 61 * MS)
     assert watch.hear('/c#2', 120 * MS) == ''
+
+
+def test_two_sources_are_told_until_one_of_them_or_nobody_sends_any_more():
+    watch = SourceWatch('nodes send references')
+    assert watch.hear('/a#1', 0) == watch.conflict(0) == ''
+    both = watch.hear('', 40 * MS)
+    assert both == ('2 nodes send references at once: /a#1 and somebody without a source label')
+    assert watch.conflict(80 * MS) == both  # one of them may have ended: the next one tells
+    assert watch.hear('', 91 * MS) == watch.conflict(91 * MS) == ''
+    assert watch.hear('/a#1', 92 * MS) and watch.conflict(140 * MS)
+    assert watch.conflict(143 * MS) == ''
 
 
 @pytest.mark.parametrize('break_it, words', [

@@ -95,7 +95,8 @@ def test_stamps_of_realtime_are_whole_periods_apart(loop):
 def test_reference_and_command_carry_layout_stamp_and_source(loop):
     reference, command = loop.more(loop.references, 1)[0], loop.more(loop.commands, 1)[0]
     assert sizes(reference) == [('derivative', 5), ('joint', 2),
-                                (f'stamp:{stamp_of(reference)}', 1)]
+                                (f'stamp:{stamp_of(reference)}', 1),
+                                (f'source:/trajectory#{loop.trajectory.process.pid}', 1)]
     assert len(reference.data) == 10
     (joint, stamp, source) = sizes(command)
     assert joint == ('joint', 2) and stamp == (f'stamp:{stamp_of(command)}', 1)

@@ -12,8 +12,16 @@ from std_msgs.msg import Float64MultiArray
 # other processes of the machine can delay real nodes beyond any bound
 pytestmark = pytest.mark.flaky(reruns=2)
 
+DiagnosticArray = pytest.importorskip('diagnostic_msgs.msg').DiagnosticArray
 PERIOD = 5_000_000
 NAMES = ['joint1', 'joint2', 'joint1_motor', 'joint2_motor']
+
+
+class Said(list):
+    """What the controller says of itself."""
+
+    def append(self, message):
+        super().extend(one.message for one in message.status if one.name == 'cascade_controller')
 
 
 @pytest.fixture(scope='module')
@@ -23,6 +31,8 @@ def lab(tmp_path_factory):
         running.controller = running.start('controller_node')
         running.states = running.speak(JointState, '/joint_states')
         running.references = running.speak(Float64MultiArray, '/reference')
+        running.said = Said()
+        running.listen(DiagnosticArray, '/diagnostics', running.said)
         running.commands = running.listen(Float64MultiArray, '/effort_controller/commands')
         running.until(lambda: running.states.get_subscription_count()
                       and running.references.get_subscription_count())
@@ -31,24 +41,35 @@ def lab(tmp_path_factory):
         assert running.controller.runs and 'Traceback' not in running.controller.printed()
 
 
-def push(lab, position=(0.0, 0.0, 0.0, 0.0), *, velocity=None, frozen=(), ahead=0.2):
+def push(lab, position=(0.0, 0.0, 0.0, 0.0), *, velocity=None, frozen=(), torque=None,
+         sources=((),)):
     """
-    Send states with references ``ahead`` [rad] until one is answered; return the answer.
+    Send states with references 0.2 rad ahead until one is answered; return the answer.
 
-    All angles shiver by a microradian but those whose indices are in ``frozen``.
+    All angles shiver by a microradian but those whose indices are in ``frozen``. Each of
+    ``sources`` are the labels that a reference carries beyond its stamp; ``torque`` [N m] asks
+    for that instead.
     """
     first, seen = lab.stamp + PERIOD, len(lab.commands)
-    motion = np.zeros((5, 2))
-    motion[0] = ahead
 
     def answers():
         lab.stamp += PERIOD
         shiver = 1e-6 * (lab.stamp // PERIOD % 2)
         angles = [angle + shiver * (k not in frozen) for k, angle in enumerate(position)]
-        lab.references.publish(array_message(motion.ravel(), f'stamp:{lab.stamp}'))
+        for labels in sources:
+            lab.references.publish(reference(torque, f'stamp:{lab.stamp}', *labels))
         lab.states.publish(joint_state(lab.stamp, angles, names=NAMES, velocity=velocity))
         return [one for one in lab.commands[seen:] if first <= stamp_of(one)]
     return lab.until(answers)[-1]
+
+
+def reference(torque, *labels):
+    """Return a reference 0.2 rad ahead, or of a torque."""
+    if torque is None:
+        return array_message([0.2, 0.2, *[0.0] * 8], *labels)
+    message = array_message([torque, torque], 'effort', 'joint', *labels)
+    message.layout.dim[1].size = 2
+    return message
 
 
 def moving(lab, **options):
@@ -81,7 +102,7 @@ def test_a_state_that_makes_no_sense_gives_no_torque_that_is_not_finite(lab):
 
 TURNS = {'velocity': (0.5, 0.0, 0.0, 0.0), 'frozen': (0,)}  # joint1 says so, not its encoder
 STANDS = {'frozen': (0,)}
-MOTORS = {'frozen': (2, 3), 'ahead': 1.0}
+MOTORS = {'frozen': (2, 3)}
 
 
 def freeze(lab):
@@ -116,6 +137,49 @@ def test_a_reset_leads_on_though_the_angle_stays_the_same(lab):
 
 def test_a_motor_that_does_not_give_way_to_its_torque_ends_it(lab):
     lab.until(lambda: moving(lab))
-    lab.until(lambda: not any(push(lab, **MOTORS).data))
-    lab.until(lambda: 'the encoder is frozen or the motor blocked' in lab.controller.printed())
+    lab.until(lambda: moving(lab, torque=0.1, **MOTORS))
+    lab.until(lambda: moving(lab, torque=1.5, **MOTORS))
+    lab.until(lambda: not any(push(lab, torque=1.5, **MOTORS).data))
+    lab.until(lambda: 'the encoder is frozen or the motor blocked' in ''.join(lab.said))
     lab.until(lambda: moving(lab))
+
+
+@pytest.mark.parametrize('sources, named', [
+    ((('source:/a#1',), ('source:/b#2',)), '/a#1 and /b#2'),
+    ((('source:/a#1',), ()), '/a#1 and somebody without a source label')])
+def test_two_sources_of_references_end_torque_and_are_named(lab, sources, named):
+    lab.until(lambda: moving(lab, sources=sources[:1]))
+    lab.until(lambda: not moving(lab, sources=sources))
+    # as long as both send, whatever the machine
+    assert not any(moving(lab, sources=sources) for _ in range(20))
+    sentence = f'2 nodes send references at once: {named}'
+    lab.until(lambda: sentence in ''.join(lab.said))
+    lab.until(lambda: moving(lab, sources=sources[1:]))  # one is left: it goes on
+
+
+def test_another_source_that_is_alone_is_followed_at_once(lab):
+    """As after a restart of the trajectory node: its source is new, the old one silent."""
+    lab.until(lambda: moving(lab, sources=[('source:/a#1',)]))
+    lab.until(lambda: not any(lab.commands[-1].data))  # a silence: more than 50 ms
+    known = len(lab.said)
+    lab.until(lambda: moving(lab, sources=[('source:/a#2',)]))
+    assert not any('at once' in said for said in lab.said[known:])
+
+
+def test_a_source_of_another_time_is_nobody(lab):
+    lab.until(lambda: moving(lab))
+    known = len(lab.said)
+    for _ in range(20):
+        lab.references.publish(array_message(np.zeros(10), f'stamp:{lab.stamp - 10**9}',
+                                             'source:/old#1'))
+        push(lab)
+    assert moving(lab) and not any('at once' in said for said in lab.said[known:])
+
+
+@pytest.mark.parametrize('labels', [(), ('source:/mine',)])
+def test_references_need_no_layout(lab, labels):
+    """As from the command line; without a stamp they are for the state there is."""
+    def pushes():
+        lab.references.publish(reference(None, *labels))
+        return any(abs(torque) > 0.01 for torque in push(lab, sources=()).data)
+    lab.until(pushes)

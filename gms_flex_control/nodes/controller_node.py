@@ -10,6 +10,7 @@ import time
 from gms_flex_control.control.gain_conditions import violations
 from gms_flex_control.effect_compensation.feedforward import CompensatingController
 from gms_flex_control.effect_compensation.known import as_parameters, compensated
+from gms_flex_control.hardware.command_watch import SourceWatch
 from gms_flex_control.nodes import messages, process, references
 from gms_flex_control.nodes.encoder_watch import EncoderWatch
 from gms_flex_control.nodes.health import Health, OK, WARN
@@ -52,6 +53,7 @@ class ControllerNode(Node):
         self._lockstep = values['mode'] == 'lockstep'
         self._references = References(*(values[f'reference_{what}']
                                         for what in ('timeout', 'hold', 'relax')))
+        self._sources = SourceWatch('nodes send references')
         self._handover = Handover(values['resume_time'])
         self._every = values['state_every']
         self._robot = robot
@@ -66,12 +68,13 @@ class ControllerNode(Node):
         self._last = None        # stamp of the state answered last
         self._answered = None    # when the last state was answered [s]; None before the first
         self._zeros = 0          # sent since then
+        self._obstacle = ''      # why the last state was answered with zero, though it was sound
         self._begins = True      # the next state with a motion reference begins a motion
         self._waiting = None     # stamp of a state that waits for its reference, lockstep only
         self._ticks = 0
         self._warned = []        # sentences on the gains as they are
         self._counts = dict.fromkeys(('states answered', 'states refused', 'references refused',
-                                      'observer begun anew', 'silences'), 0)
+                                      'observer begun anew', 'silences', 'two trajectories'), 0)
         self._longest = 0.0      # between two answers since the last report [s]
         self.health = Health(self, self._figures, self._on_fault)
         self._warm_up()
@@ -137,9 +140,25 @@ class ControllerNode(Node):
         stamp = messages.read_stamp(message)
         if stamp is None:
             stamp = self._last if self._last is not None else 0
+        if self._hears_rivals(messages.read_source(message) or '', stamp):
+            return
         self._references.keep(stamp, reference)
         if self._waiting is not None and stamp == self._waiting:
             self._answer(self._waiting)
+
+    def _hears_rivals(self, source, stamp):
+        """Return whether another one's references come as well; then nobody's are kept."""
+        if self._lockstep or not (self._last is None
+                                  or self._references.is_fresh(stamp, self._last)):
+            return False
+        now = time.monotonic_ns()
+        before, rivals = self._sources.conflict(now), self._sources.hear(source, now)
+        if rivals:
+            self._references.forget()
+            if not before:
+                self._counts['two trajectories'] += 1
+                self.health.warn('rivals', f'{rivals}: zero torque; end one of them')
+        return bool(rivals)
 
     def _on_joint_states(self, message):
         stamp = messages.to_nanoseconds(message.header.stamp)
@@ -181,16 +200,18 @@ class ControllerNode(Node):
         silent, self._zeros = self._zeros > 0, 0
         self._last = stamp
         self._note_answer()
-        frozen = self._encoders.look(elapsed)
+        idle, self._obstacle = bool(self._obstacle), self._find_obstacle(elapsed)
         if jumped:
             self._begin_anew(elapsed)
             elapsed = 0.0
-        elif silent or self._encoders.thawed:
+        elif silent or idle:
             self._begins = True
             self._controller.state.started[0] = 0.0  # nobody knows the way since
             elapsed = 0.0
-        if frozen:
-            self._let_go(stamp, frozen)
+        if self._obstacle:  # the observer stays as it is, as in a silence
+            self._references.forget_motion()
+            self._publish_command(self._zero, stamp)
+            self.health.tell(WARN, self._obstacle)
         elif jumped and not self._lockstep:  # the next state tells whether this clock goes on
             self._publish_command(self._zero, stamp)
         else:
@@ -220,15 +241,18 @@ class ControllerNode(Node):
         self._references.forget_motion()
         self._begins = True
 
-    def _let_go(self, stamp, frozen):
-        """Answer a state with a frozen encoder in it; the observer stays, as in a silence."""
-        self._publish_command(self._zero, stamp)
+    def _find_obstacle(self, elapsed):
+        """Return why no reference may be followed (str); '' if any may."""
+        frozen = self._encoders.look(elapsed)
+        if not frozen:
+            rivals = self._sources.conflict(time.monotonic_ns())
+            return rivals and f'{rivals}: zero torque'
         sentence = f'{frozen}: zero torque until it changes, or ~/reset'
-        self.health.tell(WARN, sentence)
         if self._encoders.began:
-            self._references.forget_motion()
-            self.health.warn('encoder', f'{sentence}; turn the joint by hand, or once the cause '
-                             f'is found call {self.get_fully_qualified_name()}/reset')
+            self.health.warn(f'encoder {frozen.split()[0]}', f'{sentence}; turn the joint by hand, '
+                             'or once the cause is found call '
+                             f'{self.get_fully_qualified_name()}/reset')
+        return sentence
 
     def _follow(self, stamp, reference, elapsed):
         """Answer a state with the torque that follows a reference."""

@@ -32,8 +32,8 @@ class EncoderWatch:
     ----------
     frozen : str
         Which encoder is frozen, since when and why; '' while none is.
-    began, thawed : bool
-        Whether that began, or ended, with the last state.
+    began : bool
+        Whether that began with the last state.
     count : int
         How often it began.
 
@@ -45,7 +45,7 @@ class EncoderWatch:
         self._measured = SimpleNamespace(**{name: getattr(measured, name) for name in (
             'q_link', 'dq_link', 'q_motor', 'dq_motor')})
         self._acting = np.zeros(robot.n_joints)
-        self.frozen, self.began, self.thawed, self.count = '', False, False, 0
+        self.frozen, self.began, self.count = '', False, 0
         self.use(torque_limit)
 
     def use(self, torque_limit):
@@ -56,7 +56,7 @@ class EncoderWatch:
     def reset(self):
         """Take back what was found."""
         self._judge.reset()
-        self.frozen, self.began, self.thawed = '', False, False
+        self.frozen, self.began = '', False
 
     def act(self, torque, efforts):
         """
@@ -80,6 +80,5 @@ class EncoderWatch:
         before = self.frozen
         self.frozen = self._judge.look(self._measured, self._acting, elapsed) or ''
         self.began = bool(self.frozen) and not before
-        self.thawed = bool(before) and not self.frozen
         self.count += self.began
         return self.frozen

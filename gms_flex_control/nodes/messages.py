@@ -4,8 +4,8 @@
 """
 Between ROS messages and arrays: names mapped, stamps kept, messages refused whole.
 
-A command says in its layout which joint state it answers (``stamp:<ns>``) and who sent it
-(``source:<name>``), as labels of dimensions of size 1; ros2_control ignores the layout.
+Commands and references say in their layout which joint state they are for (``stamp:<ns>``) and who
+sent them (``source:<name>``), as labels of dimensions of size 1; ros2_control ignores the layout.
 """
 
 from array import array
@@ -216,7 +216,7 @@ def read_stamp(message):
 
 
 def read_source(message):
-    """Return who sent a command, as its layout says; None without that."""
+    """Return who sent a command or reference, as its layout says; None without that."""
     for dimension in message.layout.dim:
         if dimension.label.startswith(_SOURCE):
             return dimension.label[len(_SOURCE):]
@@ -250,15 +250,18 @@ class ReferenceWriter:
     ----------
     n : int
         Number of joints.
+    source : str
+        Whose reference it is.
 
     """
 
-    def __init__(self, n):
+    def __init__(self, n, source):
         self._kind = MultiArrayDimension()
         self._joint = MultiArrayDimension(label='joint', size=n, stride=n)
         self._stamp = MultiArrayDimension(size=1, stride=1)
         self.message = Float64MultiArray(layout=MultiArrayLayout(
-            dim=[self._kind, self._joint, self._stamp]))
+            dim=[self._kind, self._joint, self._stamp,
+                 MultiArrayDimension(label=_SOURCE + source, size=1, stride=1)]))
 
     def write(self, reference, quantity, stamp):
         """Return the message for ``reference`` (5, n); of an effort only the first row counts."""
@@ -277,7 +280,7 @@ def read_reference(message, n):
     Parameters
     ----------
     message : std_msgs.msg.Float64MultiArray
-        Dimensions [derivative 5, joint n] or [effort 1, joint n].
+        Dimensions [derivative 5, joint n] or [effort 1, joint n], or none that has a size.
     n : int
         Number of joints.
 
@@ -298,7 +301,7 @@ def read_reference(message, n):
     quantity = EFFORT if dims and dims[0].label == EFFORT else 'motion'
     rows = 1 if quantity == EFFORT else 5
     sizes = [dimension.size for dimension in dims[:2]]
-    described = dims and not dims[0].label.startswith(_STAMP)
+    described = dims and not dims[0].label.startswith((_STAMP, _SOURCE))
     if described and (dims[0].label not in (EFFORT, DERIVATIVE) or sizes != [rows, n]):
         labels = ', '.join(f'{dimension.label[:80]} {dimension.size}' for dimension in dims[:2])
         raise RefusedError(f'reference has the layout [{labels}], expected [{DERIVATIVE} 5, '

@@ -67,9 +67,18 @@ class References:
         """Return whether there is one for exactly this joint state."""
         return stamp in self._kept
 
+    def forget(self):
+        """Follow nothing that has been received."""
+        self._kept.clear()
+        self.forget_motion()
+
     def forget_motion(self):
         """Hold nothing from before: the robot is elsewhere, or its clock is."""
         self.phase = self._last = self._rest = self._torque = None
+
+    def is_fresh(self, stamp, now):
+        """Return whether one for ``stamp`` would be followed by the state of ``now`` [ns]."""
+        return abs(stamp - now) <= self._timeout
 
     def nearest(self, stamp):
         """Return how far the nearest stamp is [s]; None without any reference."""

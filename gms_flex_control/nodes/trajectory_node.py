@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """The reference as a ROS 2 node: one message per joint state, a sample ahead."""
 
+import os
 import sys
 
 from gms_flex_control.errors import GmsFlexError, TrajectoryError
@@ -47,7 +48,8 @@ class TrajectoryNode(Node):
         self._origin = self._last = self._published = None  # stamps [ns]
         self._names = self._order = None
         self._q_link, self._dq_link, self._origin_of_torque = np.zeros((3, len(self._joints)))
-        self._writer = messages.ReferenceWriter(len(self._joints))
+        self._writer = messages.ReferenceWriter(
+            len(self._joints), f'{self.get_fully_qualified_name()}#{os.getpid()}')
         self._counts = dict.fromkeys(('states followed', 'states refused', 'jumps of time'), 0)
         self.health = Health(self, lambda: self._counts)
         guard = self.health.guard
