@@ -20,7 +20,7 @@ soak = pytest.importorskip('gms_flex_control.nodes.faults.soak')
 
 # how far beyond its limit a time may be on a shared machine; other times are not asserted
 SAFETY = {'clocks': 2.0, 'dead-controller': 2.0, 'silence': 2.0, 'two-controllers': 2.0,
-          'frozen-encoders': 2.0, 'emergency-stop': 2.0}
+          'two-trajectories': 2.0, 'frozen-encoders': 2.0, 'emergency-stop': 2.0}
 # the first two stops are without a storm, which on a crowded machine delays the others
 TRIES = {'emergency-stop': 2}
 TORQUE = 'N m'

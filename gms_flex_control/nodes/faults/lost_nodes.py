@@ -6,9 +6,11 @@
 import signal
 import time
 
-from gms_flex_control.nodes.faults.rigs import largest_torque, Loop, PLANT
+from gms_flex_control.nodes.faults.bench import REFERENCE
+from gms_flex_control.nodes.faults.rigs import CONTROLLER, largest_torque, Log, Loop, PLANT
 from gms_flex_control.nodes.faults.wire import stamp_of
 import numpy as np
+from std_msgs.msg import Float64MultiArray
 
 _GONE = 0.3          # how long a controller is missed before it is started again [s]
 _BEGINNING = 0.05    # of a resumed motion [s]
@@ -139,8 +141,37 @@ def try_two_controllers(bench, tries, tally):
     tally.expect(largest_torque(loop.commands.since(0.0)) < np.inf, 'a command is not finite')
 
 
-def _is_from(command, pid):
-    return any(dim.label.endswith(f'#{pid}') for dim in command.layout.dim)
+def try_two_trajectories(bench, tries, tally):
+    """Start a second trajectory node beside the first, then end the first."""
+    loop = Loop(bench)
+    references = bench.listen(Float64MultiArray, REFERENCE, Log())
+    for k in range(tries):
+        tally.tries += 1
+        first, known = loop.trajectory, len(references)
+        loop.start_trajectory(f'trajectory_node.second{k}')
+        pid = loop.trajectory.process.pid
+        # the last alone: a bench on a busy machine has many to look through
+        bench.until(lambda known=known, pid=pid: len(references) > known
+                    and _is_from(references[-1], pid))
+        begin = next(when for when, one in zip(
+            references.times[known:], references[known:], strict=True) if _is_from(one, pid))
+        loop.run(_GONE)
+        zero = zero_applied(loop, begin)
+        tally.figure((zero - begin) * 1e3 if zero else np.inf)
+        told = loop.diagnostics.sentence(CONTROLLER)
+        tally.expect(str(first.process.pid) in told and str(pid) in told,
+                     f'the controller does not name both: {told!r}')
+        first.kill()
+        resumed = time.monotonic()
+        bench.until(loop.moves)
+        loop.run(_GONE)
+        pushes = [pair for pair in loop.commands.since(resumed) if any(pair[1].data)]
+        tally.expect(_first_torques(pushes) <= _GENTLE, 'it resumed with a jerk')
+    tally.expect(loop.controller.runs and loop.plant.runs, 'a node has ended')
+
+
+def _is_from(message, pid):
+    return any(dim.label.endswith(f'#{pid}') for dim in message.layout.dim)
 
 
 def _heard(loop, known, pid):

@@ -251,10 +251,10 @@ class Loop:
         """Start the controller (again)."""
         self.controller = self.bench.start(name, files=self._files, **self._parameters)
 
-    def start_trajectory(self):
+    def start_trajectory(self, name='trajectory_node'):
         """Start the trajectory node (again)."""
         self.trajectory = self.bench.start(
-            'trajectory_node', files=self._files, trajectory__autostart=True,
+            name, files=self._files, trajectory__autostart=True,
             trajectory__ramp_time=3.0, **_SMALL)
 
     def moves(self):
