@@ -249,9 +249,9 @@ class ControllerNode(Node):
             return rivals and f'{rivals}: zero torque'
         sentence = f'{frozen}: zero torque until it changes, or ~/reset'
         if self._encoders.began:
-            self.health.warn(f'encoder {frozen.split()[0]}', f'{sentence}; turn the joint by hand, '
-                             'or once the cause is found call '
-                             f'{self.get_fully_qualified_name()}/reset')
+            self.health.warn(  # of its own kind: another encoder is another warning
+                f'encoder {frozen.split()[0]}', f'{sentence}; turn the joint by hand, or once the '
+                f'cause is found call {self.get_fully_qualified_name()}/reset')
         return sentence
 
     def _follow(self, stamp, reference, elapsed):
