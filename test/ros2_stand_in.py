@@ -74,8 +74,8 @@ def call_service(name, kind):
 
 def set_parameter(name, parameter, value):
     """Do ``ros2 param set``; a refusal is told, and no error of the command."""
-    import rclpy
     from rcl_interfaces.msg import Parameter
+    import rclpy
     from rclpy.parameter import get_parameter_value
     from rclpy.parameter_client import AsyncParameterClient
     node = rclpy.create_node('_ros2cli_param')
