@@ -135,3 +135,18 @@ def test_two_effects_are_both_named(seed):
     assert result.verdict == FOUND
     named = {(one.effect, one.joint) for one in found[:2]}
     assert named == {(spec.name, spec.joint) for spec in truth.effects}, result.words
+
+
+def test_one_effect_is_found_in_the_place_of_two():
+    """The wave of an eccentric encoder is an offset and a ripple, nearly all of it offset."""
+    result, found, truth = outcome('single', 108)
+    assert [(one.effect, one.joint) for one in found] == [
+        (spec.name, spec.joint) for spec in truth.effects], result.words
+
+
+def test_what_is_significant_but_a_trifle_is_not_unexplained():
+    """Moves and rests alone tell block stiffnesses that are 1 to 3 % off; their torque is tiny."""
+    result, found, _ = outcome('clean', 30, motion='polynomial')
+    assert (result.verdict, found) == (COMPLETE, ()), result.words
+    problem, model = result.found[0], result.found[1].before
+    assert problem.cost(model.rows, model.robot, model.x) > 1.3 * problem.clean_cost

@@ -11,7 +11,7 @@ from gms_flex_control.discrepancy.bounded import solve
 from gms_flex_control.discrepancy.guesses import all_guesses
 from gms_flex_control.discrepancy.known import DOUBT, knobs_of, tuned
 from gms_flex_control.discrepancy.path import make_path, standing
-from gms_flex_control.discrepancy.problem import Problem
+from gms_flex_control.discrepancy.problem import Problem, with_effect
 from gms_flex_control.discrepancy.residuals import fresh_state, unexplained
 from gms_flex_control.discrepancy.retrace import retrace
 from gms_flex_control.discrepancy.retuned import with_knobs
@@ -349,5 +349,25 @@ def test_a_state_before_a_motion_sticks_and_is_unloaded(ideal_robot):
 def test_a_noise_of_counts_alone_is_no_effect(problem):
     """Re-tuning known parameters of a clean run gains less than the search would look at."""
     x, rows, _ = problem.retuned(problem.robot, np.zeros(len(problem.knobs)))
-    assert problem.cost(rows, x) < 1.3 * problem.level * problem.fitted.sum()
+    assert problem.cost(rows, problem.robot, x) < 1.3 * problem.level * problem.fitted.sum()
     assert np.all(np.abs(x) <= problem.bound_of(problem.robot))
+
+
+@pytest.mark.parametrize(('name', 'knob'), [
+    ('motor_inertia_error', 'motor_inertia'), ('stiffness_error', 'stiffness')])
+def test_the_same_robot_costs_the_same_however_it_is_said(robot, gains, name, knob):
+    """An error of a parameter that its knob makes good leaves robot and cost as they are."""
+    coarse = replace(robot, encoder=replace(robot.encoder, counts=8192.0))
+    problem = Problem([driven_path(coarse, gains)], robot, 0.01)
+    ratio, index = -0.04, [one.name for one in problem.knobs].index(knob)
+    x = np.zeros(len(problem.knobs))
+    plain = problem.cost(problem.rows(robot, x), robot, x)
+    spec = EffectSpec(name=name, joint=robot.joints[problem.knobs[index].joint], values=(ratio,))
+    problem.note_noise(replace(spec, values=(0.1,)))
+    same = with_effect(robot, spec)
+    x[index] = 1.0 / (1.0 + ratio) - 1.0
+    rows = problem.rows(same, x)
+    np.testing.assert_allclose(rows, problem.rows(robot, 0.0 * x), atol=1e-6)
+    noise = abs(2.0 * problem.noise_in_slopes(robot)[index] * x[index])
+    assert noise > 1.0
+    assert problem.cost(rows, same, x) == pytest.approx(plain, abs=0.1 * noise)

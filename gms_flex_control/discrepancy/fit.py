@@ -121,18 +121,18 @@ def fit(problem, robot, x, knob_columns, first=0, iterations=3):
 
     """
     rows = problem.rows(robot, x)
-    cost = problem.cost(rows, x)
+    cost = problem.cost(rows, robot, x)
     for _ in range(iterations):
         numbers = numbers_of(robot.effects, first)
         values = values_of(robot, numbers)
         own = effect_columns(problem, robot, x, rows, numbers)
-        step = _step(problem, np.concatenate([knob_columns, own]), rows, x, values, numbers,
-                     problem.bound_of(robot))
+        step = _step(problem, np.concatenate([knob_columns, own]), rows, robot, x, values,
+                     numbers)
         for shrink in _SHRINK:
             there = at_values(robot, numbers, values + shrink * step[len(x):])
             knobs = x + shrink * step[:len(x)]
             moved = problem.rows(there, knobs)
-            gain = cost - problem.cost(moved, knobs)
+            gain = cost - problem.cost(moved, there, knobs)
             if gain > 0.0:
                 break
         else:
@@ -143,11 +143,12 @@ def fit(problem, robot, x, knob_columns, first=0, iterations=3):
     return Fitted(robot, x, rows, cost)
 
 
-def _step(problem, columns, rows, x, values, numbers, bound):
+def _step(problem, columns, rows, robot, x, values, numbers):
+    bound = problem.bound_of(robot)
     used = columns[:, problem.fitted]
     reach = np.array([n.reach for n in numbers])
     low = np.concatenate([-bound - x,
                           np.maximum(np.array([n.lower for n in numbers]) - values, -reach)])
     high = np.concatenate([bound - x,
                            np.minimum(np.array([n.upper for n in numbers]) - values, reach)])
-    return solve(used @ used.T, problem.slope(columns, rows), low, high)
+    return solve(used @ used.T, problem.slope(columns, rows, robot, numbers), low, high)

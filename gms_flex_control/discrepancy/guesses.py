@@ -80,8 +80,7 @@ def allowed(guess, kind):
     """Return a Guess whose values keep within the bounds of an effect's parameters."""
     lower, upper = np.transpose([bounds_of(kind, parameter) for parameter in kind.parameters])
     size = guess.probes[0][0]
-    linear = len(guess.probes) == 1 and size > 0.0 and guess.values([2.0])[0] == 2.0 * size
-    if linear:  # its coefficient has bounds, too
+    if guess.is_linear and size > 0.0:  # its coefficient has bounds, too
         guess = guess._replace(lowest=max(guess.lowest, lower[0] / size),
                                highest=min(guess.highest, upper[0] / size))
     return guess._replace(values=lambda c: tuple(np.clip(guess.values(c), lower, upper).tolist()))

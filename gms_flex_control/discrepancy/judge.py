@@ -40,10 +40,19 @@ class Judged(NamedTuple):
         """Return the torque that nothing else can make, rms [N m]."""
         return self.torque * min(self.loss / max(self.own, 1e-300), 1.0) ** 0.5
 
+    @property
+    def weight(self):
+        """
+        Return by what effects are ranked [N m]: between all its torque and what is its alone.
+
+        A large effect that others can make the better part of is large all the same.
+        """
+        return (self.torque * self.alone) ** 0.5
+
 
 def judged(problem, found, known):
     """
-    Return what each effect is worth, first the one whose torque is missed most.
+    Return what each effect is worth, the heaviest first.
 
     Parameters
     ----------
@@ -67,13 +76,14 @@ def judged(problem, found, known):
         retuned = least(problem, less, others)
         out.append(Judged(i, float(change @ change), max(retuned - model.cost, 0.0), torque, less,
                           others))
-    return sorted(out, key=lambda one: -one.alone)
+    return sorted(out, key=lambda one: -one.weight)
 
 
 def least(problem, model, columns):
     """Return the least cost of a model with all its columns (C, R) re-tuned within bounds."""
     used = columns[:, problem.fitted]
-    gram, slope = used @ used.T, problem.slope(columns, model.rows)
+    numbers = numbers_of(model.robot.effects, len(problem.robot.effects))
+    gram, slope = used @ used.T, problem.slope(columns, model.rows, model.robot, numbers)
     step = solve(gram, slope, *limits(problem, model, len(columns)))
     return model.cost + 2.0 * half_cost(gram, slope, step)
 

@@ -12,6 +12,8 @@ from gms_flex_control.discrepancy.known import DOUBT, knobs_of, MOST_DOUBT, REPL
 from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.discrepancy.retrace import retrace
 from gms_flex_control.discrepancy.whitening import Whitening
+from gms_flex_control.effects.base import Change
+from gms_flex_control.effects.registry import find
 from gms_flex_control.simulation import plant
 import numpy as np
 
@@ -19,6 +21,7 @@ REPLICATES = 6        # runs in which nothing is missing, per recording
 BLOCK = 2.0           # of time that is held out or not as a whole [s]
 _HELD_OUT = 4         # one block in so many
 _KNOB_STEP = 0.01
+_RATIO_STEP = 0.1     # of a relative change that an effect is
 
 
 class Problem:
@@ -89,19 +92,56 @@ class Problem:
         self._divide()
         clean = self._rows(runs[0], constants)
         self.level = float(np.mean(clean[self.fitted] ** 2))
-        self.attenuation = self._attenuation(runs[:2], robot, x)
+        self._pair = runs[:2]
+        self._noise = self._between(constants)
+        self._attenuation = self.each(lambda i: self._noise_added(self.constants(
+            robot, x + _KNOB_STEP * (np.arange(len(x)) == i))) / _KNOB_STEP, range(len(x)))
+        self._attenuations = {}  # (effect, joint): of each parameter
 
-    def _attenuation(self, runs, robot, x):
-        """Return the part of noise in the slopes of the knobs (P,), from a pair of runs."""
-        base = self.constants(robot, x)
-        rows = [self._rows(run, base)[self.fitted] for run in runs]
+    def _between(self, constants):
+        """Return how rows of two clean runs differ: what they share is motion, not noise."""
+        one, other = (self._rows(run, constants)[self.fitted] for run in self._pair)
+        return one - other
 
-        def column(i):
-            moved = self.constants(robot, x + _KNOB_STEP * (np.arange(len(x)) == i))
-            one, other = (self._rows(run, moved)[self.fitted] for run in runs)
-            noise = rows[0] - rows[1]  # what both runs share is motion, not noise
-            return 0.5 * noise @ (one - other - noise) / _KNOB_STEP
-        return self.each(column, range(len(x)))
+    def _noise_added(self, constants):
+        """Return half of what noise adds to the cost of a model beyond that as believed."""
+        return 0.5 * float(self._noise @ (self._between(constants) - self._noise))
+
+    def note_noise(self, spec):
+        """
+        Learn what noise adds to the slopes of an effect that is linear in its parameters.
+
+        Parameters
+        ----------
+        spec : EffectSpec
+            At a small size.
+
+        """
+        x, kind = np.zeros(len(self.knobs)), find(spec.name)
+        slopes = np.zeros(len(kind.parameters))
+        for k in [0, *(k for k in range(1, len(slopes)) if issubclass(kind, Change)
+                       and kind.parameters[k].unit == '1')]:
+            size = spec.values[k] or _RATIO_STEP
+            alone = tuple(np.where(np.arange(len(slopes)) == k, size, (
+                spec.values if k == 0 else np.zeros(len(slopes)))).tolist())
+            robot = with_effect(self.robot, replace(spec, values=alone))
+            slopes[k] = self._noise_added(self.constants(robot, x)) / size
+        self._attenuations[spec.name, spec.joint] = slopes
+
+    def noise_of(self, spec):
+        """Return what noise adds to the slopes of an effect, one number per parameter."""
+        return self._attenuations.get((spec.name, spec.joint), np.zeros(len(spec.values)))
+
+    def noise_in(self, robot, x):
+        """Return half of what noise adds to the cost of a robot with its knobs at ``x``."""
+        return float(self._attenuation @ x + sum(
+            self.noise_of(spec) @ spec.values for spec in robot.effects[len(self.robot.effects):]))
+
+    def noise_in_slopes(self, robot, numbers=()):
+        """Return what noise adds to the slopes of knobs and numbers of effects, one by one."""
+        return np.concatenate([self._attenuation, [
+            self.noise_of(robot.effects[number.effect])[number.parameter]
+            for number in numbers]])
 
     def of_others(self, paths):
         """Return the Problem of other recordings, all of them held out."""
@@ -139,20 +179,19 @@ class Problem:
         return [part.reshape(whitening.scale.shape).any(axis=1) for part, whitening in
                 zip(np.split(self.held_out, ends), self.whitenings, strict=True)]
 
-    def cost(self, rows, x):
+    def cost(self, rows, robot, x):
         """
-        Return the sum of squares of the rows that are fitted, cleared of what noise adds.
+        Return the sum of squares of a model's rows that are fitted, cleared of what noise adds.
 
         Noise of the readings stands in the rows times inertia and stiffness: without the second
         term a smaller arm would always look better, by its smaller noise.
         """
-        return float(np.sum(rows[self.fitted] ** 2) - 2.0 * self.attenuation @ x)
+        return float(np.sum(rows[self.fitted] ** 2) - 2.0 * self.noise_in(robot, x))
 
-    def slope(self, columns, rows):
-        """Return the downhill slope of half the cost by knobs and other columns (C, R)."""
-        slope = -columns[:, self.fitted] @ rows[self.fitted]
-        slope[:len(self.attenuation)] += self.attenuation
-        return slope
+    def slope(self, columns, rows, robot, numbers=()):
+        """Return the downhill slope of half the cost by knobs and numbers of effects (C,)."""
+        return (self.noise_in_slopes(robot, numbers)
+                - columns[:, self.fitted] @ rows[self.fitted])
 
     def bound_of(self, robot):
         """Return the largest change of each knob (P,), 0 where a new effect stands for it."""
@@ -196,7 +235,7 @@ class Problem:
             columns = self.knob_columns(robot, x, rows)
             used = columns[:, self.fitted]
             bound = self.bound_of(robot)
-            x = x + solve(used @ used.T, self.slope(columns, rows), -bound - x, bound - x)
+            x = x + solve(used @ used.T, self.slope(columns, rows, robot), -bound - x, bound - x)
         return x, self.rows(robot, x), columns
 
 

@@ -8,7 +8,9 @@ All effects of the catalogue are put along the measured motion once, at small si
 are the library. What a hypothesis gains is then linear algebra; only the best are fitted in full.
 """
 
+from collections import Counter
 from dataclasses import replace
+from itertools import combinations
 from typing import NamedTuple
 
 from gms_flex_control.discrepancy.bounded import solve
@@ -31,6 +33,9 @@ _CLOSE = 0.5          # of the best gain
 _SIMPLER = 0.03       # of a gain: so much less is as good, with fewer numbers
 _BETTER = 0.01        # likewise: so much more is better, with more numbers
 _ROUNDS = 3           # of adding and exchanging
+_FEW = 3              # effects: one is looked for in the place of two
+_NEARLY = 0.95        # of what the two explain: what the one does at a first guess
+_LIKELY = 2           # ones that are fitted in full
 _EXACT = 12           # hypotheses whose gain is found within bounds
 
 
@@ -68,7 +73,19 @@ class Library:
             return (problem.rows(with_effect(model.robot, spec), model.x)
                     - model.rows)[problem.fitted]
         self.columns = problem.each(column, jobs)
+        self._noise = self._noise_of(jobs)
         self._places = np.cumsum([0, *(len(guess.probes) for _, _, guess in self.guesses)])
+
+    def _noise_of(self, jobs):
+        """Return what noise adds to the slope of each column."""
+        problem = self._problem
+        ways = Counter((name, joint) for name, joint, _ in self.guesses)
+        specs = [EffectSpec(name=name, joint=joint, values=guess.probes[0])
+                 for name, joint, guess in self.guesses
+                 if guess.is_linear and ways[name, joint] == 1]
+        problem.each(problem.note_noise, specs)
+        return np.array([problem.noise_of(EffectSpec(name=name, joint=joint, values=values))
+                         @ values for name, joint, values in jobs])
 
     def ranked(self, model, columns):
         """
@@ -89,13 +106,15 @@ class Library:
         """
         problem, knobs = self._problem, len(model.x)
         own, rows = columns[:, problem.fitted], model.rows[problem.fitted]
-        slope = problem.slope(columns, model.rows)
+        numbers = numbers_of(model.robot.effects, len(problem.robot.effects))
+        slope = problem.slope(columns, model.rows, model.robot, numbers)
         low, high = limits(problem, model, len(own))
         gram, best = own @ own.T, {}
         before = half_cost(gram, slope, solve(gram, slope, low, high))
         free = np.ones(len(own), dtype=bool)
         free[:knobs] = np.abs(model.x) < _AT_BOUND * problem.bound_of(model.robot)
-        for i in self._promising(own[free], rows)[:_EXACT]:
+        noise = problem.noise_in_slopes(model.robot, numbers)
+        for i in self._promising(own[free], rows, noise[free])[:_EXACT]:
             name, joint, guess = self.guesses[i]
             value, coefficients = self._with(i, own, rows, gram, low, high, slope)
             gain = 2.0 * (before - value)
@@ -105,13 +124,16 @@ class Library:
                                                             values=values))
         return sorted(best.values(), key=lambda one: -one.gain)
 
-    def _promising(self, own, rows):
+    def _promising(self, own, rows, noise):
         """Return guesses by their gain without bounds, the best first."""
-        basis, _ = np.linalg.qr(own.T)
+        basis, root = np.linalg.qr(own.T)
         left = rows - basis @ (basis.T @ rows)
-        beside = self.columns - (self.columns @ basis) @ basis.T
+        along = self.columns @ basis
+        beside = self.columns - along @ basis.T
         whole = np.sum(self.columns ** 2, axis=1)
-        right, gains = beside @ left, np.zeros(len(self.guesses))
+        shared = np.linalg.lstsq(root.T, noise, rcond=1e-10)[0]
+        right = beside @ left - (self._noise - along @ shared)
+        gains = np.zeros(len(self.guesses))
         for i, (begin, end) in enumerate(zip(self._places[:-1], self._places[1:], strict=True)):
             gram = beside[begin:end] @ beside[begin:end].T
             if np.trace(gram) > 1e-6 * whole[begin:end].sum():
@@ -128,7 +150,8 @@ class Library:
         both[:k, :k], both[k:, k:] = gram, added @ added.T
         both[:k, k:] = own @ added.T
         both[k:, :k] = both[:k, k:].T
-        right = np.concatenate([slope, -added @ rows])
+        right = np.concatenate([slope, self._noise[self._places[i]:self._places[i + 1]]
+                                - added @ rows])
         x = solve(both, right, np.concatenate([low, np.full(count, guess.lowest)]),
                   np.concatenate([high, np.full(count, guess.highest)]))
         return (half_cost(both, right, x) if np.any(x[k:]) else np.inf), x[k:]
@@ -176,13 +199,14 @@ def search(problem, *, most=MOST, without=(), say=lambda text: None):
 
     """
     x, rows, knobs = problem.retuned(problem.robot, np.zeros(len(problem.knobs)))
-    before = Fitted(problem.robot, x, rows, problem.cost(rows, x))
+    before = Fitted(problem.robot, x, rows, problem.cost(rows, problem.robot, x))
     say('every effect along the motion')
     hunt = _Hunt(problem, before, knobs, Library(problem, before, without), say)
     for _ in range(_ROUNDS):
         grown = hunt.grow(most)
         if not hunt.exchange() and not grown:
             break
+    hunt.merge()
     return Found(before, hunt.model, hunt.columns, hunt.first, hunt.library)
 
 
@@ -234,6 +258,28 @@ class _Hunt:
                 worth += _BETTER * (less.cost - model.cost)
             if model.cost - other.cost > worth:
                 self._say(f'{one.spec.name} instead of {effects[i].name}')
+                self._take(other)
+                return True
+        return False
+
+    def merge(self):
+        """Put one effect in the place of two where it explains as much, if there are few."""
+        while self._known + 2 <= len(self.model.robot.effects) <= self._known + _FEW:
+            added = range(self._known, len(self.model.robot.effects))
+            if not any(self._merged(*pair) for pair in combinations(added, 2)):
+                return
+
+    def _merged(self, i, k):
+        problem, model = self._problem, self.model
+        first, columns = without(problem, model, self.columns, self._known, k)
+        less, columns = without(problem, first, columns, self._known, i)
+        least = _NEARLY * (less.cost - model.cost)
+        for one in self.library.ranked(less, columns)[:_LIKELY]:
+            if one.gain < least or not may_join(one.spec, less.robot):
+                continue
+            other = self._fit_last(with_effect(less.robot, one.spec))
+            if other.cost < model.cost + LEAST_GAIN:
+                self._say(f'{one.spec.name} instead of two')
                 self._take(other)
                 return True
         return False
@@ -327,7 +373,7 @@ def without(problem, model, columns, known, i):
     rows = problem.rows(robot, model.x)
     own = [len(model.x) + k for k, number in enumerate(numbers_of(effects, known))
            if number.effect == i]
-    return (Fitted(robot, model.x, rows, problem.cost(rows, model.x)),
+    return (Fitted(robot, model.x, rows, problem.cost(rows, robot, model.x)),
             np.delete(columns, own, axis=0))
 
 

@@ -31,6 +31,8 @@ _AT_REST = 0.2        # of what is left: so much of it while links stand may be 
 _UNSURE = 2.0         # times what matters, for an effect that may be another
 _UNEXPECTED = 4.0     # times the loss that was foreseen: an effect is taken back
 DETECTED = 1.3        # times the clean level: below, nothing is missing
+CERTAIN = 1.0         # of the clean level: so much missing is no trifle, small as its torque is
+TRIFLE = 0.5          # of the practical torque
 EXPLAINED = 0.05      # of what was missing: so little may be left of it
 PARTLY = 0.2          # likewise, where effects that explain most of it are named
 DOMINANT = 0.6        # share of an effect that explains most
@@ -168,7 +170,7 @@ def _name(found, one):
 
 def missing(problem, model):
     """Return how far a model's cost is above that of a clean run, in units of the latter."""
-    return problem.cost(model.rows, model.x) / problem.clean_cost - 1.0
+    return problem.cost(model.rows, model.robot, model.x) / problem.clean_cost - 1.0
 
 
 def helps(gap, much):
@@ -237,7 +239,7 @@ def _told(problem, found, entries, known, options, holdout, say):
     sure = {id(finding) for finding, one in zip(findings, entries, strict=True)
             if len(findings) <= FEW or judge.is_sure(one) and not finding.confusable_with}
     left_over = None
-    if left > EXPLAINED or (before > slack and not findings):
+    if left > EXPLAINED if findings else _matters(problem, gap, before, options.practical):
         left_over = signature_of(problem, found.model, min(max(missing(
             problem, found.model), 0.0) / max(before, 1e-12), 1.0))
     small = [finding for finding in findings if not finding.main]
@@ -252,6 +254,33 @@ def _told(problem, found, entries, known, options, holdout, say):
         unexplained=left_over, gap=gap, tried=tried, retuned=retuned, found=(problem, found),
         robot=with_knobs(found.model.robot, problem.knobs, found.model.x))
     return replace(result, words=paragraph(result))
+
+
+def _matters(problem, gap, before, practical):
+    """
+    Return whether something is left where no effect was found.
+
+    Parameters
+    ----------
+    problem : Problem
+        The rows.
+    gap : Gap
+        On data held out.
+    before : float
+        How far the cost is above that of a clean run, see `missing`.
+    practical : float
+        Torque that matters, as a share of Coulomb friction.
+
+    Returns
+    -------
+    bool
+        What is significant and no trifle of torque: where a motion tells block stiffnesses that
+        are a little off, that is no effect.
+
+    """
+    level = practical * np.array([problem.level_of(joint) for joint in gap.joints])
+    above = np.sqrt(np.maximum(gap.retuned ** 2 - gap.floor ** 2, 0.0))
+    return bool(before > DETECTED - 1.0 and (before > CERTAIN or np.any(above > TRIFLE * level)))
 
 
 def _only(problem, found, known, entries):

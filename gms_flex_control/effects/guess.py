@@ -58,6 +58,12 @@ class Guess(NamedTuple):
     lowest: float = -np.inf
     highest: float = np.inf
 
+    @property
+    def is_linear(self):
+        """Return whether the effect is proportional to its first parameter."""
+        size = self.probes[0][0]
+        return len(self.probes) == 1 and size != 0.0 and self.values([0.5])[0] == 0.5 * size
+
 
 def linear(size, *fixed, positive=False):
     """Return the guess of an effect proportional to its first parameter, list of one."""
