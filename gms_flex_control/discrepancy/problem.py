@@ -117,15 +117,15 @@ class Problem:
             At a small size.
 
         """
-        x, kind = np.zeros(len(self.knobs)), find(spec.name)
-        slopes = np.zeros(len(kind.parameters))
-        for k in [0, *(k for k in range(1, len(slopes)) if issubclass(kind, Change)
-                       and kind.parameters[k].unit == '1')]:
-            size = spec.values[k] or _RATIO_STEP
-            alone = tuple(np.where(np.arange(len(slopes)) == k, size, (
-                spec.values if k == 0 else np.zeros(len(slopes)))).tolist())
-            robot = with_effect(self.robot, replace(spec, values=alone))
-            slopes[k] = self._noise_added(self.constants(robot, x)) / size
+        kind, count = find(spec.name), len(spec.values)
+        sets = {0: spec.values}
+        if issubclass(kind, Change):  # its further ratios, one by one
+            sets |= {k: tuple(_RATIO_STEP * (np.arange(count) == k)) for k in range(1, count)
+                     if kind.parameters[k].unit == '1'}
+        x, slopes = np.zeros(len(self.knobs)), np.zeros(count)
+        for k, values in sets.items():
+            robot = with_effect(self.robot, replace(spec, values=values))
+            slopes[k] = self._noise_added(self.constants(robot, x)) / values[k]
         self._attenuations[spec.name, spec.joint] = slopes
 
     def noise_of(self, spec):
