@@ -30,6 +30,8 @@ def add_parser(subparsers):
     parser.add_argument('--soak', type=float, metavar='MINUTES',
                         help='instead of faults: run the loop at 500 Hz so long, and watch memory '
                              'and missed deadlines')
+    parser.add_argument('--priority', type=int, default=0, metavar='N',
+                        help='realtime_priority of the nodes, 1 to 99, where it is permitted')
     parser.add_argument('--json', action='store_true', help='print JSON')
     parser.add_argument('--logs', type=Path, metavar='FOLDER',
                         help='keep there what the nodes print')
@@ -48,6 +50,8 @@ def run(args):
         if name not in table.FAULTS:
             raise ConfigError(f'there is no fault {name!r}{did_you_mean(name, table.FAULTS)} ('
                               'gms_flex faults --list names all)')
+    if not 0 <= args.priority <= 99:
+        raise ConfigError(f'--priority {args.priority}: expected 1 to 99, or 0 for none')
     if args.soak is not None:
         if not 0.0 < args.soak <= _LONGEST_SOAK:
             raise ConfigError(f'--soak {args.soak:g}: expected minutes above 0, at most '
@@ -59,7 +63,7 @@ def run(args):
         tries = fault.tries[0 if args.short else 1]
         _progress(f'{len(rows) + 1} of {len(args.only or table.FAULTS)}: {fault.fault}, '
                   f'{tries} tries ...')
-        rows.append(table.try_fault(fault, tries, _folder(args.logs, name)))
+        rows.append(table.try_fault(fault, tries, _folder(args.logs, name), args.priority))
         _progress('')
     print(table.as_json(rows) if args.json else table.table(rows))
     return 0 if table.all_held(rows) else 1
@@ -69,7 +73,7 @@ def _soaked(args):
     from gms_flex_control.nodes.faults import soak
     from gms_flex_control.nodes.faults.bench import Bench
     with nullcontext(_folder(args.logs, 'soak')) if args.logs else TemporaryDirectory() as place:
-        with Bench(Path(place)) as bench:
+        with Bench(Path(place), args.priority) as bench:
             windows = soak.soak(bench, 60.0 * args.soak, say=_progress)
     _progress('')
     wrong = soak.judged(windows)

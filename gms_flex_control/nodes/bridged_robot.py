@@ -10,6 +10,7 @@ from gms_flex_control.hardware.bridge import Bridge
 from gms_flex_control.hardware.merger import ReadingError
 from gms_flex_control.nodes import messages, process
 from gms_flex_control.nodes.health import ERROR, OK
+from gms_flex_control.nodes.inbox import Inbox
 from gms_flex_control.nodes.robot_links import DeviceLink, TopicLink
 from gms_flex_control.nodes.supervised import SupervisedRobot
 from gms_flex_control.schema.bridge import bridge_from_values
@@ -58,9 +59,7 @@ class BridgedRobot(SupervisedRobot):
                                                 process.publisher_qos('realtime'))
         link = DeviceLink if values['bridge.device'] else TopicLink
         self._link = link(node, self, values, self._map.command_names)
-        node.create_subscription(
-            Float64MultiArray, 'effort_controller/commands', health.guard(self._on_command),
-            process.subscriber_qos('realtime'), event_callbacks=process.NO_EVENTS)
+        Inbox(node, Float64MultiArray, 'effort_controller/commands', self._on_command)
 
     def now(self):
         """Return a time that never jumps, near that of the system at the start [ns]."""
@@ -69,8 +68,8 @@ class BridgedRobot(SupervisedRobot):
     # what comes ----------------------------------------------------------------------------
 
     def take_state(self, source, names, position, velocity, effort, stamp):
-        """Take joint states of the link; publish the state they complete."""
-        now, bridge = self.now(), self._bridge
+        """Take joint states of the link, publish the state they complete; False if refused."""
+        now, bridge, refused = self.now(), self._bridge, False
         with self._lock:
             try:
                 complete = bridge.take_state(source, names, position, velocity, effort, stamp,
@@ -78,13 +77,15 @@ class BridgedRobot(SupervisedRobot):
             except ReadingError as error:
                 bridge.refuse_state(str(error))
                 self._warn('state', f'joint state refused: {error}', now)
-                complete = False
+                complete, refused = False, True
             if complete:
                 self._state_pub.publish(self._writer.write(
                     bridge.measured, bridge.applied, bridge.stamp))
             self._settle()
+        return not refused
 
     def _on_command(self, message):
+        """Return whether the message is a command, to be obeyed or not."""
         now, bridge = self.now(), self._bridge
         source = messages.read_source(message) or ''
         with self._lock:
@@ -93,10 +94,11 @@ class BridgedRobot(SupervisedRobot):
             except messages.RefusedError as error:
                 bridge.refuse_command(str(error))
                 self._warn('command', f'command refused: {error}', now)
-                return
+                return False
             if bridge.take_command(torque, messages.read_stamp(message), source, now):
                 self._send()
             self._settle()
+        return True
 
     def _warn(self, kind, sentence, now):
         # the logger's own throttle looks for its caller each time: too slow for a storm

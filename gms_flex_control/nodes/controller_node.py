@@ -14,6 +14,7 @@ from gms_flex_control.hardware.command_watch import SourceWatch
 from gms_flex_control.nodes import messages, process, references
 from gms_flex_control.nodes.encoder_watch import EncoderWatch
 from gms_flex_control.nodes.health import Health, OK, WARN
+from gms_flex_control.nodes.inbox import Inbox
 from gms_flex_control.nodes.messages import NANOSECONDS
 from gms_flex_control.nodes.parameters import NodeParameters
 from gms_flex_control.nodes.references import Handover, Reference, References
@@ -87,23 +88,21 @@ class ControllerNode(Node):
                   if not compensated(spec.name)]
         if beyond:
             self.get_logger().info(f'the model has, not compensated: {", ".join(beyond)}')
+        process.take_priority(self, values['realtime_priority'])
 
     def _create_topics(self, mode):
         n, blocks = self._robot.friction.stiffness.shape
         self._state = JointState(name=list(self._robot.joints))
         self._blocks = messages.BlockWriter(n, blocks)
-        qos, depth = process.subscriber_qos(mode), process.publisher_qos(mode)
+        depth = process.publisher_qos(mode)
         self._command_pub = self.create_publisher(
             Float64MultiArray, 'effort_controller/commands', depth)
         self._state_pub = self.create_publisher(JointState, '~/state', depth)
         self._blocks_pub = self.create_publisher(Float64MultiArray, '~/blocks', depth)
         self._sticking_pub = self.create_publisher(Float64MultiArray, '~/sticking', depth)
-        guard = self.health.guard
-        self.create_subscription(Float64MultiArray, 'reference', guard(self._on_reference), qos,
-                                 event_callbacks=process.NO_EVENTS)
-        self.create_subscription(JointState, 'joint_states', guard(self._on_joint_states), qos,
-                                 event_callbacks=process.NO_EVENTS)
-        self.create_service(Trigger, '~/reset', guard(self._on_reset))
+        Inbox(self, Float64MultiArray, 'reference', self._on_reference, mode)
+        Inbox(self, JointState, 'joint_states', self._on_joint_states, mode)
+        self.create_service(Trigger, '~/reset', self.health.guard(self._on_reset))
 
     def run(self, spinner):
         """Answer joint states until a signal comes."""
@@ -131,20 +130,22 @@ class ControllerNode(Node):
         self._warned = broken
 
     def _on_reference(self, message):
+        """Return whether the message was accepted."""
         try:
             reference = Reference(*messages.read_reference(message, self._robot.n_joints))
         except messages.RefusedError as error:
             self._counts['references refused'] += 1
             self.health.warn('reference', f'reference refused: {error}')
-            return
+            return False
         stamp = messages.read_stamp(message)
         if stamp is None:
             stamp = self._last if self._last is not None else 0
         if self._hears_rivals(messages.read_source(message) or '', stamp):
-            return
+            return True
         self._references.keep(stamp, reference)
         if self._waiting is not None and stamp == self._waiting:
             self._answer(self._waiting)
+        return True
 
     def _hears_rivals(self, source, stamp):
         """Return whether another one's references come as well; then nobody's are kept."""
@@ -161,32 +162,34 @@ class ControllerNode(Node):
         return bool(rivals)
 
     def _on_joint_states(self, message):
+        """Return whether the message was read and accepted."""
         stamp = messages.to_nanoseconds(message.header.stamp)
         if self.health.fault:
             self._publish_command(self._zero, stamp)
-            return
+            return False
         if self._last is not None and stamp == self._last:
             if self._lockstep:  # sent again: the answer was lost or came before the plant
                 self._publish_command(self._sent, stamp)
-            return
+            return False
         if self._lockstep and stamp == self._waiting:  # sent again while we wait
             self.health.tell(WARN, 'waiting for a reference')
             self.get_logger().info('waiting for a reference; is trajectory_node running?',
                                    throttle_duration_sec=_WARN_PERIOD, skip_first=True)
-            return
+            return False
         if self._was_overtaken(stamp):
-            return
+            return False
         try:
             self._reader.read(message, self._controller.measured)
         except messages.RefusedError as error:
             self._counts['states refused'] += 1
             self.health.warn('joint state', f'joint state refused: {error}')
-            return
+            return False
         self._encoders.act(self._sent, self._reader.motor_efforts(message))
         if self._lockstep and not self._references.has(stamp):
             self._waiting = stamp
-            return
+            return True
         self._answer(stamp)
+        return True
 
     def _was_overtaken(self, stamp):
         """Return whether the state is an old one that came late, not one of another clock."""

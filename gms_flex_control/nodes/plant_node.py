@@ -40,6 +40,7 @@ class PlantNode(Node):
         self._safety = Safety(
             self, self._robot, self.health, topic=values['emergency_stop_topic'],
             hold_service=values['bridge.hold_service'] if bridged else '')
+        process.take_priority(self, values['realtime_priority'])
 
     def run(self, spinner):
         """Simulate or bridge until a signal comes, or the duration is over."""

@@ -6,6 +6,7 @@
 from contextlib import suppress
 import ctypes
 import gc
+import os
 import re
 import signal
 import sys
@@ -52,6 +53,30 @@ def tighten_timers():
     """Let sleeps of this thread end when asked, not within the usual 50 us (Linux)."""
     with suppress(OSError, AttributeError):
         ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
+
+
+def take_priority(node, priority):
+    """
+    Let all threads of this process go before others; those that begin later inherit it.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Whose log says it where that is not possible; the node goes on without.
+    priority : int
+        Of SCHED_FIFO, 1 to 99; 0 leaves everything as it is.
+
+    """
+    if not priority:
+        return
+    try:
+        for thread in os.listdir('/proc/self/task'):
+            with suppress(ProcessLookupError):  # it has just ended
+                os.sched_setscheduler(int(thread), os.SCHED_FIFO, os.sched_param(priority))
+    except (OSError, AttributeError) as error:
+        node.get_logger().warning(
+            f'no realtime_priority {priority}: {error}; allow rtprio in /etc/security/limits.conf '
+            'or set it to 0')
 
 
 def _handle_signals(handler):

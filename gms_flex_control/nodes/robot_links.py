@@ -9,8 +9,9 @@ import time
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.hardware import device as devices
 from gms_flex_control.hardware.device import DeviceError
-from gms_flex_control.nodes import messages, process
+from gms_flex_control.nodes import messages
 from gms_flex_control.nodes.guardian import Guardian
+from gms_flex_control.nodes.inbox import Inbox
 from rclpy.duration import Duration
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
@@ -44,9 +45,7 @@ class TopicLink:
         self._node, self._robot = node, robot
         self._refuse_own_topics(values)
         for source, topic in enumerate(values['bridge.state_topics']):
-            node.create_subscription(
-                JointState, topic, node.health.guard(self._taker(source)),
-                process.subscriber_qos('realtime'), event_callbacks=process.NO_EVENTS)
+            Inbox(node, JointState, topic, self._taker(source))
         kind = values['bridge.command_type']
         self._array_pub = self._joint_pub = None
         if kind != 'joint_state':
@@ -78,9 +77,9 @@ class TopicLink:
 
     def _taker(self, source):
         def on_robot_states(message):
-            self._robot.take_state(source, message.name, message.position, message.velocity,
-                                   message.effort,
-                                   messages.to_nanoseconds(message.header.stamp))
+            return self._robot.take_state(
+                source, message.name, message.position, message.velocity, message.effort,
+                messages.to_nanoseconds(message.header.stamp))
         return on_robot_states
 
     def write(self, efforts):

@@ -6,6 +6,7 @@
 import threading
 import time
 
+from gms_flex_control.nodes.inbox import all_waiting, DEPTH
 from gms_flex_control.nodes.process import NO_EVENTS
 import rclpy
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -16,8 +17,11 @@ from std_srvs.srv import Trigger
 
 _PATIENCE = 1.0            # with the service that lets the reference hold [s]
 # reliable, and best effort for a button that offers no more; to hear it twice does no harm
-_ANY_BUTTON = [QoSProfile(depth=1, reliability=policy) for policy in (
+_ANY_BUTTON = [QoSProfile(depth=DEPTH, reliability=policy) for policy in (
     ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT)]
+_RELEASED = b'\0'  # the one byte of a Bool, behind the header
+_MANY = 20          # messages of the button at a time: a storm
+_BREATH = 1e-3      # left to the loop between two looks into it [s]
 
 
 class Safety:
@@ -51,8 +55,7 @@ class Safety:
         self._topic = node.resolve_topic_name(topic)
         group = ReentrantCallbackGroup()  # while one handler waits the others go on
         for qos in _ANY_BUTTON:
-            self._node.create_subscription(Bool, self._topic, self._on_button, qos,
-                                           callback_group=group, event_callbacks=NO_EVENTS)
+            self._listen(qos, group)
         for name, handler in (('disable', self._disable), ('reset', self._reset),
                               ('emergency_stop', self._stop), ('enable', self._enable)):
             self._node.create_service(Trigger, node.resolve_service_name(f'~/{name}'), handler,
@@ -90,8 +93,18 @@ class Safety:
             except Exception as error:  # noqa: B902  the emergency stop must be heard on
                 self._health.failed(error, 'a safety service')
 
-    def _on_button(self, message):
-        self._robot.button(message.data, self._topic)
+    def _listen(self, qos, group):
+        def on_button(first):
+            messages = [data[4:5] for data in all_waiting(subscription, first)]
+            if any(data != _RELEASED for data in messages):
+                self._robot.button(True, self._topic)
+            if messages[-1] == _RELEASED:
+                self._robot.button(False, self._topic)
+            if len(messages) > _MANY:
+                time.sleep(_BREATH)
+        subscription = self._node.create_subscription(
+            Bool, self._topic, on_button, qos, callback_group=group, raw=True,
+            event_callbacks=NO_EVENTS)
 
     @staticmethod
     def _answer(response, outcome):

@@ -14,6 +14,7 @@ from gms_flex_control.hardware.command_watch import CommandWatch
 from gms_flex_control.hardware.supervisor import Supervisor
 from gms_flex_control.nodes import messages, process
 from gms_flex_control.nodes.health import ERROR, OK
+from gms_flex_control.nodes.inbox import Inbox
 from gms_flex_control.nodes.loop_timing import LoopTiming
 from gms_flex_control.nodes.messages import NANOSECONDS
 from gms_flex_control.nodes.supervised import SupervisedRobot
@@ -88,9 +89,8 @@ class SimulatedRobot(SupervisedRobot):
     def _create_topics(self, values):
         qos = process.publisher_qos(self._mode)
         self._state_pub = self._node.create_publisher(JointState, 'joint_states', qos)
-        self._node.create_subscription(
-            Float64MultiArray, 'effort_controller/commands', self._health.guard(self._on_command),
-            process.subscriber_qos(self._mode), event_callbacks=process.NO_EVENTS)
+        Inbox(self._node, Float64MultiArray, 'effort_controller/commands', self._on_command,
+              self._mode)
         if self._mode == 'lockstep':
             self._clock_pub = self._node.create_publisher(Clock, '/clock', qos)
             self._clock_period = round(NANOSECONDS / values['clock_rate'])
@@ -107,21 +107,22 @@ class SimulatedRobot(SupervisedRobot):
                 self._run_paced(spinner, background)
 
     def _on_command(self, message):
+        """Return whether the message is a command, to be obeyed or not."""
         try:
             torque = messages.read_command(message, len(self._zero))
         except messages.RefusedError as error:
             self._refused += 1
             self._health.warn('command', f'command refused: {error}')
-            return
+            return False
         stamp, now = messages.read_stamp(message), time.monotonic_ns()
         source = messages.read_source(message) or ''
         conflict = self._commands.hear(source, now) if self._mode == 'realtime' else ''
         if conflict:
             self._fail_passing(conflict)
-            return
+            return True
         held = self._command[1]
         if stamp is not None and (stamp > self._stamp or (held is not None and stamp < held)):
-            return  # answers a state that never was, or was overtaken on its way
+            return True  # answers a state that never was, or was overtaken on its way
         silence = self._commands.silence(now) or 0
         self._commands.take(source, now)  # first: `_watch` in the other thread looks at it
         if not self._supervisor.active:
@@ -129,6 +130,7 @@ class SimulatedRobot(SupervisedRobot):
         self._command = (np.array(torque), stamp, now)
         if stamp is not None and self._mode == 'realtime':
             self._timing.answered((stamp - self._first) // self._period, now)
+        return True
 
     def _advance(self, torque):
         """Simulate one sample and publish what is measured at its end."""

@@ -9,6 +9,7 @@ import sys
 from gms_flex_control.errors import GmsFlexError, TrajectoryError
 from gms_flex_control.nodes import messages, process, refusal
 from gms_flex_control.nodes.health import Health, OK
+from gms_flex_control.nodes.inbox import Inbox
 from gms_flex_control.nodes.messages import NANOSECONDS
 from gms_flex_control.nodes.parameters import NodeParameters
 from gms_flex_control.schema.keys import robot_keys, trajectory_keys
@@ -56,9 +57,7 @@ class TrajectoryNode(Node):
         self._reference_pub = self.create_publisher(Float64MultiArray, 'reference',
                                                     process.publisher_qos(values['mode']))
         self._chosen.sample(0.0)  # compile before the first state comes
-        self.create_subscription(
-            JointState, 'joint_states', guard(self._on_joint_states),
-            process.subscriber_qos(values['mode']), event_callbacks=process.NO_EVENTS)
+        Inbox(self, JointState, 'joint_states', self._on_joint_states, values['mode'])
         for name, handler in (('start', self._start), ('stop', self._stop),
                               ('reset', self._reset), ('release', self._release)):
             self.create_service(Trigger, f'~/{name}', guard(handler))
@@ -67,6 +66,7 @@ class TrajectoryNode(Node):
         self.get_logger().info(f"{values['trajectory.type']}, call ~/start to begin"
                                if not values['trajectory.autostart'] else
                                f"{values['trajectory.type']} begins at the first joint state")
+        process.take_priority(self, values['realtime_priority'])
 
     def run(self, spinner):
         """Publish until a signal comes."""
@@ -95,18 +95,19 @@ class TrajectoryNode(Node):
                 self._dq_link[:] = dq_link
 
     def _on_joint_states(self, message):
+        """Return whether the message was read and accepted."""
         stamp = messages.to_nanoseconds(message.header.stamp)
         if self.health.fault:
             self._ask_for_zero(stamp)
-            return
+            return False
         try:
             self._read(message)
         except messages.RefusedError as error:
             self._counts['states refused'] += 1
             self.health.warn('joint state', f'joint state refused: {error}')
-            return
+            return False
         if self._was_overtaken(stamp):
-            return
+            return True
         if self._current is None or stamp < self._last:
             self._begin(stamp)
         period = stamp - self._last
@@ -123,6 +124,7 @@ class TrajectoryNode(Node):
         self._last = stamp
         self._counts['states followed'] += 1
         self.health.tell(OK, 'moving' if self._running else 'at rest')
+        return True
 
     def _was_overtaken(self, stamp):
         """Return whether the state is an old one that came late, not one of another clock."""

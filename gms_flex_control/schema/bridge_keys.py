@@ -11,9 +11,14 @@ COMMAND_TYPES = ('array', 'joint_state', 'both')
 TORQUE_SIDES = ('motor', 'joint')
 
 
+PRIORITY = Key('realtime_priority', 'integer', 'of the whole process, SCHED_FIFO of Linux where '
+               'it is permitted; 0 for none', '', 0, 0, 99)
+
+
 def safety_keys(joints):
     """Return the keys of the plant node that hold for simulator and bridge."""
     keys = [
+        PRIORITY,
         Key('backend', 'string', 'simulated robot, or bridge to a real one', default='sim',
             choices=BACKENDS),
         Key('silence_timeout', 'double', 'without a command for so long: zero torque and FAULT',

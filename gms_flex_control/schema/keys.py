@@ -5,7 +5,7 @@
 
 from gms_flex_control.params.arm import KINDS
 from gms_flex_control.params.gains import COMPENSATIONS
-from gms_flex_control.schema.bridge_keys import bridge_keys, safety_keys
+from gms_flex_control.schema.bridge_keys import bridge_keys, PRIORITY, safety_keys
 from gms_flex_control.schema.key import Key, SMALLEST
 
 EXPERIMENTS = ('constant_velocity', 'break_away', 'presliding', 'sliding')
@@ -103,7 +103,7 @@ MODE = Key('mode', 'string', 'paced by the clock, or each sample waits for its c
 def controller_node_keys():
     """Return the keys of the controller node beyond robot and gains."""
     return (
-        MODE,
+        MODE, PRIORITY,
         Key('reference_timeout', 'double', 'age of a reference that is still followed', 's', 0.1,
             1e-3, 10.0),
         Key('reference_hold', 'double', 'how long a lost motion is braked and held', 's', 2.0,
@@ -140,7 +140,7 @@ def plant_node_keys(joints):
 def trajectory_keys(joints):
     """Return the keys of the trajectory node."""
     keys = [
-        MODE,
+        MODE, PRIORITY,
         Key('trajectory.type', 'string', 'kind of reference', default='hold',
             choices=TRAJECTORIES, live=True),
         Key('trajectory.autostart', 'boolean', 'start at the first joint state', default=False),

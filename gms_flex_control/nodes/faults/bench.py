@@ -27,6 +27,7 @@ DISCOVERY = 'ROS_AUTOMATIC_DISCOVERY_RANGE'
 COMMANDS, STATES, REFERENCE = '/effort_controller/commands', '/joint_states', '/reference'
 DIAGNOSTICS = '/diagnostics'
 _WAIT = 0.02  # at most between two looks at a condition [s]
+_LOOP = ('plant_node', 'controller_node', 'trajectory_node')
 _QUEUE = 10000
 
 
@@ -117,6 +118,8 @@ class Bench:
     ----------
     folder : Path
         For logs.
+    priority : int
+        realtime_priority of the nodes of the loop.
 
     Attributes
     ----------
@@ -128,7 +131,8 @@ class Bench:
 
     executor_class = SingleThreadedExecutor
 
-    def __init__(self, folder):
+    def __init__(self, folder, priority=0):
+        self._priority = priority
         self.folder, self._stack, self._processes = Path(folder), ExitStack(), []
         self._clients = {}
 
@@ -171,7 +175,7 @@ class Bench:
         """Return a Bench on a domain of its own, with the same environment otherwise."""
         folder = self.folder / f'{len(list(self.folder.iterdir()))}'
         folder.mkdir()
-        return type(self)(folder)
+        return type(self)(folder, self._priority)
 
     def run(self, command, name):
         """Start any command as a process and return it."""
@@ -202,6 +206,8 @@ class Bench:
 
         """
         given = {key.replace('__', '.'): value for key, value in parameters.items()}
+        if self._priority and name.split('.')[0] in _LOOP:
+            given['realtime_priority'] = self._priority
         files = default_files() if files is None else files
         return self.run([*(command or executable(name.split('.')[0])),
                          *ros_arguments(files, given), *arguments], name)

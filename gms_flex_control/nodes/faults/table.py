@@ -93,7 +93,7 @@ FAULTS = {fault.name: fault for fault in (
           figure='lost at the end', limit=0.2, unit='s', tries=(5, 15), run=bags.try_bags))}
 
 
-def try_fault(fault, tries, folder=None):
+def try_fault(fault, tries, folder=None, priority=0):
     """
     Try one fault.
 
@@ -105,6 +105,8 @@ def try_fault(fault, tries, folder=None):
         How often.
     folder : Path, optional
         For logs and bags, made by the caller; default one that is removed.
+    priority : int
+        realtime_priority of the nodes.
 
     Returns
     -------
@@ -115,7 +117,7 @@ def try_fault(fault, tries, folder=None):
     tally, begin = Tally(), time.monotonic()
     with (nullcontext(folder) if folder else tempfile.TemporaryDirectory()) as place:
         try:
-            with Bench(Path(place)) as bench:
+            with Bench(Path(place), priority) as bench:
                 fault.run(bench, tries, tally)
         except Exception as error:  # noqa: B902  the other rows are tried all the same
             first = next(iter(str(error).splitlines()), '')

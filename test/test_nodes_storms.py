@@ -1,0 +1,105 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Bursts of messages of no use: what matters among them is heard; and priority over others."""
+
+import os
+
+from bridge_lab import ask
+from gms_flex_control.nodes.messages import EFFORT, ReferenceWriter
+from node_harness import (
+    array_message,
+    COMMANDS,
+    Float64MultiArray,
+    joint_state,
+    JointState,
+    Lab,
+    REFERENCE,
+    stamp_of,
+    STATES,
+)
+import numpy as np
+import pytest
+from std_msgs.msg import Bool
+
+# other processes of the machine can delay real nodes beyond any bound
+pytestmark = pytest.mark.flaky(reruns=2)
+
+PERIOD = 2_000_000   # [ns]
+BURST = 120          # messages; a socket holds more than those
+ROUNDS = 20
+POSITION = (0.1, 0.2, 0.15, 0.25)
+TORQUE = np.array([[0.01, -0.02]])
+
+
+@pytest.fixture(scope='module')
+def lab(tmp_path_factory):
+    """Run a controller alone in real time; it has answered once."""
+    with Lab(tmp_path_factory.mktemp('storms')) as running:
+        running.controller = running.start('controller_node')
+        running.states = running.speak(JointState, STATES)
+        running.references = running.speak(Float64MultiArray, REFERENCE)
+        running.commands = running.listen(Float64MultiArray, COMMANDS)
+        running.stamp, running.writer = 0, ReferenceWriter(2)
+        running.until(lambda: running.states.get_subscription_count()
+                      and running.references.get_subscription_count())
+        running.until(lambda: send_state(running) or running.commands)
+        yield running
+        assert running.controller.runs and 'Traceback' not in running.controller.printed()
+
+
+def send_state(lab):
+    """Publish the next joint state."""
+    lab.stamp += PERIOD
+    lab.states.publish(joint_state(lab.stamp, POSITION))
+
+
+def answer(lab):
+    """Wait for the command that answers the last state."""
+    return lab.until(lambda: [command for command in lab.commands
+                              if stamp_of(command) == lab.stamp])[0]
+
+
+def test_a_state_before_a_burst_of_others_on_its_topic_is_answered(lab):
+    odd = joint_state(0, names=['other'] * 4)
+    for _ in range(ROUNDS):
+        send_state(lab)
+        for _ in range(BURST):
+            lab.states.publish(odd)
+        answer(lab)
+    assert 'joint state refused' in lab.controller.printed()
+
+
+@pytest.mark.parametrize('odd', [
+    array_message([0.1] * 10, 'stamp:-1000000000000'), array_message([float('nan')] * 10)])
+def test_a_reference_before_a_burst_of_others_is_followed(lab, odd):
+    followed = 0
+    for _ in range(ROUNDS):
+        lab.references.publish(lab.writer.write(TORQUE, EFFORT, lab.stamp + PERIOD))
+        for _ in range(BURST):
+            lab.references.publish(odd)
+        send_state(lab)
+        followed += list(answer(lab).data) == TORQUE[0].tolist()
+    assert followed >= ROUNDS // 2  # topics may overtake each other
+
+
+def test_a_button_pressed_once_in_a_burst_of_releases_is_heard(tmp_path):
+    with Lab(tmp_path) as lab:
+        plant, lab.clients = lab.start('plant_node', rate=200.0, silence_timeout=1.0), {}
+        button = lab.speak(Bool, '/emergency_stop')
+        lab.until(button.get_subscription_count)
+        for count in range(1, 6):
+            for k in range(BURST):
+                button.publish(Bool(data=k == BURST // 2))
+            lab.until(lambda count=count: plant.printed().count('FAULT') >= count)
+            lab.until(lambda: ask(lab, 'reset').success)
+
+
+@pytest.mark.parametrize('name', ['plant_node', 'controller_node', 'trajectory_node'])
+def test_a_priority_holds_for_every_thread_or_is_said_to_be_impossible(tmp_path, name):
+    with Lab(tmp_path) as lab:
+        node = lab.start(name, realtime_priority=1)
+        lab.until(lambda: 'INFO' in node.printed() or 'WARN' in node.printed())
+        lab.until(lambda: 'no realtime_priority 1' in node.printed() or all(
+            os.sched_getscheduler(int(thread)) == os.SCHED_FIFO
+            for thread in os.listdir(f'/proc/{node.process.pid}/task')))
