@@ -9,6 +9,7 @@ from types import SimpleNamespace
 
 from gms_flex_control.control import frozen_encoders as frozen
 from gms_flex_control.control.frozen_encoders import FrozenEncoders, torque_thresholds
+from gms_flex_control.hardware.limits import limited, Limits
 from gms_flex_control.nodes.encoder_watch import EncoderWatch
 from gms_flex_control.params.encoder import EncoderParams
 from gms_flex_control.params.robot import EffectSpec
@@ -182,13 +183,13 @@ def test_nothing_is_concluded_across_a_silence_or_a_jump(judge, gap):
 
 
 @pytest.mark.parametrize('efforts, told', [
-    ((), True), ((math.nan, math.nan), True), ((0.5, 0.5), True), ((0.0, 0.0), False),
-    ((0.019, -0.019), False)])
-def test_a_robot_that_says_it_gives_no_torque_is_believed(robot, gains, efforts, told):
+    ((), True), ((math.nan, math.nan), True), ((1.8, 0.0), True), ((-1.8, 0.0), True),
+    ((180.0, 0.0), True), ((0.5, 0.0), False), ((0.0, 0.0), False), ((0.019, 0.0), False)])
+def test_a_robot_that_says_it_gives_less_torque_than_was_sent_is_believed(robot, gains, efforts, told):
     watch = EncoderWatch(robot, gains.torque_limit, state())
     began = 0
     for k in range(200):
-        watch.act(np.array([1.8, 0.0]) * (k > 100), efforts)
+        watch.act(np.array([1.8, 0.0]) * (k > 100), efforts if k > 100 else efforts[:0])
         watch.look(DT)
         began += watch.began
     assert bool(watch.frozen) == told and watch.count == began == told
@@ -240,6 +241,32 @@ def test_presliding_and_break_away_do_not_look_frozen(robot, gains, stiffness, t
         assert said is None, f'{k * DT:.3f} s: {said}'
         torque = np.array(ramp.sample(k * DT)[0])
         plant.advance(torque)
+
+
+@pytest.mark.parametrize('compensation', ['none', 'gms'])
+@pytest.mark.parametrize('torque, rate', [(0.15, 1.0), (0.3, 1.0), (0.3, 5.0), (1.0, 1.0)])
+def test_a_robot_of_lower_limits_than_the_controller_does_not_look_frozen(
+        robot, gains, torque, rate, compensation):
+    """As in the first steps on hardware: its motors with dry friction stand while more is sent."""
+    model, motion = replace(robot, encoder=COARSE), builders.polynomial([0.5, 0.5], 1.5, 1.0, 2)
+    plant = SteppedPlant(replace(model, effects=TORQUES), period=DT, substeps=20)
+    controller = SteppedController(replace(gains, compensation=compensation), model)
+    watch = EncoderWatch(model, gains.torque_limit, controller.measured)
+    wide = {name: np.full(2, 1e9) for name in ('velocity', 'velocity_margin', 'upper',
+                                               'position_margin', 'twist')}
+    limits = Limits(torque=np.full(2, torque), torque_rate=np.full(2, rate),
+                    lower=np.full(2, -1e9), **wide)
+    plant.measure()
+    sent = given = np.zeros(2)
+    for k in range(round(5.0 / DT)):
+        seen = controller.measured
+        for name in SIDES:
+            getattr(seen, name)[:] = getattr(plant.measured, name)
+        watch.act(sent, given.tolist())
+        assert not watch.look(DT if k else 0.0), f'{k * DT:.3f} s: {watch.frozen}'
+        sent = controller.tick(motion.sample(k * DT), DT).copy()
+        given = limited(sent, given, DT, seen.q_link, seen.dq_link, limits)
+        plant.advance(given)
 
 
 # frozen in the closed loop -----------------------------------------------------------------------

@@ -16,8 +16,9 @@ class EncoderWatch:
     """
     Look for frozen encoders, state by state.
 
-    A robot that says that a motor gets nothing, being disabled or stopped, is believed: what is
-    sent then turns nobody.
+    What is sent need not act: limits between here and the motor make it less, a robot that is
+    disabled or stopped makes it nothing. The efforts that the robot tells count where they are
+    smaller; their signs and units may be anybody's.
 
     Parameters
     ----------
@@ -74,6 +75,8 @@ class EncoderWatch:
         for j, effort in enumerate(efforts):
             if abs(effort) <= self._nothing[j]:
                 self._acting[j] = math.nan
+            elif abs(effort) < abs(torque[j]):
+                self._acting[j] = math.copysign(effort, torque[j])
 
     def look(self, elapsed):
         """Look at the state measured, ``elapsed`` [s] after the one before; return `frozen`."""
