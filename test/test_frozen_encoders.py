@@ -247,7 +247,7 @@ def test_presliding_and_break_away_do_not_look_frozen(robot, gains, stiffness, t
 @pytest.mark.parametrize('torque, rate', [(0.15, 1.0), (0.3, 1.0), (0.3, 5.0), (1.0, 1.0)])
 def test_a_robot_of_lower_limits_than_the_controller_does_not_look_frozen(
         robot, gains, torque, rate, compensation):
-    """As in the first steps on hardware: its motors with dry friction stand while more is sent."""
+    """As in the first steps on hardware: dry motors stand while more and more is sent."""
     model, motion = replace(robot, encoder=COARSE), builders.polynomial([0.5, 0.5], 1.5, 1.0, 2)
     plant = SteppedPlant(replace(model, effects=TORQUES), period=DT, substeps=20)
     controller = SteppedController(replace(gains, compensation=compensation), model)
