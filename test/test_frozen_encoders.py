@@ -185,7 +185,8 @@ def test_nothing_is_concluded_across_a_silence_or_a_jump(judge, gap):
 @pytest.mark.parametrize('efforts, told', [
     ((), True), ((math.nan, math.nan), True), ((1.8, 0.0), True), ((-1.8, 0.0), True),
     ((180.0, 0.0), True), ((0.5, 0.0), False), ((0.0, 0.0), False), ((0.019, 0.0), False)])
-def test_a_robot_that_says_it_gives_less_torque_than_was_sent_is_believed(robot, gains, efforts, told):
+def test_a_robot_that_says_it_gives_less_torque_than_was_sent_is_believed(
+        robot, gains, efforts, told):
     watch = EncoderWatch(robot, gains.torque_limit, state())
     began = 0
     for k in range(200):
