@@ -9,6 +9,7 @@ from gms_flex_control.discrepancy.gap import free_rms, torque_rms
 from gms_flex_control.discrepancy.path import path_of
 from gms_flex_control.discrepancy.units import angle_scale, torque_scale
 from gms_flex_control.discrepancy.workflow import missing
+from gms_flex_control.params.robot import RobotParams
 import numpy as np
 
 
@@ -27,6 +28,7 @@ class Compared(NamedTuple):
 class Rows(NamedTuple):
     """What `missing` wants of a model."""
 
+    robot: RobotParams
     rows: np.ndarray
     x: np.ndarray
 
@@ -61,7 +63,7 @@ def compare(result, models, holdout=()):
         compared.append(Compared(
             name, torque_rms(measured, robot, zero), torque_rms(measured, robot, x),
             free_rms(measured, robot, zero), free_rms(measured, robot, x),
-            missing(problem, Rows(rows, zero)), missing(problem, Rows(tuned, x))))
+            missing(problem, Rows(robot, rows, zero)), missing(problem, Rows(robot, tuned, x))))
     return compared
 
 
