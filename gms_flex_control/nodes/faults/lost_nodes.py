@@ -6,15 +6,13 @@
 import signal
 import time
 
-from gms_flex_control.nodes.faults.bench import REFERENCE
-from gms_flex_control.nodes.faults.rigs import CONTROLLER, largest_torque, Log, Loop, PLANT
+from gms_flex_control.nodes.faults.rigs import largest_torque, Loop, PLANT
 from gms_flex_control.nodes.faults.wire import stamp_of
 import numpy as np
-from std_msgs.msg import Float64MultiArray
 
 _GONE = 0.3          # how long a controller is missed before it is started again [s]
 _BEGINNING = 0.05    # of a resumed motion [s]
-_GENTLE = 1.2        # largest torque then [N m]; the limit of the controller is 2
+GENTLE = 1.2         # largest torque then [N m]; the limit of the controller is 2
 _HOLD, _RELAX = 1.0, 0.5  # of a lost reference here [s]
 _STILL = 0.02        # a held arm moves less [rad]
 
@@ -71,8 +69,8 @@ def try_restarted_controller(bench, tries, tally):
         bench.until(lambda begin=begin: _pushes_of(loop, begin))
         tally.figure(_pushes_of(loop, begin)[0][0] - begin)
         loop.run(0.5)
-        most = _first_torques(_pushes_of(loop, begin))
-        tally.expect(most <= _GENTLE, f'it resumed with {most:.2g} N m')
+        most = first_torques(_pushes_of(loop, begin))
+        tally.expect(most <= GENTLE, f'it resumed with {most:.2g} N m')
         bench.until(loop.moves)
 
 
@@ -83,7 +81,7 @@ def _pushes_of(loop, begin):
             if any(command.data) and _is_from(command, pid)]
 
 
-def _first_torques(timed):
+def first_torques(timed):
     """Return the largest torque in answer to the first states (their stamps count) [N m]."""
     first = stamp_of(timed[0][1])
     return largest_torque((when, command) for when, command in timed
@@ -139,35 +137,6 @@ def try_two_controllers(bench, tries, tally):
         bench.until(loop.moves)
         loop.run(_GONE)
     tally.expect(largest_torque(loop.commands.since(0.0)) < np.inf, 'a command is not finite')
-
-
-def try_two_trajectories(bench, tries, tally):
-    """Start a second trajectory node beside the first, then end the first."""
-    loop = Loop(bench)
-    references = bench.listen(Float64MultiArray, REFERENCE, Log())
-    for k in range(tries):
-        tally.tries += 1
-        first, known = loop.trajectory, len(references)
-        loop.start_trajectory(f'trajectory_node.second{k}')
-        pid = loop.trajectory.process.pid
-        # the last alone: a bench on a busy machine has many to look through
-        bench.until(lambda known=known, pid=pid: len(references) > known
-                    and _is_from(references[-1], pid))
-        begin = next(when for when, one in zip(
-            references.times[known:], references[known:], strict=True) if _is_from(one, pid))
-        loop.run(_GONE)
-        zero = zero_applied(loop, begin)
-        tally.figure((zero - begin) * 1e3 if zero else np.inf)
-        told = loop.diagnostics.sentence(CONTROLLER)
-        tally.expect(str(first.process.pid) in told and str(pid) in told,
-                     f'the controller does not name both: {told!r}')
-        first.kill()
-        resumed = time.monotonic()
-        bench.until(loop.moves)
-        loop.run(_GONE)
-        pushes = [pair for pair in loop.commands.since(resumed) if any(pair[1].data)]
-        tally.expect(_first_torques(pushes) <= _GENTLE, 'it resumed with a jerk')
-    tally.expect(loop.controller.runs and loop.plant.runs, 'a node has ended')
 
 
 def _is_from(message, pid):
