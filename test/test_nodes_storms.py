@@ -40,7 +40,7 @@ def lab(tmp_path_factory):
         running.states = running.speak(JointState, STATES)
         running.references = running.speak(Float64MultiArray, REFERENCE)
         running.commands = running.listen(Float64MultiArray, COMMANDS)
-        running.stamp, running.writer = 0, ReferenceWriter(2, '/test')
+        running.stamp, running.writer = 10 ** 9, ReferenceWriter(2, '/test')
         running.until(lambda: running.states.get_subscription_count()
                       and running.references.get_subscription_count())
         running.until(lambda: send_state(running) or running.commands)
