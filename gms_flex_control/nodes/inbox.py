@@ -23,7 +23,7 @@ _ODD_RATE = 200.0  # messages unlike all accepted ones that are looked into [1/s
 _ODD_AT_ONCE = 50
 _MOST_LOOKS = 16   # of accepted messages that are remembered
 # what does not change from message to message: frame and first names; first label
-_FIXED = {JointState: slice(12, 48), Float64MultiArray: slice(4, 24)}
+_FIXED = {JointState: slice(12, 48), Float64MultiArray: slice(4, 18)}
 
 
 def all_waiting(subscription, first):
