@@ -146,7 +146,7 @@ def _searched(paths, robot, options, holdout, at_rest, say):
 
 def pruned(problem, found, known):
     """Return the search's end without effects that something else could be, and the Judged."""
-    doubtful = max(DOUBTFUL * missing(problem, found.model) * problem.clean_cost, LEAST_GAIN)
+    doubtful = max(DOUBTFUL * missing(problem, found.model.cost) * problem.clean_cost, LEAST_GAIN)
     kept = set()
     while True:
         entries = judge.judged(problem, found, known)
@@ -168,9 +168,9 @@ def _name(found, one):
     return spec.name, spec.joint
 
 
-def missing(problem, model):
-    """Return how far a model's cost is above that of a clean run, in units of the latter."""
-    return problem.cost(model.rows, model.robot, model.x) / problem.clean_cost - 1.0
+def missing(problem, cost):
+    """Return how far the cost of a model is above that of a clean run, in units of the latter."""
+    return cost / problem.clean_cost - 1.0
 
 
 def helps(gap, much):
@@ -225,7 +225,7 @@ def _added(problem, found, known, choices, measured):
 
 
 def _told(problem, found, entries, known, options, holdout, say):
-    before, after = missing(problem, found.before), missing(problem, found.model)
+    before, after = (missing(problem, model.cost) for model in (found.before, found.model))
     tried = tuple(Tried(one.spec.name, one.spec.joint, one.gain) for one in found.first)
     slack = DETECTED - 1.0
     left = max(after - _NOISE_DOUBT, 0.0) / before if before > slack else 0.0
@@ -241,7 +241,7 @@ def _told(problem, found, entries, known, options, holdout, say):
     left_over = None
     if left > EXPLAINED if findings else _matters(problem, gap, before, options.practical):
         left_over = signature_of(problem, found.model, min(max(missing(
-            problem, found.model), 0.0) / max(before, 1e-12), 1.0))
+            problem, found.model.cost), 0.0) / max(before, 1e-12), 1.0))
     small = [finding for finding in findings if not finding.main]
     verdict = FOUND if findings else UNEXPLAINED if left_over else COMPLETE
     retuned = tuple((knob.name, problem.robot.joints[knob.joint] if knob.joint >= 0 else 'arm',

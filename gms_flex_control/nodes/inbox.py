@@ -17,7 +17,7 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-DEPTH = 1000      # messages; a storm brings some 100 in a millisecond
+DEPTH = 1000       # messages; a storm brings some 100 in a millisecond
 _KEPT = 10         # the newest of those waiting, after a stall
 _ODD_RATE = 200.0  # messages unlike all accepted ones that are looked into [1/s]
 _ODD_AT_ONCE = 50

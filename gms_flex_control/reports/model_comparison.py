@@ -9,7 +9,6 @@ from gms_flex_control.discrepancy.gap import free_rms, torque_rms
 from gms_flex_control.discrepancy.path import path_of
 from gms_flex_control.discrepancy.units import angle_scale, torque_scale
 from gms_flex_control.discrepancy.workflow import missing
-from gms_flex_control.params.robot import RobotParams
 import numpy as np
 
 
@@ -23,14 +22,6 @@ class Compared(NamedTuple):
     free_run_retuned: np.ndarray
     missing: float                # squared residual above that of a clean run, in units of it
     missing_retuned: float
-
-
-class Rows(NamedTuple):
-    """What `missing` wants of a model."""
-
-    robot: RobotParams
-    rows: np.ndarray
-    x: np.ndarray
 
 
 def compare(result, models, holdout=()):
@@ -63,7 +54,8 @@ def compare(result, models, holdout=()):
         compared.append(Compared(
             name, torque_rms(measured, robot, zero), torque_rms(measured, robot, x),
             free_rms(measured, robot, zero), free_rms(measured, robot, x),
-            missing(problem, Rows(robot, rows, zero)), missing(problem, Rows(robot, tuned, x))))
+            missing(problem, problem.cost(rows, robot, zero)),
+            missing(problem, problem.cost(tuned, robot, x))))
     return compared
 
 
