@@ -192,8 +192,8 @@ class DeviceLink:
             return
         try:
             self._device.write(efforts)
-        except DeviceError:
-            raise
+        except DeviceError as error:
+            raise DeviceError(f'device {self._name}: {error}') from error
         except Exception as error:  # noqa: B902  of a library we do not know
             raise DeviceError(f'device {self._name} failed to write: {error!r}') from error
 
