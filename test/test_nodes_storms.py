@@ -70,6 +70,17 @@ def test_a_state_before_a_burst_of_others_on_its_topic_is_answered(lab):
     assert 'joint state refused' in lab.controller.printed()
 
 
+def test_a_message_too_long_for_any_robot_is_refused_unread(lab):
+    long = joint_state(0, [0.1] * 10**5, names=[f'joint{k}' for k in range(10**5)])
+
+    def is_refused():
+        lab.states.publish(long)
+        return '/joint_states: a message of ' in lab.controller.printed()
+    lab.until(is_refused)
+    send_state(lab)
+    answer(lab)
+
+
 @pytest.mark.parametrize('odd', [
     array_message([0.1] * 10, 'stamp:-1000000000000'), array_message([float('nan')] * 10)])
 def test_a_reference_before_a_burst_of_others_is_followed(lab, odd):

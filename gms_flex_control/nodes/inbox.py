@@ -22,6 +22,7 @@ _KEPT = 10         # the newest of those waiting, after a stall
 _ODD_RATE = 200.0  # messages unlike all accepted ones that are looked into [1/s]
 _ODD_AT_ONCE = 50
 _MOST_LOOKS = 16   # of accepted messages that are remembered
+_LONGEST = 65536   # bytes of a message; a thousand joints need no more
 # what does not change from message to message: frame and first names; first label
 _FIXED = {JointState: slice(12, 48), Float64MultiArray: slice(4, 18)}
 
@@ -62,6 +63,7 @@ class Inbox:
 
     def __init__(self, node, kind, topic, handler, mode='realtime'):
         self._kind, self._handle = kind, node.health.guard(handler)
+        self._health, self._topic = node.health, node.resolve_topic_name(topic)
         self._looks = []           # of accepted messages
         self._odd = _ODD_AT_ONCE   # that may still be looked into
         self._filled = time.monotonic()
@@ -86,6 +88,10 @@ class Inbox:
 
     def _look_into(self, data):
         """Give a message of a look not known to the handler, if there are not too many."""
+        if len(data) > _LONGEST:
+            self._health.warn(f'size of {self._topic}', f'{self._topic}: a message of {len(data)} '
+                              f'bytes is refused, {_LONGEST} at most; who sends it?')
+            return
         if self._odd < 1.0:
             now = time.monotonic()
             self._odd = min(self._odd + (now - self._filled) * _ODD_RATE, _ODD_AT_ONCE)
