@@ -271,8 +271,7 @@ class _Hunt:
 
     def _merged(self, i, k):
         problem, model = self._problem, self.model
-        first, columns = without(problem, model, self.columns, self._known, k)
-        less, columns = without(problem, first, columns, self._known, i)
+        less, columns = without(problem, model, self.columns, self._known, i, k)
         least = _NEARLY * (less.cost - model.cost)
         for one in self.library.ranked(less, columns)[:_LIKELY]:
             if one.gain < least or not may_join(one.spec, less.robot):
@@ -350,29 +349,30 @@ def refitted(problem, robot, x, knobs, known, iterations=3):
     return model, np.concatenate([knobs, own])
 
 
-def without(problem, model, columns, known, i):
+def without(problem, model, columns, known, *dropped):
     """
-    Return a model less its effect ``i``, nothing re-tuned, and the columns of all else.
+    Return a model less some of its effects, nothing re-tuned, and the columns of all else.
 
     Parameters
     ----------
     problem : Problem
         The rows.
     model : Fitted
-        With the effect.
+        With the effects.
     columns : ndarray, shape (C, R)
         Derivatives by its knobs and by the parameters of its effects.
     known : int
         Effects the user knew of, which have no columns.
-    i : int
-        Which effect.
+    *dropped : int
+        Which effects.
 
     """
     effects = model.robot.effects
-    robot = replace(model.robot, effects=effects[:i] + effects[i + 1:])
+    robot = replace(model.robot, effects=tuple(
+        spec for i, spec in enumerate(effects) if i not in dropped))
     rows = problem.rows(robot, model.x)
     own = [len(model.x) + k for k, number in enumerate(numbers_of(effects, known))
-           if number.effect == i]
+           if number.effect in dropped]
     return (Fitted(robot, model.x, rows, problem.cost(rows, robot, model.x)),
             np.delete(columns, own, axis=0))
 
