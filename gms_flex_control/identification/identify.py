@@ -17,6 +17,7 @@ from gms_flex_control.identification.axis_ripple import ripple_sentences
 from gms_flex_control.identification.checks import require
 from gms_flex_control.identification.coordinates import friction_record, MOST_BLOCKS
 from gms_flex_control.identification.coupling import coupling_sentences
+from gms_flex_control.identification.fit_choice import choose_fit
 from gms_flex_control.identification.known_effects import believed_model, cleared
 from gms_flex_control.identification.loops import loops_of, presliding_reach
 from gms_flex_control.identification.objective import Bundle, Objective, observer_bandwidth
@@ -30,7 +31,6 @@ from gms_flex_control.identification.stretches import (
     rigid_where,
     stretches_of,
 )
-from gms_flex_control.identification.torque_fit import choose_fit
 from gms_flex_control.identification.uncertainty import curve_of, estimates_of, spread_of
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
 import numpy as np
