@@ -3,7 +3,7 @@ SHELL := /bin/bash
 BIN := .venv/bin
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo demo-identify demo-discrepancy test lint bench screenshots docs lock clean
+.PHONY: help demo demo-identify demo-discrepancy test lint bench screenshots newcomers docs lock clean
 
 # A ROS installation or another environment in the caller's shell must not leak in.
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH COLCON_PREFIX_PATH
@@ -35,6 +35,9 @@ bench: .venv/.with-bench  ## Measure speed, beside MuJoCo
 
 screenshots: .venv/.with-test  ## Make the pictures of docs/view.md anew (needs chromium)
 	@PYTHONPATH=test $(BIN)/python scripts/screenshots.py
+
+newcomers: .venv/.with-test  ## Follow the tutorials in fresh clones, write docs/newcomers.md
+	@PYTHONPATH=test $(BIN)/python scripts/newcomers.py
 
 docs: .venv/.with-docs  ## Make the documentation site in docs/_build/html
 	@$(BIN)/python scripts/draw_architecture.py
