@@ -95,8 +95,8 @@ def transcript(folder, name, title, extras):
     here.mkdir()
     scribe.run(f'git clone --quiet {ROOT} gms_flex_control', folder, environment)
     scribe.lines[-1] = scribe.lines[-1].replace(str(ROOT), 'URL_OF_THIS_REPOSITORY')
-    scribe.run('python3 -m venv .venv && .venv/bin/pip install --quiet '
-               f'--disable-pip-version-check --use-pep517 -c constraints.txt {extras}', clone, environment)
+    scribe.run('python3 -m venv .venv && .venv/bin/pip install --quiet --use-pep517 '
+               f'--disable-pip-version-check -c constraints.txt {extras}', clone, environment)
     environment |= {'PATH': f'{clone}/.venv/bin:/usr/bin:/bin', 'CONFIG': f'{clone}/config',
                     'EXAMPLES': f'{clone}/examples', 'ROS_LOG_DIR': str(folder / 'log')}
     number, lock = take_domain()
