@@ -94,12 +94,23 @@ def test_a_reference_that_is_near_is_followed_at_once():
 def test_torque_fades_in_where_a_motion_begins_and_only_there():
     way = Handover(2.0)
     way.begin(NS, measured(MOTION[0], MOTION[1]), MOTION)
-    gains = []
-    for since in (0, NS // 40, NS // 20, NS // 10, NS):
-        torque = np.ones(2)
-        way.fade(NS + since, torque)
-        gains.append(torque[0])
-    assert gains == pytest.approx([0.0, 0.25, 0.5, 1.0, 1.0])
+    assert risen(way, range(0, NS, NS // 200)) == pytest.approx(
+        np.minimum(np.arange(200) / 20, 1.0))
+
+
+def risen(way, moments):
+    """Return the share of the torque (K,) that is given at moments after a start at 1 s [ns]."""
+    torque = np.ones((len(moments), 2))
+    for since, row in zip(moments, torque, strict=True):
+        way.fade(NS + since, row)
+    return torque[:, 0]
+
+
+def test_a_loop_that_stalls_as_it_begins_does_not_jump_to_the_whole_torque():
+    way = Handover(2.0)
+    way.begin(NS, measured(MOTION[0], MOTION[1]), MOTION)
+    assert risen(way, [0, NS // 12, NS // 6, NS // 6 + NS // 500]) == pytest.approx(
+        [0.0, 0.1, 0.2, 0.22])
 
 
 @pytest.mark.parametrize('bad', [float('nan'), float('inf'), -float('inf'), 1e308, -1e308])

@@ -16,6 +16,7 @@ _AVERAGE = 0.1     # time constant of the torque that is let down [s]
 # A reference nearer to the robot is followed at once: the law's step is then small.
 _NEAR, _NEAR_SPEED = 0.01, 0.2  # [rad], [rad/s]
 _FADE = round(0.1 * NANOSECONDS)  # in which the torque rises where a motion begins
+_RISE = 0.1        # the most it rises in one sample, of all: a loop may stall as it begins
 FOLLOWING, HOLDING, RELAXING = 'following', 'holding', 'relaxing'
 
 
@@ -153,12 +154,13 @@ class Handover:
 
     def __init__(self, duration):
         self._duration = duration
-        self._way = self.left = self._begun = None
+        self._way = self.left = None
+        self._share, self._seen = 1.0, 0  # of the torque that is given, and stamp it was given at
 
     def begin(self, stamp, measured, reference):
         """Begin at the joint state of ``stamp`` [ns]; nothing if ``reference`` (5, n) is near."""
         self._way = self.left = None
-        self._begun = stamp
+        self._share, self._seen = 0.0, stamp
         offset = -reference
         offset[0] += measured.q_link
         offset[1] += measured.dq_link
@@ -179,10 +181,7 @@ class Handover:
 
     def fade(self, stamp, torque):
         """Let ``torque`` (n,) rise from zero where the motion has just begun; in place."""
-        if self._begun is None:
-            return
-        since = stamp - self._begun
-        if since >= _FADE:
-            self._begun = None
-        else:
-            torque *= since / _FADE
+        if self._share < 1.0:
+            self._share += min((stamp - self._seen) / _FADE, _RISE)
+            self._seen = stamp
+            torque *= min(self._share, 1.0)
