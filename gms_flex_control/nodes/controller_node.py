@@ -112,8 +112,11 @@ class ControllerNode(Node):
             watch()
 
     def _warm_up(self):
-        """Compile before the first state comes."""
-        self._controller.tick(np.zeros((5, self._robot.n_joints)), 0.0)
+        """Compile before the first state comes, with a motion from the robot to elsewhere."""
+        away = np.ones((5, self._robot.n_joints))
+        handover = Handover(1.0)
+        handover.begin(0, self._controller.measured, away)
+        self._controller.tick(handover.applied(0, away), 0.0)
         self._controller.reset()
 
     def _use(self, gains):
