@@ -12,48 +12,61 @@ import pytest
 
 DiagnosticArray = pytest.importorskip('diagnostic_msgs.msg').DiagnosticArray
 POLICY = Path(__file__).parents[1] / 'sros2' / 'gms_flex_control.policy.xml'
-NODES = {'plant', 'plant_safety', 'cascade_controller', 'trajectory', 'identification'}
 RIGHTS = {'publish': 'publisher', 'subscribe': 'subscriber', 'reply': 'service',
           'request': 'client'}
 DISCOVERED = 30.0  # after so long everything has found each other [s]
 # only with use_sim_time
-SOMETIMES = {(node, 'subscribe', '/clock') for node in NODES - {'plant_safety'}}
+SOMETIMES = {(node, 'subscribe', '/clock')
+             for node in ('plant', 'cascade_controller', 'trajectory', 'identification')}
 
 
-def allowed():
-    """Return every (node, right, name) of the policy."""
+def allowed(*enclaves):
+    """Return every (node, right, name) the policy allows in some enclaves, by default in all."""
+    paths = {f'/gms_flex_control/{name}' for name in enclaves}
     return {(profile.get('node'), right, name.text.strip())
-            for profile in ElementTree.parse(POLICY).iter('profile')
+            for enclave in ElementTree.parse(POLICY).iter('enclave')
+            if not paths or enclave.get('path') in paths
+            for profile in enclave.iter('profile')
             for rule in profile for right, word in rule.attrib.items() if word == 'ALLOW'
             for name in rule}
 
 
-def granted():
-    """Return what the policy allows the nodes that are run here."""
-    return {entry for entry in allowed() if entry[0] in NODES}
+def used_in(lab, granted):
+    """Return every (node, right, name) of the nodes of a lab, once all ``granted`` was seen."""
+    found, end = set(), time.monotonic() + DISCOVERED
+
+    def complete():
+        """Look again, at least until everything that is allowed was seen."""
+        for node in lab.node.get_node_names():
+            for right, kind in RIGHTS.items():
+                get = getattr(lab.node, f'get_{kind}_names_and_types_by_node')
+                found.update((node, right, name) for name, _ in get(node, '/'))
+        return granted - found <= SOMETIMES or time.monotonic() > end
+    lab.until(complete)
+    lab.more(lab.listen(DiagnosticArray, '/diagnostics'), 6)  # what comes late is seen too
+    complete()
+    return {entry for entry in found if entry[0] != 'probe'}
 
 
 @pytest.fixture(scope='module')
-def used(tmp_path_factory):
-    """Return every (node, right, name) of all nodes running in lockstep."""
+def simulated(tmp_path_factory):
+    """Return what is allowed and what is used by all nodes, the robot simulated, in lockstep."""
+    granted = allowed('plant', 'controller', 'trajectory', 'identification')
     with Lab(tmp_path_factory.mktemp('sros2')) as lab:
         for name in ('controller_node', 'trajectory_node', 'plant_node'):
             lab.start(name, mode='lockstep')
         lab.start('identification_node', files=[*FILES, CONFIG / 'identification.yaml'],
                   mode='lockstep', identification__bag=str(lab.folder / 'bag'))
-        found, end = set(), time.monotonic() + DISCOVERED
+        return granted, used_in(lab, granted)
 
-        def complete():
-            """Look again, at least until everything that is allowed was seen."""
-            for node in lab.node.get_node_names():
-                for right, kind in RIGHTS.items():
-                    get = getattr(lab.node, f'get_{kind}_names_and_types_by_node')
-                    found.update((node, right, name) for name, _ in get(node, '/'))
-            return granted() - found <= SOMETIMES or time.monotonic() > end
-        lab.until(complete)
-        lab.more(lab.listen(DiagnosticArray, '/diagnostics'), 6)  # what comes late is seen too
-        complete()
-        return {entry for entry in found if entry[0] != 'probe'}
+
+@pytest.fixture(scope='module')
+def bridged(tmp_path_factory):
+    """Return what is allowed and what is used by the bridge."""
+    granted = allowed('bridge')
+    with Lab(tmp_path_factory.mktemp('sros2_bridge')) as lab:
+        lab.start('plant_node', files=[*FILES, CONFIG / 'bridge.yaml'])
+        return granted, used_in(lab, granted)
 
 
 def test_the_policy_is_one_that_sros2_reads():
@@ -69,17 +82,18 @@ def test_the_policy_is_one_that_sros2_reads():
             assert {name.tag for name in rule} == {rule.tag.removesuffix('s')}
 
 
-def test_whatever_the_nodes_do_is_allowed(used):
-    assert used - allowed() == set()
+@pytest.mark.parametrize('nodes', ['simulated', 'bridged'])
+def test_what_the_nodes_do_is_allowed_and_nothing_else(nodes, request):
+    granted, used = request.getfixturevalue(nodes)
+    assert used - granted == set()
+    assert granted - used - SOMETIMES == set()
 
 
-def test_nothing_else_is_allowed(used):
-    assert granted() - used - SOMETIMES == set()
-
-
-def test_only_the_controller_may_command_and_only_the_trajectory_node_may_refer():
+def test_only_one_node_may_command_or_refer_or_speak_with_the_robot():
     publishers = {name: {node for node, right, topic in allowed()
                          if right == 'publish' and topic == name}
-                  for name in ('/effort_controller/commands', '/reference', '/joint_states')}
+                  for name in ('/effort_controller/commands', '/reference', '/joint_states',
+                               '/robot/effort_controller/commands')}
     assert publishers == {'/effort_controller/commands': {'cascade_controller'},
-                          '/reference': {'trajectory'}, '/joint_states': {'plant'}}
+                          '/reference': {'trajectory'}, '/joint_states': {'plant'},
+                          '/robot/effort_controller/commands': {'plant', 'plant_guardian'}}

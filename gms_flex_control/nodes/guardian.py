@@ -46,7 +46,8 @@ class Guardian:
 
     def __init__(self, name, array, joint, names):
         self._process = subprocess.Popen(
-            [sys.executable, '-m', __name__, json.dumps([name, array, joint, list(names)])],
+            [sys.executable, '-m', __name__, json.dumps([name, array, joint, list(names)]),
+             *_enclave_of(sys.argv)],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0, start_new_session=True)
         for pipe in (self._process.stdin, self._process.stdout):
             os.set_blocking(pipe.fileno(), False)
@@ -86,6 +87,13 @@ class Guardian:
             self._process.wait()
 
 
+def _enclave_of(words):
+    """Return the words of a command line that say which keys of SROS2 it uses; [] if none do."""
+    if '--enclave' not in words[:-1]:
+        return []
+    return ['--ros-args', '--enclave', words[words.index('--enclave') + 1]]
+
+
 def _zeros(node, array, joint, names):
     """Return (publisher, message) of zero for each topic."""
     found = []
@@ -111,7 +119,7 @@ def main():
         signal.signal(number, signal.SIG_IGN)  # the bridge ends first
     name, array, joint, names = json.loads(sys.argv[1])
     avoid_shared_memory()
-    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node(name, enable_rosout=False, start_parameter_services=False)
     zeros, count = _zeros(node, array, joint, names), 0
     heard, dead = time.monotonic(), None
