@@ -51,7 +51,8 @@ def read_recording(path, joints=None, motors=None, *, topics=None):
         that are not the motor of another, in its order.
     motors : sequence of str, optional
         Motor name of each joint, '' where there is no motor side; by default
-        ``<joint>_motor`` where the first joint state has it.
+        ``<joint>_motor`` where the first joint state has it. A link whose motor alone is in the
+        states has no angles (NaN).
     topics : Topics, optional
         Topic names; by default those of our nodes, in the namespace they were recorded in.
 
@@ -175,7 +176,7 @@ class _Series:
         self._bag, self._path, self.topics = bag, bag.path, topics
         self._chosen = joints, motors
         self._waiting = {topic: ([], []) for topic in topics}  # receive times, messages
-        self._first, self._tables, self._places = None, (), None
+        self._first, self._tables, self._places, self._columns = None, (), None, ()
 
     def collect(self, further):
         """Read the bag; messages of ``further`` topics are put into their lists."""
@@ -219,7 +220,8 @@ class _Series:
             joints, motors = self.resolved()
         except BagError:  # raised again once the bag is known to be sound
             return ()
-        n, links = len(joints), link_names(self.require_names())
+        names = self.require_names()
+        n, links = len(joints), link_names(names)
         self._places = [links.index(name) for name in joints] if set(joints) < set(links) else None
         widest = n if self._places is None else len(links)
 
@@ -236,7 +238,8 @@ class _Series:
                     raise
                 return reference_shape(dims, count, widest)
 
-        return (JointTable((*joints, *filter(None, motors))), ArrayTable((widest,), torques),
+        self._columns = [name for name in (*joints, *filter(None, motors)) if name in names]
+        return (JointTable(self._columns), ArrayTable((widest,), torques),
                 ArrayTable((N_DERIVATIVES, widest), references),
                 JointTable(joints, ('effort',)), ArrayTable((1,), one_voltage))
 
@@ -285,8 +288,14 @@ class _Series:
         return stamps[order], received[order], order
 
     def states(self, name):
-        """Return position, velocity or effort of the states, shape (T, joints and motors)."""
-        return self._take('joint_states', name)[0]
+        """Return position, velocity or effort of the states, (T, joints and motors), or NaN."""
+        joints, motors = self.resolved()
+        known, wanted = self._take('joint_states', name)[0], (*joints, *filter(None, motors))
+        if len(wanted) == known.shape[1]:
+            return known
+        values = np.full((len(known), len(wanted)), np.nan)
+        values[:, [wanted.index(name) for name in self._columns]] = known
+        return values
 
     def commands(self):
         """Return the Answers."""
@@ -377,8 +386,9 @@ def _resolve(path, topic, names, joints, motors):
     if len(motors) != len(joints):
         raise BagError(f'{path}: {len(motors)} motors for {len(joints)} joints '
                        f'({", ".join(joints)}); give one each, empty where there is none')
+    lone = {joint for joint, motor in zip(joints, motors, strict=True) if motor in names}
     for name in (*joints, *motors):
-        if name and name not in names:
+        if name and name not in names and name not in lone:
             raise BagError(f'{path}: topic {topic!r} lacks joint {name!r} '
                            f'(has {", ".join(names)}); set the names that are there or record '
                            'that side as well')

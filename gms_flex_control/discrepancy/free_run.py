@@ -5,7 +5,14 @@
 
 from gms_flex_control.compiled import compiled
 from gms_flex_control.discrepancy.equations import replay_friction
-from gms_flex_control.discrepancy.residuals import acts, corrected, fresh_state, SENSOR
+from gms_flex_control.discrepancy.residuals import (
+    acts,
+    corrected,
+    drive_torque,
+    fresh_state,
+    motion_as_modelled,
+    SENSOR,
+)
 from gms_flex_control.effects import signals as sig
 from gms_flex_control.simulation import plant
 from gms_flex_control.simulation.predictor import copy_state
@@ -62,7 +69,7 @@ def free_runs(path, constants):
     starts : ndarray, shape (S,)
         Times of the starts [s].
     link, motor : ndarray, shape (S, H, n)
-        Measured minus simulated angles [rad].
+        Measured minus simulated angles [rad]; of a link that is unseen, its motor's.
 
     """
     period, n = path.fine_period, len(path.joints)
@@ -70,19 +77,25 @@ def free_runs(path, constants):
     starts = np.arange(round(STRIDE / period), len(path.fine_time) - horizon,
                        max(round(STRIDE / period), 1))
     motion, readings = path.fine_motion, path.readings
-    if acts(constants, SENSOR):
-        motion, readings = without_sensor_errors(path, constants)
+    if acts(constants, SENSOR) or path.unseen:
+        motion, readings = as_modelled(path, constants)
     link, motor = np.empty((2, len(starts), horizon, n))
     run_freely(motion, path.command, path.supply, path.fine_time, period,
                max(1, round(period / _STEP)), starts, horizon, constants, fresh_state(constants),
                fresh_state(constants), plant.workspace(n), link, motor)
     rows = starts[:, None] + np.arange(horizon)
-    return path.fine_time[starts], readings[rows, 0] - link, readings[rows, 1] - motor
+    link, motor = readings[rows, 0] - link, readings[rows, 1] - motor
+    for unseen in path.unseen:
+        link[..., unseen.joint] = motor[..., unseen.joint]
+    return path.fine_time[starts], link, motor
 
 
-def without_sensor_errors(path, constants):
+def as_modelled(path, constants):
     """Return motion (T, 6, n) and readings (T, 2, n) of a recording, as the model sees them."""
-    motion, _ = corrected(path, constants, plant.workspace(len(path.joints)))
+    work = plant.workspace(len(path.joints))
+    motion, second = motion_as_modelled(path, constants, work,
+                                        drive_torque(path, constants, work))
+    motion, _ = corrected(path, motion, second, constants, work)
     off = path.motion - motion
     fine = np.stack([[np.interp(path.fine_time, path.time, off[:, i, j])
                       for j in range(off.shape[2])] for i in range(6)])

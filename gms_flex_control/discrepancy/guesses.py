@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """First guesses of the whole catalogue for the joints of a robot."""
 
+from gms_flex_control.discrepancy.unseen_links import is_lost
 from gms_flex_control.effects.guess import Scales
 from gms_flex_control.effects.registry import find, names
 from gms_flex_control.params.robot import WHOLE_ARM
@@ -64,6 +65,8 @@ def all_guesses(problem, without=(), fine_orders=None):
             continue
         places = [WHOLE_ARM] if kind.whole_arm else joints
         for joint, scale in zip(places, scales, strict=False):
+            if joint in problem.unseen and is_lost(name):
+                continue
             found += [(name, joint, allowed(guess, kind)) for guess in kind.guesses(scale)]
     return found
 

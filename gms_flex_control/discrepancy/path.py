@@ -3,9 +3,10 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """A recording made ready: even samples, smoothed angles with their derivatives, held torques."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from gms_flex_control.analysis.signals import quantum
+from gms_flex_control.discrepancy.unseen_links import link_angle, unseen_links
 from gms_flex_control.errors import BagError
 from gms_flex_control.identification.smoothing import derivatives
 import numpy as np
@@ -62,6 +63,8 @@ class Path:
         Whether ``command`` is what was asked for; else it is torque as measured.
     source : str
         Where it came from.
+    unseen : tuple of UnseenLink
+        Links without encoder: their readings and motion are computed, as believed.
 
     """
 
@@ -83,6 +86,7 @@ class Path:
     standing: np.ndarray
     commanded: bool
     source: str
+    unseen: tuple = ()
 
     def through_filter(self, torque):
         """Return torques (T, n) held over samples as the equations see them, shape (S, n)."""
@@ -152,26 +156,38 @@ def path_of(recording, robot):
 
     """
     time, period = even_time(recording)
-    readings = np.empty((len(time), 2, recording.n_joints))
+    readings = np.zeros((len(time), 2, recording.n_joints))
+    unseen = unseen_links(recording, robot)
     for j, joint in enumerate(recording.joints):
-        readings[:, 0, j] = _resampled(recording, recording.q_link[:, j], time,
-                                       f'link angle of {joint!r}')
+        if all(link.joint != j for link in unseen):
+            readings[:, 0, j] = _resampled(recording, recording.q_link[:, j], time,
+                                           f'link angle of {joint!r}')
         readings[:, 1, j] = readings[:, 0, j] if robot.arm.rigid[j] else _resampled(
             recording, recording.q_motor[:, j], time, f'motor angle of {joint!r}')
     return make_path(recording.joints, time, period, readings, held_torque(recording, time),
-                     supply_voltage(recording, time), has_commands(recording), recording.source)
+                     supply_voltage(recording, time), has_commands(recording), recording.source,
+                     unseen)
 
 
-def make_path(joints, time, period, readings, command, supply, commanded, source):
-    """Return the Path of even samples; arguments as the fields ``fine_...``."""
+def make_path(joints, time, period, readings, command, supply, commanded, source, unseen=()):
+    """
+    Return the Path of even samples; arguments as its fields, those of ``fine_...``.
+
+    The readings of links that are ``unseen`` are computed, in place.
+    """
     n = len(joints)
+    command = np.ascontiguousarray(command)
+    bend, held = second_difference(readings, period), held_triangle(command)
+    for link in unseen:
+        j = link.joint
+        readings[:, 0, j] = link_angle(readings[:, 1, j], held[:, j], bend[:, 1, j], link)
+        bend[:, 0, j] = second_difference(readings[:, 0, j], period)
     noise = np.sqrt(np.mean(np.diff(readings, 3, axis=0) ** 2, axis=0) / 20.0)
-    window = max(2 * round(0.5 * _WINDOW / period) + 1, 5)
+    window = smoothing(period)
     motion = np.stack([np.stack(derivatives(readings[:, side, j], period, window), axis=1)
                        for side in range(2) for j in range(n)], axis=2)
     motion = motion.reshape(len(time), 3, 2, n).swapaxes(1, 2).reshape(len(time), 6, n)
     factor = max(int(WORKING_PERIOD / period * (1.0 + 1e-6)), 1)
-    command = np.ascontiguousarray(command)
     thin = np.ascontiguousarray(motion[::factor])
     twist = thinned(seen(readings[:, 1] - readings[:, 0], 1.0 / 12.0), factor)
     return Path(
@@ -180,11 +196,28 @@ def make_path(joints, time, period, readings, command, supply, commanded, source
         noise=noise, factor=factor,
         time=np.ascontiguousarray(time[::factor]), period=period * factor,
         motion=thin,
-        second=thinned(second_difference(readings, period), factor),
-        drive=thinned(held_triangle(command), factor),
+        second=thinned(bend, factor),
+        drive=thinned(held, factor),
         twist_rest=twist - seen(thin[:, 3] - thin[:, 0], sampled_weight(factor)),
         standing=standing(readings[:, 0], noise[0], period)[::factor],
-        commanded=commanded, source=source)
+        commanded=commanded, source=source, unseen=unseen)
+
+
+def with_links(recording, robot):
+    """Return a Recording with the angles of links that only their motors tell, as computed."""
+    unseen = unseen_links(recording, robot)
+    if not unseen:
+        return recording
+    path, q_link = path_of(recording, robot), recording.q_link.copy()
+    for link in unseen:
+        q_link[:, link.joint] = np.interp(recording.time, path.fine_time,
+                                          path.readings[:, 0, link.joint])
+    return replace(recording, q_link=q_link)
+
+
+def smoothing(period):
+    """Return the samples of the smoothing that velocities come from."""
+    return max(2 * round(0.5 * _WINDOW / period) + 1, 5)
 
 
 def encoder_step(angle, noise):

@@ -22,6 +22,7 @@ BLOCK = 2.0           # of time that is held out or not as a whole [s]
 _HELD_OUT = 4         # one block in so many
 _KNOB_STEP = 0.01
 _RATIO_STEP = 0.1     # of a relative change that an effect is
+_OF_MOTORS = 3.0      # times what an effect must explain where links are not seen
 
 
 class Problem:
@@ -128,6 +129,10 @@ class Problem:
             slopes[k] = self._noise_added(self.constants(robot, x)) / values[k]
         self._attenuations[spec.name, spec.joint] = slopes
 
+    def forget_noise(self, name, joint):
+        """Take it that noise adds nothing to the slopes of an effect: its rows are but noise."""
+        self._attenuations.pop((name, joint), None)
+
     def noise_of(self, spec):
         """Return what noise adds to the slopes of an effect, one number per parameter."""
         return self._attenuations.get((spec.name, spec.joint), np.zeros(len(spec.values)))
@@ -167,6 +172,16 @@ class Problem:
         out = np.concatenate(blocks) % turn == turn - 1
         used = np.concatenate([whitening.scale.ravel() > 0.0 for whitening in self.whitenings])
         self.fitted, self.held_out = used & ~out, used & out
+
+    @property
+    def unseen(self):
+        """Return the joints whose links have no encoder, set of str."""
+        return {path.joints[link.joint] for path in self.paths for link in path.unseen}
+
+    @property
+    def caution(self):
+        """Return how many times as much as usual an effect must explain."""
+        return _OF_MOTORS if self.unseen else 1.0
 
     @property
     def clean_cost(self):

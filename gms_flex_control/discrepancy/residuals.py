@@ -11,12 +11,19 @@ where a torque is a function of it.
 
 from gms_flex_control import records
 from gms_flex_control.discrepancy import equations
-from gms_flex_control.discrepancy.path import sampled_weight, second_difference, seen
+from gms_flex_control.discrepancy.path import (
+    sampled_weight,
+    second_difference,
+    seen,
+    smoothing,
+)
 from gms_flex_control.effects.base import Stage
+from gms_flex_control.identification.smoothing import derivatives, low_pass
 from gms_flex_control.simulation import plant
 import numpy as np
 
 ACTUATOR, SENSOR = int(Stage.ACTUATOR), int(Stage.SENSOR)
+_OF_SPRINGS = int(Stage.TWIST), int(Stage.SPRING)
 
 
 def unexplained(path, constants):
@@ -34,19 +41,45 @@ def unexplained(path, constants):
     -------
     ndarray, shape (S, 2 n)
         What is missing in the link equations, then in the motor equations, zero where a joint
-        is rigid [N m]: positive pushes forward.
+        is rigid [N m]: positive pushes forward. Of a link that is unseen, both in the first.
 
     Notes
     -----
     Eq. (1): ``M ddq + C dq + g - s + F`` and ``J ddq_motor + s - u``.
 
     """
-    n = len(path.joints)
-    work, flexible = plant.workspace(n), constants.chain.flexible
+    work = plant.workspace(len(path.joints))
     drive = drive_torque(path, constants, work)
+    motion, second = motion_as_modelled(path, constants, work, drive)
+    both = _residuals(path, constants, work, drive, motion, second)
+    for link in path.unseen:  # the motor equation has been used
+        both[0, :, link.joint] += both[1, :, link.joint]
+        both[1, :, link.joint] = 0.0
+    return np.concatenate(both, axis=1)
+
+
+def motion_as_modelled(path, constants, work, drive):
+    """Return motion (S, 6, n) and second differences (S, 2, n), unseen links where a model has."""
     motion, second = path.motion, path.second
+    corrections = 2 if any(acts(constants, stage) for stage in _OF_SPRINGS) else 1
+    for _ in range(corrections if path.unseen else 0):  # one is exact for a linear spring
+        _, on_motor = _residuals(path, constants, work, drive, motion, second)
+        motion, second = motion.copy(), second.copy()
+        for link in path.unseen:
+            j = link.joint
+            shift = low_pass(on_motor[:, j], max(round(link.window / path.factor), 2))
+            shift /= constants.chain.stiffness[j]
+            motion[:, :3, j] += np.stack(derivatives(shift, path.period, smoothing(path.period)),
+                                         axis=1)
+            second[:, 0, j] += second_difference(shift, path.period)
+    return motion, second
+
+
+def _residuals(path, constants, work, drive, motion, second):
+    """Return what is missing in the link and in the motor equations along a motion (2, S, n)."""
+    flexible = constants.chain.flexible
     if acts(constants, SENSOR):
-        motion, second = corrected(path, constants, work)
+        motion, second = corrected(path, motion, second, constants, work)
     link, motor, inertial = np.empty((3, *drive.shape))
     equations.torques_along(motion, np.ascontiguousarray(second[:, 0]), drive, path.time,
                             path.period, constants, fresh_state(constants), work, link, motor,
@@ -56,7 +89,7 @@ def unexplained(path, constants):
     on_link = inertial - seen(link, weight) - unsmoothed - (1.0 - flexible) * drive
     on_motor = flexible * (constants.chain.motor_inertia * second[:, 1]
                            - seen(motor, weight) + unsmoothed - drive)
-    return np.concatenate([on_link, on_motor], axis=1)
+    return np.stack([on_link, on_motor])
 
 
 def drive_torque(path, constants, work):
@@ -69,16 +102,16 @@ def drive_torque(path, constants, work):
     return path.through_filter(applied)
 
 
-def corrected(path, constants, work):
+def corrected(path, motion, second, constants, work):
     """Return motion (S, 6, n) and second differences (S, 2, n) cleared of sensor errors."""
     link, motor = np.empty((2, *path.drive.shape))
-    equations.sensor_errors(path.motion, path.drive, path.time, path.period, constants,
+    equations.sensor_errors(motion, path.drive, path.time, path.period, constants,
                             fresh_state(constants), work, link, motor)
     off = np.stack([link, motor], axis=1)
     rate = np.gradient(off, path.period, axis=0)
     bend = second_difference(off, path.period)
     errors = np.stack([off, rate, bend], axis=2).reshape(len(off), 6, -1)
-    return np.ascontiguousarray(path.motion - errors), path.second - bend
+    return np.ascontiguousarray(motion - errors), second - bend
 
 
 def fresh_state(constants):

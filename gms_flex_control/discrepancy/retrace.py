@@ -83,7 +83,7 @@ def retrace(path, constants, rng):
             readings[:, side, j] = read(readings[:, side, j], path.readings[:, side, j],
                                         path.noise[side, j], rng)
     return make_path(path.joints, path.fine_time, path.fine_period, readings, held,
-                     path.supply, path.commanded, path.source)
+                     path.supply, path.commanded, path.source, path.unseen)
 
 
 def read(angle, like, noise, rng):

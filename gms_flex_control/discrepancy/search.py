@@ -32,6 +32,7 @@ _AT_BOUND = 0.99      # of a knob's doubt: it can give no more
 _CLOSE = 0.5          # of the best gain
 _SIMPLER = 0.03       # of a gain: so much less is as good, with fewer numbers
 _BETTER = 0.01        # likewise: so much more is better, with more numbers
+_ALL_NOISE = 0.5      # of the squares of a column: where noise tells more, it tells nothing
 _ROUNDS = 3           # of adding and exchanging
 _FEW = 3              # effects: one is looked for in the place of two
 _NEARLY = 0.95        # of what the two explain: what the one does at a first guess
@@ -84,6 +85,10 @@ class Library:
                  for name, joint, guess in self.guesses
                  if guess.is_linear and ways[name, joint] == 1]
         problem.each(problem.note_noise, specs)
+        for (name, joint, values), column in zip(jobs, self.columns, strict=True):
+            if (abs(problem.noise_of(EffectSpec(name=name, joint=joint, values=values)) @ values)
+                    > _ALL_NOISE * column @ column):
+                problem.forget_noise(name, joint)
         return np.array([problem.noise_of(EffectSpec(name=name, joint=joint, values=values))
                          @ values for name, joint, values in jobs])
 
@@ -216,6 +221,7 @@ class _Hunt:
     def __init__(self, problem, model, knobs, library, say):
         self._problem, self.model, self._knobs, self.library = problem, model, knobs, library
         self._known, self._say = len(model.robot.effects), say
+        self._gain = LEAST_GAIN * problem.caution
         self.columns, self.first, self._begun = knobs, (), model.cost
 
     def grow(self, most):
@@ -253,7 +259,7 @@ class _Hunt:
                 continue
             other = self._fit_last(with_effect(less.robot, one.spec))
             larger = _size(one.spec) - _size(effects[i])
-            worth = LEAST_GAIN * max(larger, 0.2)
+            worth = self._gain * max(larger, 0.2)
             if larger > 0:
                 worth += _BETTER * (less.cost - model.cost)
             if model.cost - other.cost > worth:
@@ -277,7 +283,7 @@ class _Hunt:
             if one.gain < least or not may_join(one.spec, less.robot):
                 continue
             other = self._fit_last(with_effect(less.robot, one.spec))
-            if other.cost < model.cost + LEAST_GAIN:
+            if other.cost < model.cost + self._gain:
                 self._say(f'{one.spec.name} instead of two')
                 self._take(other)
                 return True
@@ -285,7 +291,7 @@ class _Hunt:
 
     def _least(self):
         clean = self._problem.clean_cost
-        return max(LEAST_GAIN, LEAST_SHARE * (self.model.cost - clean),
+        return max(self._gain, LEAST_SHARE * (self.model.cost - clean),
                    LEAST_PART * (self._begun - clean))
 
     def _fit_last(self, robot):

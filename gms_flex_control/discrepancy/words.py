@@ -5,10 +5,19 @@
 
 from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE, FOUND
 from gms_flex_control.discrepancy.units import angle_scale, torque_scale
+from gms_flex_control.discrepancy.unseen_links import lost_effects
 from gms_flex_control.effects.registry import find
 
 IN_MOTION = ('Moments at which a link stands were left out: friction then holds what no model of '
              'these foresees.')
+
+
+def of_unseen(joints):
+    """Return what is lost where links of some joints (names) have no encoder, a sentence."""
+    names = ', '.join(joints)
+    return (f"No link encoder of {names} was recorded: the link angle is the motor's less the "
+            'twist that its torque, inertia and stiffness ask for, as believed. Not looked for '
+            f'there: {", ".join(lost_effects())}.')
 
 
 def tells_apart(effect, others):

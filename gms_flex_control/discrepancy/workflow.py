@@ -8,7 +8,7 @@ import time
 
 from gms_flex_control.discrepancy import judge
 from gms_flex_control.discrepancy.gap import gap_of, torque_rms
-from gms_flex_control.discrepancy.path import path_of
+from gms_flex_control.discrepancy.path import path_of, with_links
 from gms_flex_control.discrepancy.problem import Problem
 from gms_flex_control.discrepancy.result import (
     BAD_DATA,
@@ -22,7 +22,13 @@ from gms_flex_control.discrepancy.result import (
 from gms_flex_control.discrepancy.retuned import with_knobs
 from gms_flex_control.discrepancy.search import LEAST_GAIN, refitted, search
 from gms_flex_control.discrepancy.signature import signature_of
-from gms_flex_control.discrepancy.words import evidence_of, IN_MOTION, paragraph, tells_apart
+from gms_flex_control.discrepancy.words import (
+    evidence_of,
+    IN_MOTION,
+    of_unseen,
+    paragraph,
+    tells_apart,
+)
 from gms_flex_control.errors import SimulationError
 from gms_flex_control.identification.checks import check
 import numpy as np
@@ -114,7 +120,7 @@ def discrepancy(recordings, robot, options=None, *, holdout=(), say=lambda text:
     sources = tuple(recording.source for recording in recordings)
     say('checking the data')
     findings = [finding for recording in (*recordings, *holdout)
-                for finding in check(recording, robot)]
+                for finding in check(with_links(recording, robot), robot)]
     faults = tuple(finding.text for finding in findings)
     if any(finding.severity == 'refuse' for finding in findings) and not options.force:
         return Discrepancy(verdict=BAD_DATA, faults=faults, sources=sources,
@@ -129,6 +135,8 @@ def discrepancy(recordings, robot, options=None, *, holdout=(), say=lambda text:
         moving = _searched(paths, robot, options, holdout, False, say)
         if moving.verdict == FOUND:
             result = replace(moving, words=f'{moving.words} {IN_MOTION}')
+    if problem.unseen:
+        result = replace(result, words=f'{result.words} {of_unseen(sorted(problem.unseen))}')
     return replace(result, faults=faults, sources=sources, seconds=time.monotonic() - begun)
 
 
@@ -146,7 +154,8 @@ def _searched(paths, robot, options, holdout, at_rest, say):
 
 def pruned(problem, found, known):
     """Return the search's end without effects that something else could be, and the Judged."""
-    doubtful = max(DOUBTFUL * missing(problem, found.model.cost) * problem.clean_cost, LEAST_GAIN)
+    doubtful = max(DOUBTFUL * missing(problem, found.model.cost) * problem.clean_cost,
+                   LEAST_GAIN * problem.caution)
     kept = set()
     while True:
         entries = judge.judged(problem, found, known)
@@ -173,17 +182,20 @@ def missing(problem, cost):
     return cost / problem.clean_cost - 1.0
 
 
-def helps(gap, much):
+def helps(gap, much, strictly=False):
     """
     Return whether effects help on data held out.
 
     Neither torque nor free runs may be worse; torque may be a little worse by chance where an
     effect acts seldom, as an end stop does, and free runs where torque is nearly explained. Asked
     to help ``much`` they must do more: free runs stray far less, or torque is nearly explained
-    and they stray no farther, as with an error of an encoder, which moves nothing.
+    and they stray no farther, as with an error of an encoder, which moves nothing. ``strictly``,
+    free runs must not stray farther at all: where links are not seen nothing else speaks for them.
     """
     before, after = (float(np.sum(errors ** 2)) for errors in (gap.free_before, gap.free_after))
     torque, stray = gap.energy_ratio, after / max(before, 1e-300)
+    if strictly and stray >= 1.0:
+        return False
     if much:
         return any(torque < most and stray < farthest for most, farthest in _GOOD_DEAL)
     farthest = _NO_WORSE if torque < _NEARLY_ALL else _AS_FAR
@@ -218,7 +230,7 @@ def _added(problem, found, known, choices, measured):
             gap = gap_of(measured, model)
         except SimulationError:
             continue  # with these effects the robot runs away
-        if helps(gap, much):
+        if helps(gap, much, bool(problem.unseen)):
             return model, judge.judged(problem, model, known), gap
     found = _only(problem, found, known, [])
     return found, [], gap_of(measured, found)
@@ -227,7 +239,7 @@ def _added(problem, found, known, choices, measured):
 def _told(problem, found, entries, known, options, holdout, say):
     before, after = (missing(problem, model.cost) for model in (found.before, found.model))
     tried = tuple(Tried(one.spec.name, one.spec.joint, one.gain) for one in found.first)
-    slack = DETECTED - 1.0
+    slack = (DETECTED - 1.0) * problem.caution
     left = max(after - _NOISE_DOUBT, 0.0) / before if before > slack else 0.0
     whole = max(before * problem.clean_cost, 1e-12)
     say('the gap on data held out')
@@ -280,7 +292,8 @@ def _matters(problem, gap, before, practical):
     """
     level = practical * np.array([problem.level_of(joint) for joint in gap.joints])
     above = np.sqrt(np.maximum(gap.retuned ** 2 - gap.floor ** 2, 0.0))
-    return bool(before > DETECTED - 1.0 and (before > CERTAIN or np.any(above > TRIFLE * level)))
+    return bool(before > (DETECTED - 1.0) * problem.caution
+                and (before > CERTAIN * problem.caution or np.any(above > TRIFLE * level)))
 
 
 def _only(problem, found, known, entries):

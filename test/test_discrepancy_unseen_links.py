@@ -1,0 +1,95 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Flexible joints of which only the motors were recorded: what the workflow still says of them."""
+
+from dataclasses import replace
+
+from gms_flex_control.bags.experiment import write_recording
+from gms_flex_control.bags.reader import read_recording
+from gms_flex_control.discrepancy.path import path_of, with_links
+from gms_flex_control.discrepancy.residuals import drive_torque, motion_as_modelled
+from gms_flex_control.discrepancy.result import COMPLETE, FOUND
+from gms_flex_control.discrepancy.workflow import discrepancy
+from gms_flex_control.hidden.cases import make_case
+from gms_flex_control.simulation import plant
+import numpy as np
+import pytest
+
+
+def blind(recording, joints=slice(None)):
+    """Return a Recording whose links have no encoder."""
+    q_link, dq_link = recording.q_link.copy(), recording.dq_link.copy()
+    q_link[:, joints] = dq_link[:, joints] = np.nan
+    return replace(recording, q_link=q_link, dq_link=dq_link)
+
+
+def strayed(case, angle):
+    """Return by how much link angles (T, n) differ from those recorded, of their motion (n,)."""
+    inner = slice(500, -500)  # filters settle at both ends
+    return (np.std((angle - case.recording.q_link)[inner], axis=0)
+            / np.std(case.recording.q_link[inner], axis=0))
+
+
+@pytest.mark.parametrize('plant_name', ['soft', 'stiff'])
+def test_the_link_is_where_its_encoder_saw_it(plant_name):
+    case = make_case('clean', 3, plant=plant_name, duration=20.0)
+    computed = with_links(blind(case.recording), case.truth.robot)
+    assert np.all(strayed(case, computed.q_link) < 0.02)
+    motors = strayed(case, case.recording.q_motor)
+    assert np.all(motors > 4.0 * strayed(case, computed.q_link))  # it is not just the motor's
+
+
+def test_each_model_puts_the_link_where_its_own_effects_want_it():
+    """A motor with strong ripple and a torque that is late: what they do to the twist is known."""
+    case = make_case('single', 11, effect='motor_coulomb', duration=20.0)
+    path = path_of(blind(case.recording), case.truth.robot)
+    off = []
+    for robot in (replace(case.truth.robot, effects=()), case.truth.robot):
+        constants = plant.constants_of(robot)
+        work = plant.workspace(robot.n_joints)
+        motion, _ = motion_as_modelled(path, constants, work, drive_torque(path, constants, work))
+        off.append(strayed(case, np.stack([np.interp(case.recording.time, path.time, column)
+                                           for column in motion[:, 0].T], axis=1)))
+    joint = case.truth.robot.joints.index(case.truth.effects[0].joint)
+    assert off[1][joint] < 0.7 * off[0][joint]
+
+
+def test_links_that_have_encoders_are_taken_from_them():
+    case = make_case('clean', 3, duration=20.0)
+    path = path_of(blind(case.recording, [1]), case.nominal)
+    assert [link.joint for link in path.unseen] == [1]
+    assert path_of(case.recording, case.nominal).unseen == ()
+    np.testing.assert_allclose(path.readings[:, 0, 0], case.recording.q_link[:, 0])
+
+
+def test_a_clean_robot_is_complete_and_it_is_said_what_is_lost():
+    case = make_case('clean', 3, duration=20.0)
+    result = discrepancy([blind(case.recording)], case.nominal)
+    assert result.verdict == COMPLETE, result.words
+    assert 'No link encoder of joint1, joint2 was recorded' in result.words
+    assert 'encoder_skew' in result.words.split('Not looked for there:')[1]
+
+
+@pytest.mark.parametrize(('effect', 'seed'), [
+    ('stiffness_error', 4), ('motor_coulomb', 8), ('presliding_error', 20)])
+def test_an_effect_is_named_by_the_motors_alone(effect, seed):
+    case = make_case('single', seed, effect=effect, duration=20.0)
+    result = discrepancy([blind(case.recording)], case.nominal)
+    assert result.verdict == FOUND, result.words
+    true, first = case.truth.effects[0], result.findings[0]
+    assert (first.effect, first.joint) == (true.name, true.joint)
+    assert first.values[0].value == pytest.approx(true.values[0], rel=0.2)
+
+
+def test_a_bag_that_names_the_motors_alone_gives_links_without_angles(tmp_path):
+    own = make_case('clean', 3, duration=4.0).recording
+    nothing = np.full_like(own.q_link, np.nan)
+    motors = tuple(f'{joint}_motor' for joint in own.joints)
+    write_recording(tmp_path / 'bag', replace(
+        own, joints=motors, q_link=own.q_motor, dq_link=own.dq_motor, q_motor=nothing,
+        dq_motor=nothing))
+    read = read_recording(tmp_path / 'bag', joints=own.joints, motors=motors)
+    assert read.joints == own.joints and np.isnan(read.q_link).all()
+    np.testing.assert_array_equal(read.q_motor, own.q_motor)
+    np.testing.assert_array_equal(read.command, own.command)
