@@ -32,7 +32,7 @@ _AT_BOUND = 0.99      # of a knob's doubt: it can give no more
 _CLOSE = 0.5          # of the best gain
 _SIMPLER = 0.03       # of a gain: so much less is as good, with fewer numbers
 _BETTER = 0.01        # likewise: so much more is better, with more numbers
-_ALL_NOISE = 0.5      # of the squares of a column: where noise tells more, it tells nothing
+_ALL_NOISE = 0.5      # of the squares of a column of an unseen link: noise tells more than it
 _ROUNDS = 3           # of adding and exchanging
 _FEW = 3              # effects: one is looked for in the place of two
 _NEARLY = 0.95        # of what the two explain: what the one does at a first guess
@@ -85,12 +85,13 @@ class Library:
                  for name, joint, guess in self.guesses
                  if guess.is_linear and ways[name, joint] == 1]
         problem.each(problem.note_noise, specs)
-        for (name, joint, values), column in zip(jobs, self.columns, strict=True):
-            if (abs(problem.noise_of(EffectSpec(name=name, joint=joint, values=values)) @ values)
-                    > _ALL_NOISE * column @ column):
-                problem.forget_noise(name, joint)
-        return np.array([problem.noise_of(EffectSpec(name=name, joint=joint, values=values))
-                         @ values for name, joint, values in jobs])
+        added = np.array([problem.noise_of(EffectSpec(name=name, joint=joint, values=values))
+                          @ values for name, joint, values in jobs])
+        hidden = np.abs(added) > _ALL_NOISE * np.sum(self.columns ** 2, axis=1)
+        hidden &= [joint in problem.unseen for _, joint, _ in jobs]
+        for name, joint in {jobs[i][:2] for i in np.flatnonzero(hidden)}:
+            problem.forget_noise(name, joint)
+        return np.where(hidden, 0.0, added)
 
     def ranked(self, model, columns):
         """
