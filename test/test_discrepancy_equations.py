@@ -320,6 +320,7 @@ def test_a_rigid_axis_has_guesses_of_what_can_be_there():
         paths = (make_path(robot.joints, time, 4e-3, np.repeat(
             np.sin(time)[:, None, None], 2, axis=1), np.cos(time)[:, None], np.zeros(200), True,
             'sine'),)
+        unseen = frozenset()
     found = {name for name, _, _ in all_guesses(Given)}
     assert {'torque_gain', 'friction_asymmetry', 'end_stop', 'torque_ripple',
             'load_friction', 'actuator_deadzone'} <= found

@@ -82,7 +82,8 @@ def repeated(recording):
 REFUSED = {
     'joints swapped': swapped_joints, 'link encoders swapped': swapped_angles,
     'clock jump': clock_jump, 'milliseconds': lambda r: replace(r, time=1e3 * r.time),
-    'half lost': half_lost, 'no link angle': scaled('q_link', np.nan),
+    'half lost': half_lost, 'no angle': lambda r: replace(
+        r, q_link=np.nan * r.q_link, q_motor=np.nan * r.q_motor),
     'motor reversed': scaled('q_motor', -1.0), 'motor in gear units': scaled('q_motor', 50.0),
     'torque reversed': torque(-1.0), 'torque in mN m': torque(1e3), 'slipped': slipped,
     'too short': lambda r: taken(r, np.arange(500))}
