@@ -29,6 +29,7 @@ from std_msgs.msg import Float64MultiArray
 _REPEAT_PERIOD = 1.0     # an unanswered state is sent again in lockstep [s]
 _LATEST_START = 5        # samples the loop may be late before it gives up catching up
 _WARN_PERIOD = 5.0       # [s]
+_RISE = round(0.1 * NANOSECONDS)  # in which torque rises after a silence
 
 
 class SimulatedRobot(SupervisedRobot):
@@ -82,6 +83,7 @@ class SimulatedRobot(SupervisedRobot):
         self._lock = threading.RLock()
         self._command = (self._zero, None, 0)  # torque, stamp answered, when it came
         self._stamp = self._first = 0  # [ns]
+        self._resumed = -_RISE   # stamp at which torque began to rise
         self._ticks = self._missed = self._refused = 0
         self._create_topics(values)
         node.get_logger().info(f"{robot.n_joints} joints, {values['rate']:g} Hz, {self._mode}")
@@ -179,6 +181,7 @@ class SimulatedRobot(SupervisedRobot):
                 self._node.get_logger().info(f'{self._commands.name} was silent for '
                                              f'{silence / 1e6:.0f} ms; commands come again')
                 self._supervisor.reset()
+                self._resumed = self._stamp  # as a bridge lets it rise, whoever begins how
             if self._wanted:
                 self._supervisor.enable(self._health.fault)
             self._settle()
@@ -276,7 +279,7 @@ class SimulatedRobot(SupervisedRobot):
                     throttle_duration_sec=_WARN_PERIOD)
                 deadline += late
             self._watch()
-            self._advance(self._acting())
+            self._advance(self._acting() * min((self._stamp - self._resumed) / _RISE, 1.0))
         if self._missed:
             self._node.get_logger().info(
                 f'{self._missed} of {self._ticks} samples had no fresh command')
