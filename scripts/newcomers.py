@@ -17,11 +17,11 @@ import sys
 import tempfile
 import time
 
+from gms_flex_control.files import write_text
 from node_harness import DISCOVERY, take_domain
-from tutorial import OWN, parts_of, ROOT, Terminals, TUTORIALS, write_tool
+from tutorial import JUDGED, OWN, parts_of, ROOT, Terminals, TUTORIALS, write_tool
 
 PAGE = ROOT / 'docs' / 'newcomers.md'
-CODES = (0, 1, 2)  # of a tool that says what it found
 MOST_LINES = 24   # of what one command prints
 USERS = (('without_ros', 'Has neither ROS nor a robot', '.'),
          ('with_a_bag', 'Has a bag', '.'),
@@ -43,9 +43,7 @@ def main():
         print(title, flush=True)
         with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
             sections.append(transcript(Path(folder), name, title, extras))
-    new = PAGE.with_suffix('.new')
-    new.write_text('\n'.join(sections), encoding='utf-8')
-    os.replace(new, PAGE)
+    write_text(PAGE, '\n'.join(sections))
     print(PAGE)
     return 0
 
@@ -117,15 +115,14 @@ def follow(name, here, environment, scribe):
     with Terminals(here, environment) as terminals:
         for prose, commands in parts_of(TUTORIALS / f'{name}.md'):
             if 'Ctrl-C' in prose and terminals.interrupt():
-                scribe.note(scribe.seconds, '^C', '')
+                scribe.note(scribe.seconds, '^C')
             for command, expected in commands:
                 begun = scribe.seconds
                 if command.endswith(OWN):
                     terminals.start(command.removesuffix(OWN))
                     scribe.note(begun, command)
                 else:
-                    scribe.note(begun, command, terminals.do(
-                        command, expected, CODES))
+                    scribe.note(begun, command, terminals.do(command, expected, JUDGED))
 
 
 if __name__ == '__main__':

@@ -16,6 +16,7 @@ from uuid import uuid4
 
 ROOT = Path(__file__).resolve().parents[1]
 TUTORIALS = ROOT / 'docs' / 'tutorials'
+JUDGED = (0, 1, 2)  # exit codes of the tool; what is printed is compared all the same
 OWN = '   # a terminal of its own'
 PATIENCE = 180.0    # for nodes to come and to end [s]
 

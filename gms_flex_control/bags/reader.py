@@ -176,7 +176,7 @@ class _Series:
         self._bag, self._path, self.topics = bag, bag.path, topics
         self._chosen = joints, motors
         self._waiting = {topic: ([], []) for topic in topics}  # receive times, messages
-        self._first, self._tables, self._places, self._columns = None, (), None, ()
+        self._first, self._tables, self._places = None, (), None
 
     def collect(self, further):
         """Read the bag; messages of ``further`` topics are put into their lists."""
@@ -238,8 +238,8 @@ class _Series:
                     raise
                 return reference_shape(dims, count, widest)
 
-        self._columns = [name for name in (*joints, *filter(None, motors)) if name in names]
-        return (JointTable(self._columns), ArrayTable((widest,), torques),
+        there = [name for name in (*joints, *filter(None, motors)) if name in names]
+        return (JointTable(there), ArrayTable((widest,), torques),
                 ArrayTable((N_DERIVATIVES, widest), references),
                 JointTable(joints, ('effort',)), ArrayTable((1,), one_voltage))
 
@@ -290,11 +290,12 @@ class _Series:
     def states(self, name):
         """Return position, velocity or effort of the states, (T, joints and motors), or NaN."""
         joints, motors = self.resolved()
-        known, wanted = self._take('joint_states', name)[0], (*joints, *filter(None, motors))
-        if len(wanted) == known.shape[1]:
+        known, names = self._take('joint_states', name)[0], self.require_names()
+        there = [wanted in names for wanted in (*joints, *filter(None, motors))]
+        if all(there):
             return known
-        values = np.full((len(known), len(wanted)), np.nan)
-        values[:, [wanted.index(name) for name in self._columns]] = known
+        values = np.full((len(known), len(there)), np.nan)
+        values[:, there] = known
         return values
 
     def commands(self):

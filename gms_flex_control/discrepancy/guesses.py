@@ -55,7 +55,7 @@ def all_guesses(problem, without=(), fine_orders=None):
         Effect, joint and Guess; effects of the whole arm for planar arms only.
 
     """
-    joints, found = problem.robot.joints, []
+    joints, unseen, found = problem.robot.joints, problem.unseen, []
     if not all(path.commanded for path in problem.paths):
         without = {*without, *_OF_COMMANDS}
     scales = scales_of(problem.paths, problem.robot, fine_orders or [()] * len(joints))
@@ -65,7 +65,7 @@ def all_guesses(problem, without=(), fine_orders=None):
             continue
         places = [WHOLE_ARM] if kind.whole_arm else joints
         for joint, scale in zip(places, scales, strict=False):
-            if joint in problem.unseen and is_lost(name):
+            if joint in unseen and is_lost(name):
                 continue
             found += [(name, joint, allowed(guess, kind)) for guess in kind.guesses(scale)]
     return found

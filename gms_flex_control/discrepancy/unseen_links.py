@@ -13,14 +13,13 @@ from typing import NamedTuple
 
 from gms_flex_control.effects.base import Stage, Term
 from gms_flex_control.effects.registry import find, names
-from gms_flex_control.identification.smoothing import low_pass, noise_of
+from gms_flex_control.identification.smoothing import low_pass, low_pass_window, noise_of
 from gms_flex_control.simulation import plant
 import numpy as np
 
 _OF_TWIST = ('spring_offset', 'kinematic_error')  # errors of an angle that torque cannot tell
 _NOISE = 0.05            # of the usual torque: what noise of the link's inertia may amount to
 _BAND = (1.0, 20.0)      # of the low-pass that sees to it [Hz]
-_AVERAGES = 0.226        # half a window of identification.smoothing.low_pass, times its band
 
 
 class UnseenLink(NamedTuple):
@@ -34,14 +33,14 @@ class UnseenLink(NamedTuple):
 
 def unseen_links(recording, robot):
     """Return the flexible joints of which only the motor was recorded, tuple of UnseenLink."""
-    arm, found = robot.arm, []
+    arm, found, coupling = robot.arm, [], plant.constants_of(robot).chain.coupling
     for j in range(robot.n_joints):
         if (arm.rigid[j] or np.isfinite(recording.q_link[:, j]).any()
                 or not np.isfinite(recording.q_motor[:, j]).any()):
             continue
         stiffness, inertia = float(arm.stiffness[j]), float(arm.motor_inertia[j])
         noise = noise_of(recording.q_motor[:, j])
-        carried = plant.constants_of(robot).chain.coupling[j, j] * inertia / stiffness
+        carried = coupling[j, j] * inertia / stiffness
         found.append(UnseenLink(j, stiffness, inertia, _window(
             recording.period, noise, carried, _usual(recording, j))))
     return tuple(found)
@@ -63,7 +62,7 @@ def _window(period, noise, carried, torque):
     """
     density = 2.0 * noise ** 2 * period * (carried * (2.0 * np.pi) ** 4) ** 2
     band = (9.0 * (_NOISE * torque) ** 2 / density) ** (1.0 / 9.0)
-    return 2 * max(round(_AVERAGES / (np.clip(band, *_BAND) * period)), 1)
+    return low_pass_window(np.clip(band, *_BAND), period)
 
 
 def link_angle(motor, torque, bend, link):

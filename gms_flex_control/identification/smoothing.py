@@ -11,6 +11,7 @@ from scipy.signal import savgol_filter
 _ORDER = 3
 _SHORTEST, _LONGEST = 0.02, 0.4  # of a window [s]
 _TORQUE_NOISE = 0.02  # of the usual torque: what noise of the acceleration may amount to
+_BANDWIDTH = 0.226  # of four moving averages in a row, times the length of one
 _CUBIC_NOISE = np.sqrt(720.0)  # of a second derivative, times window^-2.5 and step^-2
 
 
@@ -75,7 +76,12 @@ def low_pass(values, window):
 
 def low_pass_bandwidth(window, period):
     """Return the frequency [Hz] at which `low_pass` has lost 3 dB."""
-    return 0.226 / (max(window // 2, 1) * period)
+    return _BANDWIDTH / (max(window // 2, 1) * period)
+
+
+def low_pass_window(bandwidth, period):
+    """Return the window whose `low_pass_bandwidth` is nearest to a frequency [Hz]."""
+    return 2 * max(round(_BANDWIDTH / (bandwidth * period)), 1)
 
 
 def derivatives(values, period, window):

@@ -7,7 +7,6 @@ import signal
 import time
 
 from gms_flex_control.nodes.faults.rigs import largest_torque, Loop, PLANT
-from gms_flex_control.nodes.faults.wire import stamp_of
 from gms_flex_control.nodes.messages import to_nanoseconds
 import numpy as np
 
@@ -70,10 +69,8 @@ def try_restarted_controller(bench, tries, tally):
         bench.until(lambda begin=begin: _pushed(loop, begin))
         tally.figure(_pushed(loop, begin)[0][0] - begin)
         loop.run(0.5)
-        states = [state for _, state in _pushed(loop, begin)]
-        end = to_nanoseconds(states[0].header.stamp) + _BEGINNING * 1e9
-        most = max(torque_of(state).max() for state in states
-                   if to_nanoseconds(state.header.stamp) < end)
+        most = first_torques([(to_nanoseconds(state.header.stamp), torque_of(state).max())
+                              for _, state in _pushed(loop, begin)])
         tally.expect(most <= GENTLE, f'it resumed with {most:.2g} N m')
         bench.until(loop.moves)
 
@@ -88,11 +85,10 @@ def _pushed(loop, begin):
     return [(when, state) for when, state in loop.states.since(begin) if torque_of(state).any()]
 
 
-def first_torques(timed):
-    """Return the largest torque in answer to the first states (their stamps count) [N m]."""
-    first = stamp_of(timed[0][1])
-    return largest_torque((when, command) for when, command in timed
-                          if stamp_of(command) < first + _BEGINNING * 1e9)
+def first_torques(stamped):
+    """Return the largest of (stamp [ns], torque [N m]) in which a motion begins [N m]."""
+    end = stamped[0][0] + _BEGINNING * 1e9
+    return max(torque for stamp, torque in stamped if stamp < end)
 
 
 def try_lost_reference(bench, tries, tally):

@@ -7,7 +7,7 @@ import time
 
 from gms_flex_control.nodes.faults.bench import REFERENCE
 from gms_flex_control.nodes.faults.lost_nodes import first_torques, GENTLE, zero_applied
-from gms_flex_control.nodes.faults.rigs import CONTROLLER, Loop, PERIOD
+from gms_flex_control.nodes.faults.rigs import CONTROLLER, largest_torque, Loop, PERIOD
 from gms_flex_control.nodes.faults.wire import stamp_of
 from gms_flex_control.nodes.messages import DERIVATIVE, ReferenceWriter
 import numpy as np
@@ -32,8 +32,8 @@ def try_two_trajectories(bench, tries, tally):
         resumed = time.monotonic()
         bench.until(loop.moves)
         loop.run(_TOGETHER)
-        pushes = [pair for pair in loop.commands.since(resumed) if any(pair[1].data)]
-        most = first_torques(pushes)
+        most = first_torques([(stamp_of(pair[1]), largest_torque([pair]))
+                              for pair in loop.commands.since(resumed) if any(pair[1].data)])
         tally.expect(most <= GENTLE, f'it resumed with {most:.2g} N m')
     tally.expect(loop.controller.runs and loop.plant.runs, 'a node has ended')
 
