@@ -18,7 +18,7 @@ def torque_rms(problem, robot, x, paths=None):
     squares, count = np.zeros(2 * n), 0
     constants = problem.constants(robot, x)
     for path, whitening, out in zip(paths or problem.paths, problem.whitenings,
-                                    problem.held_out_moments(), strict=True):
+                                    problem.moments_held_out, strict=True):
         rows = whitening.torque_rows(unexplained(path, constants))[out]
         squares += np.sum(rows ** 2, axis=0)
         count += len(rows)
@@ -27,16 +27,29 @@ def torque_rms(problem, robot, x, paths=None):
 
 def free_rms(problem, robot, x, paths=None):
     """Return by how much half-second runs from held-out moments stray, rms (n,) [rad]."""
-    constants, squares, count = problem.constants(robot, x), 0.0, 0
+    squares = _free_squares(problem, robot, x, paths)
+    return np.sqrt(np.sum(squares, axis=0) / max(len(squares), 1))
+
+
+def _free_squares(problem, robot, x, paths=None):
+    """Return the mean squares by which runs from held-out moments stray (S, n) [rad^2]."""
+    constants, squares = problem.constants(robot, x), []
     for path, whitening, out in zip(paths or problem.paths, problem.whitenings,
-                                    problem.held_out_moments(), strict=True):
+                                    problem.moments_held_out, strict=True):
         starts, link, motor = free_runs(path, constants)
         at = np.clip(np.searchsorted(whitening.time, starts - path.fine_time[0]), 0, len(out) - 1)
         kept = out[at]
         link, motor = np.clip(link[kept], -10.0, 10.0), np.clip(motor[kept], -10.0, 10.0)
-        squares = squares + np.sum(link ** 2 + motor ** 2, axis=(0, 1)) / 2.0
-        count += link.shape[0] * link.shape[1]
-    return np.sqrt(squares / max(count, 1))
+        squares.append(np.mean(link ** 2 + motor ** 2, axis=1) / 2.0)
+    return np.concatenate(squares)
+
+
+def _farther(before, after):
+    """Return by how many standard errors squares of runs (S, n) have grown."""
+    change = np.sum(after - before, axis=1)
+    if len(change) < 2 or not np.any(change):
+        return 0.0
+    return float(np.mean(change) / np.std(change, ddof=1) * np.sqrt(len(change)))
 
 
 def gap_of(problem, found):
@@ -62,13 +75,14 @@ def gap_of(problem, found):
     count = problem.level * problem.held_out.sum()
     above = [max(float(np.sum(problem.rows(model.robot, model.x)[problem.held_out] ** 2)) - count,
                  0.0) for model in (before, after)]
+    strays = [_free_squares(problem, model.robot, model.x) for model in (before, after)]
     return Gap(
         joints=problem.robot.joints,
         before=torque_rms(problem, problem.robot, zero),
         retuned=torque_rms(problem, before.robot, before.x),
         after=torque_rms(problem, after.robot, after.x),
         floor=torque_rms(problem, after.robot, after.x, clean),
-        free_before=free_rms(problem, before.robot, before.x),
-        free_after=free_rms(problem, after.robot, after.x),
+        free_before=np.sqrt(strays[0].mean(axis=0)), free_after=np.sqrt(strays[1].mean(axis=0)),
         free_floor=free_rms(problem, after.robot, after.x, clean),
-        energy_ratio=above[1] / above[0] if above[0] > 0.0 else 1.0)
+        energy_ratio=above[1] / above[0] if above[0] > 0.0 else 1.0,
+        free_farther=_farther(*strays))

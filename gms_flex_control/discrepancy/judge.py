@@ -10,10 +10,9 @@ an effect that known parameters or other effects can take the place of is none.
 
 from typing import NamedTuple
 
-from gms_flex_control.discrepancy.bounded import solve
 from gms_flex_control.discrepancy.fit import Fitted, numbers_of
 from gms_flex_control.discrepancy.result import Value
-from gms_flex_control.discrepancy.search import half_cost, limits, without
+from gms_flex_control.discrepancy.search import least_cost, without
 from gms_flex_control.effects.registry import find
 import numpy as np
 
@@ -73,19 +72,10 @@ def judged(problem, found, known):
         less, others = without(problem, model, found.columns, known, i)
         change = (less.rows - model.rows)[problem.fitted]
         torque = problem.torque_rms(less.robot, model.x, model.robot)
-        retuned = least(problem, less, others)
+        retuned = least_cost(problem, less, others)
         out.append(Judged(i, float(change @ change), max(retuned - model.cost, 0.0), torque, less,
                           others))
     return sorted(out, key=lambda one: -one.weight)
-
-
-def least(problem, model, columns):
-    """Return the least cost of a model with all its columns (C, R) re-tuned within bounds."""
-    used = columns[:, problem.fitted]
-    numbers = numbers_of(model.robot.effects, len(problem.robot.effects))
-    gram, slope = used @ used.T, problem.slope(columns, model.rows, model.robot, numbers)
-    step = solve(gram, slope, *limits(problem, model, len(columns)))
-    return model.cost + 2.0 * half_cost(gram, slope, step)
 
 
 def is_sure(one):
@@ -105,11 +95,8 @@ def values_of(problem, found, known, index):
     columns = found.columns[:, problem.fitted]
     scale = np.sqrt(np.maximum(np.sum(columns ** 2, axis=1), 1e-300))
     gram = (columns / scale[:, None]) @ (columns / scale[:, None]).T
-    prior = np.zeros(len(scale))
-    bound = np.maximum(problem.bound_of(model.robot), 1e-9)
-    prior[:knobs] = (bound * scale[:knobs]) ** -2 * 4.0
     level = max(np.mean(model.rows[problem.fitted] ** 2) / problem.level, 1.0)
-    variance = np.diag(np.linalg.pinv(gram + np.diag(prior), hermitian=True)) / scale ** 2 * level
+    variance = np.diag(np.linalg.pinv(gram, hermitian=True)) / scale ** 2 * level
     spec, out = model.robot.effects[index], []
     for k, parameter in enumerate(find(spec.name).parameters):
         value, half = spec.values[k], 0.0

@@ -22,6 +22,7 @@ BLOCK = 2.0           # of time that is held out or not as a whole [s]
 _HELD_OUT = 4         # one block in so many
 _KNOB_STEP = 0.01
 _RATIO_STEP = 0.1     # of a relative change that an effect is
+_OF_DOUBT = 2.0       # standard deviations of a known parameter that its doubt is
 _OF_MOTORS = 3.0      # times what an effect must explain where links are not seen
 
 
@@ -53,6 +54,7 @@ class Problem:
         base = plant.constants_of(robot)
         self.knobs = knobs_of(base, {name: min(doubt * share, MOST_DOUBT)
                                      for name, share in DOUBT.items()})
+        self._doubts = np.array([knob.doubt for knob in self.knobs])
         level = 0.5 * (robot.friction.forward.coulomb + robot.friction.backward.coulomb)
         self.floor = practical * np.tile(level, 2)
         self.pool = ThreadPoolExecutor(os.cpu_count() or 1)
@@ -64,20 +66,22 @@ class Problem:
         return np.concatenate([everywhere if self._at_rest else ~path.standing, everywhere],
                               axis=1)
 
-    def share_at_rest(self, rows):
-        """Return the share of the squares of rows (R,) that comes from links that stand."""
-        ends = np.cumsum([whitening.scale.size for whitening in self.whitenings])[:-1]
-        still = 0.0
-        for part, whitening, path in zip(np.split(rows, ends), self.whitenings, self.paths,
-                                         strict=True):
-            n = path.standing.shape[1]
+    def share_at_rest(self, robot, x):
+        """Return the share of the squares of a model's residual torque while links stand."""
+        still = whole = 0.0
+        constants = self.constants(robot, x)
+        for path, whitening in zip(self.paths, self.whitenings, strict=True):
+            square = whitening.torque_rows(unexplained(path, constants)) ** 2
             at = np.minimum((whitening.time / path.period).astype(int), len(path.standing) - 1)
-            still += np.sum(part.reshape(whitening.scale.shape)[:, :n][path.standing[at]] ** 2)
-        return float(still / max(np.sum(rows ** 2), 1e-300))
+            still += np.sum(square[:, :path.standing.shape[1]][path.standing[at]])
+            whole += np.sum(square)
+        return float(still / max(whole, 1e-300))
 
-    def _rows(self, paths, constants):
-        return np.concatenate([whitening.rows_of(unexplained(path, constants)).ravel()
-                               for path, whitening in zip(paths, self.whitenings, strict=True)])
+    def _rows(self, residuals, x=None):
+        """Return rows (R,) of residuals of each path, the last ones how far the knobs are moved."""
+        burden = np.zeros(len(self.knobs)) if x is None else _OF_DOUBT * x / self._doubts
+        return np.concatenate([*(whitening.rows_of(residual).ravel() for whitening, residual in
+                                 zip(self.whitenings, residuals, strict=True)), burden])
 
     def measure(self, robot, x):
         """Take the measure of rows from runs of a model in which nothing is missing."""
@@ -87,12 +91,12 @@ class Problem:
         residuals = list(self.pool.map(
             lambda run: [unexplained(path, constants) for path in run], runs))
         self.whitenings = [Whitening(np.stack(clean), path.period, self.floor,
-                                     self._seen(path))
+                                     self._seen(path), even=not self._at_rest)
                            for path, clean in zip(self.paths, zip(*residuals, strict=True),
                                                   strict=True)]
         self._divide()
-        clean = self._rows(runs[0], constants)
-        self.level = float(np.mean(clean[self.fitted] ** 2))
+        self.clean = np.stack([self._rows(run) for run in residuals])
+        self.level = float(np.mean(self.clean[0, self.fitted] ** 2))
         self._pair = runs[:2]
         self._noise = self._between(constants)
         self._attenuation = self.each(lambda i: self._noise_added(self.constants(
@@ -101,7 +105,8 @@ class Problem:
 
     def _between(self, constants):
         """Return how rows of two clean runs differ: what they share is motion, not noise."""
-        one, other = (self._rows(run, constants)[self.fitted] for run in self._pair)
+        one, other = (self._rows([unexplained(path, constants) for path in run])[self.fitted]
+                      for run in self._pair)
         return one - other
 
     def _noise_added(self, constants):
@@ -153,6 +158,8 @@ class Problem:
         other = Problem(paths, self.robot, self._practical, self._seed, self._doubt,
                         self._at_rest)
         other.held_out, other.fitted = other.held_out | other.fitted, other.fitted & False
+        other.held_out[-len(other.knobs):] = False
+        other.moments_held_out = [whitening.settled for whitening in other.whitenings]
         return other
 
     def level_of(self, joint):
@@ -163,15 +170,21 @@ class Problem:
 
     def _divide(self):
         """Set which rows are fitted and which held out, by blocks of time."""
-        blocks, count = [], 0
-        for whitening in self.whitenings:
-            block = count + (whitening.time / BLOCK).astype(int)
-            blocks.append(np.repeat(block, whitening.scale.shape[1]))
-            count = int(block[-1]) + 1
-        turn = min(_HELD_OUT, count)
-        out = np.concatenate(blocks) % turn == turn - 1
+        begin = np.cumsum([0, *(int(whitening.time[-1] / BLOCK) + 1
+                                for whitening in self.whitenings)])
+        turn = min(_HELD_OUT, begin[-1])
+
+        def is_out(first, time):
+            return (first + (time / BLOCK).astype(int)) % turn == turn - 1
+        pairs = list(zip(begin[:-1], self.whitenings, strict=True))
+        out = np.concatenate([np.repeat(is_out(first, whitening.row_time),
+                                        whitening.scale.shape[1]) for first, whitening in pairs])
         used = np.concatenate([whitening.scale.ravel() > 0.0 for whitening in self.whitenings])
-        self.fitted, self.held_out = used & ~out, used & out
+        others = np.ones(len(self.knobs), dtype=bool)
+        self.fitted = np.concatenate([used & ~out, others])
+        self.held_out = np.concatenate([used & out, ~others])
+        self.moments_held_out = [is_out(first, whitening.time) & whitening.settled
+                                 for first, whitening in pairs]
 
     @property
     def unseen(self):
@@ -186,13 +199,12 @@ class Problem:
     @property
     def clean_cost(self):
         """Return the cost of a run in which nothing is missing."""
-        return self.level * float(self.fitted.sum())
+        return self.level * self.unit_cost
 
-    def held_out_moments(self):
-        """Return which rows in time are held out, bool (S,) of each recording."""
-        ends = np.cumsum([whitening.scale.size for whitening in self.whitenings])[:-1]
-        return [part.reshape(whitening.scale.shape).any(axis=1) for part, whitening in
-                zip(np.split(self.held_out, ends), self.whitenings, strict=True)]
+    @property
+    def unit_cost(self):
+        """Return the cost of what noise makes and of what does not matter together."""
+        return float(self.fitted.sum())
 
     def cost(self, rows, robot, x):
         """
@@ -221,8 +233,13 @@ class Problem:
         return tuned(plant.constants_of(robot), self.knobs, x)
 
     def rows(self, robot, x):
-        """Return residuals of a model (R,) in units of what shows in a clean run."""
-        return self._rows(self.paths, self.constants(robot, x))
+        """
+        Return residuals of a model in units of what shows in a clean run, and its knobs' burden.
+
+        The latter, one row for each knob, is its change in units of half of its doubt.
+        """
+        constants = self.constants(robot, x)
+        return self._rows([unexplained(path, constants) for path in self.paths], x)
 
     def torque_rms(self, robot, x, other):
         """Return the rms by which two models' residual torques differ, of the larger channel."""

@@ -92,6 +92,9 @@ class Gap:
         Angle by which runs of half a second stray, rms [rad]; before is re-tuned.
     energy_ratio : float
         Squared residual above the floor, after over re-tuned.
+    free_farther : float
+        By how many standard errors of the mean of all runs their squares are larger after than
+        before; beside the rms, which one run that sticks or slips can make.
     closed_loop : ClosedLoop or None
         The closed loop of the recordings simulated anew; None where it was not asked for.
 
@@ -106,6 +109,7 @@ class Gap:
     free_after: np.ndarray
     free_floor: np.ndarray
     energy_ratio: float
+    free_farther: float = 0.0
     closed_loop: object = None
 
 
@@ -137,8 +141,8 @@ class Discrepancy:
     verdict : str
         'complete', 'effects_found', 'unexplained' or 'bad_data'.
     findings, minor, undecided : tuple of Finding
-        Effects that matter, the largest first; small ones; and small ones that these data hardly
-        tell from others, whose names are but one of several.
+        Effects that matter, the largest first; small ones; and, where there are many, those that
+        these data hardly tell from others, whose names are but one of several.
     unexplained : Signature or None
         What is left.
     gap : Gap or None

@@ -24,18 +24,24 @@ from gms_flex_control.params.robot import EffectSpec
 import numpy as np
 
 MOST = 20
-LEAST_GAIN = 150.0    # sum of squares of rows; see docs/discrepancy.md
+LEAST_GAIN = 60.0     # sum of squares of rows; see docs/discrepancy.md
+SURE_GAIN = 150.0     # likewise, however much else is left
 LEAST_SHARE = 0.01    # of what is still unexplained
-LEAST_PART = 3e-4     # of all that was missing at first
+LEAST_PART = 1e-5     # of all that was missing at first
+_OF_LITTLE = 0.1      # of what is left: a gain below SURE_GAIN must be as much
+_OF_ALL = 1e-3        # of all that was missing at first, likewise
+_OF_CHANCE = 4.0      # times what a hypothesis gains where nothing is missing
 _SHORTLIST = 3        # hypotheses that are fitted in full
 _AT_BOUND = 0.99      # of a knob's doubt: it can give no more
 _CLOSE = 0.5          # of the best gain
 _SIMPLER = 0.03       # of a gain: so much less is as good, with fewer numbers
+_EQUAL = 0.001        # of a gain: so much less is no difference
 _BETTER = 0.01        # likewise: so much more is better, with more numbers
 _ALL_NOISE = 0.5      # of the squares of a column of an unseen link: noise tells more than it
 _ROUNDS = 3           # of adding and exchanging
 _FEW = 3              # effects: one is looked for in the place of two
 _NEARLY = 0.95        # of what the two explain: what the one does at a first guess
+_PATIENT = 8          # iterations: one begins far from where it does what two did
 _LIKELY = 2           # ones that are fitted in full
 _EXACT = 12           # hypotheses whose gain is found within bounds
 
@@ -57,12 +63,14 @@ class Library:
         The rows.
     model : Fitted
         Where they are taken.
+    knobs : ndarray, shape (P, R)
+        Derivatives by what is known only nearly.
     without : collection of str
         Effects that are left out.
 
     """
 
-    def __init__(self, problem, model, without=()):
+    def __init__(self, problem, model, knobs, without=()):
         self._problem = problem
         self.guesses = all_guesses(problem, without,
                                    fine_orders(problem, model, HIGHEST_GUESSED))
@@ -76,6 +84,7 @@ class Library:
         self.columns = problem.each(column, jobs)
         self._noise = self._noise_of(jobs)
         self._places = np.cumsum([0, *(len(guess.probes) for _, _, guess in self.guesses)])
+        self._by_chance = self._gained_by_chance(knobs)
 
     def _noise_of(self, jobs):
         """Return what noise adds to the slope of each column."""
@@ -92,6 +101,20 @@ class Library:
         for name, joint in {jobs[i][:2] for i in np.flatnonzero(hidden)}:
             problem.forget_noise(name, joint)
         return np.where(hidden, 0.0, added)
+
+    def _gained_by_chance(self, knobs):
+        """Return what hypotheses gain in runs in which nothing is missing, the mean of each."""
+        problem = self._problem
+        gains = self._gains(knobs[:, problem.fitted], problem.clean[:, problem.fitted],
+                            problem.noise_in_slopes(problem.robot)).mean(axis=0)
+        by_chance = {}
+        for (name, joint, _), gain in zip(self.guesses, gains, strict=True):
+            by_chance[name, joint] = max(gain, by_chance.get((name, joint), 0.0))
+        return by_chance
+
+    def beyond_chance(self, one):
+        """Return what a Ranked gains beyond what it may gain where nothing is missing."""
+        return one.gain - _OF_CHANCE * self._by_chance[one.spec.name, one.spec.joint]
 
     def ranked(self, model, columns):
         """
@@ -120,7 +143,7 @@ class Library:
         free = np.ones(len(own), dtype=bool)
         free[:knobs] = np.abs(model.x) < _AT_BOUND * problem.bound_of(model.robot)
         noise = problem.noise_in_slopes(model.robot, numbers)
-        for i in self._promising(own[free], rows, noise[free])[:_EXACT]:
+        for i in np.argsort(-self._gains(own[free], rows, noise[free]))[:_EXACT]:
             name, joint, guess = self.guesses[i]
             value, coefficients = self._with(i, own, rows, gram, low, high, slope)
             gain = 2.0 * (before - value)
@@ -130,22 +153,22 @@ class Library:
                                                             values=values))
         return sorted(best.values(), key=lambda one: -one.gain)
 
-    def _promising(self, own, rows, noise):
-        """Return guesses by their gain without bounds, the best first."""
+    def _gains(self, own, rows, noise):
+        """Return what guesses gain where nothing is bounded (..., G), of rows (..., R)."""
         basis, root = np.linalg.qr(own.T)
-        left = rows - basis @ (basis.T @ rows)
+        left = rows - (rows @ basis) @ basis.T
         along = self.columns @ basis
         beside = self.columns - along @ basis.T
         whole = np.sum(self.columns ** 2, axis=1)
         shared = np.linalg.lstsq(root.T, noise, rcond=1e-10)[0]
-        right = beside @ left - (self._noise - along @ shared)
-        gains = np.zeros(len(self.guesses))
+        right = left @ beside.T - (self._noise - along @ shared)
+        gains = np.zeros((*rows.shape[:-1], len(self.guesses)))
         for i, (begin, end) in enumerate(zip(self._places[:-1], self._places[1:], strict=True)):
             gram = beside[begin:end] @ beside[begin:end].T
             if np.trace(gram) > 1e-6 * whole[begin:end].sum():
-                gains[i] = right[begin:end] @ np.linalg.lstsq(gram, right[begin:end],
-                                                              rcond=1e-10)[0]
-        return np.argsort(-gains)
+                mine = right[..., begin:end]
+                gains[..., i] = np.sum(mine @ np.linalg.pinv(gram, rcond=1e-10) * mine, axis=-1)
+        return gains
 
     def _with(self, i, own, rows, gram, low, high, slope):
         """Return half the cost with a guess, all within bounds, and its coefficients."""
@@ -172,6 +195,15 @@ def limits(problem, model, count):
 def half_cost(gram, slope, x):
     """Return half the cost at a step ``x`` (P,), from half the cost before."""
     return float(0.5 * x @ gram @ x - slope @ x)
+
+
+def least_cost(problem, model, columns):
+    """Return the least cost of a model with all its columns (C, R) re-tuned within bounds."""
+    used = columns[:, problem.fitted]
+    numbers = numbers_of(model.robot.effects, len(problem.robot.effects))
+    gram, slope = used @ used.T, problem.slope(columns, model.rows, model.robot, numbers)
+    step = solve(gram, slope, *limits(problem, model, len(columns)))
+    return model.cost + 2.0 * half_cost(gram, slope, step)
 
 
 class Found(NamedTuple):
@@ -207,7 +239,7 @@ def search(problem, *, most=MOST, without=(), say=lambda text: None):
     x, rows, knobs = problem.retuned(problem.robot, np.zeros(len(problem.knobs)))
     before = Fitted(problem.robot, x, rows, problem.cost(rows, problem.robot, x))
     say('every effect along the motion')
-    hunt = _Hunt(problem, before, knobs, Library(problem, before, without), say)
+    hunt = _Hunt(problem, before, knobs, Library(problem, before, knobs, without), say)
     for _ in range(_ROUNDS):
         grown = hunt.grow(most)
         if not hunt.exchange() and not grown:
@@ -222,7 +254,7 @@ class _Hunt:
     def __init__(self, problem, model, knobs, library, say):
         self._problem, self.model, self._knobs, self.library = problem, model, knobs, library
         self._known, self._say = len(model.robot.effects), say
-        self._gain = LEAST_GAIN * problem.caution
+        self._gain = SURE_GAIN * problem.caution
         self.columns, self.first, self._begun = knobs, (), model.cost
 
     def grow(self, most):
@@ -231,8 +263,9 @@ class _Hunt:
         while len(self.model.robot.effects) - self._known < most:
             ranked = self.library.ranked(self.model, self.columns)
             self.first = self.first or tuple(ranked)
-            ranked = [one for one in ranked if may_join(one.spec, self.model.robot)]
-            if not ranked or ranked[0].gain < self._least():
+            ranked = [one for one in ranked if may_join(one.spec, self.model.robot)
+                      and self.library.beyond_chance(one) >= self._least()]
+            if not ranked:
                 break
             added = self._best_added(ranked)
             if self.model.cost - added.cost < self._least():
@@ -279,11 +312,11 @@ class _Hunt:
     def _merged(self, i, k):
         problem, model = self._problem, self.model
         less, columns = without(problem, model, self.columns, self._known, i, k)
-        least = _NEARLY * (less.cost - model.cost)
+        least = _NEARLY * (least_cost(problem, less, columns) - model.cost)
         for one in self.library.ranked(less, columns)[:_LIKELY]:
             if one.gain < least or not may_join(one.spec, less.robot):
                 continue
-            other = self._fit_last(with_effect(less.robot, one.spec))
+            other = self._fit_last(with_effect(less.robot, one.spec), iterations=_PATIENT)
             if other.cost < model.cost + self._gain:
                 self._say(f'{one.spec.name} instead of two')
                 self._take(other)
@@ -291,24 +324,38 @@ class _Hunt:
         return False
 
     def _least(self):
-        clean = self._problem.clean_cost
-        return max(self._gain, LEAST_SHARE * (self.model.cost - clean),
-                   LEAST_PART * (self._begun - clean))
+        left = self.model.cost - self._problem.clean_cost
+        begun = self._begun - self._problem.clean_cost
+        small = np.clip(max(_OF_LITTLE * left, _OF_ALL * begun), LEAST_GAIN, SURE_GAIN)
+        return max(self._gain if self._problem.unseen else small, LEAST_SHARE * left,
+                   LEAST_PART * begun)
 
-    def _fit_last(self, robot):
+    def _fit_last(self, robot, iterations=1):
         """Return a robot with its last effect fitted, then with all of them."""
         problem, x = self._problem, self.model.x
         fitted = fit(problem, robot, x, self._knobs, first=len(robot.effects) - 1)
-        return fit(problem, fitted.robot, fitted.x, self._knobs, first=self._known, iterations=1)
+        return fit(problem, fitted.robot, fitted.x, self._knobs, first=self._known, iterations=iterations)
 
     def _best_added(self, ranked):
-        """Return the best of few hypotheses fitted in full, the simplest of those alike."""
+        """
+        Return the best of few hypotheses fitted in full, the simplest of those alike.
+
+        Of those that differ by nothing, the one that asks least of what is known.
+        """
         model = self.model
         close = [one for one in ranked[:_SHORTLIST] if one.gain > _CLOSE * ranked[0].gain]
         fits = [self._added(one) for one in close]
         best = model.cost - min(one.cost for one in fits)
         alike = [one for one in fits if model.cost - one.cost >= best - _SIMPLER * abs(best)]
-        return min(alike, key=lambda one: (_size(one.robot.effects[-1]), one.cost))
+        fewest = min(_size(one.robot.effects[-1]) for one in alike)
+        alike = [one for one in alike if _size(one.robot.effects[-1]) == fewest]
+        least = min(one.cost for one in alike) + _EQUAL * abs(best)
+        return min((one for one in alike if one.cost <= least), key=self._burden)
+
+    def _burden(self, model):
+        """Return how far known parameters have to move for a model, squares of their doubt."""
+        bound = self._problem.bound_of(model.robot)
+        return float(np.sum((model.x[bound > 0.0] / bound[bound > 0.0]) ** 2))
 
     def _added(self, one):
         """Return the model with a hypothesis fitted, all re-tuned where it alone is not it."""

@@ -5,11 +5,14 @@
 The measure of residuals: how far beyond what shows where nothing is missing.
 
 Residuals of all equations are seen together, frequency by frequency, through the inverse root of
-the spectral matrix they have in runs in which nothing is missing, and then moment by moment at
-the scale they have there: at a reversal, where an encoder count hides the load of the blocks,
-they count little. The rows that come out are all alike, about normal, and few.
+the spectral matrix they have in runs in which nothing is missing, and then octave by octave and
+moment by moment at the scale they have there. While a link stands, friction that slowly changes
+is hidden by encoder counts, and in motion it is not: slow rows count little in the one and much
+in the other, and quick ones alike in both. The rows that come out are all alike, about normal,
+and few.
 """
 
+from gms_flex_control.discrepancy.octaves import Octaves
 import numpy as np
 from scipy.ndimage import minimum_filter1d, uniform_filter1d
 
@@ -17,7 +20,9 @@ HIGHEST = 20.0        # frequency that is looked at [Hz]
 TORQUE_BAND = 8.0     # up to which torques are told [Hz]
 _EDGE = 0.5           # at both ends, where filters are not settled [s]
 _BINS = 1.0           # Hz, over which a spectrum is taken as even
-_MOMENT = 0.15        # s, over which the scale in time is taken as even
+_OCTAVES = 4          # below HIGHEST; the rest is slow
+_MOMENT = 0.3         # s, over which the scale in time is taken as even
+_FEWEST = 3           # rows of an octave, likewise
 _RAMP = 0.1           # s, from where an equation tells nothing to where it does
 
 
@@ -35,15 +40,18 @@ class Whitening:
         Torque below which nothing matters, as white noise up to ``HIGHEST`` [N m].
     seen : ndarray, shape (T, C)
         Where an equation tells something, bool.
+    even : bool
+        Whether noise is taken as even in time.
 
     """
 
-    def __init__(self, clean, period, floor, seen):
+    def __init__(self, clean, period, floor, seen, even=False):
         self._samples = clean.shape[1]
-        length = self._samples * period
-        self._bins = min(int(HIGHEST * length), self._samples // 2)
-        self._rows = 2 * self._bins
+        length, step = self._samples * period, 1 << _OCTAVES
+        self._rows = max(2 * min(int(HIGHEST * length), self._samples // 2) // step, 1) * step
+        self._bins = self._rows // 2
         self.row_period = length / self._rows
+        self._octaves = Octaves(self._rows, _OCTAVES)
         ramp = max(round(_RAMP / period), 1)
         self._window = _taper(self._samples, round(_EDGE / period))[:, None] * uniform_filter1d(
             minimum_filter1d(seen.astype(float), ramp, axis=0), ramp, axis=0)
@@ -52,38 +60,44 @@ class Whitening:
         power = np.einsum('rfc,rfd->fcd', spectra, spectra.conj()) / len(clean)
         power = uniform_filter1d(power.real, width, axis=0, mode='nearest') + 1j * \
             uniform_filter1d(power.imag, width, axis=0, mode='nearest')
-        white = floor ** 2 * self._samples ** 2 / (2.0 * self._bins)
-        power = power + np.diag(np.maximum(white, 1e-30))
-        self._roots = np.linalg.inv(np.linalg.cholesky(power))
+        white = np.maximum(floor ** 2 * self._samples ** 2 / (2.0 * self._bins), 1e-30)
+        self._roots = np.linalg.inv(np.linalg.cholesky(power + np.diag(white)))
         self.time = self.row_period * np.arange(self._rows)
-        self.scale = self._scale_of(clean, seen[np.minimum(
-            (self.time / period).astype(int), self._samples - 1)])
+        self.settled = self._away_from_ends(self.time)
+        self.row_time = self.row_period * self._octaves.time
+        self.scale = np.ones((self._rows, clean.shape[2]))
+        tells = (self._away_from_ends(self.row_time)[:, None] & np.any(clean, axis=(0, 1)) & seen[
+            np.minimum((self.row_time / period).astype(int), self._samples - 1)])
+        self.scale = np.where(tells, 1.0 if even else self._evening(clean, white), 0.0)
 
-    def _scale_of(self, clean, seen):
-        """Return what makes rows even in time (S, C), zero where they tell nothing."""
-        self.scale = np.ones(seen.shape)
-        rows = np.stack([self.rows_of(one) for one in clean])
-        width = max(round(_MOMENT / self.row_period), 1)
-        square = uniform_filter1d(np.mean(rows ** 2, axis=0), width, axis=0, mode='nearest')
-        usual = np.array([np.median(column[there]) if there.any() else 0.0
-                          for column, there in zip(square.T, seen.T, strict=True)])
-        used = usual > 1e-12  # a rigid joint has no motor equation
-        scale = used * seen / np.sqrt(np.maximum(square, np.where(used, 0.25 * usual, 1.0)))
-        edge = round(_EDGE / self.row_period)
-        scale[:edge] = scale[-edge:] = 0.0
-        return scale
+    def _evening(self, clean, white):
+        """Return what makes rows even in time (S, C)."""
+        square = np.mean([self.rows_of(one) ** 2 for one in clean], axis=0)
+        of_floor = self._octaves.spread(self._both_sides(
+            np.sum(np.abs(self._roots) ** 2 * white, axis=2)))
+        for part, spacing, least in zip(self._octaves.parts, self._octaves.spacings, of_floor,
+                                        strict=True):
+            width = max(round(_MOMENT / self.row_period / spacing), _FEWEST)
+            square[part] = least + uniform_filter1d(square[part], width, axis=0, mode='nearest')
+        return 1.0 / np.sqrt(square)
+
+    def _away_from_ends(self, time):
+        return (time >= _EDGE) & (time <= self.time[-1] - _EDGE)
+
+    def _both_sides(self, spectrum):
+        """Return a spectrum (F, C) with its negative frequencies (S, C)."""
+        out = np.zeros((self._rows, spectrum.shape[1]), dtype=spectrum.dtype)
+        out[:self._bins], out[self._bins + 1:] = spectrum, spectrum[:0:-1].conj()
+        out[0] = spectrum[0].real
+        return out
 
     def _spectra(self, residuals):
         return np.fft.rfft(residuals * self._window, axis=-2)[..., :self._bins, :]
 
     def rows_of(self, residual):
-        """Return rows (S, C) of unit variance of residuals (T, C) [N m]."""
+        """Return rows (S, C) of unit variance of residuals (T, C) [N m], see `row_time`."""
         white = np.einsum('fcd,fd->fc', self._roots, self._spectra(residual))
-        white[0] = white[0].real
-        padded = np.zeros((self._bins + 1, white.shape[1]), dtype=complex)
-        padded[:-1] = white
-        rows = np.fft.irfft(padded, self._rows, axis=0) * np.sqrt(self._rows)
-        return rows * self.scale
+        return self._octaves(self._both_sides(white)) * np.sqrt(self._rows) * self.scale
 
     def torque_rows(self, residual):
         """Return residuals (T, C) behind a low-pass alone, at the times of the rows [N m]."""

@@ -33,7 +33,7 @@ from gms_flex_control.errors import SimulationError
 from gms_flex_control.identification.checks import check
 import numpy as np
 
-_AT_REST = 0.2        # of what is left: so much of it while links stand may be friction
+_AT_REST = 0.25       # of what is left: so much of it while links stand may be friction
 _UNSURE = 2.0         # times what matters, for an effect that may be another
 _UNEXPECTED = 4.0     # times the loss that was foreseen: an effect is taken back
 DETECTED = 1.3        # times the clean level: below, nothing is missing
@@ -83,9 +83,10 @@ class Options:
 _NOISE_DOUBT = 0.15   # by which the level of a clean run may be wrong
 _NEARLY_ALL = 0.2     # of held-out torque: less is left of it
 _AS_FAR = 1.02        # of squared free runs
-_GOOD_DEAL = ((0.95, 0.3), (_NEARLY_ALL, 1.1))  # of torque and stray squared, after / before
+_GOOD_DEAL = ((0.95, 0.3), (0.35, 0.95), (_NEARLY_ALL, 1.1))  # of torque and stray squared
 _CHANCE = 1.1         # of held-out torque, where an effect acts seldom
-_NO_WORSE = 1.6       # of squared free runs, whose starts are only nearly known
+_NO_WORSE = 1.7       # of squared free runs, whose starts are only nearly known
+_SIGNIFICANT = 2.0    # standard errors of the mean of free runs
 _FLOOR = 1.0 / 6.0    # of the practical torque: what rows are measured by
 
 
@@ -130,7 +131,8 @@ def discrepancy(recordings, robot, options=None, *, holdout=(), say=lambda text:
     paths = [path_of(recording, robot) for recording in recordings]
     result = _searched(paths, robot, options, holdout, True, say)
     problem, found = result.found
-    if result.verdict == UNEXPLAINED and problem.share_at_rest(found.model.rows) > _AT_REST:
+    if result.verdict == UNEXPLAINED and problem.share_at_rest(
+            found.model.robot, found.model.x) > _AT_REST:
         say('once more, in motion alone')
         moving = _searched(paths, robot, options, holdout, False, say)
         if moving.verdict == FOUND:
@@ -154,7 +156,7 @@ def _searched(paths, robot, options, holdout, at_rest, say):
 
 def pruned(problem, found, known):
     """Return the search's end without effects that something else could be, and the Judged."""
-    doubtful = max(DOUBTFUL * missing(problem, found.model.cost) * problem.clean_cost,
+    doubtful = max(DOUBTFUL * missing(problem, found.model.cost) * problem.unit_cost,
                    LEAST_GAIN * problem.caution)
     kept = set()
     while True:
@@ -178,8 +180,8 @@ def _name(found, one):
 
 
 def missing(problem, cost):
-    """Return how far the cost of a model is above that of a clean run, in units of the latter."""
-    return cost / problem.clean_cost - 1.0
+    """Return how far the cost of a model is above that of a clean run, in `Problem.unit_cost`."""
+    return (cost - problem.clean_cost) / problem.unit_cost
 
 
 def helps(gap, much, strictly=False):
@@ -187,10 +189,11 @@ def helps(gap, much, strictly=False):
     Return whether effects help on data held out.
 
     Neither torque nor free runs may be worse; torque may be a little worse by chance where an
-    effect acts seldom, as an end stop does, and free runs where torque is nearly explained. Asked
-    to help ``much`` they must do more: free runs stray far less, or torque is nearly explained
-    and they stray no farther, as with an error of an encoder, which moves nothing. ``strictly``,
-    free runs must not stray farther at all: where links are not seen nothing else speaks for them.
+    effect acts seldom, as an end stop does, and free runs where torque is nearly explained or
+    where it is but few of them that stray farther. Asked to help ``much`` they must do more: free
+    runs stray far less, or torque is explained for the better part and they stray no farther, as
+    with an error of an encoder, which moves nothing. ``strictly``, free runs must not stray
+    farther at all: where links are not seen nothing else speaks for them.
     """
     before, after = (float(np.sum(errors ** 2)) for errors in (gap.free_before, gap.free_after))
     torque, stray = gap.energy_ratio, after / max(before, 1e-300)
@@ -198,7 +201,8 @@ def helps(gap, much, strictly=False):
         return False
     if much:
         return any(torque < most and stray < farthest for most, farthest in _GOOD_DEAL)
-    farthest = _NO_WORSE if torque < _NEARLY_ALL else _AS_FAR
+    by_few = gap.free_farther < _SIGNIFICANT
+    farthest = _NO_WORSE if torque < _NEARLY_ALL or by_few else _AS_FAR
     return min(torque, stray) < 1.0 and torque < _CHANCE and stray < farthest
 
 
@@ -241,31 +245,43 @@ def _told(problem, found, entries, known, options, holdout, say):
     tried = tuple(Tried(one.spec.name, one.spec.joint, one.gain) for one in found.first)
     slack = (DETECTED - 1.0) * problem.caution
     left = max(after - _NOISE_DOUBT, 0.0) / before if before > slack else 0.0
-    whole = max(before * problem.clean_cost, 1e-12)
+    whole = max(before * problem.unit_cost, 1e-12)
     say('the gap on data held out')
     measured = _measured_on(problem, holdout)
     found, entries, gap = _added(problem, found, known, _choices(entries, left, whole), measured)
     largest = max((one.alone for one in entries), default=0.0)
     findings = [_finding(problem, measured, found, known, one, whole, largest, options)
                 for one in entries]
-    sure = {id(finding) for finding, one in zip(findings, entries, strict=True)
-            if len(findings) <= FEW or judge.is_sure(one) and not finding.confusable_with}
+    main, minor, undecided = _grouped(findings, entries)
     left_over = None
     if left > EXPLAINED if findings else _matters(problem, gap, before, options.practical):
         left_over = signature_of(problem, found.model, min(max(missing(
             problem, found.model.cost), 0.0) / max(before, 1e-12), 1.0))
-    small = [finding for finding in findings if not finding.main]
     verdict = FOUND if findings else UNEXPLAINED if left_over else COMPLETE
     retuned = tuple((knob.name, problem.robot.joints[knob.joint] if knob.joint >= 0 else 'arm',
                      float(value)) for knob, value in zip(problem.knobs, found.model.x,
                                                           strict=True))
     result = Discrepancy(
-        verdict=verdict, findings=tuple(finding for finding in findings if finding.main),
-        minor=tuple(finding for finding in small if id(finding) in sure),
-        undecided=tuple(finding for finding in small if id(finding) not in sure),
+        verdict=verdict, findings=main, minor=minor, undecided=undecided,
         unexplained=left_over, gap=gap, tried=tried, retuned=retuned, found=(problem, found),
         robot=with_knobs(found.model.robot, problem.knobs, found.model.x))
     return replace(result, words=paragraph(result))
+
+
+def _grouped(findings, entries):
+    """
+    Return findings that are named, small ones, and those whose names are one of several; tuples.
+
+    Among many, an effect that these data tell from no other is named only if it is the largest.
+    """
+    groups, few = ([], [], []), len(findings) <= FEW
+    for finding, one in zip(findings, entries, strict=True):
+        named = few or not finding.confusable_with
+        if finding.main:
+            groups[0 if named or not groups[0] else 2].append(finding)
+        else:
+            groups[1 if few or named and judge.is_sure(one) else 2].append(finding)
+    return tuple(tuple(group) for group in groups)
 
 
 def _matters(problem, gap, before, practical):

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from gms_flex_control.effects import registry
 from gms_flex_control.errors import ConfigError, SimulationError
 from gms_flex_control.hidden import motions, outsiders, plants, sizes, truth
+from gms_flex_control.hidden.dominance import Torques
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.robot import RobotParams
 from gms_flex_control.recording import Recording
@@ -17,6 +18,7 @@ import numpy as np
 KINDS = ('single', 'clean', 'double', 'outside', 'clutter', 'deleted')
 PERIOD, DURATION = 2e-3, 60.0
 CLUTTER, CLUTTER_SIZE = 14, (0.01, 0.03)  # how many small effects, of how much of F_s
+_DOMINANT = 1.5       # times the torque of each small one
 _TRIES, _SOFTER = 20, 0.8  # of draws, and what each takes off the gains of the motor law
 # beyond these nobody would record the robot: from the reference, rms [rad]; time at the limit
 _FARTHEST, _LIMITED = 0.6, 0.01
@@ -154,8 +156,8 @@ def _draw(rng, kind, seed, motion, plant, duration, effect, softer):
     nominal = plants.draw_belief(rng, robot)
     references = [motions.draw_reference(rng, motion, plant, time) for _ in range(2)]
     seeds = rng.integers(2 ** 31, size=3)
-    figures = sizes.figures_of(robot, _driven(
-        robot, nominal, gains, references[0], seeds[2]), PERIOD)
+    bare = _driven(robot, nominal, gains, references[0], seeds[2])
+    figures = sizes.figures_of(robot, bare, PERIOD)
     effects, disturbances = (), (None, None)
     if kind == 'outside':
         name = effect or outsiders.NAMES[seed % len(outsiders.NAMES)]
@@ -165,7 +167,13 @@ def _draw(rng, kind, seed, motion, plant, duration, effect, softer):
             drawn=outsiders.draw_course(rng, name, len(time), PERIOD))
     elif kind != 'clean':
         effects = _main_effects(rng, 2 if kind == 'double' else 1, seed, robot, figures, effect)
-    clutter = _clutter(rng, effects, robot, figures) if kind == 'clutter' else ()
+    clutter = ()
+    if kind == 'clutter':
+        clutter = _clutter(rng, effects, robot, figures)
+        torques = Torques(_recording(bare, references[0], time, robot, False, 'without effects',
+                                     None), robot)
+        others = (effect,) if effect else available_effects()
+        effects = _dominant(rng, effects[0], clutter, robot, figures, torques, others)
     robot = replace(robot, effects=effects + clutter)
     with_rates = rng.random() < 0.5
     recordings = []
@@ -208,6 +216,24 @@ def _main_effects(rng, count, seed, robot, figures, effect):
 def _main(rng, name, robot, figures):
     joint = sizes.place(rng, name, robot.joints)
     return sizes.spec(name, joint, robot.joints, sizes.MAIN[name](rng, figures[joint]))
+
+
+def _dominant(rng, main, clutter, robot, figures, torques, others):
+    """
+    Return the ``main`` effect alone in a tuple, with a size at which it is the dominant one.
+
+    Where its usual sizes are too small on such a robot, one of ``others`` is drawn.
+    """
+    least = _DOMINANT * max(torques.of(spec) for spec in clutter)
+    small = {spec.name for spec in clutter}
+    others = [name for name in others if name not in small]
+    for _ in range(_TRIES):
+        for _ in range(_TRIES):
+            if torques.of(main) >= least:
+                return (main,)
+            main = _main(rng, main.name, robot, figures)
+        main = _main(rng, str(rng.choice(others)), robot, figures)
+    raise SimulationError(f'{main.name} is not larger than the small effects')
 
 
 def _clutter(rng, effects, robot, figures):

@@ -198,7 +198,7 @@ def _add_residuals(report, along, found, picture):
                  [(*row[:3], *(f'{100.0 * share:.0f} %' for share in row[3:])) for row in rows],
                  'Share of the residual that is a function of one variable alone: known '
                  'parameters re-tuned, with the effects found, and in a run of the model itself')
-    time, split = _first_times(along), along.problem.whitenings[0].scale.any(axis=1).sum()
+    time, split = _first_times(along), along.problem.whitenings[0].settled.sum()
     scale = torque_scale(before[:split])
     for j, joint in enumerate(along.joints):
         for equation, column in along.channels(j):
@@ -210,7 +210,7 @@ def _add_residuals(report, along, found, picture):
 
 def _first_times(along):
     whitening = along.problem.whitenings[0]
-    return whitening.time[whitening.scale.any(axis=1)]
+    return whitening.time[whitening.settled]
 
 
 def _add_free_runs(report, problem, found, holdout):

@@ -140,7 +140,7 @@ def _comment(result):
              f'{", ".join(result.sources)}.', f'Verdict: {result.verdict}.']
     for heading, findings in (('Effects that were missing', result.findings),
                               ('Small effects', result.minor),
-                              ('Small effects that these data hardly tell from others',
+                              ('Effects that these data hardly tell from others',
                                result.undecided)):
         if findings:
             lines.append(f'{heading}: ' + '; '.join(named(one) for one in findings) + '.')

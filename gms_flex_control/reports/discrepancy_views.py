@@ -92,7 +92,7 @@ class Along:
     def __init__(self, problem):
         self.problem = problem
         self.joints = problem.robot.joints
-        self._kept = [whitening.scale.any(axis=1) for whitening in problem.whitenings]
+        self._kept = [whitening.settled for whitening in problem.whitenings]
         self._variables = {}
 
     def residual(self, robot, x, paths=None):
