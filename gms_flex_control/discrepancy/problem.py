@@ -78,7 +78,7 @@ class Problem:
         return float(still / max(whole, 1e-300))
 
     def _rows(self, residuals, x=None):
-        """Return rows (R,) of residuals of each path, the last ones how far the knobs are moved."""
+        """Return rows (R,) of residuals of each path, then how far each knob is moved."""
         burden = np.zeros(len(self.knobs)) if x is None else _OF_DOUBT * x / self._doubts
         return np.concatenate([*(whitening.rows_of(residual).ravel() for whitening, residual in
                                  zip(self.whitenings, residuals, strict=True)), burden])

@@ -37,7 +37,7 @@ _CLOSE = 0.5          # of the best gain
 _SIMPLER = 0.03       # of a gain: so much less is as good, with fewer numbers
 _EQUAL = 0.001        # of a gain: so much less is no difference
 _BETTER = 0.01        # likewise: so much more is better, with more numbers
-_ALL_NOISE = 0.5      # of the squares of a column of an unseen link: noise tells more than it
+_ALL_NOISE = 0.5      # of the squares of a column: noise tells more than it
 _ROUNDS = 3           # of adding and exchanging
 _FEW = 3              # effects: one is looked for in the place of two
 _NEARLY = 0.95        # of what the two explain: what the one does at a first guess
@@ -97,7 +97,6 @@ class Library:
         added = np.array([problem.noise_of(EffectSpec(name=name, joint=joint, values=values))
                           @ values for name, joint, values in jobs])
         hidden = np.abs(added) > _ALL_NOISE * np.sum(self.columns ** 2, axis=1)
-        hidden &= [joint in problem.unseen for _, joint, _ in jobs]
         for name, joint in {jobs[i][:2] for i in np.flatnonzero(hidden)}:
             problem.forget_noise(name, joint)
         return np.where(hidden, 0.0, added)
@@ -334,7 +333,8 @@ class _Hunt:
         """Return a robot with its last effect fitted, then with all of them."""
         problem, x = self._problem, self.model.x
         fitted = fit(problem, robot, x, self._knobs, first=len(robot.effects) - 1)
-        return fit(problem, fitted.robot, fitted.x, self._knobs, first=self._known, iterations=iterations)
+        return fit(problem, fitted.robot, fitted.x, self._knobs, first=self._known,
+                   iterations=iterations)
 
     def _best_added(self, ranked):
         """
