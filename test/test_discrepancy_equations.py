@@ -8,6 +8,7 @@ from dataclasses import replace
 from core_runs import single_axis
 from gms_flex_control.discrepancy import equations
 from gms_flex_control.discrepancy.bounded import solve
+from gms_flex_control.discrepancy.fit import Fitted
 from gms_flex_control.discrepancy.guesses import all_guesses
 from gms_flex_control.discrepancy.known import DOUBT, knobs_of, tuned
 from gms_flex_control.discrepancy.path import make_path, standing
@@ -15,6 +16,7 @@ from gms_flex_control.discrepancy.problem import Problem, with_effect
 from gms_flex_control.discrepancy.residuals import fresh_state, unexplained
 from gms_flex_control.discrepancy.retrace import retrace
 from gms_flex_control.discrepancy.retuned import with_knobs
+from gms_flex_control.discrepancy.search import LEAST_GAIN, Library
 from gms_flex_control.discrepancy.units import torque_scale
 from gms_flex_control.discrepancy.whitening import Whitening
 from gms_flex_control.dynamics import chain
@@ -400,3 +402,28 @@ def test_the_same_robot_costs_the_same_however_it_is_said(robot, gains, name, kn
     noise = abs(2.0 * problem.noise_in_slopes(robot)[index] * x[index])
     assert noise > 1.0
     assert problem.cost(rows, same, x) == pytest.approx(plain, abs=0.1 * noise)
+
+
+def test_what_a_hypothesis_gains_by_chance_is_taken_off(problem):
+    """Of the clean runs themselves no hypothesis is left with what would be added."""
+    x, rows, knobs = problem.retuned(problem.robot, np.zeros(len(problem.knobs)))
+    model = Fitted(problem.robot, x, rows, problem.cost(rows, problem.robot, x))
+    library = Library(problem, model, knobs)
+    ranked = library.ranked(model, knobs)
+    assert all(library.beyond_chance(one) <= one.gain for one in ranked)
+    for clean in problem.clean:
+        again = Fitted(problem.robot, 0.0 * x, clean, problem.cost(clean, problem.robot, 0.0 * x))
+        for one in library.ranked(again, knobs):
+            assert library.beyond_chance(one) < LEAST_GAIN
+
+
+def test_known_parameters_stay_where_data_do_not_tell(problem):
+    """The cost of a move by its whole doubt is four, two standard deviations squared."""
+    x = np.zeros(len(problem.knobs))
+    rows = problem.rows(problem.robot, x)
+    x[2] = problem.knobs[2].doubt
+    moved = problem.rows(problem.robot, x)
+    count = len(x)
+    assert not np.any(rows[-count:])
+    assert np.sum(moved[-count:] ** 2) == pytest.approx(4.0)
+    assert problem.fitted[-count:].all() and not problem.held_out[-count:].any()

@@ -165,6 +165,9 @@ def test_the_sets_hold_as_many_as_are_asked():
     assert count['double'] >= 60 and count['outside'] >= 40
     assert len({job.key for job in jobs}) == len(jobs)
     assert len({job.kind for job in jobs[:30]}) >= 5
+    half = jobs_of('full', 0.5)
+    assert half == jobs[:len(half)] and abs(len(half) - 0.5 * len(jobs)) < 1.0
+    assert abs(sum(job.kind == 'clean' for job in half) - 30) <= 1
 
 
 def test_a_killed_run_goes_on_with_what_is_missing(tmp_path):
@@ -249,7 +252,9 @@ def test_score_prints_what_the_journal_holds(tmp_path, capsys):
 
 @pytest.mark.parametrize(('args', 'sentence'), [
     (['--kind', 'singel'], "did you mean 'single'?"), (['--set', 'huge'], 'known: full, quick'),
-    (['--workers', '0'], 'at least one'), (['--kind', 'single', '--plant', 'x'], 'soft, stiff')])
+    (['--workers', '0'], 'at least one'), (['--share', '0'], 'more than 0, at most 1'),
+    (['--share', 'nan'], 'more than 0, at most 1'),
+    (['--kind', 'single', '--plant', 'x'], 'soft, stiff')])
 def test_what_score_cannot_do_is_refused(tmp_path, capsys, args, sentence):
     assert main(['score', '--out', str(tmp_path), *args]) == 2
     assert sentence in capsys.readouterr().err

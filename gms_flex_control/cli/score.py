@@ -20,6 +20,9 @@ def add_parser(subparsers):
                     'misses what is required.')
     parser.add_argument('--set', default='quick', metavar='NAME', dest='chosen',
                         help='full (about 780 robots) or quick (92); default: quick')
+    parser.add_argument('--share', type=float, default=1.0, metavar='PART',
+                        help='of a set: only so much of it, from its beginning; kinds are mixed '
+                             'evenly (default: %(default)g)')
     parser.add_argument('--kind', nargs='+', metavar='KIND',
                         help='instead of a set: kinds of hidden robots, with --seeds')
     parser.add_argument('--seeds', default='0:10', metavar='A:B',
@@ -68,7 +71,7 @@ def jobs_asked(args):
     from gms_flex_control.hidden.plants import PLANTS
 
     if not args.kind:
-        return jobs_of(args.chosen)
+        return jobs_of(args.chosen, args.share)
     for kind in args.kind:
         require_known('kind', kind, KINDS)
     require_known('motion', args.motion, MOTIONS)

@@ -44,7 +44,7 @@ def _free_squares(problem, robot, x, paths=None):
     return np.concatenate(squares)
 
 
-def _farther(before, after):
+def farther(before, after):
     """Return by how many standard errors squares of runs (S, n) have grown."""
     change = np.sum(after - before, axis=1)
     if len(change) < 2 or not np.any(change):
@@ -85,4 +85,4 @@ def gap_of(problem, found):
         free_before=np.sqrt(strays[0].mean(axis=0)), free_after=np.sqrt(strays[1].mean(axis=0)),
         free_floor=free_rms(problem, after.robot, after.x, clean),
         energy_ratio=above[1] / above[0] if above[0] > 0.0 else 1.0,
-        free_farther=_farther(*strays))
+        free_farther=farther(*strays))

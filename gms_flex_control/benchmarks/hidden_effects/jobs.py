@@ -39,7 +39,7 @@ SETS = {
 }
 
 
-def jobs_of(name):
+def jobs_of(name, share=1.0):
     """
     Return the jobs of a set, kinds mixed evenly so that a part of a run tells of all of them.
 
@@ -47,17 +47,27 @@ def jobs_of(name):
     ----------
     name : str
         One of `SETS`.
+    share : float
+        How much of the set, from its beginning.
 
     Returns
     -------
     list of Job
 
+    Raises
+    ------
+    ConfigError
+        If there is no such set or no such share.
+
     """
     if name not in SETS:
         raise ConfigError(f'set {name!r} is unknown; known: {", ".join(SETS)}')
+    if not 0.0 < share <= 1.0:
+        raise ConfigError(f'share {share:g} must be more than 0, at most 1')
     placed = [((seed + 0.5) / count, Job(kind, seed, motion))
               for kind, motion, count in SETS[name] for seed in range(count)]
-    return [job for _, job in sorted(placed, key=lambda one: one[0])]
+    jobs = [job for _, job in sorted(placed, key=lambda one: one[0])]
+    return jobs[:max(round(share * len(jobs)), 1)]
 
 
 def fingerprint():

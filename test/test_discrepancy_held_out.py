@@ -1,0 +1,41 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""What data held out say of effects: whether they help, and what is but chance."""
+
+from gms_flex_control.discrepancy.gap import farther
+from gms_flex_control.discrepancy.result import Gap
+from gms_flex_control.discrepancy.workflow import helps
+import numpy as np
+import pytest
+
+
+def gap(torque=0.5, stray=0.5, farther=0.0):
+    """Return a Gap by its ratios of squares."""
+    zero = np.zeros(1)
+    return Gap(joints=('j',), before=zero, retuned=zero, after=zero, floor=zero, free_floor=zero,
+               energy_ratio=torque, free_before=np.ones(1), free_after=np.sqrt([stray]),
+               free_farther=farther)
+
+
+@pytest.mark.parametrize(('told', 'expected'), [
+    (gap(), True), (gap(torque=1.2), False), (gap(stray=1.01, farther=3.0), True),
+    (gap(stray=1.3, farther=3.0), False), (gap(stray=1.3, farther=0.4), True),
+    (gap(stray=1.8, farther=0.4), False), (gap(torque=1.05, stray=1.01), False),
+    (gap(torque=0.1, stray=1.5, farther=3.0), True)])
+def test_effects_must_help_on_data_held_out(told, expected):
+    """In torque and in free runs, one of which may be a little worse by chance."""
+    assert helps(told, much=False) is expected
+    assert not helps(gap(torque=0.6, stray=0.6), much=True)
+    assert not helps(gap(stray=1.001), much=False, strictly=True)
+
+
+def test_one_run_that_slips_is_no_matter_of_all_of_them():
+    """A hundred runs that stray by a tenth less, one of which strays ten times as far."""
+    rng = np.random.default_rng(0)
+    before = rng.uniform(0.5, 1.5, (100, 2))
+    slipped, worse = 0.9 * before, 1.1 * before
+    slipped[7] *= 10.0
+    assert -20.0 < farther(before, slipped) < 1.0
+    assert farther(before, worse) > 10.0
+    assert farther(before, before) == 0.0
