@@ -22,7 +22,9 @@ def gap(torque=0.5, stray=0.5, farther=0.0):
     (gap(), True), (gap(torque=1.2), False), (gap(stray=1.01, farther=3.0), True),
     (gap(stray=1.3, farther=3.0), False), (gap(stray=1.3, farther=0.4), True),
     (gap(stray=1.8, farther=0.4), False), (gap(torque=1.05, stray=1.01), False),
-    (gap(torque=0.1, stray=1.5, farther=3.0), True)])
+    (gap(torque=0.1, stray=1.5, farther=3.0), True),
+    (gap(torque=0.1, stray=1.9, farther=3.0), False),
+    (gap(torque=0.1, stray=1.9, farther=0.4), True)])
 def test_effects_must_help_on_data_held_out(told, expected):
     """In torque and in free runs, one of which may be a little worse by chance."""
     assert helps(told, much=False) is expected

@@ -82,10 +82,9 @@ class Options:
 
 _NOISE_DOUBT = 0.15   # by which the level of a clean run may be wrong
 _NEARLY_ALL = 0.2     # of held-out torque: less is left of it
-_AS_FAR = 1.02        # of squared free runs
 _GOOD_DEAL = ((0.95, 0.3), (0.35, 0.95), (_NEARLY_ALL, 1.1))  # of torque and stray squared
 _CHANCE = 1.1         # of held-out torque, where an effect acts seldom
-_NO_WORSE = 1.7       # of squared free runs, whose starts are only nearly known
+_FARTHEST = 1.02, 1.7, 4.0  # of squared free runs, by how many excuses they have; see `helps`
 _SIGNIFICANT = 2.0    # standard errors of the mean of free runs
 _FLOOR = 1.0 / 6.0    # of the practical torque: what rows are measured by
 
@@ -189,11 +188,12 @@ def helps(gap, much, strictly=False):
     Return whether effects help on data held out.
 
     Neither torque nor free runs may be worse; torque may be a little worse by chance where an
-    effect acts seldom, as an end stop does, and free runs where torque is nearly explained or
-    where it is but few of them that stray farther. Asked to help ``much`` they must do more: free
-    runs stray far less, or torque is explained for the better part and they stray no farther, as
-    with an error of an encoder, which moves nothing. ``strictly``, free runs must not stray
-    farther at all: where links are not seen nothing else speaks for them.
+    effect acts seldom, as an end stop does, and free runs, whose starts are only nearly known,
+    where torque is nearly explained or where but few of them stray farther, more so where both.
+    Asked to help ``much`` they must do more: free runs stray far less, or torque is explained for
+    the better part and they stray no farther, as with an error of an encoder, which moves
+    nothing. ``strictly``, free runs must not stray farther at all: where links are not seen
+    nothing else speaks for them.
     """
     before, after = (float(np.sum(errors ** 2)) for errors in (gap.free_before, gap.free_after))
     torque, stray = gap.energy_ratio, after / max(before, 1e-300)
@@ -201,8 +201,8 @@ def helps(gap, much, strictly=False):
         return False
     if much:
         return any(torque < most and stray < farthest for most, farthest in _GOOD_DEAL)
-    by_few = gap.free_farther < _SIGNIFICANT
-    farthest = _NO_WORSE if torque < _NEARLY_ALL or by_few else _AS_FAR
+    excuses = sum((bool(torque < _NEARLY_ALL), bool(gap.free_farther < _SIGNIFICANT)))
+    farthest = _FARTHEST[excuses]
     return min(torque, stray) < 1.0 and torque < _CHANCE and stray < farthest
 
 
