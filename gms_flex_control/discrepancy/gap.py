@@ -27,7 +27,11 @@ def torque_rms(problem, robot, x, paths=None):
 
 def free_rms(problem, robot, x, paths=None):
     """Return by how much half-second runs from held-out moments stray, rms (n,) [rad]."""
-    squares = _free_squares(problem, robot, x, paths)
+    return _rms(_free_squares(problem, robot, x, paths))
+
+
+def _rms(squares):
+    """Return the root of the mean of squares of runs (S, n), zero where there are none."""
     return np.sqrt(np.sum(squares, axis=0) / max(len(squares), 1))
 
 
@@ -82,7 +86,7 @@ def gap_of(problem, found):
         retuned=torque_rms(problem, before.robot, before.x),
         after=torque_rms(problem, after.robot, after.x),
         floor=torque_rms(problem, after.robot, after.x, clean),
-        free_before=np.sqrt(strays[0].mean(axis=0)), free_after=np.sqrt(strays[1].mean(axis=0)),
+        free_before=_rms(strays[0]), free_after=_rms(strays[1]),
         free_floor=free_rms(problem, after.robot, after.x, clean),
         energy_ratio=above[1] / above[0] if above[0] > 0.0 else 1.0,
         free_farther=farther(*strays))

@@ -20,6 +20,7 @@ from gms_flex_control.discrepancy.fit import effect_columns, fit, Fitted, number
 from gms_flex_control.discrepancy.guesses import all_guesses
 from gms_flex_control.discrepancy.problem import with_effect
 from gms_flex_control.effects.catalogue.torque_ripple import HIGHEST_GUESSED
+from gms_flex_control.effects.registry import find
 from gms_flex_control.params.robot import EffectSpec
 import numpy as np
 
@@ -263,11 +264,11 @@ class _Hunt:
             ranked = self.library.ranked(self.model, self.columns)
             self.first = self.first or tuple(ranked)
             ranked = [one for one in ranked if may_join(one.spec, self.model.robot)
-                      and self.library.beyond_chance(one) >= self._least()]
+                      and self.library.beyond_chance(one) >= self._least(one.spec)]
             if not ranked:
                 break
             added = self._best_added(ranked)
-            if self.model.cost - added.cost < self._least():
+            if self.model.cost - added.cost < self._least(added.robot.effects[-1]):
                 break
             self._take(added)
             self._say(f'{added.robot.effects[-1].name} of {added.robot.effects[-1].joint}')
@@ -322,11 +323,14 @@ class _Hunt:
                 return True
         return False
 
-    def _least(self):
+    def _least(self, spec):
+        """Return what an effect must gain to be added."""
         left = self.model.cost - self._problem.clean_cost
         begun = self._begun - self._problem.clean_cost
         small = np.clip(max(_OF_LITTLE * left, _OF_ALL * begun), LEAST_GAIN, SURE_GAIN)
-        return max(self._gain if self._problem.unseen else small, LEAST_SHARE * left,
+        if self._problem.unseen or find(spec.name).of_feedback:
+            small = self._gain
+        return max(small, LEAST_SHARE * left,
                    LEAST_PART * begun)
 
     def _fit_last(self, robot, iterations=1):

@@ -60,6 +60,7 @@ class Effect(ABC):
     evidence: str             # what it shows against, of discrepancy.signature.VARIABLES
     confusable: tuple         # names of effects that data hardly tell from it
     tells: str                # motion that tells it from others, as '... would tell'
+    of_feedback = False       # encoder noise in the torque of a feedback resembles a little of it
 
     @classmethod
     @abstractmethod

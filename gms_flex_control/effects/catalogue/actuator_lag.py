@@ -19,6 +19,7 @@ class ActuatorLag(Term):
     evidence = 'time since reversal'
     confusable = ('input_delay',)
     tells = 'torque that changes faster, up to a tenth of the sample rate'
+    of_feedback = True
     parameters = (
         Parameter('time_constant', 's', 'time constant', lower=0.0),
     )

@@ -24,6 +24,7 @@ class InputDelay(Term):
     evidence = 'time since reversal'
     confusable = ('actuator_lag',)
     tells = 'torque that changes faster, up to a tenth of the sample rate'
+    of_feedback = True
     parameters = (
         Parameter('delay', 's', 'dead time', lower=0.0, upper=0.05),
     )
