@@ -15,6 +15,7 @@ from gms_flex_control.benchmarks.hidden_effects.jobs import fingerprint, Job, jo
 from gms_flex_control.benchmarks.hidden_effects.outcome import finite, try_job
 from gms_flex_control.cli.main import main
 from gms_flex_control.errors import BagError
+from gms_flex_control.hidden.cases import make_case
 import numpy as np
 import pytest
 
@@ -154,6 +155,15 @@ def test_sparse_regression_keeps_the_large_ones(regression):
     pytest.importorskip('pysindy')
     names = regression[0]
     assert peers.sparse(*regression) == [names[0], names[3]]
+
+
+def test_peers_are_asked_on_the_rows_of_a_hidden_robot():
+    """A dead zone that stands out, with its name in the library and without."""
+    case = make_case('single', 13, duration=12.0)
+    hidden, = ((spec.name, spec.joint) for spec in case.truth.effects)
+    assert peers.ask(case)[peers.FORWARD][0] == hidden
+    without = peers.ask(case, without=hidden[:1])[peers.FORWARD]
+    assert without and hidden not in without
 
 
 def test_the_sets_hold_as_many_as_are_asked():

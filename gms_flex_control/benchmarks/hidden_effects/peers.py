@@ -74,7 +74,7 @@ def library_of(case, without):
 
     problem = Problem([path_of(case.recording, case.nominal)], case.nominal, _PRACTICAL)
     x, rows, knobs = problem.retuned(problem.robot, np.zeros(len(problem.knobs)))
-    library = Library(problem, Fitted(problem.robot, x, rows, 0.0), without)
+    library = Library(problem, Fitted(problem.robot, x, rows, 0.0), knobs, without)
     basis, _ = np.linalg.qr(knobs[:, problem.fitted].T)
     columns = np.concatenate([library.columns, -rows[None, problem.fitted]])
     columns = columns - (columns @ basis) @ basis.T
