@@ -98,7 +98,7 @@ class Problem:
         self.clean = np.stack([self._rows(run) for run in residuals])
         self.level = float(np.mean(self.clean[0, self.fitted] ** 2))
         self._pair = runs[:2]
-        self._noise = self._between(constants)
+        self._noise = (self.clean[0] - self.clean[1])[self.fitted]
         self._attenuation = self.each(lambda i: self._noise_added(self.constants(
             robot, x + _KNOB_STEP * (np.arange(len(x)) == i))) / _KNOB_STEP, range(len(x)))
         self._attenuations = {}  # (effect, joint): of each parameter
@@ -158,7 +158,7 @@ class Problem:
         other = Problem(paths, self.robot, self._practical, self._seed, self._doubt,
                         self._at_rest)
         other.held_out, other.fitted = other.held_out | other.fitted, other.fitted & False
-        other.held_out[-len(other.knobs):] = False
+        self.burden_of(other.held_out)[:] = False
         other.moments_held_out = [whitening.settled for whitening in other.whitenings]
         return other
 
@@ -240,6 +240,10 @@ class Problem:
         """
         constants = self.constants(robot, x)
         return self._rows([unexplained(path, constants) for path in self.paths], x)
+
+    def burden_of(self, rows):
+        """Return the rows, a view of `rows` (R,), that tell how far each knob is moved (P,)."""
+        return rows[len(rows) - len(self.knobs):]
 
     def torque_rms(self, robot, x, other):
         """Return the rms by which two models' residual torques differ, of the larger channel."""

@@ -327,11 +327,10 @@ class _Hunt:
         """Return what an effect must gain to be added."""
         left = self.model.cost - self._problem.clean_cost
         begun = self._begun - self._problem.clean_cost
-        small = np.clip(max(_OF_LITTLE * left, _OF_ALL * begun), LEAST_GAIN, SURE_GAIN)
+        gain = np.clip(max(_OF_LITTLE * left, _OF_ALL * begun), LEAST_GAIN, SURE_GAIN)
         if self._problem.unseen or find(spec.name).of_feedback:
-            small = self._gain
-        return max(small, LEAST_SHARE * left,
-                   LEAST_PART * begun)
+            gain = self._gain
+        return max(gain, LEAST_SHARE * left, LEAST_PART * begun)
 
     def _fit_last(self, robot, iterations=1):
         """Return a robot with its last effect fitted, then with all of them."""
@@ -354,12 +353,8 @@ class _Hunt:
         fewest = min(_size(one.robot.effects[-1]) for one in alike)
         alike = [one for one in alike if _size(one.robot.effects[-1]) == fewest]
         least = min(one.cost for one in alike) + _EQUAL * abs(best)
-        return min((one for one in alike if one.cost <= least), key=self._burden)
-
-    def _burden(self, model):
-        """Return how far known parameters have to move for a model, squares of their doubt."""
-        bound = self._problem.bound_of(model.robot)
-        return float(np.sum((model.x[bound > 0.0] / bound[bound > 0.0]) ** 2))
+        return min((one for one in alike if one.cost <= least),
+                   key=lambda one: np.sum(self._problem.burden_of(one.rows) ** 2))
 
     def _added(self, one):
         """Return the model with a hypothesis fitted, all re-tuned where it alone is not it."""

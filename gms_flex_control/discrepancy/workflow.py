@@ -36,8 +36,8 @@ import numpy as np
 _AT_REST = 0.25       # of what is left: so much of it while links stand may be friction
 _UNSURE = 2.0         # times what matters, for an effect that may be another
 _UNEXPECTED = 4.0     # times the loss that was foreseen: an effect is taken back
-DETECTED = 1.3        # times the clean level: below, nothing is missing
-CERTAIN = 1.0         # of the clean level: so much missing is no trifle, small as its torque is
+DETECTED = 0.3        # missing, see `missing`: below, nothing is
+CERTAIN = 1.0         # likewise: so much is no trifle, small as its torque is
 TRIFLE = 0.5          # of the practical torque
 EXPLAINED = 0.05      # of what was missing: so little may be left of it
 PARTLY = 0.2          # likewise, where effects that explain most of it are named
@@ -243,7 +243,7 @@ def _added(problem, found, known, choices, measured):
 def _told(problem, found, entries, known, options, holdout, say):
     before, after = (missing(problem, model.cost) for model in (found.before, found.model))
     tried = tuple(Tried(one.spec.name, one.spec.joint, one.gain) for one in found.first)
-    slack = (DETECTED - 1.0) * problem.caution
+    slack = DETECTED * problem.caution
     left = max(after - _NOISE_DOUBT, 0.0) / before if before > slack else 0.0
     whole = max(before * problem.unit_cost, 1e-12)
     say('the gap on data held out')
@@ -308,7 +308,7 @@ def _matters(problem, gap, before, practical):
     """
     level = practical * np.array([problem.level_of(joint) for joint in gap.joints])
     above = np.sqrt(np.maximum(gap.retuned ** 2 - gap.floor ** 2, 0.0))
-    return bool(before > (DETECTED - 1.0) * problem.caution
+    return bool(before > DETECTED * problem.caution
                 and (before > CERTAIN * problem.caution or np.any(above > TRIFLE * level)))
 
 

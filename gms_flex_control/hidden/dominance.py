@@ -7,8 +7,8 @@ from dataclasses import replace
 
 from gms_flex_control.discrepancy.path import path_of
 from gms_flex_control.discrepancy.residuals import unexplained
+from gms_flex_control.hidden.sizes import rms
 from gms_flex_control.simulation import plant
-import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 _OVER = 0.06          # s, over which torque is averaged: quicker it hardly moves an arm
@@ -39,4 +39,4 @@ class Torques:
         change = self._residual(replace(self._robot, effects=(spec,))) - self._without
         width = max(round(_OVER / self._path.period), 1)
         slow = uniform_filter1d(change, width, axis=0, mode='nearest')
-        return float(np.sqrt(np.mean(slow ** 2, axis=0)).max())
+        return float(rms(slow).max())

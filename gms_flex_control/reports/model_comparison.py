@@ -20,7 +20,7 @@ class Compared(NamedTuple):
     torque_retuned: np.ndarray    # likewise, known parameters re-tuned
     free_run: np.ndarray          # stray of half a second of free simulation, (n,) [rad]
     free_run_retuned: np.ndarray
-    missing: float                # squared residual above that of a clean run, in units of it
+    missing: float                # squared residual above a clean run's, see workflow.missing
     missing_retuned: float
 
 
@@ -84,7 +84,7 @@ def comparison_text(compared, joints):
     lines, (torque, _, angle, _) = [], _scales(compared)
     for one in compared:
         lines.append(f'{one.name}: missing {one.missing:.3g}, re-tuned {one.missing_retuned:.3g} '
-                     'times what a clean run shows')
+                     'times what noise and what does not matter make')
         for j, joint in enumerate(joints):
             lines.append(
                 f'  {joint}: held-out torque {torque.told(one.torque[j])} (re-tuned '
