@@ -11,12 +11,13 @@ from gms_flex_control.discrepancy.bounded import solve
 from gms_flex_control.discrepancy.fit import Fitted
 from gms_flex_control.discrepancy.guesses import all_guesses
 from gms_flex_control.discrepancy.known import DOUBT, knobs_of, tuned
+from gms_flex_control.discrepancy.library import Library
 from gms_flex_control.discrepancy.path import make_path, standing
 from gms_flex_control.discrepancy.problem import Problem, with_effect
 from gms_flex_control.discrepancy.residuals import fresh_state, unexplained
 from gms_flex_control.discrepancy.retrace import retrace
 from gms_flex_control.discrepancy.retuned import with_knobs
-from gms_flex_control.discrepancy.search import LEAST_GAIN, Library
+from gms_flex_control.discrepancy.search import LEAST_GAIN
 from gms_flex_control.discrepancy.units import torque_scale
 from gms_flex_control.discrepancy.whitening import Whitening
 from gms_flex_control.dynamics import chain

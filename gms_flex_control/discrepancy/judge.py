@@ -11,8 +11,9 @@ an effect that known parameters or other effects can take the place of is none.
 from typing import NamedTuple
 
 from gms_flex_control.discrepancy.fit import Fitted, numbers_of
+from gms_flex_control.discrepancy.library import least_cost
 from gms_flex_control.discrepancy.result import Value
-from gms_flex_control.discrepancy.search import least_cost, without
+from gms_flex_control.discrepancy.search import without
 from gms_flex_control.effects.registry import find
 import numpy as np
 

@@ -68,9 +68,9 @@ def library_of(case, without):
 
     """
     from gms_flex_control.discrepancy.fit import Fitted
+    from gms_flex_control.discrepancy.library import Library
     from gms_flex_control.discrepancy.path import path_of
     from gms_flex_control.discrepancy.problem import Problem
-    from gms_flex_control.discrepancy.search import Library
 
     problem = Problem([path_of(case.recording, case.nominal)], case.nominal, _PRACTICAL)
     x, rows, knobs = problem.retuned(problem.robot, np.zeros(len(problem.knobs)))
