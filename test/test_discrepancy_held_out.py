@@ -4,8 +4,8 @@
 """What data held out say of effects: whether they help, and what is but chance."""
 
 from gms_flex_control.discrepancy.gap import farther
+from gms_flex_control.discrepancy.naming import helps
 from gms_flex_control.discrepancy.result import Gap
-from gms_flex_control.discrepancy.workflow import helps
 import numpy as np
 import pytest
 

@@ -206,6 +206,10 @@ class Problem:
         """Return the cost of what noise makes and of what does not matter together."""
         return float(self.fitted.sum())
 
+    def missing(self, cost):
+        """Return how far the cost of a model is above that of a clean run, in `unit_cost`."""
+        return (cost - self.clean_cost) / self.unit_cost
+
     def cost(self, rows, robot, x):
         """
         Return the sum of squares of a model's rows that are fitted, cleared of what noise adds.

@@ -6,7 +6,7 @@
 from dataclasses import dataclass, field, replace
 import time
 
-from gms_flex_control.discrepancy import judge
+from gms_flex_control.discrepancy import judge, naming
 from gms_flex_control.discrepancy.gap import gap_of, torque_rms
 from gms_flex_control.discrepancy.path import path_of, with_links
 from gms_flex_control.discrepancy.problem import Problem
@@ -31,22 +31,14 @@ from gms_flex_control.discrepancy.words import (
 )
 from gms_flex_control.errors import SimulationError
 from gms_flex_control.identification.checks import check
-import numpy as np
 
 _AT_REST = 0.25       # of what is left: so much of it while links stand may be friction
 _UNSURE = 2.0         # times what matters, for an effect that may be another
 _UNEXPECTED = 4.0     # times the loss that was foreseen: an effect is taken back
-DETECTED = 0.3        # missing, see `missing`: below, nothing is
-CERTAIN = 1.0         # likewise: so much is no trifle, small as its torque is
-TRIFLE = 0.5          # of the practical torque
-EXPLAINED = 0.05      # of what was missing: so little may be left of it
-PARTLY = 0.2          # likewise, where effects that explain most of it are named
-DOMINANT = 0.6        # share of an effect that explains most
-TOO_MUCH = 0.5        # left of what was missing: no effect is named
-PART = 0.05           # share of an effect that is worth naming where much is left
-FEW = 3               # findings: so few are all named, small and like others though they be
-BESIDE = 0.5          # of the torque missed most: an effect so large matters, however small
-DOUBTFUL = 0.1        # of what is still unexplained: an effect worth less is not believed
+_DOUBTFUL = 0.1       # of what is still unexplained: an effect worth less is not believed
+_BESIDE = 0.5         # of the torque missed most: an effect so large matters, however small
+_NOISE_DOUBT = 0.15   # by which the level of a clean run may be wrong
+_FLOOR = 1.0 / 6.0    # of the practical torque: what rows are measured by
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,15 +70,6 @@ class Options:
     force: bool = False
     seed: int = 0
     doubt: float = 1.0
-
-
-_NOISE_DOUBT = 0.15   # by which the level of a clean run may be wrong
-_NEARLY_ALL = 0.2     # of held-out torque: less is left of it
-_GOOD_DEAL = ((0.95, 0.3), (0.35, 0.95), (_NEARLY_ALL, 1.1))  # of torque and stray squared
-_CHANCE = 1.1         # of held-out torque, where an effect acts seldom
-_FARTHEST = 1.02, 1.7, 4.0  # of squared free runs, by how many excuses they have; see `helps`
-_SIGNIFICANT = 2.0    # standard errors of the mean of free runs
-_FLOOR = 1.0 / 6.0    # of the practical torque: what rows are measured by
 
 
 def discrepancy(recordings, robot, options=None, *, holdout=(), say=lambda text: None):
@@ -155,7 +138,7 @@ def _searched(paths, robot, options, holdout, at_rest, say):
 
 def pruned(problem, found, known):
     """Return the search's end without effects that something else could be, and the Judged."""
-    doubtful = max(DOUBTFUL * missing(problem, found.model.cost) * problem.unit_cost,
+    doubtful = max(_DOUBTFUL * problem.missing(found.model.cost) * problem.unit_cost,
                    LEAST_GAIN * problem.caution)
     kept = set()
     while True:
@@ -178,50 +161,6 @@ def _name(found, one):
     return spec.name, spec.joint
 
 
-def missing(problem, cost):
-    """Return how far the cost of a model is above that of a clean run, in `Problem.unit_cost`."""
-    return (cost - problem.clean_cost) / problem.unit_cost
-
-
-def helps(gap, much, strictly=False):
-    """
-    Return whether effects help on data held out.
-
-    Neither torque nor free runs may be worse; torque may be a little worse by chance where an
-    effect acts seldom, as an end stop does, and free runs, whose starts are only nearly known,
-    where torque is nearly explained or where but few of them stray farther, more so where both.
-    Asked to help ``much`` they must do more: free runs stray far less, or torque is explained for
-    the better part and they stray no farther, as with an error of an encoder, which moves
-    nothing. ``strictly``, free runs must not stray farther at all: where links are not seen
-    nothing else speaks for them.
-    """
-    before, after = (float(np.sum(errors ** 2)) for errors in (gap.free_before, gap.free_after))
-    torque, stray = gap.energy_ratio, after / max(before, 1e-300)
-    if strictly and stray >= 1.0:
-        return False
-    if much:
-        return any(torque < most and stray < farthest for most, farthest in _GOOD_DEAL)
-    excuses = sum((bool(torque < _NEARLY_ALL), bool(gap.free_farther < _SIGNIFICANT)))
-    farthest = _FARTHEST[excuses]
-    return min(torque, stray) < 1.0 and torque < _CHANCE and stray < farthest
-
-
-def _choices(entries, left, whole):
-    """
-    Return which of the effects may be named, the best choice first, and how much they must help.
-
-    Where much is ``left`` unexplained, effects may but resemble what is there: those that explain
-    most of it are named if they help, others only if they help much.
-    """
-    if left <= EXPLAINED:
-        return (entries, False), (entries[:1], False)
-    if left > TOO_MUCH:
-        return ()
-    entries = [one for one in entries if one.loss > PART * whole]
-    strong = [one for one in entries if one.loss > DOMINANT * whole and left < PARTLY]
-    return (entries, True), (entries[:1], True), (strong, False)
-
-
 def _added(problem, found, known, choices, measured):
     """Return the search's end with the first choice that helps, its effects and the Gap."""
     for entries, much in choices:
@@ -234,29 +173,31 @@ def _added(problem, found, known, choices, measured):
             gap = gap_of(measured, model)
         except SimulationError:
             continue  # with these effects the robot runs away
-        if helps(gap, much, bool(problem.unseen)):
+        if naming.helps(gap, much, bool(problem.unseen)):
             return model, judge.judged(problem, model, known), gap
     found = _only(problem, found, known, [])
     return found, [], gap_of(measured, found)
 
 
 def _told(problem, found, entries, known, options, holdout, say):
-    before, after = (missing(problem, model.cost) for model in (found.before, found.model))
+    before, after = (problem.missing(model.cost) for model in (found.before, found.model))
     tried = tuple(Tried(one.spec.name, one.spec.joint, one.gain) for one in found.first)
-    slack = DETECTED * problem.caution
+    slack = naming.DETECTED * problem.caution
     left = max(after - _NOISE_DOUBT, 0.0) / before if before > slack else 0.0
     whole = max(before * problem.unit_cost, 1e-12)
     say('the gap on data held out')
     measured = _measured_on(problem, holdout)
-    found, entries, gap = _added(problem, found, known, _choices(entries, left, whole), measured)
+    choices = naming.choices(entries, left, whole)
+    found, entries, gap = _added(problem, found, known, choices, measured)
     largest = max((one.alone for one in entries), default=0.0)
     findings = [_finding(problem, measured, found, known, one, whole, largest, options)
                 for one in entries]
-    main, minor, undecided = _grouped(findings, entries)
+    main, minor, undecided = naming.grouped(findings, entries)
     left_over = None
-    if left > EXPLAINED if findings else _matters(problem, gap, before, options.practical):
-        left_over = signature_of(problem, found.model, min(max(missing(
-            problem, found.model.cost), 0.0) / max(before, 1e-12), 1.0))
+    if (left > naming.EXPLAINED if findings else
+            naming.matters(problem, gap, before, options.practical)):
+        share = max(problem.missing(found.model.cost), 0.0) / max(before, 1e-12)
+        left_over = signature_of(problem, found.model, min(share, 1.0))
     verdict = FOUND if findings else UNEXPLAINED if left_over else COMPLETE
     retuned = tuple((knob.name, problem.robot.joints[knob.joint] if knob.joint >= 0 else 'arm',
                      float(value)) for knob, value in zip(problem.knobs, found.model.x,
@@ -266,50 +207,6 @@ def _told(problem, found, entries, known, options, holdout, say):
         unexplained=left_over, gap=gap, tried=tried, retuned=retuned, found=(problem, found),
         robot=with_knobs(found.model.robot, problem.knobs, found.model.x))
     return replace(result, words=paragraph(result))
-
-
-def _grouped(findings, entries):
-    """
-    Return findings that are named, small ones, and those whose names are one of several; tuples.
-
-    Among many, an effect that these data tell from no other is named only if it is the largest.
-    """
-    groups, few = ([], [], []), len(findings) <= FEW
-    for finding, one in zip(findings, entries, strict=True):
-        named = few or not finding.confusable_with
-        if finding.main:
-            groups[0 if named or not groups[0] else 2].append(finding)
-        else:
-            groups[1 if few or named and judge.is_sure(one) else 2].append(finding)
-    return tuple(tuple(group) for group in groups)
-
-
-def _matters(problem, gap, before, practical):
-    """
-    Return whether something is left where no effect was found.
-
-    Parameters
-    ----------
-    problem : Problem
-        The rows.
-    gap : Gap
-        On data held out.
-    before : float
-        How far the cost is above that of a clean run, see `missing`.
-    practical : float
-        Torque that matters, as a share of Coulomb friction.
-
-    Returns
-    -------
-    bool
-        What is significant and no trifle of torque: where a motion tells block stiffnesses that
-        are a little off, that is no effect.
-
-    """
-    level = practical * np.array([problem.level_of(joint) for joint in gap.joints])
-    above = np.sqrt(np.maximum(gap.retuned ** 2 - gap.floor ** 2, 0.0))
-    return bool(before > DETECTED * problem.caution
-                and (before > CERTAIN * problem.caution or np.any(above > TRIFLE * level)))
 
 
 def _only(problem, found, known, entries):
@@ -340,7 +237,7 @@ def _finding(problem, measured, found, known, one, whole, largest, options):
     return Finding(
         effect=spec.name, joint=spec.joint,
         values=judge.values_of(problem, found, known, one.index),
-        main=one.alone >= min(least, BESIDE * largest), torque=one.torque,
+        main=one.alone >= min(least, _BESIDE * largest), torque=one.torque,
         share=min(one.loss / whole, 1.0), score=one.loss,
         runner_up=f'{others[0][0]} of {others[0][1]}' if others else None,
         runner_up_score=others[0][2] * one.loss if others else 0.0,

@@ -8,7 +8,6 @@ from typing import NamedTuple
 from gms_flex_control.discrepancy.gap import free_rms, torque_rms
 from gms_flex_control.discrepancy.path import path_of
 from gms_flex_control.discrepancy.units import angle_scale, torque_scale
-from gms_flex_control.discrepancy.workflow import missing
 import numpy as np
 
 
@@ -20,7 +19,7 @@ class Compared(NamedTuple):
     torque_retuned: np.ndarray    # likewise, known parameters re-tuned
     free_run: np.ndarray          # stray of half a second of free simulation, (n,) [rad]
     free_run_retuned: np.ndarray
-    missing: float                # squared residual above a clean run's, see workflow.missing
+    missing: float                # squared residual above a clean run's, see Problem.missing
     missing_retuned: float
 
 
@@ -54,8 +53,8 @@ def compare(result, models, holdout=()):
         compared.append(Compared(
             name, torque_rms(measured, robot, zero), torque_rms(measured, robot, x),
             free_rms(measured, robot, zero), free_rms(measured, robot, x),
-            missing(problem, problem.cost(rows, robot, zero)),
-            missing(problem, problem.cost(tuned, robot, x))))
+            problem.missing(problem.cost(rows, robot, zero)),
+            problem.missing(problem.cost(tuned, robot, x))))
     return compared
 
 
