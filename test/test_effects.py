@@ -40,7 +40,8 @@ def base_after(time, push, frequency, inertia, damping):
 EQUATIONS = {
     'actuator_deadzone': ([0.02], sig.TORQUE, lambda s, p: s[sig.TORQUE] - clip(
         s[sig.TORQUE], p[0])),
-    'actuator_lag': ([0.005], sig.TORQUE, lambda s, p: s[sig.TORQUE] * -np.expm1(-DT / p[0])),
+    'actuator_lag': ([0.005], sig.TORQUE, lambda s, p: s[sig.TORQUE] * (
+        1 + p[0] / DT * np.expm1(-DT / p[0]))),
     'actuator_saturation': ([0.1], sig.TORQUE, lambda s, p: clip(s[sig.TORQUE], p[0])),
     'backlash': ([0.03], sig.TWIST, lambda s, p: s[sig.TWIST] - clip(s[sig.TWIST], p[0])),
     'base_flexibility': ([8.0, 0.5, 0.05], sig.SENSED_LINK, lambda s, p: s[sig.SENSED_LINK] - (
@@ -186,13 +187,17 @@ def test_a_term_with_values_changes_the_run(ideal_robot, name):
     assert np.abs(runs[0][-1, 0] - runs[1][-1, 0]).max() > 1e-6
 
 
-def test_a_lag_follows_a_step_exponentially():
-    memory, values = np.zeros(table.MEMORY_SIZE), [0.01]
+@pytest.mark.parametrize('substep', [DT, 2e-3])
+def test_a_lag_follows_a_step_exponentially(substep):
+    """Its mean over each step, whatever the step: the end of a step would come too early."""
+    memory, lag = np.zeros(table.MEMORY_SIZE), 0.01
     signals = np.zeros((3, sig.WIDTH))
     signals[1, sig.TORQUE] = 0.5
-    for k in range(1, 300):
-        out = run_compiled('actuator_lag', values, signals, memory=memory)
-        assert out[1, sig.TORQUE] == pytest.approx(-0.5 * np.expm1(-k * DT / 0.01), rel=1e-12)
+    for k in range(300):
+        begin, end = k * substep, (k + 1) * substep
+        gone = lag / substep * (np.exp(-begin / lag) - np.exp(-end / lag))
+        out = run_compiled('actuator_lag', [lag], signals, memory=memory, dt=substep)
+        assert out[1, sig.TORQUE] == pytest.approx(0.5 * (1.0 - gone), rel=1e-9)
 
 
 @pytest.mark.parametrize('delay', [0.0031, 0.0117, 0.02])
@@ -304,7 +309,7 @@ def test_terms_with_memory_do_not_share_it():
         signals = np.zeros((3, sig.WIDTH))
         signals[:, sig.TORQUE] = 1.0
         table.run_stage(int(Stage.ACTUATOR), signals, memory, DT, entry)
-    once = -np.expm1(-100 * DT / 0.01)
+    once = 1.0 - 0.01 / DT * (np.exp(-99 * DT / 0.01) - np.exp(-100 * DT / 0.01))
     assert signals[0, sig.TORQUE] == pytest.approx(once, rel=1e-12)
     assert signals[1, sig.TORQUE] < 0.6 * once
     assert signals[2, sig.TORQUE] == 1.0

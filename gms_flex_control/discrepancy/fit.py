@@ -53,6 +53,12 @@ class Fitted:
     rows: np.ndarray
     cost: float
 
+    @classmethod
+    def of(cls, problem, robot, x):
+        """Return a robot with its knobs at ``x`` (P,) as it is."""
+        rows = problem.rows(robot, x)
+        return cls(robot, x, rows, problem.cost(rows, robot, x))
+
 
 def numbers_of(effects, first=0):
     """Return the Numbers of all effects from the ``first`` on."""

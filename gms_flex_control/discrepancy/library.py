@@ -64,6 +64,8 @@ class Library:
         self.columns = problem.each(column, jobs)
         self._noise = self._noise_of(jobs)
         self._places = np.cumsum([0, *(len(guess.probes) for _, _, guess in self.guesses)])
+        self._grams = [self.columns[begin:end] @ self.columns[begin:end].T for begin, end in zip(
+            self._places[:-1], self._places[1:], strict=True)]
         self._by_chance = self._gained_by_chance(knobs)
 
     def _noise_of(self, jobs):
@@ -137,14 +139,13 @@ class Library:
         basis, root = np.linalg.qr(own.T)
         left = rows - (rows @ basis) @ basis.T
         along = self.columns @ basis
-        beside = self.columns - along @ basis.T
-        whole = np.sum(self.columns ** 2, axis=1)
         shared = np.linalg.lstsq(root.T, noise, rcond=1e-10)[0]
-        right = left @ beside.T - (self._noise - along @ shared)
+        right = left @ self.columns.T - (self._noise - along @ shared)
         gains = np.zeros((*rows.shape[:-1], len(self.guesses)))
-        for i, (begin, end) in enumerate(zip(self._places[:-1], self._places[1:], strict=True)):
-            gram = beside[begin:end] @ beside[begin:end].T
-            if np.trace(gram) > 1e-6 * whole[begin:end].sum():
+        for i, (begin, whole) in enumerate(zip(self._places[:-1], self._grams, strict=True)):
+            end = begin + len(whole)
+            gram = whole - along[begin:end] @ along[begin:end].T
+            if np.trace(gram) > 1e-6 * np.trace(whole):
                 mine = right[..., begin:end]
                 gains[..., i] = np.sum(mine @ np.linalg.pinv(gram, rcond=1e-10) * mine, axis=-1)
         return gains
@@ -155,7 +156,7 @@ class Library:
         added = self.columns[self._places[i]:self._places[i + 1]]
         k, count = len(own), len(added)
         both = np.empty((k + count, k + count))
-        both[:k, :k], both[k:, k:] = gram, added @ added.T
+        both[:k, :k], both[k:, k:] = gram, self._grams[i]
         both[:k, k:] = own @ added.T
         both[k:, :k] = both[:k, k:].T
         right = np.concatenate([slope, self._noise[self._places[i]:self._places[i + 1]]

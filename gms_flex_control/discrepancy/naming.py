@@ -12,11 +12,11 @@ import numpy as np
 
 DETECTED = 0.3        # missing, see `Problem.missing`: below, nothing is
 EXPLAINED = 0.05      # of what was missing: so little may be left of it
+TOO_MUCH = 0.5        # likewise: with more left, no effect is named
 _CERTAIN = 1.0        # missing: so much is no trifle, small as its torque is
 _TRIFLE = 0.5         # of the practical torque
 _PARTLY = 0.2         # of what was missing, where effects that explain most of it are named
 _DOMINANT = 0.6       # share of an effect that explains most
-_TOO_MUCH = 0.5       # left of what was missing: no effect is named
 _PART = 0.05          # share of an effect that is worth naming where much is left
 _FEW = 3              # findings: so few are all named, small and like others though they be
 _NEARLY_ALL = 0.2     # of held-out torque: less is left of it
@@ -58,7 +58,7 @@ def choices(entries, left, whole):
     """
     if left <= EXPLAINED:
         return (entries, False), (entries[:1], False)
-    if left > _TOO_MUCH:
+    if left > TOO_MUCH:
         return ()
     entries = [one for one in entries if one.loss > _PART * whole]
     strong = [one for one in entries if one.loss > _DOMINANT * whole and left < _PARTLY]

@@ -45,10 +45,12 @@ class Problem:
     at_rest : bool
         Whether link equations count while a link stands. Friction then is anything up to static
         friction, which only a model whose friction is nearly right can follow.
+    like : (RobotParams, ndarray of shape (P,)), optional
+        Robot and knobs whose runs tell what noise is; default those believed.
 
     """
 
-    def __init__(self, paths, robot, practical, seed=0, doubt=1.0, at_rest=True):
+    def __init__(self, paths, robot, practical, seed=0, doubt=1.0, at_rest=True, like=None):
         self.paths, self.robot, self._seed, self._doubt = tuple(paths), robot, seed, doubt
         self._practical, self._at_rest = practical, at_rest
         base = plant.constants_of(robot)
@@ -58,7 +60,8 @@ class Problem:
         level = 0.5 * (robot.friction.forward.coulomb + robot.friction.backward.coulomb)
         self.floor = practical * np.tile(level, 2)
         self.pool = ThreadPoolExecutor(os.cpu_count() or 1)
-        self.measure(robot, np.zeros(len(self.knobs)))
+        self._like = like or (robot, np.zeros(len(self.knobs)))
+        self._measure(*self._like)
 
     def _seen(self, path):
         """Return where the equations of a Path tell something, bool (S, 2 n)."""
@@ -83,7 +86,7 @@ class Problem:
         return np.concatenate([*(whitening.rows_of(residual).ravel() for whitening, residual in
                                  zip(self.whitenings, residuals, strict=True)), burden])
 
-    def measure(self, robot, x):
+    def _measure(self, robot, x):
         """Take the measure of rows from runs of a model in which nothing is missing."""
         constants = self.constants(robot, x)
         runs = [[retrace(path, constants, np.random.default_rng([self._seed, k]))
@@ -128,9 +131,9 @@ class Problem:
         if issubclass(kind, Change):  # its further ratios, one by one
             sets |= {k: tuple(_RATIO_STEP * (np.arange(count) == k)) for k in range(1, count)
                      if kind.parameters[k].unit == '1'}
-        x, slopes = np.zeros(len(self.knobs)), np.zeros(count)
+        (like, x), slopes = self._like, np.zeros(count)
         for k, values in sets.items():
-            robot = with_effect(self.robot, replace(spec, values=values))
+            robot = with_effect(like, replace(spec, values=values))
             slopes[k] = self._noise_added(self.constants(robot, x)) / values[k]
         self._attenuations[spec.name, spec.joint] = slopes
 
@@ -144,8 +147,11 @@ class Problem:
 
     def noise_in(self, robot, x):
         """Return half of what noise adds to the cost of a robot with its knobs at ``x``."""
-        return float(self._attenuation @ x + sum(
-            self.noise_of(spec) @ spec.values for spec in robot.effects[len(self.robot.effects):]))
+        like, at = self._like
+        known = len(self.robot.effects)
+        return float(self._attenuation @ (x - at)
+                     + sum(self.noise_of(spec) @ spec.values for spec in robot.effects[known:])
+                     - sum(self.noise_of(spec) @ spec.values for spec in like.effects[known:]))
 
     def noise_in_slopes(self, robot, numbers=()):
         """Return what noise adds to the slopes of knobs and numbers of effects, one by one."""
@@ -153,10 +159,15 @@ class Problem:
             self.noise_of(robot.effects[number.effect])[number.parameter]
             for number in numbers]])
 
+    def measured_like(self, model):
+        """Return the Problem in which runs of a model, a Fitted, tell what noise is."""
+        return Problem(self.paths, self.robot, self._practical, self._seed, self._doubt,
+                       self._at_rest, (model.robot, model.x))
+
     def of_others(self, paths):
         """Return the Problem of other recordings, all of them held out."""
         other = Problem(paths, self.robot, self._practical, self._seed, self._doubt,
-                        self._at_rest)
+                        self._at_rest, self._like)
         other.held_out, other.fitted = other.held_out | other.fitted, other.fitted & False
         self.burden_of(other.held_out)[:] = False
         other.moments_held_out = [whitening.settled for whitening in other.whitenings]
@@ -206,9 +217,9 @@ class Problem:
         """Return the cost of what noise makes and of what does not matter together."""
         return float(self.fitted.sum())
 
-    def missing(self, cost):
-        """Return how far the cost of a model is above that of a clean run, in `unit_cost`."""
-        return (cost - self.clean_cost) / self.unit_cost
+    def missing(self, model):
+        """Return how far the cost of a Fitted is above that of a clean run, in `unit_cost`."""
+        return (self.exact_cost(model) - self.clean_cost) / self.unit_cost
 
     def cost(self, rows, robot, x):
         """
@@ -218,6 +229,17 @@ class Problem:
         term a smaller arm would always look better, by its smaller noise.
         """
         return float(np.sum(rows[self.fitted] ** 2) - 2.0 * self.noise_in(robot, x))
+
+    def exact_cost(self, model):
+        """
+        Return the cost of a Fitted with all that noise adds, not to first order alone.
+
+        Two effects that are nearly the same, such as a payload and a heavier link, have slopes of
+        their own; far from where noise was measured they would differ by these alone.
+        """
+        noise = self._between(self.constants(model.robot, model.x))
+        return float(np.sum(model.rows[self.fitted] ** 2)
+                     - 0.5 * (noise @ noise - self._noise @ self._noise))
 
     def slope(self, columns, rows, robot, numbers=()):
         """Return the downhill slope of half the cost by knobs and numbers of effects (C,)."""

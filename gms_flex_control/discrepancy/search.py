@@ -32,7 +32,7 @@ _EQUAL = 0.001        # of a gain: so much less is no difference
 _BETTER = 0.01        # likewise: so much more is better, with more numbers
 _ROUNDS = 3           # of adding and exchanging
 _FEW = 3              # effects: one is looked for in the place of two
-_NEARLY = 0.95        # of what the two explain: what the one does at a first guess
+_NEARLY = 0.95        # of what others explain: what one in their place does at a first guess
 _PATIENT = 8          # iterations: one begins far from where it does what two did
 _LIKELY = 2           # ones that are fitted in full
 
@@ -47,7 +47,7 @@ class Found(NamedTuple):
     library: Library
 
 
-def search(problem, *, most=MOST, without=(), say=lambda text: None):
+def search(problem, *, most=MOST, without=(), begin=None, say=lambda text: None):
     """
     Add effects until nothing is gained.
 
@@ -59,6 +59,8 @@ def search(problem, *, most=MOST, without=(), say=lambda text: None):
         How many effects may be added.
     without : collection of str
         Effects that are left out.
+    begin : Fitted, optional
+        With effects to begin with.
     say : callable, optional
         Told what is being done.
 
@@ -71,6 +73,8 @@ def search(problem, *, most=MOST, without=(), say=lambda text: None):
     before = Fitted(problem.robot, x, rows, problem.cost(rows, problem.robot, x))
     say('every effect along the motion')
     hunt = _Hunt(problem, before, knobs, Library(problem, before, knobs, without), say)
+    if begin:
+        hunt.take(begin)
     for _ in range(_ROUNDS):
         grown = hunt.grow(most)
         if not hunt.exchange() and not grown:
@@ -86,14 +90,14 @@ class _Hunt:
         self._problem, self.model, self._knobs, self.library = problem, model, knobs, library
         self._known, self._say = len(model.robot.effects), say
         self._gain = SURE_GAIN * problem.caution
-        self.columns, self.first, self._begun = knobs, (), model.cost
+        self.columns, self._begun = knobs, model.cost
+        self.first = tuple(library.ranked(model, knobs))
 
     def grow(self, most):
         """Add effects while one is worth it; return whether any was."""
         grown = False
         while len(self.model.robot.effects) - self._known < most:
             ranked = self.library.ranked(self.model, self.columns)
-            self.first = self.first or tuple(ranked)
             ranked = [one for one in ranked if may_join(one.spec, self.model.robot)
                       and self.library.beyond_chance(one) >= self._least(one.spec)]
             if not ranked:
@@ -101,7 +105,7 @@ class _Hunt:
             added = self._best_added(ranked)
             if self.model.cost - added.cost < self._least(added.robot.effects[-1]):
                 break
-            self._take(added)
+            self.take(added)
             self._say(f'{added.robot.effects[-1].name} of {added.robot.effects[-1].joint}')
             grown = True
         return grown
@@ -117,9 +121,11 @@ class _Hunt:
         model, effects = self.model, self.model.robot.effects
         less, others = without(self._problem, model, self.columns, self._known, i)
         ranked = self.library.ranked(less, others)
+        least = _NEARLY * (least_cost(self._problem, less, others) - model.cost)
         own = effects[i].name, effects[i].joint
         for one in ranked[:_SHORTLIST]:
-            if ((one.spec.name, one.spec.joint) == own or one.gain < _CLOSE * ranked[0].gain
+            if ((one.spec.name, one.spec.joint) == own
+                    or one.gain < max(_CLOSE * ranked[0].gain, least)
                     or not may_join(one.spec, less.robot)):
                 continue
             other = self._fit_last(with_effect(less.robot, one.spec))
@@ -127,9 +133,9 @@ class _Hunt:
             worth = self._gain * max(larger, 0.2)
             if larger > 0:
                 worth += _BETTER * (less.cost - model.cost)
-            if model.cost - other.cost > worth:
+            if self._problem.exact_cost(model) - self._problem.exact_cost(other) > worth:
                 self._say(f'{one.spec.name} instead of {effects[i].name}')
-                self._take(other)
+                self.take(other)
                 return True
         return False
 
@@ -148,9 +154,9 @@ class _Hunt:
             if one.gain < least or not may_join(one.spec, less.robot):
                 continue
             other = self._fit_last(with_effect(less.robot, one.spec), iterations=_PATIENT)
-            if other.cost < model.cost + self._gain:
+            if problem.exact_cost(other) < problem.exact_cost(model) + self._gain:
                 self._say(f'{one.spec.name} instead of two')
-                self._take(other)
+                self.take(other)
                 return True
         return False
 
@@ -196,7 +202,8 @@ class _Hunt:
             return alone
         return fit(problem, alone.robot, alone.x, self._knobs, first=self._known)
 
-    def _take(self, fitted):
+    def take(self, fitted):
+        """Go on with a model, its effects fitted together."""
         self.model, self.columns = refitted(self._problem, fitted.robot, fitted.x, self._knobs,
                                             self._known, iterations=2)
 
@@ -254,11 +261,9 @@ def without(problem, model, columns, known, *dropped):
     effects = model.robot.effects
     robot = replace(model.robot, effects=tuple(
         spec for i, spec in enumerate(effects) if i not in dropped))
-    rows = problem.rows(robot, model.x)
     own = [len(model.x) + k for k, number in enumerate(numbers_of(effects, known))
            if number.effect in dropped]
-    return (Fitted(robot, model.x, rows, problem.cost(rows, robot, model.x)),
-            np.delete(columns, own, axis=0))
+    return Fitted.of(problem, robot, model.x), np.delete(columns, own, axis=0)
 
 
 def _size(spec):

@@ -38,6 +38,10 @@ _UNEXPECTED = 4.0     # times the loss that was foreseen: an effect is taken bac
 _DOUBTFUL = 0.1       # of what is still unexplained: an effect worth less is not believed
 _BESIDE = 0.5         # of the torque missed most: an effect so large matters, however small
 _NOISE_DOUBT = 0.15   # by which the level of a clean run may be wrong
+_UNSETTLED = 0.15     # missing: so much may be left because noise is not what it was taken for
+_AGAIN = 2            # times it is searched again, at most
+_HARDLY = 0.5         # of what was left: with more left yet, noise was not at fault
+_MANY = 6             # effects: too many to look for all of them anew
 _FLOOR = 1.0 / 6.0    # of the practical torque: what rows are measured by
 
 
@@ -130,15 +134,40 @@ def _searched(paths, robot, options, holdout, at_rest, say):
     problem = Problem(paths, robot, _FLOOR * options.practical, options.seed, options.doubt,
                       at_rest)
     known = len(robot.effects)
-    found = search(problem, most=options.most, without=options.without, say=say)
+    problem, found = _settled(problem, options, say)
     say('judging what was found')
     found, entries = pruned(problem, found, known)
     return _told(problem, found, entries, known, options, holdout, say)
 
 
+def _settled(problem, options, say):
+    """
+    Return what a search ends with, and the Problem in which noise is that of a robot like it.
+
+    Noise depends on the robot: where it sticks, say, encoder counts hide its friction. Measured
+    on the robot as believed, noise that is larger in truth looks like further effects.
+    """
+    found = search(problem, most=options.most, without=options.without, say=say)
+    for _ in range(_AGAIN):
+        before, after = (problem.missing(model) for model in (found.before, found.model))
+        added = len(found.model.robot.effects) - len(problem.robot.effects)
+        if not added or not _UNSETTLED < after < naming.TOO_MUCH * before:
+            break
+        say('once more, with the noise of such a robot')
+        try:
+            problem = problem.measured_like(found.model)
+        except SimulationError:
+            break  # with these effects the robot runs away
+        found = search(problem, most=options.most, without=options.without,
+                       begin=found.model if added > _MANY else None, say=say)
+        if problem.missing(found.model) > _HARDLY * after:
+            break
+    return problem, found
+
+
 def pruned(problem, found, known):
     """Return the search's end without effects that something else could be, and the Judged."""
-    doubtful = max(_DOUBTFUL * problem.missing(found.model.cost) * problem.unit_cost,
+    doubtful = max(_DOUBTFUL * problem.missing(found.model) * problem.unit_cost,
                    LEAST_GAIN * problem.caution)
     kept = set()
     while True:
@@ -180,7 +209,7 @@ def _added(problem, found, known, choices, measured):
 
 
 def _told(problem, found, entries, known, options, holdout, say):
-    before, after = (problem.missing(model.cost) for model in (found.before, found.model))
+    before, after = (problem.missing(model) for model in (found.before, found.model))
     tried = tuple(Tried(one.spec.name, one.spec.joint, one.gain) for one in found.first)
     slack = naming.DETECTED * problem.caution
     left = max(after - _NOISE_DOUBT, 0.0) / before if before > slack else 0.0
@@ -196,7 +225,7 @@ def _told(problem, found, entries, known, options, holdout, say):
     left_over = None
     if (left > naming.EXPLAINED if findings else
             naming.matters(problem, gap, before, options.practical)):
-        share = max(problem.missing(found.model.cost), 0.0) / max(before, 1e-12)
+        share = max(problem.missing(found.model), 0.0) / max(before, 1e-12)
         left_over = signature_of(problem, found.model, min(share, 1.0))
     verdict = FOUND if findings else UNEXPLAINED if left_over else COMPLETE
     retuned = tuple((knob.name, problem.robot.joints[knob.joint] if knob.joint >= 0 else 'arm',

@@ -5,6 +5,7 @@
 
 from typing import NamedTuple
 
+from gms_flex_control.discrepancy.fit import Fitted
 from gms_flex_control.discrepancy.gap import free_rms, torque_rms
 from gms_flex_control.discrepancy.path import path_of
 from gms_flex_control.discrepancy.units import angle_scale, torque_scale
@@ -48,13 +49,12 @@ def compare(result, models, holdout=()):
                                       for recording in holdout])
     zero, compared = np.zeros(len(problem.knobs)), []
     for name, robot in models:
-        rows = problem.rows(robot, zero)
-        x, tuned, _ = problem.retuned(robot, zero)
+        given = Fitted.of(problem, robot, zero)
+        x, _, _ = problem.retuned(robot, zero)
         compared.append(Compared(
             name, torque_rms(measured, robot, zero), torque_rms(measured, robot, x),
             free_rms(measured, robot, zero), free_rms(measured, robot, x),
-            problem.missing(problem.cost(rows, robot, zero)),
-            problem.missing(problem.cost(tuned, robot, x))))
+            problem.missing(given), problem.missing(Fitted.of(problem, robot, x))))
     return compared
 
 

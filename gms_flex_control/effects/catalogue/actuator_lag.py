@@ -11,7 +11,7 @@ import numpy as np
 
 
 class ActuatorLag(Term):
-    """time_constant du/dt + u = command, exact for a held command."""
+    """time_constant du/dt + u = command, the mean over the step, exact for a held command."""
 
     name = 'actuator_lag'
     stage = Stage.ACTUATOR
@@ -33,5 +33,6 @@ class ActuatorLag(Term):
     def apply(s, p, memory, dt):
         """Change the signals of one joint."""
         if p[0] > 0.0:
-            memory[0] = s[TORQUE] + (memory[0] - s[TORQUE]) * np.exp(-dt / p[0])
-            s[TORQUE] = memory[0]
+            short, gone = memory[0] - s[TORQUE], -np.expm1(-dt / p[0])
+            memory[0] -= short * gone
+            s[TORQUE] += short * gone * p[0] / dt
