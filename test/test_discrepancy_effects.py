@@ -3,7 +3,9 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Every effect of the catalogue, hidden in a robot of another integrator, is named and sized."""
 
-from gms_flex_control.discrepancy.fit import FIXED
+from gms_flex_control.discrepancy.fit import Fitted, FIXED
+from gms_flex_control.discrepancy.path import path_of
+from gms_flex_control.discrepancy.problem import Problem
 from gms_flex_control.discrepancy.result import COMPLETE, FOUND, UNEXPLAINED
 from gms_flex_control.discrepancy.signature import VARIABLES
 from gms_flex_control.discrepancy.workflow import discrepancy
@@ -98,6 +100,22 @@ def test_a_hidden_effect_is_named_first_with_its_values(name):
             assert off_by(value, true) < largest_error(name, value.name, true), value
     strays = [np.sqrt(np.sum(rms ** 2)) for rms in (result.gap.free_before, result.gap.free_after)]
     assert strays[1] < STRAYS.get(name, 1.02) * strays[0] or result.gap.free_farther < 1.0
+
+
+def test_what_sticks_is_measured_by_the_noise_of_what_sticks():
+    """
+    A motor that holds by dry friction creeps unseen: the true model misses torque there.
+
+    By the noise of the robot as believed that is much, and looks like further effects.
+    """
+    case = make_case('single', 45, duration=SHORT)
+    problem = Problem([path_of(case.recording, case.nominal)], case.nominal, 0.005)
+    true = Fitted.of(problem, case.truth.robot, np.zeros(len(problem.knobs)))
+    assert problem.missing(true) > 10.0
+    settled = problem.measured_like(true)
+    assert settled.missing(Fitted.of(settled, true.robot, true.x)) < 0.2
+    result = discrepancy([case.recording], case.nominal)
+    assert [one.effect for one in (*result.findings, *result.minor)] == ['motor_coulomb']
 
 
 @pytest.mark.parametrize(('seed', 'plant'), [(0, 'soft'), (1, 'stiff'), (2, None)])

@@ -19,6 +19,7 @@ _PARTLY = 0.2         # of what was missing, where effects that explain most of 
 _DOMINANT = 0.6       # share of an effect that explains most
 _PART = 0.05          # share of an effect that is worth naming where much is left
 _FEW = 3              # findings: so few are all named, small and like others though they be
+_CLEAR = 0.85         # of what a small effect explains: no other explains so much
 _NEARLY_ALL = 0.2     # of held-out torque: less is left of it
 _GOOD_DEAL = ((0.95, 0.3), (0.35, 0.95), (_NEARLY_ALL, 1.1))  # of torque and stray squared
 _CHANCE = 1.1         # of held-out torque, where an effect acts seldom
@@ -69,7 +70,8 @@ def grouped(findings, entries):
     """
     Return findings that are named, small ones, and those whose names are one of several; tuples.
 
-    Among many, an effect that these data tell from no other is named only if it is the largest.
+    Among many, an effect that these data tell from no other is named only if it is the largest,
+    and a small one only if they tell it clearly.
     """
     groups, few = ([], [], []), len(findings) <= _FEW
     for finding, one in zip(findings, entries, strict=True):
@@ -77,7 +79,9 @@ def grouped(findings, entries):
         if finding.main:
             groups[0 if named or not groups[0] else 2].append(finding)
         else:
-            groups[1 if few or named and judge.is_sure(one) else 2].append(finding)
+            clear = (named and judge.is_sure(one)
+                     and finding.runner_up_score < _CLEAR * finding.score)
+            groups[1 if few or clear else 2].append(finding)
     return tuple(tuple(group) for group in groups)
 
 

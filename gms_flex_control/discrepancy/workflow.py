@@ -40,7 +40,6 @@ _BESIDE = 0.5         # of the torque missed most: an effect so large matters, h
 _NOISE_DOUBT = 0.15   # by which the level of a clean run may be wrong
 _UNSETTLED = 0.15     # missing: so much may be left because noise is not what it was taken for
 _AGAIN = 2            # times it is searched again, at most
-_HARDLY = 0.5         # of what was left: with more left yet, noise was not at fault
 _MANY = 6             # effects: too many to look for all of them anew
 _FLOOR = 1.0 / 6.0    # of the practical torque: what rows are measured by
 
@@ -145,7 +144,8 @@ def _settled(problem, options, say):
     Return what a search ends with, and the Problem in which noise is that of a robot like it.
 
     Noise depends on the robot: where it sticks, say, encoder counts hide its friction. Measured
-    on the robot as believed, noise that is larger in truth looks like further effects.
+    on the robot as believed, noise that is larger in truth looks like further effects. If it is
+    not by noise alone that something is left, the search stands as it was.
     """
     found = search(problem, most=options.most, without=options.without, say=say)
     for _ in range(_AGAIN):
@@ -155,13 +155,14 @@ def _settled(problem, options, say):
             break
         say('once more, with the noise of such a robot')
         try:
-            problem = problem.measured_like(found.model)
+            other = problem.measured_like(found.model)
         except SimulationError:
             break  # with these effects the robot runs away
-        found = search(problem, most=options.most, without=options.without,
+        again = search(other, most=options.most, without=options.without,
                        begin=found.model if added > _MANY else None, say=say)
-        if problem.missing(found.model) > _HARDLY * after:
+        if other.missing(again.model) > naming.DETECTED * problem.caution:
             break
+        problem, found = other, again
     return problem, found
 
 
