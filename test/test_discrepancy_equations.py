@@ -394,13 +394,13 @@ def test_the_same_robot_costs_the_same_however_it_is_said(robot, gains, name, kn
     x = np.zeros(len(problem.knobs))
     plain = problem.cost(problem.rows(robot, x), robot, x)
     spec = EffectSpec(name=name, joint=robot.joints[problem.knobs[index].joint], values=(ratio,))
-    problem.note_noise(replace(spec, values=(0.1,)))
+    problem.noise.learn(replace(spec, values=(0.1,)))
     same = with_effect(robot, spec)
     x[index] = 1.0 / (1.0 + ratio) - 1.0
     rows = problem.rows(same, x)
     rows[-len(x):] = 0.0  # what known parameters are moved by is told beside
     np.testing.assert_allclose(rows, problem.rows(robot, 0.0 * x), atol=1e-6)
-    noise = abs(2.0 * problem.noise_in_slopes(robot)[index] * x[index])
+    noise = abs(2.0 * problem.noise.slopes(robot)[index] * x[index])
     assert noise > 1.0
     assert problem.cost(rows, same, x) == pytest.approx(plain, abs=0.1 * noise)
 

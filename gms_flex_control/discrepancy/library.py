@@ -70,24 +70,24 @@ class Library:
 
     def _noise_of(self, jobs):
         """Return what noise adds to the slope of each column."""
-        problem = self._problem
+        problem, noise = self._problem, self._problem.noise
         ways = Counter((name, joint) for name, joint, _ in self.guesses)
         specs = [EffectSpec(name=name, joint=joint, values=guess.probes[0])
                  for name, joint, guess in self.guesses
                  if guess.is_linear and ways[name, joint] == 1]
-        problem.each(problem.note_noise, specs)
-        added = np.array([problem.noise_of(EffectSpec(name=name, joint=joint, values=values))
+        problem.each(noise.learn, specs)
+        added = np.array([noise.slopes_of(EffectSpec(name=name, joint=joint, values=values))
                           @ values for name, joint, values in jobs])
         hidden = np.abs(added) > _ALL_NOISE * np.sum(self.columns ** 2, axis=1)
         for name, joint in {jobs[i][:2] for i in np.flatnonzero(hidden)}:
-            problem.forget_noise(name, joint)
+            noise.forget(name, joint)
         return np.where(hidden, 0.0, added)
 
     def _gained_by_chance(self, knobs):
         """Return what hypotheses gain in runs in which nothing is missing, the mean of each."""
         problem = self._problem
         gains = self._gains(knobs[:, problem.fitted], problem.clean[:, problem.fitted],
-                            problem.noise_in_slopes(problem.robot)).mean(axis=0)
+                            problem.noise.slopes(problem.robot)).mean(axis=0)
         by_chance = {}
         for (name, joint, _), gain in zip(self.guesses, gains, strict=True):
             by_chance[name, joint] = max(gain, by_chance.get((name, joint), 0.0))
@@ -123,7 +123,7 @@ class Library:
         before = half_cost(gram, slope, solve(gram, slope, low, high))
         free = np.ones(len(own), dtype=bool)
         free[:knobs] = np.abs(model.x) < _AT_BOUND * problem.bound_of(model.robot)
-        noise = problem.noise_in_slopes(model.robot, numbers)
+        noise = problem.noise.slopes(model.robot, numbers)
         for i in np.argsort(-self._gains(own[free], rows, noise[free]))[:_EXACT]:
             name, joint, guess = self.guesses[i]
             value, coefficients = self._with(i, own, rows, gram, low, high, slope)

@@ -9,11 +9,10 @@ import os
 
 from gms_flex_control.discrepancy.bounded import solve
 from gms_flex_control.discrepancy.known import DOUBT, knobs_of, MOST_DOUBT, REPLACED, tuned
+from gms_flex_control.discrepancy.noise import Noise
 from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.discrepancy.retrace import retrace
 from gms_flex_control.discrepancy.whitening import Whitening
-from gms_flex_control.effects.base import Change
-from gms_flex_control.effects.registry import find
 from gms_flex_control.simulation import plant
 import numpy as np
 
@@ -21,7 +20,6 @@ REPLICATES = 6        # runs in which nothing is missing, per recording
 BLOCK = 2.0           # of time that is held out or not as a whole [s]
 _HELD_OUT = 4         # one block in so many
 _KNOB_STEP = 0.01
-_RATIO_STEP = 0.1     # of a relative change that an effect is
 _OF_DOUBT = 2.0       # standard deviations of a known parameter that its doubt is
 _OF_MOTORS = 3.0      # times what an effect must explain where links are not seen
 
@@ -61,7 +59,7 @@ class Problem:
         self.floor = practical * np.tile(level, 2)
         self.pool = ThreadPoolExecutor(os.cpu_count() or 1)
         self._like = like or (robot, np.zeros(len(self.knobs)))
-        self._measure(*self._like)
+        self._measure()
 
     def _seen(self, path):
         """Return where the equations of a Path tell something, bool (S, 2 n)."""
@@ -86,8 +84,9 @@ class Problem:
         return np.concatenate([*(whitening.rows_of(residual).ravel() for whitening, residual in
                                  zip(self.whitenings, residuals, strict=True)), burden])
 
-    def _measure(self, robot, x):
-        """Take the measure of rows from runs of a model in which nothing is missing."""
+    def _measure(self):
+        """Take the measure of rows from runs in which nothing is missing."""
+        robot, x = self._like
         constants = self.constants(robot, x)
         runs = [[retrace(path, constants, np.random.default_rng([self._seed, k]))
                  for path in self.paths] for k in range(REPLICATES)]
@@ -100,64 +99,7 @@ class Problem:
         self._divide()
         self.clean = np.stack([self._rows(run) for run in residuals])
         self.level = float(np.mean(self.clean[0, self.fitted] ** 2))
-        self._pair = runs[:2]
-        self._noise = (self.clean[0] - self.clean[1])[self.fitted]
-        self._attenuation = self.each(lambda i: self._noise_added(self.constants(
-            robot, x + _KNOB_STEP * (np.arange(len(x)) == i))) / _KNOB_STEP, range(len(x)))
-        self._attenuations = {}  # (effect, joint): of each parameter
-
-    def _between(self, constants):
-        """Return how rows of two clean runs differ: what they share is motion, not noise."""
-        one, other = (self._rows([unexplained(path, constants) for path in run])[self.fitted]
-                      for run in self._pair)
-        return one - other
-
-    def _noise_added(self, constants):
-        """Return half of what noise adds to the cost of a model beyond that as believed."""
-        return 0.5 * float(self._noise @ (self._between(constants) - self._noise))
-
-    def note_noise(self, spec):
-        """
-        Learn what noise adds to the slopes of an effect that is linear in its parameters.
-
-        Parameters
-        ----------
-        spec : EffectSpec
-            At a small size.
-
-        """
-        kind, count = find(spec.name), len(spec.values)
-        sets = {0: spec.values}
-        if issubclass(kind, Change):  # its further ratios, one by one
-            sets |= {k: tuple(_RATIO_STEP * (np.arange(count) == k)) for k in range(1, count)
-                     if kind.parameters[k].unit == '1'}
-        (like, x), slopes = self._like, np.zeros(count)
-        for k, values in sets.items():
-            robot = with_effect(like, replace(spec, values=values))
-            slopes[k] = self._noise_added(self.constants(robot, x)) / values[k]
-        self._attenuations[spec.name, spec.joint] = slopes
-
-    def forget_noise(self, name, joint):
-        """Take it that noise adds nothing to the slopes of an effect: its rows are but noise."""
-        self._attenuations.pop((name, joint), None)
-
-    def noise_of(self, spec):
-        """Return what noise adds to the slopes of an effect, one number per parameter."""
-        return self._attenuations.get((spec.name, spec.joint), np.zeros(len(spec.values)))
-
-    def noise_in(self, robot, x):
-        """Return half of what noise adds to the cost of a robot with its knobs at ``x``."""
-        like, at = self._like
-        known = len(self.robot.effects)
-        return float(self._attenuation @ (x - at)
-                     + sum(self.noise_of(spec) @ spec.values for spec in robot.effects[known:])
-                     - sum(self.noise_of(spec) @ spec.values for spec in like.effects[known:]))
-
-    def noise_in_slopes(self, robot, numbers=()):
-        """Return what noise adds to the slopes of knobs and numbers of effects, one by one."""
-        return np.concatenate([self._attenuation, [
-            self.noise_of(robot.effects[number.effect])[number.parameter]
-            for number in numbers]])
+        self.noise = Noise(self, runs[:2], robot, x)
 
     def measured_like(self, model):
         """Return the Problem in which runs of a model, a Fitted, tell what noise is."""
@@ -225,10 +167,9 @@ class Problem:
         """
         Return the sum of squares of a model's rows that are fitted, cleared of what noise adds.
 
-        Noise of the readings stands in the rows times inertia and stiffness: without the second
-        term a smaller arm would always look better, by its smaller noise.
+        To first order, as `slope` has it.
         """
-        return float(np.sum(rows[self.fitted] ** 2) - 2.0 * self.noise_in(robot, x))
+        return float(np.sum(rows[self.fitted] ** 2) - 2.0 * self.noise.half_cost(robot, x))
 
     def exact_cost(self, model):
         """
@@ -237,13 +178,12 @@ class Problem:
         Two effects that are nearly the same, such as a payload and a heavier link, have slopes of
         their own; far from where noise was measured they would differ by these alone.
         """
-        noise = self._between(self.constants(model.robot, model.x))
-        return float(np.sum(model.rows[self.fitted] ** 2)
-                     - 0.5 * (noise @ noise - self._noise @ self._noise))
+        return (float(np.sum(model.rows[self.fitted] ** 2))
+                - self.noise.exact_cost(model.robot, model.x))
 
     def slope(self, columns, rows, robot, numbers=()):
         """Return the downhill slope of half the cost by knobs and numbers of effects (C,)."""
-        return (self.noise_in_slopes(robot, numbers)
+        return (self.noise.slopes(robot, numbers)
                 - columns[:, self.fitted] @ rows[self.fitted])
 
     def bound_of(self, robot):
@@ -264,8 +204,11 @@ class Problem:
 
         The latter, one row for each knob, is its change in units of half of its doubt.
         """
-        constants = self.constants(robot, x)
-        return self._rows([unexplained(path, constants) for path in self.paths], x)
+        return self.rows_along(self.paths, self.constants(robot, x), x)
+
+    def rows_along(self, paths, constants, x=None):
+        """Return `rows` of a kernels' record along other paths than those recorded."""
+        return self._rows([unexplained(path, constants) for path in paths], x)
 
     def burden_of(self, rows):
         """Return the rows, a view of `rows` (R,), that tell how far each knob is moved (P,)."""
