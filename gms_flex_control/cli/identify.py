@@ -94,7 +94,8 @@ def options_of(args):
 
 def robot_of(args):
     """Return the robot of the arguments; without a file, rigid axes named as in the bag."""
-    from gms_flex_control.bags.reader import joint_names, link_names
+    from gms_flex_control.bags.names import link_names
+    from gms_flex_control.bags.reader import joint_names
     from gms_flex_control.identification.unknown_robot import only_joints, rigid_joints
     from gms_flex_control.schema.files import load_robot
     if args.robot is None:
@@ -115,7 +116,8 @@ def motors_in(path, robot):
 
     A rigid joint needs none, but a bag may still give its torque as that of a motor.
     """
-    from gms_flex_control.bags.reader import joint_names, MOTOR_SUFFIX
+    from gms_flex_control.bags.names import MOTOR_SUFFIX
+    from gms_flex_control.bags.reader import joint_names
     names = joint_names(path)
     wanted = (motor or joint + MOTOR_SUFFIX
               for joint, motor in zip(robot.joints, robot.motors, strict=True))

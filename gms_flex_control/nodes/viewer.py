@@ -9,7 +9,7 @@ import math
 import threading
 import time
 
-from gms_flex_control.bags.reader import link_names, MOTOR_SUFFIX
+from gms_flex_control.bags.names import link_names, MOTOR_SUFFIX
 from gms_flex_control.errors import GmsFlexError
 from gms_flex_control.nodes import messages, process
 from gms_flex_control.nodes.remote_parameters import RemoteParameters

@@ -1,0 +1,226 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""The topics of one recording as arrays, decoded while the bag is read."""
+
+import warnings
+
+from gms_flex_control.bags.cdr import JOINT_STATE, MULTI_ARRAY
+from gms_flex_control.bags.messages import SOURCE_LABEL, STAMP_LABEL
+from gms_flex_control.bags.names import link_names, names_of, resolved
+from gms_flex_control.bags.pairing import Answers, by_stamp, N_DERIVATIVES, reference_at
+from gms_flex_control.bags.source import BagWarning
+from gms_flex_control.bags.tables import ArrayTable, JointTable
+from gms_flex_control.errors import BagError
+import numpy as np
+
+_BLOCK = 4096             # messages of a topic that wait to be decoded together
+_TWO_RUNS = 100_000_000  # a step back beyond this is another run, not a late message [ns]
+_TYPES = (JOINT_STATE, MULTI_ARRAY, MULTI_ARRAY, JOINT_STATE, MULTI_ARRAY)  # of the Topics
+
+
+class Series:
+    """
+    The topics of one recording, decoded while the bag is read.
+
+    Parameters
+    ----------
+    bag : Bag
+        To read.
+    topics : Topics
+        Topic names.
+    joints, motors : sequence of str or None
+        See `read_recording`.
+
+    """
+
+    def __init__(self, bag, topics, joints, motors):
+        self._bag, self._path, self.topics = bag, bag.path, topics
+        self._chosen = joints, motors
+        self._waiting = {topic: ([], []) for topic in topics}  # receive times, messages
+        self._first, self._tables, self._places = None, (), None
+
+    def collect(self, further):
+        """Read the bag; messages of ``further`` topics are put into their lists."""
+        for batch in self._bag.batches({*self._waiting, *further}):
+            for topic, log, _, message in batch:
+                if topic in further:
+                    further[topic].append(message)
+                    continue
+                times, messages = self._waiting[topic]
+                times.append(log)
+                messages.append(message)
+            self._decode(_BLOCK)
+        self._decode(1)
+        for topic, type_name in zip(self.topics, _TYPES, strict=True):
+            if not self._has_type(topic, type_name):
+                raise BagError(f'{self._path}: topic {topic!r} is a '
+                               f'{self._bag.type_of(topic)}, expected {type_name}')
+
+    def _has_type(self, topic, type_name):
+        return topic not in self._bag.topics or self._bag.type_of(topic) == type_name
+
+    def _decode(self, least):
+        """Decode the topics of which ``least`` messages wait, once the joints are known."""
+        if self._first is None and self._waiting[self.topics.joint_states][1]:
+            self._first = self._waiting[self.topics.joint_states][1][0]
+            self._tables = self._make_tables()
+        if self._first is None:
+            return
+        for topic, (times, messages) in self._waiting.items():
+            if len(messages) >= least:
+                for name, type_name, table in zip(self.topics, _TYPES, self._tables,
+                                                  strict=False):
+                    if name == topic and self._has_type(topic, type_name):
+                        table.add(times, messages)
+                times.clear()
+                messages.clear()
+
+    def _make_tables(self):
+        """Return a table for each of the topics, none if the joints cannot be told."""
+        try:
+            joints, motors = self.resolved()
+        except BagError:  # raised again once the bag is known to be sound
+            return ()
+        names = self.require_names()
+        n, links = len(joints), link_names(names)
+        self._places = [links.index(name) for name in joints] if set(joints) < set(links) else None
+        widest = n if self._places is None else len(links)
+
+        def torques(_dims, count):
+            if count not in (n, widest):
+                raise BagError(f'has {count} torques for {n} joints ({", ".join(joints)})')
+            return (count,)
+
+        def references(dims, count):
+            try:
+                return reference_shape(dims, count, n)
+            except BagError:
+                if widest == n:
+                    raise
+                return reference_shape(dims, count, widest)
+
+        there = [name for name in (*joints, *filter(None, motors)) if name in names]
+        return (JointTable(there), ArrayTable((widest,), torques),
+                ArrayTable((N_DERIVATIVES, widest), references),
+                JointTable(joints, ('effort',)), ArrayTable((1,), one_voltage))
+
+    def _own(self, values):
+        """Return the columns (..., n) of these joints, of messages that may be of all joints."""
+        if self._places is None:
+            return values
+        narrow = np.all(np.isnan(values[..., len(self._places):]), axis=-1, keepdims=True)
+        return np.where(narrow, values[..., :len(self._places)], values[..., self._places])
+
+    def require_names(self):
+        """Return the names of the first joint state, or raise BagError."""
+        return names_of(self._bag, self._first, self.topics)
+
+    def resolved(self):
+        """Return the joint and motor names."""
+        return resolved(self._path, self.topics.joint_states, self.require_names(),
+                        *self._chosen)
+
+    def _take(self, topic, *columns):
+        """Return columns of the table of a topic, a field of ``topics``."""
+        table = self._tables[self.topics._fields.index(topic)]
+        try:
+            return [table.take(name) for name in columns]
+        except BagError as error:
+            name = getattr(self.topics, topic)
+            raise BagError(f'{self._path}: topic {name!r} {error}') from None
+
+    def clock(self):
+        """Return stamps and receive times of the states, increasing, and the rows to take."""
+        topic = self.topics.joint_states
+        stamps, received, rows = self._take('joint_states', 'stamps', 'received', 'rows')
+        if not stamps.any():
+            return received, received, np.arange(len(received))
+        back = np.diff(stamps)
+        if len(back) and back.min() < -_TWO_RUNS:
+            k = int(np.argmin(back))
+            raise BagError(
+                f'{self._path}: topic {topic!r} goes back from {stamps[k] * 1e-9:.3f} s to '
+                f'{stamps[k + 1] * 1e-9:.3f} s at message {rows[k + 1]}: two runs in one '
+                'bag? Record each in its own')
+        order = np.unique(stamps, return_index=True)[1]
+        if len(order) < len(stamps):
+            warnings.warn(f'{self._path}: topic {topic!r} repeats {len(stamps) - len(order)} '
+                          'stamps; the first state of each is taken', BagWarning, stacklevel=4)
+        return stamps[order], received[order], order
+
+    def states(self, name):
+        """Return position, velocity or effort of the states, (T, joints and motors), or NaN."""
+        joints, motors = self.resolved()
+        known, names = self._take('joint_states', name)[0], self.require_names()
+        there = [wanted in names for wanted in (*joints, *filter(None, motors))]
+        if all(there):
+            return known
+        values = np.full((len(known), len(there)), np.nan)
+        values[:, there] = known
+        return values
+
+    def commands(self):
+        """Return the Answers."""
+        answers = Answers(*self._take('command', *Answers._fields))
+        return answers._replace(values=self._own(answers.values))
+
+    def reference(self, stamps, received, period):
+        """Return the reference at the states, shape (T, 5, n)."""
+        labels, stamped, times, values = self._take('reference', *Answers._fields)
+        values = self._own(values)
+        if stamped.all():
+            return reference_at(stamps, period, labels, values)
+        return reference_at(received, period, times, values)
+
+    def friction(self, stamps):
+        """Return the friction estimate at the states, shape (T, n)."""
+        return by_stamp(stamps, *self._take('controller_state', 'stamps', 'effort'))
+
+    def supply(self, stamps, received):
+        """Return the voltage at the states, shape (T,), between two messages a straight line."""
+        labels, stamped, times, values = self._take('supply', *Answers._fields)
+        if not len(values):
+            return np.full(len(stamps), np.nan)
+        at, known = (stamps, labels) if stamped.all() else (received, times)
+        known, first = np.unique(known, return_index=True)
+        return np.interp(at, known, values[first, 0])
+
+
+def one_voltage(_dims, count):
+    """Return the shape (1,) of a supply's voltage; raise BagError if it is not one number."""
+    if count != 1:
+        raise BagError(f'has {count} numbers, expected the voltage of the supply alone')
+    return (1,)
+
+
+def reference_shape(dims, count, n):
+    """
+    Return the shape (rows, n) of a reference, None if it asks for torques instead of angles.
+
+    Parameters
+    ----------
+    dims : sequence of (label, size, stride)
+        The layout; without any, ``count`` tells the rows.
+    count : int
+        How many numbers the message has.
+    n : int
+        Number of joints.
+
+    Raises
+    ------
+    BagError
+        If the layout or the length does not fit; the sentence has no subject yet.
+
+    """
+    shape = [(label, size) for label, size, _ in dims
+             if not label.startswith((STAMP_LABEL, SOURCE_LABEL))]
+    if shape and shape[0][0] == 'effort':
+        return None
+    rows = shape[0][1] if shape else count // max(n, 1)
+    columns = shape[1][1] if len(shape) > 1 else n
+    if not 1 <= rows <= N_DERIVATIVES or columns != n or count != rows * n:
+        layout = ' x '.join(f'{label} {size}' for label, size in shape) or 'no layout'
+        raise BagError(f'has {count} numbers ({layout}), expected '
+                       f'derivative {N_DERIVATIVES} x joint {n}')
+    return rows, n
