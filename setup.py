@@ -40,6 +40,7 @@ setup(
         'rosbags>=0.11,<0.12',
         'ruamel.yaml>=0.17.21,<0.20',
         'scipy>=1.11,<2',
+        'threadpoolctl>=3.1,<4',
     ],
     extras_require={
         'ros': [

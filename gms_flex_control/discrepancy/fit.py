@@ -102,7 +102,7 @@ def effect_columns(problem, robot, x, rows, numbers):
     return problem.each(column, range(len(numbers))).reshape(len(numbers), len(rows))
 
 
-def fit(problem, robot, x, knob_columns, first=0, iterations=3):
+def fit(problem, robot, x, columns, first=0, iterations=3):
     """
     Move knobs and the parameters of effects from the ``first`` on to where rows are smallest.
 
@@ -114,8 +114,9 @@ def fit(problem, robot, x, knob_columns, first=0, iterations=3):
         Where to begin.
     x : ndarray, shape (P,)
         Knobs to begin with.
-    knob_columns : ndarray, shape (P, R)
-        Their derivatives, which hardly change.
+    columns : ndarray, shape (C, R)
+        Derivatives that hardly change: by the knobs and, if they are known, by the first numbers
+        of these effects; the others are taken anew each time.
     first : int
         Effects before are left as they are.
     iterations : int
@@ -126,24 +127,23 @@ def fit(problem, robot, x, knob_columns, first=0, iterations=3):
     Fitted
 
     """
-    rows = problem.rows(robot, x)
+    rows, known = problem.rows(robot, x), len(columns) - len(x)
     cost = problem.cost(rows, robot, x)
     for _ in range(iterations):
         numbers = numbers_of(robot.effects, first)
         values = values_of(robot, numbers)
-        own = effect_columns(problem, robot, x, rows, numbers)
-        step = _step(problem, np.concatenate([knob_columns, own]), rows, robot, x, values,
-                     numbers)
+        own = effect_columns(problem, robot, x, rows, numbers[known:])
+        step = _step(problem, np.concatenate([columns, own]), rows, robot, x, values, numbers)
         for shrink in _SHRINK:
-            there = at_values(robot, numbers, values + shrink * step[len(x):])
+            other = at_values(robot, numbers, values + shrink * step[len(x):])
             knobs = x + shrink * step[:len(x)]
-            moved = problem.rows(there, knobs)
-            gain = cost - problem.cost(moved, there, knobs)
+            moved = problem.rows(other, knobs)
+            gain = cost - problem.cost(moved, other, knobs)
             if gain > 0.0:
                 break
         else:
             break
-        robot, x, rows, cost = there, knobs, moved, cost - gain
+        robot, x, rows, cost = other, knobs, moved, cost - gain
         if gain < _ENOUGH * cost:
             break
     return Fitted(robot, x, rows, cost)

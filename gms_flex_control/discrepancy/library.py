@@ -23,6 +23,7 @@ import numpy as np
 _OF_CHANCE = 4.0      # times what a hypothesis gains where nothing is missing
 _AT_BOUND = 0.99      # of a knob's doubt: it can give no more
 _ALL_NOISE = 0.5      # of the squares of a column: noise tells more than it
+_NEW = 1e-6           # of the squares of a guess's columns: nothing else makes so much of them
 _EXACT = 12           # hypotheses whose gain is found within bounds
 
 
@@ -64,9 +65,17 @@ class Library:
         self.columns = problem.each(column, jobs)
         self._noise = self._noise_of(jobs)
         self._places = np.cumsum([0, *(len(guess.probes) for _, _, guess in self.guesses)])
-        self._grams = [self.columns[begin:end] @ self.columns[begin:end].T for begin, end in zip(
-            self._places[:-1], self._places[1:], strict=True)]
+        self._alike = self._by_size()
         self._by_chance = self._gained_by_chance(knobs)
+
+    def _by_size(self):
+        """Return guesses (M,), columns (M, K) and their products (M, K, K), for each size K."""
+        sizes, alike = np.diff(self._places), []
+        for size in np.unique(sizes):
+            guesses = np.flatnonzero(sizes == size)
+            columns = self._places[guesses][:, None] + np.arange(size)
+            alike.append((guesses, columns, _products(self.columns[columns])))
+        return alike
 
     def _noise_of(self, jobs):
         """Return what noise adds to the slope of each column."""
@@ -142,12 +151,11 @@ class Library:
         shared = np.linalg.lstsq(root.T, noise, rcond=1e-10)[0]
         right = left @ self.columns.T - (self._noise - along @ shared)
         gains = np.zeros((*rows.shape[:-1], len(self.guesses)))
-        for i, (begin, whole) in enumerate(zip(self._places[:-1], self._grams, strict=True)):
-            end = begin + len(whole)
-            gram = whole - along[begin:end] @ along[begin:end].T
-            if np.trace(gram) > 1e-6 * np.trace(whole):
-                mine = right[..., begin:end]
-                gains[..., i] = np.sum(mine @ np.linalg.pinv(gram, rcond=1e-10) * mine, axis=-1)
+        for guesses, columns, whole in self._alike:
+            gram, mine = whole - _products(along[columns]), right[..., columns]
+            new = (np.trace(gram, axis1=1, axis2=2) > _NEW * np.trace(whole, axis1=1, axis2=2))
+            gains[..., guesses] = new * np.einsum(
+                '...mk,mkl,...ml->...m', mine, np.linalg.pinv(gram, rcond=1e-10), mine)
         return gains
 
     def _with(self, i, own, rows, gram, low, high, slope):
@@ -156,7 +164,7 @@ class Library:
         added = self.columns[self._places[i]:self._places[i + 1]]
         k, count = len(own), len(added)
         both = np.empty((k + count, k + count))
-        both[:k, :k], both[k:, k:] = gram, self._grams[i]
+        both[:k, :k], both[k:, k:] = gram, added @ added.T
         both[:k, k:] = own @ added.T
         both[k:, :k] = both[:k, k:].T
         right = np.concatenate([slope, self._noise[self._places[i]:self._places[i + 1]]
@@ -164,6 +172,11 @@ class Library:
         x = solve(both, right, np.concatenate([low, np.full(count, guess.lowest)]),
                   np.concatenate([high, np.full(count, guess.highest)]))
         return (half_cost(both, right, x) if np.any(x[k:]) else np.inf), x[k:]
+
+
+def _products(columns):
+    """Return the inner products (M, K, K) of K columns (M, K, R) each."""
+    return columns @ columns.swapaxes(1, 2)
 
 
 def limits(problem, model, count):

@@ -76,8 +76,9 @@ def search(problem, *, most=MOST, without=(), begin=None, say=lambda text: None)
     if begin:
         hunt.take(begin)
     for _ in range(_ROUNDS):
-        grown = hunt.grow(most)
-        if not hunt.exchange() and not grown:
+        while hunt.grow(most):
+            pass
+        if not hunt.exchange():
             break
     hunt.merge()
     return Found(before, hunt.model, hunt.columns, hunt.first, hunt.library)
@@ -105,9 +106,11 @@ class _Hunt:
             added = self._best_added(ranked)
             if self.model.cost - added.cost < self._least(added.robot.effects[-1]):
                 break
-            self.take(added)
+            self._append(added)
             self._say(f'{added.robot.effects[-1].name} of {added.robot.effects[-1].joint}')
             grown = True
+        if grown:
+            self.take(self.model)
         return grown
 
     def exchange(self):
@@ -128,7 +131,8 @@ class _Hunt:
                     or one.gain < max(_CLOSE * ranked[0].gain, least)
                     or not may_join(one.spec, less.robot)):
                 continue
-            other = self._fit_last(with_effect(less.robot, one.spec))
+            other = fit(self._problem, with_effect(less.robot, one.spec), model.x, others,
+                        first=self._known)
             larger = _size(one.spec) - _size(effects[i])
             worth = self._gain * max(larger, 0.2)
             if larger > 0:
@@ -153,7 +157,8 @@ class _Hunt:
         for one in self.library.ranked(less, columns)[:_LIKELY]:
             if one.gain < least or not may_join(one.spec, less.robot):
                 continue
-            other = self._fit_last(with_effect(less.robot, one.spec), iterations=_PATIENT)
+            other = fit(problem, with_effect(less.robot, one.spec), model.x, columns,
+                        first=self._known, iterations=_PATIENT)
             if problem.exact_cost(other) < problem.exact_cost(model) + self._gain:
                 self._say(f'{one.spec.name} instead of two')
                 self.take(other)
@@ -168,13 +173,6 @@ class _Hunt:
         if self._problem.unseen or find(spec.name).of_feedback:
             gain = self._gain
         return max(gain, LEAST_SHARE * left, LEAST_PART * begun)
-
-    def _fit_last(self, robot, iterations=1):
-        """Return a robot with its last effect fitted, then with all of them."""
-        problem, x = self._problem, self.model.x
-        fitted = fit(problem, robot, x, self._knobs, first=len(robot.effects) - 1)
-        return fit(problem, fitted.robot, fitted.x, self._knobs, first=self._known,
-                   iterations=iterations)
 
     def _best_added(self, ranked):
         """
@@ -194,13 +192,20 @@ class _Hunt:
                    key=lambda one: np.sum(self._problem.burden_of(one.rows) ** 2))
 
     def _added(self, one):
-        """Return the model with a hypothesis fitted, all re-tuned where it alone is not it."""
+        """Return the model with a hypothesis fitted, all derivatives anew if it disappoints."""
         model, problem = self.model, self._problem
         robot = with_effect(model.robot, one.spec)
-        alone = fit(problem, robot, model.x, self._knobs, first=len(model.robot.effects))
-        if model.cost - alone.cost > _CLOSE * one.gain:
-            return alone
-        return fit(problem, alone.robot, alone.x, self._knobs, first=self._known)
+        fitted = fit(problem, robot, model.x, self.columns, first=self._known)
+        if model.cost - fitted.cost > _CLOSE * one.gain:
+            return fitted
+        return fit(problem, fitted.robot, fitted.x, self._knobs, first=self._known)
+
+    def _append(self, fitted):
+        """Go on with one more effect, derivatives by all else as they were."""
+        effects = fitted.robot.effects
+        own = effect_columns(self._problem, fitted.robot, fitted.x, fitted.rows,
+                             numbers_of(effects, len(effects) - 1))
+        self.model, self.columns = fitted, np.concatenate([self.columns, own])
 
     def take(self, fitted):
         """Go on with a model, its effects fitted together."""

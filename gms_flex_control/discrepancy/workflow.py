@@ -6,6 +6,7 @@
 from dataclasses import dataclass, field, replace
 import time
 
+from gms_flex_control import blas
 from gms_flex_control.discrepancy import judge, naming
 from gms_flex_control.discrepancy.gap import gap_of, torque_rms
 from gms_flex_control.discrepancy.path import path_of, with_links
@@ -102,7 +103,12 @@ def discrepancy(recordings, robot, options=None, *, holdout=(), say=lambda text:
         If a recording lacks what the equations need.
 
     """
-    options, begun = options or Options(), time.monotonic()
+    with blas.in_one_thread():
+        return _discrepancy(recordings, robot, options or Options(), holdout, say)
+
+
+def _discrepancy(recordings, robot, options, holdout, say):
+    begun = time.monotonic()
     sources = tuple(recording.source for recording in recordings)
     say('checking the data')
     findings = [finding for recording in (*recordings, *holdout)

@@ -1,0 +1,21 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""
+Linear algebra in one thread.
+
+Our matrices are small and our own threads and processes keep all cores busy; threads of BLAS
+would wait for a core of their own while others spin.
+"""
+
+from contextlib import nullcontext
+
+try:
+    from threadpoolctl import threadpool_limits
+except ImportError:  # no rosdep key; without it all is as right, and slower on a busy machine
+    threadpool_limits = None
+
+
+def in_one_thread():
+    """Return a context: until it is left, BLAS uses one thread, then as many as before."""
+    return threadpool_limits(1, 'blas') if threadpool_limits else nullcontext()
