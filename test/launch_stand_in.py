@@ -74,13 +74,14 @@ def modules():
 
 
 class Started(NamedTuple):
-    """One process: its executable, its words, its parameters (files, then single ones)."""
+    """A process: executable, words, parameters (files, then single ones), names of its own."""
 
     executable: str
     words: list
     files: list
     parameters: dict[str, Any]
     namespace: str = ''
+    remappings: tuple = ()
 
 
 def started(description, given):
@@ -134,4 +135,5 @@ def _process(action, known, common, namespace):
         else:
             files.append(text(item, known))
     words = [text(word, known) for word in options.get('arguments', ())]
-    return Started(options['executable'], words, files, own, namespace)
+    return Started(options['executable'], words, files, own, namespace,
+                   tuple(options.get('remappings', ())))

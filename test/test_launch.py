@@ -27,8 +27,8 @@ LOOP = ['plant_node', 'controller_node', 'trajectory_node']
 SHOWN = ['robot_state_publisher', 'rviz2']
 REAL = all(util.find_spec(name) for name in ('launch', 'launch_ros', 'rclpy'))
 needs_launch = pytest.mark.skipif(not REAL, reason='launch and launch_ros are not installed')
-COMMON = {'robot', 'controller', 'trajectory', 'bridge', 'mode', 'record', 'rviz', 'namespace',
-          'use_sim_time'}
+COMMON = {'robot', 'controller', 'trajectory', 'bridge', 'mode', 'record', 'rviz',
+          'state_publisher', 'namespace', 'use_sim_time'}
 
 
 def loaded(name, monkeypatch):
@@ -71,6 +71,27 @@ def test_every_launch_file_takes_the_same_arguments_and_describes_them(name, mon
     ('identification', [*LOOP, 'identification_node'])])
 def test_a_launch_file_starts_these(name, processes, start):
     assert sorted(start(name)) == sorted(processes)
+
+
+@pytest.mark.parametrize('given, shown', [
+    ({}, []), ({'rviz': 'true'}, SHOWN), ({'state_publisher': 'true'}, SHOWN[:1]),
+    ({'rviz': 'true', 'state_publisher': 'false'}, SHOWN[1:])])
+def test_frames_are_published_for_rviz_and_where_they_are_asked_for(given, shown, start):
+    assert sorted(set(start('closed_loop', **given)) - set(LOOP)) == shown
+
+
+def test_frames_stay_in_their_namespace(start):
+    """Two arms publish frames of the same names."""
+    found = start('demo', namespace='left')
+    for name in SHOWN:
+        assert {('/tf', 'tf'), ('/tf_static', 'tf_static')} <= set(found[name].remappings)
+    assert ('/robot_description', 'robot_description') in found['rviz2'].remappings
+
+
+def test_frames_come_as_often_as_rviz_draws(start):
+    manager = read_yaml(ROOT / 'config' / 'arm.rviz', typ='safe')['Visualization Manager']
+    frequency = start('demo')['robot_state_publisher'].parameters['publish_frequency']
+    assert float(frequency) >= manager['Global Options']['Frame Rate']
 
 
 @pytest.mark.parametrize('name', FILES)

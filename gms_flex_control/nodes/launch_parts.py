@@ -21,6 +21,7 @@ PACKAGE = 'gms_flex_control'
 RECORDED = ('joint_states', 'effort_controller/commands', 'reference',
             'cascade_controller/state', 'cascade_controller/blocks',
             'cascade_controller/sticking')
+_FRAMES = [('/tf', 'tf'), ('/tf_static', 'tf_static')]  # absolute in tf2, whatever the namespace
 _SWITCH = ('true', 'false')
 
 
@@ -60,6 +61,10 @@ def arguments(*, bridge='', rviz='false'):
                               description='Bag to be made of the loop; empty records nothing'),
         DeclareLaunchArgument('rviz', default_value=rviz, choices=_SWITCH,
                               description='Show the arm in RViz'),
+        DeclareLaunchArgument('state_publisher', default_value=LaunchConfiguration('rviz'),
+                              choices=_SWITCH,
+                              description='Publish /robot_description and /tf, which RViz and the '
+                                          '3D panel of Foxglove draw'),
         DeclareLaunchArgument('namespace', default_value='',
                               description='Namespace of all nodes and topics'),
         DeclareLaunchArgument('use_sim_time', default_value='false', choices=_SWITCH,
@@ -123,7 +128,7 @@ def closed_loop(controller=None, trajectory=None):
 
 def helpers():
     """Return recorder, robot_state_publisher and RViz, each only where it is asked for."""
-    return [_recorder(), *_rviz()]
+    return [_recorder(), _state_publisher(), _rviz()]
 
 
 def _recorder():
@@ -135,13 +140,18 @@ def _recorder():
         output='screen', condition=IfCondition(NotEqualsSubstitution(bag, '')))
 
 
-def _rviz():
-    asked = IfCondition(LaunchConfiguration('rviz'))
+def _state_publisher():
     urdf = Command([ExecutableInPackage('gms_flex', PACKAGE), ' urdf --robot "',
                     LaunchConfiguration('robot'), '"'])
-    return [
-        Node(package='robot_state_publisher', executable='robot_state_publisher',
-             parameters=[{'robot_description': ParameterValue(urdf, value_type=str)}],
-             condition=asked),
-        Node(package='rviz2', executable='rviz2', arguments=['-d', config('arm.rviz')],
-             remappings=[('/robot_description', 'robot_description')], condition=asked)]
+    return Node(
+        package='robot_state_publisher', executable='robot_state_publisher',
+        parameters=[{'robot_description': ParameterValue(urdf, value_type=str),
+                     'publish_frequency': 50.0}],  # at least as often as RViz draws [Hz]
+        remappings=_FRAMES, condition=IfCondition(LaunchConfiguration('state_publisher')))
+
+
+def _rviz():
+    return Node(
+        package='rviz2', executable='rviz2', arguments=['-d', config('arm.rviz')],
+        remappings=[*_FRAMES, ('/robot_description', 'robot_description')],
+        condition=IfCondition(LaunchConfiguration('rviz')))
