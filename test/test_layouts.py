@@ -28,9 +28,17 @@ def foxglove():
     return json.loads((ROOT / 'layouts' / 'foxglove.json').read_text())
 
 
+def plotjuggler():
+    return ElementTree.parse(ROOT / 'layouts' / 'plotjuggler.xml').getroot()
+
+
+def rviz():
+    return read_yaml(ROOT / 'config' / 'arm.rviz', 'safe')
+
+
 def test_plotjuggler_draws_series_that_exist():
     """A joint state is /topic/joint/field to it, an array /topic/data[i]."""
-    root = ElementTree.parse(ROOT / 'layouts' / 'plotjuggler.xml').getroot()
+    root = plotjuggler()
     known = {f'{topic}/data[{i}]' for topic, size in ARRAYS.items() for i in range(size)}
     known |= {f'{topic}/{joint}/{field}' for topic, joints in STATES.items()
               for joint in joints for field in FIELDS}
@@ -40,6 +48,28 @@ def test_plotjuggler_draws_series_that_exist():
     for splitter in root.iter('DockSplitter'):
         sizes = splitter.get('sizes').split(';')
         assert int(splitter.get('count')) == len(sizes) == len(splitter)
+
+
+def test_plotjuggler_keeps_every_curve_until_its_data_come():
+    """Until 3.16 it looks for them at this depth alone; the others it drops before data come."""
+    root = plotjuggler()
+    found = root.findall('tabbed_widget/Tab/Container/DockSplitter/DockArea/plot/curve')
+    assert found == list(root.iter('curve'))
+
+
+def test_plotjuggler_subscribes_to_what_it_draws():
+    """What its plugin does not find in the layout it takes as false or 0."""
+    root = plotjuggler()
+    plugin, = root.iterfind('Plugins/plugin')
+    assert root.find('previouslyLoaded_Streamer').get('name') == plugin.get('ID')
+    settings = {setting.tag: setting.get('value') for setting in plugin}
+    topics = settings.pop('selected_topics').split(';')
+    drawn = {curve.get('name') for curve in root.iter('curve')}
+    assert sorted(topics) == sorted(topic for topic in (*ARRAYS, *STATES)
+                                    if any(name.startswith(f'{topic}/') for name in drawn))
+    assert int(settings.pop('max_array_size')) >= max(ARRAYS.values())
+    assert settings == {'use_header_stamp': 'false', 'discard_large_arrays': 'true',
+                        'boolean_strings_to_number': 'true', 'remove_suffix_from_strings': 'true'}
 
 
 def test_foxglove_draws_fields_that_exist():
@@ -64,8 +94,37 @@ def test_foxglove_places_each_of_its_panels_once():
     assert {'globalVariables', 'userNodes', 'playbackConfig'} <= set(layout)
 
 
+def test_foxglove_names_every_plot_and_its_unit():
+    """The key of a title depends on the program and its version; 'title' is none."""
+    plots = [panel for panel in foxglove()['configById'].values() if 'paths' in panel]
+    assert plots
+    for plot in plots:
+        assert plot['foxglovePanelTitle'] == plot['lichtblickPanelTitle']
+        assert plot['foxglovePanelTitle'].endswith(f'[{plot["yAxisLabel"]}]')
+        assert 'title' not in plot
+
+
+def test_foxglove_does_not_cover_the_arm_by_names_of_frames():
+    """They would be 0.2 m high."""
+    frames = foxglove()['configById']['3D!arm']['scene']['transforms']
+    assert frames['showLabel'] is False
+    assert frames['axisScale'] < 1.0
+
+
 @pytest.mark.parametrize('frame', [
-    read_yaml(ROOT / 'config' / 'arm.rviz', 'safe')['Visualization Manager']['Global Options'][
-        'Fixed Frame'], foxglove()['configById']['3D!arm']['fixedFrame']])
+    rviz()['Visualization Manager']['Global Options']['Fixed Frame'],
+    foxglove()['configById']['3D!arm']['followTf']])
 def test_the_arm_is_drawn_in_the_frame_of_its_base(frame):
     assert frame == BASE
+
+
+def test_rviz_shows_the_whole_arm():
+    """Half the height that its view from above shows is height / scale / 2."""
+    view = rviz()['Visualization Manager']['Views']['Current']
+    assert rviz()['Window Geometry']['Height'] / view['Scale'] / 2 > sum(ROBOT.arm.length)
+
+
+def test_rviz_is_told_that_its_panels_are_there():
+    """It reads a boolean that nothing has set where the file does not say."""
+    assert [rviz()['Window Geometry'][f'Hide {side} Dock'] for side in ('Left', 'Right')] == [
+        False, False]
