@@ -78,8 +78,8 @@ class Problem:
             whole += np.sum(square)
         return float(still / max(whole, 1e-300))
 
-    def _rows(self, residuals, x=None):
-        """Return rows (R,) of residuals of each path, then how far each knob is moved."""
+    def rows_of(self, residuals, x=None):
+        """Return rows (R,) of residuals (S, 2 n) of each path, then how far knobs are moved."""
         burden = np.zeros(len(self.knobs)) if x is None else _OF_DOUBT * x / self._doubts
         return np.concatenate([*(whitening.rows_of(residual).ravel() for whitening, residual in
                                  zip(self.whitenings, residuals, strict=True)), burden])
@@ -97,7 +97,7 @@ class Problem:
                            for path, clean in zip(self.paths, zip(*residuals, strict=True),
                                                   strict=True)]
         self._divide()
-        self.clean = np.stack([self._rows(run) for run in residuals])
+        self.clean = np.stack([self.rows_of(run) for run in residuals])
         self.level = float(np.mean(self.clean[0, self.fitted] ** 2))
         self.noise = Noise(self, runs[:2], robot, x)
 
@@ -208,7 +208,7 @@ class Problem:
 
     def rows_along(self, paths, constants, x=None):
         """Return `rows` of a kernels' record along other paths than those recorded."""
-        return self._rows([unexplained(path, constants) for path in paths], x)
+        return self.rows_of([unexplained(path, constants) for path in paths], x)
 
     def burden_of(self, rows):
         """Return the rows, a view of `rows` (R,), that tell how far each knob is moved (P,)."""

@@ -9,6 +9,7 @@ import time
 from gms_flex_control import blas
 from gms_flex_control.discrepancy import judge, naming
 from gms_flex_control.discrepancy.gap import gap_of, torque_rms
+from gms_flex_control.discrepancy.onset import steady
 from gms_flex_control.discrepancy.path import path_of, with_links
 from gms_flex_control.discrepancy.problem import Problem
 from gms_flex_control.discrepancy.result import (
@@ -223,6 +224,7 @@ def _told(problem, found, entries, known, options, holdout, say):
     whole = max(before * problem.unit_cost, 1e-12)
     say('the gap on data held out')
     measured = _measured_on(problem, holdout)
+    entries, sudden = steady(problem, found, entries)
     choices = naming.choices(entries, left, whole)
     found, entries, gap = _added(problem, found, known, choices, measured)
     largest = max((one.alone for one in entries), default=0.0)
@@ -234,6 +236,7 @@ def _told(problem, found, entries, known, options, holdout, say):
             naming.matters(problem, gap, before, options.practical)):
         share = max(problem.missing(found.model), 0.0) / max(before, 1e-12)
         left_over = signature_of(problem, found.model, min(share, 1.0))
+        left_over = left_over._replace(sentence=f'{left_over.sentence} {sudden}'.rstrip())
     verdict = FOUND if findings else UNEXPLAINED if left_over else COMPLETE
     retuned = tuple((knob.name, problem.robot.joints[knob.joint] if knob.joint >= 0 else 'arm',
                      float(value)) for knob, value in zip(problem.knobs, found.model.x,
