@@ -3,6 +3,8 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Every effect of the catalogue, hidden in a robot of another integrator, is named and sized."""
 
+from dataclasses import replace
+
 from gms_flex_control.discrepancy.fit import Fitted, FIXED
 from gms_flex_control.discrepancy.path import path_of
 from gms_flex_control.discrepancy.problem import Problem
@@ -135,6 +137,31 @@ def test_what_the_catalogue_lacks_is_unexplained(seed, name):
     assert result.unexplained.joint == truth.outsider_joint
     assert result.unexplained.equation == ('motor' if 'motor' in name else 'link')
     assert 'does not explain' in result.words
+
+
+@pytest.mark.parametrize('seed', [5, 7])
+def test_what_changes_at_a_moment_is_no_drift(seed):
+    """Friction that grows from one moment to the next resembles one that grows evenly."""
+    result, found, truth = outcome('outside', seed, effect='friction_step', duration=SHORT)
+    assert (result.verdict, found) == (UNEXPLAINED, ()), result.words
+    assert f'What resembles friction_drift of {truth.outsider_joint} sets in' in result.words
+
+
+def test_a_torque_of_another_joint_is_unexplained_and_says_so():
+    """As of a spring or a cable from the one to the other."""
+    case = make_case('clean', 3, duration=SHORT)
+    extra = 0.1 * case.recording.q_link[:, [1, 1]] * np.array([1.0, 0.0])
+    result = discrepancy([replace(case.recording, command=case.recording.command + extra,
+                                  tau_motor=case.recording.tau_motor + extra)], case.nominal)
+    assert result.verdict == UNEXPLAINED, result.words
+    assert result.unexplained.joint == 'joint1'
+    assert result.unexplained.variable == 'link angle of joint2'
+
+
+def test_effects_that_cancel_each_other_are_not_named():
+    """Cogging that slides: four effects, each of three times the torque missed, resemble it."""
+    result, found, _ = outcome('outside', 6)
+    assert (result.verdict, found) == (UNEXPLAINED, ()), result.words
 
 
 def test_a_ripple_finer_than_any_guess_is_found():

@@ -59,6 +59,14 @@ def torque(factor):
                                      tau_motor=factor * recording.tau_motor)
 
 
+def commanded(change):
+    """Return a function that changes a recording and drops the efforts: commands are left."""
+    def changed(recording):
+        recording = change(recording)
+        return replace(recording, tau_motor=np.full_like(recording.tau_motor, np.nan))
+    return changed
+
+
 def slipped(recording):
     """Return a recording in which an encoder slips."""
     late = (recording.time > 8.0)[:, None]
@@ -86,6 +94,8 @@ REFUSED = {
         r, q_link=np.nan * r.q_link, q_motor=np.nan * r.q_motor),
     'motor reversed': scaled('q_motor', -1.0), 'motor in gear units': scaled('q_motor', 50.0),
     'torque reversed': torque(-1.0), 'torque in mN m': torque(1e3), 'slipped': slipped,
+    'commands reversed': commanded(torque(-1.0)), 'commands in mN m': commanded(torque(1e3)),
+    'motor reversed, commands': commanded(scaled('q_motor', -1.0)),
     'too short': lambda r: taken(r, np.arange(500))}
 TOLD = {'torque clipped': (clipped, 'clipped'), 'samples repeated': (repeated, 'repeat')}
 
@@ -96,6 +106,7 @@ def test_a_fault_of_the_data_ends_the_run_with_its_name(case, name):
     assert result.verdict == BAD_DATA
     assert result.findings == () and result.unexplained is None and result.gap is None
     assert result.faults and result.faults[0] in result.words
+    assert 'was not recorded' not in result.words or name == 'no angle'
     assert 'data are at fault' in result.words
 
 
@@ -115,6 +126,12 @@ def test_a_fault_with_which_one_can_go_on_is_told(case, name):
     change, word = TOLD[name]
     result = discrepancy([change(case.recording)], case.nominal, Options(most=0))
     assert any(word in fault for fault in result.faults), result.faults
+
+
+def test_a_command_is_all_that_was_asked_for_clipped_or_not(case):
+    """Where no effort was recorded it is the torque, and is not called missing either."""
+    result = discrepancy([commanded(clipped)(case.recording)], case.nominal, Options(most=0))
+    assert result.faults == () and result.verdict != BAD_DATA
 
 
 def test_who_insists_is_answered(case):

@@ -18,6 +18,7 @@ _TRIFLE = 0.5         # of the practical torque
 _PARTLY = 0.2         # of what was missing, where effects that explain most of it are named
 _DOMINANT = 0.6       # share of an effect that explains most
 _PART = 0.05          # share of an effect that is worth naming where much is left
+_WITHOUT_OTHERS = 0.5  # of what an effect explains beside others that are not named
 _FEW = 3              # findings: so few are all named, small and like others though they be
 _CLEAR = 0.85         # of what a small effect explains: no other explains so much
 _NEARLY_ALL = 0.2     # of held-out torque: less is left of it
@@ -48,6 +49,16 @@ def helps(gap, much, strictly=False):
     excuses = sum((bool(torque < _NEARLY_ALL), bool(gap.free_farther < _SIGNIFICANT)))
     farthest = _FARTHEST[excuses]
     return min(torque, stray) < 1.0 and torque < _CHANCE and stray < farthest
+
+
+def explains_alone(entries, judged):
+    """
+    Return whether effects explain without the others about what they explained beside them.
+
+    Effects that nearly cancel each other each explain much, and none of them is there.
+    """
+    return (max(one.loss for one in judged)
+            > _WITHOUT_OTHERS * max(one.loss for one in entries))
 
 
 def choices(entries, left, whole):

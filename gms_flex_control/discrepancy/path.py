@@ -272,9 +272,9 @@ def held_torque(recording, time):
     sample that ended.
     """
     if has_commands(recording):
-        torque = _held(recording.command)
+        torque = held(recording.command)
     elif np.isfinite(recording.tau_motor).mean() > _KNOWN:
-        torque = _held(recording.tau_motor)
+        torque = held(recording.tau_motor)
         torque = np.concatenate([torque[1:], torque[-1:]])
     else:
         raise BagError(f'{recording.source}: neither torque commands nor joint efforts cover the '
@@ -284,7 +284,7 @@ def held_torque(recording, time):
     return torque[np.maximum(last, 0)]
 
 
-def _held(values):
+def held(values):
     """Return values (T, n) with the last one before in every gap, zero at first."""
     rows = np.where(np.isfinite(values), np.arange(len(values))[:, None], -1)
     rows = np.maximum.accumulate(rows, axis=0)

@@ -9,6 +9,7 @@ from gms_flex_control.discrepancy.units import torque_scale
 import numpy as np
 
 _BINS = 24
+_PERIODS = 8          # fewer in a recording are no tone
 VARIABLES = ('time', 'link angle', 'motor angle', 'link rate', 'motor rate', 'twist', 'torque',
              'link acceleration', 'time since reversal')
 
@@ -24,6 +25,13 @@ def variables(path, j):
         path.time - path.time[0], motion[:, 0, j], motion[:, 3, j], rate, motion[:, 4, j],
         motion[:, 3, j] - motion[:, 0, j], path.drive[:, j], motion[:, 2, j], since),
         strict=True))
+
+
+def of_others(path, j):
+    """Return where the other joints are and how fast: dict of str to (S,)."""
+    return {f'{name} of {joint}': path.motion[:, place, k]
+            for k, joint in enumerate(path.joints) if k != j
+            for place, name in enumerate(('link angle', 'link rate'))}
 
 
 def dependence(values, residual):
@@ -72,7 +80,7 @@ def signature_of(problem, model, share):
     at = np.clip(np.searchsorted(path.time - path.time[0], whitening.time), 0,
                  len(path.time) - 1)
     shares = {name: dependence(values[at], residual)
-              for name, values in variables(path, j).items()}
+              for name, values in (variables(path, j) | of_others(path, j)).items()}
     variable = max(shares, key=shares.get)
     frequency, line = tone(residual, whitening.row_period)
     rms = float(np.std(residual))
@@ -80,7 +88,7 @@ def signature_of(problem, model, share):
     scale = torque_scale(rms)
     text = (f'{scale.told(rms)} {scale.unit} rms are left in the {equation} equation of '
             f'{joint}')
-    if line > 0.5:
+    if line > 0.5 and frequency * len(residual) * whitening.row_period > _PERIODS:
         text += f', most of it a tone of {frequency:.2f} Hz'
         variable = 'time'
     elif shares[variable] > 0.2:

@@ -8,8 +8,15 @@ from gms_flex_control.discrepancy.units import angle_scale, torque_scale
 from gms_flex_control.discrepancy.unseen_links import lost_effects
 from gms_flex_control.effects.registry import find
 
+_IN_FULL = 5  # findings that are said in full, and named
 IN_MOTION = ('Moments at which a link stands were left out: friction then holds what no model of '
              'these foresees.')
+
+
+def first_of(texts, count):
+    """Return the first few texts as sentences, and how many more there are."""
+    more = [f'({len(texts) - count} more in the report.)'] if len(texts) > count else []
+    return ' '.join([f'{text.rstrip(".")}.' for text in texts[:count]] + more)
 
 
 def of_unseen(joints):
@@ -29,12 +36,12 @@ def evidence_of(spec, one, others):
     """Return one sentence on why an effect is named."""
     scale = torque_scale(one.torque)
     alone = 100.0 * one.loss / one.own
-    sentence = (f'with it the residual loses {scale.told(one.torque)} {scale.unit} rms; nothing '
-                f'else in the model takes its place for {alone:.0f} % of that')
+    sentence = (f'with it the residual loses {scale.told(one.torque)} {scale.unit} rms, '
+                f'{alone:.0f} % of which (in squares) nothing else in the model makes up for')
     if others:
         name, joint, share = others[0]
-        sentence += (f'; the next best, {name} of {joint}, would explain '
-                     f'{100.0 * min(share, 1.0):.1f} % of it')
+        sentence += (f'; added in its place, the next best, {name} of {joint}, would make up for '
+                     f'{100.0 * min(share, 1.0):.1f} % of that')
     return sentence + '.'
 
 
@@ -59,14 +66,7 @@ def paragraph(result):
         parts.append('Nothing is missing: what the model leaves is what a run of the model itself '
                      'leaves when read through the same encoders.')
     if result.verdict == FOUND:
-        listed = result.added
-        parts.append('The model lacks ' + '; '.join(named(one) for one in listed[:5]) + '.')
-        if len(listed) > 5:
-            parts.append(f'{len(listed) - 5} further small effects are listed in the report.')
-        for one in listed[:5]:
-            if one.confusable_with:
-                parts.append(f'{one.effect} of {one.joint} could also be '
-                             f'{" or ".join(one.confusable_with)}: {one.tells_apart} would tell.')
+        parts += _listed(result)
     if result.unexplained is not None:
         parts.append(f'Something is there that the catalogue does not explain: '
                      f'{result.unexplained.sentence}')
@@ -77,8 +77,34 @@ def paragraph(result):
         for joint, before, after, floor in zip(gap.joints, gap.before, gap.after, gap.floor,
                                                strict=True))
     strays = ', '.join(
+        f'{angle.told(after)} {angle.unit}' if result.verdict == COMPLETE else
         f'{angle.told(before)} -> {angle.told(after)} {angle.unit}'
         for before, after in zip(gap.free_before, gap.free_after, strict=True))
     parts.append(f'On data held out the residual torque is {torques}, and half a second of free '
-                 f'simulation strays by {strays}.')
+                 f'simulation, known parameters re-tuned, strays by {strays}.')
     return ' '.join(parts)
+
+
+def _listed(result):
+    """Yield sentences: findings and what they could also be, small ones, those of many names."""
+    groups = [group for group in (result.findings, result.minor, result.undecided) if group]
+    shown = groups[0][:_IN_FULL]
+    small = '' if result.findings else ', small as it is,'
+    yield f'The model lacks{small} {"; ".join(named(one) for one in shown)}.'
+    for one in shown:
+        if one.confusable_with:
+            yield (f'{one.effect} of {one.joint} could also be '
+                   f'{" or ".join(one.confusable_with)}: {one.tells_apart} would tell.')
+    beside = [*groups[0][_IN_FULL:], *(result.minor if result.findings else ())]
+    if beside:
+        yield f'Smaller beside that: {_briefly(beside)}.'
+    if result.undecided and groups[0] is not result.undecided:
+        yield ('Something small is there too that these data cannot tell from others, it could be '
+               f'{_briefly(result.undecided)}.')
+
+
+def _briefly(findings):
+    """Return the names of the first few findings, and how many more there are."""
+    names = ', '.join(f'{one.effect} of {one.joint}' for one in findings[:_IN_FULL])
+    more = len(findings) - _IN_FULL
+    return f'{names} and {more} more in the report' if more > 0 else names

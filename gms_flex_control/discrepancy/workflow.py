@@ -8,9 +8,10 @@ import time
 
 from gms_flex_control import blas
 from gms_flex_control.discrepancy import judge, naming
+from gms_flex_control.discrepancy.data_faults import faults_of
 from gms_flex_control.discrepancy.gap import gap_of, torque_rms
 from gms_flex_control.discrepancy.onset import steady
-from gms_flex_control.discrepancy.path import path_of, with_links
+from gms_flex_control.discrepancy.path import path_of
 from gms_flex_control.discrepancy.problem import Problem
 from gms_flex_control.discrepancy.result import (
     BAD_DATA,
@@ -26,13 +27,13 @@ from gms_flex_control.discrepancy.search import LEAST_GAIN, refitted, search
 from gms_flex_control.discrepancy.signature import signature_of
 from gms_flex_control.discrepancy.words import (
     evidence_of,
+    first_of,
     IN_MOTION,
     of_unseen,
     paragraph,
     tells_apart,
 )
 from gms_flex_control.errors import SimulationError
-from gms_flex_control.identification.checks import check
 
 _AT_REST = 0.25       # of what is left: so much of it while links stand may be friction
 _UNSURE = 2.0         # times what matters, for an effect that may be another
@@ -112,14 +113,13 @@ def _discrepancy(recordings, robot, options, holdout, say):
     begun = time.monotonic()
     sources = tuple(recording.source for recording in recordings)
     say('checking the data')
-    findings = [finding for recording in (*recordings, *holdout)
-                for finding in check(with_links(recording, robot), robot)]
+    findings = faults_of((*recordings, *holdout), robot)
     faults = tuple(finding.text for finding in findings)
-    if any(finding.severity == 'refuse' for finding in findings) and not options.force:
+    fatal = [finding.text for finding in findings if finding.severity == 'refuse']
+    if fatal and not options.force:
         return Discrepancy(verdict=BAD_DATA, faults=faults, sources=sources,
                            seconds=time.monotonic() - begun,
-                           words='The data are at fault, not the model: ' + ' '.join(
-                               text.rstrip('.') + '.' for text in faults))
+                           words=f'The data are at fault, not the model: {first_of(fatal, 4)}')
     paths = [path_of(recording, robot) for recording in recordings]
     result = _searched(paths, robot, options, holdout, True, say)
     problem, found = result.found
@@ -131,6 +131,8 @@ def _discrepancy(recordings, robot, options, holdout, say):
             result = replace(moving, words=f'{moving.words} {IN_MOTION}')
     if problem.unseen:
         result = replace(result, words=f'{result.words} {of_unseen(sorted(problem.unseen))}')
+    if faults:
+        result = replace(result, words=f'{result.words} About the data: {first_of(faults, 2)}')
     return replace(result, faults=faults, sources=sources, seconds=time.monotonic() - begun)
 
 
@@ -204,14 +206,17 @@ def _added(problem, found, known, choices, measured):
         if not entries:
             continue
         try:
-            model = found
+            model, judged = found, entries
             if len(entries) < len(found.model.robot.effects) - known:
                 model = _only(problem, found, known, entries)
+                judged = judge.judged(problem, model, known)
+                if not naming.explains_alone(entries, judged):
+                    continue
             gap = gap_of(measured, model)
         except SimulationError:
             continue  # with these effects the robot runs away
         if naming.helps(gap, much, bool(problem.unseen)):
-            return model, judge.judged(problem, model, known), gap
+            return model, judged, gap
     found = _only(problem, found, known, [])
     return found, [], gap_of(measured, found)
 

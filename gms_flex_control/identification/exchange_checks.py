@@ -55,7 +55,7 @@ def side_scales(signals, robot, motion):
         tau = motion.tau[:, j]
         torn = twist > _SIDE_FACTOR * np.std(tau) if np.isfinite(tau).all() else abs(
             np.log(abs(slope) + 1e-12)) > np.log(5.0)
-        if abs(fit) > 0.9 and not 0.5 < slope < 2.0 and torn:
+        if abs(fit) > 0.9 and not 0.5 < slope < 2.0 and (torn or slope < 0.0):
             found.append(Finding(
                 'side_scale', signals.joints[j], 'refuse', f'{signals.source}: the motor of '
                 f'{signals.joints[j]} moves {slope:.4g} times as far as its link; give motor '
