@@ -11,6 +11,7 @@ from gms_flex_control.discrepancy.problem import Problem
 from gms_flex_control.discrepancy.result import COMPLETE, FOUND, UNEXPLAINED
 from gms_flex_control.discrepancy.signature import VARIABLES
 from gms_flex_control.discrepancy.workflow import discrepancy
+from gms_flex_control.discrepancy.workflow import Options as Lacking
 from gms_flex_control.effects import registry
 from gms_flex_control.hidden.cases import available_effects, make_case
 from gms_flex_control.identification.identify import identify, Options
@@ -162,6 +163,16 @@ def test_effects_that_cancel_each_other_are_not_named():
     """Cogging that slides: four effects, each of three times the torque missed, resemble it."""
     result, found, _ = outcome('outside', 6)
     assert (result.verdict, found) == (UNEXPLAINED, ()), result.words
+
+
+def test_a_wave_that_hardly_turns_is_none():
+    """Without its own name a constant torque of the motor resembles the longest wave there is."""
+    case = make_case('deleted', 15)
+    hidden, = case.truth.effects
+    result = discrepancy([case.recording], case.nominal, Lacking(without=(hidden.name,)))
+    assert hidden.name == 'motor_torque_bias' and result.verdict == UNEXPLAINED, result.words
+    assert result.unexplained.variable == 'constant'
+    assert result.unexplained.joint == hidden.joint
 
 
 def test_a_ripple_finer_than_any_guess_is_found():

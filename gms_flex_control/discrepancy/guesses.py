@@ -32,6 +32,7 @@ def scales_of(paths, robot, fine_orders):
 
 
 _RATIOS, _LEAST_RATIO = ('ratio', 'gain_error'), -0.55  # nothing real is all but absent
+_AT_LIMIT = 0.01      # relative
 # what is measured as torque has passed these already
 _OF_COMMANDS = ('actuator_deadzone', 'actuator_saturation')
 
@@ -77,6 +78,16 @@ def bounds_of(kind, parameter):
     if parameter.unit == '1' and parameter.name in _RATIOS:
         lower = max(lower, _LEAST_RATIO)
     return lower, parameter.upper
+
+
+def is_at_limit(spec):
+    """Return whether an effect has a parameter where the search for it ends, which is no value."""
+    kind = find(spec.name)
+    for parameter, value in zip(kind.parameters, spec.values, strict=True):
+        limit = bounds_of(kind, parameter)[0]
+        if limit > parameter.lower and value < limit + _AT_LIMIT * abs(limit):
+            return True
+    return False
 
 
 def allowed(guess, kind):

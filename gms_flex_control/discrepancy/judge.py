@@ -20,7 +20,6 @@ import numpy as np
 _TAKEN = 0.003        # of its own rows: what else could take its place leaves less than this
 _SURE = 0.05          # likewise: a small effect that others can make but for this is not named
 _CONFUSABLE = 0.98    # cosine, all else re-tuned
-_DECLARED = 0.8       # share from which an effect's own list of confusable ones counts
 _RUNNERS = 6          # hypotheses tried in the place of a finding
 _CONFIDENT = 1.959964
 
@@ -139,5 +138,6 @@ def confusable(spec, others):
     """Return names that these data, or any, hardly tell from an effect."""
     names = {name for name, joint, share in others if share > _CONFUSABLE ** 2}
     declared = find(spec.name).confusable
-    names |= {name for name, _, share in others if name in declared and share > _DECLARED}
+    names |= {name for name, _, share in others
+              if name in declared and share > find(spec.name).declared_from}
     return tuple(sorted(names - {spec.name}))

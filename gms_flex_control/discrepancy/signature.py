@@ -83,12 +83,15 @@ def signature_of(problem, model, share):
               for name, values in (variables(path, j) | of_others(path, j)).items()}
     variable = max(shares, key=shares.get)
     frequency, line = tone(residual, whitening.row_period)
-    rms = float(np.std(residual))
+    rms = float(np.sqrt(np.mean(residual ** 2)))
     joint = problem.robot.joints[j]
     scale = torque_scale(rms)
     text = (f'{scale.told(rms)} {scale.unit} rms are left in the {equation} equation of '
             f'{joint}')
-    if line > 0.5 and frequency * len(residual) * whitening.row_period > _PERIODS:
+    if np.mean(residual) ** 2 > 0.5 * rms ** 2:
+        text += ', most of it constant'
+        variable = 'constant'
+    elif line > 0.5 and frequency * len(residual) * whitening.row_period > _PERIODS:
         text += f', most of it a tone of {frequency:.2f} Hz'
         variable = 'time'
     elif shares[variable] > 0.2:

@@ -10,6 +10,7 @@ from gms_flex_control import blas
 from gms_flex_control.discrepancy import judge, naming
 from gms_flex_control.discrepancy.data_faults import faults_of
 from gms_flex_control.discrepancy.gap import gap_of, torque_rms
+from gms_flex_control.discrepancy.guesses import is_at_limit
 from gms_flex_control.discrepancy.onset import steady
 from gms_flex_control.discrepancy.path import path_of
 from gms_flex_control.discrepancy.problem import Problem
@@ -176,20 +177,25 @@ def _settled(problem, options, say):
 
 
 def pruned(problem, found, known):
-    """Return the search's end without effects that something else could be, and the Judged."""
+    """
+    Return the search's end without effects that something else could be, and the Judged.
+
+    An effect whose value is where the search for it ends stands for something else as well.
+    """
     doubtful = max(_DOUBTFUL * problem.missing(found.model) * problem.unit_cost,
                    LEAST_GAIN * problem.caution)
     kept = set()
     while True:
         entries = judge.judged(problem, found, known)
-        weak = [one for one in entries if _name(found, one) not in kept
-                and (not judge.stands_alone(one) or one.loss < doubtful)]
+        no_value = [one for one in entries if is_at_limit(found.model.robot.effects[one.index])]
+        weak = no_value or [one for one in entries if _name(found, one) not in kept
+                            and (not judge.stands_alone(one) or one.loss < doubtful)]
         if not weak:
             return found, entries
         one = min(weak, key=lambda one: one.loss)
         model, columns = refitted(problem, one.less.robot, one.less.x,
                                   found.columns[:len(problem.knobs)], known)
-        if model.cost - found.model.cost > max(_UNEXPECTED * one.loss, doubtful):
+        if not no_value and model.cost - found.model.cost > max(_UNEXPECTED * one.loss, doubtful):
             kept.add(_name(found, one))  # others are no match for it after all
         else:
             found = found._replace(model=model, columns=columns)

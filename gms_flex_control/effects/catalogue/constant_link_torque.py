@@ -16,6 +16,7 @@ class ConstantLinkTorque(Term):
     stage = Stage.LINK
     evidence = 'link rate'
     confusable = ('spring_offset', 'friction_asymmetry')
+    declared_from = 0.3       # levels that differ by direction are nearly a constant torque
     tells = 'motion both ways over the whole range, with rests between'
     parameters = (
         Parameter('bias', 'N m', 'torque'),
