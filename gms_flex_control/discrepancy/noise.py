@@ -10,6 +10,7 @@ tell how much that is.
 """
 
 from dataclasses import replace
+import weakref
 
 from gms_flex_control.effects.base import Change
 from gms_flex_control.effects.registry import find
@@ -35,7 +36,8 @@ class Noise:
     """
 
     def __init__(self, problem, runs, robot, x):
-        self._problem, self._runs, self._robot, self._x = problem, runs, robot, x
+        self._problem = weakref.proxy(problem)  # which owns this: a cycle would be freed late
+        self._runs, self._robot, self._x = runs, robot, x
         self._known = len(problem.robot.effects)
         self._own = self._rows(robot, x)
         self._of_knobs = problem.each(lambda i: self._slope(
