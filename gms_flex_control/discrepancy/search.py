@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 from gms_flex_control.discrepancy.compatible import may_join
 from gms_flex_control.discrepancy.fit import effect_columns, fit, Fitted, numbers_of
+from gms_flex_control.discrepancy.guesses import is_at_limit
 from gms_flex_control.discrepancy.library import least_cost, Library
 from gms_flex_control.discrepancy.problem import with_effect
 from gms_flex_control.effects.registry import find
@@ -183,6 +184,7 @@ class _Hunt:
         model = self.model
         close = [one for one in ranked[:_SHORTLIST] if one.gain > _CLOSE * ranked[0].gain]
         fits = [self._added(one) for one in close]
+        fits = [one for one in fits if not is_at_limit(one.robot.effects[-1])] or fits
         best = model.cost - min(one.cost for one in fits)
         alike = [one for one in fits if model.cost - one.cost >= best - _SIMPLER * abs(best)]
         fewest = min(_size(one.robot.effects[-1]) for one in alike)

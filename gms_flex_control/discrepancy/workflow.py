@@ -177,25 +177,20 @@ def _settled(problem, options, say):
 
 
 def pruned(problem, found, known):
-    """
-    Return the search's end without effects that something else could be, and the Judged.
-
-    An effect whose value is where the search for it ends stands for something else as well.
-    """
+    """Return the search's end without effects that something else could be, and the Judged."""
     doubtful = max(_DOUBTFUL * problem.missing(found.model) * problem.unit_cost,
                    LEAST_GAIN * problem.caution)
     kept = set()
     while True:
         entries = judge.judged(problem, found, known)
-        no_value = [one for one in entries if is_at_limit(found.model.robot.effects[one.index])]
-        weak = no_value or [one for one in entries if _name(found, one) not in kept
-                            and (not judge.stands_alone(one) or one.loss < doubtful)]
+        weak = [one for one in entries if _name(found, one) not in kept
+                and (not judge.stands_alone(one) or one.loss < doubtful)]
         if not weak:
             return found, entries
         one = min(weak, key=lambda one: one.loss)
         model, columns = refitted(problem, one.less.robot, one.less.x,
                                   found.columns[:len(problem.knobs)], known)
-        if not no_value and model.cost - found.model.cost > max(_UNEXPECTED * one.loss, doubtful):
+        if model.cost - found.model.cost > max(_UNEXPECTED * one.loss, doubtful):
             kept.add(_name(found, one))  # others are no match for it after all
         else:
             found = found._replace(model=model, columns=columns)
@@ -236,6 +231,7 @@ def _told(problem, found, entries, known, options, holdout, say):
     say('the gap on data held out')
     measured = _measured_on(problem, holdout)
     entries, sudden = steady(problem, found, entries)
+    entries = [one for one in entries if not is_at_limit(found.model.robot.effects[one.index])]
     choices = naming.choices(entries, left, whole)
     found, entries, gap = _added(problem, found, known, choices, measured)
     largest = max((one.alone for one in entries), default=0.0)
