@@ -41,9 +41,11 @@ def faults_of(recordings, robot):
 
 def _commanded(recording):
     """Return the joints of which commands are known and no efforts."""
+    if not has_commands(recording):
+        return []
     known = np.isfinite(recording.tau_motor).any(axis=0)
     return [joint for joint, has_effort in zip(recording.joints, known, strict=True)
-            if not has_effort and has_commands(recording)]
+            if not has_effort]
 
 
 def _with_commands(recording, joints):

@@ -137,7 +137,7 @@ def rivals(problem, found, one):
 def confusable(spec, others):
     """Return names that these data, or any, hardly tell from an effect."""
     names = {name for name, joint, share in others if share > _CONFUSABLE ** 2}
-    declared = find(spec.name).confusable
+    kind = find(spec.name)
     names |= {name for name, _, share in others
-              if name in declared and share > find(spec.name).declared_from}
+              if name in kind.confusable and share > kind.declared_from}
     return tuple(sorted(names - {spec.name}))

@@ -204,10 +204,8 @@ class _Hunt:
 
     def _append(self, fitted):
         """Go on with one more effect, derivatives by all else as they were."""
-        effects = fitted.robot.effects
-        own = effect_columns(self._problem, fitted.robot, fitted.x, fitted.rows,
-                             numbers_of(effects, len(effects) - 1))
-        self.model, self.columns = fitted, np.concatenate([self.columns, own])
+        last = len(fitted.robot.effects) - 1
+        self.model, self.columns = fitted, _extended(self._problem, fitted, self.columns, last)
 
     def take(self, fitted):
         """Go on with a model, its effects fitted together."""
@@ -242,9 +240,14 @@ def refitted(problem, robot, x, knobs, known, iterations=3):
 
     """
     model = fit(problem, robot, x, knobs, first=known, iterations=iterations)
+    return model, _extended(problem, model, knobs, known)
+
+
+def _extended(problem, model, columns, first):
+    """Return columns (C, R), then those by the parameters of effects from the ``first`` on."""
     own = effect_columns(problem, model.robot, model.x, model.rows,
-                         numbers_of(model.robot.effects, known))
-    return model, np.concatenate([knobs, own])
+                         numbers_of(model.robot.effects, first))
+    return np.concatenate([columns, own])
 
 
 def without(problem, model, columns, known, *dropped):
