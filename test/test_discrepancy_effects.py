@@ -45,7 +45,7 @@ KNOWN_NEARLY = {
     'stiffness_error': DOUBT, 'torque_gain': DOUBT, 'coulomb_error': DOUBT,
     'motor_inertia_error': DOUBT, 'link_inertia_error': 1.5 * DOUBT, 'friction_asymmetry': DOUBT,
     'tip_payload': 0.045, 'stribeck_error': DOUBT}  # tip_payload: kg, on a link of about 1 kg
-WIDER = {'base_flexibility': 0.1, 'base_flexibility.damping': 0.4,
+WIDER = {'base_flexibility.inertia': 0.15, 'base_flexibility.damping': 0.3,
          'motor_inertia_coupling': 0.3, 'kinematic_error': 0.1, 'presliding_error': 0.1}
 
 

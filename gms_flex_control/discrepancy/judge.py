@@ -89,14 +89,21 @@ def stands_alone(one):
 
 
 def values_of(problem, found, known, index):
-    """Return the Values of one effect, intervals by the curvature and what is unexplained."""
+    """
+    Return the Values of one effect, intervals by the curvature and what is unexplained.
+
+    Or by how far runs in which nothing is missing scatter, if that is more: the curvature takes
+    it that rows say each something of their own.
+    """
     model, knobs = found.model, len(problem.knobs)
     numbers = numbers_of(model.robot.effects, known)
     columns = found.columns[:, problem.fitted]
     scale = np.sqrt(np.maximum(np.sum(columns ** 2, axis=1), 1e-300))
     gram = (columns / scale[:, None]) @ (columns / scale[:, None]).T
     level = max(np.mean(model.rows[problem.fitted] ** 2) / problem.level, 1.0)
-    variance = np.diag(np.linalg.pinv(gram, hermitian=True)) / scale ** 2 * level
+    inverse = np.linalg.pinv(gram, hermitian=True)
+    scatter = inverse @ (columns / scale[:, None]) @ problem.clean[:, problem.fitted].T
+    variance = np.maximum(np.diag(inverse) * level, np.mean(scatter ** 2, axis=1)) / scale ** 2
     spec, out = model.robot.effects[index], []
     for k, parameter in enumerate(find(spec.name).parameters):
         value, half = spec.values[k], 0.0

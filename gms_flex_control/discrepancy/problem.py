@@ -4,6 +4,7 @@
 """Recordings, a model of their robot, and the rows that say how far it is from them."""
 
 from concurrent.futures import ThreadPoolExecutor
+from copy import copy
 from dataclasses import replace
 import os
 
@@ -121,14 +122,21 @@ class Problem:
         return float(level[self.robot.joints.index(joint)] if joint in self.robot.joints
                      else level.min())
 
-    def _divide(self):
+    def with_held_out(self, turn):
+        """Return the Problem with other blocks held out, one of `turns`; the last is usual."""
+        other = copy(self)
+        other._usual = self  # which noise was measured with
+        other._divide(turn)
+        return other
+
+    def _divide(self, turn=-1):
         """Set which rows are fitted and which held out, by blocks of time."""
         begin = np.cumsum([0, *(int(whitening.time[-1] / BLOCK) + 1
                                 for whitening in self.whitenings)])
-        turn = min(_HELD_OUT, begin[-1])
+        self.turns = min(_HELD_OUT, begin[-1])
 
         def is_out(first, time):
-            return (first + (time / BLOCK).astype(int)) % turn == turn - 1
+            return (first + (time / BLOCK).astype(int)) % self.turns == turn % self.turns
         pairs = list(zip(begin[:-1], self.whitenings, strict=True))
         out = np.concatenate([np.repeat(is_out(first, whitening.row_time),
                                         whitening.scale.shape[1]) for first, whitening in pairs])

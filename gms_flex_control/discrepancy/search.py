@@ -82,6 +82,7 @@ def search(problem, *, most=MOST, without=(), begin=None, say=lambda text: None)
         if not hunt.exchange():
             break
     hunt.merge()
+    hunt.settle()
     return Found(before, hunt.model, hunt.columns, hunt.first, hunt.library)
 
 
@@ -165,6 +166,13 @@ class _Hunt:
                 self.take(other)
                 return True
         return False
+
+    def settle(self):
+        """Fit all once more by derivatives of the model found: those of the first are stale."""
+        model = self.model
+        if len(model.robot.effects) > self._known:
+            self._knobs = self._problem.knob_columns(model.robot, model.x, model.rows)
+            self.take(model)
 
     def _least(self, spec):
         """Return what an effect must gain to be added."""

@@ -25,6 +25,7 @@ from gms_flex_control.discrepancy.result import (
 )
 from gms_flex_control.discrepancy.retuned import with_knobs
 from gms_flex_control.discrepancy.search import LEAST_GAIN, refitted, search
+from gms_flex_control.discrepancy.seldom import where_it_acts
 from gms_flex_control.discrepancy.signature import signature_of
 from gms_flex_control.discrepancy.words import (
     evidence_of,
@@ -146,6 +147,8 @@ def _searched(paths, robot, options, holdout, at_rest, say):
     problem, found = _settled(problem, options, say)
     say('judging what was found')
     found, entries = pruned(problem, found, known)
+    if not holdout:
+        problem, found, entries = where_it_acts(problem, found, entries, known)
     return _told(problem, found, entries, known, options, holdout, say)
 
 
@@ -155,7 +158,8 @@ def _settled(problem, options, say):
 
     Noise depends on the robot: where it sticks, say, encoder counts hide its friction. Measured
     on the robot as believed, noise that is larger in truth looks like further effects. If it is
-    not by noise alone that something is left, the search stands as it was.
+    not by noise alone that something is left, or what is found then begins with an effect that such
+    a robot does not have, the search stands as it was.
     """
     found = search(problem, most=options.most, without=options.without, say=say)
     for _ in range(_AGAIN):
@@ -170,10 +174,18 @@ def _settled(problem, options, say):
             break  # with these effects the robot runs away
         again = search(other, most=options.most, without=options.without,
                        begin=found.model if added > _MANY else None, say=say)
-        if other.missing(again.model) > naming.DETECTED * problem.caution:
+        if (other.missing(again.model) > naming.DETECTED * problem.caution
+                or not _begins_alike(again.model, found.model, len(problem.robot.effects))):
             break
         problem, found = other, again
     return problem, found
+
+
+def _begins_alike(model, other, known):
+    """Return whether the first effect that was added to a model is in another, too."""
+    names = [[(spec.name, spec.joint) for spec in one.robot.effects[known:]]
+             for one in (model, other)]
+    return bool(names[0]) and names[0][0] in names[1]
 
 
 def pruned(problem, found, known):

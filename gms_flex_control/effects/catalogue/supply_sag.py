@@ -18,7 +18,8 @@ class SupplySag(Term):
     confusable = ()
     tells = 'the same motion at two voltages of the supply'
     parameters = (
-        Parameter('ratio', '1/V', 'relative change of the torque constant per volt'),
+        Parameter('ratio', '1/V', 'relative fall of the torque constant per volt less',
+                  lower=0.0),
         Parameter('nominal', 'V', 'voltage at which the torque is as asked for', lower=0.0),
     )
 
