@@ -78,6 +78,20 @@ def test_nothing_that_was_asked_before_torque_was_enabled_acts():
     assert run.tick(1)[0] > 0.0
 
 
+@pytest.mark.parametrize(('asked', 'told'), [(1.0, True), (0.015, False)])
+def test_a_robot_that_swings_because_its_torque_comes_late_is_told_of_it(asked, told):
+    """It is asked to turn round every 10 ms, and may rise by 0.02 N m in a sample of 2."""
+    run = Run().enabled()
+    for _ in range(100):
+        run.command = -asked if run.command > 0.0 else asked
+        run.tick(5)
+    run.q = run.motor = 1.2
+    run.tick()
+    assert run.said.startswith('FAULT: j is at 1.2 rad, beyond its range of -1 to 1 by more')
+    assert ('; torque_rate (10 N m/s) held back the torque of j for ' in run.said) == told
+    assert (run.bridge.counters['commands held back by torque_rate'] > 100) == told
+
+
 @pytest.mark.parametrize('prepare, words', [
     (lambda run: None, 'no joint states from robot yet'),
     (lambda run: run.tick(5, commands=False), 'no controller commands yet'),

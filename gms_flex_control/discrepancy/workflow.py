@@ -158,8 +158,8 @@ def _settled(problem, options, say):
 
     Noise depends on the robot: where it sticks, say, encoder counts hide its friction. Measured
     on the robot as believed, noise that is larger in truth looks like further effects. If it is
-    not by noise alone that something is left, or what is found then begins with an effect that such
-    a robot does not have, the search stands as it was.
+    not by noise alone that something is left, or what is found then begins with an effect that
+    such a robot does not have, the search stands as it was.
     """
     found = search(problem, most=options.most, without=options.without, say=say)
     for _ in range(_AGAIN):

@@ -19,6 +19,7 @@ import numpy as np
 _KEPT_STATES = 64          # published states that a command may answer
 _NO_COMMAND = 'no command from'
 _LONGEST_RAMP = 0.05       # a torque never rises for longer than that at once [s]
+_RECENT, _OFTEN = 1.0, 0.2  # time [s] and share of it in which a torque that rises late is told
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,6 +105,7 @@ class Bridge:
         self._arrived = None       # when the last state came
         self._enabled = 0          # stamp of the state at which torque was enabled
         self._given = 0            # when torque was given last
+        self._held_back = np.zeros(n)  # share of recent time in which the rate held a torque back
         self._violation = ''
         self._refused_state = self._refused_command = ''
         self._silent_for = ''      # the fault of a silent controller, while it lasts
@@ -140,7 +142,7 @@ class Bridge:
             self._violation = limiting.jump(joint_map.joints, measured.q_link, before, elapsed,
                                             self.params.limits)
         if self._violation:
-            self.fault(self._violation)
+            self.fault(self._violation + self._of_late_torque())
         self.stamp, self._arrived, self._refused_state = self.merger.time, now, ''
         self.counters['states out'] += 1
         self._published[self.stamp] = now
@@ -189,12 +191,26 @@ class Bridge:
         if not self.supervisor.active or (stamp is not None and stamp <= self._enabled):
             return False
         elapsed = min((now - self._given) / NANOSECONDS, _LONGEST_RAMP)
-        self.torque = limiting.limited(
-            np.array(command, dtype=float), self.torque, elapsed, self.measured.q_link,
-            self.measured.dq_link, self.params.limits)
+        command, limits = np.array(command, dtype=float), self.params.limits
+        self._note_held_back(limiting.held_back(command, self.torque, elapsed, limits), elapsed)
+        self.torque = limiting.limited(command, self.torque, elapsed, self.measured.q_link,
+                                       self.measured.dq_link, limits)
         self._given = now
         self.counters['commands acted on'] += 1
         return True
+
+    def _note_held_back(self, held, elapsed):
+        self._held_back += (held - self._held_back) * min(elapsed / _RECENT, 1.0)
+        self.counters['commands held back by torque_rate'] += int(held.any())
+
+    def _of_late_torque(self):
+        """Return what a fault of the motion adds where torque often came late; '' else."""
+        j = int(np.argmax(self._held_back))
+        if not self.supervisor.active or self._held_back[j] < _OFTEN:
+            return ''
+        return (f'; torque_rate ({self.params.limits.torque_rate[j]:.4g} N m/s) held back the '
+                f'torque of {self.params.joint_map.joints[j]} for {self._held_back[j]:.0%} of the '
+                'last second: raise it, or take gentler gains')
 
     def _is_fresh(self, stamp, now):
         if stamp is None:
@@ -292,5 +308,6 @@ class Bridge:
         outcome = self.supervisor.enable(self.obstacle(now))
         if outcome.success:
             self.torque = np.zeros_like(self.torque)
+            self._held_back = np.zeros_like(self.torque)
             self._enabled, self._given = self.stamp, now
         return outcome

@@ -95,15 +95,27 @@ def limited(command, before, elapsed, q, dq, limits):
         speed up a joint that is as fast as it may be [N m]. Zero is always allowed.
 
     """
-    rise = limits.torque_rate * max(elapsed, 0.0)
-    highest = np.minimum(np.maximum(before, 0.0) + rise, limits.torque)
-    lowest = np.maximum(np.minimum(before, 0.0) - rise, -limits.torque)
-    torque = np.minimum(np.maximum(command, lowest), highest)
+    lowest, highest = _reach(before, elapsed, limits)
+    torque = np.clip(command, np.maximum(lowest, -limits.torque),
+                     np.minimum(highest, limits.torque))
     outward = ((q >= limits.upper) & (torque > 0.0)) | ((q <= limits.lower) & (torque < 0.0))
     speeding = ((dq >= limits.velocity) & (torque > 0.0)) | (
         (dq <= -limits.velocity) & (torque < 0.0))
     torque[outward | speeding] = 0.0
     return torque
+
+
+def _reach(before, elapsed, limits):
+    """Return the least and the largest torque (n_joints,) that the rate lets follow."""
+    rise = limits.torque_rate * max(elapsed, 0.0)
+    return np.minimum(before, 0.0) - rise, np.maximum(before, 0.0) + rise
+
+
+def held_back(command, before, elapsed, limits):
+    """Return of which joints the rate alone holds the torque back, bool (n_joints,)."""
+    lowest, highest = _reach(before, elapsed, limits)
+    allowed = np.clip(command, -limits.torque, limits.torque)
+    return (allowed < lowest) | (allowed > highest)
 
 
 def violation(names, measured, limits):
