@@ -5,13 +5,17 @@
 
 from dataclasses import replace
 
-from gms_flex_control.bags.experiment import write_recording
 from gms_flex_control.bags.reader import read_recording
+from gms_flex_control.benchmarks.hidden_effects.outcome import try_job
+from gms_flex_control.cli.main import build_parser, main
+from gms_flex_control.cli.score import jobs_asked
 from gms_flex_control.discrepancy.path import path_of, with_links
 from gms_flex_control.discrepancy.residuals import drive_torque, motion_as_modelled
 from gms_flex_control.discrepancy.result import COMPLETE, FOUND
+from gms_flex_control.discrepancy.unseen_links import lost_effects
 from gms_flex_control.discrepancy.workflow import discrepancy
 from gms_flex_control.hidden.cases import make_case
+from gms_flex_control.schema.files import load_robot
 from gms_flex_control.simulation import plant
 import numpy as np
 import pytest
@@ -81,14 +85,26 @@ def test_an_effect_is_named_by_the_motors_alone(effect, seed):
     assert first.values[0].value == pytest.approx(true.values[0], rel=0.2)
 
 
-def test_a_bag_that_names_the_motors_alone_gives_links_without_angles(tmp_path):
+def test_a_bag_that_names_the_motors_alone_gives_links_without_angles(tmp_path, capsys):
+    """As `gms_flex hide` writes it of a robot whose links have no encoders."""
+    args = ['--kind', 'clean', '--seeds', '3', '--duration', '4', '--sensors']
+    assert main(['hide', '--out', str(tmp_path), *args, 'motors']) == 0
     own = make_case('clean', 3, duration=4.0).recording
-    nothing = np.full_like(own.q_link, np.nan)
-    motors = tuple(f'{joint}_motor' for joint in own.joints)
-    write_recording(tmp_path / 'bag', replace(
-        own, joints=motors, q_link=own.q_motor, dq_link=own.dq_motor, q_motor=nothing,
-        dq_motor=nothing))
-    read = read_recording(tmp_path / 'bag', joints=own.joints, motors=motors)
+    robot = load_robot(tmp_path / 'clean_3' / 'robot.yaml')
+    read = read_recording(tmp_path / 'clean_3' / 'bag', joints=own.joints, motors=robot.motors)
     assert read.joints == own.joints and np.isnan(read.q_link).all()
     np.testing.assert_array_equal(read.q_motor, own.q_motor)
     np.testing.assert_array_equal(read.command, own.command)
+    assert main(['hide', '--out', str(tmp_path), *args, 'none']) == 2
+    assert "sensors 'none' is unknown" in capsys.readouterr().err
+
+
+def test_the_bench_leaves_out_what_motors_do_not_show():
+    args = ['score', '--kind', 'single', 'clean', '--seeds', '0:37', '--out', 'x', '--sensors']
+    both, motors = (jobs_asked(build_parser().parse_args([*args, name]))
+                    for name in ('both', 'motors'))
+    assert len(both) == 2 * 37 and len(motors) == len(both) - len(lost_effects())
+    assert not {job.key for job in both} & {job.key for job in motors}
+    found = try_job(next(job for job in motors if job.kind == 'clean')._replace(duration=8.0),
+                    with_peers=False)
+    assert found['verdict'] == COMPLETE

@@ -24,6 +24,9 @@ def add_parser(subparsers):
     parser.add_argument('--motion', default='rich', metavar='NAME',
                         help='rich, sinusoid or polynomial (default: rich)')
     parser.add_argument('--plant', metavar='NAME', help='soft or stiff; default: drawn')
+    parser.add_argument('--sensors', default='both', metavar='NAME',
+                        help='both, or motors: bags of robots whose links have no encoder '
+                             '(default: both)')
     parser.add_argument('--effect', metavar='NAME',
                         help='hide this one instead of the one whose turn it is')
     parser.add_argument('--duration', type=float, default=60.0, metavar='S',
@@ -34,9 +37,10 @@ def add_parser(subparsers):
 
 def run(args):
     """Write the cases; return 0."""
-    from gms_flex_control.hidden.cases import make_case
+    from gms_flex_control.hidden.cases import make_case, require_known, SENSORS
     from gms_flex_control.hidden.written import truth_values
 
+    require_known('sensors', args.sensors, SENSORS)
     told = []
     for kind in args.kind:
         for seed in seeds_of(args.seeds):
@@ -47,7 +51,7 @@ def run(args):
                 continue
             case = make_case(kind, seed, motion=args.motion, plant=args.plant,
                              duration=args.duration, effect=args.effect)
-            write_case(case, folder)
+            write_case(case if args.sensors == 'both' else case.without_links(), folder)
             told.append({'folder': str(folder), **truth_values(case.truth)})
             if not args.json:
                 print(f'{folder}: {case.truth.plant}, {case.truth.motion}')
@@ -109,14 +113,14 @@ def write_case(case, folder):
 
     from gms_flex_control.bags.experiment import write_recording
     from gms_flex_control.files import write_text
-    from gms_flex_control.hidden.written import truth_values
+    from gms_flex_control.hidden.written import as_named, truth_values
     from gms_flex_control.schema.files import save_robot, save_values
 
     part = folder.with_name(f'.{folder.name}.{os.getpid()}')
     part.mkdir(parents=True)
     try:
         for name, recording in (('bag', case.recording), ('held_out', case.held_out)):
-            write_recording(part / name, recording, case.nominal.motors)
+            write_recording(part / name, *as_named(recording, case.nominal.motors))
         save_robot(case.nominal, part / 'robot.yaml')
         save_values(controller_values(case.gains, case.nominal.joints), part / 'controller.yaml')
         write_text(part / 'truth.json', json.dumps(truth_values(case.truth), indent=2) + '\n')

@@ -31,6 +31,9 @@ def add_parser(subparsers):
                         help='of --kind: rich, sinusoid or polynomial (default: rich)')
     parser.add_argument('--plant', metavar='NAME',
                         help='of --kind: soft or stiff; default: drawn')
+    parser.add_argument('--sensors', default='both', metavar='NAME',
+                        help='of --kind: both, or motors, of robots whose links have no encoder '
+                             '(default: both)')
     parser.add_argument('--duration', type=float, default=60.0, metavar='S',
                         help='of each recording of --kind (default: %(default)g)')
     parser.add_argument('--out', required=True, metavar='DIR',
@@ -63,10 +66,10 @@ def run(args):
 
 
 def jobs_asked(args):
-    """Return the jobs of --kind, else those of --set."""
+    """Return the jobs of --kind, less those whose effect no sensor shows, else of --set."""
     from gms_flex_control.benchmarks.hidden_effects.jobs import Job, jobs_of
     from gms_flex_control.cli.hide import seeds_of
-    from gms_flex_control.hidden.cases import KINDS, require_known
+    from gms_flex_control.hidden.cases import KINDS, require_known, SENSORS
     from gms_flex_control.hidden.motions import MOTIONS
     from gms_flex_control.hidden.plants import PLANTS
 
@@ -77,8 +80,10 @@ def jobs_asked(args):
     require_known('motion', args.motion, MOTIONS)
     if args.plant is not None:
         require_known('plant', args.plant, PLANTS)
-    return [Job(kind, seed, args.motion, args.plant, args.duration)
+    require_known('sensors', args.sensors, SENSORS)
+    jobs = [Job(kind, seed, args.motion, args.plant, args.duration, args.sensors)
             for seed in seeds_of(args.seeds) for kind in args.kind]
+    return [job for job in jobs if job.can_be_seen]
 
 
 def tell_beginning(jobs, journal, args):

@@ -16,6 +16,7 @@ from gms_flex_control.suggest import did_you_mean
 import numpy as np
 
 KINDS = ('single', 'clean', 'double', 'outside', 'clutter', 'deleted')
+SENSORS = ('both', 'motors')  # of a joint: link and motor, or the motor alone
 PERIOD, DURATION = 2e-3, 60.0
 CLUTTER, CLUTTER_SIZE = 14, (0.01, 0.03)  # how many small effects, of how much of F_s
 _DOMINANT = 1.5       # times the torque of each small one
@@ -85,10 +86,26 @@ class Case:
     gains: ControllerParams
     truth: Truth
 
+    def without_links(self):
+        """Return the Case of a robot whose links have no encoders."""
+        return replace(self, recording=_without_links(self.recording),
+                       held_out=_without_links(self.held_out))
+
+
+def _without_links(recording):
+    unknown = np.full_like(recording.q_link, np.nan)
+    return replace(recording, q_link=unknown, dq_link=unknown)
+
 
 def available_effects():
     """Return the effects that can be hidden, tuple of str in a fixed order."""
     return tuple(name for name in sizes.MAIN if name in registry.names())
+
+
+def in_turn(seed):
+    """Return the effect whose turn it is at a seed, str."""
+    names = available_effects()
+    return names[seed % len(names)]
 
 
 def require_known(what, value, known):
@@ -205,7 +222,7 @@ def _driven(robot, nominal, gains, reference, seed, disturbance=None, supply=Non
 def _main_effects(rng, count, seed, robot, figures, effect):
     """Return ``count`` different main effects; the first is that of the seed's turn."""
     names = available_effects()
-    chosen = [effect or names[seed % len(names)]]
+    chosen = [effect or in_turn(seed)]
     while len(chosen) < count:
         name = str(rng.choice(names))
         if name not in chosen:

@@ -3,7 +3,10 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """What is hidden, as JSON, for whoever judges the answer."""
 
+from dataclasses import replace
+
 from gms_flex_control.effects.registry import find
+import numpy as np
 
 
 def described(spec):
@@ -34,3 +37,28 @@ def truth_values(truth):
     return {'kind': truth.kind, 'seed': truth.seed, 'plant': truth.plant,
             'motion': truth.motion, 'effects': [described(spec) for spec in truth.effects],
             'clutter': [described(spec) for spec in truth.clutter], 'outsider': outsider}
+
+
+def as_named(recording, motors):
+    """
+    Return a Recording as a bag has it, and the motor names of its joints.
+
+    Parameters
+    ----------
+    recording : Recording
+        Of a case.
+    motors : sequence of str
+        Of its joints.
+
+    Returns
+    -------
+    recording : Recording
+        With the motors for joints where nobody sees the links.
+    motors : sequence of str
+
+    """
+    if np.isfinite(recording.q_link).any():
+        return recording, motors
+    nothing = np.full_like(recording.q_motor, np.nan)
+    return replace(recording, joints=tuple(motors), q_link=recording.q_motor, q_motor=nothing,
+                   dq_link=recording.dq_motor, dq_motor=nothing), [''] * len(motors)

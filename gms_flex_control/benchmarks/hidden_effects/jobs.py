@@ -6,26 +6,36 @@
 from typing import NamedTuple
 
 from gms_flex_control.batches import sources
+from gms_flex_control.discrepancy.unseen_links import is_lost
 from gms_flex_control.errors import ConfigError
+from gms_flex_control.hidden.cases import in_turn
 
 # what an answer depends on
 _SOURCES = ('discrepancy', 'effects', 'friction', 'dynamics', 'hidden', 'simulation')
 
 
 class Job(NamedTuple):
-    """One hidden robot to be tried; see hidden.cases.make_case."""
+    """One hidden robot to be tried; see hidden.cases.make_case and SENSORS."""
 
     kind: str
     seed: int
     motion: str = 'rich'
     plant: str | None = None
     duration: float = 60.0
+    sensors: str = 'both'
 
     @property
     def key(self):
         """Return a name of its own, str."""
+        sensors = '' if self.sensors == 'both' else f'/{self.sensors}'
         return (f'{self.kind}/{self.motion}/{self.plant or "drawn"}/{self.duration:g}/'
-                f'{self.seed}')
+                f'{self.seed}{sensors}')
+
+    @property
+    def can_be_seen(self):
+        """Return whether the main effect shows with these sensors at all."""
+        return (self.sensors == 'both' or self.kind in ('clean', 'outside')
+                or not is_lost(in_turn(self.seed)))
 
 
 # the seeds of the figures in docs/discrepancy.md: kind, motion, how many seeds from 0 on
