@@ -5,7 +5,10 @@
 
 from gms_flex_control.discrepancy.gap import farther
 from gms_flex_control.discrepancy.naming import helps
+from gms_flex_control.discrepancy.problem import BLOCK
 from gms_flex_control.discrepancy.result import Gap
+from gms_flex_control.discrepancy.workflow import discrepancy
+from gms_flex_control.hidden.cases import make_case
 import numpy as np
 import pytest
 
@@ -41,3 +44,21 @@ def test_one_run_that_slips_is_no_matter_of_all_of_them():
     assert -20.0 < farther(before, slipped) < 1.0
     assert farther(before, worse) > 10.0
     assert farther(before, before) == 0.0
+
+
+def test_blocks_are_held_out_in_which_a_stop_is_met():
+    """The usual ones, every fourth block of 2 s, would say nothing of it."""
+    case = make_case('single', 32, effect='end_stop', duration=20.0)
+    stop, = case.truth.effects
+    recording = case.recording
+    assert stop.values[0] < 0.0
+    beyond = recording.time[recording.q_link[:, recording.joints.index(stop.joint)]
+                            < stop.values[0]]
+    assert len(beyond) and not np.any((beyond // BLOCK).astype(int) % 4 == 3)
+    result = discrepancy([recording], case.nominal)
+    problem, _ = result.found
+    held_out = problem.whitenings[0].time[problem.moments_held_out[0]]
+    assert np.isin(np.rint(held_out / 0.02), np.rint(beyond / 0.02)).any()
+    assert [one.effect for one in result.findings] == ['end_stop']
+    joint = recording.joints.index(stop.joint)
+    assert result.gap.after[joint] < 0.5 * result.gap.retuned[joint]
