@@ -96,6 +96,7 @@ def read_beside(path, joints=None, motors=None, *, topics=None, aside=()):
     series.require_names()
     bag.warn()
     joints, motors = series.resolved()
+    series.note_others(joints, motors)
     begin, columns = _columns(path, series, joints, motors)
     return (Recording(joints=joints, source=str(path), **columns), begin,
             {name: Aside(space + name, bag.type_of(space + name), further[space + name])

@@ -121,6 +121,14 @@ class Series:
         return resolved(self._path, self.topics.joint_states, self.require_names(),
                         *self._chosen)
 
+    def note_others(self, joints, motors):
+        """Issue a BagWarning if there are more joints than those that were asked for."""
+        others = [name for name in self.require_names() if name not in {*joints, *motors}]
+        if others and self._chosen[0] is not None:
+            warnings.warn(f'{self._path}: topic {self.topics.joint_states!r} has '
+                          f'{", ".join(others)} as well, which this robot has not: left out',
+                          BagWarning, stacklevel=4)
+
     def _take(self, topic, *columns):
         """Return columns of the table of a topic, a field of ``topics``."""
         table = self._tables[self.topics._fields.index(topic)]
