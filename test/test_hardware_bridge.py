@@ -78,6 +78,34 @@ def test_nothing_that_was_asked_before_torque_was_enabled_acts():
     assert run.tick(1)[0] > 0.0
 
 
+def test_to_enable_what_is_active_changes_nothing():
+    """Neither torque nor the watch over a controller that has died meanwhile begins anew."""
+    run = Run().enabled()
+    assert run.bridge.enable(run.now + MS) == (True, 'ACTIVE already')
+    assert run.tick(3) == [0.5] * 3
+    run.tick(17, commands=False)
+    run.bridge.enable(run.now + MS)
+    run.tick(1, commands=False)
+    assert run.said == 'FAULT: no command from /c#1 for 36 ms'
+
+
+def test_a_bridge_that_stood_still_does_not_obey_what_waited_for_it():
+    """The command that comes first afterwards, without a stamp, is no end of the silence."""
+    run = Run().enabled()
+    later = run.now + 200 * MS
+    assert run.bridge.take_command([0.5], None, '/c#1', later)
+    assert run.bridge.torque == [0.0] and run.said.startswith('FAULT: no ')
+
+
+def test_every_request_against_torque_is_counted_whatever_the_state():
+    supervisor = Supervisor()
+    for request in (supervisor.disable, supervisor.reset, lambda: supervisor.trip('broken'),
+                    lambda: supervisor.stop('stop'), lambda: supervisor.button(True, 'knob')):
+        before = supervisor.refusals
+        request()
+        assert supervisor.refusals == before + 1
+
+
 @pytest.mark.parametrize(('asked', 'told'), [(1.0, True), (0.015, False)])
 def test_a_robot_that_swings_because_its_torque_comes_late_is_told_of_it(asked, told):
     """It is asked to turn round every 10 ms, and may rise by 0.02 N m in a sample of 2."""
@@ -128,7 +156,8 @@ def test_a_silent_robot_is_named_before_the_controller_that_has_nothing_to_answe
     run = Run().enabled()
     run.bridge.refuse_state("joint states lack 'l'")
     run.tick(40, states=False)
-    assert run.said == "FAULT: no new joint states for 31 ms: joint states lack 'l'"
+    # the command of that sample comes half a millisecond before the watch looks
+    assert run.said == "FAULT: no new joint states for 30 ms: joint states lack 'l'"
     run = Run().enabled()
     for _ in range(20):
         run.now += 2 * MS

@@ -90,11 +90,14 @@ def test_what_is_beyond_a_margin_is_said(state, words):
 
 def test_an_angle_that_no_joint_could_reach_in_the_time_is_a_jump():
     """The fastest allowed is 1.5 and 2.5 rad/s; what is shorter than 10 ms counts as 10 ms."""
-    assert not jump(NAMES, np.array([0.0149, 0.0249]), STILL, 0.002, limits())
-    assert not jump(NAMES, np.array([0.149, 0.249]), STILL, 0.1, limits())
-    assert 'elbow jumped from 0 to 0.3 rad within 2 ms' in jump(
-        NAMES, np.array([0.3, 0.0]), STILL, 0.002, limits())
-    assert 'wrist' in jump(NAMES, np.array([0.0, -0.26]), STILL, 0.1, limits())
+    before = STILL, STILL
+    assert not jump(NAMES, measured([0.0149, 0.0249]), before, 0.002, limits())
+    assert not jump(NAMES, measured([0.149, 0.249]), before, 0.1, limits())
+    assert jump(NAMES, measured([0.3, 0.0]), before, 0.002, limits()).startswith(
+        'elbow jumped from 0 to 0.3 rad within 2 ms')
+    assert 'wrist' in jump(NAMES, measured([0.0, -0.26]), before, 0.1, limits())
+    assert jump(NAMES, measured(q_motor=[0.0, 50.0]), before, 0.002, limits()).startswith(
+        'the motor of wrist jumped from 0 to 50 rad')
 
 
 @pytest.mark.parametrize('changed, words', [

@@ -127,6 +127,9 @@ def test_the_slower_source_sets_the_pace_and_too_much_skew_makes_no_state():
     take(late, ['la', 'lb'], [0.0, 0.0], 2 * MS, source=0)
     assert not take(late, ['ma'], [0.0], 4 * MS, source=1)
     assert late.absent() == []
+    older_last = merger(('a', 'b'))
+    take(older_last, ['la', 'lb'], [0.0, 0.0], 20 * MS, source=0)
+    assert not take(older_last, ['ma'], [0.0], MS, source=1, now=20 * MS + 1)
     assert take(late, ['la', 'lb'], [0.0, 0.0], 5 * MS - 1, source=0)
 
 
@@ -150,6 +153,19 @@ def test_messages_that_make_no_sense_are_refused_whole(names, position, velocity
         take(merged, names, position, 3 * MS, velocity=velocity)
     np.testing.assert_array_equal(merged.position, before)
     assert take(merged, ['la', 'lb', 'ma'], [0.1, 0.2, 0.3], 5 * MS)
+
+
+def test_a_refused_message_lays_no_claim_to_its_names():
+    merged = merger(('wrong', 'right'))
+    with pytest.raises(ReadingError, match='position nan'):
+        take(merged, ['la', 'lb', 'ma'], [NAN, 0.0, 0.0], MS, source=0)
+    assert take(merged, ['la', 'lb', 'ma'], [0.0] * 3, 2 * MS, source=1)
+
+
+def test_two_joints_do_not_share_an_actuator():
+    with pytest.raises(ParameterError, match="two actuators are both called 'm'"):
+        JointMap(('a', 'b'), [Reading(name='la'), Reading(name='lb')], [None, None],
+                 [Actuation(name='m'), Actuation(name='m')])
 
 
 def test_a_name_from_two_sources_is_refused_and_a_missing_one_is_named():

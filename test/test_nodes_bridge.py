@@ -92,6 +92,25 @@ def test_zero_until_enabled_then_the_measured_state_is_held(lab):
     assert list(lab.states[-1].name) == ['joint1', 'joint2', 'joint1_motor', 'joint2_motor']
 
 
+def test_what_takes_torque_away_while_it_is_asked_for_prevails(lab):
+    """~/enable waits for the reference to hold, of a process that stands still meanwhile."""
+    enable(lab)
+    assert ask(lab, 'disable').success
+    lab.trajectory.process.send_signal(signal.SIGSTOP)
+    try:
+        waiting = lab.clients['/plant/enable'].call_async(Trigger.Request())
+        lab.until(lambda: 'already waits' in ask(lab, 'enable').message or waiting.done())
+        assert ask(lab, 'disable').message == 'ZERO'
+    finally:
+        lab.trajectory.process.send_signal(signal.SIGCONT)
+    lab.until(waiting.done)
+    answer = waiting.result()
+    assert not answer.success and 'not enabled: ' in answer.message
+    flowing = len(lab.efforts)
+    lab.more(lab.efforts, 30)
+    assert not any(any(data) for _, data in lab.efforts[flowing:])
+
+
 def test_torque_rises_at_its_rate_limit_and_stays_below_its_limit(lab):
     move(lab, lambda: (np.abs(np.subtract(lab.states[-1].position[:2], START)) > 0.1).all())
     torque = np.array([torques(data) for _, data in lab.efforts])

@@ -130,16 +130,16 @@ class Bridge:
         self.counters['states in'] += 1
         if not self.merger.take(source, names, position, velocity, effort, stamp, now):
             return False
-        joint_map, before = self.params.joint_map, self.measured.q_link
+        joint_map, measured = self.params.joint_map, self.measured
+        before = measured.q_link, measured.q_motor
         elapsed = (self.merger.time - self.stamp) / NANOSECONDS
-        measured = self.measured
         measured.q_link, measured.q_motor = joint_map.sides(self.merger.position.copy())
         measured.dq_link, measured.dq_motor = joint_map.sides(self.merger.velocity.copy())
         self.applied = joint_map.torques(self.merger.effort, self.torque)
         self.worst['state_age'] = max(self.worst['state_age'], now - self.merger.time)
         self._violation = limiting.violation(joint_map.joints, measured, self.params.limits)
         if not self._violation and self.stamp:
-            self._violation = limiting.jump(joint_map.joints, measured.q_link, before, elapsed,
+            self._violation = limiting.jump(joint_map.joints, measured, before, elapsed,
                                             self.params.limits)
         if self._violation:
             self.fault(self._violation + self._of_late_torque())
@@ -179,6 +179,8 @@ class Bridge:
 
         """
         self.counters['commands in'] += 1
+        if self.watch(now):  # the process stood still: a command that waited ends no silence
+            return True
         conflict = self.watch_commands.hear(source, now)
         if conflict:
             return self.fault(conflict)
@@ -305,6 +307,8 @@ class Bridge:
 
     def enable(self, now):
         """Let torque flow, from zero on and for states from now on; return an Outcome."""
+        if self.supervisor.active:  # and goes on as it does: nothing begins anew
+            return self.supervisor.enable()
         outcome = self.supervisor.enable(self.obstacle(now))
         if outcome.success:
             self.torque = np.zeros_like(self.torque)

@@ -23,7 +23,7 @@ GROUP = 'gms_flex_control.devices'
 
 
 class DeviceError(GmsFlexError):
-    """The link to the robot is broken; it is opened again at the next reset."""
+    """The link to the robot is broken; it is opened again, with zero torque, soon after."""
 
 
 class Sample(NamedTuple):

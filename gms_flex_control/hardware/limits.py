@@ -158,7 +158,7 @@ def violation(names, measured, limits):
     return ''
 
 
-def jump(names, q, q_before, elapsed, limits):
+def jump(names, measured, before, elapsed, limits):
     """
     Return whether an angle changed faster than any joint of this robot can move.
 
@@ -166,8 +166,10 @@ def jump(names, q, q_before, elapsed, limits):
     ----------
     names : sequence of str
         Of the joints.
-    q, q_before : ndarray, shape (n_joints,)
-        Angles now and a sample before [rad].
+    measured : object
+        With ``q_link`` and ``q_motor`` (n_joints,) [rad].
+    before : pair of ndarray, shape (n_joints,)
+        The same a sample before.
     elapsed : float
         Time between them [s].
     limits : Limits
@@ -179,10 +181,12 @@ def jump(names, q, q_before, elapsed, limits):
         A sentence about the first joint that did; '' if none did.
 
     """
-    change = np.abs(q - q_before)
-    jumped = change > (limits.velocity + limits.velocity_margin) * max(elapsed, _SHORTEST)
-    if not jumped.any():
-        return ''
-    j = int(np.argmax(jumped))
-    return (f'{names[j]} jumped from {q_before[j]:.4g} to {q[j]:.4g} rad within '
-            f'{elapsed * 1e3:.3g} ms; look at its encoder')
+    fastest = (limits.velocity + limits.velocity_margin) * max(elapsed, _SHORTEST)
+    for what, q, q_before in (('', measured.q_link, before[0]),
+                              ('the motor of ', measured.q_motor, before[1])):
+        jumped = np.abs(q - q_before) > fastest
+        if jumped.any():
+            j = int(np.argmax(jumped))
+            return (f'{what}{names[j]} jumped from {q_before[j]:.4g} to {q[j]:.4g} rad within '
+                    f'{elapsed * 1e3:.3g} ms; look at its encoder')
+    return ''

@@ -94,7 +94,7 @@ class JointMap:
     Raises
     ------
     ParameterError
-        If two encoders share a name or ``order`` is no order of the joints.
+        If two encoders or two actuators share a name or ``order`` is no order of the joints.
 
     """
 
@@ -107,9 +107,12 @@ class JointMap:
         self._order = np.array([self.joints.index(name) for name in order])
         readings = [*links, *(motor for motor in motors if motor is not None)]
         self.names = tuple(reading.name for reading in readings)
-        twice = [name for name in self.names if self.names.count(name) > 1]
-        if twice:
-            raise ParameterError(f'two encoders are both called {twice[0]!r} in the joint states')
+        for what, where, called in (
+                ('encoders', 'in the joint states', self.names),
+                ('actuators', 'in the commands', tuple(a.name for a in actuators))):
+            twice = [name for name in called if called.count(name) > 1]
+            if twice:
+                raise ParameterError(f'two {what} are both called {twice[0]!r} {where}')
         self._sign_over_ratio = np.array([r.sign / r.ratio for r in readings])
         self._offset = np.array([r.offset for r in readings])
         n, flexible = len(self.joints), [motor is not None for motor in motors]

@@ -96,18 +96,21 @@ class StateMerger:
             If lengths or numbers make no sense or a name comes twice; nothing has changed then.
 
         """
-        index, channel = self._plan(source, names)
+        plan = self._plan(source, names)
+        _, index, channel = plan
         q, dq, torque = self._values(names, (position, velocity, effort), index, channel)
+        self._keep(source, plan)
         time = self._timelines[source].read(stamp, now)
         if time is None:
             return False
         self._move(channel, q, dq, time)
         self.effort[channel] = torque
         self._fresh[channel] = True
-        if not self._fresh.all() or time - int(self._times.min()) > self._skew:
+        newest = int(self._times.max())
+        if not self._fresh.all() or newest - int(self._times.min()) > self._skew:
             return False
         self._fresh[:] = False
-        self.time = int(self._times.max())
+        self.time = newest
         age = (self.time - self._times) / NANOSECONDS
         self.position[:] = self._q + self._dq * age
         self.velocity[:] = self._dq
@@ -116,8 +119,14 @@ class StateMerger:
     def _plan(self, source, names):
         plan = self._plans[source]
         if plan is None or plan[0] != names:
-            plan = self._plans[source] = (list(names), *self._make_plan(source, names))
-        return plan[1:]
+            plan = list(names), *self._make_plan(source, names)
+        return plan
+
+    def _keep(self, source, plan):
+        if plan is not self._plans[source]:
+            self._plans[source] = plan
+            for c in plan[2]:
+                self._owner[c] = source
 
     def _make_plan(self, source, names):
         place = self._sources[source]
@@ -136,8 +145,6 @@ class StateMerger:
                 raise ReadingError(f'{name!r} comes from {self._sources[self._owner[c]]} and from '
                                    f'{place}; leave it out of one, or one out of '
                                    'bridge.state_topics')
-        for c in channel:
-            self._owner[c] = source
         return [names.index(name) for name in wanted], np.array(channel)
 
     def _values(self, names, fields, index, channel):

@@ -32,12 +32,15 @@ class Supervisor:
         Whether the fault is an emergency stop.
     faults : int
         How many there have been.
+    refusals : int
+        How often torque was taken away or asked to be, whatever the state was: who waits to enable
+        it sees by this that it is no longer wanted.
 
     """
 
     def __init__(self, reason='not enabled yet'):
         self.state, self.reason = ZERO, reason
-        self.stopped, self.faults = False, 0
+        self.stopped, self.faults, self.refusals = False, 0, 0
         self._pressed = False
 
     @property
@@ -70,6 +73,7 @@ class Supervisor:
 
     def disable(self, reason='disabled'):
         """Go from ACTIVE to ZERO; a fault stays one."""
+        self.refusals += 1
         if self.state == FAULT:
             return Outcome(True, f'no torque: FAULT, {self.reason}')
         self.state, self.reason = ZERO, reason
@@ -77,6 +81,7 @@ class Supervisor:
 
     def trip(self, reason):
         """Go from ACTIVE to FAULT; the first reason stays. Return whether it did."""
+        self.refusals += 1
         if self.state != ACTIVE:
             return False
         self.state, self.reason = FAULT, reason
@@ -85,6 +90,7 @@ class Supervisor:
 
     def stop(self, reason):
         """Emergency stop: to FAULT from any state, before any other reason."""
+        self.refusals += 1
         if not self.stopped:
             self.faults += self.state != FAULT
             self.state, self.reason, self.stopped = FAULT, reason, True
@@ -98,6 +104,7 @@ class Supervisor:
 
     def reset(self):
         """Go from FAULT to ZERO, unless the emergency-stop button is still pressed."""
+        self.refusals += 1
         if self._pressed:
             return Outcome(False, f'FAULT: {self.reason}; release the button first')
         if self.state == FAULT:

@@ -8,6 +8,7 @@ import time
 
 from gms_flex_control.hardware.bridge import Bridge
 from gms_flex_control.hardware.merger import ReadingError
+from gms_flex_control.hardware.supervisor import Outcome
 from gms_flex_control.nodes import messages, process
 from gms_flex_control.nodes.health import ERROR, OK
 from gms_flex_control.nodes.inbox import Inbox
@@ -143,10 +144,13 @@ class BridgedRobot(SupervisedRobot):
             return (self._health.fault or self._bridge.obstacle(self.now())
                     or self._link.obstacle())
 
-    def enable(self):
-        """Let torque flow; return an Outcome."""
+    def enable(self, refusals=None):
+        """Let torque flow, unless it was taken away since there were ``refusals``."""
         with self._lock:
-            return self._settled(self._bridge.enable(self.now()))
+            obstacle = self.obstacle()
+            if obstacle:
+                return Outcome(False, f'not enabled: {obstacle}')
+            return self._outdated(refusals) or self._settled(self._bridge.enable(self.now()))
 
     def disable(self):
         """Take torque away; return an Outcome."""
@@ -182,8 +186,9 @@ class BridgedRobot(SupervisedRobot):
         with self._lock:
             now = self.now()
             self._bridge.watch(now)
-            if self._supervisor.active and self._link.broken:
-                self._bridge.fault(self._link.broken)
+            broken = self._health.fault or self._link.broken
+            if self._supervisor.active and broken:
+                self._bridge.fault(broken)
             self._settle()
             if not self._supervisor.active and now - self._sent >= _ZERO_PERIOD:
                 self._send()

@@ -26,6 +26,7 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayou
 
 NANOSECONDS = 1_000_000_000
 _STAMP, _SOURCE = 'stamp:', 'source:'
+_LARGEST_STAMP = 2 ** 63                # beyond what a message's own time can hold [ns]
 EFFORT, DERIVATIVE = 'effort', 'derivative'
 
 
@@ -211,7 +212,8 @@ def read_stamp(message):
     for dimension in message.layout.dim:
         if dimension.label.startswith(_STAMP):
             with suppress(ValueError):  # anyone may have written the label
-                return int(dimension.label[len(_STAMP):])
+                stamp = int(dimension.label[len(_STAMP):])
+                return stamp if abs(stamp) < _LARGEST_STAMP else None
     return None
 
 

@@ -156,6 +156,7 @@ class DeviceLink:
         self._device = devices.find(self._name, values['bridge.device_options'], names)
         self._names = list(self._device.names)
         self._connected, self._failures = False, 0
+        self._unwritten = None     # error of a write, upon which the link is opened again
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._read, name='device', daemon=True)
 
@@ -164,12 +165,14 @@ class DeviceLink:
             try:
                 if not self._connected:
                     self._device.connect()
-                    self._connected = True
+                    self._connected, self._unwritten = True, None
                     self._node.get_logger().info(f'device {self._name} is connected')
                 sample = self._device.read(_READ_TIMEOUT)
                 if sample is not None:
                     self._robot.take_state(0, self._names, sample.position, sample.velocity,
                                            sample.effort, sample.stamp)
+                if self._unwritten is not None:
+                    raise self._unwritten
             except DeviceError as error:
                 self._break(error)
                 self._over.wait(_REOPEN_PERIOD)
@@ -181,9 +184,9 @@ class DeviceLink:
     def _break(self, error):
         if self._connected or self._failures == 0:
             self._node.get_logger().warning(f'device {self._name}: {error}')
-        self._connected = False
         self._failures += 1
-        self._robot.fail(f'device {self._name}: {error}')
+        self._robot.fail(f'device {self._name}: {error}')  # zero, if it can still be written
+        self._connected = False
         self._device.close()
 
     def write(self, efforts):
@@ -193,8 +196,10 @@ class DeviceLink:
         try:
             self._device.write(efforts)
         except DeviceError as error:
+            self._unwritten = error
             raise DeviceError(f'device {self._name}: {error}') from error
         except Exception as error:  # noqa: B902  of a library we do not know
+            self._unwritten = DeviceError(f'it failed to write: {error!r}')
             raise DeviceError(f'device {self._name} failed to write: {error!r}') from error
 
     def beat(self):

@@ -36,8 +36,8 @@ class Safety:
     node : rclpy.node.Node
         The plant, whose names they carry.
     robot : object
-        Has ``obstacle()``, ``enable()``, ``disable()``, ``reset()``, ``stop(reason)`` and
-        ``button(pressed, name)``; safe to be called from any thread.
+        SupervisedRobot with ``obstacle()``, ``enable(refusals)``, ``disable()`` and ``reset()``;
+        safe to be called from any thread.
     health : Health
         Told of exceptions.
     topic : str
@@ -122,18 +122,24 @@ class Safety:
         return self._answer(response, self._robot.stop('emergency stop by service'))
 
     async def _enable(self, _request, response):
-        obstacle = self._robot.obstacle() or self._no_hold()
+        refusals = self._robot.refusals  # of what may come while the hold is waited for
+        obstacle = self._robot.obstacle()
+        if not obstacle and self._hold is not None and self._robot.at_zero:
+            obstacle = self._no_hold() or await self._held()
         if obstacle:
             return self._answer(response, (False, f'not enabled: {obstacle}'))
-        if self._hold is not None:
-            self._asked = self._hold.call_async(Trigger.Request()), time.monotonic() + _PATIENCE
-            held = await self._asked[0]
-            self._asked = None
-            if held is None or not held.success:
-                said = f'refused: {held.message}' if held else f'did not answer in {_PATIENCE} s'
-                return self._answer(
-                    response, (False, f'not enabled: {self._hold.srv_name} {said}'))
-        return self._answer(response, self._robot.enable())
+        return self._answer(response, self._robot.enable(refusals))
+
+    async def _held(self):
+        """Let the reference hold; return a sentence if it does not, else ''."""
+        if self._asked is not None:
+            return f'another request already waits for {self._hold.srv_name}'
+        self._asked = self._hold.call_async(Trigger.Request()), time.monotonic() + _PATIENCE
+        held = await self._asked[0]
+        self._asked = None
+        if held is None:
+            return f'{self._hold.srv_name} did not answer in {_PATIENCE} s'
+        return '' if held.success else f'{self._hold.srv_name} refused: {held.message}'
 
     def _no_hold(self):
         if self._hold is None or self._hold.service_is_ready():

@@ -212,11 +212,12 @@ class SimulatedRobot(SupervisedRobot):
         """Return what stands against torque now (str)."""
         return self._health.fault
 
-    def enable(self):
-        """Let torque flow as soon as there is a command; return an Outcome."""
+    def enable(self, refusals=None):
+        """Let torque flow as soon as there is a command; as BridgedRobot.enable."""
         with self._lock:
-            self._wanted = True
-            return self._settled(self._supervisor.enable())
+            outdated = self._outdated(refusals)
+            self._wanted = self._wanted or not outdated
+            return outdated or self._settled(self._supervisor.enable())
 
     def disable(self):
         """Take torque away until `enable`; return an Outcome."""
@@ -231,9 +232,11 @@ class SimulatedRobot(SupervisedRobot):
             return self._settled(self._supervisor.reset())
 
     def fail(self, sentence):
-        """Enter a fault that lasts until `reset`."""
+        """Enter a fault that lasts until `reset`, also from one that would pass by itself."""
         with self._lock:
-            self._supervisor.trip(sentence)
+            if not self._supervisor.trip(sentence) and self._passing:
+                self._supervisor.amend(sentence)
+            self._passing = False
             self._settle()
 
     def figures(self):

@@ -5,6 +5,8 @@
 
 from abc import ABC, abstractmethod
 
+from gms_flex_control.hardware.supervisor import Outcome, ZERO
+
 
 class SupervisedRobot(ABC):
     """
@@ -18,9 +20,26 @@ class SupervisedRobot(ABC):
     def _settle(self):
         """Say and do what a change of the supervisor's state asks for."""
 
+    @property
+    def refusals(self):
+        """Return how often torque was taken away so far, see Supervisor."""
+        return self._supervisor.refusals
+
+    @property
+    def at_zero(self):
+        """Return whether the robot waits in ZERO to be enabled."""
+        return self._supervisor.state == ZERO
+
     def _settled(self, outcome):
         self._settle()
         return outcome
+
+    def _outdated(self, refusals):
+        """Return the Outcome of a request to enable that began when there were ``refusals``."""
+        if refusals in (None, self.refusals):
+            return None
+        return Outcome(False, 'not enabled: torque was taken away, or to be, while this request '
+                       'waited; ask again')
 
     def stop(self, reason):
         """Stop in an emergency; return an Outcome."""
