@@ -14,8 +14,13 @@ from gms_flex_control.discrepancy.workflow import discrepancy
 from gms_flex_control.discrepancy.workflow import Options as Lacking
 from gms_flex_control.effects import registry
 from gms_flex_control.hidden.cases import available_effects, make_case
+from gms_flex_control.hidden.motions import draw_reference
+from gms_flex_control.hidden.plants import draw_belief, draw_robot
+from gms_flex_control.hidden.truth import Disturbance, simulate
 from gms_flex_control.identification.identify import identify, Options
 from gms_flex_control.identification.unknown_robot import rigid_axes
+from gms_flex_control.params.robot import EffectSpec
+from gms_flex_control.recording import Recording
 from identified_axis import pendulum
 import numpy as np
 import pytest
@@ -139,6 +144,34 @@ def test_what_the_catalogue_lacks_is_unexplained(seed, name):
     assert result.unexplained.joint == truth.outsider_joint
     assert result.unexplained.equation == ('motor' if 'motor' in name else 'link')
     assert 'does not explain' in result.words
+
+
+def test_a_change_at_a_moment_is_said_beside_what_is_named():
+    """Friction that grows at 10 s beside a larger effect: that one is named, the other said."""
+    rng, time = np.random.default_rng(2), np.arange(10000) * 2e-3
+    robot, gains = draw_robot(rng, 'stiff')
+    nominal, reference = draw_belief(rng, robot), draw_reference(rng, 'rich', 'stiff', time)
+    offset = EffectSpec(name='spring_offset', joint='joint1', values=(0.0012,))
+    step = Disturbance('friction_step', 0, (0.4, 10.0, 0.0, 0.0, 0.0), np.zeros(len(time)))
+    motion = simulate(replace(robot, effects=(offset,)), nominal, gains, reference, seed=1,
+                      disturbance=step)
+    q_link, _, q_motor, _ = np.moveaxis(motion.measured, 1, 0)
+    unknown = np.full_like(q_link, np.nan)
+    result = discrepancy([Recording(
+        joints=robot.joints, time=time, q_link=q_link, q_motor=q_motor, dq_link=unknown,
+        dq_motor=unknown, tau_motor=np.vstack([np.zeros((1, 2)), motion.command[:-1]]),
+        command=motion.command, reference=reference, friction_hat=unknown, source='step',
+        supply=None)], nominal)
+    assert (result.verdict, result.findings[0].effect) == (FOUND, 'spring_offset'), result.words
+    assert 'What resembles friction_drift of joint1 sets in about 10 s' in result.words
+
+
+def test_a_known_effect_whose_value_is_wrong_is_told():
+    case = make_case('single', 1, duration=10.0)
+    hidden, = case.truth.effects
+    halved = replace(hidden, values=(0.5 * hidden.values[0],))
+    result = discrepancy([case.recording], replace(case.nominal, effects=(halved,)))
+    assert f'{hidden.name} of {hidden.joint}, which the model has already' in result.words
 
 
 @pytest.mark.parametrize('seed', [5, 7])

@@ -272,7 +272,7 @@ def flat(record):
     return numbers
 
 
-@pytest.mark.parametrize('arm', [{}, {'damping': [0.01, 0.02]},
+@pytest.mark.parametrize('arm', [{}, {'damping': [0.01, 0.02]}, {'gravity': [0.0, -9.0]},
                                  {'kind': 'decoupled', 'gravity': [0.0, -9.0]},
                                  {'kind': 'decoupled', 'stiffness': [np.inf, 5.0]}])
 def test_a_robot_of_knobs_is_the_record_of_knobs(ideal_robot, arm):
@@ -411,6 +411,8 @@ def test_what_a_hypothesis_gains_by_chance_is_taken_off(problem):
     model = Fitted(problem.robot, x, rows, problem.cost(rows, problem.robot, x))
     library = Library(problem, model, knobs)
     ranked = library.ranked(model, knobs)
+    # however many sizes of some effect are alike
+    assert len({(one.spec.name, one.spec.joint) for one in ranked}) == len(ranked) == 12
     assert all(library.beyond_chance(one) <= one.gain for one in ranked)
     for clean in problem.clean:
         again = Fitted(problem.robot, 0.0 * x, clean, problem.cost(clean, problem.robot, 0.0 * x))

@@ -3,9 +3,12 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """What data held out say of effects: whether they help, and what is but chance."""
 
+from dataclasses import replace
+
 from gms_flex_control.discrepancy.gap import farther
 from gms_flex_control.discrepancy.naming import helps
-from gms_flex_control.discrepancy.problem import BLOCK
+from gms_flex_control.discrepancy.path import path_of
+from gms_flex_control.discrepancy.problem import BLOCK, Problem
 from gms_flex_control.discrepancy.result import Gap
 from gms_flex_control.discrepancy.workflow import discrepancy
 from gms_flex_control.hidden.cases import make_case
@@ -44,6 +47,23 @@ def test_one_run_that_slips_is_no_matter_of_all_of_them():
     assert -20.0 < farther(before, slipped) < 1.0
     assert farther(before, worse) > 10.0
     assert farther(before, before) == 0.0
+
+
+def test_without_free_runs_torque_decides():
+    """Where data held out are too short for any, nothing has strayed less."""
+    none = np.zeros(1)
+    for much, torque, expected in ((False, 1.0, False), (True, 0.9, False), (False, 0.5, True)):
+        told = replace(gap(torque=torque), free_before=none, free_after=none)
+        assert helps(told, much=much) is expected
+
+
+@pytest.mark.parametrize('duration', [2.2, 4.3, 6.2, 8.0, 9.1])
+def test_some_of_every_recording_is_held_out_half_of_it_at_most(duration):
+    case = make_case('clean', 3, duration=duration)
+    problem = Problem([path_of(case.recording, case.nominal)], case.nominal, 0.005)
+    moments, whitening = problem.moments_held_out[0], problem.whitenings[0]
+    assert 0.1 <= moments.sum() / whitening.settled.sum() <= 0.6
+    assert problem.fitted.sum() > 0.9 * problem.held_out.sum()
 
 
 def test_blocks_are_held_out_in_which_a_stop_is_met():

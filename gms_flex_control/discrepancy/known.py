@@ -63,14 +63,17 @@ def knobs_of(constants, doubt):
     def add(kind, joint, *fields, signs=None):
         knobs.append(Knob(kind, joint, doubt[kind], fields, signs or (1,) * len(fields)))
 
+    heavy = np.any(chain.gravity != 0.0)
     for i in range(n):
-        for k in range(i, n):
-            if chain.coupling[i, k] != 0.0:
-                pairs = {(i, k), (k, i)}
-                add('inertia', i if i == k else -1,
-                    *(('chain', 'coupling', pair) for pair in sorted(pairs)))
-        if np.any(chain.gravity != 0.0) and chain.moment[i] != 0.0:
-            add('gravity', i, ('chain', 'moment', i))
+        # what link i has of mass times distance: gravity and its coupling to every link before
+        moment = [('chain', 'coupling', pair) for k in range(i) if chain.coupling[k, i] != 0.0
+                  for pair in ((k, i), (i, k))]
+        if heavy and chain.moment[i] != 0.0:
+            add('gravity', i, *moment, ('chain', 'moment', i))
+        elif moment:
+            add('inertia', -1, *moment)
+        if chain.coupling[i, i] != 0.0:
+            add('inertia', i, ('chain', 'coupling', (i, i)))
     for j in range(n):
         if chain.flexible[j]:
             add('stiffness', j, ('chain', 'stiffness', j))

@@ -24,7 +24,8 @@ _OF_CHANCE = 4.0      # times what a hypothesis gains where nothing is missing
 _AT_BOUND = 0.99      # of a knob's doubt: it can give no more
 _ALL_NOISE = 0.5      # of the squares of a column: noise tells more than it
 _NEW = 1e-6           # of the squares of a guess's columns: nothing else makes so much of them
-_EXACT = 12           # hypotheses whose gain is found within bounds
+_EXACT = 12           # effects of joints whose gain is found within bounds
+_MOST_TRIED = 60      # guesses, to find so many: some have a ladder of sizes
 
 
 class Ranked(NamedTuple):
@@ -133,11 +134,17 @@ class Library:
         free = np.ones(len(own), dtype=bool)
         free[:knobs] = np.abs(model.x) < _AT_BOUND * problem.bound_of(model.robot)
         noise = problem.noise.slopes(model.robot, numbers)
-        for i in np.argsort(-self._gains(own[free], rows, noise[free]))[:_EXACT]:
+        gains = self._gains(own[free], rows, noise[free])
+        for i in np.argsort(-gains)[:_MOST_TRIED]:
             name, joint, guess = self.guesses[i]
+            known = best.get((name, joint), Ranked(0.0, None)).gain
+            if len(best) == _EXACT:
+                break
+            if known >= gains[i]:  # bounds take from it
+                continue
             value, coefficients = self._with(i, own, rows, gram, low, high, slope)
             gain = 2.0 * (before - value)
-            if gain > best.get((name, joint), Ranked(0.0, None)).gain:
+            if gain > known:
                 values = tuple(float(v) for v in guess.values(coefficients))
                 best[name, joint] = Ranked(gain, EffectSpec(name=name, joint=joint,
                                                             values=values))

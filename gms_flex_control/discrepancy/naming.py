@@ -41,7 +41,7 @@ def helps(gap, much, strictly=False):
     nothing else speaks for them.
     """
     before, after = (float(np.sum(errors ** 2)) for errors in (gap.free_before, gap.free_after))
-    torque, stray = gap.energy_ratio, after / max(before, 1e-300)
+    torque, stray = gap.energy_ratio, after / before if before > 0.0 else 1.0  # no runs at all
     if strictly and stray >= 1.0:
         return False
     if much:

@@ -131,20 +131,20 @@ class Problem:
 
     def _divide(self, turn=-1):
         """Set which rows are fitted and which held out, by blocks of time."""
-        begin = np.cumsum([0, *(int(whitening.time[-1] / BLOCK) + 1
-                                for whitening in self.whitenings)])
-        self.turns = min(_HELD_OUT, begin[-1])
+        counts = [_blocks_in(whitening.time[-1]) for whitening in self.whitenings]
+        self.turns = min(_HELD_OUT, sum(counts))
 
-        def is_out(first, time):
-            return (first + (time / BLOCK).astype(int)) % self.turns == turn % self.turns
-        pairs = list(zip(begin[:-1], self.whitenings, strict=True))
-        out = np.concatenate([np.repeat(is_out(first, whitening.row_time),
+        def is_out(first, whitening, time):
+            block = first + _block_of(time, whitening.time[-1])
+            return block % self.turns == turn % self.turns
+        pairs = list(zip(np.cumsum([0, *counts[:-1]]), self.whitenings, strict=True))
+        out = np.concatenate([np.repeat(is_out(first, whitening, whitening.row_time),
                                         whitening.scale.shape[1]) for first, whitening in pairs])
         used = np.concatenate([whitening.scale.ravel() > 0.0 for whitening in self.whitenings])
         others = np.ones(len(self.knobs), dtype=bool)
         self.fitted = np.concatenate([used & ~out, others])
         self.held_out = np.concatenate([used & out, ~others])
-        self.moments_held_out = [is_out(first, whitening.time) & whitening.settled
+        self.moments_held_out = [is_out(first, whitening, whitening.time) & whitening.settled
                                  for first, whitening in pairs]
 
     @property
@@ -250,6 +250,17 @@ class Problem:
             bound = self.bound_of(robot)
             x = x + solve(used @ used.T, self.slope(columns, rows, robot), -bound - x, bound - x)
         return x, self.rows(robot, x), columns
+
+
+def _blocks_in(duration):
+    """Return how many blocks there are in a time [s], two at least."""
+    return max(round(duration / BLOCK), 2)
+
+
+def _block_of(time, duration):
+    """Return the block that each time (T,) is in; what is left of half of one joins the last."""
+    block = (time / min(BLOCK, 0.5 * duration)).astype(int)
+    return np.minimum(block, _blocks_in(duration) - 1)
 
 
 def with_effect(robot, spec):

@@ -9,6 +9,7 @@ An end stop that was met thrice is no better and no worse on data in which it wa
 
 from gms_flex_control.discrepancy import judge
 from gms_flex_control.discrepancy.fit import Fitted
+from gms_flex_control.discrepancy.library import Library
 from gms_flex_control.discrepancy.search import refitted
 import numpy as np
 
@@ -16,7 +17,7 @@ _SELDOM = 0.02        # of what an effect changes: so little of it is held out
 _MOST = 0.6           # likewise: with more of it held out, too little is left to fit
 
 
-def where_it_acts(problem, found, entries, known):
+def where_it_acts(problem, found, entries, known, without=()):
     """
     Return a search's end with blocks held out in which the largest of its effects acts.
 
@@ -30,6 +31,8 @@ def where_it_acts(problem, found, entries, known):
         Its effects.
     known : int
         Effects the user knew of.
+    without : collection of str
+        Effects that are left out of the library.
 
     Returns
     -------
@@ -52,7 +55,7 @@ def where_it_acts(problem, found, entries, known):
     x, rows, knobs = problem.retuned(before.robot, before.x)
     model, columns = refitted(problem, found.model.robot, found.model.x,
                               found.columns[:len(problem.knobs)], known)
-    found = found._replace(
-        before=Fitted(before.robot, x, rows, problem.cost(rows, before.robot, x)), model=model,
-        columns=columns)
+    before = Fitted(before.robot, x, rows, problem.cost(rows, before.robot, x))
+    found = found._replace(before=before, model=model, columns=columns,
+                           library=Library(problem, before, knobs, without))
     return problem, found, judge.judged(problem, found, known)

@@ -27,6 +27,33 @@ def of_unseen(joints):
             f'there: {", ".join(lost_effects())}.')
 
 
+def of_known(first, effects, whole):
+    """
+    Return a sentence if an effect that the model has would explain most with another value.
+
+    Parameters
+    ----------
+    first : sequence of Ranked
+        Of the first scan, the best first.
+    effects : sequence of EffectSpec
+        That the model has.
+    whole : float
+        What is missing, in units of gain.
+
+    Returns
+    -------
+    str
+
+    """
+    there = {(spec.name, spec.joint) for spec in effects}
+    if not first or first[0].gain < 0.5 * whole or (
+            first[0].spec.name, first[0].spec.joint) not in there:
+        return ''
+    return (f'{first[0].spec.name} of {first[0].spec.joint}, which the model has already, would '
+            'explain more than anything else with another value: correct it or take it out, and '
+            'ask again; what is named here may but stand for that.')
+
+
 def tells_apart(effect, others):
     """Return the motion that tells an effect from others, '' if there are none."""
     return find(effect).tells if others else ''
@@ -99,8 +126,9 @@ def _listed(result):
     if beside:
         yield f'Smaller beside that: {_briefly(beside)}.'
     if result.undecided and groups[0] is not result.undecided:
-        yield ('Something small is there too that these data cannot tell from others, it could be '
-               f'{_briefly(result.undecided)}.')
+        size = '' if any(one.main for one in result.undecided) else ' small'
+        yield (f'Something{size} is there too that these data cannot tell from others, it could '
+               f'be {_briefly(result.undecided)}.')
 
 
 def _briefly(findings):

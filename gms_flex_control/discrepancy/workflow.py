@@ -31,6 +31,7 @@ from gms_flex_control.discrepancy.words import (
     evidence_of,
     first_of,
     IN_MOTION,
+    of_known,
     of_unseen,
     paragraph,
     tells_apart,
@@ -148,7 +149,7 @@ def _searched(paths, robot, options, holdout, at_rest, say):
     say('judging what was found')
     found, entries = pruned(problem, found, known)
     if not holdout:
-        problem, found, entries = where_it_acts(problem, found, entries, known)
+        problem, found, entries = where_it_acts(problem, found, entries, known, options.without)
     return _told(problem, found, entries, known, options, holdout, say)
 
 
@@ -234,25 +235,30 @@ def _added(problem, found, known, choices, measured):
     return found, [], gap_of(measured, found)
 
 
+def _left(problem, found, before):
+    """Return the share that is left of what was missing, noise allowed for."""
+    if before <= naming.DETECTED * problem.caution:
+        return 0.0
+    return max(problem.missing(found.model) - _NOISE_DOUBT, 0.0) / before
+
+
 def _told(problem, found, entries, known, options, holdout, say):
-    before, after = (problem.missing(model) for model in (found.before, found.model))
+    before = problem.missing(found.before)
     tried = tuple(Tried(one.spec.name, one.spec.joint, one.gain) for one in found.first)
-    slack = naming.DETECTED * problem.caution
-    left = max(after - _NOISE_DOUBT, 0.0) / before if before > slack else 0.0
     whole = max(before * problem.unit_cost, 1e-12)
     say('the gap on data held out')
     measured = _measured_on(problem, holdout)
     entries, sudden = steady(problem, found, entries)
     entries = [one for one in entries if not is_at_limit(found.model.robot.effects[one.index])]
-    choices = naming.choices(entries, left, whole)
+    choices = naming.choices(entries, _left(problem, found, before), whole)
     found, entries, gap = _added(problem, found, known, choices, measured)
     largest = max((one.alone for one in entries), default=0.0)
     findings = [_finding(problem, measured, found, known, one, whole, largest, options)
                 for one in entries]
     main, minor, undecided = naming.grouped(findings, entries)
     left_over = None
-    if (left > naming.EXPLAINED if findings else
-            naming.matters(problem, gap, before, options.practical)):
+    if sudden or (_left(problem, found, before) > naming.EXPLAINED if findings else
+                  naming.matters(problem, gap, before, options.practical)):
         share = max(problem.missing(found.model), 0.0) / max(before, 1e-12)
         left_over = signature_of(problem, found.model, min(share, 1.0))
         left_over = left_over._replace(sentence=f'{left_over.sentence} {sudden}'.rstrip())
@@ -264,7 +270,8 @@ def _told(problem, found, entries, known, options, holdout, say):
         verdict=verdict, findings=main, minor=minor, undecided=undecided,
         unexplained=left_over, gap=gap, tried=tried, retuned=retuned, found=(problem, found),
         robot=with_knobs(found.model.robot, problem.knobs, found.model.x))
-    return replace(result, words=paragraph(result))
+    known_off = of_known(found.first, problem.robot.effects, whole)
+    return replace(result, words=f'{paragraph(result)} {known_off}'.rstrip())
 
 
 def _only(problem, found, known, entries):
