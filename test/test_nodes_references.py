@@ -64,6 +64,14 @@ def test_a_new_reference_ends_the_hold():
     assert np.array_equal(kept.at(NS).value, MOTION) and kept.phase == 'following'
 
 
+def test_references_of_other_times_take_no_place_of_those_that_are_followed():
+    kept, last = References(0.1, 1.0, 1.0), 1000 * NS
+    kept.keep(last, Reference('motion', MOTION), last)
+    for far in range(20):
+        kept.keep(far * NS, Reference('motion', 0.0 * MOTION), last)
+    assert np.array_equal(kept.at(last).value, MOTION)
+
+
 def test_without_hold_and_relax_a_lost_reference_is_none():
     kept = lost_at(hold=0.0, relax=0.0)
     assert kept.at(0) and kept.at(NS // 5) is None

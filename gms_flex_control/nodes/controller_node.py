@@ -145,7 +145,7 @@ class ControllerNode(Node):
             stamp = self._last if self._last is not None else 0
         if self._hears_rivals(messages.read_source(message) or '', stamp):
             return True
-        self._references.keep(stamp, reference)
+        self._references.keep(stamp, reference, self._last)
         if self._waiting is not None and stamp == self._waiting:
             self._answer(self._waiting)
         return True

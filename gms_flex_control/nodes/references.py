@@ -57,12 +57,18 @@ class References:
         self._rest = None     # (stamp, Trajectory) of the way to rest
         self._torque = None   # mean of the last commands
 
-    def keep(self, stamp, reference):
-        """Take a Reference for the joint state of ``stamp`` [ns]."""
+    def keep(self, stamp, reference, last=None):
+        """
+        Take a Reference for the joint state of ``stamp`` [ns].
+
+        Of too many the one farthest from the ``last`` state goes: those of other times take no
+        place of those that are followed. Without a last state, the oldest goes.
+        """
         self._kept.pop(stamp, None)
         self._kept[stamp] = reference
         if len(self._kept) > _KEPT:
-            del self._kept[next(iter(self._kept))]
+            del self._kept[next(iter(self._kept)) if last is None else
+                           max(self._kept, key=lambda known: abs(known - last))]
 
     def has(self, stamp):
         """Return whether there is one for exactly this joint state."""
