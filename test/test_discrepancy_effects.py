@@ -174,6 +174,18 @@ def test_a_known_effect_whose_value_is_wrong_is_told():
     assert f'{hidden.name} of {hidden.joint}, which the model has already' in result.words
 
 
+def test_a_hole_in_an_angle_is_left_out():
+    """A straight line through 0.4 s of motion would be a torque that nothing explains."""
+    case = make_case('single', 1, duration=10.0)
+    q_link = case.recording.q_link.copy()
+    q_link[1000:1200, 0] = np.nan
+    result = discrepancy([replace(case.recording, q_link=q_link)], case.nominal)
+    hidden, = case.truth.effects
+    assert [one.effect for one in result.findings] == [hidden.name], result.words
+    assert result.findings[0].values[0].value == pytest.approx(hidden.values[0], rel=0.02)
+    assert 'is no number in 200 samples' in result.words
+
+
 @pytest.mark.parametrize('seed', [5, 7])
 def test_what_changes_at_a_moment_is_no_drift(seed):
     """Friction that grows from one moment to the next resembles one that grows evenly."""

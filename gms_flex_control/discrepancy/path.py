@@ -18,6 +18,8 @@ _KNOWN = 0.98          # share of samples a torque must cover
 _STANDING = 0.2        # a link stands that its encoder does not see move for so long [s]
 _ONE_COUNT = 1.5       # counts: the reading goes to and fro between two
 _FINE = 20.0           # times a count's own noise: steps below are none of an encoder
+_LONGEST_HOLE = 5.5    # samples: readings farther apart are not bridged
+_SETTLED = 0.3         # after a hole, until friction is that of the motion seen [s]
 _DEVIATIONS = 6.0      # of noise: so far apart readings of a link at rest lie
 
 
@@ -59,6 +61,8 @@ class Path:
         Twist as read behind the filter, less the smoothed one [rad].
     standing : ndarray, shape (S, n)
         Whether the link stands as far as its encoder tells, bool.
+    known : ndarray, shape (S,)
+        Whether all angles were read there, bool; elsewhere they are a straight line.
     commanded : bool
         Whether ``command`` is what was asked for; else it is torque as measured.
     source : str
@@ -84,6 +88,7 @@ class Path:
     drive: np.ndarray
     twist_rest: np.ndarray
     standing: np.ndarray
+    known: np.ndarray
     commanded: bool
     source: str
     unseen: tuple = ()
@@ -157,16 +162,24 @@ def path_of(recording, robot):
     """
     time, period = even_time(recording)
     readings = np.zeros((len(time), 2, recording.n_joints))
-    unseen = unseen_links(recording, robot)
+    known, unseen = np.ones(len(time), dtype=bool), unseen_links(recording, robot)
+
+    def resampled(values, what):
+        nonlocal known
+        known = known & ~in_hole(recording.time[np.isfinite(values)], time, period)
+        return _resampled(recording, values, time, what)
     for j, joint in enumerate(recording.joints):
         if all(link.joint != j for link in unseen):
-            readings[:, 0, j] = _resampled(recording, recording.q_link[:, j], time,
-                                           f'link angle of {joint!r}')
-        readings[:, 1, j] = readings[:, 0, j] if robot.arm.rigid[j] else _resampled(
-            recording, recording.q_motor[:, j], time, f'motor angle of {joint!r}')
-    return make_path(recording.joints, time, period, readings, held_torque(recording, time),
+            readings[:, 0, j] = resampled(recording.q_link[:, j], f'link angle of {joint!r}')
+        readings[:, 1, j] = readings[:, 0, j] if robot.arm.rigid[j] else resampled(
+            recording.q_motor[:, j], f'motor angle of {joint!r}')
+    path = make_path(recording.joints, time, period, readings, held_torque(recording, time),
                      supply_voltage(recording, time), has_commands(recording), recording.source,
                      unseen)
+    settled = round(_SETTLED / period)  # friction remembers the motion that nobody saw
+    known = minimum_filter1d(known, 2 * settled + 1, origin=settled)
+    known = minimum_filter1d(known, smoothing(period) + 4 * path.factor)
+    return replace(path, known=known[::path.factor])
 
 
 def make_path(joints, time, period, readings, command, supply, commanded, source, unseen=()):
@@ -200,6 +213,7 @@ def make_path(joints, time, period, readings, command, supply, commanded, source
         drive=thinned(held, factor),
         twist_rest=twist - seen(thin[:, 3] - thin[:, 0], sampled_weight(factor)),
         standing=standing(readings[:, 0], noise[0], period)[::factor],
+        known=np.ones(len(thin), dtype=bool),
         commanded=commanded, source=source, unseen=unseen)
 
 
@@ -249,6 +263,17 @@ def standing(angle, noise, period):
     step = np.array([encoder_step(column, own)
                      for column, own in zip(angle.T, noise, strict=True)])
     return spread <= np.maximum(_ONE_COUNT * step, _DEVIATIONS * noise)
+
+
+def in_hole(read, time, period):
+    """Return which times (T,) lie in holes between the times (K,) of readings [s], bool."""
+    if len(read) == 0:
+        return np.ones(len(time), dtype=bool)
+    after = np.searchsorted(read, time, side='left')
+    gap = read[np.minimum(after, len(read) - 1)] - read[np.maximum(after - 1, 0)]
+    off = np.minimum(np.abs(time - read[np.maximum(after - 1, 0)]),
+                     np.abs(time - read[np.minimum(after, len(read) - 1)]))
+    return (np.maximum(gap, off) > _LONGEST_HOLE * period) & (off > 0.0)
 
 
 def supply_voltage(recording, time):

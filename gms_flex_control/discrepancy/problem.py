@@ -64,9 +64,8 @@ class Problem:
 
     def _seen(self, path):
         """Return where the equations of a Path tell something, bool (S, 2 n)."""
-        everywhere = np.ones_like(path.standing)
-        return np.concatenate([everywhere if self._at_rest else ~path.standing, everywhere],
-                              axis=1)
+        known = np.repeat(path.known[:, None], path.standing.shape[1], axis=1)
+        return np.concatenate([known if self._at_rest else known & ~path.standing, known], axis=1)
 
     def share_at_rest(self, robot, x):
         """Return the share of the squares of a model's residual torque while links stand."""

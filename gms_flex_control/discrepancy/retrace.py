@@ -10,6 +10,8 @@ and put through the same filters, such a run shows what a residual looks like wh
 missing: noise, rounding, and the filters' own errors at every reversal.
 """
 
+from dataclasses import replace
+
 from gms_flex_control.analysis.signals import quantum
 from gms_flex_control.compiled import compiled
 from gms_flex_control.discrepancy.path import encoder_step, make_path
@@ -82,8 +84,9 @@ def retrace(path, constants, rng):
         for j in range(n):
             readings[:, side, j] = read(readings[:, side, j], path.readings[:, side, j],
                                         path.noise[side, j], rng)
-    return make_path(path.joints, path.fine_time, path.fine_period, readings, held,
+    made = make_path(path.joints, path.fine_time, path.fine_period, readings, held,
                      path.supply, path.commanded, path.source, path.unseen)
+    return replace(made, known=path.known)
 
 
 def read(angle, like, noise, rng):
