@@ -8,6 +8,8 @@ import os
 import subprocess
 
 from bridge_lab import ask, bridge_lab, enable, report
+from gms_flex_control.hardware.device import Device, DeviceError
+from gms_flex_control.nodes import robot_links
 import pytest
 from test_hardware_device import FAKE, order
 
@@ -84,3 +86,59 @@ def test_a_line_that_dies_is_a_fault_and_a_new_one_is_taken_up_after_a_reset(lab
     assert lab.plant.signal(2) == 0
     lab.until(lambda: not any(ask_fake(fake)['torque']))
     lab.plant = lab.start('plant_node.new', files=lab.files, **lab.given)
+
+
+class Failing(Device):
+    """A device that notes what is done to it, and of which one method fails once."""
+
+    names = ('j',)
+
+    def __init__(self, fails):
+        self.done, self._fails = [], fails
+
+    def _do(self, what):
+        self.done.append(what)
+        if self._fails == what:
+            self._fails = None
+            raise DeviceError(f'{what} failed')
+
+    def connect(self):
+        self._do('connect')
+
+    def read(self, timeout):
+        if 'write 0.5' in self.done:
+            self._do('read')
+
+    def write(self, efforts):
+        self._do(f'write {efforts[0]}')
+
+    def close(self):
+        self.done.append('close')
+
+
+class Zeroed:
+    """A robot that sends zero through its link when it fails, as every robot does."""
+
+    def fail(self, sentence):
+        try:
+            self.link.write([0.0])
+        except DeviceError:
+            pass
+
+
+@pytest.mark.parametrize('fails', ['read', 'write 0.5'])
+def test_a_device_that_fails_gets_zero_before_it_is_closed_and_is_opened_again(
+        lab, monkeypatch, fails):
+    device, robot = Failing(fails), Zeroed()
+    monkeypatch.setattr(robot_links.devices, 'find', lambda *_: device)
+    robot.link = link = robot_links.DeviceLink(
+        lab.node, robot, {'bridge.device': 'failing', 'bridge.device_options': []}, ('m',))
+    with link:
+        lab.until(lambda: not link.broken)
+        try:
+            link.write([0.5])
+        except DeviceError as error:
+            assert fails == 'write 0.5' and 'device failing: write 0.5 failed' in str(error)
+        lab.until(lambda: device.done.count('connect') == 2)
+    done = [what for what in device.done if what != 'read']
+    assert done[:5] == ['connect', 'write 0.5', 'write 0.0', 'close', 'connect']
