@@ -163,16 +163,16 @@ def path_of(recording, robot):
     time, period = even_time(recording)
     readings = np.zeros((len(time), 2, recording.n_joints))
     known, unseen = np.ones(len(time), dtype=bool), unseen_links(recording, robot)
-
-    def resampled(values, what):
-        nonlocal known
-        known = known & ~in_hole(recording.time[np.isfinite(values)], time, period)
-        return _resampled(recording, values, time, what)
     for j, joint in enumerate(recording.joints):
-        if all(link.joint != j for link in unseen):
-            readings[:, 0, j] = resampled(recording.q_link[:, j], f'link angle of {joint!r}')
-        readings[:, 1, j] = readings[:, 0, j] if robot.arm.rigid[j] else resampled(
-            recording.q_motor[:, j], f'motor angle of {joint!r}')
+        sides = [(0, 'link', recording.q_link)] if all(link.joint != j for link in unseen) else []
+        if not robot.arm.rigid[j]:
+            sides.append((1, 'motor', recording.q_motor))
+        for side, name, angles in sides:
+            readings[:, side, j] = _resampled(recording, angles[:, j], time,
+                                              f'{name} angle of {joint!r}')
+            known &= ~in_hole(recording.time[np.isfinite(angles[:, j])], time, period)
+        if robot.arm.rigid[j]:
+            readings[:, 1, j] = readings[:, 0, j]
     path = make_path(recording.joints, time, period, readings, held_torque(recording, time),
                      supply_voltage(recording, time), has_commands(recording), recording.source,
                      unseen)

@@ -70,8 +70,7 @@ def search(problem, *, most=MOST, without=(), begin=None, say=lambda text: None)
     Found
 
     """
-    x, rows, knobs = problem.retuned(problem.robot, np.zeros(len(problem.knobs)))
-    before = Fitted(problem.robot, x, rows, problem.cost(rows, problem.robot, x))
+    before, knobs = retuned(problem, problem.robot, np.zeros(len(problem.knobs)))
     say('every effect along the motion')
     hunt = _Hunt(problem, before, knobs, Library(problem, before, knobs, without), say)
     if begin:
@@ -219,6 +218,12 @@ class _Hunt:
         """Go on with a model, its effects fitted together."""
         self.model, self.columns = refitted(self._problem, fitted.robot, fitted.x, self._knobs,
                                             self._known, iterations=2)
+
+
+def retuned(problem, robot, x):
+    """Return a robot with its knobs re-tuned from ``x`` (P,), and the knobs' columns (P, R)."""
+    x, rows, knobs = problem.retuned(robot, x)
+    return Fitted(robot, x, rows, problem.cost(rows, robot, x)), knobs
 
 
 def refitted(problem, robot, x, knobs, known, iterations=3):

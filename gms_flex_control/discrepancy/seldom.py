@@ -8,9 +8,8 @@ An end stop that was met thrice is no better and no worse on data in which it wa
 """
 
 from gms_flex_control.discrepancy import judge
-from gms_flex_control.discrepancy.fit import Fitted
 from gms_flex_control.discrepancy.library import Library
-from gms_flex_control.discrepancy.search import refitted
+from gms_flex_control.discrepancy.search import refitted, retuned
 import numpy as np
 
 _SELDOM = 0.02        # of what an effect changes: so little of it is held out
@@ -46,16 +45,18 @@ def where_it_acts(problem, found, entries, known, without=()):
         return problem, found, entries
     one = max(entries, key=lambda one: one.loss)
     change = (one.less.rows - found.model.rows) ** 2
-    others = [problem.with_held_out(turn) for turn in range(problem.turns)]
-    shares = np.array([change[other.held_out].sum() for other in others]) / change.sum()
-    turn = int(np.argmin(np.abs(shares - 1.0 / len(shares))))
-    if shares[-1] >= _SELDOM or not _SELDOM < shares[turn] < _MOST:
+    whole = change.sum()
+    if change[problem.held_out].sum() >= _SELDOM * whole:
         return problem, found, entries
-    problem, before = others[turn], found.before
-    x, rows, knobs = problem.retuned(before.robot, before.x)
+    others = [problem.with_held_out(turn) for turn in range(problem.turns)]
+    shares = np.array([change[other.held_out].sum() for other in others]) / whole
+    turn = int(np.argmin(np.abs(shares - 1.0 / len(shares))))
+    if not _SELDOM < shares[turn] < _MOST:
+        return problem, found, entries
+    problem = others[turn]
+    before, knobs = retuned(problem, found.before.robot, found.before.x)
     model, columns = refitted(problem, found.model.robot, found.model.x,
                               found.columns[:len(problem.knobs)], known)
-    before = Fitted(before.robot, x, rows, problem.cost(rows, before.robot, x))
     found = found._replace(before=before, model=model, columns=columns,
                            library=Library(problem, before, knobs, without))
     return problem, found, judge.judged(problem, found, known)

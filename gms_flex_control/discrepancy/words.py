@@ -46,11 +46,12 @@ def of_known(first, effects, whole):
     str
 
     """
-    there = {(spec.name, spec.joint) for spec in effects}
-    if not first or first[0].gain < 0.5 * whole or (
-            first[0].spec.name, first[0].spec.joint) not in there:
+    if not first or first[0].gain < 0.5 * whole:
         return ''
-    return (f'{first[0].spec.name} of {first[0].spec.joint}, which the model has already, would '
+    name, joint = first[0].spec.name, first[0].spec.joint
+    if (name, joint) not in {(spec.name, spec.joint) for spec in effects}:
+        return ''
+    return (f'{name} of {joint}, which the model has already, would '
             'explain more than anything else with another value: correct it or take it out, and '
             'ask again; what is named here may but stand for that.')
 
