@@ -51,9 +51,23 @@ def test_without_friction_the_motion_is_that_of_a_solver_of_others(ideal_robot):
         a = np.linalg.solve(m.mass, spring - m.coriolis @ v - m.gravity)
         return np.concatenate([v, a, v_motor, (torque - spring) / arm.motor_inertia])
 
-    states = truth.simulate_open(robot, np.tile(torque, (500, 1)))
+    unloaded = truth.at_rest(robot)
+    unloaded.q_motor[:] = 0.0
+    states = truth.simulate_open(robot, np.tile(torque, (500, 1)), state=unloaded)
     exact = solve_ivp(rate, (0.0, 1.0), np.zeros(8), rtol=1e-10, atol=1e-12).y[:, -1]
     np.testing.assert_allclose(states[-1], exact.reshape(4, 2), atol=2e-6)
+
+
+@pytest.mark.parametrize('kind', ['planar', 'decoupled'])
+def test_a_robot_at_rest_is_held_by_its_springs(ideal_robot, kind):
+    """Weight by chain.matrices, a motor on which nothing but its spring acts."""
+    robot = without_friction(ideal_robot, gravity=[1.0, -3.0], offset=[0.2, -0.3], kind=kind)
+    q, zero = np.array([0.3, -0.7]), np.zeros(2)
+    start = truth.at_rest(robot, q)
+    weight = chain.matrices(q, zero, zero, zero, robot.arm).gravity
+    np.testing.assert_allclose(robot.arm.stiffness * (start.q_motor - q), weight, rtol=1e-12)
+    states = truth.simulate_open(robot, np.tile(weight, (200, 1)), state=start)
+    assert np.abs(states[:, [0, 2]] - states[0, [0, 2]]).max() < 1e-9
 
 
 def test_without_friction_energy_is_kept(ideal_robot):
@@ -190,6 +204,35 @@ def test_what_is_believed_lies_1_to_3_percent_off():
     for believed, true in pairs:
         off = np.abs(believed / true - 1.0)
         assert np.all((off > 0.0099) & (off < 0.0301))
+
+
+def test_the_weight_of_an_arm_in_a_tilted_plane_is_borne_and_believed_nearly():
+    """As far as springs bear it; the rest of the robot is that of a level plane."""
+    for seed, plant in enumerate(plants.PLANTS * 4):
+        level, _ = plants.draw_robot(np.random.default_rng(seed), plant)
+        rng = np.random.default_rng(seed)
+        robot, gains = plants.under_gravity(rng, *plants.draw_robot(rng, plant))
+        zero = np.zeros(2)
+        weight = np.abs([chain.matrices(np.array([q, 0.0]), zero, zero, zero, robot.arm).gravity
+                         for q in np.linspace(-np.pi, np.pi, 73)]).max(axis=0)
+        assert 0.0 < np.linalg.norm(robot.arm.gravity) <= 9.81
+        assert np.all(weight < 0.31 * robot.arm.stiffness)
+        assert np.all(gains.torque_limit > 3.0 + weight)
+        np.testing.assert_array_equal(robot.arm.stiffness, level.arm.stiffness)
+        np.testing.assert_array_equal(robot.friction.stiffness, level.friction.stiffness)
+        belief = plants.draw_belief(rng, robot).arm
+        off = np.abs(moments(belief) / moments(robot.arm) - 1.0)
+        assert np.all((off > 0.0099) & (off < 0.0301))
+        off = np.abs(base_parameters(belief) / base_parameters(robot.arm) - 1.0)
+        assert np.all((off > 0.0099) & (off < 0.0301))
+
+
+def moments(arm):
+    """Return the mass moments of two links, each with what it carries, from g of a pose."""
+    zero = np.zeros(2)
+    down = np.arctan2(*arm.gravity[::-1]) + np.pi / 2.0  # across gravity
+    both = chain.matrices(np.array([down, 0.0]), zero, zero, zero, arm).gravity
+    return np.array([both[0] - both[1], both[1]])
 
 
 def base_parameters(arm):

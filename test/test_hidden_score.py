@@ -13,7 +13,8 @@ from gms_flex_control.batches.journal import Journal
 from gms_flex_control.benchmarks.hidden_effects import figures, judgement, peers, text
 from gms_flex_control.benchmarks.hidden_effects.jobs import fingerprint, Job, jobs_of
 from gms_flex_control.benchmarks.hidden_effects.outcome import finite, try_job
-from gms_flex_control.cli.main import main
+from gms_flex_control.cli.main import build_parser, main
+from gms_flex_control.cli.score import jobs_asked
 from gms_flex_control.errors import BagError
 from gms_flex_control.hidden.cases import make_case
 import numpy as np
@@ -178,6 +179,14 @@ def test_the_sets_hold_as_many_as_are_asked():
     half = jobs_of('full', 0.5)
     assert half == jobs[:len(half)] and abs(len(half) - 0.5 * len(jobs)) < 1.0
     assert abs(sum(job.kind == 'clean' for job in half) - 30) <= 1
+
+
+def test_robots_under_gravity_are_others(tmp_path):
+    args = ['score', '--kind', 'single', '--seeds', '0:3', '--out', str(tmp_path)]
+    level, tilted = (jobs_asked(build_parser().parse_args([*args, *more]))
+                     for more in ((), ('--gravity',)))
+    assert not {job.key for job in level} & {job.key for job in tilted}
+    assert all(job.gravity for job in tilted) and not any(job.gravity for job in level)
 
 
 def test_a_killed_run_goes_on_with_what_is_missing(tmp_path):

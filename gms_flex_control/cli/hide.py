@@ -27,6 +27,7 @@ def add_parser(subparsers):
     parser.add_argument('--sensors', default='both', metavar='NAME',
                         help='both, or motors: bags of robots whose links have no encoder '
                              '(default: both)')
+    parser.add_argument('--gravity', action='store_true', help='arms in a tilted plane')
     parser.add_argument('--effect', metavar='NAME',
                         help='hide this one instead of the one whose turn it is')
     parser.add_argument('--duration', type=float, default=60.0, metavar='S',
@@ -50,7 +51,8 @@ def run(args):
                     print(f'{folder}: exists, kept as it is')
                 continue
             case = make_case(kind, seed, motion=args.motion, plant=args.plant,
-                             duration=args.duration, effect=args.effect)
+                             duration=args.duration, effect=args.effect,
+                             gravity=args.gravity)
             write_case(case if args.sensors == 'both' else case.without_links(), folder)
             told.append({'folder': str(folder), **truth_values(case.truth)})
             if not args.json:

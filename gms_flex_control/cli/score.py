@@ -34,6 +34,8 @@ def add_parser(subparsers):
     parser.add_argument('--sensors', default='both', metavar='NAME',
                         help='of --kind: both, or motors, of robots whose links have no encoder '
                              '(default: both)')
+    parser.add_argument('--gravity', action='store_true',
+                        help='of --kind: arms in a tilted plane')
     parser.add_argument('--duration', type=float, default=60.0, metavar='S',
                         help='of each recording of --kind (default: %(default)g)')
     parser.add_argument('--out', required=True, metavar='DIR',
@@ -81,7 +83,8 @@ def jobs_asked(args):
     if args.plant is not None:
         require_known('plant', args.plant, PLANTS)
     require_known('sensors', args.sensors, SENSORS)
-    jobs = [Job(kind, seed, args.motion, args.plant, args.duration, args.sensors)
+    jobs = [Job(kind, seed, args.motion, args.plant, args.duration, args.sensors,
+                args.gravity)
             for seed in seeds_of(args.seeds) for kind in args.kind]
     return [job for job in jobs if job.can_be_seen]
 

@@ -114,7 +114,8 @@ def require_known(what, value, known):
         raise ConfigError(f'{what} {value!r} is unknown{did_you_mean(value, known)}')
 
 
-def make_case(kind, seed, *, motion='rich', plant=None, duration=DURATION, effect=None):
+def make_case(kind, seed, *, motion='rich', plant=None, duration=DURATION, effect=None,
+              gravity=False):
     """
     Draw a case.
 
@@ -134,6 +135,8 @@ def make_case(kind, seed, *, motion='rich', plant=None, duration=DURATION, effec
         Of each recording [s].
     effect : str, optional
         Main effect, or outsider, instead of the one whose turn it is.
+    gravity : bool
+        Whether the plane is tilted, as far as the robot's springs bear it.
 
     Returns
     -------
@@ -159,15 +162,17 @@ def make_case(kind, seed, *, motion='rich', plant=None, duration=DURATION, effec
     plant = plant or drawn_plant
     for softer in _SOFTER ** np.arange(_TRIES):
         try:
-            return _draw(rng, kind, seed, motion, plant, duration, effect, softer)
+            return _draw(rng, kind, seed, motion, plant, duration, effect, gravity, softer)
         except SimulationError:  # cannot be driven with that in it: another one, more gently
             continue
     raise SimulationError(f'{kind} {seed}: none of {_TRIES} draws could be driven')
 
 
-def _draw(rng, kind, seed, motion, plant, duration, effect, softer):
+def _draw(rng, kind, seed, motion, plant, duration, effect, gravity, softer):
     time = np.arange(round(duration / PERIOD)) * PERIOD
     robot, gains = plants.draw_robot(rng, plant)
+    if gravity:
+        robot, gains = plants.under_gravity(rng, robot, gains)
     gains = replace(gains, kd_motor=gains.kd_motor * softer,
                     lambda_motor=gains.lambda_motor * softer)
     nominal = plants.draw_belief(rng, robot)

@@ -18,6 +18,9 @@ COUNTS = (20000, 20000, 65536, 131072, 262144, 524288)  # per revolution, one dr
 BELIEF = (0.01, 0.03)  # how far every believed parameter lies off the truth, either way
 _STIFFNESS = {'soft': (1.0, 1.5), 'stiff': (24.0, 36.0)}  # [N m/rad]
 _KD_MOTOR = {'soft': 0.2, 'stiff': 0.6}
+_SAG = (0.03, 0.3)  # by which the arm's weight may wind up a spring, largest, rad
+_GRAVITY = 9.81     # [m/s^2]
+_TO_SPARE = 1.2     # times the largest weight, above the torque that motion takes
 
 
 def about(rng, value, spread=0.2):
@@ -80,6 +83,35 @@ def draw_robot(rng, plant):
         filter_bandwidth=[100.0, 100.0], torque_limit=[3.0, 3.0])
 
 
+def under_gravity(rng, robot, gains):
+    """
+    Return a robot whose plane is tilted, as far as its springs bear it, and its gains.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Where every number comes from.
+    robot : RobotParams
+        Two joints in a plane.
+    gains : ControllerParams
+        With the torque that motion takes; the weight is added.
+
+    Returns
+    -------
+    RobotParams, ControllerParams
+
+    """
+    arm = robot.arm
+    moment = arm.mass * arm.com
+    heaviest = moment + [arm.mass[1] * arm.length[0] + moment[1], 0.0]
+    sag = np.exp(rng.uniform(*np.log(_SAG)))
+    gravity = min(_GRAVITY, sag * np.min(arm.stiffness / heaviest))
+    down = rng.uniform(-np.pi, np.pi)
+    arm = replace(arm, gravity=gravity * np.array([np.cos(down), np.sin(down)]))
+    return replace(robot, arm=arm), replace(
+        gains, torque_limit=gains.torque_limit + _TO_SPARE * gravity * heaviest)
+
+
 def draw_supply(rng, time):
     """
     Return the voltage of a supply that others use as well, true and as measured.
@@ -111,9 +143,10 @@ def with_base_parameters(arm, factors):
     ----------
     arm : ArmParams
         Two joints in a plane.
-    factors : ndarray, shape (3,)
-        Of the inertia of link 1 with the mass it carries, of the coupling l1 m2 c2 and of the
-        inertia of link 2 about its joint.
+    factors : ndarray, shape (4,)
+        Of the inertia of link 1 with the mass it carries, of the coupling l1 m2 c2, of the
+        inertia of link 2 about its joint, and of the mass moment of link 1 with the mass it
+        carries.
 
     Returns
     -------
@@ -123,7 +156,9 @@ def with_base_parameters(arm, factors):
     """
     carried = arm.mass[1] * arm.length[0] ** 2
     about_joint = arm.inertia + arm.mass * arm.com ** 2
+    moment = arm.mass[0] * arm.com[0] + arm.mass[1] * arm.length[0]
     com = arm.com * [1.0, factors[1]]
+    com[0] += (factors[3] - 1.0) * moment / arm.mass[0]
     whole = np.array([(about_joint[0] + carried) * factors[0] - carried,
                       about_joint[1] * factors[2]])
     return replace(arm, com=com, inertia=whole - arm.mass * com ** 2)
@@ -148,7 +183,9 @@ def draw_belief(rng, robot):
     def factors(*shape):
         return 1.0 + rng.uniform(*BELIEF, shape) * rng.choice([-1.0, 1.0], shape)
 
-    arm = replace(with_base_parameters(robot.arm, factors(3)),
+    base = factors(3)
+    heavy = factors(1) if np.any(robot.arm.gravity) else [1.0]
+    arm = replace(with_base_parameters(robot.arm, np.append(base, heavy)),
                   motor_inertia=robot.arm.motor_inertia * factors(2),
                   stiffness=robot.arm.stiffness * factors(2))
     friction, sides = robot.friction, []

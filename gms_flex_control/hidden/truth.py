@@ -57,10 +57,17 @@ def constants_of(robot):
 
 
 def at_rest(robot, q=None):
-    """Return the state of a robot at rest at link angles ``q`` (n,), zero by default."""
-    q = 0.0 if q is None else q
-    return records.build(loop.state_layout(*robot.friction.stiffness.shape), q=q, q_motor=q,
-                         sticking=1, direction=1.0)
+    """
+    Return the state of a robot at rest at link angles ``q`` (n,), zero by default.
+
+    Its springs hold its weight, as believed without effects; the blocks of its friction none.
+    """
+    q = np.zeros(robot.n_joints) if q is None else q
+    c = mechanics.constants(replace(robot, effects=()))
+    q_motor = q - np.where(c.flexible, mechanics.weights(c, q) / np.where(
+        c.flexible, c.stiffness, 1.0), 0.0)
+    return records.build(loop.state_layout(*robot.friction.stiffness.shape), q=q,
+                         q_motor=q_motor, sticking=1, direction=1.0)
 
 
 def strange_record(disturbance):

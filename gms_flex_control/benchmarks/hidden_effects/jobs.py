@@ -23,13 +23,15 @@ class Job(NamedTuple):
     plant: str | None = None
     duration: float = 60.0
     sensors: str = 'both'
+    gravity: bool = False
 
     @property
     def key(self):
         """Return a name of its own, str."""
         sensors = '' if self.sensors == 'both' else f'/{self.sensors}'
+        gravity = '/gravity' if self.gravity else ''
         return (f'{self.kind}/{self.motion}/{self.plant or "drawn"}/{self.duration:g}/'
-                f'{self.seed}{sensors}')
+                f'{self.seed}{sensors}{gravity}')
 
     @property
     def can_be_seen(self):

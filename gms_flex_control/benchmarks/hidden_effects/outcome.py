@@ -36,7 +36,7 @@ def try_job(job, with_peers=True):
 
     """
     case = make_case(job.kind, job.seed, motion=job.motion, plant=job.plant,
-                     duration=job.duration)
+                     duration=job.duration, gravity=job.gravity)
     if job.sensors == 'motors':
         case = case.without_links()
     without = tuple(spec.name for spec in case.truth.effects) if job.kind == 'deleted' else ()
@@ -67,6 +67,7 @@ def ask_workflow(case, without):
     return {'verdict': result.verdict, 'seconds': seconds, 'gap': gap_of(result.gap),
             'findings': [{
                 'effect': one.effect, 'joint': one.joint, 'main': bool(one.main),
+                'score': float(one.score), 'torque': float(one.torque),
                 'parameters': {name: float(value) for name, value in one.parameters.items()},
                 'runner_up': str(one.runner_up), 'confusable_with': list(map(
                     str, one.confusable_with)), 'decided': one not in result.undecided}
