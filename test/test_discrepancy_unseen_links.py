@@ -10,11 +10,18 @@ from gms_flex_control.benchmarks.hidden_effects.outcome import try_job
 from gms_flex_control.cli.main import build_parser, main
 from gms_flex_control.cli.score import jobs_asked
 from gms_flex_control.discrepancy.path import path_of, with_links
-from gms_flex_control.discrepancy.residuals import drive_torque, motion_as_modelled
+from gms_flex_control.discrepancy.problem import with_effect
+from gms_flex_control.discrepancy.residuals import (
+    drive_torque,
+    motion_as_modelled,
+    unexplained,
+)
 from gms_flex_control.discrepancy.result import COMPLETE, FOUND
 from gms_flex_control.discrepancy.unseen_links import lost_effects
 from gms_flex_control.discrepancy.workflow import discrepancy
+from gms_flex_control.effects.registry import find
 from gms_flex_control.hidden.cases import make_case
+from gms_flex_control.params.robot import EffectSpec
 from gms_flex_control.schema.files import load_robot
 from gms_flex_control.simulation import plant
 import numpy as np
@@ -57,6 +64,35 @@ def test_each_model_puts_the_link_where_its_own_effects_want_it():
                                            for column in motion[:, 0].T], axis=1)))
     joint = case.truth.robot.joints.index(case.truth.effects[0].joint)
     assert off[1][joint] < 0.7 * off[0][joint]
+
+
+@pytest.mark.parametrize('effect', ['spring_damping', 'spring_cubic', 'spring_hysteresis',
+                                    'stiffness_drift', 'backlash'])
+def test_an_effect_of_no_size_changes_nothing(effect):
+    """What is computed of a link must not depend on how many steps it is computed in."""
+    case = make_case('clean', 15, duration=10.0)
+    path = path_of(blind(case.recording), case.nominal)
+    values = [parameter.upper if np.isfinite(parameter.upper) else 1.0
+              for parameter in find(effect).parameters]
+    values[0] = 1e-13
+    other = with_effect(case.nominal, EffectSpec(name=effect, joint='joint1',
+                                                 values=tuple(values)))
+    rows = [unexplained(path, plant.constants_of(robot)) for robot in (case.nominal, other)]
+    assert np.std(rows[1] - rows[0]) < 1e-6 * np.std(rows[0])
+
+
+def test_a_spring_that_stiffens_puts_the_link_where_its_encoder_saw_it():
+    case = make_case('single', 1, effect='spring_cubic', plant='stiff', duration=20.0)
+    path = path_of(blind(case.recording), case.truth.robot)
+    seen = path_of(case.recording, case.truth.robot)
+    off = []
+    for robot in (replace(case.truth.robot, effects=()), case.truth.robot):
+        constants = plant.constants_of(robot)
+        work = plant.workspace(robot.n_joints)
+        motion, _ = motion_as_modelled(path, constants, work, drive_torque(path, constants, work))
+        off.append(np.std((motion - seen.motion)[200:-200, 0], axis=0))
+    joint = case.truth.robot.joints.index(case.truth.effects[0].joint)
+    assert off[1][joint] < 0.2 * off[0][joint]
 
 
 def test_links_that_have_encoders_are_taken_from_them():

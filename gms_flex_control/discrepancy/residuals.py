@@ -23,6 +23,9 @@ from gms_flex_control.simulation import plant
 import numpy as np
 
 ACTUATOR, SENSOR = int(Stage.ACTUATOR), int(Stage.SENSOR)
+_CORRECTIONS = 4      # of an unseen link's angle, where a spring is not linear
+_TOLD = 1e-3          # of the largest shift: with less, no stiffness is told by it
+_STIFFEST = 6.0       # times a spring's stiffness, at most
 _OF_SPRINGS = int(Stage.TWIST), int(Stage.SPRING)
 
 
@@ -59,20 +62,43 @@ def unexplained(path, constants):
 
 
 def motion_as_modelled(path, constants, work, drive):
-    """Return motion (S, 6, n) and second differences (S, 2, n), unseen links where a model has."""
+    """
+    Return motion (S, 6, n) and second differences (S, 2, n), unseen links where a model has them.
+
+    That is where its motor equation holds behind the low-pass, whatever it was begun with.
+    """
     motion, second = path.motion, path.second
-    corrections = 2 if any(acts(constants, stage) for stage in _OF_SPRINGS) else 1
-    for _ in range(corrections if path.unseen else 0):  # one is exact for a linear spring
+    if not path.unseen:
+        return motion, second
+    weight, before = sampled_weight(path.factor), None
+    shift = np.zeros_like(drive)
+    linear = not any(acts(constants, stage) for stage in _OF_SPRINGS)
+    for _ in range(1 if linear else _CORRECTIONS):  # one is exact for a linear spring
         _, on_motor = _residuals(path, constants, work, drive, motion, second)
-        motion, second = motion.copy(), second.copy()
+        stiffness = _secant(before, on_motor, seen(shift, weight), constants.chain.stiffness)
+        before, motion, second = on_motor, motion.copy(), second.copy()
         for link in path.unseen:
             j = link.joint
-            shift = low_pass(on_motor[:, j], max(round(link.window / path.factor), 2))
-            shift /= constants.chain.stiffness[j]
-            motion[:, :3, j] += np.stack(derivatives(shift, path.period, smoothing(path.period)),
-                                         axis=1)
-            second[:, 0, j] += second_difference(shift, path.period)
+            begun = motion[:, 0, j]
+            shift[:, j] = low_pass(seen(begun, weight) + on_motor[:, j] / stiffness[:, j],
+                                   max(round(link.window / path.factor), 2)) - begun
+            _, rate, bend = derivatives(shift[:, j], path.period, smoothing(path.period))
+            motion[:, :3, j] += np.stack([shift[:, j], rate, bend], axis=1)
+            second[:, 0, j] += second_difference(shift[:, j], path.period)
     return motion, second
+
+
+def _secant(before, after, shift, stiffness):
+    """
+    Return by how much torques (S, n) have changed per shift of the links [N m/rad].
+
+    Where a spring is softer than believed, as within backlash, its own stiffness is safer.
+    """
+    if before is None:
+        return np.broadcast_to(stiffness, shift.shape)
+    told = np.abs(shift) > _TOLD * np.abs(shift).max(axis=0)
+    slope = np.where(told, (before - after) / np.where(told, shift, 1.0), stiffness)
+    return np.clip(slope, stiffness, _STIFFEST * stiffness)
 
 
 def _residuals(path, constants, work, drive, motion, second):

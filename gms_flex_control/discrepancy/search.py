@@ -20,6 +20,7 @@ from gms_flex_control.effects.registry import find
 import numpy as np
 
 MOST = 20
+_BY_MOTORS = 6        # at most where links are not seen: with more, none is sure
 LEAST_GAIN = 60.0     # sum of squares of rows; see docs/discrepancy.md
 SURE_GAIN = 150.0     # likewise, however much else is left
 LEAST_SHARE = 0.01    # of what is still unexplained
@@ -73,6 +74,7 @@ def search(problem, *, most=MOST, without=(), begin=None, say=lambda text: None)
     before, knobs = retuned(problem, problem.robot, np.zeros(len(problem.knobs)))
     say('every effect along the motion')
     hunt = _Hunt(problem, before, knobs, Library(problem, before, knobs, without), say)
+    most = min(most, _BY_MOTORS) if problem.unseen else most
     if begin:
         hunt.take(begin)
     for _ in range(_ROUNDS):
