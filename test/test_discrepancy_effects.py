@@ -85,6 +85,21 @@ def test_an_effect_says_what_it_shows_against_and_what_it_is_confused_with(name)
         assert other != name and name in registry.find(other).confusable
 
 
+@pytest.mark.parametrize(('kind', 'seed'), [('clean', 6), ('clean', 10), ('single', 2),
+                                            ('single', 8), ('single', 25)])
+def test_arms_that_carry_their_weight(kind, seed):
+    """Damping, drag, dry friction, nothing; where the arm stands its friction tells little."""
+    result, found, truth = outcome(kind, seed, gravity=True)
+    assert np.any(truth.robot.arm.gravity)
+    assert len(found) == len(truth.effects), result.words
+    for one, true in zip(found, truth.effects, strict=True):
+        assert one.joint == true.joint
+        if one.effect == true.name:
+            assert one.values[0].value == pytest.approx(true.values[0], rel=0.12)
+        else:
+            assert true.name in one.confusable_with
+
+
 def test_every_effect_has_its_case():
     assert set(CASES) == set(registry.names()) == set(available_effects())
 

@@ -12,7 +12,7 @@ from gms_flex_control.discrepancy.fit import Fitted
 from gms_flex_control.discrepancy.guesses import all_guesses
 from gms_flex_control.discrepancy.known import DOUBT, knobs_of, tuned
 from gms_flex_control.discrepancy.library import Library
-from gms_flex_control.discrepancy.path import make_path, standing
+from gms_flex_control.discrepancy.path import make_path, path_of, standing
 from gms_flex_control.discrepancy.problem import Problem, with_effect
 from gms_flex_control.discrepancy.residuals import fresh_state, unexplained
 from gms_flex_control.discrepancy.retrace import retrace
@@ -23,6 +23,7 @@ from gms_flex_control.discrepancy.whitening import Whitening
 from gms_flex_control.dynamics import chain
 from gms_flex_control.effects.registry import find
 from gms_flex_control.hidden import motions, truth
+from gms_flex_control.hidden.cases import make_case
 from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
 from gms_flex_control.params.robot import EffectSpec
@@ -116,6 +117,25 @@ def test_a_retraced_motion_belongs_to_its_model_whatever_the_recording_held(idea
     assert np.all(after < 0.1 * before.max())
     assert np.abs(again.readings - path.readings)[:, 1].max() < 0.02
     assert np.ptp(path.readings[:, 1], axis=0).min() > 0.4
+
+
+@pytest.mark.parametrize(('seed', 'gravity'), [(7, True), (10, True), (10, False)])
+def test_a_retraced_motion_stands_where_the_recording_stood(seed, gravity):
+    """
+    Under a weight that makes it fall otherwise, and where a soft spring would let it creep.
+
+    The residual of the recording is then what that of such a run is: as large, level for level.
+    """
+    case = make_case('clean', seed, gravity=gravity, duration=40.0)
+    path, robot = path_of(case.recording, case.truth.robot), case.truth.robot
+    again = retrace(path, plant.constants_of(case.nominal), np.random.default_rng(0))
+    assert np.abs(again.motion - path.motion)[:, [0, 3]].max() < 0.02
+    assert path.standing[path.time > 1.0].mean() > 0.01
+    standing = path.standing & again.standing
+    assert standing.sum() > 0.5 * path.standing.sum()
+    like = Problem([path], robot, 0.005)
+    rows = like.rows(robot, np.zeros(len(like.knobs)))[like.fitted]
+    assert np.mean(rows ** 2) == pytest.approx(like.level, rel=0.1)
 
 
 @pytest.fixture(scope='module')

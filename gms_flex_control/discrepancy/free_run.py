@@ -23,7 +23,7 @@ _STEP = 4e-4                 # of the integration [s]
 
 
 @compiled
-def run_freely(motion, command, supply, time, period, substeps, starts, horizon, constants,
+def run_freely(motion, command, pushed, supply, time, period, substeps, starts, horizon, constants,
                state, replayed, work, link, motor):
     """
     Fill angles (S, horizon, n) of runs from the measured state at each of ``starts`` (S,).
@@ -48,6 +48,7 @@ def run_freely(motion, command, supply, time, period, substeps, starts, horizon,
                     link[at, step, j] = state.q_link[j] - ahead * state.dq_link[j]
                     motor[at, step, j] = state.q_motor[j] - ahead * state.dq_motor[j]
                 work.signals[:, sig.SUPPLY] = supply[k + step]
+                work.outside[:] = pushed[k + step]
                 plant.advance(state, command[k + step], time[k + step], period, substeps,
                               constants, work)
             at += 1
@@ -80,7 +81,8 @@ def free_runs(path, constants):
     if acts(constants, SENSOR) or path.unseen:
         motion, readings = as_modelled(path, constants)
     link, motor = np.empty((2, len(starts), horizon, n))
-    run_freely(motion, path.command, path.supply, path.fine_time, period,
+    pushed = np.zeros_like(path.command) if path.pushed is None else path.pushed
+    run_freely(motion, path.command, pushed, path.supply, path.fine_time, period,
                max(1, round(period / _STEP)), starts, horizon, constants, fresh_state(constants),
                fresh_state(constants), plant.workspace(n), link, motor)
     rows = starts[:, None] + np.arange(horizon)

@@ -69,6 +69,8 @@ class Path:
         Where it came from.
     unseen : tuple of UnseenLink
         Links without encoder: their readings and motion are computed, as believed.
+    pushed : ndarray, shape (T, n), or None
+        Torque that held simulated links on their way from outside [N m]; see retrace.
 
     """
 
@@ -92,6 +94,7 @@ class Path:
     commanded: bool
     source: str
     unseen: tuple = ()
+    pushed: np.ndarray | None = None
 
     def through_filter(self, torque):
         """Return torques (T, n) held over samples as the equations see them, shape (S, n)."""

@@ -17,7 +17,8 @@ from gms_flex_control.discrepancy.whitening import Whitening
 from gms_flex_control.simulation import plant
 import numpy as np
 
-REPLICATES = 6        # runs in which nothing is missing, per recording
+REPLICATES = 6        # runs in which nothing is missing, that rows are measured by
+_FRESH = 3            # further ones: of those measured by, the measure makes too little
 BLOCK = 2.0           # of time that is held out or not as a whole [s]
 _HELD_OUT = 4         # one block in so many
 _KNOB_STEP = 0.01
@@ -89,16 +90,16 @@ class Problem:
         robot, x = self._like
         constants = self.constants(robot, x)
         runs = [[retrace(path, constants, np.random.default_rng([self._seed, k]))
-                 for path in self.paths] for k in range(REPLICATES)]
+                 for path in self.paths] for k in range(_FRESH + REPLICATES)]
         residuals = list(self.pool.map(
             lambda run: [unexplained(path, constants) for path in run], runs))
-        self.whitenings = [Whitening(np.stack(clean), path.period, self.floor,
+        self.whitenings = [Whitening(np.stack(clean[_FRESH:]), path.period, self.floor,
                                      self._seen(path), even=not self._at_rest)
                            for path, clean in zip(self.paths, zip(*residuals, strict=True),
                                                   strict=True)]
         self._divide()
         self.clean = np.stack([self.rows_of(run) for run in residuals])
-        self.level = float(np.mean(self.clean[0, self.fitted] ** 2))
+        self.level = float(np.mean(self.clean[:_FRESH, self.fitted] ** 2))
         self.noise = Noise(self, runs[:2], robot, x)
 
     def measured_like(self, model):

@@ -113,6 +113,8 @@ def _residuals(path, constants, work, drive, motion, second):
     weight = sampled_weight(path.factor)
     unsmoothed = constants.chain.stiffness * path.twist_rest  # what smoothing took of the spring
     on_link = inertial - seen(link, weight) - unsmoothed - (1.0 - flexible) * drive
+    if path.pushed is not None:
+        on_link -= path.through_filter(path.pushed)
     on_motor = flexible * (constants.chain.motor_inertia * second[:, 1]
                            - seen(motor, weight) + unsmoothed - drive)
     return np.stack([on_link, on_motor])

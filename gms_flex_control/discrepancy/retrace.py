@@ -4,10 +4,11 @@
 """
 The motion of a recording as a model would have made it: the data if nothing were missing.
 
-The model is simulated under the recorded torque plus what keeps its motors on the recorded path.
-Torque and motion then fit the model exactly, whatever it lacks. Read through the same encoders
-and put through the same filters, such a run shows what a residual looks like where nothing is
-missing: noise, rounding, and the filters' own errors at every reversal.
+The model is simulated under the recorded torque plus what keeps its motors on the recorded path,
+and a gentle push that keeps links that are seen there: a link that stood stands, one that crept
+creeps. Torque, push and motion then fit the model exactly, whatever it lacks. Read through the
+same encoders and put through the same filters, such a run shows what a residual looks like where
+nothing is missing: noise, rounding, and the filters' own errors at every reversal.
 """
 
 from dataclasses import replace
@@ -22,13 +23,22 @@ from gms_flex_control.simulation import plant
 import numpy as np
 
 BANDWIDTH = 30.0      # of the motors' hold on the path [rad/s]
+_ALONE = 60.0         # likewise, where nothing but the motor holds the link
+_OF_LINKS = 15.0      # likewise, of the push [rad/s]
+_DAMPED = 1.4         # twice the damping ratio of both
+_OF_RATE = 0.3        # of the sample rate: so much it is at most [rad]
 _STEP = 4e-4          # of the integration [s]
 
 
 @compiled
 def retrace_loop(motion, command, supply, time, period, substeps, gains, constants, state, work,
-                 held, link, motor):
-    """Fill torques ``held`` and angles ``link``, ``motor`` (T, n) of a run along ``motion``."""
+                 held, pushed, link, motor):
+    """
+    Fill torques and angles (T, n) of a run along ``motion`` (T, 6, n).
+
+    ``held`` are those of the actuators, ``pushed`` those that links are held with; of ``gains``
+    (4, n) the first two hold motors, the others links: per angle and per rate.
+    """
     samples, n = command.shape
     flexible = constants.chain.flexible
     ahead = 0.5 * period / substeps  # semi-implicit angles run half a step ahead of their rates
@@ -41,6 +51,9 @@ def retrace_loop(motion, command, supply, time, period, substeps, gains, constan
             rows = 3 if flexible[j] else 0
             held[k, j] = (command[k, j] + gains[0, j] * (motion[k, rows, j] - state.q_motor[j])
                           + gains[1, j] * (motion[k, rows + 1, j] - state.dq_motor[j]))
+            pushed[k, j] = (gains[2, j] * (motion[k, 0, j] - state.q_link[j])
+                            + gains[3, j] * (motion[k, 1, j] - state.dq_link[j]))
+            work.outside[j] = pushed[k, j]
         plant.advance(state, held[k], time[k], period, substeps, constants, work)
 
 
@@ -69,13 +82,18 @@ def retrace(path, constants, rng):
     """
     links, n = constants.chain, len(path.joints)
     inertia = np.where(links.flexible, links.motor_inertia, np.diag(links.coupling))
-    gains = np.stack([inertia * BANDWIDTH ** 2, 1.4 * inertia * BANDWIDTH])
+    own, bandwidth = np.diag(links.coupling) * links.flexible, np.full(n, BANDWIDTH)
+    for link in path.unseen:
+        own[link.joint] = 0.0
+        bandwidth[link.joint] = np.clip(_OF_RATE / path.fine_period, BANDWIDTH, _ALONE)
+    gains = np.stack([inertia * bandwidth ** 2, _DAMPED * inertia * bandwidth,
+                      own * _OF_LINKS ** 2, _DAMPED * own * _OF_LINKS])
     state, first = fresh_state(constants), path.fine_motion[0]
     state.q_link[:], state.dq_link[:], state.q_motor[:], state.dq_motor[:] = first[[0, 1, 3, 4]]
-    held, link, motor = np.empty((3, *path.command.shape))
+    held, pushed, link, motor = np.empty((4, *path.command.shape))
     retrace_loop(path.fine_motion, path.command, path.supply, path.fine_time, path.fine_period,
                  max(1, round(path.fine_period / _STEP)), gains, constants, state,
-                 plant.workspace(n), held, link, motor)
+                 plant.workspace(n), held, pushed, link, motor)
     readings = np.stack([link, motor], axis=1)
     if not np.all(np.isfinite(readings)):
         raise SimulationError(f'{path.source}: the model runs away along the recorded motion; its '
@@ -86,7 +104,7 @@ def retrace(path, constants, rng):
                                         path.noise[side, j], rng)
     made = make_path(path.joints, path.fine_time, path.fine_period, readings, held,
                      path.supply, path.commanded, path.source, path.unseen)
-    return replace(made, known=path.known)
+    return replace(made, known=path.known, pushed=pushed)
 
 
 def read(angle, like, noise, rng):

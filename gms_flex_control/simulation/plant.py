@@ -48,9 +48,14 @@ def constants_layout(n, n_blocks):
 
 @cache
 def work_layout(n):
-    """Return the dtype of the kernels' work space; only accelerations outlive a substep."""
+    """
+    Return the dtype of the kernels' work space; only accelerations outlive a substep.
+
+    ``outside`` (n,) is torque on the links from outside, none unless somebody sets it [N m].
+    """
     return records.layout(('signals', FLOAT, (n, sig.WIDTH)), ('friction', FLOAT, (n,)),
-                          ('displacement', FLOAT, (n,)), ('chain', chain.work_layout(n)))
+                          ('displacement', FLOAT, (n,)), ('outside', FLOAT, (n,)),
+                          ('chain', chain.work_layout(n)))
 
 
 @lru_cache(maxsize=256)
@@ -135,7 +140,8 @@ def torques(state, dt, constants, work):
         drive = s[j, sig.SPRING]
         if not links.flexible[j]:
             drive = s[j, sig.TORQUE] + s[j, sig.MOTOR_TORQUE]
-        work.chain.tau[j] = drive + s[j, sig.LINK_TORQUE] - s[j, sig.FRICTION]  # Eq. (1), link
+        work.chain.tau[j] = (drive + s[j, sig.LINK_TORQUE] - s[j, sig.FRICTION]  # Eq. (1), link
+                             + work.outside[j])
 
 
 @compiled
