@@ -15,6 +15,7 @@ from gms_flex_control.benchmarks.hidden_effects.jobs import fingerprint, Job, jo
 from gms_flex_control.benchmarks.hidden_effects.outcome import finite, try_job
 from gms_flex_control.cli.main import build_parser, main
 from gms_flex_control.cli.score import jobs_asked
+from gms_flex_control.discrepancy.search import LEAST_GAIN
 from gms_flex_control.errors import BagError
 from gms_flex_control.hidden.cases import make_case
 import numpy as np
@@ -229,6 +230,7 @@ def workflow(monkeypatch):
 def test_a_job_asks_the_workflow_without_telling_it_the_truth(workflow):
     """It gets one recording and the nominal robot; of a deleted effect also the name."""
     finding = SimpleNamespace(effect='backlash', joint='joint2', main=True, runner_up='x',
+                              score=np.float64(70.0), torque=0.01,
                               parameters={'half_gap': np.float64(0.1)},
                               confusable_with=('end_stop',))
     workflow.result = SimpleNamespace(
@@ -243,6 +245,20 @@ def test_a_job_asks_the_workflow_without_telling_it_the_truth(workflow):
     assert found['answers'] == {'workflow': [['backlash', 'joint2']]}
     assert found['gap']['floor'] == [0.5, None] and found['gap']['free_after'] == [0.5, 0.5]
     json.dumps(found, allow_nan=False)
+
+
+@pytest.mark.parametrize(('job', 'told'), [
+    (Job('single', 2, 'sinusoid'), False), (Job('single', 2, plant='soft', duration=8.0), True)])
+def test_what_is_missed_is_told_beside_what_the_truth_gains(monkeypatch, job, told):
+    """Damping that one motion hardly shows and another does, where nothing may be added."""
+    from gms_flex_control.discrepancy import workflow
+    options = workflow.Options
+    monkeypatch.setattr(workflow, 'Options', lambda: options(most=0))
+    found = try_job(job, with_peers=False)
+    assert found['verdict'] != 'effects_found'
+    assert (found['truth_gains'] > LEAST_GAIN) == told
+    line, = (line for line in text.report([found]).splitlines() if line.startswith(found['key']))
+    assert line.split()[-1] == f'{found["truth_gains"]:.0f}' and 'spring_damping of' in line
 
 
 @pytest.mark.parametrize('error', [BagError('no torque'), np.linalg.LinAlgError('no torque')])

@@ -251,7 +251,12 @@ def confusion(outcomes):
 
 
 def missed(outcomes):
-    """Return (key, hidden names, answer) of singles whose first name is not right."""
-    return [(one['key'], hidden_names(one), names_given(one) or one['verdict'])
+    """
+    Return (key, hidden names, answer, gain) of singles whose first name is not right.
+
+    The gain is what the truth would have gained, None where that is not known.
+    """
+    return [(one['key'], hidden_names(one), names_given(one) or one['verdict'],
+             one.get('truth_gains'))
             for one in outcomes
             if one['truth']['kind'] == 'single' and judged(one) != RIGHT]

@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """One hidden robot tried: what the workflow and its peers answer, as plain values."""
 
+from dataclasses import replace
 import math
 import resource
 import sys
@@ -32,7 +33,8 @@ def try_job(job, with_peers=True):
     -------
     dict
         ``key``, ``truth``, ``answers`` (tool -> list of [effect, joint]), ``verdict``,
-        ``findings``, ``gap``, ``seconds``, ``megabytes``; ``error`` where the workflow failed.
+        ``findings``, ``gap``, ``seconds``, ``megabytes``; ``error`` where the workflow failed;
+        ``truth_gains`` of a single effect that was missed, see `gain_of_truth`.
 
     """
     case = make_case(job.kind, job.seed, motion=job.motion, plant=job.plant,
@@ -41,11 +43,15 @@ def try_job(job, with_peers=True):
         case = case.without_links()
     without = tuple(spec.name for spec in case.truth.effects) if job.kind == 'deleted' else ()
     outcome = {'key': job.key, 'truth': truth_values(case.truth), 'answers': {}}
-    outcome |= ask_workflow(case, without)
+    answer, result = ask_workflow(case, without)
+    outcome |= answer
     outcome['megabytes'] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (
         1024.0 if sys.platform != 'darwin' else 1024.0 ** 2)
     outcome['answers'][WORKFLOW] = [[one['effect'], one['joint']] for one in ranked(
         outcome['findings']) if one['decided']]
+    first, hidden = outcome['answers'][WORKFLOW][:1], case.truth.effects
+    if job.kind == 'single' and result and first != [[hidden[0].name, hidden[0].joint]]:
+        outcome['truth_gains'] = gain_of_truth(result, hidden)
     if with_peers:
         from gms_flex_control.benchmarks.hidden_effects import peers
         for name, answer in peers.ask(case, without).items():
@@ -54,7 +60,11 @@ def try_job(job, with_peers=True):
 
 
 def ask_workflow(case, without):
-    """Return what the workflow says of a Case, asked without the effects named (dict)."""
+    """
+    Return what the workflow says of a Case, asked without the effects named.
+
+    As plain values (dict), and its Discrepancy, None where it failed.
+    """
     from gms_flex_control.discrepancy.workflow import discrepancy, Options
     options = Options(without=without) if without else Options()
     begin = time.perf_counter()
@@ -62,7 +72,7 @@ def ask_workflow(case, without):
         result = discrepancy([case.recording], case.nominal, options, holdout=[case.held_out])
     except _FAILURES as error:
         return {'error': f'{type(error).__name__}: {error}', 'verdict': 'error', 'findings': [],
-                'gap': None, 'seconds': time.perf_counter() - begin}
+                'gap': None, 'seconds': time.perf_counter() - begin}, None
     seconds = time.perf_counter() - begin
     return {'verdict': result.verdict, 'seconds': seconds, 'gap': gap_of(result.gap),
             'findings': [{
@@ -71,7 +81,22 @@ def ask_workflow(case, without):
                 'parameters': {name: float(value) for name, value in one.parameters.items()},
                 'runner_up': str(one.runner_up), 'confusable_with': list(map(
                     str, one.confusable_with)), 'decided': one not in result.undecided}
-                for one in result.added]}
+                for one in result.added]}, result
+
+
+def gain_of_truth(result, effects):
+    """
+    Return what the true effects would have gained, known parameters re-tuned; None without data.
+
+    In the unit of the search's gains: what is below search.LEAST_GAIN is not told by the data.
+    """
+    from gms_flex_control.discrepancy.search import retuned
+    if result.found is None:
+        return None
+    problem, found = result.found
+    robot = replace(problem.robot, effects=(*problem.robot.effects, *effects))
+    model, _ = retuned(problem, robot, found.before.x)
+    return problem.exact_cost(found.before) - problem.exact_cost(model)
 
 
 def gap_of(gap):

@@ -6,6 +6,7 @@
 from gms_flex_control.benchmarks.hidden_effects import figures
 from gms_flex_control.benchmarks.hidden_effects.judgement import RIGHT
 from gms_flex_control.benchmarks.hidden_effects.outcome import WORKFLOW
+from gms_flex_control.discrepancy.search import LEAST_GAIN
 
 
 def aligned(rows):
@@ -67,10 +68,19 @@ def matrix(outcomes):
     return aligned(rows)
 
 
+def not_named(outcomes):
+    """Return the singles that were missed as lines, with what the truth would have gained."""
+    rows = [['missed', 'hidden', 'answer', f'the truth gains (of {LEAST_GAIN:g} that are asked)']]
+    for key, hidden, answer, gain in figures.missed(outcomes):
+        first = answer if isinstance(answer, str) else ' of '.join(answer[0])
+        rows.append([key, ' of '.join(hidden[0]), first, '-' if gain is None else f'{gain:.0f}'])
+    return aligned(rows) if len(rows) > 1 else ''
+
+
 def report(outcomes):
     """Return the whole report, str."""
     failed = [f'{one["key"]}: {one["error"]}' for one in outcomes if one.get('error')]
-    parts = [matrix(outcomes), table(outcomes)]
+    parts = [matrix(outcomes), not_named(outcomes), table(outcomes)]
     parts += ['The workflow failed:\n' + '\n'.join(failed)] if failed else []
     return '\n\n'.join(part for part in parts if part)
 
@@ -83,5 +93,5 @@ def values(outcomes):
         'figures': [one._asdict() | {'met': one.met} for one in figures.figures_of(outcomes)],
         'peers': {tool: figures.peer_figures(outcomes, tool) for tool in tools[1:]},
         'confusion': figures.confusion(outcomes),
-        'missed': [{'key': key, 'hidden': hidden, 'answer': answer}
-                   for key, hidden, answer in figures.missed(outcomes)]}
+        'missed': [{'key': key, 'hidden': hidden, 'answer': answer, 'truth_gains': gain}
+                   for key, hidden, answer, gain in figures.missed(outcomes)]}
