@@ -20,7 +20,7 @@ from gms_flex_control.params.encoder import EncoderParams
 from gms_flex_control.params.gains import COMPENSATIONS
 from gms_flex_control.resources import controller_file, robot_file, share_path
 from gms_flex_control.schema.build import robot_values
-from gms_flex_control.schema.files import load_controller, load_robot
+from gms_flex_control.schema.files import load_controller, load_robot, save_values
 from gms_flex_control.simulation import closed_loop
 from gms_flex_control.trajectory import builders
 import numpy as np
@@ -207,5 +207,35 @@ def test_compare_fits_along_a_bag(plan, tmp_path, capsys, only, monkeypatch):
     (['nowhere'], 'nowhere'), (['nowhere.yaml'], 'nowhere.yaml'),
     (['--draws', '0', '--workers', '0'], '--workers 0')])
 def test_what_compare_cannot_do_is_refused(tmp_path, capsys, args, sentence):
+    assert main(['compare', '--out', str(tmp_path), *args]) == 2
+    assert sentence in capsys.readouterr().err
+
+
+def test_the_robot_as_identified_is_the_plant_wherever_it_is_named(arm, tmp_path, only, capsys):
+    """As `gms_flex identify` writes it: a file beside that of the robot, the later one winning."""
+    only('none')
+    twice = tmp_path / 'friction.yaml'
+    values = {name: 2.0 * value for name, value in robot_values(arm[0]).items()
+              if name.startswith('friction.') and name.endswith(('.static', '.coulomb'))}
+    save_values(values, twice)
+    files, told = [str(robot_file()), str(twice)], []
+    for k, place in enumerate(([], files, ['--robot', *files])):
+        assert main(['compare', *place, '--draws', '0', '--json', '--out',
+                     str(tmp_path / str(k))]) == 0
+        told.append(json.loads(capsys.readouterr().out)['rows'][0]['errors']['nominal'])
+    assert told[1] == told[2] > 1.5 * told[0]
+    assert str(twice) in (tmp_path / '1' / 'report.html').read_text()
+
+
+@pytest.mark.parametrize(('args', 'sentence'), [
+    (['bag', '--rate', '100'], '--rate 100: is of a plant'),
+    (['bag', '--draws', '50'], '--draws 50: is of a plant'),
+    (['bag', '--seed', '0'], '--seed 0: is of a plant'),
+    (['--fit', '0.4'], '--fit 0.4: is of a bag'),
+    (['a.yaml', '--robot', 'b.yaml'], '--robot b.yaml: the plant is a.yaml already'),
+    (['one', 'two'], 'two: give one bag at a time'),
+    (['bag', 'a.yaml'], 'robot files behind --robot'),
+    (['--out', '/proc/cmp'], '--out /proc/cmp: /proc cannot be written')])
+def test_compare_refuses_what_it_would_not_use(tmp_path, capsys, args, sentence):
     assert main(['compare', '--out', str(tmp_path), *args]) == 2
     assert sentence in capsys.readouterr().err

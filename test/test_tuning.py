@@ -280,3 +280,28 @@ def test_tune_says_no_where_nothing_fits(tmp_path, axis_file, capsys):
 def test_what_tune_cannot_do_is_refused(tmp_path, capsys, args, sentence):
     assert main(['tune', '--out', str(tmp_path), *args]) == 2
     assert sentence in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(('args', 'sentence'), [
+    (['--intervals', 'nowhere.json'], 'give --verify N as well'),
+    (['--verify', '1', '--intervals', 'nowhere.json'], 'cannot be read'),
+    (['--out', str(robot_file() / 'tuned')], 'is a file; name a folder'),
+    (['--out', '/proc/tuned'], '/proc cannot be written')])
+def test_tune_refuses_before_it_searches(tmp_path, capsys, monkeypatch, args, sentence):
+    def propose(*_):
+        raise AssertionError('searched for gains')
+
+    monkeypatch.setattr('gms_flex_control.tuning.propose.propose', propose)
+    assert main(['tune', '--out', str(tmp_path), *args]) == 2
+    assert sentence in capsys.readouterr().err
+
+
+def test_a_torque_limit_that_is_met_is_told_by_compensation(tmp_path, capsys):
+    assert main(['tune', '--torque-limit', '0.1', '--bandwidth', '4', '--out',
+                 str(tmp_path)]) == 1
+    told = [line.partition(';')[0].partition('torque limit for ')
+            for line in capsys.readouterr().out.splitlines() if 'at the torque limit' in line]
+    where = [(joint, share.partition(' % ')[2]) for joint, _, share in told]
+    assert where and len(set(where)) == len(where)
+    assert {place.partition(', ')[2] for _, place in where} == {
+        'compensation none', 'compensation gms'}

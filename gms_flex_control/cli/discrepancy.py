@@ -151,9 +151,9 @@ def options_of(args):
 
 def refuse_out(out, args):
     """Raise ConfigError if the results cannot go to ``out``."""
-    from gms_flex_control.cli.identify import refuse_file
+    from gms_flex_control.cli.output import refuse_unwritable
     from gms_flex_control.errors import ConfigError
-    refuse_file(out)
+    refuse_unwritable(out)
     target = (out / 'robot.yaml').resolve()
     for file in (*args.robot, *args.models):
         if Path(file).resolve() == target:

@@ -37,6 +37,7 @@ EXAMPLES = {
              '--verify 200 --intervals results/report.json --out tuned'],
     'compare': ['gms_flex compare', 'gms_flex compare robot.yaml --controller '
                 'tuned/controller.yaml --out comparison',
+                'gms_flex compare robot.yaml results/friction.yaml --draws 20',
                 'gms_flex compare my_bag --robot robot.yaml --out along_bag'],
     'bench': ['gms_flex bench --quick', 'gms_flex bench --only loop step --json'],
     'torsion': ['gms_flex torsion kr300 --joint axis1 --stiffness 4.58e6 --out torsion'],

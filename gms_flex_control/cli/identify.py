@@ -6,7 +6,7 @@
 from dataclasses import replace
 from pathlib import Path
 
-from gms_flex_control.cli.output import say
+from gms_flex_control.cli.output import refuse_unwritable, say
 
 
 def add_parser(subparsers):
@@ -51,7 +51,7 @@ def run(args):
     from gms_flex_control.reports.identification import write_identification_report
     from gms_flex_control.reports.identification_text import identification_text
 
-    refuse_file(Path(args.out))
+    refuse_unwritable(args.out)
     robot = robot_of(args)
     takes, holdouts = ([read_take(path, robot, args.robot is None) for path in paths]
                        for paths in (args.bags, args.holdout))
@@ -68,13 +68,6 @@ def run(args):
     print(f'{identification_text(found)}\n\nparameters {out / "friction.yaml"}\n'
           f'report     {out / "report.html"}\nnumbers    {out / "report.json"}')
     return 0
-
-
-def refuse_file(out):
-    """Raise ConfigError if ``out`` cannot be a folder."""
-    from gms_flex_control.errors import ConfigError
-    if out.exists() and not out.is_dir():
-        raise ConfigError(f'--out {out} is a file; name a folder')
 
 
 def options_of(args):

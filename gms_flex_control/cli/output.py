@@ -3,16 +3,33 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Progress on the terminal, and folders that a verb makes anew."""
 
+from pathlib import Path
 import shutil
 import sys
+from tempfile import TemporaryDirectory
 
-from gms_flex_control.errors import BagError
+from gms_flex_control.errors import BagError, ConfigError
 
 
 def say(text):
     """Print a line of progress, beside the results and on a terminal only."""
     if sys.stderr.isatty():
         print(text, file=sys.stderr, flush=True)
+
+
+def refuse_unwritable(out):
+    """Raise ConfigError if nothing could be written in the folder ``out``, which is not made."""
+    there = Path(out).absolute()
+    while not there.exists() and there != there.parent:
+        there = there.parent
+    if not there.is_dir():
+        raise ConfigError(f'--out {out}: {there} is a file; name a folder')
+    try:
+        with TemporaryDirectory(prefix='.gms_flex_', dir=there):
+            pass
+    except OSError as error:
+        raise ConfigError(f'--out {out}: {there} cannot be written ({error.strerror}); name '
+                          'another folder') from error
 
 
 def refuse_foreign(out, marker, verb):

@@ -6,6 +6,7 @@
 from pathlib import Path
 
 from gms_flex_control.cli.batch_options import add_batch_options
+from gms_flex_control.cli.output import refuse_unwritable
 
 _MOST_AT_LIMIT = 0.02  # share of a motion that may be spent at the torque limit
 # what a simulated figure depends on
@@ -71,13 +72,15 @@ def run(args):
     from gms_flex_control.tuning import words
 
     robot, base, demands = asked(args)
+    intervals = intervals_asked(args)
+    refuse_unwritable(args.out)
     proposal, trials = proposed(robot, base, demands, args.amplitude)
     values = words.as_values(proposal, robot, demands.timing, trials)
     if not args.json:
         tell(proposal, trials, robot, demands)
     if not proposal.unmet:
         if args.verify:
-            values['verify'] = verified(robot, proposal.gains, demands, args)
+            values['verify'] = verified(robot, proposal.gains, demands, intervals, args)
             if not args.json:
                 print(f"\n{words.verify_text(values['verify'], robot)}")
         write(args, robot, proposal, demands)
@@ -132,6 +135,19 @@ def asked(args):
         noise=args.noise)
 
 
+def intervals_asked(args):
+    """Return the intervals to draw from (dict); raise ConfigError if nothing would be drawn."""
+    from gms_flex_control.errors import ConfigError
+    from gms_flex_control.tuning.uncertainty import read_intervals
+
+    if not args.intervals:
+        return {}
+    if not args.verify:
+        raise ConfigError(f'--intervals {args.intervals}: is of the robots that --verify draws; '
+                          'give --verify N as well, or leave it out')
+    return read_intervals(args.intervals)
+
+
 def per_joint(name, values, n):
     """Return an option's values as (n,), one given value for all joints; None if not given."""
     from gms_flex_control.errors import ConfigError
@@ -164,7 +180,8 @@ def proposed(robot, base, demands, amplitude):
             if trial.lost:
                 unmet.append(f'{motion}, compensation {mode}: the simulated robot was lost')
             else:
-                unmet += at_limit(run, robot, demands.torque_limit, motion)
+                unmet += at_limit(run, robot, demands.torque_limit,
+                                  f'{motion}, compensation {mode}')
     return proposal._replace(unmet=tuple(dict.fromkeys([*proposal.unmet, *unmet]))), trials
 
 
@@ -194,7 +211,7 @@ def tell(proposal, trials, robot, demands):
         print(f'NOT MET: {sentence}')
 
 
-def verified(robot, gains, demands, args):
+def verified(robot, gains, demands, intervals, args):
     """Return the summary of the draws asked for; finished ones are kept in --out."""
     import hashlib
 
@@ -206,7 +223,6 @@ def verified(robot, gains, demands, args):
     from gms_flex_control.tuning import uncertainty, words
     import numpy as np
 
-    intervals = uncertainty.read_intervals(args.intervals) if args.intervals else {}
     amplitude = np.full(robot.n_joints, args.amplitude)
     items = {f'draw {k}': uncertainty.Drawn(robot, gains, demands.timing, amplitude, intervals,
                                             args.seed, k) for k in range(args.verify)}

@@ -24,8 +24,8 @@ def plant_page(rows, outcomes, setting, source):
         Of the cells by their keys.
     setting : Setting
         Of the comparison.
-    source : str or None
-        The robot file, None for the arm of the paper.
+    source : str
+        The robot files, '' for the arm of the paper.
 
     Returns
     -------
