@@ -12,6 +12,7 @@ from gms_flex_control.bags.reader import read_recording
 from gms_flex_control.cli import analyse
 from gms_flex_control.cli import import_csv as import_verb
 from gms_flex_control.errors import BagError, ImportDataError
+from gms_flex_control.params.gains import COMPENSATIONS
 from gms_flex_control.recording import Recording
 import numpy as np
 import pytest
@@ -123,6 +124,18 @@ def test_labels_on_the_command_line(tmp_path, capsys):
     assert '1.00' in capsys.readouterr().out
     with pytest.raises(BagError, match='--label was given 1 times for 2 bags'):
         call('analyse', *bags, '--out', tmp_path / 'out', '--label', 'x_none')
+
+
+@pytest.mark.parametrize('mode', COMPENSATIONS)
+def test_every_mode_of_the_controller_makes_a_label(mode):
+    assert analyse.given_label(f'my_motion_{mode}') == ('my_motion', mode)
+
+
+@pytest.mark.parametrize('label', ['bogus', 'sinusoid_bogus', '_gms'])
+def test_a_label_without_a_known_compensation_is_refused(tmp_path, label):
+    with pytest.raises(BagError, match=f'--label {label}: must end .* gms_paper'):
+        call('analyse', bag(tmp_path / 'x', 0.1), '--label', label, '--out', tmp_path / 'out')
+    assert not (tmp_path / 'out').exists()
 
 
 def test_an_unreadable_bag_is_refused_before_anything_is_written(tmp_path):

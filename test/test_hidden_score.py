@@ -277,8 +277,9 @@ def test_score_prints_what_the_journal_holds(tmp_path, capsys):
             finding('backlash' if seed else 'end_stop')]))
     args = ['score', '--kind', 'single', '--seeds', '0:2', '--out', str(tmp_path)]
     assert main(args) == 1
-    out = capsys.readouterr().out
-    assert '2 hidden robots, 2 of them in' in out and '50.0 %' in out
+    out, beside = capsys.readouterr()
+    assert beside.startswith('2 hidden robots, 2 of them in')
+    assert 'hidden robots, ' not in out and '50.0 %' in out
     assert main([*args, '--json']) == 1
     told = json.loads(capsys.readouterr().out)
     assert told['cases'] == 2 and told['missed'][0]['key'] == 'single/rich/drawn/60/0'

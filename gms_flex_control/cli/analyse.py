@@ -6,7 +6,8 @@
 import json
 from pathlib import Path
 
-MODES = ('gms_paper', 'none', 'gms')
+from gms_flex_control.params.gains import COMPENSATIONS
+
 UNLABELLED = 'unlabelled'
 
 
@@ -38,7 +39,7 @@ def run(args):
     if args.label and len(args.label) != len(args.bags):
         raise BagError(f'--label was given {len(args.label)} times for {len(args.bags)} bags; '
                        'give it once per bag, in their order, or not at all')
-    labels = map(split_label, args.label) if args.label else map(bag_label, args.bags)
+    labels = list(map(given_label, args.label) if args.label else map(bag_label, args.bags))
     runs = [Run(*label, read_recording(bag, args.joints, args.motors))
             for bag, label in zip(args.bags, labels, strict=True)]
     table = write_tracking_report(runs, args.out)
@@ -76,9 +77,20 @@ def bag_label(path):
             str(custom.get('compensation', compensation)))
 
 
+def given_label(label):
+    """Return trajectory and compensation of --label; raise BagError without a known mode."""
+    from gms_flex_control.errors import BagError
+
+    trajectory, compensation = split_label(label)
+    if compensation == UNLABELLED:
+        raise BagError(f'--label {label}: must end with _ and a compensation, such as '
+                       f'sinusoid_gms; known: {", ".join(COMPENSATIONS)}')
+    return trajectory, compensation
+
+
 def split_label(label):
     """Split a name like 'sinusoid_gms_paper' in two; without a mode it is 'unlabelled'."""
-    for mode in MODES:
+    for mode in COMPENSATIONS:
         if label.endswith(f'_{mode}') and len(label) > len(mode) + 1:
             return label[:-len(mode) - 1], mode
     return label, UNLABELLED

@@ -5,6 +5,7 @@
 
 from dataclasses import asdict
 import json
+import sys
 
 SUITES = ('loop', 'step', 'tick', 'ros', 'fit', 'identify', 'effects', 'arguments',
           'batches')
@@ -42,5 +43,6 @@ def run(args):
     else:
         print(suites.table(found))
         if not mujoco_arm.available():
-            print("\nMuJoCo is not installed; 'pip install gms_flex_control[bench]' adds it")
+            print("\nMuJoCo is not installed; 'pip install gms_flex_control[bench]' adds it",
+                  file=sys.stderr)
     return 1 if any(m.verdict == 'missed' for m in found) else 0

@@ -7,7 +7,7 @@ from itertools import product
 from pathlib import Path
 import time
 
-from gms_flex_control.cli.output import prepare, refuse_foreign, say
+from gms_flex_control.cli.output import import_ros, prepare, refuse_foreign, say
 
 MOTIONS = ('sinusoid', 'polynomial')
 MODES = ('none', 'gms_paper', 'gms')
@@ -42,6 +42,7 @@ def run(args):
     """Drive, simulate, analyse and print; return 0."""
     begin, out = time.monotonic(), Path(args.out)
     refuse_foreign(out, MARKER, 'demo')
+    import_ros()  # which the processes will need
     say('compiling the inner loops (once)')
     plans = {(motion, mode): plan_of(motion, mode, args.duration)
              for motion, mode in product(args.motions, args.modes)}

@@ -6,7 +6,7 @@
 from pathlib import Path
 import time
 
-from gms_flex_control.cli.output import prepare, refuse_foreign, say
+from gms_flex_control.cli.output import import_ros, prepare, refuse_foreign, say
 
 RATE = 500.0  # joint states per second [Hz]
 MARKER = '.gms_flex_demo_discrepancy'
@@ -42,6 +42,7 @@ def run(args):
 
     begin, out = time.monotonic(), Path(args.out)
     refuse_foreign(out, MARKER, 'demo-discrepancy')
+    import_ros()  # which the processes will need
     hidden, gains = draw(args)
     prepare(out, MARKER)
     outcome = found_and_driven(hidden, gains, args.seed, write_files(hidden, out), out)

@@ -8,7 +8,7 @@ from pathlib import Path
 import time
 from typing import NamedTuple
 
-from gms_flex_control.cli.output import prepare, refuse_foreign, say
+from gms_flex_control.cli.output import import_ros, prepare, refuse_foreign, say
 
 RATE = 500.0  # joint states per second [Hz]
 BELIEVED_FRICTION = 0.8  # of the true one, before identification
@@ -46,6 +46,7 @@ def run(args):
     begin, out = time.monotonic(), Path(args.out)
     refuse_foreign(out, MARKER, 'demo-identify')
     experiment = read_experiment(args.plan)
+    import_ros()  # which the processes will need
     prepare(out, MARKER)
     bag = drive(out, experiment)
     verdict, lines, values = 0, [], {}

@@ -9,6 +9,7 @@ from pathlib import Path
 import sys
 from tempfile import TemporaryDirectory
 
+from gms_flex_control.cli.output import import_ros
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.suggest import did_you_mean
 
@@ -40,7 +41,7 @@ def add_parser(subparsers):
 
 def run(args):
     """Try faults and print the table; return 0, or 1 where one was not as required."""
-    table = _import_table()
+    table = import_ros('gms_flex_control.nodes.faults.table')
     if args.list:
         names = {fault.name: fault.fault for fault in table.FAULTS.values()}
         print(json.dumps(names, indent=2) if args.json else
@@ -80,15 +81,6 @@ def _soaked(args):
     print(json.dumps({'windows': [window._asdict() for window in windows], 'problems': wrong},
                      indent=2) if args.json else soak.table(windows))
     return 1 if wrong else 0
-
-
-def _import_table():
-    try:
-        from gms_flex_control.nodes.faults import table
-    except ModuleNotFoundError as error:
-        raise ConfigError(f'the nodes need ROS 2 ({error}); install it, or '
-                          "'pip install gms_flex_control[ros]'") from error
-    return table
 
 
 def _folder(logs, name):

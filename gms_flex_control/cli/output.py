@@ -1,8 +1,9 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""Progress on the terminal, and folders that a verb makes anew."""
+"""What verbs share: progress on the terminal, folders to be written, and ROS where needed."""
 
+from importlib import import_module
 from pathlib import Path
 import shutil
 import sys
@@ -15,6 +16,16 @@ def say(text):
     """Print a line of progress, beside the results and on a terminal only."""
     if sys.stderr.isatty():
         print(text, file=sys.stderr, flush=True)
+
+
+def import_ros(module='rclpy', hint=''):
+    """Return a module that needs ROS 2; raise ConfigError, with a hint, where that is missing."""
+    try:
+        import_module('rclpy')
+        return import_module(module)
+    except ImportError as error:
+        raise ConfigError(f'ROS 2 for Python is needed ({error}); source a workspace, or install '
+                          f"the extra [ros]: pip install 'gms_flex_control[ros]'{hint}") from error
 
 
 def refuse_unwritable(out):

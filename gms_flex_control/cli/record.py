@@ -4,7 +4,9 @@
 """`gms_flex record`: topics into a bag that survives kill -9."""
 
 import json
+import sys
 
+from gms_flex_control.cli.output import import_ros
 from gms_flex_control.errors import BagError
 
 
@@ -14,7 +16,7 @@ def add_parser(subparsers):
         'record', help='record topics into a bag',
         description='Record topics, each as soon as it has a publisher, until Ctrl-C, SIGTERM '
                     'or --duration. At most 0.2 s are lost if the recorder is killed; '
-                    '"gms_flex repair" then completes the bag.')
+                    '"gms_flex repair" then completes the bag. Exit code 1 if nothing came.')
     what = parser.add_mutually_exclusive_group(required=True)
     what.add_argument('--topics', nargs='+', metavar='TOPIC', help='what to record')
     what.add_argument('--all', action='store_true', help='every topic that is not hidden')
@@ -25,20 +27,24 @@ def add_parser(subparsers):
 
 
 def run(args):
-    """Record and print the counts; return 0."""
+    """Record and print the counts; return 0, or 1 if there was nothing to be recorded."""
     if args.duration is not None and not 0.0 < args.duration < float('inf'):
         raise BagError(f'--duration must be a positive number of seconds, got {args.duration}')
     # imported here: rclpy takes 0.1 s and may not be installed
-    from gms_flex_control.nodes.recorder import record
-    counts = record(args.out, None if args.all else args.topics, duration=args.duration,
-                    say=_hush if args.json else _say)
+    recorder = import_ros('gms_flex_control.nodes.recorder')
+    counts = recorder.record(args.out, None if args.all else args.topics, duration=args.duration,
+                             say=_hush if args.json else _say)
+    total = sum(counts.values())
     if args.json:
         print(json.dumps({'bag': args.out, 'messages': counts}, indent=2))
-        return 0
-    for name, count in counts.items():
-        _say(f'  {name}  {count}')
-    _say(f'{args.out}: {sum(counts.values())} messages')
-    return 0
+    else:
+        for name, count in counts.items():
+            _say(f'  {name}  {count}')
+        _say(f'{args.out}: {total} messages')
+    if not total:
+        print('gms_flex record: nothing came; do the publishers run, in this ROS_DOMAIN_ID, under '
+              'these names? (ros2 topic list)', file=sys.stderr)
+    return 0 if total else 1
 
 
 def _say(text):

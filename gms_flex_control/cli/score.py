@@ -90,14 +90,15 @@ def jobs_asked(args):
 
 
 def tell_beginning(jobs, journal, args):
-    """Print how much there is to do, and what is left out."""
+    """Say beside the results how much there is to do, and what is left out."""
     from gms_flex_control.benchmarks.hidden_effects import peers
     known = sum(job.key in journal.outcomes for job in jobs)
-    print(f'{len(jobs)} hidden robots, {known} of them in {journal.path}')
+    print(f'{len(jobs)} hidden robots, {known} of them in {journal.path}', file=sys.stderr)
     if journal.stale:
-        print(f'{journal.stale} outcomes there are of other sources and are tried again')
+        print(f'{journal.stale} outcomes there are of other sources and are tried again',
+              file=sys.stderr)
     if not args.no_peers and not peers.can_regress():
-        print(peers.NO_PYSINDY)
+        print(peers.NO_PYSINDY, file=sys.stderr)
 
 
 def try_missing(jobs, journal, args):

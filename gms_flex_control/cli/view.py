@@ -9,6 +9,7 @@ import sys
 import time
 import webbrowser
 
+from gms_flex_control.cli.output import import_ros, say
 from gms_flex_control.errors import ConfigError
 
 PORT = 8642
@@ -82,17 +83,14 @@ def _interrupt(_number, _frame):
 def _view(args):
     """Return the bag or the running loop as a context."""
     if args.what == 'live':
-        try:
-            from gms_flex_control.nodes.viewer import LiveView
-        except ImportError as error:
-            raise ConfigError(f'live needs ROS 2 for Python ({error}): install the extra [ros] or '
-                              'source a workspace; bags can be viewed without') from error
+        live_view = import_ros('gms_flex_control.nodes.viewer',
+                               '; bags can be viewed without').LiveView
         space = f'/{args.namespace.strip("/")}' if args.namespace.strip('/') else ''
-        return LiveView(space, args.controller or f'{space}/cascade_controller')
+        return live_view(space, args.controller or f'{space}/cascade_controller')
     from gms_flex_control.resources import robot_file
     from gms_flex_control.schema.files import load_robot
     from gms_flex_control.view.bag import open_bag
-    print(f'reading {args.what}', flush=True)
+    say(f'reading {args.what}')
     view = open_bag(args.what, load_robot(args.robot) if args.robot else None,
                     default=load_robot(robot_file()), joints=args.joints, motors=args.motors)
     return nullcontext(view)
