@@ -7,6 +7,7 @@ from dataclasses import replace
 import os
 from pathlib import Path
 
+from devtools import Browser, BrowserError, chromium
 from gms_flex_control.params.encoder import EncoderParams
 from gms_flex_control.schema.files import load_controller, load_robot
 import pytest
@@ -51,3 +52,17 @@ def ideal_robot(robot):
 def gains(robot):
     """Return the default gains."""
     return load_controller(CONFIG / 'controller.yaml', robot)
+
+
+@pytest.fixture(scope='module')
+def browser(tmp_path_factory):
+    """Yield a Browser; skip where there is no Chromium that runs."""
+    if chromium() is None:
+        pytest.skip('no chromium on this machine')
+    chrome = Browser(tmp_path_factory.mktemp('chromium') / 'profile')
+    try:
+        chrome.__enter__()
+    except BrowserError as error:
+        pytest.skip(f'chromium does not run here: {error}')
+    yield chrome
+    chrome.__exit__()

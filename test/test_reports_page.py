@@ -157,3 +157,53 @@ def test_a_browser_draws_the_charts(tmp_path):
     if not done.stdout:
         pytest.skip(f'chromium does not run here: {done.stderr[-200:]}')
     assert 'data-charts="1"' in done.stdout and '<canvas' in done.stdout
+
+
+LEFT_BELOW = """Array.from(document.querySelectorAll('.chart'), (chart) => {
+    const edge = chart.getBoundingClientRect(), inner = (what) => Array.from(
+      chart.querySelectorAll(what), (part) => part.getBoundingClientRect());
+    return {plot: inner('.u-over')[0].height, below: edge.bottom - inner('.uplot')[0].bottom,
+            right: edge.right - Math.max(...inner('.u-series > *').map((one) => one.right))};
+  })"""
+
+
+@pytest.fixture
+def crowded(browser, tmp_path):
+    """Open a report with two charts of eight curves with long names each; return the browser."""
+    t = np.arange(500) * 2e-3
+    lines = [Series(f'disturbance observer number {k}', np.sin(t + k)) for k in range(8)]
+    page = Report('crowded').chart('one', t, lines, y_label='rad').chart(
+        'two', t, [*lines[1:], Series('longer_than_a_telephone_is_wide_' * 3, t)])
+    browser.errors.clear()
+
+    def opened(width):
+        browser.screen(width, 900)
+        browser.visit(page.write(tmp_path / 'report.html').as_uri())
+        browser.until("document.querySelectorAll('.u-legend').length === 2")
+        return browser
+
+    yield opened
+    assert browser.errors == []
+
+
+@pytest.mark.parametrize('width', [1280, 400])
+def test_a_chart_with_many_names_keeps_its_plot_and_its_card(crowded, width):
+    for chart in crowded(width).ask(LEFT_BELOW):
+        assert chart['plot'] > 150.0
+        assert chart['below'] > 0.0 and chart['right'] > 0.0
+
+
+def test_charts_fit_after_the_window_was_another_size(crowded):
+    page = crowded(1280)
+    before = page.ask(LEFT_BELOW)
+    for width in (1000, 400, 1280):
+        page.screen(width, 900)
+        page.until(f"document.documentElement.clientWidth === {width}")
+        page.ask('new Promise((done) => setTimeout(done, 300))')
+        for chart in page.ask(LEFT_BELOW):
+            assert chart['plot'] > 150.0 and chart['below'] > 0.0 and chart['right'] > 0.0
+    assert page.ask(LEFT_BELOW) == before
+    page.click('[data-act=large]')
+    page.until("document.querySelector('.u-over').getBoundingClientRect().height > 300")
+    page.click('[data-act=large]')
+    page.until("document.querySelector('.u-over').getBoundingClientRect().height < 250")

@@ -7,7 +7,6 @@ import math
 import re
 import sys
 
-from devtools import Browser, BrowserError, chromium
 from gms_flex_control.bags.reader import read_recording
 from gms_flex_control.cli.main import main
 from gms_flex_control.schema.files import load_robot
@@ -19,20 +18,6 @@ import pytest
 PERIOD = 0.002
 TIME = 'Number(document.documentElement.dataset.time)'
 CONTROLLER = '/cascade_controller'
-
-
-@pytest.fixture(scope='module')
-def browser(tmp_path_factory):
-    """Yield a Browser; skip where there is no Chromium that runs."""
-    if chromium() is None:
-        pytest.skip('no chromium on this machine; the server is checked by test_view.py')
-    chrome = Browser(tmp_path_factory.mktemp('chromium') / 'profile')
-    try:
-        chrome.__enter__()
-    except BrowserError as error:
-        pytest.skip(f'chromium does not run here: {error}')
-    yield chrome
-    chrome.__exit__()
 
 
 @pytest.fixture(scope='module')

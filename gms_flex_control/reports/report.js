@@ -158,7 +158,7 @@
       values: tickLabels,
     };
     return {
-      width: chart.box.clientWidth, height: chart.box.clientHeight,
+      ...size(chart),
       scales: {x: {time: false}, y: {range: (u, lo, hi) => range(chart, lo, hi)}},
       axes: [{...axis, label: chart.spec.x_label, size: 30,
               ...(log ? {values: powers, incrs: [0.5, 1, 2, 3, 5, 10]} : {})},
@@ -191,14 +191,18 @@
       });
     });
     listen(chart, chart.plot.over);
-    fit(chart);
   }
 
-  /* the legend is part of the plot's height */
+  /* The height of the plot is the least one of its box, as report.css has it; the legend goes
+     below it, in as many lines as it needs. */
+  const size = (chart) => ({width: chart.box.clientWidth,
+                            height: Math.round(parseFloat(getComputedStyle(chart.box).minHeight))});
+
   function fit(chart) {
-    const legend = chart.plot.root.querySelector('.u-legend');
-    const height = chart.box.clientHeight - legend.offsetHeight - 4;
-    chart.plot.setSize({width: chart.box.clientWidth, height: Math.max(110, height)});
+    const {width, height} = size(chart);
+    if (!chart.plot || (chart.plot.width === width && chart.plot.height === height)) return;
+    chart.plot.setSize({width, height});
+    refresh(chart);
   }
 
   /* ---- pan and zoom: one x window per group ----------------------------------------- */
@@ -352,8 +356,7 @@
       document.querySelectorAll('[data-act=box]').forEach(
         (button) => button.setAttribute('aria-pressed', on));
     });
-    new ResizeObserver(() => { if (chart.plot) { fit(chart); refresh(chart); } })
-      .observe(chart.box);
+    new ResizeObserver(() => fit(chart)).observe(chart.box);
     return chart;
   }
 
@@ -363,6 +366,7 @@
     chart.max = Math.max(...members.map((c) => c.last));
     draw(chart);
   });
+  addEventListener('resize', () => charts.forEach(fit));  /* large ones are as high as it allows */
   addEventListener('scroll', () => charts.forEach((c) => { c.armed = false; }), {passive: true});
   matchMedia('(prefers-color-scheme: dark)').addEventListener('change', () => charts.forEach(draw));
   document.documentElement.dataset.charts = charts.length;
