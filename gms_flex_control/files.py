@@ -3,7 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Files appear whole or not at all; YAML is read only as far as it is small and plain."""
 
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 import errno
 import os
 from pathlib import Path
@@ -32,14 +32,42 @@ def atomic_path(path):
 
     """
     path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(path.parent, path)
     # the suffix stays last: writers such as matplotlib choose the format by it
     temporary = path.with_name(f'.{path.stem}.{os.getpid()}{path.suffix}')
     try:
         yield temporary
         os.replace(temporary, path)
+    except OSError as error:
+        if error.filename is None or Path(error.filename) != temporary:
+            raise
+        raise OSError(error.errno, f'cannot be written ({error.strerror})',
+                      str(path)) from error
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):  # what could not be made is not there either
+            temporary.unlink()
+
+
+def make_folder(folder, path):
+    """
+    Make the folder that ``path`` is to be written to, if need be.
+
+    Parameters
+    ----------
+    folder, path : Path
+        The folder, and what an error names.
+
+    Raises
+    ------
+    OSError
+        If it cannot be made: NotADirectoryError where a file is in its way.
+
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except (FileExistsError, NotADirectoryError) as error:
+        raise NotADirectoryError(errno.ENOTDIR, f'{error.filename} is a file; name a folder',
+                                 str(path)) from error
 
 
 def read_yaml(path, typ='rt', largest=LARGEST_YAML):

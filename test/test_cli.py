@@ -139,6 +139,22 @@ def test_a_disk_that_refuses_is_bad_input(tmp_path, capsys):
     assert capsys.readouterr().err.startswith(f'gms_flex urdf: {tmp_path}')
 
 
+@pytest.mark.parametrize('arguments, sentence', [
+    ('urdf --out {file}/arm.urdf', '{file}/arm.urdf: {file} is a file; name a folder'),
+    ('urdf --out /proc/foo', '/proc/foo: cannot be written (No such file or directory)'),
+    ('simulate --duration 0.1 --out {file}/x',
+     '{file}/x: cannot be written ({file} is a file; name a folder)'),
+    ('info {empty}', '{empty}: is empty (0 bytes)')])
+def test_what_cannot_be_read_or_written_is_named_as_it_was_given(
+        arguments, sentence, tmp_path, capsys):
+    places = {'file': tmp_path / 'file', 'empty': tmp_path / 'empty.mcap'}
+    for place in places.values():
+        place.touch()
+    assert tool.main(arguments.format(**places).split()) == tool.BAD_INPUT
+    told = capsys.readouterr().err
+    assert told == f'gms_flex {arguments.split()[0]}: {sentence.format(**places)}\n'
+
+
 @pytest.mark.parametrize('environment', [{}, {'NO_COLOR': '1'}])
 @pytest.mark.parametrize('arguments', [['--help'], ['check-gains'], ['info', '/no/such/bag']])
 def test_no_colour_comes_from_it(arguments, environment):

@@ -15,6 +15,7 @@ from gms_flex_control import nodes
 from gms_flex_control.bags.reader import read_recording
 from gms_flex_control.experiment.driven import private_environment
 from gms_flex_control.files import read_yaml
+from gms_flex_control.params.gains import COMPENSATIONS
 from gms_flex_control.schema.values import known_keys
 import launch_stand_in
 import numpy as np
@@ -71,6 +72,11 @@ def test_every_launch_file_takes_the_same_arguments_and_describes_them(name, mon
     ('identification', [*LOOP, 'identification_node'])])
 def test_a_launch_file_starts_these(name, processes, start):
     assert sorted(start(name)) == sorted(processes)
+
+
+@pytest.mark.parametrize('mode', COMPENSATIONS)
+def test_the_demo_takes_every_compensation_of_the_controller(mode, start):
+    assert start('demo', compensation=mode)['controller_node'].parameters['compensation'] == mode
 
 
 @pytest.mark.parametrize('given, shown', [

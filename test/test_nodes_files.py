@@ -97,7 +97,7 @@ def test_a_bad_file_is_refused_in_one_sentence(outcomes, case):
 
 def test_a_missing_robot_or_controller_file_is_named(outcomes):
     code, printed, _ = outcomes['no robot']
-    assert code == 2 and 'joints is missing' in printed
+    assert code == 2 and 'joints is missing: no robot file was read' in printed
     code, printed, _ = outcomes['no gains']
     assert code == 2 and 'gains.joint1.kd_link is missing' in printed
 

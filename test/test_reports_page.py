@@ -198,7 +198,7 @@ def test_charts_fit_after_the_window_was_another_size(crowded):
     before = page.ask(LEFT_BELOW)
     for width in (1000, 400, 1280):
         page.screen(width, 900)
-        page.until(f"document.documentElement.clientWidth === {width}")
+        page.until(f'document.documentElement.clientWidth === {width}')
         page.ask('new Promise((done) => setTimeout(done, 300))')
         for chart in page.ask(LEFT_BELOW):
             assert chart['plot'] > 150.0 and chart['below'] > 0.0 and chart['right'] > 0.0

@@ -9,7 +9,11 @@ import re
 
 from core_runs import stribeck
 from gms_flex_control.errors import ConfigError, ParameterError
+from gms_flex_control.experiment.plan import read_plan
+from gms_flex_control.experiment.simulated import simulate
+from gms_flex_control.params.gains import COMPENSATIONS
 from gms_flex_control.params.robot import EffectSpec
+from gms_flex_control.resources import controller_file, robot_file, share_path
 from gms_flex_control.schema.files import load_controller, load_robot, save_robot
 from gms_flex_control.schema.keys import controller_keys, trajectory_keys
 from gms_flex_control.schema.offered import offered_range
@@ -299,3 +303,22 @@ def test_the_range_offered_ends_at_a_round_number():
     gain, = (key for key in controller_keys(['j']) if key.name == 'gains.j.kd_link')
     ends = [offered_range(gain, number)[1] for number in (0.2, 0.8, 3.0, 40.0, 1.5e-5, 7e8)]
     assert ends == pytest.approx([1.0, 5.0, 20.0, 200.0, 1e-4, 1e9], rel=1e-12)
+
+
+@pytest.mark.parametrize('gain, used', [
+    ('sign_slope', ('gms_paper', 'stribeck')),
+    ('filter_bandwidth', tuple(set(COMPENSATIONS) - {'none', 'gms_paper'}))])
+def test_a_gain_of_some_modes_changes_those_that_its_description_names(gain, used, robot, gains):
+    """Two values, one motion: the torque differs in these modes and in no other."""
+    plan = read_plan([robot_file(), controller_file(), share_path() / 'config' / 'sinusoid.yaml'],
+                     duration=0.5)
+    key, = (key for key in controller_keys(robot.joints) if key.name == f'gains.joint1.{gain}')
+    differ = []
+    for mode in COMPENSATIONS:
+        one, other = (simulate(replace(plan, gains=replace(gains, compensation=mode, **{
+            gain: factor * getattr(gains, gain)}))).command for factor in (1.0, 0.5))
+        if not np.array_equal(one, other):
+            differ.append(mode)
+    assert set(differ) == set(used)
+    named = [mode for mode in COMPENSATIONS if re.search(rf'\b{mode}\b', key.description)]
+    assert set(named) in (set(used), set(COMPENSATIONS) - set(used))

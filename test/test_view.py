@@ -385,7 +385,8 @@ def test_bad_input_is_one_sentence_and_exit_code_2(tmp_path, capsys):
         for arguments, words in [
                 ((tmp_path / 'none',), 'there is no such bag'), ((bag, '--port', 99999), '--port'),
                 ((bag, '--port', taken.getsockname()[1]), 'cannot be listened on'),
-                ((bag, '--host', 'no.such.invalid'), 'no.such.invalid')]:
+                ((bag, '--host', 'no.such.invalid'), 'must be an address of this machine'),
+                ((bag, '--host', '192.0.2.1'), 'must be an address of this machine')]:
             assert main(['view', *map(str, arguments)]) == 2
             errors = capsys.readouterr().err
             assert words in errors and errors.count('\n') == 1

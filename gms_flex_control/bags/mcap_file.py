@@ -84,8 +84,8 @@ class McapFile:
     ----------
     path : Path
         The file.
-    label : str, optional
-        Its name in messages.
+    original : Path, optional
+        What messages name: the file that was unpacked to ``path``; default ``path``.
 
     Attributes
     ----------
@@ -104,8 +104,9 @@ class McapFile:
 
     """
 
-    def __init__(self, path, label=None):
-        self.path, self.label = path, label or path.name
+    def __init__(self, path, original=None):
+        self.path, self._original = path, original or path
+        self.label = self._original.name
         self.topics, self.damage, self.notes = {}, [], []
         self.checked = self.unchecked = 0
         self.complete = False
@@ -141,11 +142,11 @@ class McapFile:
         try:
             with open(self.path, 'rb') as stream:
                 if not stream.seek(0, 2):
-                    raise BagError(f'{self.label}: is empty (0 bytes)')
+                    raise BagError(f'{self._original}: is empty (0 bytes)')
                 with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
                     yield from self._scan(data)
         except OSError as error:
-            raise BagError(f'{self.path}: cannot be read ({error.strerror})') from error
+            raise BagError(f'{self._original}: cannot be read ({error.strerror})') from error
 
     def _scan(self, data):
         self._check_magic(data)
@@ -175,7 +176,7 @@ class McapFile:
     def _check_magic(self, data):
         alike = sum(a == b for a, b in zip(data[:len(MAGIC)], MAGIC, strict=False))
         if alike < min(len(MAGIC) - 1, len(data)):
-            raise BagError(f'{self.label}: is no mcap file (begins with '
+            raise BagError(f'{self._original}: is no mcap file (begins with '
                            f'{data[:len(MAGIC)].hex(" ")})')
         if len(data) >= len(MAGIC) and alike < len(MAGIC):
             self._damaged('the first bytes', f'read {data[:len(MAGIC)].hex(" ")}', 0)

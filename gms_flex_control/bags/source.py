@@ -117,7 +117,7 @@ class Bag:
         for path in self._files:
             with ExitStack() as stack:
                 plain = self._plain(path, stack)
-                storage = _STORAGES[plain.suffix](plain, path.name)
+                storage = _STORAGES[plain.suffix](plain, path)
                 known = 0
                 for batch in storage.batches(None if only is None else frozenset(only)):
                     if len(storage.topics) != known:

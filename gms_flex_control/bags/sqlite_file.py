@@ -25,13 +25,14 @@ class SqliteFile:
     ----------
     path : Path
         The file; a journal or log beside it is taken into account, nothing is changed.
-    label : str, optional
-        Its name in messages.
+    original : Path, optional
+        What messages name: the file that was unpacked to ``path``; default ``path``.
 
     """
 
-    def __init__(self, path, label=None):
-        self.path, self.label = path, label or path.name
+    def __init__(self, path, original=None):
+        self.path, self._original = path, original or path
+        self.label = self._original.name
         self.topics, self.damage, self.notes = {}, [], []
         self.checked, self.unchecked = 0, 1
         self.complete = False
@@ -62,10 +63,10 @@ class SqliteFile:
             with open(self.path, 'rb') as stream:
                 head = stream.read(len(_HEADER))
         except OSError as error:
-            raise BagError(f'{self.path}: cannot be read ({error.strerror})') from error
+            raise BagError(f'{self._original}: cannot be read ({error.strerror})') from error
         if head != _HEADER:
-            raise BagError(f'{self.label}: is empty (0 bytes)' if not head else
-                           f'{self.label}: is no sqlite3 file (begins with {head.hex(" ")})')
+            raise BagError(f'{self._original}: is empty (0 bytes)' if not head else
+                           f'{self._original}: is no sqlite3 file (begins with {head.hex(" ")})')
         with tempfile.TemporaryDirectory() as folder:
             location = self._settled(Path(folder))
             try:

@@ -12,6 +12,7 @@ import time
 from gms_flex_control.bags import metadata
 from gms_flex_control.bags.definitions import definition
 from gms_flex_control.errors import BagError
+from gms_flex_control.files import make_folder
 from mcap.writer import CompressionType, Writer
 
 
@@ -65,7 +66,7 @@ class BagWriter:
         if self._atomic:
             self._folder = self._final.with_name(f'.{self._final.name}.{os.getpid()}')
         try:
-            self._final.parent.mkdir(parents=True, exist_ok=True)
+            make_folder(self._final.parent, self.path)
             self._folder.mkdir()
         except FileExistsError:
             raise self._exists() from None

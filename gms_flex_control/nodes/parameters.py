@@ -76,6 +76,10 @@ class NodeParameters:
         given = {name: parameter.value
                  for name, parameter in node.get_parameters_by_prefix('').items()
                  if not name.startswith(_BUILT_IN)}
+        if 'joints' not in given:
+            raise ConfigError('joints is missing: no robot file was read; is the path of its '
+                              '--params-file right? ros2 launch leaves out a file that is not '
+                              'there')
         self.joints = build.joint_names(given)
         known = known_keys(given, self.joints)
         self._keys = {key.name: key for key in own_keys(self.joints)}

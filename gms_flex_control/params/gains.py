@@ -35,7 +35,7 @@ class ControllerParams:
         k_v of r(v) = tanh(k_v v), modes gms_paper and stribeck [s/rad].
     filter_bandwidth : ndarray, shape (n_joints,)
         Natural frequency of the command filter on the friction estimate, all modes but
-        gms_paper [rad/s].
+        none and gms_paper [rad/s].
     torque_limit : ndarray, shape (n_joints,)
         Largest motor torque the controller asks for [N m].
 

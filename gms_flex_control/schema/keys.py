@@ -87,10 +87,11 @@ def controller_keys(joints):
                 upper=1e4, live=True),
             Key(prefix + 'observer_gain', 'double', 'k_e, correction of slipping blocks by the '
                 'tracking error', '', 1.0, 0.0, 1e6, live=True),
-            Key(prefix + 'sign_slope', 'double', 'k_v of tanh(k_v v), gms_paper only', 's/rad',
-                50.0, 1e-3, 1e6, live=True),
+            Key(prefix + 'sign_slope', 'double', 'k_v of tanh(k_v v), gms_paper and stribeck only',
+                's/rad', 50.0, 1e-3, 1e6, live=True),
             Key(prefix + 'filter_bandwidth', 'double', 'command filter on the friction '
-                'estimate, gms only', 'rad/s', 100.0, 1e-3, 1e5, live=True),
+                'estimate, all modes but none and gms_paper', 'rad/s', 100.0, 1e-3, 1e5,
+                live=True),
             Key(prefix + 'torque_limit', 'double', 'largest motor torque', 'N m', lower=0.0,
                 upper=1e9, live=True)]
     return tuple(keys)

@@ -4,6 +4,7 @@
 """The page over HTTP: a few fixed addresses, nothing of the file system."""
 
 import base64
+from errno import EADDRNOTAVAIL
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
@@ -46,6 +47,17 @@ def assets():
     return found | {name: (shared / path).read_bytes() for name, path in _SHARED.items()}
 
 
+def _way_out(error):
+    """Return what to do when an address cannot be listened on."""
+    if isinstance(error, socket.gaierror) or getattr(error, 'errno', None) == EADDRNOTAVAIL:
+        return ('--host must be an address of this machine, such as 127.0.0.1, or 0.0.0.0 for all '
+                'of them')
+    if isinstance(error, PermissionError):
+        return 'ports below 1024 are for root; name another --port, or --port 0 for a free one'
+    return ('is another gms_flex view running there? Name another --port, or --port 0 for a free '
+            'one')
+
+
 class ViewServer(ThreadingHTTPServer):
     """
     Serve one view until it is closed.
@@ -83,9 +95,8 @@ class ViewServer(ThreadingHTTPServer):
             super().__init__((host, port), _Handler)
         except (OSError, OverflowError) as error:
             reason = getattr(error, 'strerror', None) or str(error)
-            raise ServerError(f'{host}:{port} cannot be listened on ({reason.lower()}); is '
-                              'another gms_flex view running there? Name another --port, or '
-                              '--port 0 for a free one') from error
+            raise ServerError(f'{host}:{port} cannot be listened on ({reason.lower()}); '
+                              f'{_way_out(error)}') from error
         self._thread = threading.Thread(target=self.serve_forever, args=(0.1,), name='http',
                                         daemon=True)
 
