@@ -9,8 +9,10 @@ from pathlib import Path
 import pty
 import re
 import shlex
+import signal
 import subprocess
 import sys
+import time
 
 from gms_flex_control.cli import main as tool
 import pytest
@@ -133,6 +135,43 @@ def test_an_error_of_the_program_is_no_finding(monkeypatch, capsys):
     assert 'please report it' in told
 
 
+@pytest.mark.parametrize('words, sentence', [
+    ('info bag', 'gms_flex info: interrupted\n'),
+    ('tune --out x', 'gms_flex tune: interrupted\n'),
+    ('tune --out x --verify 3',
+     'gms_flex tune: interrupted; the same command goes on where it was\n'),
+    ('compare', 'gms_flex compare: interrupted; the same command goes on where it was\n')])
+def test_ctrl_c_is_one_line_and_130(words, sentence, monkeypatch, capsys):
+    """Also where a library makes another error of it, as numpy does while it is imported."""
+    def cut_short(args):
+        try:
+            os.kill(os.getpid(), signal.SIGINT)
+        except KeyboardInterrupt:
+            raise ImportError('no module datetime') from None
+
+    monkeypatch.setattr(f'gms_flex_control.cli.{words.split()[0]}.run', cut_short)
+    assert tool.main(words.split()) == tool.INTERRUPTED == 130
+    assert capsys.readouterr().err == sentence
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    assert '130 interrupted' in tool.build_parser().format_help()
+
+
+def test_ctrl_c_ends_workers_in_silence(tmp_path):
+    """To the whole group of processes, as a terminal does."""
+    path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get('PYTHONPATH')])])
+    process = subprocess.Popen(
+        [sys.executable, '-m', 'gms_flex_control.cli.main', 'score', '--kind', 'single', '--seeds',
+         '0:8', '--no-peers', '--out', str(tmp_path)], stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE, text=True, start_new_session=True,
+        env={**os.environ, 'PYTHONPATH': path})
+    assert 'hidden robots' in process.stderr.readline()
+    time.sleep(2.0)  # while they start, or work
+    os.killpg(process.pid, signal.SIGINT)
+    _, told = process.communicate(timeout=60)
+    assert (process.returncode, told) == (
+        130, 'gms_flex score: interrupted; the same command goes on where it was\n')
+
+
 def test_a_disk_that_refuses_is_bad_input(tmp_path, capsys):
     (tmp_path / 'file').touch()
     assert tool.main(['urdf', '--out', str(tmp_path / 'file' / 'arm.urdf')]) == tool.BAD_INPUT
@@ -175,7 +214,8 @@ def test_no_colour_comes_from_it(arguments, environment):
 
 @pytest.mark.parametrize('typed, offered', [
     ('gms_flex disc', 'discrepancy'), ('gms_flex identify --rob', '--robot'),
-    ('gms_flex completion z', 'zsh'), ('gms_flex demo --modes gms_', 'gms_paper')])
+    ('gms_flex completion z', 'zsh'),
+    ('gms_flex simulate --compensation lu', 'lugre'), ('gms_flex demo --modes gms_', 'gms_paper')])
 def test_the_shell_is_told_what_may_follow(typed, offered, tmp_path):
     pytest.importorskip('argcomplete')
     answer = tmp_path / 'answer'

@@ -5,8 +5,10 @@
 
 from concurrent.futures import as_completed, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 import multiprocessing
 import os
+import signal
 import threading
 
 from gms_flex_control.errors import BatchError
@@ -20,6 +22,16 @@ def end_with_parent():
         multiprocessing.parent_process().join()
         os._exit(1)
     threading.Thread(target=wait, daemon=True).start()
+
+
+@contextmanager
+def _deaf_to_interrupts():
+    """Let processes that are started meanwhile see no Ctrl-C: the one that waits ends them."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 class Processes:
@@ -61,12 +73,17 @@ class Processes:
             futures, lost = {}, []
             for index in waiting:
                 try:
-                    futures[pool.submit(function, items[index])] = index
+                    with _deaf_to_interrupts():
+                        futures[pool.submit(function, items[index])] = index
                 except BrokenProcessPool as error:  # died while items are still being handed in
                     lost.append((index, _Broken(error)))
             yield from lost
             for future in as_completed(futures):
                 yield futures[future], future
+        except BaseException:  # interrupted, or nobody wants more: items take up to minutes
+            for worker in multiprocessing.active_children():
+                worker.terminate()
+            raise
         finally:
             pool.shutdown(cancel_futures=True)
 

@@ -8,6 +8,7 @@ import json
 from pathlib import Path
 
 from gms_flex_control.errors import ConfigError
+from gms_flex_control.params.gains import COMPENSATIONS
 
 
 def add_parser(subparsers):
@@ -24,9 +25,10 @@ def add_parser(subparsers):
     parser.add_argument('--controller', metavar='FILE', help='default: the gains of the paper')
     parser.add_argument('--trajectory', nargs='+', default=['sinusoid'], metavar='FILE',
                         help='file with trajectory parameters, or the name of one of config/')
-    parser.add_argument('--compensation', nargs='+', metavar='MODE',
-                        help='such as none, gms_paper or gms; default: that of the controller '
-                             'file')
+    modes = parser.add_argument('--compensation', nargs='+', metavar='MODE',
+                                help=f'any of {", ".join(COMPENSATIONS)}; default: that of the '
+                                     'controller file')
+    modes.completer = lambda **_: COMPENSATIONS  # for argcomplete, which else offers files
     parser.add_argument('--set', nargs='+', default=[], metavar='NAME=VALUE', dest='overrides',
                         help='single parameters, such as gains.joint1.kd_link=1.0')
     parser.add_argument('--duration', type=float, metavar='S',
