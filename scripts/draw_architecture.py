@@ -10,6 +10,7 @@ upwards; here such an import would stand above the diagonal.
 """
 
 import ast
+from functools import cache
 from pathlib import Path
 import sys
 from xml.sax.saxutils import escape
@@ -17,8 +18,9 @@ from xml.sax.saxutils import escape
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / 'gms_flex_control'
 PICTURE = ROOT / 'docs' / 'images' / 'architecture.svg'
-CELL, LEFT, TOP, TEXT, LINE = 22, 150, 118, 11, 12  # sizes [px]
+CELL, LEFT, TOP, TEXT, LINE = 22, 165, 118, 11, 12  # sizes [px]
 WIDEST = 84  # characters of a summary
+LETTER = 0.62  # of the font size: width of a letter of a wide sans-serif, the mean of a line
 
 
 def layers():
@@ -35,6 +37,7 @@ def files_of(layer):
     return [single] if single.is_file() else sorted((PACKAGE / layer).rglob('*.py'))
 
 
+@cache
 def imports(path):
     """Return the layers that a module imports."""
     found = set()
@@ -78,7 +81,8 @@ def picture():
     for column, used in enumerate(names):
         x, y = LEFT + CELL * column + 14, TOP - 8
         shapes.append(label(0, 0, used, place=f'translate({x} {y}) rotate(-60)'))
-    width, height = LEFT + size + 520, TOP + size + 40
+    words = max(len(summary(name)) for name in names)
+    width, height = LEFT + size + 52 + round(LETTER * TEXT * words), TOP + size + 40
     return '\n'.join([
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" '
         f'font-family="sans-serif">', box(0, 0, width, height, '#ffffff'), *shapes,

@@ -4,6 +4,8 @@
 """Imports point one way, ROS stays under nodes/ and bag libraries under bags/."""
 
 import ast
+import html
+from importlib import util
 from pathlib import Path
 import re
 
@@ -97,3 +99,18 @@ def test_a_forbidden_import_is_found(module, source, complaint):
 ])
 def test_an_allowed_import_passes(module, source):
     assert complaints(source, module) == []
+
+
+def test_the_drawing_of_the_layers_holds_all_its_words():
+    """As wide as the widest usual sans-serif draws them; the one in the documents has all rows."""
+    path = ROOT.parent / 'scripts' / 'draw_architecture.py'
+    spec = util.spec_from_file_location('draw_architecture', path)
+    drawing = util.module_from_spec(spec)
+    spec.loader.exec_module(drawing)
+    drawn = drawing.picture()
+    width = float(re.search(r'viewBox="0 0 (\S+) ', drawn).group(1))
+    for x, size, text in re.findall(
+            r'<text x="(\d+)" y="\d+" font-size="(\d+)" text-anchor="start"[^>]*>([^<]*)<', drawn):
+        assert float(x) + 0.6 * float(size) * len(html.unescape(text)) < width, text
+    committed = drawing.PICTURE.read_text(encoding='utf-8')
+    assert re.findall('weight="bold">(.*?)<', committed) == [*reversed(drawing.layers())]
