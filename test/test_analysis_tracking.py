@@ -112,3 +112,15 @@ def test_rms_torque_falls_back_on_the_command():
     command = np.full((100, 2), 3.0)
     run = Run('x', 'y', recording(np.zeros((100, 2)), command=command))
     assert track(run).joints[0].rms_torque == pytest.approx(3.0)
+
+
+def test_a_loop_that_did_not_keep_up_is_told():
+    """Every second sample unanswered, those before the controller came aside; and no commands."""
+    command = np.zeros((1000, 2))
+    command[:200] = command[201::2] = np.nan
+    late = Run('sinusoid', 'gms', recording(np.zeros((1000, 2)), command=command))
+    table = table4([late, sinusoid_run('sinusoid', 'none', [0.1, 0.1])])
+    assert table.runs[0].unanswered == pytest.approx(0.5, abs=0.002)
+    finding, = table.findings()
+    assert finding.startswith('sinusoid, gms: 50 % of the samples had no command')
+    assert finding in table.text() and table.as_dict()['findings'] == [finding]

@@ -17,6 +17,9 @@ NOTE = ('The paper prints neither M, J, K nor its trajectories, so absolute erro
         'comparable with it; the ratio without / with compensation is.')
 
 
+MOST_UNANSWERED = 0.1  # share of samples without a command in a run that tells of its gains
+
+
 @dataclass(frozen=True, eq=False)
 class Table4:
     """
@@ -121,12 +124,18 @@ class Table4:
                              _plain(run.duration), str(joint.samples)])
         return header, rows
 
+    def findings(self):
+        """Return a sentence for each run whose errors are not those of its gains (list of str)."""
+        return [f'{run.trajectory}, {run.compensation}: {100.0 * run.unanswered:.0f} % of the '
+                'samples had no command; the loop did not keep up, and errors are not what the '
+                'gains would give' for run in self.runs if run.unanswered > MOST_UNANSWERED]
+
     def text(self):
-        """Return both tables as text for a terminal."""
+        """Return both tables as text for a terminal, and what speaks against them."""
         return '\n'.join([
             'Table 4: mean square error, link angle - reference [rad^2], and ratio '
             'without / with', '', align(*self.rows()), '', NOTE, '',
-            align(*self.detail_rows())])
+            align(*self.detail_rows()), *(f'NOTE: {finding}' for finding in self.findings())])
 
     def as_dict(self):
         """Return everything as JSON can hold it; what is not known is None."""
@@ -143,7 +152,8 @@ class Table4:
                     'paper': dict(zip(('without', 'with', 'ratio'), paper, strict=True))
                     if paper else None})
         return {'quantity': 'mean square of link angle - reference', 'unit': 'rad^2',
-                'note': NOTE, 'table': rows, 'runs': [_run_dict(run) for run in self.runs]}
+                'note': NOTE, 'findings': self.findings(), 'table': rows,
+                'runs': [_run_dict(run) for run in self.runs]}
 
 
 def align(header, rows):
@@ -177,7 +187,7 @@ def align(header, rows):
 def _run_dict(run):
     joints = [{key: _known(value) for key, value in joint._asdict().items()}
               for joint in run.joints]
-    return run._asdict() | {'joints': joints}
+    return run._asdict() | {'joints': joints, 'unanswered': _known(run.unanswered)}
 
 
 def _rank(name, order):

@@ -50,6 +50,7 @@ class RunTracking(NamedTuple):
     source: str
     duration: float  # [s]
     joints: tuple
+    unanswered: float  # share of the samples without a command; NaN where none was recorded
 
 
 def link_error(recording):
@@ -95,7 +96,15 @@ def track(run):
     return RunTracking(
         run.trajectory, run.compensation, recording.source,
         float(recording.time[-1] - recording.time[0]),
-        tuple(_track_joint(recording, error[:, i], i) for i in range(recording.n_joints)))
+        tuple(_track_joint(recording, error[:, i], i) for i in range(recording.n_joints)),
+        unanswered(recording))
+
+
+def unanswered(recording):
+    """Return which share of samples between the first and last command has none; NaN if all."""
+    there = np.isfinite(recording.command).all(axis=1)
+    rows = np.flatnonzero(there)
+    return float(np.mean(~there[rows[0]:rows[-1] + 1])) if len(rows) else np.nan
 
 
 def table4(runs):

@@ -1,7 +1,7 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""What the real-time loop did: when each state left and when its command came."""
+"""What the real-time loop did: when each state left, when its command came, how many too late."""
 
 import json
 import time
@@ -9,6 +9,8 @@ import time
 from gms_flex_control.files import write_text
 import numpy as np
 
+NOTABLE = 0.1    # share of late samples from which on the arm is not what its gains make of it
+_WINDOW = 1.0    # over which that is counted [s]
 _LONGEST = 3600  # seconds kept; later samples are not measured
 
 
@@ -66,3 +68,51 @@ class LoopTiming:
             'round_trip_p99_us': float(np.percentile(trips, 99)) if len(trips) else None,
             'interval_error_p99_us': float(np.percentile(interval_error, 99))}
         write_text(self._path, json.dumps(result, indent=2) + '\n')
+
+
+class LateSamples:
+    """
+    How many of the last second's samples had no command of their own.
+
+    Parameters
+    ----------
+    period : int
+        Nominal sample [ns].
+
+    """
+
+    def __init__(self, period):
+        self._window = max(10, round(_WINDOW * 1e9 / period))
+        self.restart()
+
+    def restart(self):
+        """Begin a second anew, as where no command is to be expected."""
+        self._count = self._late = 0
+
+    def add(self, late):
+        """
+        Count a sample.
+
+        Parameters
+        ----------
+        late : bool
+            Whether its command had not come when it ended.
+
+        Returns
+        -------
+        str
+            A sentence once a second is over in which too many were late; else ''.
+
+        """
+        self._count += 1
+        self._late += late
+        if self._count < self._window:
+            return ''
+        share, count = self._late / self._count, self._count
+        self.restart()
+        if share <= NOTABLE:
+            return ''
+        return (f'{100.0 * share:.0f} % of the last {count} samples had no fresh command: the '
+                'controller is late, and the arm does not move as its gains would have it; run '
+                'fewer programs, set realtime_priority, lower the rate, or simulate with '
+                'mode:=lockstep')

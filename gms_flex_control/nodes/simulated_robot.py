@@ -15,7 +15,7 @@ from gms_flex_control.hardware.supervisor import Supervisor
 from gms_flex_control.nodes import messages, process
 from gms_flex_control.nodes.health import ERROR, OK
 from gms_flex_control.nodes.inbox import Inbox
-from gms_flex_control.nodes.loop_timing import LoopTiming
+from gms_flex_control.nodes.loop_timing import LateSamples, LoopTiming
 from gms_flex_control.nodes.messages import NANOSECONDS
 from gms_flex_control.nodes.supervised import SupervisedRobot
 from gms_flex_control.schema.bridge import limits_from_values
@@ -65,6 +65,7 @@ class SimulatedRobot(SupervisedRobot):
             self._samples = max(1, round(values['duration'] / (self._period / NANOSECONDS)))
         self._timing = LoopTiming(values['timing_file'], self._period,
                                   self._samples and self._samples * self._period)
+        self._late = LateSamples(self._period)
         self._listeners = values['wait_for_subscribers']
         make_plant = partial(
             SteppedPlant, robot, period=self._period / NANOSECONDS, substeps=values['substeps'],
@@ -254,6 +255,7 @@ class SimulatedRobot(SupervisedRobot):
     def _acting(self):
         """Return the torque for the sample that ends now; zero if the last command is stale."""
         torque, stamp, arrived = self._command
+        self._tell_late(stamp)
         if stamp == self._stamp:
             return torque
         self._missed += 1
@@ -262,6 +264,15 @@ class SimulatedRobot(SupervisedRobot):
         else:
             fresh = 0 < self._stamp - stamp <= self._timeout
         return torque if fresh else self._zero
+
+    def _tell_late(self, stamp):
+        """Warn where too many samples end before the command that answers them has come."""
+        if stamp is None or not self._supervisor.active:  # plain commands answer no state
+            self._late.restart()
+            return
+        sentence = self._late.add(stamp != self._stamp)
+        if sentence:
+            self._health.warn('late', sentence)
 
     def _run_paced(self, spinner, background):
         process.tighten_timers()

@@ -76,6 +76,8 @@ def add_table4(report, table):
     report.table(*table.rows(), caption='Mean square error, link angle − reference '
                  '[rad²], and ratio without / with')
     report.note(table.as_dict()['note'])
+    for finding in table.findings():
+        report.note(finding, warning=True)
     report.table(*table.detail_rows(), caption='Every run')
     return report
 

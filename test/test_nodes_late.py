@@ -1,0 +1,53 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""A loop that does not keep up says so while it runs."""
+
+from gms_flex_control.nodes.loop_timing import LateSamples
+from node_harness import array_message, COMMANDS, Float64MultiArray, JointState, Lab, STATES
+import pytest
+
+PERIOD = 20_000_000  # [ns]
+
+
+def told(late, answers):
+    """Return the sentences that samples make which were ``late`` or not."""
+    return [said for one in answers if (said := late.add(one))]
+
+
+def test_more_than_a_tenth_of_late_samples_in_a_second_is_told():
+    """At 50 Hz: 6 of 50 samples are 12 %, 5 are not more than a tenth."""
+    late = LateSamples(PERIOD)
+    assert told(late, [True] * 5 + [False] * 45) == []
+    said, = told(late, [True] * 6 + [False] * 44)
+    assert said.startswith('12 % of the last 50 samples had no fresh command')
+    for way_out in ('fewer programs', 'realtime_priority', 'mode:=lockstep'):
+        assert way_out in said
+
+
+def test_samples_without_a_controller_are_not_counted():
+    late = LateSamples(PERIOD)
+    assert told(late, [True] * 49) == []
+    late.restart()
+    assert told(late, [False] * 50) == []
+
+
+@pytest.mark.flaky(reruns=2)  # other processes of the machine can delay real nodes
+def test_a_plant_whose_controller_answers_every_second_state_warns(tmp_path):
+    """Less often than that, if the machine is busy."""
+    with Lab(tmp_path) as lab:
+        commands = lab.speak(Float64MultiArray, COMMANDS)
+        states = lab.listen(JointState, STATES)
+        plant = lab.start('plant_node', rate=50.0, silence_timeout=0.3)
+        answered = 0
+
+        def warned():
+            nonlocal answered
+            if len(states) >= answered + 2:
+                answered = len(states)
+                stamp = states[-1].header.stamp
+                commands.publish(array_message(
+                    [0.0, 0.0], 'joint', f'stamp:{stamp.sec * 10**9 + stamp.nanosec}'))
+            return '% of the last 50 samples had no fresh command' in plant.printed()
+
+        lab.until(warned)
