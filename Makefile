@@ -3,7 +3,8 @@ SHELL := /bin/bash
 BIN := .venv/bin
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo demo-identify demo-discrepancy test lint bench screenshots newcomers docs lock clean
+.PHONY: help demo demo-identify demo-discrepancy test lint bench screenshots pictures newcomers docs \
+        lock clean
 
 # A ROS installation or another environment in the caller's shell must not leak in.
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH COLCON_PREFIX_PATH
@@ -35,6 +36,9 @@ bench: .venv/.with-bench  ## Measure speed, beside MuJoCo
 
 screenshots: .venv/.with-test  ## Make the pictures of docs/view.md anew (needs chromium)
 	@PYTHONPATH=test $(BIN)/python scripts/screenshots.py
+
+pictures: .venv/.with-test  ## Make the other pictures of README and docs anew (needs chromium)
+	@PYTHONPATH=test $(BIN)/python scripts/pictures.py
 
 newcomers: .venv/.with-test  ## Follow the tutorials in fresh clones, write docs/newcomers.md
 	@PYTHONPATH=test $(BIN)/python scripts/newcomers.py

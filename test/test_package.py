@@ -115,3 +115,13 @@ def test_parameter_files_are_found_through_the_ament_index(installed, monkeypatc
 def test_a_package_without_its_files_says_where_it_looked(installed):
     with pytest.raises(ConfigError, match=f'none of .*{installed}.* install the package'):
         resources.share_path()
+
+
+def test_every_picture_is_shown_and_made_by_a_script():
+    scripts = ''.join(path.read_text('utf-8') for path in (ROOT / 'scripts').glob('*.py'))
+    pages = ''.join(path.read_text('utf-8') for path in (
+        ROOT / 'README.md', *sorted((ROOT / 'docs').rglob('*.md'))))
+    pictures = {path.name for path in (ROOT / 'docs' / 'images').iterdir()}
+    assert pictures == set(re.findall(r'\]\((?:docs/|\.\./)?images/([^)]+)\)', pages))
+    for name in pictures:  # screenshots.py names what it makes without the ending
+        assert f"'{name}'" in scripts or f"'{Path(name).stem}'" in scripts, name
