@@ -67,6 +67,7 @@ class Processes:
 
     def _round(self, function, items, waiting):
         """Yield (index, future) of the items ``waiting``, in one pool."""
+        others = set(multiprocessing.active_children())  # of whoever calls
         pool = ProcessPoolExecutor(min(self._workers, len(waiting)), initializer=end_with_parent,
                                    mp_context=multiprocessing.get_context('spawn'))
         try:
@@ -81,7 +82,7 @@ class Processes:
             for future in as_completed(futures):
                 yield futures[future], future
         except BaseException:  # interrupted, or nobody wants more: items take up to minutes
-            for worker in multiprocessing.active_children():
+            for worker in set(multiprocessing.active_children()) - others:
                 worker.terminate()
             raise
         finally:
