@@ -8,7 +8,8 @@ Our matrices are small and our own threads and processes keep all cores busy; th
 would wait for a core of their own while others spin.
 """
 
-from contextlib import nullcontext
+from contextlib import contextmanager, nullcontext
+from threading import RLock
 
 try:
     from threadpoolctl import threadpool_limits
@@ -19,3 +20,18 @@ except ImportError:  # no rosdep key; without it all is as right, and slower on 
 def in_one_thread():
     """Return a context: until it is left, BLAS uses one thread, then as many as before."""
     return threadpool_limits(1, 'blas') if threadpool_limits else nullcontext()
+
+
+_ALONE = RLock()
+
+
+@contextmanager
+def alone_in_one_thread():
+    """
+    Let one caller of this process in at a time, with BLAS in one thread.
+
+    How many threads BLAS has belongs to the whole process and decides the last bits of its sums:
+    two items that a worker has taken into two threads would set it for each other.
+    """
+    with _ALONE, in_one_thread():
+        yield

@@ -22,6 +22,7 @@ from gms_flex_control.identification.known_effects import believed_model, cleare
 from gms_flex_control.identification.loops import loops_of, presliding_reach
 from gms_flex_control.identification.objective import Bundle, Objective, observer_bandwidth
 from gms_flex_control.identification.paper_fit import NOT_HELD_OUT, paper_fits
+from gms_flex_control.identification.replicates import make_steps
 from gms_flex_control.identification.result import Candidate, Identification, JointResult
 from gms_flex_control.identification.start import start_of
 from gms_flex_control.identification.steady import friction_map, repeatability
@@ -31,7 +32,7 @@ from gms_flex_control.identification.stretches import (
     rigid_where,
     stretches_of,
 )
-from gms_flex_control.identification.uncertainty import curve_of, estimates_of, spread_of
+from gms_flex_control.identification.uncertainty import curve_of, draw, estimates_of, spread_of
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
 import numpy as np
 
@@ -67,7 +68,7 @@ class Options:
     seed: int = 0
 
 
-def identify(takes, robot, *, holdouts=(), options=None, say=None):
+def identify(takes, robot, *, holdouts=(), options=None, say=None, executor=None):
     """
     Identify the friction of a robot.
 
@@ -84,6 +85,8 @@ def identify(takes, robot, *, holdouts=(), options=None, say=None):
         How.
     say : callable, optional
         Told what is being done.
+    executor : Executor, optional
+        From batches.executor, makes the replicates of the bootstrap; default: this process.
 
     Returns
     -------
@@ -108,7 +111,7 @@ def identify(takes, robot, *, holdouts=(), options=None, say=None):
         data = Data(takes, holdouts, model, whole)
         fits = data.fit(options, say)
         say('intervals and errors on data held out')
-        joints, arm = data.results(fits, options)
+        joints, arm = data.results(fits, options, executor)
     thetas = [fit.coordinates.unpack(fit.free)[0] for fit in fits]
     return Identification(
         method=options.method,
@@ -187,17 +190,10 @@ class Data:
             self.bundle, j, fits, self.step[j], np.random.default_rng([options.seed, j, 1])))
         return [choice.fit for choice in self.choices]
 
-    def results(self, fits, options):
+    def results(self, fits, options, executor=None):
         """Return a JointResult per joint, and the robot with the arm found."""
         thetas = [fit.coordinates.unpack(fit.free)[0] for fit in fits]
-
-        def spread(j):
-            fit = fits[j]
-            return self.choices[j].spread or spread_of(
-                Objective(self.bundle, j, thetas), fit.coordinates, fit.free, fit.evaluation,
-                fit.prior, fit.sampling, np.random.default_rng([options.seed, j]))
-
-        spreads = self.paper_spreads or per_joint(len(fits), spread)
+        spreads = self.paper_spreads or self._spreads(fits, thetas, options.seed, executor)
         further, robot = [()] * len(fits), self.described
         if self.arm_fit:
             further = arm_estimates(self.robot, self.arm_fit, thetas, spreads)
@@ -206,6 +202,21 @@ class Data:
                 found.arm, stiffness=robot.arm.stiffness))
         return tuple(per_joint(len(fits), lambda j: self.result(
             j, fits, spreads[j], further[j]))), robot
+
+    def _spreads(self, fits, thetas, seed, executor):
+        """Return the Spread of each joint; replicates of the torque's fit are made already."""
+        asked = [j for j in range(len(fits)) if self.choices[j].spread is None]
+        rngs = {j: np.random.default_rng([seed, j]) for j in asked}
+        steps = dict(zip(asked, make_steps(
+            [draw(fits[j].evaluation, fits[j].prior, rngs[j]) for j in asked], executor),
+            strict=True))
+
+        def spread(j):
+            fit = fits[j]
+            return self.choices[j].spread or spread_of(
+                Objective(self.bundle, j, thetas), fit.coordinates, fit.free, fit.evaluation,
+                fit.prior, fit.sampling, rngs[j], steps[j])
+        return per_joint(len(fits), spread)
 
     def result(self, joint, fits, spread, further=()):
         """Return the JointResult of one joint; ``further`` are Estimates beyond friction."""

@@ -49,7 +49,49 @@ class Spread(NamedTuple):
     told: np.ndarray        # (P,), share of each number that the data tell, the rest is prior
 
 
-def spread_of(objective, coordinates, free, evaluation, prior, sampling, rng):
+class Drawn(NamedTuple):
+    """Blocks of time drawn again and again, and what each block says of the free numbers."""
+
+    times: np.ndarray      # (R, B) int, how often each block was drawn for each replicate
+    scores: np.ndarray     # (B, P), about their mean
+    curvature: np.ndarray  # (B, P, P)
+    precision: np.ndarray  # (P,), of the prior
+
+
+def draw(evaluation, prior, rng):
+    """
+    Return what all replicates of a fit are made of, so that they can be made anywhere.
+
+    Parameters
+    ----------
+    evaluation, prior
+        Of the fit, at its minimum.
+    rng : numpy.random.Generator
+        Draws the blocks.
+
+    Returns
+    -------
+    Drawn
+
+    """
+    scores = evaluation.weight[:, None] * evaluation.gradient
+    blocks = len(scores)
+    times = np.stack([np.bincount(rng.integers(blocks, size=blocks), minlength=blocks)
+                      for _ in range(REPLICATES)])
+    return Drawn(times, scores - scores.mean(axis=0),
+                 evaluation.weight[:, None, None] * evaluation.curvature, prior.precision)
+
+
+def steps_of(drawn):
+    """Return the Gauss-Newton step (R, P) of each replicate of a Drawn."""
+    steps = np.empty((len(drawn.times), len(drawn.precision)))
+    for row, times in zip(steps, drawn.times, strict=True):
+        again = np.tensordot(times, drawn.curvature, 1) + np.diag(drawn.precision)
+        row[:] = np.clip(_inverse(again) @ (times @ drawn.scores), -_FARTHEST, _FARTHEST)
+    return steps
+
+
+def spread_of(objective, coordinates, free, evaluation, prior, sampling, rng, steps):
     """
     Return the Spread of a fit.
 
@@ -60,7 +102,9 @@ def spread_of(objective, coordinates, free, evaluation, prior, sampling, rng):
     sampling : ndarray, shape (P,)
         What the numbers move by from fit to fit, see default_method.
     rng : numpy.random.Generator
-        Draws the blocks.
+        The one that drew the blocks.
+    steps : ndarray, shape (REPLICATES, P)
+        From `steps_of`.
 
     Returns
     -------
@@ -70,16 +114,7 @@ def spread_of(objective, coordinates, free, evaluation, prior, sampling, rng):
     curvature, _ = summed(evaluation, free, prior)
     memory = objective.memory(coordinates, free, _LONGEST_MEMORY)
     inverse = _inverse(curvature)
-    scores = evaluation.weight[:, None] * evaluation.gradient
-    scores = scores - scores.mean(axis=0)
-    weighted = evaluation.weight[:, None, None] * evaluation.curvature
-    blocks = len(scores)
-    replicates = np.empty((REPLICATES, len(free)))
-    for row in replicates:
-        times = np.bincount(rng.integers(blocks, size=blocks), minlength=blocks)
-        again = np.tensordot(times, weighted, 1) + np.diag(prior.precision)
-        row[:] = free + np.clip(_inverse(again) @ (times @ scores), -_FARTHEST, _FARTHEST)
-    replicates += sampling * rng.standard_normal(replicates.shape)
+    replicates = free + steps + sampling * rng.standard_normal(steps.shape)
     told = 1.0 - np.clip(prior.precision * np.diag(inverse), 0.0, 1.0)
     covariance = memory * evaluation.dispersion * inverse + np.diag(sampling ** 2)
     return Spread(covariance, replicates, told)
