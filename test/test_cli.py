@@ -214,6 +214,8 @@ def test_no_colour_comes_from_it(arguments, environment):
 
 @pytest.mark.parametrize('typed, offered', [
     ('gms_flex disc', 'discrepancy'), ('gms_flex identify --rob', '--robot'),
+    ('gms_flex identify --ea', '--each'),
+    ('gms_flex identify bag --each --sch', '--scheduler'),
     ('gms_flex completion z', 'zsh'),
     ('gms_flex simulate --compensation lu', 'lugre'), ('gms_flex demo --modes gms_', 'gms_paper')])
 def test_the_shell_is_told_what_may_follow(typed, offered, tmp_path):

@@ -32,3 +32,15 @@ def fingerprint(parts=('.',)):
         for source in [path] if path.is_file() else sorted(path.rglob('*.py')):
             digest.update(source.relative_to(ROOT).as_posix().encode() + source.read_bytes())
     return digest.hexdigest()[:16]
+
+
+def content_of(bag):
+    """Return names, sizes and times of a bag's files: another recording is not taken for it."""
+    path = Path(bag)
+    files = [path] if path.is_file() else sorted(one for one in path.rglob('*') if one.is_file())
+    return [(one.name, one.stat().st_size, one.stat().st_mtime_ns) for one in files]
+
+
+def digest_of(values):
+    """Return 16 hexadecimal digits that stand for plain values, told apart by their repr."""
+    return hashlib.sha256(repr(values).encode()).hexdigest()[:16]

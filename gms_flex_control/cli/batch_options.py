@@ -3,11 +3,12 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """The options of verbs that work on many items: where that is done, and if it goes on."""
 
+from contextlib import contextmanager
 
-def add_batch_options(parser):
-    """Add --workers and --scheduler to a verb's parser."""
-    parser.add_argument('--workers', type=int, default=2, metavar='N',
-                        help='processes of this machine (default: %(default)s)')
+
+def add_batch_options(parser, workers=2, what='processes of this machine (default: 2)'):
+    """Add --workers, with its default and ``what`` they are, and --scheduler to a parser."""
+    parser.add_argument('--workers', type=int, default=workers, metavar='N', help=what)
     parser.add_argument('--scheduler', metavar='ADDRESS',
                         help='work on a running Dask cluster instead, such as '
                              "tcp://host:8786 (pip install 'gms_flex_control[dask]')")
@@ -15,4 +16,16 @@ def add_batch_options(parser):
 
 def goes_on(args):
     """Return whether the journal of --out keeps what a verb has done so far (bool)."""
-    return hasattr(args, 'scheduler') and getattr(args, 'verify', 1) != 0
+    return hasattr(args, 'scheduler') and getattr(args, 'verify', 1) != 0 and (
+        getattr(args, 'each', True))
+
+
+@contextmanager
+def executor_if_asked(args):
+    """Yield the Executor that --workers or --scheduler ask for, None without both."""
+    if args.workers is None and args.scheduler is None:
+        yield None
+        return
+    from gms_flex_control.batches.executor import open_executor
+    with open_executor(args.workers, args.scheduler) as executor:
+        yield executor

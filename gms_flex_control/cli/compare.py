@@ -129,6 +129,7 @@ def on_plant(args, files):
 
 def along_bag(args):
     """Return table, plain values and page of the comparison along a bag."""
+    from gms_flex_control.batches.sources import content_of
     from gms_flex_control.cli.identify import motors_in
     from gms_flex_control.comparison import held_out, words
     from gms_flex_control.reports.comparison import bag_page
@@ -169,13 +170,6 @@ def finished(args, function, items, robot, gains, asked, label):
     journal = Journal(args.out, f'{fingerprint(SOURCES)} {digest}')
     with open_executor(args.workers, args.scheduler) as executor:
         return run_batch(function, items, executor=executor, journal=journal, label=label)
-
-
-def content_of(bag):
-    """Return names and sizes of a bag's files: another recording is not taken for it."""
-    path = Path(bag)
-    files = [path] if path.is_file() else sorted(one for one in path.rglob('*') if one.is_file())
-    return [(one.name, one.stat().st_size, one.stat().st_mtime_ns) for one in files]
 
 
 # what a figure depends on

@@ -43,7 +43,10 @@ EXAMPLES = {
     'torsion': ['gms_flex torsion kr300 --joint axis1 --stiffness 4.58e6 --out torsion'],
     'identify': ['gms_flex identify my_bag --robot robot.yaml --out results',
                  'gms_flex identify first second --robot robot.yaml --holdout third --out results',
-                 'gms_flex identify my_bag --out results'],
+                 'gms_flex identify my_bag --out results',
+                 'gms_flex identify bags/* --each --robot robot.yaml --workers 4 --out each',
+                 'gms_flex identify bags/* --each --robot robot.yaml --scheduler tcp://host:8786 '
+                 '--out /shared/each'],
     'discrepancy': ['gms_flex discrepancy my_bag --robot robot.yaml --out results',
                     'gms_flex discrepancy my_bag --robot robot.yaml friction.yaml --holdout '
                     'another_bag --out results'],

@@ -6,6 +6,7 @@
 from dataclasses import replace
 from pathlib import Path
 
+from gms_flex_control.cli.batch_options import add_batch_options, executor_if_asked
 from gms_flex_control.cli.output import refuse_unwritable, say
 
 
@@ -16,8 +17,15 @@ def add_parser(subparsers):
         description='Fit the friction of a robot to bags of identification_node, of `ros2 bag '
                     'record` or of import-csv. Writes friction.yaml, which plant and controller '
                     'take as it is, report.json, report.html and pictures. Inertia, stiffness '
-                    'and gravity of the robot file are relied on unless --estimate all.')
-    parser.add_argument('bags', nargs='+', metavar='BAG', help='bags of one robot at one rate')
+                    'and gravity of the robot file are relied on unless --estimate all. With '
+                    '--each every bag is identified by itself, and what the bags say of each '
+                    'parameter is compared; exit code 1 if one could not be; a killed run goes '
+                    'on when started again with the same --out.')
+    parser.add_argument('bags', nargs='+', metavar='BAG',
+                        help='bags of one robot, fitted together; with --each of any number')
+    parser.add_argument('--each', action='store_true',
+                        help='each bag by itself into DIR/NAME OF THE BAG, all side by side in '
+                             'DIR/summary.json, summary.csv and spread.csv')
     parser.add_argument('--robot', metavar='FILE', nargs='+',
                         help='robot parameters, later files winning; by default each joint of '
                              'the bag is a rigid axis of its own and all is estimated')
@@ -34,40 +42,53 @@ def add_parser(subparsers):
                         help='joints to take from the bags; default: all of the robot')
     parser.add_argument('--force', action='store_true',
                         help='go on in spite of faults in the data')
-    parser.add_argument('--json', action='store_true', help='print report.json instead of text')
+    parser.add_argument('--json', action='store_true',
+                        help='print report.json, with --each summary.json, instead of text')
+    add_batch_options(parser, None, 'of --each: processes of this machine (default: 2); of a '
+                      "single fit: make the bootstrap's replicates in so many (default: here)")
     parser.set_defaults(run=run)
 
 
 def run(args):
-    """Identify, write and print; return 0."""
+    """Identify, write and print; return 0, with --each 1 if a bag could not be identified."""
     import json
 
-    from gms_flex_control.identification.identify import identify
-    from gms_flex_control.identification.output import (
-        report_json,
-        write_friction,
-        write_report_json,
-    )
-    from gms_flex_control.reports.identification import write_identification_report
+    from gms_flex_control.identification.output import report_json
     from gms_flex_control.reports.identification_text import identification_text
 
     refuse_unwritable(args.out)
-    robot = robot_of(args)
-    takes, holdouts = ([read_take(path, robot, args.robot is None) for path in paths]
-                       for paths in (args.bags, args.holdout))
-    found = identify(takes, robot, holdouts=holdouts, options=options_of(args),
-                     say=quiet if args.json else say)
-    found = replace(found, described=args.robot is not None)
-    out = Path(args.out)
-    write_friction(found, out / 'friction.yaml')
-    write_report_json(found, out / 'report.json')
-    write_identification_report(found, out)
+    if args.each:
+        from gms_flex_control.cli.identify_each import run_each
+        return run_each(args)
+    robot, options, out = robot_of(args), options_of(args), Path(args.out)
+    with executor_if_asked(args) as executor:
+        found = identified(args.bags, args.holdout, robot, options, args.robot is not None,
+                           say=quiet if args.json else say, executor=executor)
+    write_results(found, out)
     if args.json:
         print(json.dumps(report_json(found), indent=2, allow_nan=False))
         return 0
     print(f'{identification_text(found)}\n\nparameters {out / "friction.yaml"}\n'
           f'report     {out / "report.html"}\nnumbers    {out / "report.json"}')
     return 0
+
+
+def identified(bags, holdouts, robot, options, described, **further):
+    """Return the Identification of bags fitted together; ``further`` as that of `identify`."""
+    from gms_flex_control.identification.identify import identify
+    takes, apart = ([read_take(path, robot, not described) for path in paths]
+                    for paths in (bags, holdouts))
+    found = identify(takes, robot, holdouts=apart, options=options, **further)
+    return replace(found, described=described)
+
+
+def write_results(found, out):
+    """Write all files of an Identification into the folder ``out``."""
+    from gms_flex_control.identification.output import write_friction, write_report_json
+    from gms_flex_control.reports.identification import write_identification_report
+    write_friction(found, out / 'friction.yaml')
+    write_report_json(found, out / 'report.json')
+    write_identification_report(found, out)
 
 
 def options_of(args):
@@ -87,14 +108,20 @@ def options_of(args):
 
 def robot_of(args):
     """Return the robot of the arguments; without a file, rigid axes named as in the bag."""
-    from gms_flex_control.bags.names import link_names
-    from gms_flex_control.bags.reader import joint_names
-    from gms_flex_control.identification.unknown_robot import only_joints, rigid_joints
+    from gms_flex_control.identification.unknown_robot import only_joints
     from gms_flex_control.schema.files import load_robot
     if args.robot is None:
-        return rigid_joints(args.joints or link_names(joint_names(args.bags[0])))
+        return robot_in(args.bags[0], args.joints)
     robot = load_robot(args.robot)
     return only_joints(robot, args.joints) if args.joints else robot
+
+
+def robot_in(bag, joints=None):
+    """Return rigid axes of unknown inertia, as many as the bag has links or ``joints`` name."""
+    from gms_flex_control.bags.names import link_names
+    from gms_flex_control.bags.reader import joint_names
+    from gms_flex_control.identification.unknown_robot import rigid_joints
+    return rigid_joints(joints or link_names(joint_names(bag)))
 
 
 def read_take(path, robot, guess_motors=False):

@@ -1,0 +1,139 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Bags identified each by itself, as text, JSON and CSV."""
+
+import csv
+import io
+import math
+from textwrap import fill
+
+from gms_flex_control import __version__
+from gms_flex_control.analysis.table4 import align
+from gms_flex_control.identification.over_bags import is_told
+from gms_flex_control.identification.words import number, percent
+
+FORMAT = 1
+_WIDTH = 96
+_COLUMNS = 4  # bags beside each other in text, at most
+_LINES = 20   # bags below each other, at most: the others are in summary.csv
+
+
+def summary(found, rows):
+    """
+    Return all bags and their parameters as plain values.
+
+    Parameters
+    ----------
+    found : dict of str to dict
+        By the name of the bag: `identification.over_bags.bag_values` and ``reason``, which is
+        None, or alone.
+    rows : sequence of OverBags
+        Of the bags without a reason.
+
+    Returns
+    -------
+    dict
+
+    """
+    return {'format': FORMAT, 'version': __version__,
+            'bags': [{'bag': name, **values} for name, values in found.items()],
+            'parameters': [{name: None if value != value else value
+                            for name, value in row._asdict().items()} for row in rows]}
+
+
+def bags_csv(found):
+    """Return a line for each bag with what it tells; empty where it does not tell a parameter."""
+    good = [values for values in found.values() if values['reason'] is None]
+    joints = list(dict.fromkeys(joint for values in good for joint in values['held_out']))
+    names = list(dict.fromkeys(one['name'] for values in good for one in values['estimates']))
+    lines = [['bag', 'reason', *(f'held_out.{joint}' for joint in joints), *names]]
+    for bag, values in found.items():
+        told = {one['name']: one['value'] for one in values.get('estimates', ()) if is_told(one)}
+        errors = values.get('held_out', {})
+        lines.append([bag, values['reason'], *map(errors.get, joints), *map(told.get, names)])
+    return _csv(lines)
+
+
+def spread_csv(rows):
+    """Return a line for each OverBags."""
+    return _csv([['parameter', 'unit', 'bags', 'mean', 'median', 'standard_deviation', 'foreseen',
+                  'outliers'],
+                 *([*row[:-1], ' '.join(row.outliers)] for row in rows)])
+
+
+def _csv(lines):
+    text = io.StringIO()
+    csv.writer(text, lineterminator='\n').writerows(
+        [['' if cell is None or cell != cell else cell for cell in line] for line in lines])
+    return text.getvalue()
+
+
+def text(found, rows):
+    """Return tables of parameters and bags, and in words which differ."""
+    good = {name: values for name, values in found.items() if values['reason'] is None}
+    parts = [f'{len(good)} of {len(found)} bags identified']
+    if rows:
+        parts += [_parameters(rows, good), _untold(rows, good), _outliers(rows)]
+    parts += [_errors(good, rows), *_reasons(found)]
+    return '\n\n'.join(filter(None, parts))
+
+
+def _parameters(rows, good):
+    beside = list(good)[:_COLUMNS] if 1 < len(good) <= _COLUMNS else []
+    told = {bag: {one['name']: one['value'] for one in good[bag]['estimates'] if is_told(one)}
+            for bag in beside}
+    lines = [[row.name.removeprefix('friction.'), row.unit, str(row.bags), number(row.mean),
+              number(row.standard_deviation, 2), _share(row), number(row.foreseen, 2),
+              *(number(told[bag].get(row.name, math.nan)) for bag in beside)] for row in rows]
+    return (align(['parameter', 'unit', 'bags', 'mean', 'std', 'std [%]', 'foreseen', *beside],
+                  lines) + '\nbags: those that tell it; std over the bags; foreseen: std by '
+            'their intervals')
+
+
+def _share(row):
+    return number(100.0 * row.standard_deviation / abs(row.mean), 2) if row.mean else '-'
+
+
+def _untold(rows, good):
+    """Return which parameters no bag tells, '' if each is told."""
+    names = dict.fromkeys(one['name'] for values in good.values() for one in values['estimates'])
+    left = [name.removeprefix('friction.') for name in names
+            if name not in {row.name for row in rows}]
+    return fill(f'Told by no bag: {", ".join(left)}', _WIDTH) if left else ''
+
+
+def _outliers(rows):
+    """Return which bags lie far from the others, and in what; '' if none does."""
+    by_bag = {}
+    for row in rows:
+        for bag in row.outliers:
+            by_bag.setdefault(bag, []).append(row.name.removeprefix('friction.'))
+    return '\n'.join(fill(f'OUTLIER {bag}: {", ".join(names)}', _WIDTH, subsequent_indent='    ')
+                     for bag, names in by_bag.items())
+
+
+def _errors(good, rows):
+    """Return the held-out errors of bags: of all, or of many only the outliers."""
+    shown = list(good)
+    if len(good) > _LINES:
+        shown = list(dict.fromkeys(bag for row in rows for bag in row.outliers))[:_LINES]
+    if not shown:
+        return ''
+    lines = [[bag, joint, _percent(error), _percent(good[bag]['coulomb_viscous'][joint])]
+             for bag in shown for joint, error in good[bag]['held_out'].items()]
+    table = align(['bag', 'joint', 'torque', 'C+v'], lines)
+    return f'Torque error on data held out; C+v: of Coulomb + viscous friction alone\n{table}'
+
+
+def _percent(share):
+    return '-' if share is None else percent(share)
+
+
+def _reasons(found):
+    """Return a sentence for each bag that was refused."""
+    bad = [fill(f'NOT IDENTIFIED {name}: {values["reason"]}', _WIDTH, subsequent_indent='    ',
+                break_long_words=False, break_on_hyphens=False)
+           for name, values in found.items() if values['reason'] is not None]
+    more = [f'and {len(bad) - _LINES} more, see summary.csv'] if len(bad) > _LINES else []
+    return ['\n'.join(bad[:_LINES] + more)] if bad else []
