@@ -3,9 +3,11 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """What a batch costs beside its work: docs/scale.md, measured."""
 
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from importlib.util import find_spec
+from pathlib import Path
 import resource
+import subprocess
 from tempfile import TemporaryDirectory
 from time import perf_counter, process_time
 
@@ -15,9 +17,15 @@ from gms_flex_control.batches.journal import Journal
 from gms_flex_control.benchmarks.timing import Measurement
 from gms_flex_control.comparison.contestants import Condition, NOMINAL
 from gms_flex_control.comparison.study import Cell, Setting, try_cell
+from gms_flex_control.errors import GmsFlexError
+from gms_flex_control.experiment.processes import executable
+from gms_flex_control.identification.replicates import make_steps
+from gms_flex_control.identification.uncertainty import Drawn, REPLICATES
+from gms_flex_control.schema.files import save_robot
 import numpy as np
 
 _WORKERS, _FEW = 2, 20
+_BLOCKS, _NUMBERS = 480, 17  # of time, of the fit: 16 minutes, eight Maxwell blocks
 
 
 def nothing(_):
@@ -61,7 +69,8 @@ def measure(robot, gains, quick=False):
         rows += [_row(f'{name}: {_FEW} items, time', few[0]),
                  _row(f'{name}: each further item, time', (many[0] - few[0]) / count),
                  _row(f'{name}: each further item, processor time', (many[1] - few[1]) / count)]
-    return [*rows, _row('each item that the journal has, time', many[2] / (_FEW + count))]
+    rows.append(_row('each item that the journal has, time', many[2] / (_FEW + count)))
+    return [*rows, *_each_bag(robot, count), *_bootstrap()]
 
 
 def _spent(opened, items):
@@ -76,6 +85,58 @@ def _spent(opened, items):
     return elapsed, _processor_time() - spent, known
 
 
+def _each_bag(robot, count):
+    """Return rows on bags that `gms_flex identify --each` refuses at once: all but the work."""
+    kinds = {'processes': lambda: nullcontext(None)}
+    if find_spec('distributed') is not None:
+        kinds['Dask'] = _scheduler
+    rows = []
+    for name, opened in kinds.items():
+        few, many = (_spent_on_bags(opened, robot, number) for number in (_FEW, _FEW + count))
+        rows += [_row(f'identify --each, {name}: each further bag, {what}', (b - a) / count)
+                 for what, a, b in zip(('time', 'processor time'), few, many, strict=True)]
+    return rows
+
+
+def _spent_on_bags(opened, robot, count):
+    """Return time and processor time of the command on empty bags [s]."""
+    spent = _processor_time()
+    with TemporaryDirectory() as folder:
+        bags = [Path(folder) / f'bag_{k}' for k in range(count)]
+        for bag in bags:
+            bag.mkdir()
+        save_robot(robot, Path(folder) / 'robot.yaml')
+        with opened() as address:
+            begin = perf_counter()
+            done = subprocess.run(
+                [*executable('gms_flex'), 'identify', *map(str, bags), '--each', '--robot',
+                 f'{folder}/robot.yaml', '--out', f'{folder}/out', '--workers', str(_WORKERS),
+                 *(['--scheduler', address] if address else [])],
+                check=False, capture_output=True, text=True)
+            elapsed = perf_counter() - begin
+    if done.returncode != 1:
+        raise GmsFlexError(f'gms_flex identify --each ended with {done.returncode}, expected 1: '
+                           f'{done.stderr.strip()}')
+    return elapsed, _processor_time() - spent
+
+
+def _bootstrap():
+    """Return rows on the replicates of one joint, here and in processes that have to start."""
+    rng = np.random.default_rng(0)
+    slopes = rng.standard_normal((_BLOCKS, 5, _NUMBERS))
+    times = rng.multinomial(_BLOCKS, np.full(_BLOCKS, 1.0 / _BLOCKS), REPLICATES)
+    drawn = Drawn(times, slopes.sum(axis=1), np.einsum('bkp,bkq->bpq', slopes, slopes),
+                  np.full(_NUMBERS, 1.0 / 9.0))
+    rows = []
+    for name, workers in (('here', 0), (f'{_WORKERS} processes', _WORKERS)):
+        begin = perf_counter()
+        with open_executor(workers) if workers else nullcontext(None) as executor:
+            make_steps([drawn], executor)
+        rows.append(_row(f'bootstrap of one joint, {REPLICATES} replicates, {name}, time',
+                         perf_counter() - begin))
+    return rows
+
+
 def _processor_time():
     """Return what this process and those that ended have used [s]."""
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
@@ -83,12 +144,17 @@ def _processor_time():
 
 
 @contextmanager
-def _cluster():
+def _scheduler():
     from distributed import LocalCluster
     with LocalCluster(n_workers=_WORKERS, threads_per_worker=1, dashboard_address=None,
                       host='127.0.0.1') as cluster:
-        with open_executor(scheduler=cluster.scheduler_address) as executor:
-            yield executor
+        yield cluster.scheduler_address
+
+
+@contextmanager
+def _cluster():
+    with _scheduler() as address, open_executor(scheduler=address) as executor:
+        yield executor
 
 
 def _row(name, seconds):
