@@ -178,7 +178,7 @@ def test_results_of_other_options_are_replaced_and_made_again(bags, tmp_path, ca
     for force in ([], ['--force'], []):
         assert main(arguments(bags[:1], out, *force)) == 0
         (out / 'first' / 'notes.txt').write_text('mine')
-    made = (out / 'first' / each.MARK).read_text()
+    made = (out / 'first' / each.MARK).read_text().splitlines()[0]
     assert made.endswith(json.loads((out / 'outcomes.jsonl').read_text().splitlines()[-1])[
         'sources'])
     assert len((out / 'outcomes.jsonl').read_text().splitlines()) == 3
@@ -215,9 +215,12 @@ def test_half_written_results_are_never_seen(tmp_path):
     for text in ('first', 'second'):
         with each.whole(place) as folder:
             (folder / 'report.json').write_text(text)
+            (folder / f'{text}.png').touch()
             assert place.is_done == (text == 'second')
         assert place.is_done and (place.folder / 'report.json').read_text() == text
     assert [path.name for path in tmp_path.iterdir()] == ['bag']
+    assert {path.name for path in place.folder.iterdir()} == {
+        each.MARK, 'report.json', 'second.png'}
 
 
 def test_outliers_are_those_that_neither_scatter_nor_their_own_error_explains():

@@ -5,6 +5,7 @@
 
 from pathlib import Path
 
+from gms_flex_control.cli.batch_options import add_batch_options
 from gms_flex_control.cli.output import say
 
 _WIDTH = 96
@@ -18,8 +19,14 @@ def add_parser(subparsers):
                     'physical effects it lacks, write them into DIR/robot.yaml, and show on data '
                     'held out how much closer it came: report.json, report.html, pictures. Exit '
                     'codes: 0 nothing is missing, 1 effects were found or something is '
-                    'unexplained, 2 the data or the input are bad.')
+                    'unexplained, 2 the data or the input are bad. With --each every bag is '
+                    'asked by itself, and what is named is counted over the bags; a killed run '
+                    'goes on when started again with the same --out.')
     parser.add_argument('bags', nargs='+', metavar='BAG', help='bags of one robot')
+    parser.add_argument('--each', action='store_true',
+                        help='each bag by itself into DIR/NAME OF THE BAG, all side by side in '
+                             'DIR/summary.json, summary.csv and spread.csv; exit code 1 also '
+                             'where the data of a bag are bad')
     parser.add_argument('--robot', metavar='FILE', nargs='+', required=True,
                         help='the model one believes in, later files winning')
     parser.add_argument('--out', required=True, metavar='DIR', help='folder for the results')
@@ -43,19 +50,36 @@ def add_parser(subparsers):
                              'closed loop is simulated along the recorded /reference, too')
     parser.add_argument('--force', action='store_true',
                         help='go on in spite of faults in the data')
-    parser.add_argument('--json', action='store_true', help='print report.json instead of text')
+    parser.add_argument('--json', action='store_true',
+                        help='print report.json, with --each summary.json, instead of text')
+    add_batch_options(parser, None, 'of --each: processes of this machine (default: 2)')
     parser.set_defaults(run=run)
 
 
 def run(args):
     """Compare, write and print; return the exit code of the verdict."""
+    from gms_flex_control.errors import ConfigError
+
+    refuse_out(Path(args.out), args)
+    options_of(args)
+    if args.each:
+        from gms_flex_control.cli.discrepancy_each import run_each
+        return run_each(args)
+    if args.workers is not None or args.scheduler is not None:
+        raise ConfigError('--workers and --scheduler divide many bags; add --each, or leave them '
+                          'out: bags asked together are one search')
+    result, compared, holdout = answered(args)
+    values = write_files(result, compared, holdout, args)
+    return printed(result, compared, values, args)
+
+
+def answered(args):
+    """Return the Discrepancy of --robot with bags, Compared models, recordings held out."""
     from gms_flex_control.cli.identify import read_take
     from gms_flex_control.reports.model_comparison import compare
     from gms_flex_control.schema.files import load_robot
 
-    out, options = Path(args.out), options_of(args)
-    refuse_out(out, args)
-    robot = load_robot(args.robot)
+    options, robot = options_of(args), load_robot(args.robot)
     others = models_of(args, robot)
     takes, holdout = ([read_take(path, robot)[0] for path in paths]
                       for paths in (args.bags, args.holdout))
@@ -65,7 +89,7 @@ def run(args):
     if others and result.found is not None:
         compared = compare(result, [('as given', robot), ('with what was found', result.robot),
                                     *others], holdout)
-    return written(result, compared, holdout, args)
+    return result, compared, holdout
 
 
 def searched(takes, robot, options, holdout, args):
@@ -94,15 +118,10 @@ def looped(args, robot, recordings, search):
     return with_closed_loop(search(), recordings, gains)
 
 
-def written(result, compared, holdout, args):
-    """Write all files, print the words or the report; return the exit code."""
-    import sys
-    from textwrap import fill
-
-    from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE
+def write_files(result, compared, holdout, args):
+    """Write all files into --out; return the values of report.json."""
     from gms_flex_control.reports import discrepancy_values as files
     from gms_flex_control.reports.discrepancy import write_discrepancy_report
-    from gms_flex_control.reports.model_comparison import comparison_text
 
     out = Path(args.out)
     values = files.report_values(result, holdout=args.holdout, models=compared)
@@ -112,9 +131,21 @@ def written(result, compared, holdout, args):
         (out / 'robot.yaml').unlink(missing_ok=True)  # of an earlier run: no longer true
     write_discrepancy_report(result, out, holdout=holdout, models=compared)
     files.write_report_values(values, out / 'report.json')
-    bad = result.verdict == BAD_DATA
+    return values
+
+
+def printed(result, compared, values, args):
+    """Print the words or the report; return the exit code."""
+    import sys
+    from textwrap import fill
+
+    from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE
+    from gms_flex_control.reports.discrepancy_values import as_json
+    from gms_flex_control.reports.model_comparison import comparison_text
+
+    out, bad = Path(args.out), result.verdict == BAD_DATA
     if args.json:
-        print(files.as_json(values))
+        print(as_json(values))
     else:
         stream = sys.stderr if bad else sys.stdout
         print(fill(f'gms_flex discrepancy: {result.words}' if bad else result.words, _WIDTH),

@@ -11,6 +11,8 @@ import shutil
 from typing import NamedTuple
 from uuid import uuid4
 
+from gms_flex_control.files import write_text
+
 MARK = '.gms_flex_each'  # in a folder of results: what they are the results of
 _UNFINISHED = 'unfinished'
 
@@ -31,12 +33,17 @@ class Place(NamedTuple):
     @property
     def is_done(self):
         """Return whether the folder holds these results, all of them."""
-        return _mark_in(self.folder) == self.mark
+        return _marked(self.folder)[:1] == [self.mark]
 
 
-def _mark_in(folder):
+def _marked(folder):
+    """Return the lines of a folder's mark, whose results it holds and in which files."""
     mark = folder / MARK
-    return mark.read_text('utf-8') if mark.is_file() else None
+    return mark.read_text('utf-8').splitlines() if mark.is_file() else []
+
+
+def _set_mark(folder, mark, files):
+    write_text(folder / MARK, '\n'.join([mark, *sorted(files)]) + '\n')
 
 
 def names_of(bags):
@@ -123,7 +130,7 @@ def places_of(bags, out, asked):
 def _refuse_foreign(folder):
     from gms_flex_control.errors import ConfigError
     if folder.exists() and not (folder.is_dir() and (
-            _mark_in(folder) is not None or not any(folder.iterdir()))):
+            _marked(folder) or not any(folder.iterdir()))):
         raise ConfigError(f'{folder} exists and holds no results of --each: name another --out')
 
 
@@ -139,19 +146,24 @@ def whole(place):
     try:
         made.mkdir()
         yield made
-        (made / MARK).write_text(place.mark, 'utf-8')
+        files = {file.name for file in made.iterdir()}
+        _set_mark(made, place.mark, files)
         try:
             made.rename(place.folder)
         except OSError:  # not empty
-            _replace_files(made, place.folder)
+            _replace_files(made, place, files)
     finally:
         shutil.rmtree(made, ignore_errors=True)
 
 
-def _replace_files(made, folder):
-    (folder / MARK).write_text(_UNFINISHED, 'utf-8')
-    for file in sorted(made.iterdir(), key=lambda file: file.name == MARK):
-        os.replace(file, folder / file.name)
+def _replace_files(made, place, files):
+    old = set(_marked(place.folder)[1:])
+    _set_mark(place.folder, _UNFINISHED, files | old)
+    for name in old - files:
+        (place.folder / name).unlink(missing_ok=True)
+    for name in files:
+        os.replace(made / name, place.folder / name)
+    _set_mark(place.folder, place.mark, files)
 
 
 def remove_parts(out):
@@ -197,3 +209,84 @@ def run_each(args, function, items, asked):
         finally:
             remove_parts(args.out)
     return {items[key].place.name: values for key, values in found.items()}
+
+
+def reason_or(function, item):
+    """
+    Return what a function says of the bag of an item, or why it says nothing.
+
+    Parameters
+    ----------
+    function : callable
+        Takes the item, returns a dict.
+    item : object
+        With its Place as ``place``.
+
+    Returns
+    -------
+    dict
+        With ``warnings`` of reading before those of the function; or with ``reason`` alone.
+
+    Raises
+    ------
+    BatchError
+        If the folder of all results is not to be seen from here: no bag could be written.
+
+    """
+    import traceback
+
+    from gms_flex_control.errors import BatchError, GmsFlexError
+
+    if not Path(item.place.out).is_dir():
+        raise BatchError(f'--out {item.place.out}: a worker of the cluster does not see this '
+                         'folder; name one on a disk that all machines share')
+    try:
+        return _with_warnings(function, item)
+    except (GmsFlexError, OSError) as error:
+        return {'reason': str(error)}
+    except MemoryError:
+        return {'reason': f'{item.place.bag}: not enough memory for so many samples'}
+    except Exception as error:  # noqa: B902  one bag of thousands ends no batch
+        traceback.print_exc()
+        return {'reason': f'an error of the program, please report it: {error!r}'}
+
+
+def _with_warnings(function, item):
+    import warnings
+
+    from gms_flex_control.blas import alone_in_one_thread
+    with alone_in_one_thread(), warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter('always')
+        values = function(item)
+    told = [*(str(one.message) for one in caught), *values.get('warnings', ())]
+    return values | {'warnings': list(dict.fromkeys(told))}
+
+
+def write_summary(args, found, text):
+    """
+    Write all bags side by side into --out, and print them.
+
+    Parameters
+    ----------
+    args : Namespace
+        Of the verb: out, json.
+    found : dict of str to dict
+        From `run_each`.
+    text : callable
+        Takes ``found`` and rows of OverBags, returns what is printed without --json.
+
+    """
+    import json
+
+    from gms_flex_control.identification.over_bags import over_bags
+    from gms_flex_control.reports.over_bags import bags_csv, spread_csv, summary
+
+    rows = over_bags({name: values for name, values in found.items()
+                      if values['reason'] is None})
+    values, out = summary(found, rows), Path(args.out)
+    as_json = json.dumps(values, indent=2, allow_nan=False, ensure_ascii=False)
+    write_text(out / 'summary.csv', bags_csv(found))
+    write_text(out / 'spread.csv', spread_csv(rows))
+    write_text(out / 'summary.json', as_json + '\n')
+    print(as_json if args.json else f'{text(found, rows)}\n\neach bag  {out}/BAG/report.html\n'
+          f'all bags  {out / "summary.json"}, summary.csv, spread.csv')

@@ -49,7 +49,9 @@ EXAMPLES = {
                  '--out /shared/each'],
     'discrepancy': ['gms_flex discrepancy my_bag --robot robot.yaml --out results',
                     'gms_flex discrepancy my_bag --robot robot.yaml friction.yaml --holdout '
-                    'another_bag --out results'],
+                    'another_bag --out results',
+                    'gms_flex discrepancy bags/* --each --robot robot.yaml --workers 4 '
+                    '--out each'],
     'recover': ['gms_flex recover --seeds 3', 'gms_flex recover --seeds 20 --out recovery'],
     'hide': ['gms_flex hide --effect backlash --out hidden',
              'gms_flex hide --kind single double --seeds 0:5 --out hidden'],

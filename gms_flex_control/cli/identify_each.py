@@ -4,7 +4,6 @@
 """`gms_flex identify --each`: every bag by itself, as a batch, and all of them side by side."""
 
 import os
-from pathlib import Path
 from typing import NamedTuple
 
 from gms_flex_control.cli.each import Place
@@ -22,24 +21,13 @@ class BagItem(NamedTuple):
 
 def run_each(args):
     """Identify each bag, write, print; return 1 if one could not be identified, else 0."""
-    import json
-
     from gms_flex_control.cli import each
-    from gms_flex_control.files import write_text
-    from gms_flex_control.identification.over_bags import over_bags
-    from gms_flex_control.reports.over_bags import bags_csv, spread_csv, summary, text
+    from gms_flex_control.reports.over_bags import identification_text
 
     items, asked = items_of(args)
     found = each.run_each(args, identify_bag, items, asked)
-    good = {name: values for name, values in found.items() if values['reason'] is None}
-    rows, out = over_bags(good), Path(args.out)
-    values = json.dumps(summary(found, rows), indent=2, allow_nan=False, ensure_ascii=False)
-    write_text(out / 'summary.csv', bags_csv(found))
-    write_text(out / 'spread.csv', spread_csv(rows))
-    write_text(out / 'summary.json', values + '\n')
-    print(values if args.json else f'{text(found, rows)}\n\neach bag  {out}/BAG/report.html\n'
-          f'all bags  {out / "summary.json"}, summary.csv, spread.csv')
-    return int(len(good) < len(found))
+    each.write_summary(args, found, identification_text)
+    return int(any(values['reason'] is not None for values in found.values()))
 
 
 def items_of(args):
@@ -80,41 +68,18 @@ def identify_bag(item):
         If the folder of all results is not to be seen from here: no bag could be written.
 
     """
-    import traceback
-
-    from gms_flex_control.blas import alone_in_one_thread
-    from gms_flex_control.errors import BatchError, GmsFlexError
-
-    if not Path(item.place.out).is_dir():
-        raise BatchError(f'--out {item.place.out}: a worker of the cluster does not see this '
-                         'folder; name one on a disk that all machines share')
-    try:
-        with alone_in_one_thread():
-            return {'reason': None, **_identified(item)}
-    except (GmsFlexError, OSError) as error:
-        return {'reason': str(error)}
-    except MemoryError:
-        return {'reason': f'{item.place.bag}: not enough memory for so many samples'}
-    except Exception as error:  # noqa: B902  one bag of thousands ends no batch
-        traceback.print_exc()
-        return {'reason': f'an error of the program, please report it: {error!r}'}
+    from gms_flex_control.cli.each import reason_or
+    return reason_or(_identified, item)
 
 
 def _identified(item):
-    import warnings
-
     from gms_flex_control.cli.each import whole
     from gms_flex_control.cli.identify import identified, robot_in, write_results
     from gms_flex_control.identification.over_bags import bag_values
 
     place, described = item.place, item.robot is not None
     robot = item.robot if described else robot_in(place.bag, item.joints)
-    with warnings.catch_warnings(record=True) as caught:  # of reading; a fit keeps its own
-        warnings.simplefilter('always')
-        found = identified([place.bag], item.holdouts, robot, item.options, described)
-        with whole(place) as folder:
-            write_results(found, folder)
-    values = bag_values(found)
-    values['warnings'] = list(dict.fromkeys(
-        [*(str(one.message) for one in caught), *values['warnings']]))
-    return values
+    found = identified([place.bag], item.holdouts, robot, item.options, described)
+    with whole(place) as folder:
+        write_results(found, folder)
+    return {'reason': None, **bag_values(found)}

@@ -92,6 +92,43 @@ def model_values(model, joints):
         for name in ('torque', 'torque_retuned', 'free_run', 'free_run_retuned')}
 
 
+def over_bags_values(result):
+    """
+    Return what is compared of a Discrepancy over bags, plain values for JSON.
+
+    Parameters
+    ----------
+    result : Discrepancy
+        Of one bag.
+
+    Returns
+    -------
+    dict
+        ``verdict``, ``words``, ``effects`` that matter, ``minor`` and ``undecided`` ones as text,
+        ``unexplained`` in a sentence, ``estimates`` of the parameters of the first two, ``gap``
+        by joint, and ``reason``: the faults of bad data, else None.
+
+    """
+    gap = result.gap
+    return plain({
+        'reason': '; '.join(result.faults) or result.words if result.gap is None else None,
+        'verdict': result.verdict, 'words': result.words,
+        **{name: [f'{one.effect} of {one.joint}' for one in found] for name, found in (
+            ('effects', result.findings), ('minor', result.minor),
+            ('undecided', result.undecided))},
+        'unexplained': result.unexplained and result.unexplained.sentence,
+        'estimates': [_estimate(finding, value) for finding in (*result.findings, *result.minor)
+                      for value in finding.values],
+        'gap': None if gap is None else {
+            name: by_joint(gap.joints, getattr(gap, name)) for name in _TORQUES}})
+
+
+def _estimate(finding, value):
+    return {'name': f'{finding.joint}.{finding.effect}.{value.name}', 'unit': value.unit,
+            'value': value.value, 'low': value.low, 'high': value.high, 'flags': [],
+            'standing': 'found'}
+
+
 def by_joint(joints, values):
     """Return values (n,) by the names of joints."""
     return {joint: float(value) for joint, value in zip(joints, values, strict=True)}

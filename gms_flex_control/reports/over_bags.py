@@ -1,8 +1,9 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""Bags identified each by itself, as text, JSON and CSV."""
+"""Bags identified or compared with a model each by itself, as text, JSON and CSV."""
 
+from collections import Counter
 import csv
 import io
 import math
@@ -16,6 +17,7 @@ from gms_flex_control.identification.words import number, percent
 FORMAT = 1
 _WIDTH = 96
 _COLUMNS = 4  # bags beside each other in text, at most
+_CLEAR = 2.0  # times the scatter that intervals foresee: said to differ from bag to bag
 _LINES = 20   # bags below each other, at most: the others are in summary.csv
 
 
@@ -45,13 +47,14 @@ def summary(found, rows):
 def bags_csv(found):
     """Return a line for each bag with what it tells; empty where it does not tell a parameter."""
     good = [values for values in found.values() if values['reason'] is None]
-    joints = list(dict.fromkeys(joint for values in good for joint in values['held_out']))
+    verdicts = ['verdict'] if any('verdict' in values for values in good) else []
+    joints = list(dict.fromkeys(joint for values in good for joint in values.get('held_out', ())))
     names = list(dict.fromkeys(one['name'] for values in good for one in values['estimates']))
-    lines = [['bag', 'reason', *(f'held_out.{joint}' for joint in joints), *names]]
+    lines = [['bag', 'reason', *verdicts, *(f'held_out.{joint}' for joint in joints), *names]]
     for bag, values in found.items():
         told = {one['name']: one['value'] for one in values.get('estimates', ()) if is_told(one)}
-        errors = values.get('held_out', {})
-        lines.append([bag, values['reason'], *map(errors.get, joints), *map(told.get, names)])
+        lines.append([bag, values['reason'], *map(values.get, verdicts),
+                      *map(values.get('held_out', {}).get, joints), *map(told.get, names)])
     return _csv(lines)
 
 
@@ -69,14 +72,42 @@ def _csv(lines):
     return text.getvalue()
 
 
-def text(found, rows):
+def identification_text(found, rows):
     """Return tables of parameters and bags, and in words which differ."""
-    good = {name: values for name, values in found.items() if values['reason'] is None}
+    good = _good(found)
     parts = [f'{len(good)} of {len(found)} bags identified']
     if rows:
-        parts += [_parameters(rows, good), _untold(rows, good), _outliers(rows)]
-    parts += [_errors(good, rows), *_reasons(found)]
+        parts += [_parameters(rows, good), _untold(rows, good), _differing(rows), _outliers(rows)]
+    parts += [_errors(good, rows), _reasons(found, 'NOT IDENTIFIED')]
     return '\n\n'.join(filter(None, parts))
+
+
+def discrepancy_text(found, rows):
+    """Return a table of effects and their parameters, and what each bag says."""
+    good = _good(found)
+    verdicts = Counter(values['verdict'] for values in good.values())
+    parts = [', '.join([f'{len(good)} of {len(found)} bags answered', *(
+        f'{verdict} {count}' for verdict, count in verdicts.items())])]
+    if rows:
+        parts += [_parameters(rows, good), _differing(rows), _outliers(rows)]
+    parts += [_findings(good), _reasons(found, 'BAD DATA')]
+    return '\n\n'.join(filter(None, parts))
+
+
+def _good(found):
+    return {name: values for name, values in found.items() if values['reason'] is None}
+
+
+def _findings(good):
+    """Return what each bag names, of many bags the first; '' without bags."""
+    if not good:
+        return ''
+    lines = [[bag, values['verdict'], ', '.join(
+        [*values['effects'], *(f'{one} (small)' for one in values['minor']),
+         *(f'{one} (undecided)' for one in values['undecided'])]) or '-']
+        for bag, values in list(good.items())[:_LINES]]
+    more = f'\nand {len(good) - _LINES} more, see summary.csv' if len(good) > _LINES else ''
+    return align(['bag', 'verdict', 'effects'], lines) + more
 
 
 def _parameters(rows, good):
@@ -101,6 +132,14 @@ def _untold(rows, good):
     left = [name.removeprefix('friction.') for name in names
             if name not in {row.name for row in rows}]
     return fill(f'Told by no bag: {", ".join(left)}', _WIDTH) if left else ''
+
+
+def _differing(rows):
+    """Return which parameters differ from bag to bag by far more than intervals foresee."""
+    names = [row.name.removeprefix('friction.') for row in rows
+             if row.standard_deviation > _CLEAR * row.foreseen]
+    return fill(f'Differ from bag to bag by more than {_CLEAR:g} times what the intervals '
+                f'foresee: {", ".join(names)}', _WIDTH) if names else ''
 
 
 def _outliers(rows):
@@ -130,10 +169,10 @@ def _percent(share):
     return '-' if share is None else percent(share)
 
 
-def _reasons(found):
-    """Return a sentence for each bag that was refused."""
-    bad = [fill(f'NOT IDENTIFIED {name}: {values["reason"]}', _WIDTH, subsequent_indent='    ',
+def _reasons(found, heading):
+    """Return a sentence for each bag that says nothing, '' if none."""
+    bad = [fill(f'{heading} {name}: {values["reason"]}', _WIDTH, subsequent_indent='    ',
                 break_long_words=False, break_on_hyphens=False)
            for name, values in found.items() if values['reason'] is not None]
     more = [f'and {len(bad) - _LINES} more, see summary.csv'] if len(bad) > _LINES else []
-    return ['\n'.join(bad[:_LINES] + more)] if bad else []
+    return '\n'.join(bad[:_LINES] + more)

@@ -1,0 +1,87 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""What a model lacks, asked of many bags each by itself: the same wherever it is done."""
+
+from dataclasses import replace
+import json
+from pathlib import Path
+
+from gms_flex_control.bags.experiment import write_recording
+from gms_flex_control.cli.discrepancy_each import ask_bag, items_of
+from gms_flex_control.cli.hide import write_case
+from gms_flex_control.cli.main import build_parser, main
+from gms_flex_control.hidden.cases import make_case
+from loopback_cluster import cluster
+import pytest
+
+NAMES = ('bag', 'reversed', 'held_out')
+
+
+@pytest.fixture(scope='module')
+def folder(tmp_path_factory):
+    """Return a folder of two bags of a robot with backlash, and of one with reversed torque."""
+    path = tmp_path_factory.mktemp('hidden') / 'case'
+    case = make_case('single', 3, effect='backlash', plant='soft', duration=20.0)
+    write_case(case, path)
+    write_recording(path / 'reversed', replace(
+        case.recording, tau_motor=-case.recording.tau_motor, command=-case.recording.command),
+        case.nominal.motors)
+    return path
+
+
+def arguments(folder, out, *further):
+    """Return the words of the verb."""
+    return ['discrepancy', *(str(folder / name) for name in NAMES), '--each', '--robot',
+            str(folder / 'robot.yaml'), '--out', str(out), *further]
+
+
+@pytest.fixture(scope='module')
+def alone(folder, tmp_path_factory):
+    """Return a folder of results made by a plain loop in this process, and what was returned."""
+    out = tmp_path_factory.mktemp('alone')
+    items, _ = items_of(build_parser().parse_args(arguments(folder, out)))
+    return out, {item.place.name: ask_bag(item) for item in items.values()}
+
+
+def assert_same(out, alone):
+    """Raise unless a batch has what the plain loop has."""
+    folder, values = alone
+    for name in NAMES:
+        reports = [json.loads((path / name / 'report.json').read_text()) | {'seconds': 0.0}
+                   for path in (out, folder)]
+        assert reports[0] == reports[1]
+        assert {path.name for path in (out / name).iterdir()} == {
+            path.name for path in (folder / name).iterdir()}
+    summary = json.loads((out / 'summary.json').read_text())
+    assert summary['bags'] == [{'bag': name, **values[name]} for name in NAMES]
+
+
+def test_both_bags_name_what_is_hidden_and_the_bad_one_its_fault(folder, alone):
+    _, values = alone
+    hidden = json.loads((folder / 'truth.json').read_text())['effects'][0]
+    for name in ('bag', 'held_out'):
+        assert values[name]['reason'] is None
+        assert f'{hidden["effect"]} of {hidden["joint"]}' in values[name]['effects']
+    assert 'wrong sign' in values['reversed']['reason']
+
+
+def test_processes_say_what_a_plain_loop_says(folder, alone, tmp_path, capsys):
+    assert main(arguments(folder, tmp_path / 'out', '--workers', '2')) == 1
+    printed = capsys.readouterr().out
+    assert '2 of 3 bags answered, effects_found 2' in printed
+    assert 'BAD DATA reversed: ' in printed and 'backlash' in printed
+    assert_same(tmp_path / 'out', alone)
+
+
+def test_a_cluster_says_what_a_plain_loop_says(folder, alone, tmp_path):
+    with cluster(tmp_path) as (address, _):
+        assert main(arguments(folder, tmp_path / 'out', '--scheduler', address)) == 1
+    assert_same(tmp_path / 'out', alone)
+
+
+def test_workers_without_each_have_nothing_to_divide(folder, tmp_path, capsys):
+    assert main(['discrepancy', str(folder / 'bag'), '--robot', str(folder / 'robot.yaml'),
+                 '--workers', '2', '--out', str(tmp_path / 'out')]) == 2
+    assert 'add --each, or leave them out' in capsys.readouterr().err
+    assert not Path(tmp_path / 'out').exists()
