@@ -143,13 +143,20 @@ def _differing(rows):
 
 
 def _outliers(rows):
-    """Return which bags lie far from the others, and in what; '' if none does."""
+    """Return which bags lie far from the others, and in what, the oddest first; '' if none."""
     by_bag = {}
     for row in rows:
         for bag in row.outliers:
             by_bag.setdefault(bag, []).append(row.name.removeprefix('friction.'))
-    return '\n'.join(fill(f'OUTLIER {bag}: {", ".join(names)}', _WIDTH, subsequent_indent='    ')
-                     for bag, names in by_bag.items())
+    oddest = sorted(by_bag.items(), key=lambda pair: -len(pair[1]))
+    return _first([fill(f'OUTLIER {bag}: {", ".join(names)}', _WIDTH, subsequent_indent='    ')
+                   for bag, names in oddest], 'spread.csv')
+
+
+def _first(lines, file):
+    """Return lines, of many the first and where the others are."""
+    more = [f'and {len(lines) - _LINES} more, see {file}'] if len(lines) > _LINES else []
+    return '\n'.join(lines[:_LINES] + more)
 
 
 def _errors(good, rows):
@@ -171,8 +178,7 @@ def _percent(share):
 
 def _reasons(found, heading):
     """Return a sentence for each bag that says nothing, '' if none."""
-    bad = [fill(f'{heading} {name}: {values["reason"]}', _WIDTH, subsequent_indent='    ',
-                break_long_words=False, break_on_hyphens=False)
-           for name, values in found.items() if values['reason'] is not None]
-    more = [f'and {len(bad) - _LINES} more, see summary.csv'] if len(bad) > _LINES else []
-    return '\n'.join(bad[:_LINES] + more)
+    return _first([fill(f'{heading} {name}: {values["reason"]}', _WIDTH, subsequent_indent='    ',
+                        break_long_words=False, break_on_hyphens=False)
+                   for name, values in found.items() if values['reason'] is not None],
+                  'summary.csv')
