@@ -38,3 +38,7 @@ class IdentificationError(GmsFlexError):
 
 class BatchError(GmsFlexError):
     """A batch of many items cannot be begun or finished."""
+
+
+class LostItemError(BatchError):
+    """One item of a batch kills whatever works on it."""

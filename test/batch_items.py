@@ -45,6 +45,15 @@ def slow_walk(item):
     return walk(seed)
 
 
+def soon_deadly_walk(item):
+    """Return `walk` of (seed, victim) after a while; the victim always kills its process."""
+    seed, victim = item
+    if seed == victim:
+        os.kill(os.getpid(), signal.SIGKILL)
+    time.sleep(1.0)
+    return walk(seed)
+
+
 def always_deadly(_):
     """Kill the process that works on this."""
     os.kill(os.getpid(), signal.SIGKILL)

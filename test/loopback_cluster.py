@@ -27,11 +27,11 @@ def until(condition):
 
 
 @contextmanager
-def cluster(folder):
+def cluster(folder, allowed_failures=3):
     """Yield address and worker processes of a real scheduler with two workers on loopback."""
     pytest.importorskip('distributed', reason="Dask is not installed (extra 'dask')")
     environment = {**os.environ, 'PYTHONPATH': os.pathsep.join([str(ROOT), str(ROOT / 'test')]),
-                   'DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES': '3'}
+                   'DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES': str(allowed_failures)}
     started = []
 
     def start(name, *arguments):

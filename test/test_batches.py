@@ -66,6 +66,17 @@ def test_an_item_that_kills_every_worker_ends_in_a_sentence(processes):
         run_batch(batch_items.always_deadly, {'a': 1}, executor=processes)
 
 
+def test_an_item_that_kills_every_worker_can_be_passed_over(tmp_path, processes):
+    """All others are done, though it kills every process before one of them is finished."""
+    items = {key: (seed, 3) for key, seed in ITEMS.items()}
+    journal = Journal(tmp_path, 'sources')
+    found = run_batch(batch_items.soon_deadly_walk, items, executor=processes, journal=journal,
+                      lost=lambda error: str(error))
+    assert 'enough memory' in found.pop('walk 3')
+    assert found == {key: value for key, value in SERIAL.items() if key != 'walk 3'}
+    assert set(journal.outcomes) == set(found)
+
+
 def test_what_an_item_raises_comes_through(processes):
     with pytest.raises(SimulationError, match='diverged'):
         run_batch(batch_items.fail, {'a': 0, 'b': 1}, executor=processes)
@@ -109,6 +120,17 @@ def test_a_cluster_returns_the_same_even_when_a_worker_is_killed(tmp_path):
             found |= {index: result() for index, result in finished}
         assert workers[0].poll() == -signal.SIGKILL
         assert [found[i] for i in range(6)] == list(SERIAL.values())
+
+
+def test_a_cluster_passes_over_an_item_that_kills_its_worker(tmp_path):
+    """The scheduler gives it up; what comes after is done by the worker that is left."""
+    with cluster(tmp_path, allowed_failures=0) as (address, workers):
+        with open_executor(scheduler=address) as executor:
+            with pytest.raises(BatchError, match='enough memory'):
+                run_batch(batch_items.always_deadly, {'a': 1}, executor=executor)
+            assert run_batch(batch_items.walk, ITEMS, executor=executor,
+                             lost=lambda error: str(error)) == SERIAL
+        assert [worker.poll() for worker in workers].count(-signal.SIGKILL) == 1
 
 
 def _released(finished, folder, victim):

@@ -6,9 +6,10 @@
 import json
 
 from gms_flex_control.batches.progress import Progress
+from gms_flex_control.errors import LostItemError
 
 
-def run_batch(function, items, *, executor, journal=None, label=''):
+def run_batch(function, items, *, executor, journal=None, label='', lost=None):
     """
     Call a function for many items.
 
@@ -25,6 +26,9 @@ def run_batch(function, items, *, executor, journal=None, label=''):
         Of finished items; these are not done again.
     label : str
         Of the progress bar, which appears on a terminal only.
+    lost : callable, optional
+        LostItemError -> what stands for an item that kills its workers; such a value is not
+        kept, so that the item is tried again another time. Default: the error ends the batch.
 
     Returns
     -------
@@ -45,8 +49,14 @@ def run_batch(function, items, *, executor, journal=None, label=''):
     with Progress(len(items), len(found), label) as progress:
         for index, result in executor.finished(function, [items[key] for key in missing]):
             key = missing[index]
-            found[key] = json.loads(json.dumps(result(), allow_nan=False))
-            if journal is not None:
-                journal.add({'key': key, 'value': found[key]})
+            try:
+                found[key] = json.loads(json.dumps(result(), allow_nan=False))
+            except LostItemError as error:
+                if lost is None:
+                    raise
+                found[key] = lost(error)
+            else:
+                if journal is not None:
+                    journal.add({'key': key, 'value': found[key]})
             progress.step()
     return {key: found[key] for key in items}

@@ -7,7 +7,7 @@ from concurrent.futures import CancelledError
 import pickle
 
 from gms_flex_control.batches.sources import fingerprint
-from gms_flex_control.errors import BatchError
+from gms_flex_control.errors import BatchError, LostItemError
 
 _PATIENCE = '10s'  # for the scheduler to answer
 MISSING = ("--scheduler needs Dask: pip install 'gms_flex_control[dask]', or leave it out for "
@@ -90,10 +90,12 @@ class Cluster:
             for future in as_completed(futures, loop=self._client.loop):
                 if future.cancelled():
                     raise CancelledError
-                if isinstance(future.exception(), KilledWorker):
-                    raise BatchError(f'--scheduler {self._address}: item {places[future.key]} '
-                                     'killed every worker that took it; is there enough memory?')
-                yield places[future.key], future.result
+                killed = isinstance(future.exception(), KilledWorker)
+                yield places[future.key], self._lost if killed else future.result
         except (CancelledError, OSError) as error:
             raise BatchError(f'--scheduler {self._address}: the connection was lost; what is '
                              'finished is kept, start again to go on') from error
+
+    def _lost(self):
+        raise LostItemError(f'--scheduler {self._address}: one item killed every worker that took '
+                            'it; is there enough memory?')

@@ -28,12 +28,13 @@ class Executor(Protocol):
         index : int
             Place of the item.
         result : callable
-            Returns what the function returned, or raises what it raised.
+            Returns what the function returned, or raises what it raised; LostItemError if the
+            item killed whatever worked on it.
 
         Raises
         ------
         BatchError
-            If workers die again and again, or cannot be reached any more.
+            If workers cannot be reached any more.
 
         """
 

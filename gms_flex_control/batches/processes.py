@@ -11,7 +11,7 @@ import os
 import signal
 import threading
 
-from gms_flex_control.errors import BatchError
+from gms_flex_control.errors import LostItemError
 
 _MOST_BREAKS = 3  # in a row without one finished item
 
@@ -59,11 +59,15 @@ class Processes:
                 else:
                     yield index, future.result
             breaks = breaks + 1 if len(left) == len(waiting) else 0
-            if breaks == _MOST_BREAKS:
-                raise BatchError(f'a worker process was killed {breaks} times before any of the '
-                                 f'{len(left)} items left was finished; is there enough memory? '
-                                 'Ask for fewer --workers')
             waiting = sorted(left)
+            if breaks == _MOST_BREAKS:
+                # a pool hands out one more than it has workers: one of the first it is
+                first = 2 * self._workers + 1
+                suspects, waiting, breaks = waiting[:first], waiting[first:], 0
+                for index in suspects:
+                    for _, future in self._round(function, items, [index]):
+                        broken = isinstance(future.exception(), BrokenProcessPool)
+                        yield index, _lost if broken else future.result
 
     def _round(self, function, items, waiting):
         """Yield (index, future) of the items ``waiting``, in one pool."""
@@ -87,6 +91,11 @@ class Processes:
             raise
         finally:
             pool.shutdown(cancel_futures=True)
+
+
+def _lost():
+    raise LostItemError(f'a worker process was killed {_MOST_BREAKS + 1} times by one item, the '
+                        'last time alone; is there enough memory? Ask for fewer --workers')
 
 
 class _Broken:

@@ -205,7 +205,8 @@ def run_each(args, function, items, asked):
                     item.place.is_done and journal.outcomes[key]['value']['reason'] is None):
                 del journal.outcomes[key]
         try:
-            found = run_batch(function, items, executor=executor, journal=journal, label='bags')
+            found = run_batch(function, items, executor=executor, journal=journal, label='bags',
+                              lost=lambda error: {'reason': str(error)})
         finally:
             remove_parts(args.out)
     return {items[key].place.name: values for key, values in found.items()}
