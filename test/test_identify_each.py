@@ -11,12 +11,13 @@ import signal
 import subprocess
 import sys
 import threading
+from types import SimpleNamespace
 
 from gms_flex_control.bags.experiment import write_recording
 from gms_flex_control.cli import each
 from gms_flex_control.cli.identify_each import identify_bag, items_of
 from gms_flex_control.cli.main import build_parser, main
-from gms_flex_control.errors import ConfigError
+from gms_flex_control.errors import BatchError, ConfigError
 from gms_flex_control.identification.over_bags import is_outlier, over_bags
 from identified_axis import pendulum
 from loopback_cluster import cluster, until
@@ -221,6 +222,22 @@ def test_half_written_results_are_never_seen(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ['bag']
     assert {path.name for path in place.folder.iterdir()} == {
         each.MARK, 'report.json', 'second.png'}
+
+
+def broken(_item):
+    """Raise what no bag should raise."""
+    raise ZeroDivisionError('of the program')
+
+
+def test_an_error_of_the_program_costs_one_bag_and_a_folder_out_of_sight_all(tmp_path, capsys):
+    """The folder is looked for before any work is done."""
+    item = SimpleNamespace(place=each.Place('bag', str(tmp_path), 'bag', 'mark'))
+    reason = each.reason_or(broken, item)['reason']
+    assert 'please report it' in reason and 'of the program' in reason
+    assert 'Traceback' in capsys.readouterr().err
+    item.place = item.place._replace(out=str(tmp_path / 'elsewhere'))
+    with pytest.raises(BatchError, match='does not see this folder'):
+        each.reason_or(broken, item)
 
 
 def test_outliers_are_those_that_neither_scatter_nor_their_own_error_explains():

@@ -157,7 +157,7 @@ def whole(place):
 
 
 def _replace_files(made, place, files):
-    old = set(_marked(place.folder)[1:])
+    old = {Path(name).name for name in _marked(place.folder)[1:]}  # nothing outside the folder
     _set_mark(place.folder, _UNFINISHED, files | old)
     for name in old - files:
         (place.folder / name).unlink(missing_ok=True)
