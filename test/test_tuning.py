@@ -217,7 +217,7 @@ def test_draws_stay_within_the_spread_and_within_intervals(arm):
     assert all(70.0 <= one['friction.joint2.stiffness'][3] <= 71.0 for one in values)
     for key, spread in (('arm.joint1.stiffness', 0.2), ('arm.joint2.mass', 0.3),
                         ('friction.joint2.backward.coulomb', 0.3), ('arm.joint1.length', 0.0),
-                        ('arm.joint1.motor_inertia', 0.0)):
+                        ('arm.joint1.motor_inertia', 0.3)):
         ratios = np.array([one[key] for one in values]) / believed[key]
         assert np.all(np.abs(ratios - 1.0) <= spread + 1e-12)
         assert np.ptp(ratios) >= 1.5 * spread

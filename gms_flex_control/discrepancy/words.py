@@ -24,8 +24,8 @@ def of_unseen(joints):
     names = ', '.join(joints)
     return (f"No link encoder of {names} was recorded: the link angle is the motor's less the "
             'twist that its torque, inertia and stiffness ask for, as believed. Not looked for '
-            f'there: {", ".join(lost_effects())}. What is named without link encoders is a hint: '
-            'on hidden robots less than half of the names were right (docs/hidden_effects.md).')
+            f'there: {", ".join(lost_effects())}. Without link encoders less is told: of what was '
+            'hidden in robots a quarter was not named (docs/hidden_effects.md).')
 
 
 def of_known(first, effects, whole):

@@ -21,10 +21,10 @@ import numpy as np
 
 # what is scaled by one factor per joint, and by how much at most
 SPREADS = {'friction level': 0.3, 'viscous friction': 0.3, 'presliding stiffness': 0.3,
-           'joint stiffness': 0.2, 'link mass': 0.3}
+           'joint stiffness': 0.2, 'link mass': 0.3, 'motor inertia': 0.3}
 GROUPS = {'static': 'friction level', 'coulomb': 'friction level',
           'viscous': 'viscous friction', 'stiffness': 'presliding stiffness',
-          'mass': 'link mass', 'inertia': 'link mass'}
+          'mass': 'link mass', 'inertia': 'link mass', 'motor_inertia': 'motor inertia'}
 _BLOCK = re.compile(r'(.+)\[(\d+)\]')
 
 
