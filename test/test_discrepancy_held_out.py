@@ -4,9 +4,10 @@
 """What data held out say of effects: whether they help, and what is but chance."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 from gms_flex_control.discrepancy.gap import farther
-from gms_flex_control.discrepancy.naming import helps
+from gms_flex_control.discrepancy.naming import choices, helps
 from gms_flex_control.discrepancy.path import path_of
 from gms_flex_control.discrepancy.problem import BLOCK, Problem
 from gms_flex_control.discrepancy.result import Gap
@@ -36,6 +37,14 @@ def test_effects_must_help_on_data_held_out(told, expected):
     assert helps(told, much=False) is expected
     assert not helps(gap(torque=0.6, stray=0.6), much=True)
     assert not helps(gap(stray=1.001), much=False, strictly=True)
+
+
+def test_what_many_share_may_be_named_by_what_alone_explains_most():
+    """An encoder that is read late, beside a softer spring that nearly makes the same of it."""
+    shared, skew = (SimpleNamespace(loss=loss) for loss in (2.0, 0.1))
+    offered = choices([shared, skew], 0.01, 1000.0, [skew])
+    assert offered == (([shared, skew], False), ([shared], False), ([skew], True))
+    assert choices([shared, skew], 0.9, 1000.0, [skew]) == ()
 
 
 def test_one_run_that_slips_is_no_matter_of_all_of_them():

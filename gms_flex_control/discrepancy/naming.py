@@ -61,15 +61,17 @@ def explains_alone(entries, judged):
             > _WITHOUT_OTHERS * max(one.loss for one in entries))
 
 
-def choices(entries, left, whole):
+def choices(entries, left, whole, foremost):
     """
     Return which of the effects may be named, the best choice first, and how much they must help.
 
     Where much is ``left`` unexplained, effects may but resemble what is there: those that explain
-    most of it are named if they help, others only if they help much.
+    most of it are named if they help, others only if they help much. Where all is explained, the
+    ``foremost``, which gained most when nothing else was there, may be named alone if it helps
+    much: many that share what it does leave it little to explain beside them.
     """
     if left <= EXPLAINED:
-        return (entries, False), (entries[:1], False)
+        return (entries, False), (entries[:1], False), (foremost, True)
     if left > TOO_MUCH:
         return ()
     entries = [one for one in entries if one.loss > _PART * whole]
