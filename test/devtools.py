@@ -34,8 +34,9 @@ class BrowserError(AssertionError):
 
 
 def chromium():
-    """Return the path of an installed Chromium, None if there is none."""
-    return shutil.which('chromium') or shutil.which('chromium-browser')
+    """Return the path of an installed Chromium, or of Google's, None if there is none."""
+    names = ('chromium', 'chromium-browser', 'google-chrome', 'google-chrome-stable')
+    return next(filter(None, map(shutil.which, names)), None)
 
 
 class Browser:

@@ -7,10 +7,10 @@ import base64
 from dataclasses import replace
 import json
 import re
-import shutil
 import subprocess
 import warnings
 
+from devtools import chromium
 from gms_flex_control.identification.result import Interval
 from gms_flex_control.identification.steady import FrictionMap
 from gms_flex_control.reports.identification import write_identification_report
@@ -181,7 +181,7 @@ def test_a_curve_that_cannot_be_drawn_is_refused(curve, options, match):
 
 
 def test_a_browser_draws_loops_and_clouds(tmp_path):
-    browser = shutil.which('chromium') or shutil.which('chromium-browser')
+    browser = chromium()
     if browser is None:
         pytest.skip('no chromium on this machine; the page itself is checked by the other tests')
     angle = np.linspace(0.0, 6.0, 50)

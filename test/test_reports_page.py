@@ -9,9 +9,9 @@ from html.parser import HTMLParser
 import json
 from pathlib import Path
 import re
-import shutil
 import subprocess
 
+from devtools import chromium
 from gms_flex_control.reports.page import Report, Series
 from gms_flex_control.reports.series import decimate, merge_grids
 import numpy as np
@@ -145,7 +145,7 @@ def test_assets_are_part_of_the_installed_package():
 
 
 def test_a_browser_draws_the_charts(tmp_path):
-    browser = shutil.which('chromium') or shutil.which('chromium-browser')
+    browser = chromium()
     if browser is None:
         pytest.skip('no chromium on this machine; the page itself is checked by the other tests')
     path = small_report().write(tmp_path / 'report.html')
