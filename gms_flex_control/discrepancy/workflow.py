@@ -45,6 +45,7 @@ _DOUBTFUL = 0.1       # of what is still unexplained: an effect worth less is no
 _BESIDE = 0.5         # of the torque missed most: an effect so large matters, however small
 _NOISE_DOUBT = 0.15   # by which the level of a clean run may be wrong
 _UNSETTLED = 0.15     # missing: so much may be left because noise is not what it was taken for
+_VANISHED = 0.01      # of what was missing: noise in which no more of it shows hides all
 _AGAIN = 2            # times it is searched again, at most
 _MANY = 6             # effects: too many to look for all of them anew
 _FLOOR = 1.0 / 6.0    # of the practical torque: what rows are measured by
@@ -160,7 +161,8 @@ def _settled(problem, options, say):
     Noise depends on the robot: where it sticks, say, encoder counts hide its friction. Measured
     on the robot as believed, noise that is larger in truth looks like further effects. If it is
     not by noise alone that something is left, or what is found then begins with an effect that
-    such a robot does not have, the search stands as it was.
+    such a robot does not have, or hardly anything shows in such noise, the search stands as it
+    was.
     """
     found = search(problem, most=options.most, without=options.without, say=say)
     for _ in range(_AGAIN):
@@ -176,6 +178,7 @@ def _settled(problem, options, say):
         again = search(other, most=options.most, without=options.without,
                        begin=found.model if added > _MANY else None, say=say)
         if (other.missing(again.model) > naming.DETECTED * problem.caution
+                or other.missing(again.before) < _VANISHED * before
                 or not _begins_alike(again.model, found.model, len(problem.robot.effects))):
             break
         problem, found = other, again
