@@ -247,12 +247,12 @@ def test_a_killed_bridge_leaves_zero(lab):
     lab.until(lambda: 'ZERO' in lab.plant.printed())
 
 
-@pytest.mark.parametrize('place, where', [
-    ('gms_flex_control.hardware.bridge:Bridge.take_command', 'on_command'),
-    ('gms_flex_control.hardware.bridge:Bridge.watch', 'look')])
-def test_an_exception_is_one_traceback_zero_torque_and_a_fault(tmp_path, place, where):
+@pytest.mark.parametrize('place, calls, where', [
+    ('gms_flex_control.hardware.bridge:Bridge.take_command', 700, 'on_command'),
+    ('gms_flex_control.nodes.bridged_robot:BridgedRobot._look', 2000, 'look')])
+def test_an_exception_is_one_traceback_zero_torque_and_a_fault(tmp_path, place, calls, where):
     """The function raises once, some seconds after the start, and the bridge can go on."""
-    with bridge_lab(tmp_path, plant=broken_node.command('plant_node', place, 700)) as lab:
+    with bridge_lab(tmp_path, plant=broken_node.command('plant_node', place, calls)) as lab:
         lab.until(lambda: lab.efforts and lab.states)
         lab.until(lambda: f'{where} raised RuntimeError: {broken_node.SENTENCE}' in move_on(lab))
         lab.until(lambda: not any(lab.efforts.last))
