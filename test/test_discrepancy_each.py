@@ -9,6 +9,7 @@ from pathlib import Path
 
 from gms_flex_control.bags.experiment import write_recording
 from gms_flex_control.cli.discrepancy_each import ask_bag, items_of
+from gms_flex_control.cli.each import reason_or
 from gms_flex_control.cli.hide import write_case
 from gms_flex_control.cli.main import build_parser, main
 from gms_flex_control.hidden.cases import make_case
@@ -41,7 +42,7 @@ def alone(folder, tmp_path_factory):
     """Return a folder of results made by a plain loop in this process, and what was returned."""
     out = tmp_path_factory.mktemp('alone')
     items, _ = items_of(build_parser().parse_args(arguments(folder, out)))
-    return out, {item.place.name: ask_bag(item) for item in items.values()}
+    return out, {item.place.name: reason_or(ask_bag, item) for item in items.values()}
 
 
 def assert_same(out, alone):

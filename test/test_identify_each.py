@@ -15,6 +15,7 @@ from types import SimpleNamespace
 
 from gms_flex_control.bags.experiment import write_recording
 from gms_flex_control.cli import each
+from gms_flex_control.cli.each import reason_or
 from gms_flex_control.cli.identify_each import identify_bag, items_of
 from gms_flex_control.cli.main import build_parser, main
 from gms_flex_control.errors import BatchError, ConfigError
@@ -49,7 +50,7 @@ def alone(bags, tmp_path_factory):
     """Return a folder of results made by a plain loop in this process, and what was returned."""
     out = tmp_path_factory.mktemp('alone')
     items, _ = items_of(build_parser().parse_args(arguments(bags, out)))
-    return out, {item.place.name: identify_bag(item) for item in items.values()}
+    return out, {item.place.name: reason_or(identify_bag, item) for item in items.values()}
 
 
 def results(out):

@@ -156,17 +156,14 @@ def along_bag(args):
 
 def finished(args, function, items, robot, gains, asked, label):
     """Return what a batch found; what the journal in --out has of the same is not done again."""
-    import hashlib
-
     from gms_flex_control.batches.batch import run_batch
     from gms_flex_control.batches.executor import open_executor
     from gms_flex_control.batches.journal import Journal
-    from gms_flex_control.batches.sources import fingerprint
+    from gms_flex_control.batches.sources import digest_of, fingerprint
     from gms_flex_control.schema.build import robot_values
     from gms_flex_control.tuning.words import controller_values
 
-    whole = repr((robot_values(robot), controller_values(gains, robot.joints), asked))
-    digest = hashlib.sha256(whole.encode()).hexdigest()[:16]
+    digest = digest_of((robot_values(robot), controller_values(gains, robot.joints), asked))
     journal = Journal(args.out, f'{fingerprint(SOURCES)} {digest}')
     with open_executor(args.workers, args.scheduler) as executor:
         return run_batch(function, items, executor=executor, journal=journal, label=label)

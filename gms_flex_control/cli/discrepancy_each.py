@@ -7,7 +7,7 @@ from argparse import Namespace
 import os
 from typing import NamedTuple
 
-from gms_flex_control.cli.each import Place
+from gms_flex_control.cli import each
 
 _FILES = ('robot', 'models', 'controller', 'holdout')  # options that name files
 
@@ -15,13 +15,12 @@ _FILES = ('robot', 'models', 'controller', 'holdout')  # options that name files
 class BagItem(NamedTuple):
     """A bag to be asked, perhaps in another process."""
 
-    place: Place
+    place: each.Place
     asked: dict  # options of the verb by name, files as absolute paths
 
 
 def run_each(args):
     """Ask each bag, write, print; return 1 if one finds something or is bad, else 0."""
-    from gms_flex_control.cli import each
     from gms_flex_control.discrepancy.result import COMPLETE
     from gms_flex_control.reports.over_bags import discrepancy_text
 
@@ -35,7 +34,6 @@ def items_of(args):
     """Return the items of a batch by key, and what their results depend on beside the bag."""
     from gms_flex_control.batches.sources import content_of, digest_of, fingerprint
     from gms_flex_control.cli.discrepancy import models_of
-    from gms_flex_control.cli.each import places_of
     from gms_flex_control.schema.files import load_controller, load_robot
 
     robot = load_robot(args.robot)  # says now what is wrong with it
@@ -49,7 +47,7 @@ def items_of(args):
     files = [(path, content_of(path)) for name in _FILES for path in options[name]]
     asked = f'{fingerprint()} {digest_of((sorted(options.items()), files))}'
     return {key: BagItem(place, options)
-            for key, place in places_of(args.bags, args.out, asked).items()}, asked
+            for key, place in each.places_of(args.bags, args.out, asked).items()}, asked
 
 
 def ask_bag(item):
@@ -65,27 +63,15 @@ def ask_bag(item):
     -------
     dict
         Verdict, words, effects and ``estimates`` of their parameters as those of
-        `identification.over_bags.bag_values`, and ``reason``, None unless the data are bad; or
-        that alone.
-
-    Raises
-    ------
-    BatchError
-        If the folder of all results is not to be seen from here: no bag could be written.
+        `identification.over_bags.bag_values`, and ``reason``, None unless the data are bad.
 
     """
-    from gms_flex_control.cli.each import reason_or
-    return reason_or(_asked, item)
-
-
-def _asked(item):
     from gms_flex_control.cli.discrepancy import answered, write_files
-    from gms_flex_control.cli.each import whole
     from gms_flex_control.reports.discrepancy_values import over_bags_values
 
     args = Namespace(**item.asked, bags=[item.place.bag], json=True)
     result, compared, holdout = answered(args)
-    with whole(item.place) as folder:
+    with each.whole(item.place) as folder:
         args.out = folder
         write_files(result, compared, holdout, args)
     return over_bags_values(result)

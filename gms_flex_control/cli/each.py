@@ -5,6 +5,7 @@
 
 from collections import Counter
 from contextlib import contextmanager
+from functools import partial
 import os
 from pathlib import Path
 import shutil
@@ -181,7 +182,8 @@ def run_each(args, function, items, asked):
     args : Namespace
         Of the verb: out, workers, scheduler.
     function : callable
-        Of a module; takes an item, returns a dict with the key 'reason', None where all went well.
+        Of a module; takes an item, returns a dict with the key 'reason', None where all went
+        well. What it raises becomes the reason, see `reason_or`.
     items : dict of str to object
         By the keys of `places_of`, each with its Place as ``place``.
     asked : str
@@ -205,7 +207,8 @@ def run_each(args, function, items, asked):
                     item.place.is_done and journal.outcomes[key]['value']['reason'] is None):
                 del journal.outcomes[key]
         try:
-            found = run_batch(function, items, executor=executor, journal=journal, label='bags',
+            found = run_batch(partial(reason_or, function), items, executor=executor,
+                              journal=journal, label='bags',
                               lost=lambda error: {'reason': str(error)})
         finally:
             remove_parts(args.out)

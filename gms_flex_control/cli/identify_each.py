@@ -6,13 +6,13 @@
 import os
 from typing import NamedTuple
 
-from gms_flex_control.cli.each import Place
+from gms_flex_control.cli import each
 
 
 class BagItem(NamedTuple):
     """A bag to be identified, perhaps in another process."""
 
-    place: Place
+    place: each.Place
     robot: object     # RobotParams; None: rigid axes named as in the bag
     joints: tuple     # to take from the bag; empty: all
     holdouts: tuple   # of str, absolute paths
@@ -21,7 +21,6 @@ class BagItem(NamedTuple):
 
 def run_each(args):
     """Identify each bag, write, print; return 1 if one could not be identified, else 0."""
-    from gms_flex_control.cli import each
     from gms_flex_control.reports.over_bags import identification_text
 
     items, asked = items_of(args)
@@ -33,7 +32,6 @@ def run_each(args):
 def items_of(args):
     """Return the items of a batch by key, and what their results depend on beside the bag."""
     from gms_flex_control.batches.sources import content_of, digest_of, fingerprint
-    from gms_flex_control.cli.each import places_of
     from gms_flex_control.cli.identify import options_of, robot_of
     from gms_flex_control.schema.build import robot_values
 
@@ -45,7 +43,7 @@ def items_of(args):
         robot and robot_values(robot), joints, options,
         [(path, content_of(path)) for path in holdouts]))
     return {key: BagItem(place, robot, joints, holdouts, options)
-            for key, place in places_of(args.bags, args.out, asked).items()}, asked
+            for key, place in each.places_of(args.bags, args.out, asked).items()}, asked
 
 
 def identify_bag(item):
@@ -62,24 +60,13 @@ def identify_bag(item):
     dict
         `identification.over_bags.bag_values`, and why there are none as ``reason``.
 
-    Raises
-    ------
-    BatchError
-        If the folder of all results is not to be seen from here: no bag could be written.
-
     """
-    from gms_flex_control.cli.each import reason_or
-    return reason_or(_identified, item)
-
-
-def _identified(item):
-    from gms_flex_control.cli.each import whole
     from gms_flex_control.cli.identify import identified, robot_in, write_results
     from gms_flex_control.identification.over_bags import bag_values
 
     place, described = item.place, item.robot is not None
     robot = item.robot if described else robot_in(place.bag, item.joints)
     found = identified([place.bag], item.holdouts, robot, item.options, described)
-    with whole(place) as folder:
+    with each.whole(place) as folder:
         write_results(found, folder)
     return {'reason': None, **bag_values(found)}

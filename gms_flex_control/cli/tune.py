@@ -213,12 +213,10 @@ def tell(proposal, trials, robot, demands):
 
 def verified(robot, gains, demands, intervals, args):
     """Return the summary of the draws asked for; finished ones are kept in --out."""
-    import hashlib
-
     from gms_flex_control.batches.batch import run_batch
     from gms_flex_control.batches.executor import open_executor
     from gms_flex_control.batches.journal import Journal
-    from gms_flex_control.batches.sources import fingerprint
+    from gms_flex_control.batches.sources import digest_of, fingerprint
     from gms_flex_control.schema.build import robot_values
     from gms_flex_control.tuning import uncertainty, words
     import numpy as np
@@ -226,10 +224,9 @@ def verified(robot, gains, demands, intervals, args):
     amplitude = np.full(robot.n_joints, args.amplitude)
     items = {f'draw {k}': uncertainty.Drawn(robot, gains, demands.timing, amplitude, intervals,
                                             args.seed, k) for k in range(args.verify)}
-    asked_for = repr((robot_values(robot), words.controller_values(gains, robot.joints),
-                      demands.timing, args.amplitude, intervals, args.seed))
-    journal = Journal(args.out, f'{fingerprint(SOURCES)} '
-                      f'{hashlib.sha256(asked_for.encode()).hexdigest()[:16]}')
+    digest = digest_of((robot_values(robot), words.controller_values(gains, robot.joints),
+                        demands.timing, args.amplitude, intervals, args.seed))
+    journal = Journal(args.out, f'{fingerprint(SOURCES)} {digest}')
     with open_executor(args.workers, args.scheduler) as executor:
         found = run_batch(uncertainty.try_drawn, items, executor=executor, journal=journal,
                           label='robots')
