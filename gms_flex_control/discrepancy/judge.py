@@ -15,13 +15,13 @@ from gms_flex_control.discrepancy.library import least_cost
 from gms_flex_control.discrepancy.result import Value
 from gms_flex_control.discrepancy.search import without
 from gms_flex_control.effects.registry import find
+from gms_flex_control.identification.result import CONFIDENT
 import numpy as np
 
 _TAKEN = 0.003        # of its own rows: what else could take its place leaves less than this
 _SURE = 0.05          # likewise: a small effect that others can make but for this is not named
 _CONFUSABLE = 0.98    # cosine, all else re-tuned
 _RUNNERS = 6          # hypotheses tried in the place of a finding
-_CONFIDENT = 1.959964
 
 
 class Judged(NamedTuple):
@@ -109,7 +109,7 @@ def values_of(problem, found, known, index):
         value, half = spec.values[k], 0.0
         for place, number in enumerate(numbers):
             if (number.effect, number.parameter) == (index, k):
-                half = _CONFIDENT * float(np.sqrt(variance[knobs + place]))
+                half = CONFIDENT * float(np.sqrt(variance[knobs + place]))
         out.append(Value(parameter.name, parameter.unit, float(value), float(value - half),
                          float(value + half)))
     return tuple(out)

@@ -11,10 +11,9 @@ from gms_flex_control.identification.arm_fit import (
     is_chain,
 )
 from gms_flex_control.identification.chain_fit import base_estimates
-from gms_flex_control.identification.result import Estimate, Interval
+from gms_flex_control.identification.result import CONFIDENT, Estimate, Interval
 import numpy as np
 
-_CONFIDENT = 1.959964
 _SLIGHT = 0.1      # of the torque: an inertia that takes less is not to be believed
 _UNKNOWN = Interval(np.nan, np.nan)
 _WIDE = 0.5         # half an interval this large a part of the value tells nothing
@@ -96,8 +95,8 @@ def _axis_rows(robot, arm_fit, joint, theta, spread, name):
                                                     - angle)))
         told = error < _WIDE
         rows.append(Estimate(
-            f'{name}.offset', 'rad', float(angle), Interval(angle - _CONFIDENT * error,
-                                                            angle + _CONFIDENT * error),
+            f'{name}.offset', 'rad', float(angle), Interval(angle - CONFIDENT * error,
+                                                            angle + CONFIDENT * error),
             Interval(*np.percentile(drawn_angle, [2.5, 97.5])),
             () if told else ('not identifiable',), '' if told else _TELLS_GRAVITY))
     if arm_fit.ripples[joint]:
@@ -118,14 +117,14 @@ def _ripple_rows(ripple, name):
              'was fitted'),
             ('order', '1', ripple.order_error, 'periods in 2 pi of the angle')):
         value = getattr(ripple, part)
-        interval = Interval(value - _CONFIDENT * error, value + _CONFIDENT * error)
+        interval = Interval(value - CONFIDENT * error, value + CONFIDENT * error)
         rows.append(Estimate(f'{name}.{part}', unit, value, interval, interval, (), note))
     return rows
 
 
 def _row(name, unit, value, error, drawn, meaning, tells):
-    interval = Interval(value - _CONFIDENT * error, value + _CONFIDENT * error)
-    told = _CONFIDENT * error < _WIDE * abs(value) and (value > 0.0 or 'bias' in name)
+    interval = Interval(value - CONFIDENT * error, value + CONFIDENT * error)
+    told = CONFIDENT * error < _WIDE * abs(value) and (value > 0.0 or 'bias' in name)
     return Estimate(name, unit, float(value), Interval(*map(float, interval)),
                     Interval(*map(float, np.percentile(drawn, [2.5, 97.5]))),
                     () if told else ('not identifiable',), meaning if told else tells)
@@ -142,7 +141,7 @@ def _motor_rows(motor, name, rigid):
         if not told and motor.skew >= 0.3:
             note = ('most of the twist goes with the velocity, as if the two encoders were read '
                     'at different times: that looks like a soft spring or damping and is neither')
-        wide = Interval(float(value - _CONFIDENT * error), float(value + _CONFIDENT * error))
+        wide = Interval(float(value - CONFIDENT * error), float(value + CONFIDENT * error))
         rows.append(Estimate(f'{name}.{part}', unit, float(value), wide, wide,
                              () if told else ('not identifiable',), note))
     return rows

@@ -14,14 +14,13 @@ from dataclasses import replace
 
 from gms_flex_control.analysis.signals import derivative_window, smoothed
 from gms_flex_control.dynamics.chain import constants_of
-from gms_flex_control.identification.result import Estimate, Interval
+from gms_flex_control.identification.result import CONFIDENT, Estimate, Interval
 from gms_flex_control.identification.rigid_body import friction_regressors, robust
 import numpy as np
 from scipy.optimize import least_squares
 
 _BLOCK = 2.0
 _SLOWEST = 0.05
-_CONFIDENT = 1.959964
 _BELIEF = 1.0     # spread of masses and inertias around those described, of logarithms
 _CLOSED = 0.2     # of the link's length: spread of the centre of mass
 _WIDE = 0.5
@@ -215,7 +214,7 @@ def base_estimates(values, covariance, told, n, has_gravity):
     rows = []
     for (name, unit), value, variance, share in zip(
             base_names(n, has_gravity), values, np.diag(covariance), told, strict=True):
-        half = _CONFIDENT * float(np.sqrt(variance))
+        half = CONFIDENT * float(np.sqrt(variance))
         interval = Interval(value - half, value + half)
         known = half < _WIDE * abs(value) and share > _TOLD
         rows.append(Estimate(name, unit, float(value), interval, interval,

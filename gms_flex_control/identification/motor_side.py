@@ -12,12 +12,12 @@ friction, and an encoder that is read late, which adds ``K delay q'`` and looks 
 from typing import NamedTuple
 
 from gms_flex_control.analysis.signals import derivative_window, smoothed
+from gms_flex_control.identification.result import CONFIDENT
 from gms_flex_control.identification.rigid_body import held_torque, robust
 import numpy as np
 
 _BLOCK = 2.0
 _FEWEST = 60
-_CONFIDENT = 1.959964
 _EXPLAINED = 0.9   # of the torque's variance, for stiffness and motor inertia to be believed
 _SMALLEST = 0.005  # of the torque: a smaller part is not told from what the model lacks
 _SKEWED = 0.3      # part of the twist's torque that goes with the velocity, at most
@@ -38,7 +38,7 @@ class MotorFit(NamedTuple):
     def believed(self):
         """Return which of J, K and d the data tell, bool (3,)."""
         values = np.array(self[:3])
-        told = (values > _CONFIDENT * self.error) & (self.share > _SMALLEST)
+        told = (values > CONFIDENT * self.error) & (self.share > _SMALLEST)
         return told & (self.explained > _EXPLAINED) & (self.skew < _SKEWED)
 
 

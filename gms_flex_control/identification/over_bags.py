@@ -12,10 +12,10 @@ from collections import Counter
 import math
 from typing import NamedTuple
 
+from gms_flex_control.identification.result import CONFIDENT
 from gms_flex_control.identification.words import hull, NOT_IDENTIFIABLE, SET, standing
 import numpy as np
 
-_CONFIDENT = 1.959964  # of a normal distribution, 95 % two-sided
 _NORMAL = 1.4826       # standard deviation over median distance from the median
 _FAR = 3.5             # such deviations: an outlier
 _FEWEST = 4            # of three values that differ nobody knows which is the odd one
@@ -131,7 +131,7 @@ def _usual_blocks(bags):
 
 def _row(name, unit, rows):
     values = np.array([one['value'] for one in rows.values()])
-    errors = np.array([0.5 * (one['high'] - one['low']) for one in rows.values()]) / _CONFIDENT
+    errors = np.array([0.5 * (one['high'] - one['low']) for one in rows.values()]) / CONFIDENT
     far = is_outlier(values, errors)
     return OverBags(
         name, unit, len(values), float(values.mean()), float(np.median(values)),

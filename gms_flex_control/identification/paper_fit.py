@@ -7,6 +7,7 @@ from gms_flex_control.identification.coordinates import Coordinates, MOST_BLOCKS
 from gms_flex_control.identification.default_method import Candidate, JointFit, prior_of
 from gms_flex_control.identification.objective import Objective
 from gms_flex_control.identification.paper_method import fit_paper, N_BLOCKS
+from gms_flex_control.identification.result import CONFIDENT
 from gms_flex_control.identification.uncertainty import REPLICATES, Spread
 from gms_flex_control.simulation.predictor import (
     ATTRACTION,
@@ -21,7 +22,6 @@ import numpy as np
 
 NOT_HELD_OUT = ('the method of the paper uses all of the data: its errors are of data held out '
                 'only where --holdout names recordings')
-_CONFIDENT = 1.959964   # of a normal distribution, 95 % two-sided
 
 
 def paper_fits(bundle, half):
@@ -68,7 +68,7 @@ def _joint_fit(bundle, joint, thetas):
 def _spread(paper, fit):
     """Return the Spread that the paper's intervals stand for, independent of each other."""
     variance = np.full(fit.coordinates.size, np.nan)
-    deviation = [np.nan if interval is None else (interval.high - interval.low) / 2 / _CONFIDENT
+    deviation = [np.nan if interval is None else (interval.high - interval.low) / 2 / CONFIDENT
                  for interval in paper.intervals]
     theta = paper.theta
     for at in (0, PER_DIRECTION):

@@ -10,6 +10,8 @@ from gms_flex_control.identification.steady import FrictionMap
 from gms_flex_control.params.robot import RobotParams
 import numpy as np
 
+CONFIDENT = 1.959964  # standard deviations of a normal distribution: 95 %, two-sided
+
 
 class Interval(NamedTuple):
     """Where a parameter lies with 95 % confidence."""

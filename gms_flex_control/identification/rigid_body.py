@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 from gms_flex_control.analysis.signals import derivative_window, smoothed
 from gms_flex_control.errors import IdentificationError
+from gms_flex_control.identification.result import CONFIDENT
 import numpy as np
 
 STANDARD_GRAVITY = 9.80665  # [m/s^2], conventional value (3rd CGPM, 1901)
@@ -30,7 +31,6 @@ _CLEAR = 0.5       # of the held-out error: gravity must help this much there
 _WORTH = 0.97      # of the held-out error: gravity that helps less is not there
 _LOPSIDED = 0.5    # of the friction the other way: below this there is a constant torque
 _LEAST = 0.02      # of the torque: friction to begin with, at least
-_CONFIDENT = 1.959964
 
 
 class Rows(NamedTuple):
@@ -175,7 +175,7 @@ def fit_axis(rows, joint, source, wave=None):
     has_gravity = with_gravity < enough * off
     columns = both if has_gravity else others
     values, error = _solution(columns, rows)
-    told = values[0] > _CONFIDENT * error[0]
+    told = values[0] > CONFIDENT * error[0]
     if not told:  # what is no inertia must not bend the rest
         kept, wide = _solution(columns[:, 1:], rows)
         values, error = np.append(0.0, kept), np.append(error[0], wide)

@@ -16,12 +16,11 @@ from typing import NamedTuple
 
 from gms_flex_control.identification.coordinates import MOST_BLOCKS, presliding_curve
 from gms_flex_control.identification.refine import summed
-from gms_flex_control.identification.result import Estimate, Interval
+from gms_flex_control.identification.result import CONFIDENT, Estimate, Interval
 from gms_flex_control.simulation.predictor import BLOCKS, PER_DIRECTION, STATIC
 import numpy as np
 
 REPLICATES = 400
-_CONFIDENT = 1.959964   # of a normal distribution, 95 % two-sided
 _LOW, _HIGH = 2.5, 97.5
 _VAGUE = np.log(2.0)    # half an interval this wide in the logarithm tells nothing
 _FARTHEST = 5.0         # step of a replicate in the logarithm: beyond nothing is known anyway
@@ -180,7 +179,7 @@ def _estimate(row, theta, variance, low, high, reaches):
     name, unit, i, told, kind = row
     value = float(theta[i])
     relative = float(np.sqrt(variance[i]) / value) if value > 0.0 else np.inf
-    wide = np.exp(min(_CONFIDENT * relative, 50.0))
+    wide = np.exp(min(CONFIDENT * relative, 50.0))
     interval = Interval(value / wide, value * wide)
     bootstrap = Interval(float(low[i]), float(high[i]))
     flags, notes = [], []
@@ -191,7 +190,7 @@ def _estimate(row, theta, variance, low, high, reaches):
         flags.append('at bound')
         notes.append('static and Coulomb friction are the same')
     vague = bootstrap.high > np.exp(2.0 * _VAGUE) * max(bootstrap.low, 0.0)
-    if told < 0.5 or _CONFIDENT * relative > _VAGUE or vague:
+    if told < 0.5 or CONFIDENT * relative > _VAGUE or vague:
         flags.append('not identifiable')
         notes.append(_TELLS[kind])
     if kind == 'stiffness':
