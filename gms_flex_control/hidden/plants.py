@@ -102,8 +102,7 @@ def under_gravity(rng, robot, gains):
 
     """
     arm = robot.arm
-    moment = arm.mass * arm.com
-    heaviest = moment + [arm.mass[1] * arm.length[0] + moment[1], 0.0]
+    heaviest = np.cumsum(mass_moments(arm)[::-1])[::-1]  # stretched out across gravity
     sag = np.exp(rng.uniform(*np.log(_SAG)))
     gravity = min(_GRAVITY, sag * np.min(arm.stiffness / heaviest))
     down = rng.uniform(-np.pi, np.pi)
@@ -135,6 +134,12 @@ def draw_supply(rng, time):
     return true, true + 0.01 * rng.standard_normal(len(time))
 
 
+def mass_moments(arm):
+    """Return the mass moment of each link about its joint, what it carries included [kg m]."""
+    carried = np.array([arm.mass[j + 1:].sum() for j in range(arm.n_joints)])
+    return arm.mass * arm.com + carried * arm.length
+
+
 def with_base_parameters(arm, factors):
     """
     Return a chain of two links whose base parameters are scaled.
@@ -156,9 +161,8 @@ def with_base_parameters(arm, factors):
     """
     carried = arm.mass[1] * arm.length[0] ** 2
     about_joint = arm.inertia + arm.mass * arm.com ** 2
-    moment = arm.mass[0] * arm.com[0] + arm.mass[1] * arm.length[0]
     com = arm.com * [1.0, factors[1]]
-    com[0] += (factors[3] - 1.0) * moment / arm.mass[0]
+    com[0] += (factors[3] - 1.0) * mass_moments(arm)[0] / arm.mass[0]
     whole = np.array([(about_joint[0] + carried) * factors[0] - carried,
                       about_joint[1] * factors[2]])
     return replace(arm, com=com, inertia=whole - arm.mass * com ** 2)

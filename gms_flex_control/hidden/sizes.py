@@ -6,7 +6,7 @@
 from typing import NamedTuple
 
 from gms_flex_control.effects.registry import find
-from gms_flex_control.hidden.plants import NOMINAL_SUPPLY
+from gms_flex_control.hidden.plants import mass_moments, NOMINAL_SUPPLY
 from gms_flex_control.params.robot import EffectSpec, WHOLE_ARM
 import numpy as np
 
@@ -69,7 +69,7 @@ def figures_of(robot, motion, period):
     columns = {
         'stiffness': arm.stiffness, 'motor_inertia': arm.motor_inertia,
         'static': friction.forward.static, 'coulomb': friction.forward.coulomb,
-        'viscous': friction.forward.viscous, 'moment': arm.mass * arm.com + carried * arm.length,
+        'viscous': friction.forward.viscous, 'moment': mass_moments(arm),
         'inertia': arm.inertia + arm.mass * arm.com ** 2 + carried * arm.length ** 2,
         'reach': reach,
         'twist': rms(twist), 'twist_cubed': rms(twist ** 3), 'twist_rate': rms(v_motor - v),

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from gms_flex_control import records
 from gms_flex_control.control import cascade
+from gms_flex_control.dynamics import chain
 from gms_flex_control.effects import table as effect_table
 from gms_flex_control.errors import ConfigError, SimulationError
 from gms_flex_control.hidden.kernels import loop, mechanics, outside
@@ -62,12 +63,11 @@ def at_rest(robot, q=None):
 
     Its springs hold its weight, as believed without effects; the blocks of its friction none.
     """
-    q = np.zeros(robot.n_joints) if q is None else q
-    c = mechanics.constants(replace(robot, effects=()))
-    q_motor = q - np.where(c.flexible, mechanics.weights(c, q) / np.where(
-        c.flexible, c.stiffness, 1.0), 0.0)
+    still = np.zeros(robot.n_joints)
+    q = still if q is None else q
+    weight = chain.matrices(q, still, still, still, robot.arm).gravity
     return records.build(loop.state_layout(*robot.friction.stiffness.shape), q=q,
-                         q_motor=q_motor, sticking=1, direction=1.0)
+                         q_motor=q + weight / robot.arm.stiffness, sticking=1, direction=1.0)
 
 
 def strange_record(disturbance):

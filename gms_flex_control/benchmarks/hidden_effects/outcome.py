@@ -3,7 +3,6 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """One hidden robot tried: what the workflow and its peers answer, as plain values."""
 
-from dataclasses import replace
 import math
 import resource
 import sys
@@ -37,6 +36,7 @@ def try_job(job, with_peers=True):
         ``truth_gains`` of a single effect that was missed, see `gain_of_truth`.
 
     """
+    from gms_flex_control.benchmarks.hidden_effects.judgement import judged, RIGHT
     case = make_case(job.kind, job.seed, motion=job.motion, plant=job.plant,
                      duration=job.duration, gravity=job.gravity)
     if job.sensors == 'motors':
@@ -49,9 +49,8 @@ def try_job(job, with_peers=True):
         1024.0 if sys.platform != 'darwin' else 1024.0 ** 2)
     outcome['answers'][WORKFLOW] = [[one['effect'], one['joint']] for one in ranked(
         outcome['findings']) if one['decided']]
-    first, hidden = outcome['answers'][WORKFLOW][:1], case.truth.effects
-    if job.kind == 'single' and result and first != [[hidden[0].name, hidden[0].joint]]:
-        outcome['truth_gains'] = gain_of_truth(result, hidden)
+    if job.kind == 'single' and result is not None and judged(outcome) != RIGHT:
+        outcome['truth_gains'] = gain_of_truth(result, *case.truth.effects)
     if with_peers:
         from gms_flex_control.benchmarks.hidden_effects import peers
         for name, answer in peers.ask(case, without).items():
@@ -84,18 +83,18 @@ def ask_workflow(case, without):
                 for one in result.added]}, result
 
 
-def gain_of_truth(result, effects):
+def gain_of_truth(result, effect):
     """
-    Return what the true effects would have gained, known parameters re-tuned; None without data.
+    Return what the true effect would have gained, known parameters re-tuned; None without data.
 
     In the unit of the search's gains: what is below search.LEAST_GAIN is not told by the data.
     """
+    from gms_flex_control.discrepancy.problem import with_effect
     from gms_flex_control.discrepancy.search import retuned
     if result.found is None:
         return None
     problem, found = result.found
-    robot = replace(problem.robot, effects=(*problem.robot.effects, *effects))
-    model, _ = retuned(problem, robot, found.before.x)
+    model, _ = retuned(problem, with_effect(problem.robot, effect), found.before.x)
     return problem.exact_cost(found.before) - problem.exact_cost(model)
 
 

@@ -75,14 +75,6 @@ def weight(c, j, angle):
     return c.moment[j] * (c.gravity[1] * np.cos(angle) - c.gravity[0] * np.sin(angle))
 
 
-def weights(c, q):
-    """Return the torque of gravity about each joint at link angles ``q`` (n,), shape (n,)."""
-    chained = c.planar[0] > 0.0
-    angle = np.cumsum(q + c.offset) if chained else q + c.offset
-    own = np.array([weight(c, j, angle[j]) for j in range(len(angle))])
-    return np.cumsum(own[::-1])[::-1] if chained else own
-
-
 @compiled
 def accelerate(c, q, v, link_torque, motor_torque, link, motor):
     """
