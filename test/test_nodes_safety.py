@@ -78,3 +78,20 @@ def test_a_joint_pushed_beyond_its_range_is_a_fault_and_outward_torque_is_zero_b
               if before.position[1] >= 0.3]
     assert beyond and not any(beyond)
     push(lab, [0.0, -0.1], lambda effort: not any(effort))  # latched
+
+
+def test_a_range_left_during_a_silence_is_a_fault_that_outlasts_the_silence(tmp_path):
+    with Lab(tmp_path) as lab:
+        lab.plant = lab.start('plant_node', files=[*FILES, CONFIG / 'sinusoid.yaml'], rate=200.0,
+                              silence_timeout=0.04, **LIMITS)
+        lab.states = lab.listen(JointState, STATES)
+        lab.commands = lab.speak(Float64MultiArray, COMMANDS)
+        lab.until(lambda: lab.states and lab.commands.get_subscription_count())
+        push(lab, [0.0, 0.4], lambda _: lab.states[-1].position[1] > 0.15)  # and it coasts
+        lab.until(lambda: 'joint2 is at 0.3' in lab.plant.printed())
+        silent, beyond = lab.plant.printed().split('FAULT: ')[1:]
+        assert silent.startswith('no command from /test') and beyond.startswith('joint2 is at')
+        begin = len(lab.states)
+        push(lab, [0.0, -0.1], lambda _: len(lab.states) > begin + 60)
+        assert not any(any(state.effort[2:]) for state in lab.states[begin:])
+        assert 'commands come again' not in lab.plant.printed()
