@@ -120,6 +120,31 @@ def test_a_robot_that_swings_because_its_torque_comes_late_is_told_of_it(asked, 
     assert (run.bridge.counters['commands held back by torque_rate'] > 100) == told
 
 
+def test_states_whose_command_comes_after_the_next_one_are_counted_and_told_in_a_fault():
+    run = Run().enabled()
+    assert run.bridge.late == 0.0
+    for _ in range(3000):  # every second state is not answered
+        run.tick()
+        run.tick(commands=False)
+    assert run.bridge.late == pytest.approx(0.5, abs=0.001)
+    assert run.bridge.counters['states without a fresh command'] == 2999
+    run.q = run.motor = 1.2
+    run.tick()
+    assert run.said.endswith(f'; {0.5:.0%} of the states of the last second had no fresh command: '
+                             'the controller is late')
+    run.tick()
+    assert run.bridge.late == 0.0  # nothing is asked of it in FAULT
+
+
+def test_commands_that_answer_no_state_are_not_late():
+    run = Run().enabled()
+    for _ in range(300):
+        run.tick(commands=False)
+        run.now += MS
+        run.bridge.take_command([0.1], None, run.source, run.now)
+    assert run.bridge.late == 0.0
+
+
 @pytest.mark.parametrize('prepare, words', [
     (lambda run: None, 'no joint states from robot yet'),
     (lambda run: run.tick(5, commands=False), 'no controller commands yet'),

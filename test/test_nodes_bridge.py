@@ -33,6 +33,7 @@ from std_msgs.msg import Bool
 pytestmark = pytest.mark.flaky(reruns=2)
 
 RATE_LIMIT, LIMIT, LONGEST_RAMP = 5.0, 0.5, 0.05  # of config/bridge.yaml; [s]
+SILENCE_TIMEOUT = 0.035  # likewise [s]
 SILENCE_BOUND, STOP_BOUND, STATE_TIMEOUT = 0.1, 0.02, 0.3  # [s]
 GUARDED = 0.15  # the guardian waits for 50 ms [s]
 BUSY = 0.03  # what a test process beside a storm may be late itself [s]
@@ -131,6 +132,20 @@ def test_a_frozen_controller_is_zero_torque_and_a_fault_that_says_how_long(lab):
             thaw()
         report(lab, 'they come again')
         assert not any(lab.efforts.last)  # latched
+
+
+def test_a_controller_that_stands_still_again_and_again_is_said_to_be_late(lab):
+    move(lab)
+
+    def warned():
+        for number in (signal.SIGSTOP, signal.SIGCONT):  # too short for a silence
+            lab.controller.process.send_signal(number)
+            time.sleep(0.5 * SILENCE_TIMEOUT)
+        if fault_of(lab):
+            move(lab)
+        return 'of the last second had no fresh command: the controller is late, and' in (
+            lab.plant.printed())
+    lab.until(warned)
 
 
 def test_a_killed_controller_is_zero_torque_and_a_new_one_takes_over_after_a_reset(lab):

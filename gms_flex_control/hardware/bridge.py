@@ -19,7 +19,7 @@ import numpy as np
 _KEPT_STATES = 64          # published states that a command may answer
 _NO_COMMAND = 'no command from'
 _LONGEST_RAMP = 0.05       # a torque never rises for longer than that at once [s]
-_RECENT, _OFTEN = 1.0, 0.2  # time [s] and share of it in which a torque that rises late is told
+_RECENT, _OFTEN = 1.0, 0.2  # time [s] and share of it in which a torque that comes late is told
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,6 +86,8 @@ class Bridge:
         Of what came, went and was refused.
     worst : dict of str to int
         Largest ages and answer times so far [ns].
+    late : float
+        Share of recent states (about a second) whose command had not come when the next one did.
 
     """
 
@@ -106,6 +108,8 @@ class Bridge:
         self._enabled = 0          # stamp of the state at which torque was enabled
         self._given = 0            # when torque was given last
         self._held_back = np.zeros(n)  # share of recent time in which the rate held a torque back
+        self._answered = None      # stamp of the newest state a command answered
+        self.late = 0.0
         self._violation = ''
         self._refused_state = self._refused_command = ''
         self._silent_for = ''      # the fault of a silent controller, while it lasts
@@ -137,6 +141,7 @@ class Bridge:
         measured.dq_link, measured.dq_motor = joint_map.sides(self.merger.velocity.copy())
         self.applied = joint_map.torques(self.merger.effort, self.torque)
         self.worst['state_age'] = max(self.worst['state_age'], now - self.merger.time)
+        self._note_late(elapsed)
         self._violation = limiting.violation(joint_map.joints, measured, self.params.limits)
         if not self._violation and self.stamp:
             self._violation = limiting.jump(joint_map.joints, measured, before, elapsed,
@@ -149,6 +154,15 @@ class Bridge:
         if len(self._published) > _KEPT_STATES:
             del self._published[next(iter(self._published))]
         return True
+
+    def _note_late(self, elapsed):
+        """Note whether the state that another follows now was answered; `stamp` is still its."""
+        if not self.supervisor.active or self._answered is None:  # plain commands answer no state
+            self.late = 0.0
+            return
+        missed = self._answered < self.stamp
+        self.counters['states without a fresh command'] += missed
+        self.late += (missed - self.late) * min(elapsed / _RECENT, 1.0)
 
     def refuse_state(self, sentence):
         """Note that joint states were refused, for the sentence of a fault."""
@@ -187,6 +201,7 @@ class Bridge:
         if not self._is_fresh(stamp, now):
             self.counters['commands stale'] += 1
             return False
+        self._answered = stamp
         self._end_silence(now)
         self.watch_commands.take(source, now)
         self._refused_command = ''
@@ -207,8 +222,13 @@ class Bridge:
 
     def _of_late_torque(self):
         """Return what a fault of the motion adds where torque often came late; '' else."""
+        if not self.supervisor.active:
+            return ''
+        if self.late >= _OFTEN:
+            return (f'; {self.late:.0%} of the states of the last second had no fresh command: '
+                    'the controller is late')
         j = int(np.argmax(self._held_back))
-        if not self.supervisor.active or self._held_back[j] < _OFTEN:
+        if self._held_back[j] < _OFTEN:
             return ''
         return (f'; torque_rate ({self.params.limits.torque_rate[j]:.4g} N m/s) held back the '
                 f'torque of {self.params.joint_map.joints[j]} for {self._held_back[j]:.0%} of the '

@@ -12,6 +12,7 @@ from gms_flex_control.hardware.supervisor import Outcome
 from gms_flex_control.nodes import messages, process
 from gms_flex_control.nodes.health import ERROR, OK
 from gms_flex_control.nodes.inbox import Inbox
+from gms_flex_control.nodes.loop_timing import LATE, NOTABLE
 from gms_flex_control.nodes.robot_links import DeviceLink, TopicLink
 from gms_flex_control.nodes.supervised import SupervisedRobot
 from gms_flex_control.schema.bridge import bridge_from_values
@@ -82,6 +83,9 @@ class BridgedRobot(SupervisedRobot):
             if complete:
                 self._state_pub.publish(self._writer.write(
                     bridge.measured, bridge.applied, bridge.stamp))
+                if bridge.late > NOTABLE:
+                    self._health.warn('late', f'{bridge.late:.0%} of the states of the last '
+                                      f'second had no fresh command: {LATE}')
             self._settle()
         return not refused
 

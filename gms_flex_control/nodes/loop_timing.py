@@ -10,6 +10,8 @@ from gms_flex_control.files import write_text
 import numpy as np
 
 NOTABLE = 0.1    # share of late samples from which on the arm is not what its gains make of it
+LATE = ('the controller is late, and the arm does not move as its gains would have it; run fewer '
+        'programs, set realtime_priority, lower the rate')
 _WINDOW = 1.0    # over which that is counted [s]
 _LONGEST = 3600  # seconds kept; later samples are not measured
 
@@ -112,7 +114,5 @@ class LateSamples:
         self.restart()
         if share <= NOTABLE:
             return ''
-        return (f'{100.0 * share:.0f} % of the last {count} samples had no fresh command: the '
-                'controller is late, and the arm does not move as its gains would have it; run '
-                'fewer programs, set realtime_priority, lower the rate, or simulate with '
-                'mode:=lockstep')
+        return (f'{100.0 * share:.0f} % of the last {count} samples had no fresh command: '
+                f'{LATE}, or simulate with mode:=lockstep')
