@@ -9,7 +9,7 @@ import time
 from gms_flex_control.hardware.bridge import Bridge
 from gms_flex_control.hardware.merger import ReadingError
 from gms_flex_control.hardware.supervisor import Outcome
-from gms_flex_control.nodes import messages, process
+from gms_flex_control.nodes import messages, process, scheduling
 from gms_flex_control.nodes.health import ERROR, OK
 from gms_flex_control.nodes.inbox import Inbox
 from gms_flex_control.nodes.loop_timing import LATE, NOTABLE
@@ -176,7 +176,7 @@ class BridgedRobot(SupervisedRobot):
 
     def run(self, spinner):
         """Watch over both sides until a signal comes."""
-        process.tighten_timers()
+        scheduling.tighten_timers()
         look = self._health.guard(self._look)
         with process.BackgroundSpin(spinner) as background, self._link:
             while spinner.goes_on():

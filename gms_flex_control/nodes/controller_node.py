@@ -11,7 +11,7 @@ from gms_flex_control.control.gain_conditions import violations
 from gms_flex_control.effect_compensation.feedforward import CompensatingController
 from gms_flex_control.effect_compensation.known import as_parameters, compensated
 from gms_flex_control.hardware.command_watch import SourceWatch
-from gms_flex_control.nodes import messages, process, references
+from gms_flex_control.nodes import messages, process, references, scheduling
 from gms_flex_control.nodes.encoder_watch import EncoderWatch
 from gms_flex_control.nodes.health import Health, OK, WARN
 from gms_flex_control.nodes.inbox import Inbox
@@ -88,7 +88,7 @@ class ControllerNode(Node):
                   if not compensated(spec.name)]
         if beyond:
             self.get_logger().info(f'the model has, not compensated: {", ".join(beyond)}')
-        process.take_priority(self, values['realtime_priority'])
+        scheduling.take_priority(self, values['realtime_priority'])
 
     def _create_topics(self, mode):
         n, blocks = self._robot.friction.stiffness.shape
@@ -100,15 +100,16 @@ class ControllerNode(Node):
         self._state_pub = self.create_publisher(JointState, '~/state', depth)
         self._blocks_pub = self.create_publisher(Float64MultiArray, '~/blocks', depth)
         self._sticking_pub = self.create_publisher(Float64MultiArray, '~/sticking', depth)
-        Inbox(self, Float64MultiArray, 'reference', self._on_reference, mode)
-        Inbox(self, JointState, 'joint_states', self._on_joint_states, mode)
+        boxes = []
+        Inbox(self, Float64MultiArray, 'reference', self._on_reference, mode, boxes)
+        Inbox(self, JointState, 'joint_states', self._on_joint_states, mode, boxes)
         self.create_service(Trigger, '~/reset', self.health.guard(self._on_reset))
 
     def run(self, spinner):
         """Answer joint states until a signal comes."""
         watch = self.health.guard(self._watch)
         while spinner.goes_on():
-            spinner.spin_once(self._patience())
+            spinner.spin_for(self._patience())
             watch()
 
     def _warm_up(self):
@@ -133,7 +134,7 @@ class ControllerNode(Node):
         self._warned = broken
 
     def _on_reference(self, message):
-        """Return whether the message was accepted."""
+        """Return whether the message was accepted, and is of this time."""
         try:
             reference = Reference(*messages.read_reference(message, self._robot.n_joints))
         except messages.RefusedError as error:
@@ -148,7 +149,7 @@ class ControllerNode(Node):
         self._references.keep(stamp, reference, self._last)
         if self._waiting is not None and stamp == self._waiting:
             self._answer(self._waiting)
-        return True
+        return self._last is None or self._references.is_fresh(stamp, self._last)
 
     def _hears_rivals(self, source, stamp):
         """Return whether another one's references come as well; then nobody's are kept."""

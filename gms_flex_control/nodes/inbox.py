@@ -4,12 +4,14 @@
 """
 How a node hears a topic that its loop hangs on: through storms of messages of no use to it.
 
-Each message is taken as bytes, all there are at a time, into a queue so deep that a storm does
-not displace the good ones before they are looked at. To make an object of it and to refuse that
-costs several times more than to take it; so bytes that do not look like a message that was
-accepted are made one only so many times a second.
+Each message is taken as bytes, many at a time, into a queue so deep that a storm does not displace
+the good ones before they are looked at. To make an object of it and to refuse that costs several
+times more than to take it; so bytes that do not look like a message that was accepted are made one
+only so many times a second. An executor hands out messages in the order of their coming, a storm's
+before all others; so whatever comes, all topics of the node are looked at.
 """
 
+from itertools import chain
 import time
 
 from gms_flex_control.nodes import process
@@ -18,6 +20,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 DEPTH = 1000       # messages; a storm brings some 100 in a millisecond
+_AT_ONCE = 100     # messages of a topic that are taken before others have their turn
 _KEPT = 10         # the newest of those waiting, after a stall
 _ODD_RATE = 200.0  # messages unlike all accepted ones that are looked into [1/s]
 _ODD_AT_ONCE = 50
@@ -27,15 +30,14 @@ _LONGEST = 65536   # bytes of a message; a thousand joints need no more
 _FIXED = {JointState: slice(12, 48), Float64MultiArray: slice(4, 18)}
 
 
-def all_waiting(subscription, first):
+def all_waiting(subscription, most):
     """
-    Yield the raw messages (bytes) that wait behind ``first``, that one included.
+    Yield the raw messages (bytes) that wait, ``most`` of them at most.
 
     The executor still counts an event for each of them and finds nothing then, which is cheap.
     """
-    yield first
     take, kind = subscription.handle.take_message, subscription.msg_type
-    for _ in range(2 * DEPTH):
+    for _ in range(most):
         taken = take(kind, True)
         if taken is None:
             return
@@ -58,10 +60,12 @@ class Inbox:
         Takes a message; returns whether it read and accepted it.
     mode : {'realtime', 'lockstep'}
         In lockstep each message is waited for, and each is given to the handler.
+    boxes : list of Inbox, optional
+        Those of the node, which are looked at together; this one is added.
 
     """
 
-    def __init__(self, node, kind, topic, handler, mode='realtime'):
+    def __init__(self, node, kind, topic, handler, mode='realtime', boxes=None):
         self._kind, self._handle = kind, node.health.guard(handler)
         self._health, self._topic = node.health, node.resolve_topic_name(topic)
         self._looks = []           # of accepted messages
@@ -71,14 +75,25 @@ class Inbox:
             node.create_subscription(kind, topic, self._handle, process.subscriber_qos(mode),
                                      event_callbacks=process.NO_EVENTS)
             return
+        self._boxes = [] if boxes is None else boxes
+        self._boxes.append(self)
         self._subscription = node.create_subscription(
             kind, topic, node.health.guard(self._empty), process.subscriber_qos(mode, DEPTH),
             raw=True, event_callbacks=process.NO_EVENTS)
 
     def _empty(self, first):
-        """Take all there is; ``first`` (bytes) was taken already."""
+        """Take what there is here, of which ``first`` (bytes) was taken already, and elsewhere."""
+        self._take(chain([first], self._waiting()))
+        for box in self._boxes:
+            if box is not self:
+                box._take(box._waiting())
+
+    def _waiting(self):
+        return all_waiting(self._subscription, _AT_ONCE)
+
+    def _take(self, messages):
         fixed, looks, good = _FIXED[self._kind], self._looks, []
-        for data in all_waiting(self._subscription, first):
+        for data in messages:
             if (len(data), data[fixed]) in looks:
                 good.append(data)
             else:

@@ -5,7 +5,7 @@
 
 import sys
 
-from gms_flex_control.nodes import process
+from gms_flex_control.nodes import process, scheduling
 from gms_flex_control.nodes.bridged_robot import BridgedRobot
 from gms_flex_control.nodes.health import Health
 from gms_flex_control.nodes.parameters import NodeParameters
@@ -40,7 +40,7 @@ class PlantNode(Node):
         self._safety = Safety(
             self, self._robot, self.health, topic=values['emergency_stop_topic'],
             hold_service=values['bridge.hold_service'] if bridged else '')
-        process.take_priority(self, values['realtime_priority'])
+        scheduling.take_priority(self, values['realtime_priority'])
 
     def run(self, spinner):
         """Simulate or bridge until a signal comes, or the duration is over."""

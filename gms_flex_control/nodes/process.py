@@ -4,24 +4,24 @@
 """How each node process starts, spins and ends: zero torque on the wire, exit code 0."""
 
 from contextlib import suppress
-import ctypes
+from functools import partial
 import gc
-import os
 import re
 import signal
 import sys
 import threading
 
 from gms_flex_control.errors import GmsFlexError
+from gms_flex_control.nodes.scheduling import shorten_slices
 from gms_flex_control.nodes.transport import avoid_shared_memory
 import rclpy
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.experimental import EventsExecutor
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
 
 BAD_INPUT = 2
-_PR_SET_TIMERSLACK = 29
 # without QoS events: their callbacks can deadlock the EventsExecutor
 NO_EVENTS = SubscriptionEventCallbacks(use_default_callbacks=False)
 
@@ -47,36 +47,6 @@ def subscriber_qos(mode, depth=10):
     reliability = (ReliabilityPolicy.RELIABLE if mode == 'lockstep'
                    else ReliabilityPolicy.BEST_EFFORT)
     return QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=depth, reliability=reliability)
-
-
-def tighten_timers():
-    """Let sleeps of this thread end when asked, not within the usual 50 us (Linux)."""
-    with suppress(OSError, AttributeError):
-        ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
-
-
-def take_priority(node, priority):
-    """
-    Let all threads of this process go before others; those that begin later inherit it.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Whose log says it where that is not possible; the node goes on without.
-    priority : int
-        Of SCHED_FIFO, 1 to 99; 0 leaves everything as it is.
-
-    """
-    if not priority:
-        return
-    try:
-        for thread in os.listdir('/proc/self/task'):
-            with suppress(ProcessLookupError):  # it has just ended
-                os.sched_setscheduler(int(thread), os.SCHED_FIFO, os.sched_param(priority))
-    except (OSError, AttributeError) as error:
-        node.get_logger().warning(
-            f'no realtime_priority {priority}: {error}; allow rtprio in /etc/security/limits.conf '
-            'or set it to 0')
 
 
 def _handle_signals(handler):
@@ -116,9 +86,21 @@ class Spinner:
         return not self._stopped and rclpy.ok()
 
     def spin_once(self, timeout=0.1):
-        """Run the callbacks that are due, or wait ``timeout`` seconds for one."""
+        """Run a callback that is due, or wait ``timeout`` seconds for one."""
+        self._run(self._executor.spin_once, timeout)
+
+    def spin_for(self, duration=0.1):
+        """
+        Run all callbacks that become due within ``duration`` seconds.
+
+        An executor that comes back to Python after each event takes several times as long for
+        those that bring nothing, of which a storm makes thousands in a second.
+        """
+        self._run(partial(self._executor.spin_until_future_complete, Future()), duration)
+
+    def _run(self, spin, timeout):
         try:
-            self._executor.spin_once(timeout_sec=timeout)
+            spin(timeout_sec=timeout)
         except Exception as error:  # noqa: B902  an executor goes on after any of them
             if self._failed is None:
                 raise
@@ -127,7 +109,7 @@ class Spinner:
     def spin(self):
         """Run callbacks in this thread; the spin of EventsExecutor itself runs none."""
         while self.goes_on():
-            self.spin_once()
+            self.spin_for()
 
 
 def run_node(make_node, args=None):
@@ -149,6 +131,7 @@ def run_node(make_node, args=None):
 
     """
     sys.setswitchinterval(5e-4)  # a busy thread may delay the loop by this, not by 5 ms
+    shorten_slices()
     avoid_shared_memory()
     spinner, node = Spinner(), None
     try:
@@ -197,7 +180,7 @@ class BackgroundSpin:
     def _spin(self):
         try:
             while rclpy.ok() and not self._stop.is_set():
-                self._spinner.spin_once()
+                self._spinner.spin_for()
         except Exception as error:  # noqa: B902  the first thread raises it again
             self.error = error
 

@@ -12,7 +12,7 @@ from gms_flex_control.errors import SimulationError
 from gms_flex_control.hardware import limits as limiting
 from gms_flex_control.hardware.command_watch import CommandWatch
 from gms_flex_control.hardware.supervisor import Supervisor
-from gms_flex_control.nodes import messages, process
+from gms_flex_control.nodes import messages, process, scheduling
 from gms_flex_control.nodes.health import ERROR, OK
 from gms_flex_control.nodes.inbox import Inbox
 from gms_flex_control.nodes.loop_timing import LateSamples, LoopTiming
@@ -275,7 +275,7 @@ class SimulatedRobot(SupervisedRobot):
             self._health.warn('late', sentence)
 
     def _run_paced(self, spinner, background):
-        process.tighten_timers()
+        scheduling.tighten_timers()
         self._stamp = self._first = self._node.get_clock().now().nanoseconds
         deadline = time.monotonic_ns()
         self._plant.measure()

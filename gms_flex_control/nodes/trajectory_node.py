@@ -7,7 +7,7 @@ import os
 import sys
 
 from gms_flex_control.errors import GmsFlexError, TrajectoryError
-from gms_flex_control.nodes import messages, process, refusal
+from gms_flex_control.nodes import messages, process, refusal, scheduling
 from gms_flex_control.nodes.health import Health, OK
 from gms_flex_control.nodes.inbox import Inbox
 from gms_flex_control.nodes.messages import NANOSECONDS
@@ -66,7 +66,7 @@ class TrajectoryNode(Node):
         self.get_logger().info(f"{values['trajectory.type']}, call ~/start to begin"
                                if not values['trajectory.autostart'] else
                                f"{values['trajectory.type']} begins at the first joint state")
-        process.take_priority(self, values['realtime_priority'])
+        scheduling.take_priority(self, values['realtime_priority'])
 
     def run(self, spinner):
         """Publish until a signal comes."""

@@ -1,0 +1,42 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""What a thread asks of the operating system, read back from it."""
+
+from concurrent.futures import ThreadPoolExecutor
+import ctypes
+import os
+import platform
+
+import pytest
+
+pytest.importorskip('rclpy')
+scheduling = pytest.importorskip('gms_flex_control.nodes.scheduling')
+SCHED_GETATTR = {'x86_64': 315, 'aarch64': 275}
+
+
+def slice_of_this_thread():
+    """Return the slice that Linux tells [ns], 0 where it knows of none."""
+    size = 48
+    words = (ctypes.c_uint64 * (size // 8))()
+    number = SCHED_GETATTR[platform.machine()]
+    assert ctypes.CDLL(None).syscall(number, 0, words, size, 0) == 0
+    return words[3]  # size and policy, flags, nice and priority, runtime
+
+
+@pytest.mark.skipif(platform.system() != 'Linux' or platform.machine() not in SCHED_GETATTR,
+                    reason='slices are those of Linux')
+def test_a_slice_is_short_in_this_thread_and_in_those_it_starts_and_nowhere_else():
+    before = slice_of_this_thread()
+    if not before:
+        pytest.skip('this Linux is older than 6.12: it tells no slices')
+
+    def shortened():
+        nice = os.getpriority(os.PRIO_PROCESS, 0)
+        scheduling.shorten_slices()
+        assert os.getpriority(os.PRIO_PROCESS, 0) == nice
+        with ThreadPoolExecutor(1) as started:
+            return slice_of_this_thread(), started.submit(slice_of_this_thread).result()
+    with ThreadPoolExecutor(1) as other:
+        assert other.submit(shortened).result() == (100_000, 100_000)
+    assert slice_of_this_thread() == before
