@@ -20,8 +20,7 @@ _PATIENCE = 1.0            # with the service that lets the reference hold [s]
 _ANY_BUTTON = [QoSProfile(depth=DEPTH, reliability=policy) for policy in (
     ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT)]
 _RELEASED = b'\0'  # the one byte of a Bool, behind the header
-_MANY = 20          # messages of the button at a time: a storm
-_BREATH = 1e-3      # left to the loop between two looks into it [s]
+_BREATH = 1e-3      # left to the loop where more than one message of the button waits [s]
 
 
 class Safety:
@@ -100,7 +99,7 @@ class Safety:
                 self._robot.button(True, self._topic)
             if messages[-1] == _RELEASED:
                 self._robot.button(False, self._topic)
-            if len(messages) > _MANY:
+            if len(messages) > 1:  # no button is so fast: a storm
                 time.sleep(_BREATH)
         subscription = self._node.create_subscription(
             Bool, self._topic, on_button, qos, callback_group=group, raw=True,
