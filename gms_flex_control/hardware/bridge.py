@@ -162,7 +162,11 @@ class Bridge:
             return
         missed = self._answered < self.stamp
         self.counters['states without a fresh command'] += missed
-        self.late += (missed - self.late) * min(elapsed / _RECENT, 1.0)
+        self.late = _recently(self.late, missed, elapsed)
+
+    def lateness(self):
+        """Return in words how many states had no command in time (str)."""
+        return f'{self.late:.0%} of the states of the last second had no fresh command'
 
     def refuse_state(self, sentence):
         """Note that joint states were refused, for the sentence of a fault."""
@@ -217,7 +221,7 @@ class Bridge:
         return True
 
     def _note_held_back(self, held, elapsed):
-        self._held_back += (held - self._held_back) * min(elapsed / _RECENT, 1.0)
+        self._held_back = _recently(self._held_back, held, elapsed)
         self.counters['commands held back by torque_rate'] += int(held.any())
 
     def _of_late_torque(self):
@@ -225,8 +229,7 @@ class Bridge:
         if not self.supervisor.active:
             return ''
         if self.late >= _OFTEN:
-            return (f'; {self.late:.0%} of the states of the last second had no fresh command: '
-                    'the controller is late')
+            return f'; {self.lateness()}: the controller is late'
         j = int(np.argmax(self._held_back))
         if self._held_back[j] < _OFTEN:
             return ''
@@ -335,3 +338,8 @@ class Bridge:
             self._held_back = np.zeros_like(self.torque)
             self._enabled, self._given = self.stamp, now
         return outcome
+
+
+def _recently(share, now, elapsed):
+    """Return the share of recent time something took, after ``elapsed`` [s] with it or without."""
+    return share + (now - share) * min(elapsed / _RECENT, 1.0)

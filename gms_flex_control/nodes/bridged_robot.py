@@ -84,8 +84,7 @@ class BridgedRobot(SupervisedRobot):
                 self._state_pub.publish(self._writer.write(
                     bridge.measured, bridge.applied, bridge.stamp))
                 if bridge.late > NOTABLE:
-                    self._health.warn('late', f'{bridge.late:.0%} of the states of the last '
-                                      f'second had no fresh command: {LATE}')
+                    self._health.warn('late', f'{bridge.lateness()}: {LATE}')
             self._settle()
         return not refused
 
