@@ -136,8 +136,12 @@ def draw_supply(rng, time):
 
 def mass_moments(arm):
     """Return the mass moment of each link about its joint, what it carries included [kg m]."""
-    carried = np.array([arm.mass[j + 1:].sum() for j in range(arm.n_joints)])
-    return arm.mass * arm.com + carried * arm.length
+    return arm.mass * arm.com + carried_masses(arm) * arm.length
+
+
+def carried_masses(arm):
+    """Return the mass of all links beyond each, shape (n_joints,) [kg]."""
+    return np.array([arm.mass[j + 1:].sum() for j in range(arm.n_joints)])
 
 
 def with_base_parameters(arm, factors):

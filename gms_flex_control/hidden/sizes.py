@@ -6,7 +6,7 @@
 from typing import NamedTuple
 
 from gms_flex_control.effects.registry import find
-from gms_flex_control.hidden.plants import mass_moments, NOMINAL_SUPPLY
+from gms_flex_control.hidden.plants import carried_masses, mass_moments, NOMINAL_SUPPLY
 from gms_flex_control.params.robot import EffectSpec, WHOLE_ARM
 import numpy as np
 
@@ -65,12 +65,11 @@ def figures_of(robot, motion, period):
     q, v, q_motor, v_motor = np.moveaxis(motion.true, 1, 0)
     twist, a = q_motor - q, np.gradient(v, period, axis=0)
     reach = np.cumsum(arm.length[::-1])[::-1]
-    carried = np.array([arm.mass[j + 1:].sum() for j in range(robot.n_joints)])
     columns = {
         'stiffness': arm.stiffness, 'motor_inertia': arm.motor_inertia,
         'static': friction.forward.static, 'coulomb': friction.forward.coulomb,
         'viscous': friction.forward.viscous, 'moment': mass_moments(arm),
-        'inertia': arm.inertia + arm.mass * arm.com ** 2 + carried * arm.length ** 2,
+        'inertia': arm.inertia + arm.mass * arm.com ** 2 + carried_masses(arm) * arm.length ** 2,
         'reach': reach,
         'twist': rms(twist), 'twist_cubed': rms(twist ** 3), 'twist_rate': rms(v_motor - v),
         'speed': rms(v), 'speed_squared': rms(v * v), 'acceleration': rms(a),
