@@ -4,6 +4,7 @@
 """Every row of the fault table on real node processes; and the table tells a bad node."""
 
 import json
+import os
 import sys
 
 from gms_flex_control.cli.main import main
@@ -17,6 +18,7 @@ pytest.importorskip('rclpy')
 bench = pytest.importorskip('gms_flex_control.nodes.faults.bench')
 table = pytest.importorskip('gms_flex_control.nodes.faults.table')
 soak = pytest.importorskip('gms_flex_control.nodes.faults.soak')
+scheduling = pytest.importorskip('gms_flex_control.nodes.scheduling')
 
 # how far beyond its limit a time may be on a shared machine; other times are not asserted
 SAFETY = {'clocks': 2.0, 'dead-controller': 2.0, 'silence': 2.0, 'two-controllers': 2.0,
@@ -67,6 +69,8 @@ def test_the_verb_prints_the_table(capfd, tmp_path):
     lines = [line for line in capfd.readouterr().out.splitlines() if not line.startswith('[')]
     assert lines[0].split() == ['fault', 'tries', 'worst', 'figure', 'limit', 'verdict']
     assert lines[1].startswith('endpoints whose quality') and lines[1].endswith('held')
+    assert lines[-1] == ('The nodes had realtime_priority 50.' if scheduling.is_permitted(50) else
+                         'The nodes had no realtime_priority: other programs make them late.')
     assert 'QoS mismatch' in (tmp_path / 'logs/mismatch/controller_node.log').read_text()
 
 
@@ -121,6 +125,26 @@ def test_a_soak_of_no_length_is_refused(minutes, capsys):
 def test_an_unknown_fault_is_named(capsys):
     assert main(['faults', '--only', 'silense']) == 2
     assert "did you mean 'silence'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize('priority', ['-1', '100'])
+def test_a_priority_that_there_is_not_is_refused(priority, capsys):
+    assert main(['faults', '--priority', priority]) == 2
+    assert f'--priority {priority}: expected 1 to 99' in capsys.readouterr().err
+
+
+def test_a_priority_that_is_not_permitted_is_not_taken(monkeypatch, capsys):
+    def refuse(*_):
+        raise PermissionError(1, 'Operation not permitted')
+    monkeypatch.setattr(scheduling.os, 'sched_setscheduler', refuse)
+    assert main(['faults', '--priority', '20']) == 2
+    assert 'limits.conf' in capsys.readouterr().err
+
+
+def test_asking_for_a_priority_leaves_this_process_as_it_is():
+    scheduling.is_permitted(50)
+    assert {os.sched_getscheduler(int(thread)) for thread in os.listdir('/proc/self/task')} == {
+        os.SCHED_OTHER}
 
 
 def test_the_list_names_every_row(capsys):

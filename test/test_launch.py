@@ -29,7 +29,7 @@ SHOWN = ['robot_state_publisher', 'rviz2']
 REAL = all(util.find_spec(name) for name in ('launch', 'launch_ros', 'rclpy'))
 needs_launch = pytest.mark.skipif(not REAL, reason='launch and launch_ros are not installed')
 COMMON = {'robot', 'controller', 'trajectory', 'bridge', 'mode', 'record', 'rviz',
-          'state_publisher', 'namespace', 'use_sim_time'}
+          'state_publisher', 'namespace', 'use_sim_time', 'realtime_priority'}
 
 
 def loaded(name, monkeypatch):
@@ -129,6 +129,15 @@ def test_a_bridge_file_takes_the_place_of_the_simulation(name, start):
     simulated = start(name, bridge='', mode='lockstep')['plant_node']
     assert 'backend' not in simulated.parameters
     assert simulated.parameters['mode'] == 'lockstep'
+
+
+def test_a_real_robot_goes_before_other_programs(start):
+    given = {name: process.parameters.get('realtime_priority')
+             for name, process in start('bridge', bridge='my_bridge.yaml').items()}
+    assert given == {'plant_node': None, 'controller_node': '50', 'trajectory_node': '50'}
+    own = read_yaml(ROOT / 'config' / 'bridge.yaml', typ='safe')['/**']['ros__parameters']
+    assert own['realtime_priority'] == 50
+    assert start('demo')['plant_node'].parameters['realtime_priority'] == '0'
 
 
 @pytest.mark.parametrize('name', FILES)

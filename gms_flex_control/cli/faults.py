@@ -14,6 +14,7 @@ from gms_flex_control.errors import ConfigError
 from gms_flex_control.suggest import did_you_mean
 
 _LONGEST_SOAK = 10_000.0  # [min]
+_PRIORITY = 50            # of the nodes, where it is permitted
 
 
 def add_parser(subparsers):
@@ -31,8 +32,10 @@ def add_parser(subparsers):
     parser.add_argument('--soak', type=float, metavar='MINUTES',
                         help='instead of faults: run the loop at 500 Hz so long, and watch memory '
                              'and missed deadlines')
-    parser.add_argument('--priority', type=int, default=0, metavar='N',
-                        help='realtime_priority of the nodes, 1 to 99, where it is permitted')
+    parser.add_argument('--priority', type=int, metavar='N',
+                        help=f'realtime_priority of the nodes, 1 to 99, 0 for none; default '
+                             f'{_PRIORITY}, as config/bridge.yaml asks for, or 0 where the system '
+                             'does not permit it')
     parser.add_argument('--json', action='store_true', help='print JSON')
     parser.add_argument('--logs', type=Path, metavar='FOLDER',
                         help='keep there what the nodes print')
@@ -51,36 +54,54 @@ def run(args):
         if name not in table.FAULTS:
             raise ConfigError(f'there is no fault {name!r}{did_you_mean(name, table.FAULTS)} ('
                               'gms_flex faults --list names all)')
-    if not 0 <= args.priority <= 99:
-        raise ConfigError(f'--priority {args.priority}: expected 1 to 99, or 0 for none')
+    priority = _priority(args.priority)
     if args.soak is not None:
         if not 0.0 < args.soak <= _LONGEST_SOAK:
             raise ConfigError(f'--soak {args.soak:g}: expected minutes above 0, at most '
                               f'{_LONGEST_SOAK:g}')
-        return _soaked(args)
+        return _soaked(args, priority)
     rows = []
     for name in args.only or table.FAULTS:
         fault = table.FAULTS[name]
         tries = fault.tries[0 if args.short else 1]
         _progress(f'{len(rows) + 1} of {len(args.only or table.FAULTS)}: {fault.fault}, '
                   f'{tries} tries ...')
-        rows.append(table.try_fault(fault, tries, _folder(args.logs, name), args.priority))
+        rows.append(table.try_fault(fault, tries, _folder(args.logs, name), priority))
         _progress('')
-    print(table.as_json(rows) if args.json else table.table(rows))
+    print(table.as_json(rows) if args.json else f'{table.table(rows)}\n{_condition(priority)}')
     return 0 if table.all_held(rows) else 1
 
 
-def _soaked(args):
+def _priority(asked):
+    """Return the priority that the nodes get (int)."""
+    scheduling = import_ros('gms_flex_control.nodes.scheduling')
+    if asked is None:
+        return _PRIORITY if scheduling.is_permitted(_PRIORITY) else 0
+    if not 0 <= asked <= 99:
+        raise ConfigError(f'--priority {asked}: expected 1 to 99, or 0 for none')
+    if asked and not scheduling.is_permitted(asked):
+        raise ConfigError(f'--priority {asked}: the system does not permit it; allow rtprio in '
+                          '/etc/security/limits.conf, or give 0')
+    return asked
+
+
+def _soaked(args, priority):
     from gms_flex_control.nodes.faults import soak
     from gms_flex_control.nodes.faults.bench import Bench
     with nullcontext(_folder(args.logs, 'soak')) if args.logs else TemporaryDirectory() as place:
-        with Bench(Path(place), args.priority) as bench:
+        with Bench(Path(place), priority) as bench:
             windows = soak.soak(bench, 60.0 * args.soak, say=_progress)
     _progress('')
     wrong = soak.judged(windows)
-    print(json.dumps({'windows': [window._asdict() for window in windows], 'problems': wrong},
-                     indent=2) if args.json else soak.table(windows))
+    print(json.dumps({'windows': [window._asdict() for window in windows], 'problems': wrong,
+                      'priority': priority}, indent=2)
+          if args.json else f'{soak.table(windows)}\n{_condition(priority)}')
     return 1 if wrong else 0
+
+
+def _condition(priority):
+    return (f'The nodes had realtime_priority {priority}.' if priority else
+            'The nodes had no realtime_priority: other programs make them late.')
 
 
 def _folder(logs, name):

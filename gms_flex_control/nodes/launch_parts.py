@@ -30,13 +30,13 @@ def config(name):
     return PathJoinSubstitution([FindPackageShare(PACKAGE), 'config', name])
 
 
-def arguments(*, bridge='', rviz='false'):
+def arguments(*, bridge='', rviz='false', priority='0'):
     """
     Return the arguments that every launch file takes.
 
     Parameters
     ----------
-    bridge, rviz : str or substitution
+    bridge, rviz, priority : str or substitution
         Their defaults, where launch files differ.
 
     Returns
@@ -57,6 +57,10 @@ def arguments(*, bridge='', rviz='false'):
         DeclareLaunchArgument('mode', default_value='realtime', choices=['realtime', 'lockstep'],
                               description='Pace of the simulation: the wall clock, or one step '
                                           'per command as fast as it goes'),
+        DeclareLaunchArgument('realtime_priority', default_value=priority,
+                              description='Of controller, trajectory and simulation, 1 to 99 '
+                                          'where it is permitted, 0 for none; a bridge has its '
+                                          'own in its file'),
         DeclareLaunchArgument('record', default_value='',
                               description='Bag to be made of the loop; empty records nothing'),
         DeclareLaunchArgument('rviz', default_value=rviz, choices=_SWITCH,
@@ -116,14 +120,15 @@ def closed_loop(controller=None, trajectory=None):
     list of Node
 
     """
-    bridge, mode = LaunchConfiguration('bridge'), {'mode': LaunchConfiguration('mode')}
+    bridge = LaunchConfiguration('bridge')
+    pace = {name: LaunchConfiguration(name) for name in ('mode', 'realtime_priority')}
     simulated = EqualsSubstitution(bridge, '')
     return [
-        node('plant_node', mode, {'use_sim_time': False}, condition=IfCondition(simulated)),
+        node('plant_node', pace, {'use_sim_time': False}, condition=IfCondition(simulated)),
         node('plant_node', bridge, {'backend': 'bridge'}, condition=UnlessCondition(simulated)),
-        node('controller_node', {**mode, **(controller or {})}),
+        node('controller_node', {**pace, **(controller or {})}),
         node('trajectory_node', LaunchConfiguration('trajectory'),
-             {**mode, **(trajectory or {})})]
+             {**pace, **(trajectory or {})})]
 
 
 def helpers():

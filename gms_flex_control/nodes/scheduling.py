@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """How soon the operating system lets a thread of the loop run: slices, timers, priorities."""
 
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 import ctypes
 import os
@@ -44,6 +45,33 @@ def tighten_timers():
         ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
 
 
+def is_permitted(priority):
+    """
+    Return whether this process may take a priority of SCHED_FIFO.
+
+    Parameters
+    ----------
+    priority : int
+        1 to 99.
+
+    Returns
+    -------
+    bool
+        As a thread of its own finds out, which ends at once.
+
+    """
+    try:
+        with ThreadPoolExecutor(1) as pool:
+            pool.submit(_begin_fifo, 0, priority).result()
+    except (OSError, AttributeError):
+        return False
+    return True
+
+
+def _begin_fifo(thread, priority):
+    os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(priority))
+
+
 def take_priority(node, priority):
     """
     Let all threads of this process go before others; those that begin later inherit it.
@@ -61,7 +89,7 @@ def take_priority(node, priority):
     try:
         for thread in os.listdir('/proc/self/task'):
             with suppress(ProcessLookupError):  # it has just ended
-                os.sched_setscheduler(int(thread), os.SCHED_FIFO, os.sched_param(priority))
+                _begin_fifo(int(thread), priority)
     except (OSError, AttributeError) as error:
         node.get_logger().warning(
             f'no realtime_priority {priority}: {error}; allow rtprio in /etc/security/limits.conf '

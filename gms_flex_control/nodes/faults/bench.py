@@ -206,8 +206,8 @@ class Bench:
 
         """
         given = {key.replace('__', '.'): value for key, value in parameters.items()}
-        if self._priority and name.split('.')[0] in _LOOP:
-            given['realtime_priority'] = self._priority
+        if name.split('.')[0] in _LOOP:
+            given.setdefault('realtime_priority', self._priority)
         files = default_files() if files is None else files
         return self.run([*(command or executable(name.split('.')[0])),
                          *ros_arguments(files, given), *arguments], name)

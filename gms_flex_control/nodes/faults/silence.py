@@ -6,6 +6,7 @@
 from itertools import cycle, islice
 import time
 
+from gms_flex_control.control.frozen_encoders import TURNED
 from gms_flex_control.nodes.faults.rigs import CONTROLLER, HeldRobot, PERIOD, zero_after
 from gms_flex_control.nodes.faults.wire import NAMES, stamp_of
 from sensor_msgs.msg import JointState
@@ -58,28 +59,32 @@ def _compare(tally, before, after):
 def try_frozen_encoders(bench, tries, tally):
     """Let angles stay the same in motion, their stamps going on."""
     robot = HeldRobot(bench)
-    for case in islice(cycle(_FREEZES), tries):
-        tally.tries += 1
-        _try_to_freeze(robot, *case, tally)
+    since_frozen = [_try_to_freeze(robot, *case, tally)
+                    for case in islice(cycle(_FREEZES), tries)]
+    tally.notes.append(f'{max(since_frozen):.3g} ms after an angle froze, at most')
     tally.expect(robot.controller.runs, 'the controller ended')
 
 
 def _try_to_freeze(robot, name, angles, moving, tally):
+    """Freeze angles once; return how long a torque came after that [ms], 0 if it may."""
+    tally.tries += 1
     robot.settle()
     robot.until(lambda: min(map(abs, robot.message().velocity[:2])) > _FAST)
     before, begin, moment = _count(robot), robot.stamp, time.monotonic()
-    robot.spoil = _freezing(robot, angles, moving)
+    robot.spoil = freeze = _Freeze(robot, angles, moving)
     told = robot.until(lambda: all(NAMES[k] in robot.diagnostics.sentence(CONTROLLER)
                                    for k in angles), _LONGEST)
     tally.expect(told, f'{name}: the controller says {robot.diagnostics.sentence(CONTROLLER)!r}')
     later = robot.run(_AFTERWARDS)
     tally.expect(not robot.largest(later), f'{name}: a torque though it was told')
     torques = [stamp_of(one) for _, one in robot.commands.since(moment) if any(one.data)]
+    zero = max(torques, default=begin) + PERIOD
     if moving:  # the other way round it hangs on the torque
-        tally.figure((max(torques, default=begin) + PERIOD - begin) / 1e6)
+        tally.figure(max(0, zero - (freeze.wrong or zero)) / 1e6)
     robot.spoil = lambda message: None
     tally.expect(robot.settle(), f'{name}: no motion once the angles change again')
     tally.expect(robot.until(lambda: _count(robot) > before, 3.0), f'{name}: it is not counted')
+    return (zero - begin) / 1e6 if moving else 0.0
 
 
 def _count(robot):
@@ -91,13 +96,25 @@ _FREEZES = (('a link', (0,), True), ('a motor without its velocity', (3,), False
             ('all angles', (0, 1, 2, 3), True), ('a motor', (2,), True))
 
 
-def _freezing(robot, angles, moving):
-    """Return what replaces some angles of a state by those of now, their velocities by zero."""
-    held = list(robot.message().position)
+class _Freeze:
+    """
+    Replaces some angles of a state by those of now, and their velocities by zero if asked.
 
-    def freeze(message):
-        for k in angles:
-            message.position[k] = held[k]
-            if not moving:
+    Attributes
+    ----------
+    wrong : int or None
+        Stamp from which on one of the angles is further off than a velocity may tell [ns].
+
+    """
+
+    def __init__(self, robot, angles, moving):
+        self._angles, self._moving = angles, moving
+        self._held, self.wrong = list(robot.message().position), None
+
+    def __call__(self, message):
+        for k in self._angles:
+            if self.wrong is None and abs(message.position[k] - self._held[k]) > TURNED:
+                self.wrong = stamp_of(message)
+            message.position[k] = self._held[k]
+            if not self._moving:
                 message.velocity[k] = 0.0
-    return freeze

@@ -97,6 +97,8 @@ class Row:
         What was not, and what else there is to know.
     seconds : float
         How long it took.
+    priority : int
+        realtime_priority of the nodes.
 
     """
 
@@ -112,9 +114,10 @@ class Row:
     problems: tuple
     notes: tuple
     seconds: float
+    priority: int
 
 
-def judged(fault, tally, seconds):
+def judged(fault, tally, seconds, priority=0):
     """Return the Row of a Fault from the Tally of its tries."""
     problems = list(tally.problems)
     if tally.worst is not None and not tally.worst <= fault.limit:
@@ -125,4 +128,4 @@ def judged(fault, tally, seconds):
     return Row(name=fault.name, fault=fault.fault, required=fault.required, figure=fault.figure,
                unit=fault.unit, limit=fault.limit, tries=tally.tries, worst=tally.worst,
                verdict=FAILED if problems else HELD, problems=tuple(problems),
-               notes=tuple(tally.notes), seconds=seconds)
+               notes=tuple(tally.notes), seconds=seconds, priority=priority)
