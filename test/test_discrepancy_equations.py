@@ -321,6 +321,25 @@ def test_a_robot_of_knobs_is_the_record_of_knobs(ideal_robot, arm):
             field for _, field, _ in knob.fields}
 
 
+@pytest.mark.parametrize('kind', ['planar', 'decoupled'])
+@pytest.mark.parametrize('effect', [('tip_payload', '', (0.4,)),
+                                    ('link_inertia_error', 'joint1', (0.9,)),
+                                    ('link_inertia_error', 'joint2', (-0.5,))])
+def test_knobs_scale_what_a_link_carries_with_what_effects_add(ideal_robot, effect, kind):
+    """The fit moves the inertia of link and payload; so does the robot that is written."""
+    name, joint, values = effect
+    robot = replace(ideal_robot, arm=replace(ideal_robot.arm, kind=kind, gravity=[0.0, -9.0]),
+                    effects=(EffectSpec(name=name, joint=joint, values=values),))
+    base = plant.constants_of(robot)
+    knobs = knobs_of(base, DOUBT)
+    for seed in range(5):
+        x = np.random.default_rng(seed).uniform(-0.04, 0.04, len(knobs))
+        asked, made = flat(tuned(base, knobs, x)), flat(
+            plant.constants_of(with_knobs(robot, knobs, x)))
+        for field in ('chain.coupling', 'chain.moment'):
+            np.testing.assert_allclose(made[field], asked[field], rtol=1e-9, atol=1e-15)
+
+
 def test_every_guess_is_an_effect_the_model_allows(problem):
     """
     Its probes and what they stand for are values within the bounds of its parameters.

@@ -9,6 +9,9 @@ from gms_flex_control.discrepancy.known import tuned
 from gms_flex_control.simulation import plant
 import numpy as np
 
+_CARRIED = ('coupling', 'moment')  # of links
+_ROUNDS = 30  # at most, until they are what they should be
+
 
 def with_knobs(robot, knobs, x):
     """
@@ -26,11 +29,27 @@ def with_knobs(robot, knobs, x):
     Returns
     -------
     RobotParams
-        Its record is that of `tuned`, but for changes that effects make of parameters.
+        Its record is that of `tuned`.
 
     """
-    plain = replace(robot, effects=())
-    record = tuned(plant.constants_of(plain), knobs, x)
+    asked = tuned(plant.constants_of(robot), knobs, x).chain
+    record = tuned(plant.constants_of(replace(robot, effects=())), knobs, x)
+    made = _with_record(robot, record)
+    # a knob scales what a link carries with all that effects add to it, as a payload does
+    for _ in range(_ROUNDS):
+        got = plant.constants_of(made).chain
+        if all(np.allclose(getattr(got, name), getattr(asked, name), rtol=1e-13, atol=0.0)
+               for name in _CARRIED):
+            break
+        for name in _CARRIED:
+            own, whole = getattr(record.chain, name), getattr(got, name)
+            own *= np.where(whole != 0.0, getattr(asked, name) / np.where(whole, whole, 1.0), 1.0)
+        made = _with_record(robot, record)
+    return made
+
+
+def _with_record(robot, record):
+    """Return a robot whose parameters, effects left out, are those of a kernels' record."""
     friction, links = record.friction, record.chain
     sides = {}
     for row, side in enumerate(('forward', 'backward')):
