@@ -209,6 +209,28 @@ def test_a_clock_that_jumps_makes_time_neither_jump_nor_run_backwards(jump):
     assert timeline.jumps == 1
 
 
+@pytest.mark.parametrize('stall', [21, 25, 30, 60, 90])
+@pytest.mark.parametrize('other', [0, 5 * 10**9])
+def test_samples_that_had_to_wait_keep_their_times(stall, other):
+    """The process stands still: what came meanwhile is read at once afterwards."""
+    timeline, times = Timeline(), []
+    for k in range(100):
+        sent = 10**18 + k * 4 * MS
+        waits = max(0, 10**18 + (200 + stall) * MS - sent) if sent >= 10**18 + 200 * MS else 0
+        times.append(timeline.read(sent - other, sent + waits + k * 1000))
+    assert timeline.jumps == 0
+    assert None not in times and np.abs(np.diff(times) - 4 * MS).max() < 0.2 * MS
+
+
+def test_a_clock_that_stays_behind_is_another_one():
+    timeline, times = Timeline(), []
+    for k in range(200):
+        now = 10**18 + k * 4 * MS
+        times.append(timeline.read(now - (24 * MS if k >= 50 else 0), now))
+    assert timeline.jumps == 1
+    assert abs(times[-1] - now) < MS
+
+
 def test_another_clock_keeps_its_steps_and_is_followed_when_it_drifts():
     """A clock that starts at 5 s and runs 100 ppm slow for half an hour."""
     timeline, rng, times = Timeline(), np.random.default_rng(1), []

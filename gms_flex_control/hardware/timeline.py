@@ -4,6 +4,8 @@
 """Stamps of one source of joint states as one steady time, whatever its clock does."""
 
 TOLERANCE = 20_000_000   # a stamp that far from its arrival is of another clock [ns]
+_WAITED = 100_000_000    # a sample that had to wait comes so late at most [ns]
+_BACKLOG = 200_000_000   # and after so long one is in time again [ns]
 _CALM = 5_000_000        # nothing is corrected within that [ns]
 _SLEW = 1e-3             # how fast a drifting clock is followed, beyond any quartz
 
@@ -14,7 +16,8 @@ class Timeline:
 
     A stamp near the time of arrival is taken as it is, so that recordings of robot and bridge
     agree. One of another clock is shifted by a constant, which follows slow drift and is chosen
-    anew when that clock jumps. A source without stamps has the time of arrival.
+    anew when that clock jumps. Samples that come late because they had to wait are no jump: the
+    next ones are in time again. A source without stamps has the time of arrival.
 
     Attributes
     ----------
@@ -26,6 +29,7 @@ class Timeline:
     def __init__(self):
         self._stamp = self._offset = self._last = None
         self._arrival = 0
+        self._in_time = None       # when a sample last came as its stamp has it
         self.jumps = 0
 
     def read(self, stamp, now):
@@ -50,12 +54,21 @@ class Timeline:
             return self._keep(now, now)
         if stamp == self._stamp:
             return None
-        if self._offset is None or abs(stamp + self._offset - now) > TOLERANCE:
+        if self._offset is None or self._is_of_another_clock(stamp, now):
             self.jumps += self._offset is not None
             self._offset = 0 if abs(stamp - now) <= TOLERANCE else now - stamp
+        if abs(stamp + self._offset - now) <= TOLERANCE:
+            self._in_time = now
         self._stamp = stamp
         self._follow(stamp, now)
         return self._keep(stamp + self._offset, now)
+
+    def _is_of_another_clock(self, stamp, now):
+        late = now - stamp - self._offset
+        if abs(late) <= TOLERANCE:
+            return False
+        waited = 0 < late <= _WAITED and stamp > self._stamp
+        return not waited or now - self._in_time > _BACKLOG
 
     def _follow(self, stamp, now):
         behind = now - stamp - self._offset
