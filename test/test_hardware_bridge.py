@@ -3,6 +3,9 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """The bridge without ROS: when torque flows, what stops it, and what it says of that."""
 
+from dataclasses import replace
+import math
+
 from gms_flex_control.errors import ConfigError, ParameterError
 from gms_flex_control.hardware.bridge import Bridge, BridgeParams
 from gms_flex_control.hardware.command_watch import CommandWatch, SourceWatch
@@ -260,6 +263,30 @@ def test_measured_efforts_are_reported_as_torque_where_there_are_some():
     run.now += 2 * MS
     run.bridge.take_state(0, ['m', 'l'], [0.0, 0.0], (), [0.37, 9.0], run.now, run.now)
     assert run.bridge.applied[0] == 0.37
+
+
+def test_an_effort_under_a_name_that_no_encoder_has_is_measured_while_it_comes():
+    joint_map = JointMap(('j',), [Reading(name='l')], [None],
+                         [Actuation(name='a', torque_constant=2.0)])
+    bridge = Bridge(replace(params(), joint_map=joint_map))
+    for k, (names, effort, torque) in enumerate([
+            (['a', 'l'], [0.4, math.nan], 0.8), (['l'], [], 0.0), (['l', 'a'], [9.0, -0.1], -0.2),
+            (['l', 'a'], [], 0.0)]):
+        assert bridge.take_state(0, names, [0.0] * len(names), (), effort, 10**12 + k * MS,
+                                 10**12 + k * MS)
+        assert bridge.applied[0] == pytest.approx(torque)
+
+
+@pytest.mark.parametrize('guarded', [False, True])
+def test_torque_does_not_come_back_at_once_after_the_guardian_took_it_away(guarded):
+    """The timeouts would allow the bridge to stand still for so long."""
+    run = Run()
+    run.bridge.params = replace(params(), state_timeout=0.2, silence_timeout=0.2, guarded=guarded)
+    run.enabled()
+    run.now += 100 * MS
+    run.tick()
+    assert run.said.startswith('FAULT: the bridge stood still for 10') == guarded
+    assert run.bridge.supervisor.active != guarded and any(run.bridge.torque) != guarded
 
 
 # the state machine -----------------------------------------------------------------------------

@@ -5,6 +5,8 @@
 
 from functools import partial
 import math
+import os
+from pathlib import Path
 import signal
 import subprocess
 import sys
@@ -229,6 +231,15 @@ def test_a_robot_that_stops_speaking_is_zero_torque(lab):
         thaw()
 
 
+def test_the_guardian_has_the_priority_of_its_bridge(tmp_path):
+    with bridge_lab(tmp_path, robot=False, realtime_priority=1) as lab:
+        lab.until(lambda: 'ZERO' in lab.plant.printed())
+        children = Path(f'/proc/{lab.plant.process.pid}/task').glob('*/children')
+        guardian, = {int(pid) for file in children for pid in file.read_text().split()}
+        lab.until(lambda: 'no realtime_priority 1' in lab.plant.printed()
+                  or os.sched_getscheduler(guardian) == os.SCHED_FIFO)
+
+
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
 def test_the_last_word_is_zero(lab, number):
     move(lab)
@@ -249,7 +260,7 @@ def test_a_frozen_bridge_leaves_zero_and_stops_when_it_is_back(lab):
         assert time_to_zero(lab, begin, lab.driven) < GUARDED
     finally:
         lab.plant.process.send_signal(signal.SIGCONT)
-    report(lab, 'FAULT: no ')
+    report(lab, 'FAULT: the bridge stood still for ')
 
 
 def test_a_killed_bridge_leaves_zero(lab):

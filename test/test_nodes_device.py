@@ -114,6 +114,7 @@ class Failing(Device):
 
     def close(self):
         self.done.append('close')
+        raise OSError('the line is gone')
 
 
 class Zeroed:
@@ -132,7 +133,7 @@ def test_a_device_that_fails_gets_zero_before_it_is_closed_and_is_opened_again(
     device, robot = Failing(fails), Zeroed()
     monkeypatch.setattr(robot_links.devices, 'find', lambda *_: device)
     robot.link = link = robot_links.DeviceLink(
-        lab.node, robot, {'bridge.device': 'failing', 'bridge.device_options': []}, ('m',))
+        lab.node, robot, {'bridge.device': 'failing', 'bridge.device_options': []}, ('m',), [])
     with link:
         lab.until(lambda: not link.broken)
         try:

@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """The trajectory node's services: smooth from wherever the robot is, whatever changes."""
 
+from gms_flex_control.nodes.faults import broken_node
 from node_harness import (
     CONFIG,
     FILES,
@@ -140,6 +141,27 @@ def test_reset_rests_where_the_robot_is(moving):
     moving.steps(1, (0.1, 0.2))
     rows = moving.steps(5)
     assert np.all(rows[:, 0] == [0.1, 0.2]) and np.all(rows[:, 1:] == 0.0)
+
+
+def test_a_fault_ends_by_reset_where_the_robot_is_by_then(tmp_path):
+    """The arm has sagged, or was moved by hand; the first state it ever gets is the fault."""
+    broken = broken_node.command(
+        'trajectory_node', 'gms_flex_control.nodes.trajectory_node:TrajectoryNode._publish', 0)
+    with Stepper(tmp_path) as lab:
+        lab.begin('trajectory_node', command=broken)
+
+        def state(position):
+            lab.stamp += PERIOD
+            lab.states.publish(joint_state(lab.stamp, [*position, *position]))
+        state(START)
+        lab.until(lambda: broken_node.SENTENCE in lab.started.printed())
+        for act in (lambda: None, lambda: lab.trigger('reset')):
+            act()
+            lab.messages.clear()
+            state((0.3, 0.1))
+            lab.until(lambda: lab.messages)
+        rows = lab.steps(5, (0.3, 0.1))
+        assert np.all(rows[:, 0] == [0.3, 0.1]) and np.all(rows[:, 1:] == 0.0)
 
 
 def test_a_changed_type_does_not_start_a_robot_at_rest(moving):

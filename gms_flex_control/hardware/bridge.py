@@ -13,7 +13,7 @@ from gms_flex_control.hardware.command_watch import CommandWatch
 from gms_flex_control.hardware.limits import Limits
 from gms_flex_control.hardware.mapping import JointMap
 from gms_flex_control.hardware.merger import NANOSECONDS, StateMerger
-from gms_flex_control.hardware.supervisor import Supervisor
+from gms_flex_control.hardware.supervisor import STOOD_STILL, Supervisor
 import numpy as np
 
 _KEPT_STATES = 64          # published states that a command may answer
@@ -41,6 +41,8 @@ class BridgeParams:
         See StateMerger [Hz].
     skew : float
         See StateMerger [s].
+    guarded : bool
+        Whether a guardian sends zero while the bridge stands still.
 
     """
 
@@ -51,6 +53,7 @@ class BridgeParams:
     silence_timeout: float = 0.035
     velocity_cutoff: float = 50.0
     skew: float = 0.01
+    guarded: bool = False
 
     def __post_init__(self):
         missing = self.limits.missing()
@@ -105,6 +108,7 @@ class Bridge:
         self.worst = {'state_age': 0, 'answer': 0}
         self._published = {}       # stamp -> when the state was published
         self._arrived = None       # when the last state came
+        self._watched = None       # when the bridge last looked after both sides
         self._enabled = 0          # stamp of the state at which torque was enabled
         self._given = 0            # when torque was given last
         self._held_back = np.zeros(n)  # share of recent time in which the rate held a torque back
@@ -274,8 +278,12 @@ class Bridge:
             Whether a fault has begun: zero is to be sent at once.
 
         """
+        stood = now - (now if self._watched is None else self._watched)
+        self._watched = now
         if not self.supervisor.active:
             return False
+        if self.params.guarded and stood > STOOD_STILL * NANOSECONDS:  # torque went to zero
+            return self.fault(f'the bridge stood still for {stood / 1e6:.0f} ms')
         sentence = self._silent_robot(now) or self._silent_controller(now)
         self._silent_for = sentence if sentence.startswith(_NO_COMMAND) else ''
         return bool(sentence) and self.fault(sentence)

@@ -120,8 +120,9 @@ class JointMap:
         self._motor_channel[flexible] = n + np.arange(sum(flexible))
         self._scale = np.array([a.sign * a.torque_constant * a.gear for a in actuators])
         self.command_names = tuple(actuators[j].name for j in self._order)
-        self._effort_channel = [self.names.index(a.name) if a.name in self.names else -1
-                                for a in actuators]
+        # some robots tell an effort under a name that no encoder has
+        self.effort_names = tuple(dict.fromkeys([*self.names, *(a.name for a in actuators)]))
+        self._effort_channel = [self.effort_names.index(a.name) for a in actuators]
 
     def angle(self, reading, channel):
         """Return joint angles [rad] of ``reading`` (k,) of the encoders ``channel`` (k,)."""
@@ -141,11 +142,9 @@ class JointMap:
 
     def torques(self, efforts, otherwise):
         """
-        Turn the efforts of all encoders, NaN where unknown, into torques of the joints [N m].
+        Turn efforts by `effort_names`, NaN where unknown, into torques of the joints [N m].
 
         ``otherwise`` (n_joints,) stands in where the robot measures none.
         """
-        known = [efforts[channel] if channel >= 0 else np.nan
-                 for channel in self._effort_channel]
-        torque = np.array(known) * self._scale
+        torque = efforts[self._effort_channel] * self._scale
         return np.where(np.isfinite(torque), torque, otherwise)

@@ -36,8 +36,10 @@ class StateMerger:
 
     Attributes
     ----------
-    position, velocity, effort : ndarray, shape (n_encoders,)
-        Of the joints [rad, rad/s]; efforts in the robot's units, NaN where unknown.
+    position, velocity : ndarray, shape (n_encoders,)
+        Of the joints [rad, rad/s].
+    effort : ndarray, shape (n_names,)
+        By the map's ``effort_names``, in the robot's units; NaN where unknown.
     time : int
         Of the state [ns].
     estimated : int
@@ -55,7 +57,8 @@ class StateMerger:
         self._q, self._dq = np.zeros(m), np.zeros(m)
         self._times = np.full(m, -1, dtype=np.int64)
         self._fresh = np.zeros(m, dtype=bool)
-        self.position, self.velocity, self.effort = np.zeros(m), np.zeros(m), np.full(m, np.nan)
+        self.position, self.velocity = np.zeros(m), np.zeros(m)
+        self.effort = np.full(len(joint_map.effort_names), np.nan)
         self.time, self.estimated = 0, 0
 
     @property
@@ -97,14 +100,18 @@ class StateMerger:
 
         """
         plan = self._plan(source, names)
-        _, index, channel = plan
+        _, index, channel, told = plan
         q, dq, torque = self._values(names, (position, velocity, effort), index, channel)
         self._keep(source, plan)
         time = self._timelines[source].read(stamp, now)
         if time is None:
             return False
+        if not self._fresh.any():  # a new state begins
+            self.effort[len(self._map.names):] = np.nan
         self._move(channel, q, dq, time)
         self.effort[channel] = torque
+        for c, k in told if len(effort) else ():
+            self.effort[c] = effort[k]
         self._fresh[channel] = True
         newest = int(self._times.max())
         if not self._fresh.all() or newest - int(self._times.min()) > self._skew:
@@ -145,7 +152,9 @@ class StateMerger:
                 raise ReadingError(f'{name!r} comes from {self._sources[self._owner[c]]} and from '
                                    f'{place}; leave it out of one, or one out of '
                                    'bridge.state_topics')
-        return [names.index(name) for name in wanted], np.array(channel)
+        told = [(c, names.index(name)) for c, name in enumerate(self._map.effort_names)
+                if c >= len(self._map.names) and name in names]
+        return [names.index(name) for name in wanted], np.array(channel), told
 
     def _values(self, names, fields, index, channel):
         """Return joint angle, velocity (NaN: none) and raw effort of the encoders ``channel``."""

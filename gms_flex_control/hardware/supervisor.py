@@ -6,6 +6,7 @@
 from typing import NamedTuple
 
 ZERO, ACTIVE, FAULT = 'ZERO', 'ACTIVE', 'FAULT'
+STOOD_STILL = 0.05  # of the bridge, upon which its guardian sends zero efforts [s]
 
 
 class Outcome(NamedTuple):

@@ -59,9 +59,11 @@ class BridgedRobot(SupervisedRobot):
         self._writer = messages.JointStateWriter(joints, motors)
         self._state_pub = node.create_publisher(JointState, 'joint_states',
                                                 process.publisher_qos('realtime'))
-        link = DeviceLink if values['bridge.device'] else TopicLink
-        self._link = link(node, self, values, self._map.command_names)
-        Inbox(node, Float64MultiArray, 'effort_controller/commands', self._on_command)
+        self._ends = False
+        link, boxes = DeviceLink if values['bridge.device'] else TopicLink, []
+        self._link = link(node, self, values, self._map.command_names, boxes)
+        Inbox(node, Float64MultiArray, 'effort_controller/commands', self._on_command,
+              boxes=boxes)
 
     def now(self):
         """Return a time that never jumps, near that of the system at the start [ns]."""
@@ -145,7 +147,7 @@ class BridgedRobot(SupervisedRobot):
             if self._supervisor.state != 'ZERO':
                 return ''
             return (self._health.fault or self._bridge.obstacle(self.now())
-                    or self._link.obstacle())
+                    or self._link.obstacle() or ('the bridge ends' if self._ends else ''))
 
     def enable(self, refusals=None):
         """Let torque flow, unless it was taken away since there were ``refusals``."""
@@ -178,12 +180,21 @@ class BridgedRobot(SupervisedRobot):
         scheduling.tighten_timers()
         look = self._health.guard(self._look)
         with process.BackgroundSpin(spinner) as background, self._link:
-            while spinner.goes_on():
-                if background.error is not None:
-                    raise background.error
-                look()
-                self._link.beat()
-                time.sleep(_WATCH_PERIOD)
+            try:
+                while spinner.goes_on():
+                    if background.error is not None:
+                        raise background.error
+                    look()
+                    self._link.beat()
+                    time.sleep(_WATCH_PERIOD)
+            finally:  # commands still come, and nobody watches any more
+                self._end()
+
+    def _end(self):
+        with self._lock:
+            self._ends = True
+            self._supervisor.disable('the bridge ends')
+            self._settle()
 
     def _look(self):
         with self._lock:
@@ -198,8 +209,8 @@ class BridgedRobot(SupervisedRobot):
 
     def finish(self):
         """Leave zero on the wire, and stay until those who acknowledge have it."""
+        self._end()
         with self._lock:
-            self._supervisor.disable('the bridge ends')
             self._bridge.take_torque_away()
             self._send()
         self._link.finish()

@@ -313,7 +313,8 @@ class ControllerNode(Node):
 
     def _watch(self):
         """Command nothing once states have stopped or have all been refused."""
-        if self._answered is None or self._lockstep or self._zeros >= _ZEROS:
+        if (self._answered is None or self._lockstep or self._zeros >= _ZEROS
+                or self.health.fault):  # which answers every state with zero
             return
         if time.monotonic() - self._answered < (self._zeros + 1) * _LONGEST_SILENCE:
             return

@@ -16,6 +16,8 @@ import subprocess
 import sys
 import time
 
+from gms_flex_control.hardware.supervisor import STOOD_STILL
+from gms_flex_control.nodes import scheduling
 from gms_flex_control.nodes.transport import avoid_shared_memory
 import rclpy
 from rclpy.qos import QoSProfile
@@ -23,7 +25,6 @@ from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-SILENCE = 0.05             # of the bridge that is taken for its end [s]
 _BEAT, _END = b'.', b'q'
 _PERIOD = 0.005            # between zeros [s]
 _AFTERWARDS = 0.5          # zeros for a dead bridge last so long; a new one may come [s]
@@ -41,13 +42,15 @@ class Guardian:
         Topics of the efforts as Float64MultiArray and as JointState; '' for none.
     names : sequence of str
         Of the actuators.
+    priority : int
+        Its realtime_priority: that of the bridge.
 
     """
 
-    def __init__(self, name, array, joint, names):
+    def __init__(self, name, array, joint, names, priority):
+        given = json.dumps([name, array, joint, list(names), priority])
         self._process = subprocess.Popen(
-            [sys.executable, '-m', __name__, json.dumps([name, array, joint, list(names)]),
-             *_enclave_of(sys.argv)],
+            [sys.executable, '-m', __name__, given, *_enclave_of(sys.argv)],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0, start_new_session=True)
         for pipe in (self._process.stdin, self._process.stdout):
             os.set_blocking(pipe.fileno(), False)
@@ -105,11 +108,11 @@ def _zeros(node, array, joint, names):
     return found
 
 
-def _heard_by(zeros, before):
-    """Return how many listen to the zeros; say so if it is not as ``before``."""
+def _heard_by(zeros, before, pipe):
+    """Return how many listen to the zeros; say so to a pipe if it is not as ``before``."""
     count = min(255, sum(publisher.get_subscription_count() for publisher, _ in zeros))
     if count != before:
-        os.write(sys.stdout.fileno(), bytes([count]))
+        os.write(pipe, bytes([count]))
     return count
 
 
@@ -117,10 +120,13 @@ def main():
     """Watch the standard input until it says that the bridge has ended in order."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)  # the bridge ends first
-    name, array, joint, names = json.loads(sys.argv[1])
+    name, array, joint, names, priority = json.loads(sys.argv[1])
+    pipe = os.dup(sys.stdout.fileno())
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # where DDS prints, too
     avoid_shared_memory()
     rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node(name, enable_rosout=False, start_parameter_services=False)
+    scheduling.take_priority(node, priority)
     zeros, count = _zeros(node, array, joint, names), 0
     heard, dead = time.monotonic(), None
     while dead is None or time.monotonic() < dead + _AFTERWARDS:
@@ -131,11 +137,11 @@ def main():
             heard, dead = time.monotonic(), None if data else time.monotonic()
         elif dead is not None:
             time.sleep(_PERIOD)
-        if dead is not None or time.monotonic() - heard > SILENCE:
+        if dead is not None or time.monotonic() - heard > STOOD_STILL:
             for publisher, message in zeros:
                 publisher.publish(message)
         if dead is None:
-            count = _heard_by(zeros, count)
+            count = _heard_by(zeros, count, pipe)
     node.destroy_node()
     rclpy.try_shutdown()
 

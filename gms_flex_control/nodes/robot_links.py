@@ -36,16 +36,18 @@ class TopicLink:
         Checked parameters.
     names : tuple of str
         Of the actuators, in the order of the efforts.
+    boxes : list of Inbox
+        Those of the node.
 
     """
 
     errors = ()
 
-    def __init__(self, node, robot, values, names):
+    def __init__(self, node, robot, values, names, boxes):
         self._node, self._robot = node, robot
         self._refuse_own_topics(values)
         for source, topic in enumerate(values['bridge.state_topics']):
-            Inbox(node, JointState, topic, self._taker(source))
+            Inbox(node, JointState, topic, self._taker(source), boxes=boxes)
         kind = values['bridge.command_type']
         self._array_pub = self._joint_pub = None
         if kind != 'joint_state':
@@ -55,12 +57,13 @@ class TopicLink:
             self._joint_pub = node.create_publisher(
                 JointState, values['bridge.joint_command_topic'], _NEWEST)
         self._array, self._joint = Float64MultiArray(), JointState(name=list(names))
-        self._guardian = None
+        self._guardian, self._known_rivals = None, 0
         if values['bridge.guardian']:
             self._guardian = Guardian(
                 f'{node.get_name()}_guardian', *(publisher.topic_name if publisher else ''
                                                  for publisher in (self._array_pub,
-                                                                   self._joint_pub)), names)
+                                                                   self._joint_pub)), names,
+                values['realtime_priority'])
 
     def _refuse_own_topics(self, values):
         taken = {self._node.resolve_topic_name(name): name
@@ -119,6 +122,20 @@ class TopicLink:
         return sum(publisher.get_subscription_count()
                    for publisher in filter(None, (self._array_pub, self._joint_pub)))
 
+    def _rivals(self):
+        """Return how many more publish efforts; say so when they become more."""
+        ours = 1 + (self._guardian is not None)
+        topics = [publisher.topic_name for publisher in (self._array_pub, self._joint_pub)
+                  if publisher is not None]
+        rivals = sum(max(self._node.count_publishers(topic) - ours, 0) for topic in topics)
+        if rivals > self._known_rivals:
+            self._node.get_logger().warning(
+                f"{rivals} more publish on {' and '.join(topics)}: whoever takes the efforts "
+                'obeys both; end them, if they are not gone already (one that was killed is '
+                'counted for 20 s)')
+        self._known_rivals = rivals
+        return rivals
+
     def __enter__(self):
         """Return the link; it listens since it was made."""
         return self
@@ -135,7 +152,8 @@ class TopicLink:
 
     def figures(self):
         """Return what to report."""
-        figures = {'listeners of the efforts': self._listeners()}
+        figures = {'listeners of the efforts': self._listeners(),
+                   'publishers of the efforts beside the bridge': self._rivals()}
         if self._guardian is not None:
             figures['listeners of the guardian'] = self._guardian.heard_by
         return figures
@@ -150,7 +168,7 @@ class DeviceLink:
 
     errors = (DeviceError,)
 
-    def __init__(self, node, robot, values, names):
+    def __init__(self, node, robot, values, names, _boxes):
         self._node, self._robot = node, robot
         self._name = values['bridge.device']
         self._device = devices.find(self._name, values['bridge.device_options'], names)
@@ -187,7 +205,13 @@ class DeviceLink:
         self._failures += 1
         self._robot.fail(f'device {self._name}: {error}')  # zero, if it can still be written
         self._connected = False
-        self._device.close()
+        self._close()
+
+    def _close(self):
+        try:
+            self._device.close()
+        except Exception as error:  # noqa: B902  of a library we do not know
+            self._node.get_logger().warning(f'device {self._name} failed to close: {error!r}')
 
     def write(self, efforts):
         """Send efforts (list of float); nothing happens without a connection."""
@@ -226,7 +250,7 @@ class DeviceLink:
 
     def finish(self):
         """Disconnect."""
-        self._device.close()
+        self._close()
 
     def figures(self):
         """Return what to report."""

@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """The reference as a ROS 2 node: one message per joint state, a sample ahead."""
 
+from contextlib import suppress
 import os
 import sys
 
@@ -99,6 +100,8 @@ class TrajectoryNode(Node):
         stamp = messages.to_nanoseconds(message.header.stamp)
         if self.health.fault:
             self._ask_for_zero(stamp)
+            with suppress(messages.RefusedError):  # ~/reset begins where the robot is by then
+                self._read(message)
             return False
         try:
             self._read(message)
@@ -248,10 +251,12 @@ class TrajectoryNode(Node):
     def _reset(self, _request, response):
         def forget():
             """Take the robot's own motion for the reference and bring that to rest."""
-            self.health.recover()
             state = self._robot_state()
             state[1, np.abs(state[1]) < _CREEP] = 0.0
             self._brake_from(state)
+        self.health.recover()
+        if self._published is None:  # the next state is the first again
+            self._current = None
         return self._reply(response, forget, 'reference comes to rest from where the robot is')
 
     def _release(self, _request, response):

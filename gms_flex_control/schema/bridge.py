@@ -81,7 +81,7 @@ def bridge_from_values(values, joints, motors):
         joint_map=_joint_map(flat, joints, motors), limits=limits_from_values(values, joints),
         sources=sources, state_timeout=flat['bridge.state_timeout'],
         silence_timeout=flat['silence_timeout'], velocity_cutoff=flat['bridge.velocity_cutoff'],
-        skew=flat['bridge.skew'])
+        skew=flat['bridge.skew'], guarded=flat['bridge.guardian'] and not flat['bridge.device'])
 
 
 def _joint_map(flat, joints, motors):
