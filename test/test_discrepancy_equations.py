@@ -322,14 +322,18 @@ def test_a_robot_of_knobs_is_the_record_of_knobs(ideal_robot, arm):
 
 
 @pytest.mark.parametrize('kind', ['planar', 'decoupled'])
+@pytest.mark.parametrize('mass', [[1.5, 1.0], [0.3, 2.0]])
 @pytest.mark.parametrize('effect', [('tip_payload', '', (0.4,)),
+                                    ('tip_payload', '', (1.5,)),
                                     ('link_inertia_error', 'joint1', (0.9,)),
+                                    ('link_inertia_error', 'joint1', (3.0,)),
                                     ('link_inertia_error', 'joint2', (-0.5,))])
-def test_knobs_scale_what_a_link_carries_with_what_effects_add(ideal_robot, effect, kind):
+def test_knobs_scale_what_a_link_carries_with_what_effects_add(ideal_robot, effect, kind, mass):
     """The fit moves the inertia of link and payload; so does the robot that is written."""
     name, joint, values = effect
-    robot = replace(ideal_robot, arm=replace(ideal_robot.arm, kind=kind, gravity=[0.0, -9.0]),
-                    effects=(EffectSpec(name=name, joint=joint, values=values),))
+    arm = replace(ideal_robot.arm, kind=kind, mass=mass, gravity=[0.0, -9.0])
+    robot = replace(ideal_robot, arm=arm, effects=(
+        EffectSpec(name=name, joint=joint, values=values),))
     base = plant.constants_of(robot)
     knobs = knobs_of(base, DOUBT)
     for seed in range(5):
@@ -338,6 +342,21 @@ def test_knobs_scale_what_a_link_carries_with_what_effects_add(ideal_robot, effe
             plant.constants_of(with_knobs(robot, knobs, x)))
         for field in ('chain.coupling', 'chain.moment'):
             np.testing.assert_allclose(made[field], asked[field], rtol=1e-9, atol=1e-15)
+
+
+@pytest.mark.parametrize('tilt', [0.0, 0.1])
+def test_a_point_mass_and_a_known_tilt_are_written_as_they_are_fitted(ideal_robot, tilt):
+    """Moments up and inertia down would ask for an inertia below zero about the centre of mass."""
+    known = (EffectSpec(name='gravity_tilt', joint='arm', values=(tilt, -1.5)),) if tilt else ()
+    robot = replace(ideal_robot, effects=known, arm=replace(
+        ideal_robot.arm, inertia=[0.0, 0.0], gravity=[0.0, -9.0 * (not tilt)]))
+    base = plant.constants_of(robot)
+    knobs = knobs_of(base, DOUBT)
+    x = np.array([{'gravity': 0.03, 'inertia': -0.02}.get(knob.name, 0.0) for knob in knobs])
+    asked, made = flat(tuned(base, knobs, x)), flat(
+        plant.constants_of(with_knobs(robot, knobs, x)))
+    for field in ('chain.coupling', 'chain.moment'):
+        np.testing.assert_allclose(made[field], asked[field], rtol=1e-9, atol=1e-15)
 
 
 def test_every_guess_is_an_effect_the_model_allows(problem):

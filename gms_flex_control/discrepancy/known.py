@@ -71,7 +71,7 @@ def knobs_of(constants, doubt):
         if heavy and chain.moment[i] != 0.0:
             add('gravity', i, *moment, ('chain', 'moment', i))
         elif moment:
-            add('inertia', -1, *moment)
+            add('inertia', -1, *moment, ('chain', 'moment', i))
         if chain.coupling[i, i] != 0.0:
             add('inertia', i, ('chain', 'coupling', (i, i)))
     for j in range(n):

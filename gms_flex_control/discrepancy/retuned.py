@@ -10,7 +10,7 @@ from gms_flex_control.simulation import plant
 import numpy as np
 
 _CARRIED = ('coupling', 'moment')  # of links
-_ROUNDS = 30  # at most, until they are what they should be
+_PROBE = 0.01                      # relative change that tells what effects make of them
 
 
 def with_knobs(robot, knobs, x):
@@ -34,18 +34,22 @@ def with_knobs(robot, knobs, x):
     """
     asked = tuned(plant.constants_of(robot), knobs, x).chain
     record = tuned(plant.constants_of(replace(robot, effects=())), knobs, x)
-    made = _with_record(robot, record)
-    # a knob scales what a link carries with all that effects add to it, as a payload does
-    for _ in range(_ROUNDS):
-        got = plant.constants_of(made).chain
-        if all(np.allclose(getattr(got, name), getattr(asked, name), rtol=1e-13, atol=0.0)
-               for name in _CARRIED):
-            break
-        for name in _CARRIED:
-            own, whole = getattr(record.chain, name), getattr(got, name)
-            own *= np.where(whole != 0.0, getattr(asked, name) / np.where(whole, whole, 1.0), 1.0)
-        made = _with_record(robot, record)
-    return made
+    # a knob scales what a link carries with all that effects make of it, such as a payload's
+    # share; what they make of it is affine in what it is without them
+    whole, other = _carried(robot, record), record.copy()
+    for name in _CARRIED:
+        getattr(other.chain, name)[...] *= 1.0 + _PROBE
+    for name, one, two in zip(_CARRIED, whole, _carried(robot, other), strict=True):
+        own = getattr(record.chain, name)
+        slope = np.divide(two - one, _PROBE * own, out=np.ones_like(own), where=own != 0.0)
+        own += (getattr(asked, name) - one) / slope
+    return _with_record(robot, record)
+
+
+def _carried(robot, record):
+    """Return what links carry with the effects of a robot whose own parameters are a record's."""
+    chain = plant.constants_of(_with_record(robot, record)).chain
+    return [np.array(getattr(chain, name)) for name in _CARRIED]
 
 
 def _with_record(robot, record):
@@ -71,17 +75,18 @@ def _with_record(robot, record):
 
 def with_base(arm, links):
     """Return an arm whose links have the inertia and moments of the kernels' record."""
-    com, inertia = arm.com.copy(), arm.inertia.copy()
-    n = arm.n_joints
-    for i in range(n - 1, -1, -1):
-        moment = arm.mass[i] * arm.com[i]
-        if arm.kind == 'planar' and i > 0 and arm.length[i - 1] > 0.0 and arm.mass[i] > 0.0:
-            whole = links.coupling[i - 1, i] / arm.length[i - 1]
-            carried = arm.mass[i + 1:].sum() * arm.length[i]
-            com[i] = (whole - carried) / arm.mass[i]
-        elif moment != 0.0 and np.any(links.gravity != 0.0):
-            carried = arm.mass[i + 1:].sum() * arm.length[i] if arm.kind == 'planar' else 0.0
-            com[i] = (links.moment[i] - carried) / arm.mass[i]
-        carried = (arm.mass[i + 1:].sum() * arm.length[i] ** 2 if arm.kind == 'planar' else 0.0)
-        inertia[i] = max(links.coupling[i, i] - carried - arm.mass[i] * com[i] ** 2, 0.0)
-    return replace(arm, com=com, inertia=inertia)
+    mass, com, inertia = arm.mass.copy(), arm.com.copy(), arm.inertia.copy()
+    planar = arm.kind == 'planar'
+    for i in range(arm.n_joints - 1, -1, -1):
+        carried = mass[i + 1:].sum() if planar else 0.0
+        moment = links.moment[i]
+        if planar and i > 0 and arm.length[i - 1] > 0.0:
+            moment = links.coupling[i - 1, i] / arm.length[i - 1]
+        own = moment - carried * arm.length[i]
+        about = links.coupling[i, i] - carried * arm.length[i] ** 2
+        if own ** 2 > mass[i] * about > 0.0:  # so light a link would turn more easily
+            mass[i] = own ** 2 / about
+        if mass[i] > 0.0:
+            com[i] = own / mass[i]
+        inertia[i] = max(about - mass[i] * com[i] ** 2, 0.0)
+    return replace(arm, mass=mass, com=com, inertia=inertia)
