@@ -119,6 +119,46 @@ def test_a_retraced_motion_belongs_to_its_model_whatever_the_recording_held(idea
     assert np.ptp(path.readings[:, 1], axis=0).min() > 0.4
 
 
+@pytest.mark.parametrize('inertia', [0.11, 0.01, 0.0])
+def test_a_rigid_axis_is_held_on_its_path_wherever_its_inertia_stands(inertia):
+    """Of link or rotor; friction is believed a fifth too small."""
+    friction = StribeckParams(coulomb=[0.1], static=[0.1], velocity=[0.1], viscous=[0.0])
+    friction = FrictionParams(forward=friction, backward=friction, stiffness=[[50.0]],
+                              weight=[[1.0]], attraction=[50.0])
+    robot = single_axis(friction, inertia, motor_inertia=0.11 - inertia)
+    time = np.arange(2500) * 2e-3
+    angle = 0.3 * np.sin(np.pi * time)
+    command = 0.125 * np.sign(np.cos(np.pi * time)) - 0.11 * np.pi ** 2 * angle
+    path = make_path(robot.joints, time, 2e-3, np.repeat(angle[:, None, None], 2, axis=1),
+                     command[:, None], np.zeros(len(time)), True, 'sine')
+    again = retrace(path, plant.constants_of(robot), np.random.default_rng(0))
+    assert np.abs(again.readings - path.readings).max() < 1e-3
+
+
+def test_a_rotor_couples_through_a_rigid_joint_in_the_plant_as_in_the_fit(ideal_robot, gains):
+    arm = replace(ideal_robot.arm, stiffness=[ideal_robot.arm.stiffness[0], np.inf])
+    robot = replace(ideal_robot, arm=arm, motors=(ideal_robot.motors[0], ''), effects=(EffectSpec(
+        name='motor_inertia_coupling', joint='joint2', values=(0.005,)),))
+    constants = plant.constants_of(robot)
+    again = retrace(driven_path(ideal_robot, gains), constants, np.random.default_rng(0))
+    with_it, without = (np.sqrt(np.mean(uniform_filter1d(
+        unexplained(again, one)[50:-50, 0], 10) ** 2)) for one in (
+            constants, plant.constants_of(replace(robot, effects=()))))
+    assert with_it < 0.2 * without
+
+
+def test_the_base_bends_under_the_torque_that_is_given(ideal_robot, gains):
+    """Not under that which was asked for, where the model knows the difference."""
+    both = tuple(EffectSpec(name=name, joint=joint, values=values) for name, joint, values in (
+        ('base_flexibility', 'joint1', (6.0, 1.0, 0.05)), ('torque_gain', 'joint1', (0.25,))))
+    left = []
+    for effects in (both[:1], both):
+        robot = replace(ideal_robot, effects=effects)
+        left.append(np.sqrt(np.mean(unexplained(
+            driven_path(robot, gains), plant.constants_of(robot))[50:-50, 0] ** 2)))
+    assert left[1] < 1.5 * left[0]
+
+
 @pytest.mark.parametrize(('seed', 'gravity'), [(7, True), (10, True), (10, False)])
 def test_a_retraced_motion_stands_where_the_recording_stood(seed, gravity):
     """

@@ -95,9 +95,9 @@ def free_runs(path, constants):
 def as_modelled(path, constants):
     """Return motion (T, 6, n) and readings (T, 2, n) of a recording, as the model sees them."""
     work = plant.workspace(len(path.joints))
-    motion, second = motion_as_modelled(path, constants, work,
-                                        drive_torque(path, constants, work))
-    motion, _ = corrected(path, motion, second, constants, work)
+    drive = drive_torque(path, constants, work)
+    motion, second = motion_as_modelled(path, constants, work, drive)
+    motion, _ = corrected(path, drive, motion, second, constants, work)
     off = path.motion - motion
     fine = np.stack([[np.interp(path.fine_time, path.time, off[:, i, j])
                       for j in range(off.shape[2])] for i in range(6)])

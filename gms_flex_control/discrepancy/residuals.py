@@ -105,7 +105,7 @@ def _residuals(path, constants, work, drive, motion, second):
     """Return what is missing in the link and in the motor equations along a motion (2, S, n)."""
     flexible = constants.chain.flexible
     if acts(constants, SENSOR):
-        motion, second = corrected(path, motion, second, constants, work)
+        motion, second = corrected(path, drive, motion, second, constants, work)
     link, motor, inertial = np.empty((3, *drive.shape))
     equations.torques_along(motion, np.ascontiguousarray(second[:, 0]), drive, path.time,
                             path.period, constants, fresh_state(constants), work, link, motor,
@@ -130,10 +130,10 @@ def drive_torque(path, constants, work):
     return path.through_filter(applied)
 
 
-def corrected(path, motion, second, constants, work):
+def corrected(path, drive, motion, second, constants, work):
     """Return motion (S, 6, n) and second differences (S, 2, n) cleared of sensor errors."""
-    link, motor = np.empty((2, *path.drive.shape))
-    equations.sensor_errors(motion, path.drive, path.time, path.period, constants,
+    link, motor = np.empty((2, *drive.shape))
+    equations.sensor_errors(motion, drive, path.time, path.period, constants,
                             fresh_state(constants), work, link, motor)
     off = np.stack([link, motor], axis=1)
     rate = np.gradient(off, path.period, axis=0)

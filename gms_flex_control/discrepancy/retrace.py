@@ -81,7 +81,8 @@ def retrace(path, constants, rng):
 
     """
     links, n = constants.chain, len(path.joints)
-    inertia = np.where(links.flexible, links.motor_inertia, np.diag(links.coupling))
+    inertia = np.where(links.flexible, links.motor_inertia,
+                       np.diag(links.coupling) + np.diag(links.rigid_inertia))
     own, bandwidth = np.diag(links.coupling) * links.flexible, np.full(n, BANDWIDTH)
     for link in path.unseen:
         own[link.joint] = 0.0

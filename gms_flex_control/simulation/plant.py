@@ -207,6 +207,7 @@ def substep(state, command, time, dt, constants, work):
             state.q_motor[j] += dt * state.dq_motor[j]
         else:
             state.q_motor[j], state.dq_motor[j] = state.q_link[j], state.dq_link[j]
+            s[j, sig.DDQ_MOTOR] = s[j, sig.DDQ_LINK]
     gms.advance(state.friction, work.displacement, state.dq_link, dt, constants.friction)
 
 
