@@ -6,6 +6,7 @@
 from dataclasses import replace
 import os
 from pathlib import Path
+import signal
 
 from devtools import Browser, BrowserError, chromium
 from gms_flex_control.params.encoder import EncoderParams
@@ -14,6 +15,8 @@ import pytest
 
 CONFIG = Path(__file__).parents[1] / 'config'
 
+# a shell that starts the tests in its background has them ignore Ctrl-C, which is tested
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 CORES = sorted(os.sched_getaffinity(0)) if hasattr(os, 'sched_getaffinity') else []
 

@@ -28,7 +28,7 @@ from gms_flex_control.nodes.messages import to_nanoseconds
 from node_harness import array_message, COMMANDS, Float64MultiArray, JointState, Trigger
 import numpy as np
 import pytest
-from ros2_control_robot import CONSTANT, GEAR, MAPPING, START
+from ros2_control_robot import CONSTANT, EFFORTS, GEAR, MAPPING, START
 from std_msgs.msg import Bool
 
 # other processes of the machine can delay real nodes beyond any bound
@@ -229,6 +229,13 @@ def test_a_robot_that_stops_speaking_is_zero_torque(lab):
                             'FAULT: no new joint states for ', undo=thaw)
     finally:
         thaw()
+
+
+def test_another_program_that_sends_efforts_is_told(tmp_path):
+    with bridge_lab(tmp_path, robot=False) as lab:
+        lab.until(lambda: 'ZERO' in lab.plant.printed())
+        lab.speak(Float64MultiArray, EFFORTS)
+        lab.until(lambda: f'1 more publish on {EFFORTS}: ' in lab.plant.printed())
 
 
 def test_the_guardian_has_the_priority_of_its_bridge(tmp_path):

@@ -84,9 +84,9 @@ def with_base(arm, links):
             moment = links.coupling[i - 1, i] / arm.length[i - 1]
         own = moment - carried * arm.length[i]
         about = links.coupling[i, i] - carried * arm.length[i] ** 2
-        if own ** 2 > mass[i] * about > 0.0:  # so light a link would turn more easily
-            mass[i] = own ** 2 / about
         if mass[i] > 0.0:
+            if own ** 2 > mass[i] * about > 0.0:  # with that mass no link turns so easily
+                mass[i] = own ** 2 / about
             com[i] = own / mass[i]
         inertia[i] = max(about - mass[i] * com[i] ** 2, 0.0)
     return replace(arm, mass=mass, com=com, inertia=inertia)
