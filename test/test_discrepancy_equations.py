@@ -10,6 +10,7 @@ from gms_flex_control.discrepancy import equations
 from gms_flex_control.discrepancy.bounded import solve
 from gms_flex_control.discrepancy.fit import Fitted
 from gms_flex_control.discrepancy.guesses import all_guesses
+from gms_flex_control.discrepancy.judge import is_sure, Judged, stands_alone
 from gms_flex_control.discrepancy.known import DOUBT, knobs_of, tuned
 from gms_flex_control.discrepancy.library import Library
 from gms_flex_control.discrepancy.path import make_path, path_of, standing
@@ -20,6 +21,7 @@ from gms_flex_control.discrepancy.retuned import with_knobs
 from gms_flex_control.discrepancy.search import LEAST_GAIN
 from gms_flex_control.discrepancy.units import torque_scale
 from gms_flex_control.discrepancy.whitening import Whitening
+from gms_flex_control.discrepancy.words import evidence_of
 from gms_flex_control.dynamics import chain
 from gms_flex_control.effects.registry import find
 from gms_flex_control.hidden import motions, truth
@@ -397,6 +399,13 @@ def test_a_point_mass_and_a_known_tilt_are_written_as_they_are_fitted(ideal_robo
         plant.constants_of(with_knobs(robot, knobs, x)))
     for field in ('chain.coupling', 'chain.moment'):
         np.testing.assert_allclose(made[field], asked[field], rtol=1e-9, atol=1e-15)
+
+
+def test_an_effect_that_changes_nothing_that_is_fitted_is_none():
+    """As one that acts in blocks alone that are held out; what rounding leaves is no loss."""
+    idle = Judged(0, 0.0, 1e-9, 0.1, None, None)
+    assert not stands_alone(idle) and not is_sure(idle) and idle.alone == idle.weight == 0.0
+    assert '0 % of which' in evidence_of(None, idle, ())
 
 
 def test_every_guess_is_an_effect_the_model_allows(problem):

@@ -35,9 +35,14 @@ class Judged(NamedTuple):
     others: np.ndarray  # columns of all else
 
     @property
+    def share(self):
+        """Return the part of its rows that nothing else can make; 0 of none at all."""
+        return min(self.loss / self.own, 1.0) if self.own > 0.0 else 0.0
+
+    @property
     def alone(self):
         """Return the torque that nothing else can make, rms [N m]."""
-        return self.torque * min(self.loss / max(self.own, 1e-300), 1.0) ** 0.5
+        return self.torque * self.share ** 0.5
 
     @property
     def weight(self):
@@ -80,12 +85,12 @@ def judged(problem, found, known):
 
 def is_sure(one):
     """Return whether others could make only some of an effect's torque."""
-    return one.loss > _SURE * one.own
+    return one.share > _SURE
 
 
 def stands_alone(one):
     """Return whether an effect is more than what known parameters or others could be."""
-    return one.loss > _TAKEN * one.own
+    return one.share > _TAKEN
 
 
 def values_of(problem, found, known, index):

@@ -64,9 +64,9 @@ def tells_apart(effect, others):
 def evidence_of(spec, one, others):
     """Return one sentence on why an effect is named."""
     scale = torque_scale(one.torque)
-    alone = 100.0 * one.loss / one.own
     sentence = (f'with it the residual loses {scale.told(one.torque)} {scale.unit} rms, '
-                f'{alone:.0f} % of which (in squares) nothing else in the model makes up for')
+                f'{100.0 * one.share:.0f} % of which (in squares) nothing else in the model makes '
+                'up for')
     if others:
         name, joint, share = others[0]
         sentence += (f'; added in its place, the next best, {name} of {joint}, would make up for '
