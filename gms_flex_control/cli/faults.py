@@ -80,8 +80,8 @@ def _priority(asked):
     if not 0 <= asked <= 99:
         raise ConfigError(f'--priority {asked}: expected 1 to 99, or 0 for none')
     if asked and not scheduling.is_permitted(asked):
-        raise ConfigError(f'--priority {asked}: the system does not permit it; allow rtprio in '
-                          '/etc/security/limits.conf, or give 0')
+        raise ConfigError(f'--priority {asked}: the system does not permit it; '
+                          f'{scheduling.WAY_OUT}, or give 0')
     return asked
 
 

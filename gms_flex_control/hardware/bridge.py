@@ -108,7 +108,7 @@ class Bridge:
         self.worst = {'state_age': 0, 'answer': 0}
         self._published = {}       # stamp -> when the state was published
         self._arrived = None       # when the last state came
-        self._watched = None       # when the bridge last looked after both sides
+        self._watched = np.inf     # when the bridge last looked after both sides; not yet
         self._enabled = 0          # stamp of the state at which torque was enabled
         self._given = 0            # when torque was given last
         self._held_back = np.zeros(n)  # share of recent time in which the rate held a torque back
@@ -278,8 +278,7 @@ class Bridge:
             Whether a fault has begun: zero is to be sent at once.
 
         """
-        stood = now - (now if self._watched is None else self._watched)
-        self._watched = now
+        stood, self._watched = now - self._watched, now
         if not self.supervisor.active:
             return False
         if self.params.guarded and stood > STOOD_STILL * NANOSECONDS:  # torque went to zero

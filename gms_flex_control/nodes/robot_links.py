@@ -56,6 +56,7 @@ class TopicLink:
         if kind != 'array':
             self._joint_pub = node.create_publisher(
                 JointState, values['bridge.joint_command_topic'], _NEWEST)
+        self._publishers = list(filter(None, (self._array_pub, self._joint_pub)))
         self._array, self._joint = Float64MultiArray(), JointState(name=list(names))
         self._guardian, self._known_rivals = None, 0
         if values['bridge.guardian']:
@@ -119,14 +120,12 @@ class TopicLink:
         return ''
 
     def _listeners(self):
-        return sum(publisher.get_subscription_count()
-                   for publisher in filter(None, (self._array_pub, self._joint_pub)))
+        return sum(publisher.get_subscription_count() for publisher in self._publishers)
 
     def _rivals(self):
         """Return how many more publish efforts; say so when they become more."""
         ours = 1 + (self._guardian is not None)
-        topics = [publisher.topic_name for publisher in (self._array_pub, self._joint_pub)
-                  if publisher is not None]
+        topics = [publisher.topic_name for publisher in self._publishers]
         rivals = sum(max(self._node.count_publishers(topic) - ours, 0) for topic in topics)
         if rivals > self._known_rivals:
             self._node.get_logger().warning(
@@ -145,7 +144,7 @@ class TopicLink:
 
     def finish(self):
         """Wait until those who acknowledge have the last efforts."""
-        for publisher in filter(None, (self._array_pub, self._joint_pub)):
+        for publisher in self._publishers:
             publisher.wait_for_all_acked(_LONGEST_GOODBYE)
         if self._guardian is not None:
             self._guardian.end()

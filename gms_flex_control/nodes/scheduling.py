@@ -12,6 +12,7 @@ import platform
 _PR_SET_TIMERSLACK = 29
 _SCHED_SETATTR = {'x86_64': 314, 'aarch64': 274}  # numbers of the system call
 _SLICE = 100_000   # the shortest there is [ns]
+WAY_OUT = 'allow rtprio in /etc/security/limits.conf'  # where no priority is permitted
 
 
 class _SchedAttr(ctypes.Structure):
@@ -92,5 +93,4 @@ def take_priority(node, priority):
                 _begin_fifo(int(thread), priority)
     except (OSError, AttributeError) as error:
         node.get_logger().warning(
-            f'no realtime_priority {priority}: {error}; allow rtprio in /etc/security/limits.conf '
-            'or set it to 0')
+            f'no realtime_priority {priority}: {error}; {WAY_OUT} or set it to 0')
