@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from gms_flex_control.discrepancy.closed_loop import simulated, stretch_of
 from gms_flex_control.errors import BagError
+from gms_flex_control.params.robot import EffectSpec
 from gms_flex_control.recording import Recording
 from gms_flex_control.simulation import closed_loop
 from gms_flex_control.trajectory.builders import sinusoid
@@ -56,3 +57,21 @@ def test_uneven_samples_are_put_on_an_even_grid(recording):
 def test_without_a_reference_the_sentence_says_what_to_record(recording):
     with pytest.raises(BagError, match='bag: has no reference.*record /reference'):
         stretch_of(replace(recording, reference=np.full_like(recording.reference, np.nan)))
+
+
+def test_without_link_angles_nothing_is_asked_of_the_reference(recording):
+    with pytest.raises(BagError, match='bag: does not have the angles of all links'):
+        stretch_of(replace(recording, q_link=np.full_like(recording.q_link, np.nan)))
+
+
+def test_drives_have_the_voltage_that_was_recorded(recording, ideal_robot, gains):
+    """One that falls by 5 V, with a twentieth of the torque a volt."""
+    sag = EffectSpec(name='supply_sag', joint='joint1', values=(0.05, 24.0))
+    weaker = replace(ideal_robot, effects=(sag,))
+    volts = np.linspace(24.0, 19.0, len(recording.time))
+    stretches = [stretch_of(replace(recording, supply=supply))
+                 for supply in (None, np.full(len(volts), 24.0), volts)]
+    unknown, full, less = (np.abs(simulated(weaker, ideal_robot, gains, stretch)
+                                  - recording.q_link).max(axis=0) for stretch in stretches)
+    assert unknown.max() < 1e-12 and full.max() < 1e-12
+    assert less[0] > 1e-3

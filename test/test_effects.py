@@ -346,6 +346,17 @@ def test_changes_are_other_parameters(ideal_robot):
                                atol=1e-15)
 
 
+def test_the_order_in_a_file_does_not_change_the_robot(ideal_robot):
+    """A link heavier than believed does not make heavier what it carries."""
+    payload = EffectSpec(name='tip_payload', joint='arm', values=(0.5,))
+    heavier = EffectSpec(name='link_inertia_error', joint='joint2', values=(0.5,))
+    one, other = (table.with_changes(replace(ideal_robot, effects=effects)).arm
+                  for effects in ((payload, heavier), (heavier, payload)))
+    for name in ('mass', 'com', 'inertia'):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+    assert one.mass[1] == 1.5 * ideal_robot.arm.mass[1] + 0.5
+
+
 def test_errors_of_friction_and_inertia_are_other_parameters(ideal_robot):
     """Of their joint alone; a level below what is possible stops there."""
     before = ideal_robot.friction

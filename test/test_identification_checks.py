@@ -16,6 +16,7 @@ from gms_flex_control.experiment.identification_plan import read_identification_
 from gms_flex_control.experiment.identification_simulated import simulate_identification
 from gms_flex_control.experiment.plan import read_plan
 from gms_flex_control.experiment.simulated import simulate, to_recording
+from gms_flex_control.hidden.cases import make_case
 from gms_flex_control.identification.checks import check, require
 from gms_flex_control.identification.equations import filtered, rigid_torque
 from gms_flex_control.identification.findings import signals_of
@@ -280,6 +281,25 @@ def test_placeholders_for_inertia_make_a_factor_a_warning():
         found = check(recording, guessed, rough=rough)
         assert {finding[0] for finding in found} == {'torque_scale'}
         assert {finding.severity for finding in found} == {severity}
+
+
+def test_a_drive_that_gives_but_a_part_of_what_is_asked_is_no_fault_of_the_data():
+    """
+    Its torque is clipped at 0.08 N m of up to 2.4 that are asked for.
+
+    Where less than that is asked for the spring winds up as it should; of a torque in another
+    unit it never does.
+    """
+    case = make_case('single', 14, motion='polynomial')
+    clipped, = case.truth.effects
+    assert (clipped.name, clipped.joint) == ('actuator_saturation', 'joint2')
+    recording = case.held_out
+    assert np.nanmax(np.abs(recording.tau_motor[:, 1])) > 20.0 * clipped.values[0]
+    assert not [one for one in check(recording, case.nominal) if one.kind == 'torque_scale']
+    factors = np.array([1.0, 6.0])
+    found = check(replace(recording, tau_motor=factors * recording.tau_motor), case.nominal)
+    assert [(one.kind, one.joint) for one in found if one.severity == 'refuse'] == [
+        ('torque_scale', 'joint2')]
 
 
 @pytest.mark.parametrize(('share', 'severity'), [(1 / 20, 'warn'), (1 / 500, 'refuse')])

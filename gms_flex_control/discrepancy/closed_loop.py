@@ -6,6 +6,7 @@
 from dataclasses import replace
 from typing import NamedTuple
 
+from gms_flex_control.discrepancy.path import supply_voltage
 from gms_flex_control.discrepancy.retuned import with_knobs
 from gms_flex_control.effect_compensation import loop
 from gms_flex_control.errors import BagError
@@ -26,6 +27,7 @@ class Stretch(NamedTuple):
     reference: np.ndarray  # (T, 5, n)
     measured: np.ndarray   # (T, n) link angles [rad]
     q_motor: np.ndarray    # (n,) at the beginning; NaN where unknown [rad]
+    supply: np.ndarray     # (T,) voltage of the drives [V], 0 where it is not known
 
 
 class ClosedLoop(NamedTuple):
@@ -65,11 +67,14 @@ def stretch_of(recording):
     Raises
     ------
     BagError
-        If it has no reference for `LEAST_TIME` on end.
+        If it has no reference, or no link angles with it, for `LEAST_TIME` on end.
 
     """
-    known = np.isfinite(recording.reference).all(axis=(1, 2)) & np.isfinite(
-        recording.q_link).all(axis=1)
+    seen = np.isfinite(recording.q_link).all(axis=1)
+    if not seen.any():
+        raise BagError(f'{recording.source}: does not have the angles of all links, so there is '
+                       'nothing to hold a simulated closed loop against; leave --controller out')
+    known = seen & np.isfinite(recording.reference).all(axis=(1, 2))
     edges = np.flatnonzero(np.diff(np.concatenate([[0], known.astype(int), [0]])))
     first, last = max(zip(edges[::2], edges[1::2], strict=True), default=(0, 0),
                       key=lambda part: part[1] - part[0])
@@ -84,7 +89,7 @@ def stretch_of(recording):
     if np.abs(time - grid).max() > _EVEN * period:
         reference, measured = (_resampled(grid, time, values) for values in (reference, measured))
     return Stretch(recording.source, float(time[0]), round(1e9 * period), reference, measured,
-                   recording.q_motor[first])
+                   recording.q_motor[first], supply_voltage(recording, grid))
 
 
 def _resampled(grid, time, values):
@@ -125,7 +130,8 @@ def simulated(robot, believed, gains, stretch, seed=_SEED):
         plant.state.dq_link[:] = plant.state.dq_motor[:] = rates
 
     run = loop.run(robot, believed, gains, stretch.reference, period_ns=stretch.period_ns,
-                   seed=seed, q_link=stretch.measured[0], prepare=begin)
+                   seed=seed, q_link=stretch.measured[0], supply=stretch.supply,
+                   prepare=begin)
     return run.measured[:, 0]
 
 

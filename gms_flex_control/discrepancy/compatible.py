@@ -4,22 +4,23 @@
 """Which effects may stand beside each other in one model."""
 
 _SCALED = {'stiffness_error', 'motor_inertia_error'}
-_SCALED_RIGID = {'link_inertia_error'}
-_LATE = {'actuator_lag', 'input_delay'}
+_SCALED_RIGID = {'link_inertia_error', 'motor_inertia_error'}
+LATE = {'actuator_lag', 'input_delay'}
 
 
-def may_join(spec, robot):
+def may_join(spec, robot, known):
     """
     Return whether an effect may be added to a robot: not twice, and none that undoes another.
 
-    The torque constant together with stiffness and inertia, of a rigid joint with that of its
-    link, would scale a whole joint, which no motion tells from other torque, and rows are
-    smallest where all is nothing. Lag and delay of one actuator are told from each other hardly,
-    from their sum not at all.
+    The torque constant together with stiffness and inertia, of a rigid joint with its inertia,
+    would scale a whole joint, which no motion tells from other torque, and rows are smallest
+    where all is nothing. Lag and delay of one actuator are told from each other hardly, from
+    their sum not at all. The first effects, ``known`` many, have a size that nothing moves, so
+    they undo none; one of the same name would have no place beside them in a file.
     """
-    there = {one.name for one in robot.effects if one.joint == spec.joint}
-    if spec.name in there:
+    if any((one.name, one.joint) == (spec.name, spec.joint) for one in robot.effects):
         return False
+    there = {one.name for one in robot.effects[known:] if one.joint == spec.joint}
     rigid = spec.joint in robot.joints and robot.arm.rigid[robot.joints.index(spec.joint)]
     scaled = _SCALED_RIGID if rigid else _SCALED
     excluded = set()
@@ -27,6 +28,6 @@ def may_join(spec, robot):
         excluded = scaled
     elif spec.name in scaled:
         excluded = {'torque_gain'}
-    elif spec.name in _LATE:
-        excluded = _LATE
+    elif spec.name in LATE:
+        excluded = LATE
     return not there & excluded

@@ -32,6 +32,7 @@ def scales_of(paths, robot, fine_orders):
 
 
 _RATIOS, _LEAST_RATIO = ('ratio', 'gain_error'), -0.55  # nothing real is all but absent
+_TO_AND_FRO = ('position_friction', 'friction_asymmetry')  # as much off one way as the other
 _AT_LIMIT = 0.01      # relative
 # what is measured as torque has passed these already
 _OF_COMMANDS = ('actuator_deadzone', 'actuator_saturation')
@@ -75,17 +76,21 @@ def all_guesses(problem, without=(), fine_orders=None):
 def bounds_of(kind, parameter):
     """Return the least and the largest value that is looked for of an effect's parameter."""
     lower = kind.slowest if parameter.name == 'order' else parameter.lower
+    upper = parameter.upper
     if parameter.unit == '1' and parameter.name in _RATIOS:
         lower = max(lower, _LEAST_RATIO)
-    return lower, parameter.upper
+        if kind.name in _TO_AND_FRO:
+            upper = min(upper, -_LEAST_RATIO)
+    return lower, upper
 
 
 def is_at_limit(spec):
     """Return whether an effect has a parameter where the search for it ends, which is no value."""
     kind = find(spec.name)
     for parameter, value in zip(kind.parameters, spec.values, strict=True):
-        limit = bounds_of(kind, parameter)[0]
-        if limit > parameter.lower and value < limit + _AT_LIMIT * abs(limit):
+        lower, upper = bounds_of(kind, parameter)
+        if (lower > parameter.lower and value < lower + _AT_LIMIT * abs(lower)
+                or upper < parameter.upper and value > upper - _AT_LIMIT * abs(upper)):
             return True
     return False
 
@@ -97,4 +102,9 @@ def allowed(guess, kind):
     if guess.is_linear and size > 0.0:  # its coefficient has bounds, too
         guess = guess._replace(lowest=max(guess.lowest, lower[0] / size),
                                highest=min(guess.highest, upper[0] / size))
-    return guess._replace(values=lambda c: tuple(np.clip(guess.values(c), lower, upper).tolist()))
+
+    def within(c):
+        asked = guess.values(c)[0]
+        return min(upper[0] / asked, 1.0) if asked > 0.0 else 1.0
+    return guess._replace(values=lambda c: tuple(np.clip(guess.values(c), lower, upper).tolist()),
+                          within=within)

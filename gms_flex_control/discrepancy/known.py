@@ -28,6 +28,22 @@ class Knob(NamedTuple):
             getattr(getattr(constants, part), field)[index] *= 1.0 + sign * value
 
 
+class RotorKnob(NamedTuple):
+    """One relative change of the motor inertia of a rigid joint, which several numbers share."""
+
+    joint: int
+    doubt: float          # largest relative change
+    name = 'motor_inertia'
+    fields = (('chain', 'motor_inertia', ...), ('chain', 'rigid_inertia', ...))
+
+    def apply(self, constants, value):
+        """Change a record of simulation.plant.constants_of in place by ``value``."""
+        own, seen = constants.chain.motor_inertia, constants.chain.rigid_inertia
+        toward = constants.chain.inverse[self.joint]
+        seen += value * own[self.joint] * np.outer(toward, toward)  # theta is not the joint's
+        own[self.joint] *= 1.0 + value
+
+
 DOUBT = {'inertia': 0.045, 'gravity': 0.045, 'stiffness': 0.045, 'motor_inertia': 0.045,
          'level': 0.045, 'asymmetry': 0.03, 'viscous': 0.045, 'viscous_asymmetry': 0.045,
          'static': 0.03, 'velocity': 0.1, 'attraction': 0.3, 'blocks': 0.1, 'damping': 0.1}
@@ -53,12 +69,11 @@ def knobs_of(constants, doubt):
 
     Returns
     -------
-    tuple of Knob
+    tuple of Knob and RotorKnob
 
     """
-    chain = constants.chain
+    chain, friction, knobs = constants.chain, constants.friction, []
     n = len(chain.motor_inertia)
-    knobs = []
 
     def add(kind, joint, *fields, signs=None):
         knobs.append(Knob(kind, joint, doubt[kind], fields, signs or (1,) * len(fields)))
@@ -78,6 +93,8 @@ def knobs_of(constants, doubt):
         if chain.flexible[j]:
             add('stiffness', j, ('chain', 'stiffness', j))
             add('motor_inertia', j, ('chain', 'motor_inertia', j))
+        elif chain.motor_inertia[j] > 0.0:
+            knobs.append(RotorKnob(j, doubt['motor_inertia']))
         if chain.damping[j] > 0.0:
             add('damping', j, ('chain', 'damping', j))
         level = [('friction', name, (row, j)) for row in (0, 1) for name in ('static', 'coulomb')]
@@ -85,7 +102,9 @@ def knobs_of(constants, doubt):
         add('asymmetry', j, *level, signs=(1, 1, -1, -1))
         for kind, signs in (('viscous', (1, 1)), ('viscous_asymmetry', (1, -1))):
             add(kind, j, *(('friction', 'viscous', (row, j)) for row in (0, 1)), signs=signs)
-        add('static', j, *(('friction', 'static', (row, j)) for row in (0, 1)))
+        above = (1.0 - doubt['static']) * friction.static[:, j] >= friction.coulomb[:, j]
+        if above.all():  # else it may fall below Coulomb friction; stribeck_error lifts it
+            add('static', j, *(('friction', 'static', (row, j)) for row in (0, 1)))
         for row in (0, 1):
             add('velocity', j, ('friction', 'velocity', (row, j)))
         add('attraction', j, ('friction', 'attraction', j))

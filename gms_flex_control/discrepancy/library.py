@@ -16,7 +16,9 @@ from gms_flex_control.discrepancy.fine_waves import fine_orders
 from gms_flex_control.discrepancy.fit import numbers_of
 from gms_flex_control.discrepancy.guesses import all_guesses
 from gms_flex_control.discrepancy.problem import with_effect
+from gms_flex_control.effects.base import Stage, Term
 from gms_flex_control.effects.catalogue.torque_ripple import HIGHEST_GUESSED
+from gms_flex_control.effects.registry import find
 from gms_flex_control.params.robot import EffectSpec
 import numpy as np
 
@@ -79,7 +81,7 @@ class Library:
         return alike
 
     def _noise_of(self, jobs):
-        """Return what noise adds to the slope of each column."""
+        """Return what noise adds to the slope of each column, NaN where nothing tells."""
         problem, noise = self._problem, self._problem.noise
         ways = Counter((name, joint) for name, joint, _ in self.guesses)
         specs = [EffectSpec(name=name, joint=joint, values=guess.probes[0])
@@ -91,13 +93,17 @@ class Library:
         hidden = np.abs(added) > _ALL_NOISE * np.sum(self.columns ** 2, axis=1)
         for name, joint in {jobs[i][:2] for i in np.flatnonzero(hidden)}:
             noise.forget(name, joint)
-        return np.where(hidden, 0.0, added)
+        learned = {(spec.name, spec.joint) for spec in specs}
+        told = np.array([(name, joint) in learned or _is_of_torque(name)
+                         for name, joint, _ in jobs])
+        return np.where(told & ~hidden, added, np.nan)
 
     def _gained_by_chance(self, knobs):
         """Return what hypotheses gain in runs in which nothing is missing, the mean of each."""
         problem = self._problem
-        gains = self._gains(knobs[:, problem.fitted], problem.clean[:, problem.fitted],
-                            problem.noise.slopes(problem.robot)).mean(axis=0)
+        own = knobs[:, problem.fitted]
+        gains = self._gains(own, problem.clean[:, problem.fitted], np.zeros(len(own)),
+                            np.zeros(len(self.columns))).mean(axis=0)
         by_chance = {}
         for (name, joint, _), gain in zip(self.guesses, gains, strict=True):
             by_chance[name, joint] = max(gain, by_chance.get((name, joint), 0.0))
@@ -133,8 +139,9 @@ class Library:
         before = half_cost(gram, slope, solve(gram, slope, low, high))
         free = np.ones(len(own), dtype=bool)
         free[:knobs] = np.abs(model.x) < _AT_BOUND * problem.bound_of(model.robot)
-        noise = problem.noise.slopes(model.robot, numbers)
-        gains = self._gains(own[free], rows, noise[free])
+        shared = problem.noise.slopes(model.robot, numbers)
+        noise = self._noise_beside(own[free], shared[free])
+        gains = self._gains(own[free], rows, shared[free], noise)
         for i in np.argsort(-gains)[:_MOST_TRIED]:
             name, joint, guess = self.guesses[i]
             known = best.get((name, joint), Ranked(0.0, None)).gain
@@ -142,21 +149,37 @@ class Library:
                 break
             if known >= gains[i]:  # bounds take from it
                 continue
-            value, coefficients = self._with(i, own, rows, gram, low, high, slope)
-            gain = 2.0 * (before - value)
+            value, coefficients = self._with(i, own, rows, gram, low, high, slope, noise)
+            share = guess.within(coefficients)
+            gain = 2.0 * (before - value) * share * (2.0 - share)
             if gain > known:
                 values = tuple(float(v) for v in guess.values(coefficients))
                 best[name, joint] = Ranked(gain, EffectSpec(name=name, joint=joint,
                                                             values=values))
         return sorted(best.values(), key=lambda one: -one.gain)
 
-    def _gains(self, own, rows, noise):
-        """Return what guesses gain where nothing is bounded (..., G), of rows (..., R)."""
+    def _noise_beside(self, own, shared):
+        """
+        Return what noise adds to the slope of each column (K,).
+
+        Where that was not learned it is what it adds to columns ``own`` (C, R), ``shared`` (C,),
+        as far as these make the column: a friction that varies with place is friction.
+        """
+        basis, root = np.linalg.qr(own.T)
+        along = self.columns @ basis @ np.linalg.lstsq(root.T, shared, rcond=1e-10)[0]
+        return np.where(np.isnan(self._noise), along, self._noise)
+
+    def _gains(self, own, rows, shared, noise):
+        """
+        Return what guesses gain where nothing is bounded (..., G), of rows (..., R).
+
+        Noise adds ``shared`` to the slopes of ``own`` and ``noise`` to those of the columns.
+        """
         basis, root = np.linalg.qr(own.T)
         left = rows - (rows @ basis) @ basis.T
         along = self.columns @ basis
-        shared = np.linalg.lstsq(root.T, noise, rcond=1e-10)[0]
-        right = left @ self.columns.T - (self._noise - along @ shared)
+        shared = np.linalg.lstsq(root.T, shared, rcond=1e-10)[0]
+        right = left @ self.columns.T - (noise - along @ shared)
         gains = np.zeros((*rows.shape[:-1], len(self.guesses)))
         for guesses, columns, whole in self._alike:
             gram, mine = whole - _products(along[columns]), right[..., columns]
@@ -165,7 +188,7 @@ class Library:
                 '...mk,mkl,...ml->...m', mine, np.linalg.pinv(gram, rcond=1e-10), mine)
         return gains
 
-    def _with(self, i, own, rows, gram, low, high, slope):
+    def _with(self, i, own, rows, gram, low, high, slope, noise):
         """Return half the cost with a guess, all within bounds, and its coefficients."""
         guess = self.guesses[i][2]
         added = self.columns[self._places[i]:self._places[i + 1]]
@@ -174,11 +197,17 @@ class Library:
         both[:k, :k], both[k:, k:] = gram, added @ added.T
         both[:k, k:] = own @ added.T
         both[k:, :k] = both[:k, k:].T
-        right = np.concatenate([slope, self._noise[self._places[i]:self._places[i + 1]]
+        right = np.concatenate([slope, noise[self._places[i]:self._places[i + 1]]
                                 - added @ rows])
         x = solve(both, right, np.concatenate([low, np.full(count, guess.lowest)]),
                   np.concatenate([high, np.full(count, guess.highest)]))
         return (half_cost(both, right, x) if np.any(x[k:]) else np.inf), x[k:]
+
+
+def _is_of_torque(name):
+    """Return whether an effect changes the torque that was asked for, which has no noise."""
+    kind = find(name)
+    return issubclass(kind, Term) and kind.stage == Stage.ACTUATOR
 
 
 def _products(columns):

@@ -185,11 +185,13 @@ def path_of(recording, robot):
     return replace(path, known=known[::path.factor])
 
 
-def make_path(joints, time, period, readings, command, supply, commanded, source, unseen=()):
+def make_path(joints, time, period, readings, command, supply, commanded, source, unseen=(),
+              factor=None):
     """
     Return the Path of even samples; arguments as its fields, those of ``fine_...``.
 
-    The readings of links that are ``unseen`` are computed, in place.
+    The readings of links that are ``unseen`` are computed, in place. Without a ``factor`` the
+    equations are formed every `WORKING_PERIOD`.
     """
     n = len(joints)
     command = np.ascontiguousarray(command)
@@ -203,7 +205,7 @@ def make_path(joints, time, period, readings, command, supply, commanded, source
     motion = np.stack([np.stack(derivatives(readings[:, side, j], period, window), axis=1)
                        for side in range(2) for j in range(n)], axis=2)
     motion = motion.reshape(len(time), 3, 2, n).swapaxes(1, 2).reshape(len(time), 6, n)
-    factor = max(int(WORKING_PERIOD / period * (1.0 + 1e-6)), 1)
+    factor = factor or max(int(WORKING_PERIOD / period * (1.0 + 1e-6)), 1)
     thin = np.ascontiguousarray(motion[::factor])
     twist = thinned(seen(readings[:, 1] - readings[:, 0], 1.0 / 12.0), factor)
     return Path(
@@ -218,6 +220,14 @@ def make_path(joints, time, period, readings, command, supply, commanded, source
         standing=standing(readings[:, 0], noise[0], period)[::factor],
         known=np.ones(len(thin), dtype=bool),
         commanded=commanded, source=source, unseen=unseen)
+
+
+def at_full_rate(path):
+    """Return a Path with its equations formed at every sample of the recording."""
+    fine = make_path(path.joints, path.fine_time, path.fine_period, path.readings.copy(),
+                     path.command, path.supply, path.commanded, path.source, path.unseen, factor=1)
+    known = np.repeat(path.known, path.factor)[:len(path.fine_time)]
+    return replace(fine, known=known, pushed=path.pushed)
 
 
 def with_links(recording, robot):

@@ -98,7 +98,11 @@ class Problem:
                            for path, clean in zip(self.paths, zip(*residuals, strict=True),
                                                   strict=True)]
         self._divide()
-        self.clean = np.stack([self.rows_of(run) for run in residuals])
+        clean = np.stack([self.rows_of(run) for run in residuals])
+        # what filters leave at every reversal, say, though nothing is missing: so they do of the
+        # recording, whose rows scatter by that of this mean as well
+        self._usual_rows, count = clean.mean(axis=0), len(clean)
+        self.clean = (clean - self._usual_rows) * np.sqrt((count + 1) / (count - 1))
         self.level = float(np.mean(self.clean[:_FRESH, self.fitted] ** 2))
         self.noise = Noise(self, runs[:2], robot, x)
 
@@ -210,12 +214,13 @@ class Problem:
         """
         Return residuals of a model in units of what shows in a clean run, and its knobs' burden.
 
-        The latter, one row for each knob, is its change in units of half of its doubt.
+        Less what all clean runs show. The burden, one row for each knob, is its change in units
+        of half of its doubt.
         """
-        return self.rows_along(self.paths, self.constants(robot, x), x)
+        return self.rows_along(self.paths, self.constants(robot, x), x) - self._usual_rows
 
     def rows_along(self, paths, constants, x=None):
-        """Return `rows` of a kernels' record along other paths than those recorded."""
+        """Return `rows` of a kernels' record along paths, nothing taken off."""
         return self.rows_of([unexplained(path, constants) for path in paths], x)
 
     def burden_of(self, rows):

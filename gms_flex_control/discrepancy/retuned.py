@@ -67,7 +67,7 @@ def _with_record(robot, record):
     arm = replace(
         arm, stiffness=np.where(robot.arm.rigid, robot.arm.stiffness, links.stiffness),
         damping=np.where(robot.arm.rigid, robot.arm.damping, links.damping),
-        motor_inertia=np.where(robot.arm.rigid, robot.arm.motor_inertia, links.motor_inertia))
+        motor_inertia=np.array(links.motor_inertia))
     return replace(robot, arm=arm, friction=replace(
         robot.friction, **sides, stiffness=np.array(friction.stiffness),
         attraction=np.array(friction.attraction)))

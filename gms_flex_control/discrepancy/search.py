@@ -11,10 +11,11 @@ from dataclasses import replace
 from itertools import combinations
 from typing import NamedTuple
 
-from gms_flex_control.discrepancy.compatible import may_join
+from gms_flex_control.discrepancy.compatible import LATE, may_join
 from gms_flex_control.discrepancy.fit import effect_columns, fit, Fitted, numbers_of
 from gms_flex_control.discrepancy.guesses import is_at_limit
 from gms_flex_control.discrepancy.library import least_cost, Library
+from gms_flex_control.discrepancy.prediction import prediction_cost
 from gms_flex_control.discrepancy.problem import with_effect
 from gms_flex_control.effects.registry import find
 import numpy as np
@@ -37,6 +38,7 @@ _FEW = 3              # effects: one is looked for in the place of two
 _NEARLY = 0.95        # of what others explain: what one in their place does at a first guess
 _PATIENT = 8          # iterations: one begins far from where it does what two did
 _LIKELY = 2           # ones that are fitted in full
+_TELLS = 10.0         # twice a logarithm of likelihood: with less, one predicts like the other
 
 
 class Found(NamedTuple):
@@ -84,6 +86,7 @@ def search(problem, *, most=MOST, without=(), begin=None, say=lambda text: None)
             break
     hunt.merge()
     hunt.settle()
+    hunt.tell_late()
     return Found(before, hunt.model, hunt.columns, hunt.first, hunt.library)
 
 
@@ -102,7 +105,7 @@ class _Hunt:
         grown = False
         while len(self.model.robot.effects) - self._known < most:
             ranked = self.library.ranked(self.model, self.columns)
-            ranked = [one for one in ranked if may_join(one.spec, self.model.robot)
+            ranked = [one for one in ranked if may_join(one.spec, self.model.robot, self._known)
                       and self.library.beyond_chance(one) >= self._least(one.spec)]
             if not ranked:
                 break
@@ -132,7 +135,7 @@ class _Hunt:
         for one in ranked[:_SHORTLIST]:
             if ((one.spec.name, one.spec.joint) == own
                     or one.gain < max(_CLOSE * ranked[0].gain, least)
-                    or not may_join(one.spec, less.robot)):
+                    or not may_join(one.spec, less.robot, self._known)):
                 continue
             other = fit(self._problem, with_effect(less.robot, one.spec), model.x, others,
                         first=self._known)
@@ -158,7 +161,7 @@ class _Hunt:
         less, columns = without(problem, model, self.columns, self._known, i, k)
         least = _NEARLY * (least_cost(problem, less, columns) - model.cost)
         for one in self.library.ranked(less, columns)[:_LIKELY]:
-            if one.gain < least or not may_join(one.spec, less.robot):
+            if one.gain < least or not may_join(one.spec, less.robot, self._known):
                 continue
             other = fit(problem, with_effect(less.robot, one.spec), model.x, columns,
                         first=self._known, iterations=_PATIENT)
@@ -174,6 +177,24 @@ class _Hunt:
         if len(model.robot.effects) > self._known:
             self._knobs = self._problem.knob_columns(model.robot, model.x, model.rows)
             self.take(model)
+
+    def tell_late(self):
+        """Put a lag in the place of a delay, or the other way, where it predicts better."""
+        for i in range(self._known, len(self.model.robot.effects)):
+            spec = self.model.robot.effects[i]
+            for name in LATE - {spec.name} if spec.name in LATE else ():
+                other = self._instead(i, replace(spec, name=name))
+                costs = prediction_cost(self._problem, (self.model, other), spec.joint)
+                if costs[1] < costs[0] - _TELLS:
+                    self._say(f'{name} instead of {spec.name}')
+                    self.take(other)
+
+    def _instead(self, i, spec):
+        """Return the model with another effect in the place of one, where it stood, fitted."""
+        effects = list(self.model.robot.effects)
+        effects[i] = spec
+        robot = replace(self.model.robot, effects=tuple(effects))
+        return fit(self._problem, robot, self.model.x, self._knobs, first=self._known)
 
     def _least(self, spec):
         """Return what an effect must gain to be added."""
@@ -194,6 +215,7 @@ class _Hunt:
         close = [one for one in ranked[:_SHORTLIST] if one.gain > _CLOSE * ranked[0].gain]
         fits = [self._added(one) for one in close]
         fits = [one for one in fits if not is_at_limit(one.robot.effects[-1])] or fits
+        fits = self._with_a_future(fits)
         best = model.cost - min(one.cost for one in fits)
         alike = [one for one in fits if model.cost - one.cost >= best - _SIMPLER * abs(best)]
         fewest = min(_size(one.robot.effects[-1]) for one in alike)
@@ -201,6 +223,26 @@ class _Hunt:
         least = min(one.cost for one in alike) + _EQUAL * abs(best)
         return min((one for one in alike if one.cost <= least),
                    key=lambda one: np.sum(self._problem.burden_of(one.rows) ** 2))
+
+    def _with_a_future(self, fits):
+        """
+        Return those beside which one more effect would leave least, where none explains most.
+
+        Of two effects that are missing, another may explain a little of each.
+        """
+        left = self.model.cost - self._problem.clean_cost
+        if len(fits) < 2 or min(one.cost for one in fits) - self._problem.clean_cost < (
+                _OF_LITTLE * left):
+            return fits
+        gains = np.array([self.model.cost - one.cost + self._next_gain(one) for one in fits])
+        return [one for one, gain in zip(fits, gains, strict=True)
+                if gain >= (1.0 - _SIMPLER) * gains.max()]
+
+    def _next_gain(self, model):
+        """Return what the best effect beside the last one of a model would gain."""
+        columns = _extended(self._problem, model, self.columns, len(model.robot.effects) - 1)
+        return max((one.gain for one in self.library.ranked(model, columns)
+                    if may_join(one.spec, model.robot, self._known)), default=0.0)
 
     def _added(self, one):
         """Return the model with a hypothesis fitted, all derivatives anew if it disappoints."""

@@ -54,7 +54,7 @@ def tone(rows, period):
 
 def signature_of(problem, model, share):
     """
-    Return the Signature of what a model leaves.
+    Return the Signature of what a model leaves in the recording in which it leaves most.
 
     Parameters
     ----------
@@ -70,10 +70,14 @@ def signature_of(problem, model, share):
     Signature
 
     """
-    path, whitening = problem.paths[0], problem.whitenings[0]
-    n = problem.robot.n_joints
-    rows = model.rows[:whitening.scale.size].reshape(whitening.scale.shape)
-    channel = int(np.argmax(np.sum(rows ** 2, axis=0)))
+    n, worst = problem.robot.n_joints, -1.0
+    ends = np.cumsum([whitening.scale.size for whitening in problem.whitenings])
+    for one, measure, end in zip(problem.paths, problem.whitenings, ends, strict=True):
+        shape = measure.scale.shape
+        squares = np.mean(model.rows[end - measure.scale.size:end].reshape(shape) ** 2, axis=0)
+        if squares.max() > worst:
+            path, whitening, worst = one, measure, squares.max()
+            channel = int(np.argmax(squares))
     equation, j = ('link', channel) if channel < n else ('motor', channel - n)
     residual = whitening.torque_rows(unexplained(path, problem.constants(
         model.robot, model.x)))[:, channel]

@@ -217,11 +217,11 @@ def _name(found, one):
     return spec.name, spec.joint
 
 
-def _foremost(found, entries):
-    """Return the Judged whose effect gained most when nothing else was there, in a list."""
+def _by_gain(found, entries):
+    """Return the Judged by what their effects gained when nothing else was there."""
     by_name = {_name(found, one): one for one in entries}
     ranked = [(one.spec.name, one.spec.joint) for one in found.first]
-    return [by_name[name] for name in ranked if name in by_name][:1]
+    return [by_name[name] for name in ranked if name in by_name]
 
 
 def _added(problem, found, known, choices, measured):
@@ -261,7 +261,7 @@ def _told(problem, found, entries, known, options, holdout, say):
     entries, sudden = steady(problem, found, entries)
     entries = [one for one in entries if not is_at_limit(found.model.robot.effects[one.index])]
     choices = naming.choices(entries, _left(problem, found, before), whole,
-                             _foremost(found, entries))
+                             _by_gain(found, entries))
     found, entries, gap = _added(problem, found, known, choices, measured)
     largest = max((one.alone for one in entries), default=0.0)
     findings = [_finding(problem, measured, found, known, one, whole, largest, options)

@@ -12,7 +12,7 @@ _MEASURED = ('q_link', 'dq_link', 'q_motor', 'dq_motor')
 
 
 def run(robot, model, gains, reference, *, period_ns=2_000_000, substeps=20, seed=0, q_link=None,
-        prepare=lambda plant: None):
+        supply=None, prepare=lambda plant: None):
     """
     Simulate the closed loop along a reference given sample by sample.
 
@@ -34,6 +34,8 @@ def run(robot, model, gains, reference, *, period_ns=2_000_000, substeps=20, see
         Of the encoder noise.
     q_link : ndarray, shape (n_joints,), optional
         Where the links rest at the start [rad]; default zero.
+    supply : ndarray, shape (T,), optional
+        Voltage of the drives' supply [V]; default not known.
     prepare : callable, optional
         Gets the plant (SteppedPlant) before its first sample, to begin elsewhere than at rest.
 
@@ -56,6 +58,8 @@ def run(robot, model, gains, reference, *, period_ns=2_000_000, substeps=20, see
             value = getattr(plant.measured, name)
             getattr(controller.measured, name)[:] = value
             angles[k, i], angles[k, 4 + i] = value, getattr(plant.state, name)
+        if supply is not None:
+            plant.supply[:] = supply[k]
         # as a node that has no earlier state to form a difference with
         command = controller.tick(reference[k], period if k > 0 else 0.0)
         torques[k, 0], torques[k, 1] = command, plant.applied

@@ -50,6 +50,8 @@ class Guess(NamedTuple):
         Coefficients -> values of all parameters.
     lowest, highest : float
         Of every coefficient.
+    within : callable
+        Coefficients -> share of them that the bounds of the parameters allow, 0 to 1.
 
     """
 
@@ -57,6 +59,7 @@ class Guess(NamedTuple):
     values: Callable
     lowest: float = -np.inf
     highest: float = np.inf
+    within: Callable = lambda c: 1.0
 
     @property
     def is_linear(self):

@@ -35,6 +35,8 @@ def with_changes(robot):
     """
     Return the robot with every effect that is a `Change` put into its parameters.
 
+    Those of joints first: an error of a link is none of what the arm carries.
+
     Parameters
     ----------
     robot : RobotParams
@@ -47,6 +49,7 @@ def with_changes(robot):
 
     """
     changes = [spec for spec in robot.effects if issubclass(find(spec.name), Change)]
+    changes.sort(key=lambda spec: find(spec.name).whole_arm)  # stable
     robot = replace(robot, effects=tuple(s for s in robot.effects if s not in changes))
     for spec in changes:
         kind = find(spec.name)

@@ -29,6 +29,7 @@ SCALE_SLIGHT = 50.0         # likewise where friction is nearly all: little torq
 _NEARLY_ALL = 0.9           # of the variance
 _CLEAR = 0.5                # of the variance a fit must explain to be believed
 _EXACT = 0.95               # a fit as good as this is no delay between encoders
+_SMALL = 0.25               # share of samples, those of the smallest torque
 _UNEXPLAINED = 0.2          # less than this is no fit at all
 
 
@@ -189,11 +190,24 @@ def _spring_scale(signals, robot, motion, j):
             ratios.append(fit.weights[0] / stiffness)
     if not ratios or min(ratios) < limit and max(ratios) > 1 / limit:
         return
+    if _fits_where_small(tau, motion.ddq_motor[:, j], twist, stiffness):
+        return  # drives that give but a part of what is asked of them
     middle = float(np.median(ratios))
     yield Finding('torque_scale', signals.joints[j], 'refuse', f'{signals.source}: the torque '
                   f'of {signals.joints[j]} is {middle:.3g} times what its twist and a stiffness '
                   f'of {stiffness:.4g} N m/rad make; give the torque in N m at the joint (unit, '
                   'gear ratio, torque constant), or correct the stiffness')
+
+
+def _fits_where_small(tau, ddq_motor, twist, stiffness):
+    """Return whether torque (T,) is what twist and stiffness make at its smallest samples."""
+    small = np.abs(tau) <= np.quantile(np.abs(tau), _SMALL)
+    if small.sum() < FEWEST:
+        return False
+    free = [np.ones(int(small.sum())), ddq_motor[small]]
+    fit = sign_fit(tau[small], [twist[small]], free)
+    ratio = fit.weights[0] / stiffness
+    return fit.as_is > _EXACT and 1 / SCALE_STIFFNESS < ratio < SCALE_STIFFNESS
 
 
 def _inertia_scale(signals, motion, total, j):

@@ -5,6 +5,7 @@
 
 from gms_flex_control.compiled import compiled
 from gms_flex_control.control import cascade
+from gms_flex_control.effects import signals as sig
 from gms_flex_control.records import boxed
 from gms_flex_control.simulation import closed_loop, encoder, plant
 import numpy as np
@@ -32,6 +33,8 @@ class SteppedPlant:
     """
     A simulated robot that is advanced sample by sample.
 
+    ``supply[:]`` is the voltage of its drives [V], 0 where it is not known, as at first.
+
     Parameters
     ----------
     robot : RobotParams
@@ -56,6 +59,7 @@ class SteppedPlant:
         self._measured = boxed(encoder.init(robot.n_joints))
         self._noisy, self._rng = bool(robot.encoder.noise > 0), np.random.default_rng(seed)
         self.state, self.measured = self._state[0], self._measured[0]
+        self.supply = self._work[0].signals[:, sig.SUPPLY]
         # a field of a record takes Python a microsecond to look up
         self._normal, self._applied = self.measured.normal, self.state.applied
 

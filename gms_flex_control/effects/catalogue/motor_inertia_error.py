@@ -24,8 +24,8 @@ class MotorInertiaError(Change):
     @classmethod
     def guesses(cls, scales):
         """Return how it might be there, list of Guess."""
-        if scales.rigid:
-            return []
+        if scales.rigid and scales.link_inertia > 0.0:
+            return []  # the joint's inertia is that of its link, too
         return linear(0.1)
 
     @staticmethod
