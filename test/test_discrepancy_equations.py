@@ -551,6 +551,21 @@ def test_where_nothing_is_missing_no_hypothesis_gains_half_of_what_is_asked(prob
     assert max(library.beyond_chance(one) for one in ranked) < 0.5 * LEAST_GAIN
 
 
+def test_what_filters_leave_at_reversals_is_no_stribeck_curve():
+    """They leave the same of clean runs, whose mean is taken off."""
+    case = make_case('clean', 7)
+    problem = Problem([path_of(case.recording, case.nominal)], case.nominal, 0.005)
+    x, rows, knobs = problem.retuned(problem.robot, np.zeros(len(problem.knobs)))
+    library = Library(problem, Fitted(problem.robot, x, rows, 0.0), knobs)
+    gains = []
+    for left in (rows, rows + problem.usual):
+        model = Fitted(problem.robot, x, left, problem.cost(left, problem.robot, x))
+        gains.append(max((one.gain for one in library.ranked(model, knobs)
+                          if (one.spec.name, one.spec.joint) == ('stribeck_error', 'joint1')),
+                         default=0.0))
+    assert gains[0] < 10.0 and gains[1] > 25.0
+
+
 def test_known_parameters_stay_where_data_do_not_tell(problem):
     """The cost of a move by its whole doubt is four, two standard deviations squared."""
     x = np.zeros(len(problem.knobs))

@@ -101,8 +101,8 @@ class Problem:
         clean = np.stack([self.rows_of(run) for run in residuals])
         # what filters leave at every reversal, say, though nothing is missing: so they do of the
         # recording, whose rows scatter by that of this mean as well
-        self._usual_rows, count = clean.mean(axis=0), len(clean)
-        self.clean = (clean - self._usual_rows) * np.sqrt((count + 1) / (count - 1))
+        self.usual, count = clean.mean(axis=0), len(clean)
+        self.clean = (clean - self.usual) * np.sqrt((count + 1) / (count - 1))
         self.level = float(np.mean(self.clean[:_FRESH, self.fitted] ** 2))
         self.noise = Noise(self, runs[:2], robot, x)
 
@@ -129,7 +129,7 @@ class Problem:
     def with_held_out(self, turn):
         """Return the Problem with other blocks held out, one of `turns`; the last is usual."""
         other = copy(self)
-        other._usual = self  # which noise was measured with
+        other._original = self  # which noise was measured with
         other._divide(turn)
         return other
 
@@ -217,7 +217,7 @@ class Problem:
         Less what all clean runs show. The burden, one row for each knob, is its change in units
         of half of its doubt.
         """
-        return self.rows_along(self.paths, self.constants(robot, x), x) - self._usual_rows
+        return self.rows_along(self.paths, self.constants(robot, x), x) - self.usual
 
     def rows_along(self, paths, constants, x=None):
         """Return `rows` of a kernels' record along paths, nothing taken off."""
