@@ -183,7 +183,11 @@ class _Hunt:
         for i in range(self._known, len(self.model.robot.effects)):
             spec = self.model.robot.effects[i]
             for name in LATE - {spec.name} if spec.name in LATE else ():
-                other = self._instead(i, replace(spec, name=name))
+                if any((one.name, one.joint) == (name, spec.joint) for one in
+                       self.model.robot.effects[:self._known]):
+                    continue
+                other = self._instead(i, replace(spec, name=name, values=(
+                    min(spec.values[0], find(name).parameters[0].upper),)))
                 costs = prediction_cost(self._problem, (self.model, other), spec.joint)
                 if costs[1] < costs[0] - _TELLS:
                     self._say(f'{name} instead of {spec.name}')
@@ -226,13 +230,13 @@ class _Hunt:
 
     def _with_a_future(self, fits):
         """
-        Return those beside which one more effect would leave least, where none explains most.
+        Return those beside which one more effect would leave least, if it is the first of several.
 
         Of two effects that are missing, another may explain a little of each.
         """
-        left = self.model.cost - self._problem.clean_cost
-        if len(fits) < 2 or min(one.cost for one in fits) - self._problem.clean_cost < (
-                _OF_LITTLE * left):
+        clean, begun = self._problem.clean_cost, len(self.model.robot.effects) > self._known
+        left = min(one.cost for one in fits) - clean
+        if begun or len(fits) < 2 or left < _OF_LITTLE * (self.model.cost - clean):
             return fits
         gains = np.array([self.model.cost - one.cost + self._next_gain(one) for one in fits])
         return [one for one, gain in zip(fits, gains, strict=True)
