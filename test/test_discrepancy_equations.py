@@ -157,9 +157,11 @@ def test_the_base_bends_under_the_torque_that_is_given(ideal_robot, gains):
     left = []
     for effects in (both[:1], both):
         robot = replace(ideal_robot, effects=effects)
-        left.append(np.sqrt(np.mean(unexplained(
-            driven_path(robot, gains), plant.constants_of(robot))[50:-50, 0] ** 2)))
-    assert left[1] < 1.5 * left[0]
+        path, constants = driven_path(robot, gains), plant.constants_of(robot)
+        for one in (path, retrace(path, constants, np.random.default_rng(0))):
+            left.append(np.sqrt(np.mean(uniform_filter1d(
+                unexplained(one, constants)[50:-50, 0], 10) ** 2)))
+    assert max(left) < 1.5 * left[0]
 
 
 @pytest.mark.parametrize(('seed', 'gravity'), [(7, True), (10, True), (10, False)])

@@ -44,7 +44,7 @@ def retrace_loop(motion, command, supply, time, period, substeps, gains, constan
     ahead = 0.5 * period / substeps  # semi-implicit angles run half a step ahead of their rates
     for k in range(samples):
         work.signals[:, sig.SUPPLY] = supply[k]
-        plant.sensed(state, command[k], time[k], period, constants, work)
+        plant.sensed(state, state.applied, time[k], period, constants, work)
         for j in range(n):
             link[k, j] = work.signals[j, sig.SENSED_LINK] - ahead * state.dq_link[j]
             motor[k, j] = work.signals[j, sig.SENSED_MOTOR] - ahead * state.dq_motor[j]
