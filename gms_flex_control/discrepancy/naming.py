@@ -19,7 +19,7 @@ _PARTLY = 0.2         # of what was missing, where effects that explain most of 
 _DOMINANT = 0.6       # share of an effect that explains most
 _PART = 0.05          # share of an effect that is worth naming where much is left
 _WITHOUT_OTHERS = 0.5  # of what an effect explains beside others that are not named
-_ALONE = 2            # effects that are tried alone at last
+_FEWER = 2            # pairs, and effects alone, that are tried at last
 _FEW = 3              # findings: so few are all named, small and like others though they be
 _CLEAR = 0.85         # of what a small effect explains: no other explains so much
 _NEARLY_ALL = 0.2     # of held-out torque: less is left of it
@@ -67,18 +67,20 @@ def choices(entries, left, whole, by_gain):
     Return which of the effects may be named, the best choice first, and how much they must help.
 
     Where much is ``left`` unexplained, effects may but resemble what is there: those that explain
-    most of it are named if they help, others only if they help much. At last those that gained
-    most when nothing else was there, ``by_gain``, may be named alone if one helps much: many that
-    share what it does leave it little to explain beside them.
+    most of it are named if they help, others only if they help much. At last the first of those
+    ``by_gain``, which gained most when nothing else was there, may be named if it helps much, with
+    another or alone: many that share what it does leave it little to explain beside them.
     """
     if left <= EXPLAINED:
         return (entries, False), (entries[:1], False), (by_gain[:1], True)
     if left > TOO_MUCH:
         return ()
+    missed = sorted(entries, key=lambda one: -one.loss)
     entries = [one for one in entries if one.loss > _PART * whole]
     strong = [one for one in entries if one.loss > _DOMINANT * whole and left < _PARTLY]
-    alone = [([one], True) for one in by_gain[:_ALONE]]
-    return (entries, True), (entries[:1], True), (strong, False), *alone
+    fewer = [*([first, other] for first in by_gain[:1] for other in missed[:_FEWER]
+               if other is not first), *([one] for one in by_gain[:_FEWER])]
+    return (entries, True), (entries[:1], True), (strong, False), *((few, True) for few in fewer)
 
 
 def grouped(findings, entries):

@@ -230,17 +230,19 @@ class _Hunt:
 
     def _with_a_future(self, fits):
         """
-        Return those beside which one more effect would leave least, if it is the first of several.
+        Return those beside which one more effect would leave least, if two explain nearly all.
 
         Of two effects that are missing, another may explain a little of each.
         """
         clean, begun = self._problem.clean_cost, len(self.model.robot.effects) > self._known
-        left = min(one.cost for one in fits) - clean
-        if begun or len(fits) < 2 or left < _OF_LITTLE * (self.model.cost - clean):
+        little = clean + _OF_LITTLE * (self.model.cost - clean)
+        if begun or len(fits) < 2 or min(one.cost for one in fits) < little:
             return fits
-        gains = np.array([self.model.cost - one.cost + self._next_gain(one) for one in fits])
-        return [one for one, gain in zip(fits, gains, strict=True)
-                if gain >= (1.0 - _SIMPLER) * gains.max()]
+        left = np.array([one.cost - self._next_gain(one) for one in fits])
+        if left.min() > little:
+            return fits
+        most = left.min() + _SIMPLER * (self.model.cost - left.min())
+        return [one for one, cost in zip(fits, left, strict=True) if cost <= most]
 
     def _next_gain(self, model):
         """Return what the best effect beside the last one of a model would gain."""
