@@ -102,8 +102,9 @@ class Library:
         """Return what hypotheses gain in runs in which nothing is missing, the mean of each."""
         problem = self._problem
         own = knobs[:, problem.fitted]
-        gains = self._gains(own, problem.clean[:, problem.fitted], np.zeros(len(own)),
-                            np.zeros(len(self.columns))).mean(axis=0)
+        basis, _ = np.linalg.qr(own.T)
+        gains = self._gains(problem.clean[:, problem.fitted], basis, self.columns @ basis,
+                            0.0).mean(axis=0)
         by_chance = {}
         for (name, joint, _), gain in zip(self.guesses, gains, strict=True):
             by_chance[name, joint] = max(gain, by_chance.get((name, joint), 0.0))
@@ -139,9 +140,14 @@ class Library:
         before = half_cost(gram, slope, solve(gram, slope, low, high))
         free = np.ones(len(own), dtype=bool)
         free[:knobs] = np.abs(model.x) < _AT_BOUND * problem.bound_of(model.robot)
-        shared = problem.noise.slopes(model.robot, numbers)
-        noise = self._noise_beside(own[free], shared[free])
-        gains = self._gains(own[free], rows, shared[free], noise)
+        basis, root = np.linalg.qr(own[free].T)
+        along = self.columns @ basis
+        shared = along @ np.linalg.lstsq(
+            root.T, problem.noise.slopes(model.robot, numbers)[free], rcond=1e-10)[0]
+        # where it was not learned, noise adds what it adds to all that makes the column: a
+        # friction that varies with place is friction
+        noise = np.where(np.isnan(self._noise), shared, self._noise)
+        gains = self._gains(rows, basis, along, noise - shared)
         for i in np.argsort(-gains)[:_MOST_TRIED]:
             name, joint, guess = self.guesses[i]
             known = best.get((name, joint), Ranked(0.0, None)).gain
@@ -158,28 +164,15 @@ class Library:
                                                             values=values))
         return sorted(best.values(), key=lambda one: -one.gain)
 
-    def _noise_beside(self, own, shared):
-        """
-        Return what noise adds to the slope of each column (K,).
-
-        Where that was not learned it is what it adds to columns ``own`` (C, R), ``shared`` (C,),
-        as far as these make the column: a friction that varies with place is friction.
-        """
-        basis, root = np.linalg.qr(own.T)
-        along = self.columns @ basis @ np.linalg.lstsq(root.T, shared, rcond=1e-10)[0]
-        return np.where(np.isnan(self._noise), along, self._noise)
-
-    def _gains(self, own, rows, shared, noise):
+    def _gains(self, rows, basis, along, noise):
         """
         Return what guesses gain where nothing is bounded (..., G), of rows (..., R).
 
-        Noise adds ``shared`` to the slopes of ``own`` and ``noise`` to those of the columns.
+        Beside what is free already, with a ``basis`` (R, B) and the columns ``along`` (K, B) it;
+        ``noise`` (K,) is what noise adds to their slopes beyond that.
         """
-        basis, root = np.linalg.qr(own.T)
         left = rows - (rows @ basis) @ basis.T
-        along = self.columns @ basis
-        shared = np.linalg.lstsq(root.T, shared, rcond=1e-10)[0]
-        right = left @ self.columns.T - (noise - along @ shared)
+        right = left @ self.columns.T - noise
         gains = np.zeros((*rows.shape[:-1], len(self.guesses)))
         for guesses, columns, whole in self._alike:
             gram, mine = whole - _products(along[columns]), right[..., columns]

@@ -181,24 +181,21 @@ class _Hunt:
     def tell_late(self):
         """Put a lag in the place of a delay, or the other way, where it predicts better."""
         for i in range(self._known, len(self.model.robot.effects)):
-            spec = self.model.robot.effects[i]
-            for name in LATE - {spec.name} if spec.name in LATE else ():
-                if any((one.name, one.joint) == (name, spec.joint) for one in
-                       self.model.robot.effects[:self._known]):
-                    continue
-                other = self._instead(i, replace(spec, name=name, values=(
-                    min(spec.values[0], find(name).parameters[0].upper),)))
-                costs = prediction_cost(self._problem, (self.model, other), spec.joint)
-                if costs[1] < costs[0] - _TELLS:
-                    self._say(f'{name} instead of {spec.name}')
-                    self.take(other)
-
-    def _instead(self, i, spec):
-        """Return the model with another effect in the place of one, where it stood, fitted."""
-        effects = list(self.model.robot.effects)
-        effects[i] = spec
-        robot = replace(self.model.robot, effects=tuple(effects))
-        return fit(self._problem, robot, self.model.x, self._knobs, first=self._known)
+            robot = self.model.robot
+            spec, before, after = robot.effects[i], robot.effects[:i], robot.effects[i + 1:]
+            if spec.name not in LATE:
+                continue
+            name, = LATE - {spec.name}
+            late = replace(spec, name=name, values=(
+                min(spec.values[0], find(name).parameters[0].upper),))
+            if not may_join(late, replace(robot, effects=before + after), self._known):
+                continue
+            other = fit(self._problem, replace(robot, effects=(*before, late, *after)),
+                        self.model.x, self._knobs, first=self._known)
+            costs = prediction_cost(self._problem, (self.model, other), spec.joint)
+            if costs[1] < costs[0] - _TELLS:
+                self._say(f'{name} instead of {spec.name}')
+                self.take(other)
 
     def _least(self, spec):
         """Return what an effect must gain to be added."""

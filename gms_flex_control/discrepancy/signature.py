@@ -70,14 +70,13 @@ def signature_of(problem, model, share):
     Signature
 
     """
-    n, worst = problem.robot.n_joints, -1.0
-    ends = np.cumsum([whitening.scale.size for whitening in problem.whitenings])
-    for one, measure, end in zip(problem.paths, problem.whitenings, ends, strict=True):
-        shape = measure.scale.shape
-        squares = np.mean(model.rows[end - measure.scale.size:end].reshape(shape) ** 2, axis=0)
-        if squares.max() > worst:
-            path, whitening, worst = one, measure, squares.max()
-            channel = int(np.argmax(squares))
+    n, shapes = problem.robot.n_joints, [one.scale.shape for one in problem.whitenings]
+    parts = np.split(model.rows, np.cumsum([np.prod(shape) for shape in shapes]))[:-1]
+    squares = [np.mean(part.reshape(shape) ** 2, axis=0)
+               for part, shape in zip(parts, shapes, strict=True)]
+    worst = int(np.argmax([one.max() for one in squares]))
+    path, whitening = problem.paths[worst], problem.whitenings[worst]
+    channel = int(np.argmax(squares[worst]))
     equation, j = ('link', channel) if channel < n else ('motor', channel - n)
     residual = whitening.torque_rows(unexplained(path, problem.constants(
         model.robot, model.x)))[:, channel]
