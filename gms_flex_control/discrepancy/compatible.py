@@ -3,7 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Which effects may stand beside each other in one model."""
 
-_SCALED = {'stiffness_error', 'motor_inertia_error'}
+_SCALED = {'stiffness_error'}
 _SCALED_RIGID = {'link_inertia_error', 'motor_inertia_error'}
 LATE = {'actuator_lag', 'input_delay'}
 
@@ -12,9 +12,9 @@ def may_join(spec, robot, known):
     """
     Return whether an effect may be added to a robot: not twice, and none that undoes another.
 
-    The torque constant together with stiffness and inertia, of a rigid joint with its inertia,
-    would scale a whole joint, which no motion tells from other torque, and rows are smallest
-    where all is nothing. Lag and delay of one actuator are told from each other hardly, from
+    The torque constant together with the stiffness, of a rigid joint with its inertia, would scale
+    a whole joint, which no motion tells from other torque, and rows are smallest where all is
+    nothing. Lag and delay of one actuator are told from each other hardly, from
     their sum not at all. The first effects, ``known`` many, have a size that nothing moves, so
     they undo none; one of the same name would have no place beside them in a file.
     """

@@ -60,19 +60,20 @@ class Fitted:
         return cls(robot, x, rows, problem.cost(rows, robot, x))
 
 
-def numbers_of(effects, first=0):
-    """Return the Numbers of all effects from the ``first`` on."""
+def numbers_of(robot, first=0):
+    """Return the Numbers of all effects of a robot from the ``first`` on."""
     numbers = []
-    for i in range(first, len(effects)):
-        kind = find(effects[i].name)
-        for k, parameter in enumerate(kind.parameters):
+    for i, spec in enumerate(robot.effects[first:], start=first):
+        kind = find(spec.name)
+        bounds = zip(*bounds_of(kind, spec.joint, robot), strict=True)
+        for k, (parameter, limits) in enumerate(zip(kind.parameters, bounds, strict=True)):
             if parameter.name in FIXED:
                 continue
             angle = _ANGLES.get(parameter.name)
             usual = 0.1 if parameter.unit == '1' else 1e-6
-            step = angle or _STEP * max(abs(effects[i].values[k]), usual)
+            step = angle or _STEP * max(abs(spec.values[k]), usual)
             numbers.append(Number(i, k, step, (_ANGLE_REACH if angle else _REACH) * step,
-                                  *bounds_of(kind, parameter)))
+                                  *limits))
     return numbers
 
 
@@ -130,7 +131,7 @@ def fit(problem, robot, x, columns, first=0, iterations=3):
     rows, known = problem.rows(robot, x), len(columns) - len(x)
     cost = problem.cost(rows, robot, x)
     for _ in range(iterations):
-        numbers = numbers_of(robot.effects, first)
+        numbers = numbers_of(robot, first)
         values = values_of(robot, numbers)
         own = effect_columns(problem, robot, x, rows, numbers[known:])
         step = _step(problem, np.concatenate([columns, own]), rows, robot, x, values, numbers)

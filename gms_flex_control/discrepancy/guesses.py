@@ -69,35 +69,38 @@ def all_guesses(problem, without=(), fine_orders=None):
         for joint, scale in zip(places, scales, strict=False):
             if joint in unseen and is_lost(name):
                 continue
-            found += [(name, joint, allowed(guess, kind)) for guess in kind.guesses(scale)]
+            bounds = bounds_of(kind, joint, problem.robot)
+            found += [(name, joint, allowed(guess, *bounds)) for guess in kind.guesses(scale)]
     return found
 
 
-def bounds_of(kind, parameter):
-    """Return the least and the largest value that is looked for of an effect's parameter."""
-    lower = kind.slowest if parameter.name == 'order' else parameter.lower
-    upper = parameter.upper
-    if parameter.unit == '1' and parameter.name in _RATIOS:
-        lower = max(lower, _LEAST_RATIO)
-        if kind.name in _TO_AND_FRO:
-            upper = min(upper, -_LEAST_RATIO)
+def bounds_of(kind, joint, robot):
+    """Return the least and the largest values that are looked for of an effect's parameters."""
+    lower = [kind.slowest if one.name == 'order' else one.lower for one in kind.parameters]
+    upper = [one.upper for one in kind.parameters]
+    for i, parameter in enumerate(kind.parameters):
+        if parameter.unit == '1' and parameter.name in _RATIOS:
+            lower[i] = max(lower[i], _LEAST_RATIO)
+            if kind.name in _TO_AND_FRO:
+                upper[i] = min(upper[i], -_LEAST_RATIO)
+    if kind.name == 'viscous_error':  # all of it may be gone, but none pushes
+        j, friction = robot.joints.index(joint), robot.friction
+        lower[0] = -max(friction.forward.viscous[j], friction.backward.viscous[j])
     return lower, upper
 
 
-def is_at_limit(spec):
+def is_at_limit(spec, robot):
     """Return whether an effect has a parameter where the search for it ends, which is no value."""
     kind = find(spec.name)
-    for parameter, value in zip(kind.parameters, spec.values, strict=True):
-        lower, upper = bounds_of(kind, parameter)
-        if (lower > parameter.lower and value < lower + _AT_LIMIT * abs(lower)
-                or upper < parameter.upper and value > upper - _AT_LIMIT * abs(upper)):
-            return True
-    return False
+    return any(lower > parameter.lower and value < lower + _AT_LIMIT * abs(lower)
+               or upper < parameter.upper and value > upper - _AT_LIMIT * abs(upper)
+               for parameter, value, lower, upper in zip(
+                   kind.parameters, spec.values, *bounds_of(kind, spec.joint, robot),
+                   strict=True))
 
 
-def allowed(guess, kind):
+def allowed(guess, lower, upper):
     """Return a Guess whose values keep within the bounds of an effect's parameters."""
-    lower, upper = np.transpose([bounds_of(kind, parameter) for parameter in kind.parameters])
     size = guess.probes[0][0]
     if guess.is_linear and size > 0.0:  # its coefficient has bounds, too
         guess = guess._replace(lowest=max(guess.lowest, lower[0] / size),

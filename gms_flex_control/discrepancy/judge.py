@@ -101,7 +101,7 @@ def values_of(problem, found, known, index):
     it that rows say each something of their own.
     """
     model, knobs = found.model, len(problem.knobs)
-    numbers = numbers_of(model.robot.effects, known)
+    numbers = numbers_of(model.robot, known)
     columns = found.columns[:, problem.fitted]
     scale = np.sqrt(np.maximum(np.sum(columns ** 2, axis=1), 1e-300))
     gram = (columns / scale[:, None]) @ (columns / scale[:, None]).T

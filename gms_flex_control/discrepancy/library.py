@@ -133,7 +133,7 @@ class Library:
         """
         problem, knobs = self._problem, len(model.x)
         own, rows = columns[:, problem.fitted], model.rows[problem.fitted]
-        numbers = numbers_of(model.robot.effects, len(problem.robot.effects))
+        numbers = numbers_of(model.robot, len(problem.robot.effects))
         slope = problem.slope(columns, model.rows, model.robot, numbers)
         low, high = limits(problem, model, len(own))
         gram, best = own @ own.T, {}
@@ -222,7 +222,7 @@ def half_cost(gram, slope, x):
 def least_cost(problem, model, columns):
     """Return the least cost of a model with all its columns (C, R) re-tuned within bounds."""
     used = columns[:, problem.fitted]
-    numbers = numbers_of(model.robot.effects, len(problem.robot.effects))
+    numbers = numbers_of(model.robot, len(problem.robot.effects))
     gram, slope = used @ used.T, problem.slope(columns, model.rows, model.robot, numbers)
     step = solve(gram, slope, *limits(problem, model, len(columns)))
     return model.cost + 2.0 * half_cost(gram, slope, step)

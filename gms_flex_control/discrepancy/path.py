@@ -176,7 +176,8 @@ def path_of(recording, robot):
             known &= ~in_hole(recording.time[np.isfinite(angles[:, j])], time, period)
         if robot.arm.rigid[j]:
             readings[:, 1, j] = readings[:, 0, j]
-    path = make_path(recording.joints, time, period, readings, held_torque(recording, time),
+    path = make_path(recording.joints, time, period, readings,
+                     held_torque(recording, time, period),
                      supply_voltage(recording, time), has_commands(recording), recording.source,
                      unseen)
     settled = round(_SETTLED / period)  # friction remembers the motion that nobody saw
@@ -302,12 +303,12 @@ def has_commands(recording):
     return bool(np.isfinite(recording.command).mean() > _KNOWN)
 
 
-def held_torque(recording, time):
+def held_torque(recording, time, period):
     """
-    Return the torque held from each time on, shape (T, n) [N m].
+    Return the torque held from each of even times on, shape (T, n) [N m].
 
     Commands if they cover the recording, else the efforts that the joint states report for the
-    sample that ended.
+    sample that ended. Where samples were uneven it is the mean of what was held.
     """
     if has_commands(recording):
         torque = held(recording.command)
@@ -318,8 +319,17 @@ def held_torque(recording, time):
         raise BagError(f'{recording.source}: neither torque commands nor joint efforts cover the '
                        'recording; record /effort_controller/commands or the effort of '
                        '/joint_states too')
-    last = np.searchsorted(recording.time, time + 1e-9, side='right') - 1
-    return torque[np.maximum(last, 0)]
+    return torque if time is recording.time else mean_held(torque, recording.time, time, period)
+
+
+def mean_held(torque, since, time, period):
+    """Return the mean from each of even times (T,) on of torques (K, n) held ``since`` (K,)."""
+    until = np.append(since, max(since[-1], time[-1]) + 2.0 * period)
+    impulse = np.zeros((len(until), torque.shape[1]))
+    impulse[1:] = np.cumsum(torque * np.diff(until)[:, None], axis=0)
+    edges = np.append(time, time[-1] + period)
+    impulse = np.stack([np.interp(edges, until, column) for column in impulse.T], axis=1)
+    return np.diff(impulse, axis=0) / period
 
 
 def held(values):

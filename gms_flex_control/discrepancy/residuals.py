@@ -24,6 +24,7 @@ import numpy as np
 
 ACTUATOR, SENSOR = int(Stage.ACTUATOR), int(Stage.SENSOR)
 _CORRECTIONS = 4      # of an unseen link's angle, where a spring is not linear
+_CLEARINGS = 3        # of a motion from errors of its encoders
 _TOLD = 1e-3          # of the largest shift: with less, no stiffness is told by it
 _STIFFEST = 6.0       # times a spring's stiffness, at most
 _OF_SPRINGS = int(Stage.TWIST), int(Stage.SPRING)
@@ -131,15 +132,22 @@ def drive_torque(path, constants, work):
 
 
 def corrected(path, drive, motion, second, constants, work):
-    """Return motion (S, 6, n) and second differences (S, 2, n) cleared of sensor errors."""
+    """
+    Return motion (S, 6, n) and second differences (S, 2, n) cleared of sensor errors.
+
+    Errors are functions of the true motion, which is the measured one less these errors.
+    """
     link, motor = np.empty((2, *drive.shape))
-    equations.sensor_errors(motion, drive, path.time, path.period, constants,
-                            fresh_state(constants), work, link, motor)
-    off = np.stack([link, motor], axis=1)
-    rate = np.gradient(off, path.period, axis=0)
-    bend = second_difference(off, path.period)
-    errors = np.stack([off, rate, bend], axis=2).reshape(len(off), 6, -1)
-    return np.ascontiguousarray(motion - errors), second - bend
+    true = motion
+    for _ in range(_CLEARINGS):
+        equations.sensor_errors(true, drive, path.time, path.period, constants,
+                                fresh_state(constants), work, link, motor)
+        off = np.stack([link, motor], axis=1)
+        rate = np.gradient(off, path.period, axis=0)
+        bend = second_difference(off, path.period)
+        errors = np.stack([off, rate, bend], axis=2).reshape(len(off), 6, -1)
+        true = np.ascontiguousarray(motion - errors)
+    return true, second - bend
 
 
 def fresh_state(constants):

@@ -12,7 +12,7 @@ from itertools import combinations
 from typing import NamedTuple
 
 from gms_flex_control.discrepancy.compatible import LATE, may_join
-from gms_flex_control.discrepancy.fit import effect_columns, fit, Fitted, numbers_of
+from gms_flex_control.discrepancy.fit import effect_columns, fit, Fitted, FIXED, numbers_of
 from gms_flex_control.discrepancy.guesses import is_at_limit
 from gms_flex_control.discrepancy.library import least_cost, Library
 from gms_flex_control.discrepancy.prediction import prediction_cost
@@ -215,7 +215,7 @@ class _Hunt:
         model = self.model
         close = [one for one in ranked[:_SHORTLIST] if one.gain > _CLOSE * ranked[0].gain]
         fits = [self._added(one) for one in close]
-        fits = [one for one in fits if not is_at_limit(one.robot.effects[-1])] or fits
+        fits = [one for one in fits if not is_at_limit(one.robot.effects[-1], one.robot)] or fits
         fits = self._with_a_future(fits)
         best = model.cost - min(one.cost for one in fits)
         alike = [one for one in fits if model.cost - one.cost >= best - _SIMPLER * abs(best)]
@@ -306,7 +306,7 @@ def refitted(problem, robot, x, knobs, known, iterations=3):
 def _extended(problem, model, columns, first):
     """Return columns (C, R), then those by the parameters of effects from the ``first`` on."""
     own = effect_columns(problem, model.robot, model.x, model.rows,
-                         numbers_of(model.robot.effects, first))
+                         numbers_of(model.robot, first))
     return np.concatenate([columns, own])
 
 
@@ -331,11 +331,11 @@ def without(problem, model, columns, known, *dropped):
     effects = model.robot.effects
     robot = replace(model.robot, effects=tuple(
         spec for i, spec in enumerate(effects) if i not in dropped))
-    own = [len(model.x) + k for k, number in enumerate(numbers_of(effects, known))
+    own = [len(model.x) + k for k, number in enumerate(numbers_of(model.robot, known))
            if number.effect in dropped]
     return Fitted.of(problem, robot, model.x), np.delete(columns, own, axis=0)
 
 
 def _size(spec):
     """Return how many numbers of an effect are free."""
-    return len(numbers_of((spec,)))
+    return sum(parameter.name not in FIXED for parameter in find(spec.name).parameters)

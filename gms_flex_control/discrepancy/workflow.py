@@ -259,7 +259,8 @@ def _told(problem, found, entries, known, options, holdout, say):
     say('the gap on data held out')
     measured = _measured_on(problem, holdout)
     entries, sudden = steady(problem, found, entries)
-    entries = [one for one in entries if not is_at_limit(found.model.robot.effects[one.index])]
+    robot = found.model.robot
+    entries = [one for one in entries if not is_at_limit(robot.effects[one.index], robot)]
     choices = naming.choices(entries, _left(problem, found, before), whole,
                              _by_gain(found, entries))
     found, entries, gap = _added(problem, found, known, choices, measured)
