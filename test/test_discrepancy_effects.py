@@ -163,6 +163,15 @@ def test_what_the_catalogue_lacks_is_unexplained(seed, name):
     assert 'does not explain' in result.words
 
 
+def recorded(robot, time, q_link, q_motor, command, reference):
+    """Return the Recording of angles as read and torques as asked for."""
+    unknown = np.full_like(q_link, np.nan)
+    return Recording(
+        joints=robot.joints, time=time, q_link=q_link, q_motor=q_motor, dq_link=unknown,
+        dq_motor=unknown, tau_motor=np.vstack([np.zeros((1, 2)), command[:-1]]), command=command,
+        reference=reference, friction_hat=unknown, source='simulated', supply=None)
+
+
 def test_a_change_at_a_moment_is_said_beside_what_is_named():
     """Friction that grows at 10 s beside a larger effect: that one is named, the other said."""
     rng, time = np.random.default_rng(2), np.arange(10000) * 2e-3
@@ -173,12 +182,8 @@ def test_a_change_at_a_moment_is_said_beside_what_is_named():
     motion = simulate(replace(robot, effects=(offset,)), nominal, gains, reference, seed=1,
                       disturbance=step)
     q_link, _, q_motor, _ = np.moveaxis(motion.measured, 1, 0)
-    unknown = np.full_like(q_link, np.nan)
-    result = discrepancy([Recording(
-        joints=robot.joints, time=time, q_link=q_link, q_motor=q_motor, dq_link=unknown,
-        dq_motor=unknown, tau_motor=np.vstack([np.zeros((1, 2)), motion.command[:-1]]),
-        command=motion.command, reference=reference, friction_hat=unknown, source='step',
-        supply=None)], nominal)
+    result = discrepancy([recorded(robot, time, q_link, q_motor, motion.command, reference)],
+                         nominal)
     assert (result.verdict, result.findings[0].effect) == (FOUND, 'spring_offset'), result.words
     assert 'What resembles friction_drift of joint1 sets in about 10 s' in result.words
 
@@ -267,6 +272,23 @@ def test_two_effects_are_both_named(seed):
     assert result.verdict == FOUND
     named = {(one.effect, one.joint) for one in found[:2]}
     assert named == {(spec.name, spec.joint) for spec in truth.effects}, result.words
+
+
+def test_torque_constant_and_inertia_are_told_by_the_spring():
+    """Both scale the motor's side; the torque of the spring is known to a few percent."""
+    rng, time = np.random.default_rng(2), np.arange(10000) * 2e-3
+    robot, gains = draw_robot(rng, 'stiff')
+    nominal, reference = draw_belief(rng, robot), draw_reference(rng, 'rich', 'stiff', time)
+    hidden = {'torque_gain': 0.14, 'motor_inertia_error': -0.26}
+    motion = simulate(replace(robot, effects=tuple(
+        EffectSpec(name=name, joint='joint1', values=(value,)) for name, value in hidden.items())),
+        nominal, gains, reference, seed=1)
+    q_link, _, q_motor, _ = np.moveaxis(motion.measured, 1, 0)
+    result = discrepancy([recorded(robot, time, q_link, q_motor, motion.command, reference)],
+                         nominal)
+    assert {one.effect: one.joint for one in result.added} == dict.fromkeys(hidden, 'joint1')
+    for one in result.added:
+        assert one.values[0].value == pytest.approx(hidden[one.effect], abs=DOUBT)
 
 
 def test_one_effect_is_found_in_the_place_of_two():

@@ -10,7 +10,7 @@ from gms_flex_control.discrepancy import equations, signature
 from gms_flex_control.discrepancy.bounded import solve
 from gms_flex_control.discrepancy.compatible import may_join
 from gms_flex_control.discrepancy.fit import Fitted
-from gms_flex_control.discrepancy.guesses import all_guesses
+from gms_flex_control.discrepancy.guesses import all_guesses, allowed, bounds_of, is_at_limit
 from gms_flex_control.discrepancy.judge import is_sure, Judged, stands_alone
 from gms_flex_control.discrepancy.known import DOUBT, knobs_of, tuned
 from gms_flex_control.discrepancy.library import Library
@@ -24,6 +24,7 @@ from gms_flex_control.discrepancy.units import torque_scale
 from gms_flex_control.discrepancy.whitening import Whitening
 from gms_flex_control.discrepancy.words import evidence_of
 from gms_flex_control.dynamics import chain
+from gms_flex_control.effects.guess import linear
 from gms_flex_control.effects.registry import find
 from gms_flex_control.hidden import motions, truth
 from gms_flex_control.hidden.cases import make_case
@@ -490,7 +491,21 @@ def test_effects_that_scale_a_joint_together_do_not_join(ideal_robot):
     assert [may_join(spec, robot, 0) for spec in specs] == [False] * 4
     assert [may_join(spec, robot, 2) for spec in specs] == [False, True, False, True]
     other = replace(spring, joint='joint2')
+    assert may_join(replace(spring, name='motor_inertia_error'), robot, 0)  # K tells them apart
     assert may_join(other, robot, 0) and not may_join(other, replace(robot, effects=(other,)), 1)
+
+
+def test_friction_that_pushes_is_not_looked_for(robot):
+    """All viscous friction may be gone; what is said to be more is no slope but something else."""
+    kind, viscous = find('viscous_error'), robot.friction.forward.viscous[0]
+    lower, upper = bounds_of(kind, 'joint1', robot)
+    assert lower == [-max(viscous, robot.friction.backward.viscous[0])] and upper == [np.inf]
+    size = 0.01
+    guess = allowed(linear(size)[0], lower, upper)
+    assert guess.values([-1e3])[0] == lower[0] == pytest.approx(guess.lowest * size)
+    at = [EffectSpec(name='viscous_error', joint='joint1', values=(share * lower[0],))
+          for share in (1.0, 0.9, -2.0)]
+    assert [is_at_limit(spec, robot) for spec in at] == [True, False, False]
 
 
 def test_a_supply_that_is_known_is_looked_for():

@@ -40,7 +40,8 @@ def uneven_recording(robot, reference, seed):
     return Recording(
         joints=robot.joints, time=np.array(time), q_link=q_link, q_motor=q_motor,
         dq_link=unknown, dq_motor=unknown, tau_motor=unknown, command=np.array(commands),
-        reference=np.full((len(time), 5, robot.n_joints), np.nan), friction_hat=unknown, source='uneven')
+        reference=np.full((len(time), 5, robot.n_joints), np.nan), friction_hat=unknown,
+        source='uneven')
 
 
 def tones(time):

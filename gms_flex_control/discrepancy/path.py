@@ -100,6 +100,11 @@ class Path:
         """Return torques (T, n) held over samples as the equations see them, shape (S, n)."""
         return thinned(held_triangle(torque), self.factor)
 
+    def with_torque_earlier(self, count):
+        """Return the Path with torques that act so many samples before they were recorded."""
+        command = np.concatenate([self.command[count:], np.repeat(self.command[-1:], count, 0)])
+        return replace(self, command=command, drive=self.through_filter(command))
+
 
 def second_difference(angle, period):
     """Return the central second difference of angles (T, ...), zero at both ends."""

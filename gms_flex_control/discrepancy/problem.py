@@ -111,6 +111,12 @@ class Problem:
         return Problem(self.paths, self.robot, self._practical, self._seed, self._doubt,
                        self._at_rest, (model.robot, model.x))
 
+    def along(self, paths):
+        """Return the Problem of paths that nearly are its own, in the same units of noise."""
+        other = copy(self)
+        other.paths = paths
+        return other
+
     def of_others(self, paths):
         """Return the Problem of other recordings, all of them held out."""
         other = Problem(paths, self.robot, self._practical, self._seed, self._doubt,

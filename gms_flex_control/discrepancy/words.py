@@ -28,6 +28,14 @@ def of_unseen(joints):
             'hidden in robots a quarter was not named (docs/hidden_effects.md).')
 
 
+def of_late(samples, period):
+    """Return a sentence on torques that were recorded so many samples (of a period [s]) late."""
+    return (f'the torque stands {samples} sample{"s" * (samples > 1)} '
+            f'({1e3 * samples * period:.3g} ms) after the motion it caused: with all of it '
+            'earlier by that, less than a tenth of what is missing remains; record torque with '
+            'the stamp from which on it was held, or shift it')
+
+
 def of_known(first, effects, whole):
     """
     Return a sentence if an effect that the model has would explain most with another value.

@@ -11,6 +11,7 @@ from gms_flex_control.discrepancy import judge, naming
 from gms_flex_control.discrepancy.data_faults import faults_of
 from gms_flex_control.discrepancy.gap import gap_of, torque_rms
 from gms_flex_control.discrepancy.guesses import is_at_limit
+from gms_flex_control.discrepancy.late_torque import samples_late
 from gms_flex_control.discrepancy.onset import steady
 from gms_flex_control.discrepancy.path import path_of
 from gms_flex_control.discrepancy.problem import Problem
@@ -32,6 +33,7 @@ from gms_flex_control.discrepancy.words import (
     first_of,
     IN_MOTION,
     of_known,
+    of_late,
     of_unseen,
     paragraph,
     tells_apart,
@@ -121,12 +123,17 @@ def _discrepancy(recordings, robot, options, holdout, say):
     faults = tuple(finding.text for finding in findings)
     fatal = [finding.text for finding in findings if finding.severity == 'refuse']
     if fatal and not options.force:
-        return Discrepancy(verdict=BAD_DATA, faults=faults, sources=sources,
-                           seconds=time.monotonic() - begun,
-                           words=f'The data are at fault, not the model: {first_of(fatal, 4)}')
+        return _at_fault(fatal, faults, sources, begun)
     paths = [path_of(recording, robot) for recording in recordings]
     result = _searched(paths, robot, options, holdout, True, say)
     problem, found = result.found
+    if result.verdict != COMPLETE:
+        late = samples_late(problem, found)
+        if late:
+            fatal = [of_late(late, paths[0].fine_period)]
+            faults += tuple(fatal)
+            if not options.force:
+                return _at_fault(fatal, faults, sources, begun)
     if result.verdict == UNEXPLAINED and problem.share_at_rest(
             found.model.robot, found.model.x) > _AT_REST:
         say('once more, in motion alone')
@@ -138,6 +145,13 @@ def _discrepancy(recordings, robot, options, holdout, say):
     if faults:
         result = replace(result, words=f'{result.words} About the data: {first_of(faults, 2)}')
     return replace(result, faults=faults, sources=sources, seconds=time.monotonic() - begun)
+
+
+def _at_fault(fatal, faults, sources, begun):
+    """Return the Discrepancy of data that do not allow to look for what is missing."""
+    return Discrepancy(verdict=BAD_DATA, faults=faults, sources=sources,
+                       seconds=time.monotonic() - begun,
+                       words=f'The data are at fault, not the model: {first_of(fatal, 4)}')
 
 
 def _searched(paths, robot, options, holdout, at_rest, say):
