@@ -122,12 +122,18 @@ def torques_along(path, second, command, time, period, constants, state, work, l
 
 
 @compiled
-def sensor_errors(path, command, time, period, constants, state, work, link, motor):
-    """Write by how much the encoders of a model read too high along a path, (T, n) each [rad]."""
+def sensor_errors(path, measured, command, time, period, constants, state, work, link, motor):
+    """
+    Write by how much the encoders of a model read too high along a path, (T, n) each [rad].
+
+    Friction is that of the ``measured`` path: of a base that bends, joints turn against it.
+    """
     s = work.signals
     for k in range(command.shape[0]):
+        for j in range(command.shape[1]):
+            state.dq_link[j] = measured[k, 1, j]
+        replay_friction(k, measured, period, constants, state, work)
         plant.take_place(k, path, command[k], time[k], state, work)
-        replay_friction(k, path, period, constants, state, work)
         for j in range(command.shape[1]):
             s[j, sig.FRICTION] = work.friction[j]
         plant.run_sensors(state, period, constants, work)

@@ -140,7 +140,7 @@ def corrected(path, drive, motion, second, constants, work):
     link, motor = np.empty((2, *drive.shape))
     true = motion
     for _ in range(_CLEARINGS):
-        equations.sensor_errors(true, drive, path.time, path.period, constants,
+        equations.sensor_errors(true, motion, drive, path.time, path.period, constants,
                                 fresh_state(constants), work, link, motor)
         off = np.stack([link, motor], axis=1)
         rate = np.gradient(off, path.period, axis=0)
