@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from gms_flex_control.analysis.signals import quantum
 from gms_flex_control.discrepancy.unseen_links import link_angle, unseen_links
 from gms_flex_control.errors import BagError
-from gms_flex_control.identification.smoothing import derivatives
+from gms_flex_control.identification.smoothing import derivatives, means_held
 import numpy as np
 from scipy.ndimage import convolve1d, maximum_filter1d, minimum_filter1d
 
@@ -330,11 +330,7 @@ def held_torque(recording, time, period):
 def mean_held(torque, since, time, period):
     """Return the mean from each of even times (T,) on of torques (K, n) held ``since`` (K,)."""
     until = np.append(since, max(since[-1], time[-1]) + 2.0 * period)
-    impulse = np.zeros((len(until), torque.shape[1]))
-    impulse[1:] = np.cumsum(torque * np.diff(until)[:, None], axis=0)
-    edges = np.append(time, time[-1] + period)
-    impulse = np.stack([np.interp(edges, until, column) for column in impulse.T], axis=1)
-    return np.diff(impulse, axis=0) / period
+    return means_held(torque, until, np.append(time, time[-1] + period))
 
 
 def held(values):

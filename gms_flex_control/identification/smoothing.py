@@ -15,6 +15,30 @@ _BANDWIDTH = 0.226  # of four moving averages in a row, times the length of one
 _CUBIC_NOISE = np.sqrt(720.0)  # of a second derivative, times window^-2.5 and step^-2
 
 
+def means_held(values, ends, edges):
+    """
+    Return the means of what was held, over periods of another division of time.
+
+    Parameters
+    ----------
+    values : ndarray, shape (K, ...)
+        Held each from one of ``ends`` to the next.
+    ends : ndarray, shape (K + 1,)
+        Times [s].
+    edges : ndarray, shape (T + 1,)
+        Times between which means are taken [s].
+
+    Returns
+    -------
+    ndarray, shape (T, ...)
+
+    """
+    held = (np.asarray(values).T * np.diff(ends)).T
+    impulse = np.concatenate([np.zeros((1, *held.shape[1:])), np.cumsum(held, axis=0)])
+    impulse = np.apply_along_axis(lambda one: np.interp(edges, ends, one), 0, impulse)
+    return (np.diff(impulse, axis=0).T / np.diff(edges)).T
+
+
 def smoothing_window(period, noise, inertia, torque):
     """
     Return the samples of a window behind which the acceleration's noise is a small torque.

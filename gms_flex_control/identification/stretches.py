@@ -10,7 +10,12 @@ from gms_flex_control.analysis.signals import quantum
 from gms_flex_control.dynamics.chain import matrices
 from gms_flex_control.errors import IdentificationError
 from gms_flex_control.identification.known_effects import effect_torque
-from gms_flex_control.identification.smoothing import derivatives, noise_of, smoothing_window
+from gms_flex_control.identification.smoothing import (
+    derivatives,
+    means_held,
+    noise_of,
+    smoothing_window,
+)
 import numpy as np
 
 SHORTEST = 2.0         # a piece below this is left out [s]
@@ -288,9 +293,7 @@ def _motor(recording, j, grid, time, rows):
     """Return the torque held over each period; a state tells that of the period before it."""
     torque = recording.tau_motor[rows, j]
     known = np.isfinite(torque) | (np.arange(len(torque)) == 0)
-    held = np.append(0.0, torque[known][1:] * np.diff(time[known]))
-    impulse = np.interp(grid, time[known], np.cumsum(held))
-    mean = np.diff(impulse) / np.diff(grid)
+    mean = means_held(torque[known][1:], time[known], grid)
     return np.append(mean, mean[-1])
 
 
