@@ -74,6 +74,20 @@ def test_errors_of_encoders_are_taken_off_the_readings():
     assert np.abs(found.q_link[:, 0] - q)[50:-50].max() < 5e-4
 
 
+def test_a_late_encoder_is_cleared_where_its_motor_is_quick():
+    """At 4 Hz 4 ms are a tenth of a radian: its square is a hundredth of the motion."""
+    base, _ = part(take('backlash', False), 0.0, 10.0)
+    speed, late = 2.0 * np.pi * 4.0, 4e-3
+    motor = 0.1 * np.sin(speed * base.time)
+    recording = replace(base, q_link=motor[:, None],
+                        q_motor=0.1 * np.sin(speed * (base.time - late))[:, None])
+    robot = replace(axis(), effects=(
+        EffectSpec(name='encoder_skew', joint=JOINT, values=(late,)),))
+    found = cleared(recording, believed_model(robot))
+    assert np.abs(found.q_motor[:, 0] - motor)[50:-50].max() < 0.004 * 0.1
+    assert found.q_link == pytest.approx(recording.q_link, abs=1e-12)
+
+
 @pytest.mark.parametrize(('name', 'values'), [
     ('coulomb_error', (0.1,)), ('stribeck_error', (0.1,)), ('presliding_error', (0.1, 0.0)),
     ('viscous_error', (0.1,)), ('position_friction', (0.1, 10.0, 0.0)),

@@ -28,6 +28,7 @@ _TWIST, _SPRING, _LINK, _MOTOR = (int(stage) for stage in (
     Stage.TWIST, Stage.SPRING, Stage.LINK, Stage.MOTOR))
 _ON_LINK = (Stage.TWIST, Stage.SPRING, Stage.LINK, Stage.MOTOR)
 _WINDOW = 0.05        # of the rates and accelerations that effects look at [s]
+_CLEARINGS = 3        # of a motion from errors of its encoders
 _NOT_ALONG = ('base_flexibility',)  # needs torques that only a simulation has
 _ESTIMATED = ('constant_link_torque',)  # found anew where the arm is estimated as well
 
@@ -91,6 +92,8 @@ def cleared(recording, robot):
     """
     Return a recording whose angles are without the errors of encoders.
 
+    Errors are functions of the true motion, which is the measured one less these errors.
+
     Parameters
     ----------
     recording : Recording
@@ -107,11 +110,13 @@ def cleared(recording, robot):
     sensors = [spec for spec in robot.effects if find(spec.name).stage == Stage.SENSOR]
     if not sensors:
         return recording
-    constants, n = _constants(robot, sensors), robot.n_joints
-    motion = _motion(recording.time, recording.q_link, recording.q_motor, recording.period)
-    link, motor = np.empty((2, len(recording.time), n))
-    _sensor_errors(motion, recording.time - recording.time[0], recording.period, constants,
-                   _state(robot), plant.workspace(n), link, motor)
+    constants, work = _constants(robot, sensors), plant.workspace(robot.n_joints)
+    link, motor = np.zeros((2, len(recording.time), robot.n_joints))
+    for _ in range(_CLEARINGS):
+        motion = _motion(recording.time, recording.q_link - link, recording.q_motor - motor,
+                         recording.period)
+        _sensor_errors(motion, recording.time - recording.time[0], recording.period, constants,
+                       _state(robot), work, link, motor)
     return replace(recording, q_link=recording.q_link - link, q_motor=recording.q_motor - motor)
 
 
