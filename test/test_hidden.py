@@ -230,8 +230,8 @@ def test_the_weight_of_an_arm_in_a_tilted_plane_is_borne_and_believed_nearly():
 def moments(arm):
     """Return the mass moments of two links, each with what it carries, from g of a pose."""
     zero = np.zeros(2)
-    down = np.arctan2(*arm.gravity[::-1]) + np.pi / 2.0  # across gravity
-    both = chain.matrices(np.array([down, 0.0]), zero, zero, zero, arm).gravity
+    level = -arm.offset  # across gravity
+    both = chain.matrices(level, zero, zero, zero, arm).gravity
     return np.array([both[0] - both[1], both[1]])
 
 
@@ -344,6 +344,28 @@ def test_hide_writes_what_a_user_has_and_the_truth(tmp_path, capsys):
     assert main(args) == 0
     assert 'kept as it is' in capsys.readouterr().out
     assert sorted(path.name for path in tmp_path.iterdir()) == ['double_2']
+
+
+def test_hide_writes_arms_that_carry_their_weight(tmp_path):
+    """Robot files know gravity along -y alone; the arm hangs from any direction all the same."""
+    args = ['hide', '--out', str(tmp_path), '--kind', 'clean', '--gravity', '--duration', '8']
+    assert main(args) == 0
+    robot = load_robot(tmp_path / 'clean_0' / 'robot.yaml')
+    believed = cases.make_case('clean', 0, duration=8.0, gravity=True).nominal
+    assert robot.arm.gravity[1] < 0.0 and robot.arm.offset[0] != 0.0
+    zero = np.zeros(2)
+    for q in np.random.default_rng(5).uniform(-2.0, 2.0, (5, 2)):
+        weights = [chain.matrices(q, zero, zero, zero, one.arm).gravity
+                   for one in (robot, believed)]
+        np.testing.assert_allclose(weights[0], weights[1], rtol=1e-12)
+
+
+@pytest.mark.parametrize('duration', ['0', '-3', 'nan', 'inf'])
+@pytest.mark.parametrize('verb', ['hide', 'score'])
+def test_a_duration_that_is_none_is_refused(tmp_path, capsys, verb, duration):
+    args = [verb, '--out', str(tmp_path), '--kind', 'clean', f'--duration={duration}']
+    assert main(args) == 2
+    assert f'--duration {float(duration):g}: give 2 to 3600 s' in capsys.readouterr().err
 
 
 @pytest.mark.parametrize('seeds', ['x', '3:3', '-1', '1:'])

@@ -71,7 +71,7 @@ def jobs_asked(args):
     """Return the jobs of --kind, less those whose effect no sensor shows, else of --set."""
     from gms_flex_control.benchmarks.hidden_effects.jobs import Job, jobs_of
     from gms_flex_control.cli.hide import seeds_of
-    from gms_flex_control.hidden.cases import KINDS, require_known, SENSORS
+    from gms_flex_control.hidden.cases import KINDS, require_duration, require_known, SENSORS
     from gms_flex_control.hidden.motions import MOTIONS
     from gms_flex_control.hidden.plants import PLANTS
 
@@ -83,6 +83,7 @@ def jobs_asked(args):
     if args.plant is not None:
         require_known('plant', args.plant, PLANTS)
     require_known('sensors', args.sensors, SENSORS)
+    require_duration(args.duration)
     jobs = [Job(kind, seed, args.motion, args.plant, args.duration, args.sensors,
                 args.gravity)
             for seed in seeds_of(args.seeds) for kind in args.kind]

@@ -23,6 +23,7 @@ _DOMINANT = 1.5       # times the torque of each small one
 _TRIES, _SOFTER = 20, 0.8  # of draws, and what each takes off the gains of the motor law
 # beyond these nobody would record the robot: from the reference, rms [rad]; time at the limit
 _FARTHEST, _LIMITED = 0.6, 0.01
+_SHORTEST, _LONGEST = 2.0, 3600.0  # recordings [s]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -114,6 +115,12 @@ def require_known(what, value, known):
         raise ConfigError(f'{what} {value!r} is unknown{did_you_mean(value, known)}')
 
 
+def require_duration(duration):
+    """Raise ConfigError if recordings cannot take ``duration`` (float) [s]."""
+    if not _SHORTEST <= duration <= _LONGEST:
+        raise ConfigError(f'--duration {duration:g}: give {_SHORTEST:g} to {_LONGEST:g} s')
+
+
 def make_case(kind, seed, *, motion='rich', plant=None, duration=DURATION, effect=None,
               gravity=False):
     """
@@ -145,13 +152,14 @@ def make_case(kind, seed, *, motion='rich', plant=None, duration=DURATION, effec
     Raises
     ------
     ConfigError
-        If kind, motion, plant or effect is unknown.
+        If kind, motion, plant or effect is unknown, or the duration none.
     SimulationError
         If no draw gave a robot that can be driven.
 
     """
     require_known('kind', kind, KINDS)
     require_known('motion', motion, motions.MOTIONS)
+    require_duration(duration)
     if plant is not None:
         require_known('plant', plant, plants.PLANTS)
     if effect is not None:

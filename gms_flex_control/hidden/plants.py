@@ -87,6 +87,9 @@ def under_gravity(rng, robot, gains):
     """
     Return a robot whose plane is tilted, as far as its springs bear it, and its gains.
 
+    Its first joint reads 0 at any angle from the horizontal; gravity itself is along -y, as robot
+    files state it.
+
     Parameters
     ----------
     rng : numpy.random.Generator
@@ -105,8 +108,8 @@ def under_gravity(rng, robot, gains):
     heaviest = np.cumsum(mass_moments(arm)[::-1])[::-1]  # stretched out across gravity
     sag = np.exp(rng.uniform(*np.log(_SAG)))
     gravity = min(_GRAVITY, sag * np.min(arm.stiffness / heaviest))
-    down = rng.uniform(-np.pi, np.pi)
-    arm = replace(arm, gravity=gravity * np.array([np.cos(down), np.sin(down)]))
+    zero = rng.uniform(-np.pi, np.pi)
+    arm = replace(arm, gravity=[0.0, -gravity], offset=[-0.5 * np.pi - zero, 0.0])
     return replace(robot, arm=arm), replace(
         gains, torque_limit=gains.torque_limit + _TO_SPARE * gravity * heaviest)
 

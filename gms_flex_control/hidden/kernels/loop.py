@@ -33,7 +33,7 @@ def state_layout(n, n_blocks):
     Angles in it are absolute; ``base`` is angle and rate of the base under joint 1.
     """
     vectors = ('q', 'v', 'q_motor', 'v_motor', 'a', 'a_motor', 'a_end', 'a_motor_end', 'v_end',
-               'v_motor_end', 'link_torque', 'motor_torque', 'applied', 'seen')
+               'v_motor_end', 'link_torque', 'motor_torque', 'applied')
     return records.layout(
         *((name, FLOAT, (n,)) for name in vectors), ('base', FLOAT, (2,)), ('push', FLOAT, (1,)),
         ('supply', FLOAT, (1,)),
