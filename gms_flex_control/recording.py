@@ -3,7 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """What every analysis works on: one experiment as plain arrays, wherever it came from."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import NamedTuple
 
 from gms_flex_control.errors import BagError
@@ -32,6 +32,11 @@ class Phase(NamedTuple):
     joint: str
     step: str
     value: float
+
+
+# what has a column for each joint
+_OF_JOINTS = ('q_link', 'dq_link', 'q_motor', 'dq_motor', 'tau_motor', 'command', 'reference',
+              'friction_hat')
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -105,6 +110,22 @@ class Recording:
     def n_joints(self):
         """Return the number of joints."""
         return len(self.joints)
+
+    def of_joints(self, joints):
+        """
+        Return the Recording of some joints (sequence of str), in that order.
+
+        Raises BagError if it lacks one.
+        """
+        if tuple(joints) == tuple(self.joints):
+            return self
+        absent = [joint for joint in joints if joint not in self.joints]
+        if absent:
+            raise BagError(f'{self.source}: has no joint {absent[0]!r}, it has '
+                           f'{", ".join(self.joints)}')
+        columns = [self.joints.index(joint) for joint in joints]
+        return replace(self, joints=tuple(joints), **{
+            name: getattr(self, name)[..., columns] for name in _OF_JOINTS})
 
     @property
     def period(self):

@@ -5,8 +5,9 @@
 
 from dataclasses import replace
 
-from gms_flex_control.discrepancy.result import BAD_DATA
+from gms_flex_control.discrepancy.result import BAD_DATA, UNEXPLAINED
 from gms_flex_control.discrepancy.workflow import discrepancy, Options
+from gms_flex_control.effects.registry import names
 from gms_flex_control.errors import BagError
 from gms_flex_control.hidden.cases import make_case
 import numpy as np
@@ -132,6 +133,45 @@ def test_a_command_is_all_that_was_asked_for_clipped_or_not(case):
     """Where no effort was recorded it is the torque, and is not called missing either."""
     result = discrepancy([commanded(clipped)(case.recording)], case.nominal, Options(most=0))
     assert result.faults == () and result.verdict != BAD_DATA
+
+
+@pytest.mark.parametrize('change', [
+    lambda torque: -torque, lambda torque: 1e3 * torque, lambda torque: torque[:, ::-1]])
+def test_commands_are_looked_over_beside_efforts(case, change):
+    """The equations take them, so right efforts do not help."""
+    wrong = replace(case.recording, command=change(case.recording.command))
+    result = discrepancy([wrong], case.nominal)
+    assert result.verdict == BAD_DATA and 'of its torque commands' in result.words
+
+
+def test_joints_are_known_by_name_whatever_their_order(case):
+    """From Python nobody has put them in the robot's order before."""
+    recording = case.recording
+    turned = recording.of_joints(recording.joints[::-1])
+    assert turned.joints == ('joint2', 'joint1')
+    told = [discrepancy([one], case.nominal, Options(most=0)) for one in (recording, turned)]
+    assert told[0].words == told[1].words and told[0].verdict != BAD_DATA
+    alone = discrepancy([recording.of_joints(['joint2'])], case.nominal)
+    assert alone.verdict == BAD_DATA and "no joint 'joint1'" in alone.words
+    with pytest.raises(BagError, match="no joint 'joint1'"):
+        discrepancy([recording.of_joints(['joint2'])], case.nominal, Options(force=True))
+
+
+@pytest.mark.parametrize(('change', 'word'), [
+    (lambda r: replace(r, time=np.concatenate([[0.0], 8.5e8 + r.time[1:]])), 'missing in'),
+    (lambda r: taken(r, np.arange(3)), '3 samples')])
+def test_faults_of_time_are_told_where_links_are_not_seen(case, change, word):
+    """Nothing is computed along such a time, though link angles would have to be."""
+    blind = replace(case.recording, q_link=np.nan * case.recording.q_link,
+                    dq_link=np.nan * case.recording.dq_link)
+    result = discrepancy([change(blind)], case.nominal)
+    assert result.verdict == BAD_DATA and word in result.words
+
+
+def test_with_no_effect_to_look_for_it_is_said_that_something_is_left():
+    case = make_case('single', 0, plant='soft', duration=20.0)
+    result = discrepancy([case.recording], case.nominal, Options(without=names()))
+    assert result.verdict == UNEXPLAINED and result.tried == ()
 
 
 @pytest.mark.parametrize(('late', 'most'), [(1, 2), (2, 0)])

@@ -6,8 +6,12 @@
 from dataclasses import replace
 
 from gms_flex_control.discrepancy.path import has_commands, held, with_links
+from gms_flex_control.identification import clock_checks, motion_checks
 from gms_flex_control.identification.checks import check
+from gms_flex_control.identification.findings import absent_joints, signals_of
 import numpy as np
+
+_OF_TORQUE = ('swapped_joints', 'torque_sign', 'torque_scale', 'unexplained')
 
 
 def faults_of(recordings, robot):
@@ -17,7 +21,7 @@ def faults_of(recordings, robot):
     Parameters
     ----------
     recordings : sequence of Recording
-        Commands count as torque where no effort was recorded.
+        Joints in any order; torque commands are looked over beside efforts, or instead of them.
     robot : RobotParams
         As believed.
 
@@ -27,25 +31,42 @@ def faults_of(recordings, robot):
         Those that forbid a fit first.
 
     """
-    found = []
-    for recording in recordings:
-        commanded = _commanded(recording)
-        seen = with_links(recording, robot)
-        if commanded:
-            seen = _with_commands(seen, commanded)
-        found += [finding for finding in check(seen, robot)
-                  # a command is all that was asked for, clipped or not
-                  if finding.kind != 'saturated' or finding.joint not in commanded]
+    found = [finding for recording in recordings for finding in _faults(recording, robot)]
     return sorted(found, key=lambda finding: finding.severity != 'refuse')
 
 
-def _commanded(recording):
-    """Return the joints of which commands are known and no efforts."""
+def _faults(recording, robot):
+    """Return the findings of one recording."""
+    absent = absent_joints(recording, robot)
+    if absent:
+        return absent
+    recording = recording.of_joints(robot.joints)
+    signals = signals_of(recording, robot)
+    timing = [*motion_checks.length(signals), *clock_checks.clock(signals)]
+    if any(finding.severity == 'refuse' for finding in timing):
+        return timing  # nothing can be computed along such a time
+    recording = with_links(recording, robot)
     if not has_commands(recording):
+        return list(check(recording, robot))
+    efforts = np.isfinite(recording.tau_motor).any(axis=0)
+    commanded = [joint for joint, known in zip(recording.joints, efforts, strict=True)
+                 if not known]
+    # a command is all that was asked for, clipped or not
+    found = [finding for finding in check(_with_commands(recording, commanded), robot)
+             if finding.kind != 'saturated' or finding.joint not in commanded]
+    return found + _of_commands(recording, robot, found)
+
+
+def _of_commands(recording, robot, found):
+    """Return findings of commands that stand beside efforts and are not among those ``found``."""
+    other = _with_commands(recording, recording.joints)
+    if np.array_equal(other.tau_motor, recording.tau_motor, equal_nan=True):
         return []
-    known = np.isfinite(recording.tau_motor).any(axis=0)
-    return [joint for joint, has_effort in zip(recording.joints, known, strict=True)
-            if not has_effort]
+    told = {(finding.kind, finding.joint) for finding in found}
+    return [finding._replace(text=f'{finding.text} (of its torque commands, which the equations '
+                             'take; its efforts seem right)')
+            for finding in check(other, robot)
+            if finding.kind in _OF_TORQUE and (finding.kind, finding.joint) not in told]
 
 
 def _with_commands(recording, joints):

@@ -65,7 +65,8 @@ class Library:
             spec = EffectSpec(name=job[0], joint=job[1], values=job[2])
             return (problem.rows(with_effect(model.robot, spec), model.x)
                     - model.rows)[problem.fitted]
-        self.columns = problem.each(column, jobs)
+        self.columns = np.reshape(problem.each(column, jobs),
+                                  (len(jobs), int(problem.fitted.sum())))
         self._noise = self._noise_of(jobs)
         self._places = np.cumsum([0, *(len(guess.probes) for _, _, guess in self.guesses)])
         self._alike = self._by_size()
@@ -95,7 +96,7 @@ class Library:
             noise.forget(name, joint)
         learned = {(spec.name, spec.joint) for spec in specs}
         told = np.array([(name, joint) in learned or _is_of_torque(name)
-                         for name, joint, _ in jobs])
+                         for name, joint, _ in jobs], dtype=bool)
         return np.where(told & ~hidden, added, np.nan)
 
     def _gained_by_chance(self, knobs):

@@ -154,9 +154,9 @@ def path_of(recording, robot):
     Parameters
     ----------
     recording : Recording
-        Of the robot.
+        With all joints of the robot, in any order.
     robot : RobotParams
-        Tells which joints have a motor side.
+        Tells the order of joints, and which have a motor side.
 
     Returns
     -------
@@ -165,9 +165,10 @@ def path_of(recording, robot):
     Raises
     ------
     BagError
-        If angles or torques are missing.
+        If a joint, angles or torques are missing.
 
     """
+    recording = recording.of_joints(robot.joints)
     time, period = even_time(recording)
     readings = np.zeros((len(time), 2, recording.n_joints))
     known, unseen = np.ones(len(time), dtype=bool), unseen_links(recording, robot)
@@ -185,8 +186,8 @@ def path_of(recording, robot):
                      held_torque(recording, time, period),
                      supply_voltage(recording, time), has_commands(recording), recording.source,
                      unseen)
-    settled = round(_SETTLED / period)  # friction remembers the motion that nobody saw
-    known = minimum_filter1d(known, 2 * settled + 1, origin=settled)
+    half = round(0.5 * _SETTLED / period)  # friction remembers the motion that nobody saw
+    known = minimum_filter1d(known, 2 * half + 1, origin=half)
     known = minimum_filter1d(known, smoothing(period) + 4 * path.factor)
     return replace(path, known=known[::path.factor])
 

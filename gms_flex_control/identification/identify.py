@@ -141,8 +141,8 @@ class Data:
     """
 
     def __init__(self, takes, holdouts, robot, whole=False):
-        half = half_count(_ordered(takes[0][0], robot), robot)  # of readings as they are
-        ordered = [[cleared(_ordered(take, robot), robot), phases]
+        half = half_count(takes[0][0].of_joints(robot.joints), robot)  # of readings as they are
+        ordered = [[cleared(take.of_joints(robot.joints), robot), phases]
                    for take, phases in (*takes, *holdouts)]
         period = common_period([take for take, _ in ordered])
         first = ordered[0][0]
@@ -309,17 +309,6 @@ def common_period(recordings):
                       f'{1e3 * max(periods):.4g} ms; all are taken every '
                       f'{1e3 * max(periods):.4g} ms', stacklevel=2)
     return max(periods)
-
-
-def _ordered(recording, robot):
-    """Return the recording with its joints in the robot's order."""
-    order = [recording.joints.index(joint) for joint in robot.joints]
-    if order == list(range(len(recording.joints))):
-        return recording
-    names = ('q_link', 'dq_link', 'q_motor', 'dq_motor', 'tau_motor', 'command', 'reference',
-             'friction_hat')
-    return replace(recording, joints=robot.joints,
-                   **{name: getattr(recording, name)[..., order] for name in names})
 
 
 def resolution(stretches, joint, count):
