@@ -44,6 +44,27 @@ def test_the_longest_part_with_a_reference_is_taken(recording, ideal_robot, gain
     assert np.abs(again - stretch.measured)[-500:].max() < 2e-3
 
 
+def test_a_pause_ends_a_stretch(recording):
+    """No straight line is drawn through it."""
+    later = recording.time + 5.0 * (np.arange(len(recording.time)) >= 600)
+    stretch = stretch_of(replace(recording, time=later))
+    assert stretch.begin == pytest.approx(later[600]) and stretch.period_ns == 2_000_000
+    assert np.array_equal(stretch.measured, recording.q_link[600:])
+
+
+def test_a_drift_goes_on_from_where_the_stretch_begins(recording, ideal_robot, gains):
+    """Twelve seconds after the first sample, a spring that goes soft is soft."""
+    drifting = replace(ideal_robot, effects=(
+        EffectSpec(name='stiffness_drift', joint='joint1', values=(-0.5, 12.0)),))
+    soft = replace(ideal_robot, effects=(
+        EffectSpec(name='stiffness_error', joint='joint1', values=(-0.5,)),))
+    stretch = stretch_of(recording)._replace(begin=12.0)
+    expected, late, early = (
+        simulated(robot, ideal_robot, gains, stretch._replace(begin=begin))
+        for robot, begin in ((soft, 0.0), (drifting, 12.0), (drifting, 0.0)))
+    assert np.abs(late - expected).max() < 1e-9 < 1e-4 < np.abs(early - expected).max()
+
+
 def test_uneven_samples_are_put_on_an_even_grid(recording):
     jitter = 2e-4 * np.sin(np.arange(len(recording.time)))
     uneven = recording.time + jitter - jitter[0]

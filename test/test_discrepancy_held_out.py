@@ -6,7 +6,7 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
-from gms_flex_control.discrepancy.gap import farther
+from gms_flex_control.discrepancy.gap import farther, free_rms
 from gms_flex_control.discrepancy.naming import choices, helps
 from gms_flex_control.discrepancy.path import path_of
 from gms_flex_control.discrepancy.problem import BLOCK, Problem
@@ -64,6 +64,22 @@ def test_without_free_runs_torque_decides():
     for much, torque, expected in ((False, 1.0, False), (True, 0.9, False), (False, 0.5, True)):
         told = replace(gap(torque=torque), free_before=none, free_after=none)
         assert helps(told, much=much) is expected
+
+
+def test_free_runs_do_not_cross_holes():
+    """A line through half a second that nobody saw is no motion."""
+    case = make_case('clean', 3, duration=20.0)
+    recording = case.recording
+    hole = (recording.time > 6.6) & (recording.time < 7.1)
+    assert (recording.time[hole] // BLOCK % 4 == 3).all()
+    with_hole = replace(recording, **{
+        name: np.where(hole[:, None], np.nan, getattr(recording, name))
+        for name in ('q_link', 'q_motor', 'dq_link', 'dq_motor')})
+    strays = []
+    for one in (recording, with_hole):
+        problem = Problem([path_of(one, case.nominal)], case.nominal, 0.005)
+        strays.append(free_rms(problem, problem.robot, np.zeros(len(problem.knobs))))
+    assert np.all(strays[1] < 1.5 * strays[0])
 
 
 @pytest.mark.parametrize('duration', [2.2, 4.3, 6.2, 8.0, 9.1])

@@ -14,6 +14,7 @@ import numpy as np
 
 LEAST_TIME = 1.0   # with a reference all along, shorter recordings are of no use [s]
 _FARTHEST = 10.0   # strays are cut there, of loops that run away [rad]
+_LONGEST = 5.5     # periods between samples of one stretch
 _EVEN = 0.02       # of the period: samples closer to an even grid are left as they are
 _SEED, _OTHER_SEED = 991, 992  # of the encoder noise
 
@@ -75,9 +76,7 @@ def stretch_of(recording):
         raise BagError(f'{recording.source}: does not have the angles of all links, so there is '
                        'nothing to hold a simulated closed loop against; leave --controller out')
     known = seen & np.isfinite(recording.reference).all(axis=(1, 2))
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], known.astype(int), [0]])))
-    first, last = max(zip(edges[::2], edges[1::2], strict=True), default=(0, 0),
-                      key=lambda part: part[1] - part[0])
+    first, last = _longest(known, np.diff(recording.time) > _LONGEST * recording.period)
     time = recording.time[first:last]
     if len(time) < 2 or time[-1] - time[0] < LEAST_TIME:
         raise BagError(f'{recording.source}: has no reference of the link angles for '
@@ -90,6 +89,14 @@ def stretch_of(recording):
         reference, measured = (_resampled(grid, time, values) for values in (reference, measured))
     return Stretch(recording.source, float(time[0]), round(1e9 * period), reference, measured,
                    recording.q_motor[first], supply_voltage(recording, grid))
+
+
+def _longest(known, holes):
+    """Return first and end of the longest run of samples known (T,), with no hole (T - 1,)."""
+    parts = np.cumsum(np.concatenate([[0], holes | (known[1:] != known[:-1])]))
+    counts = np.bincount(parts, weights=known)
+    at = np.flatnonzero(parts == np.argmax(counts))
+    return (at[0], at[-1] + 1) if counts.max() else (0, 0)
 
 
 def _resampled(grid, time, values):
@@ -124,14 +131,14 @@ def simulated(robot, believed, gains, stretch, seed=_SEED):
     """
     rates = stretch.reference[0, 1]
 
-    def begin(plant):
+    def prepare(plant):
         q_motor = np.where(np.isfinite(stretch.q_motor), stretch.q_motor, stretch.measured[0])
         plant.state.q_motor[:] = np.where(robot.arm.rigid, stretch.measured[0], q_motor)
         plant.state.dq_link[:] = plant.state.dq_motor[:] = rates
 
     run = loop.run(robot, believed, gains, stretch.reference, period_ns=stretch.period_ns,
                    seed=seed, q_link=stretch.measured[0], supply=stretch.supply,
-                   prepare=begin)
+                   begin=stretch.begin, prepare=prepare)
     return run.measured[:, 0]
 
 
@@ -155,8 +162,8 @@ def closed_loop_of(problem, found, recordings, gains):
     ClosedLoop
 
     """
-    stretches = [stretch_of(recording) for recording in recordings]
     given = problem.robot
+    stretches = [stretch_of(recording.of_joints(given.joints)) for recording in recordings]
     retuned, after = (with_knobs(one.robot, problem.knobs, one.x)
                       for one in (found.before, found.model))
     angles = {name: [simulated(robot, given, gains, stretch, seed) for stretch in stretches]

@@ -12,7 +12,7 @@ _MEASURED = ('q_link', 'dq_link', 'q_motor', 'dq_motor')
 
 
 def run(robot, model, gains, reference, *, period_ns=2_000_000, substeps=20, seed=0, q_link=None,
-        supply=None, prepare=lambda plant: None):
+        supply=None, begin=0.0, prepare=lambda plant: None):
     """
     Simulate the closed loop along a reference given sample by sample.
 
@@ -36,6 +36,8 @@ def run(robot, model, gains, reference, *, period_ns=2_000_000, substeps=20, see
         Where the links rest at the start [rad]; default zero.
     supply : ndarray, shape (T,), optional
         Voltage of the drives' supply [V]; default not known.
+    begin : float
+        Time of the first sample, for effects that look at it [s].
     prepare : callable, optional
         Gets the plant (SteppedPlant) before its first sample, to begin elsewhere than at rest.
 
@@ -47,7 +49,8 @@ def run(robot, model, gains, reference, *, period_ns=2_000_000, substeps=20, see
 
     """
     period, n, samples = period_ns / NANOSECONDS, robot.n_joints, len(reference)
-    plant = SteppedPlant(robot, period=period, substeps=substeps, seed=seed, q_link=q_link)
+    plant = SteppedPlant(robot, period=period, substeps=substeps, seed=seed, q_link=q_link,
+                         begin=begin)
     controller = CompensatingController(gains, model)
     reference = np.ascontiguousarray(reference, dtype=float)
     prepare(plant)

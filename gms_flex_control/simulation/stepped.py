@@ -47,11 +47,13 @@ class SteppedPlant:
         Of the encoder noise.
     q_link : array_like, shape (n_joints,), optional
         Where the links rest at the start [rad].
+    begin : float
+        Time of the start [s].
 
     """
 
-    def __init__(self, robot, *, period, substeps, seed=0, q_link=None):
-        self._period, self._substeps, self._ticks = period, substeps, 0
+    def __init__(self, robot, *, period, substeps, seed=0, q_link=None, begin=0.0):
+        self._period, self._substeps, self._begin, self._ticks = period, substeps, begin, 0
         self._constants = boxed(plant.constants_of(robot))
         self._encoders = boxed(encoder.constants_of(robot.encoder))
         self._work = boxed(plant.workspace(robot.n_joints))
@@ -64,6 +66,10 @@ class SteppedPlant:
         self._normal, self._applied = self.measured.normal, self.state.applied
 
     @property
+    def _time(self):
+        return self._begin + self._ticks * self._period
+
+    @property
     def applied(self):
         """Return the torque really applied over the last sample (n_joints,) [N m]."""
         return self._applied
@@ -72,13 +78,13 @@ class SteppedPlant:
         """Read the encoders into ``measured``."""
         if self._noisy:
             self._rng.standard_normal(out=self._normal)
-        sense_boxed(self._measured, self._state, self._ticks * self._period, self._period,
-                    self._constants, self._encoders, self._work)
+        sense_boxed(self._measured, self._state, self._time, self._period, self._constants,
+                    self._encoders, self._work)
 
     def advance(self, command):
         """Hold ``command`` (n_joints,) [N m] for one sample, then read the encoders."""
-        advance_boxed(self._state, command, self._ticks * self._period, self._period,
-                      self._substeps, self._constants, self._work)
+        advance_boxed(self._state, command, self._time, self._period, self._substeps,
+                      self._constants, self._work)
         self._ticks += 1
         self.measure()
 
