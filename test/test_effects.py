@@ -317,14 +317,24 @@ def test_terms_with_memory_do_not_share_it():
 
 def test_more_effects_than_the_table_holds_are_refused():
     many = [EffectSpec(name='torque_gain', joint='j0', values=(0.1,))] * (table.MAX_TERMS + 1)
-    with pytest.raises(ParameterError, match='65 effects are more than the model holds '):
+    with pytest.raises(ParameterError, match='65 effects are more than the 64 that'):
         table.build(many, ('j0',))
     table.build(many[1:], ('j0',))
-    large = type('LargeMemory', (registry.find('actuator_lag'),), {'memory_size': 600})
+    large = type('LargeMemory', (registry.find('actuator_lag'),), {'memory_size': 3000})
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(table, 'find', lambda name: large)
-        with pytest.raises(ParameterError, match='1 effects are more than the model holds'):
+        with pytest.raises(ParameterError, match='3000 remembered numbers of effects are more'):
             table.build(many[:1], ('j0',))
+
+
+def test_a_drift_ends_with_its_duration():
+    """A robot that runs for longer than was recorded does not lose its spring."""
+    signals = np.ones((3, sig.WIDTH))
+    for name, signal in (('friction_drift', sig.FRICTION), ('stiffness_drift', sig.SPRING)):
+        for time, expected in ((30.0, 0.75), (60.0, 0.5), (600.0, 0.5)):
+            signals[:, sig.TIME] = time
+            after = run_compiled(name, (-0.5, 60.0), signals)
+            assert after[1, signal] == pytest.approx(expected)
 
 
 def with_effect(robot, name, joint, *values):

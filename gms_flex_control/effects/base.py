@@ -59,6 +59,7 @@ class Effect(ABC):
     whole_arm = False         # stands under effects.arm instead of under a joint
     evidence: str             # what it shows against, of discrepancy.signature.VARIABLES
     confusable: tuple         # names of effects that data hardly tell from it
+    slowest = 0.0             # order from which on a wave is looked for, of a parameter 'order'
     declared_from = 0.8       # share of what it explains from which these are said to do as well
     tells: str                # motion that tells it from others, as '... would tell'
     of_feedback = False       # encoder noise in the torque of a feedback resembles a little of it

@@ -19,8 +19,8 @@ class Scales(NamedTuple):
 
     friction: float   # F_s [N m]
     torque: float     # largest command [N m]
-    spring: float     # rms of the spring torque [N m]
-    twist: float      # rms of the twist [rad]; 0 where rigid
+    spring: float     # standard deviation of the spring torque [N m]
+    twist: float      # standard deviation of the twist [rad]; 0 where rigid
     speed: float      # rms of the link's rate [rad/s]
     inertia: float    # J [kg m^2]
     link_inertia: float  # about the joint [kg m^2]
@@ -28,7 +28,6 @@ class Scales(NamedTuple):
     highest: float    # largest link angle [rad]
     turned: float     # span of the motor angle [rad]
     duration: float   # [s]
-    period: float     # [s]
     supply: float = 0.0  # mean voltage of the supply [V]; 0 where it is not known
     fine_orders: tuple = ()  # of waves over the motor angle that stand out [1/rad]
 

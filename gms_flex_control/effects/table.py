@@ -20,7 +20,7 @@ import numpy as np
 
 _FLOAT_BYTES = 8
 # fixed, so that every combination of effects is the same type to the kernels
-MAX_TERMS, MAX_PARAMS, MEMORY_SIZE = 64, 256, 512
+MAX_TERMS, MAX_PARAMS, MEMORY_SIZE = 64, 256, 2048
 
 LAYOUT = records.layout(
     ('address', np.intp, (MAX_TERMS,)),       # of the compiled functions, sorted by stage
@@ -84,9 +84,12 @@ def build(effects, joints):
     terms.sort(key=lambda term: term[0].stage)  # stable: the file's order within a stage
     params = [value for _, spec in terms for value in spec.values]
     sizes = [kind.memory_size for kind, _ in terms]
-    if len(terms) > MAX_TERMS or len(params) > MAX_PARAMS or sum(sizes) > MEMORY_SIZE:
-        raise ParameterError(f'{len(terms)} effects are more than the model holds '
-                             f'({MAX_TERMS} with {MAX_PARAMS} parameters); remove the smallest')
+    for count, most, what in ((len(terms), MAX_TERMS, 'effects'),
+                              (len(params), MAX_PARAMS, 'parameters of effects'),
+                              (sum(sizes), MEMORY_SIZE, 'remembered numbers of effects')):
+        if count > most:
+            raise ParameterError(f'{count} {what} are more than the {most} that the model '
+                                 'holds; remove the smallest effects')
     table = records.build(LAYOUT)
     table.address[:len(terms)] = [kind.compiled().address for kind, _ in terms]
     table.joint[:len(terms)] = [0 if kind.whole_arm else joints.index(spec.joint)

@@ -10,7 +10,7 @@ from gms_flex_control.effects.signals import FRICTION, TIME
 
 
 class FrictionDrift(Term):
-    """F -> F (1 + ratio t / duration)."""
+    """F -> F (1 + ratio t / duration), and as at its end after the duration."""
 
     name = 'friction_drift'
     stage = Stage.FRICTION
@@ -31,4 +31,4 @@ class FrictionDrift(Term):
     def apply(s, p, memory, dt):
         """Change the signals of one joint."""
         if p[1] > 0.0:
-            s[FRICTION] *= 1.0 + p[0] * s[TIME] / p[1]
+            s[FRICTION] *= 1.0 + p[0] * min(s[TIME] / p[1], 1.0)

@@ -10,7 +10,7 @@ from gms_flex_control.effects.signals import SPRING, TIME
 
 
 class StiffnessDrift(Term):
-    """s -> s (1 + ratio t / duration)."""
+    """s -> s (1 + ratio t / duration), and as at its end after the duration."""
 
     name = 'stiffness_drift'
     stage = Stage.SPRING
@@ -33,4 +33,4 @@ class StiffnessDrift(Term):
     def apply(s, p, memory, dt):
         """Change the signals of one joint."""
         if p[1] > 0.0:
-            s[SPRING] *= 1.0 + p[0] * s[TIME] / p[1]
+            s[SPRING] *= 1.0 + p[0] * min(s[TIME] / p[1], 1.0)
