@@ -7,11 +7,13 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 from gms_flex_control.discrepancy.fit import Fitted, FIXED
+from gms_flex_control.discrepancy.library import Ranked
 from gms_flex_control.discrepancy.naming import matters
 from gms_flex_control.discrepancy.path import path_of
 from gms_flex_control.discrepancy.problem import Problem
 from gms_flex_control.discrepancy.result import COMPLETE, FOUND, UNEXPLAINED
 from gms_flex_control.discrepancy.signature import VARIABLES
+from gms_flex_control.discrepancy.words import of_known
 from gms_flex_control.discrepancy.workflow import discrepancy
 from gms_flex_control.discrepancy.workflow import Options as Lacking
 from gms_flex_control.effects import registry
@@ -186,6 +188,14 @@ def test_a_change_at_a_moment_is_said_beside_what_is_named():
                          nominal)
     assert (result.verdict, result.findings[0].effect) == (FOUND, 'spring_offset'), result.words
     assert 'What resembles friction_drift of joint1 sets in about 10 s' in result.words
+
+
+def test_a_known_effect_that_gains_by_chance_alone_is_not_told():
+    """Where nothing is missing, any gain is more than half of it."""
+    spec = EffectSpec(name='backlash', joint='joint1', values=(0.01,))
+    for gain, whole, expected in ((20.0, 1e-12, False), (80.0, 1e-12, True), (80.0, 200.0, False)):
+        told = of_known([Ranked(gain, spec)], [spec], whole, 60.0)
+        assert bool(told) == expected
 
 
 def test_a_known_effect_whose_value_is_wrong_is_told():

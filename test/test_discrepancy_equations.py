@@ -508,6 +508,16 @@ def test_friction_that_pushes_is_not_looked_for(robot):
     assert [is_at_limit(spec, robot) for spec in at] == [True, False, False]
 
 
+def test_a_value_where_the_catalogue_ends_is_none():
+    """A delay of 50 ms is the longest that is looked for; a share of 1 is all there is."""
+    for name, values, expected in (
+            ('input_delay', (0.05,), True), ('input_delay', (0.049,), False),
+            ('encoder_skew', (-0.05,), True), ('encoder_skew', (0.0,), False),
+            ('presliding_error', (0.1, 1.0), False), ('backlash', (0.0,), False)):
+        spec = EffectSpec(name=name, joint='joint1', values=values)
+        assert is_at_limit(spec, None) == expected
+
+
 def test_a_supply_that_is_known_is_looked_for():
     """Two sags about voltages 1 V apart add up to one of another ratio and nominal voltage."""
     class Volts:

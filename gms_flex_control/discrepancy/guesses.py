@@ -17,7 +17,7 @@ def scales_of(paths, robot, fine_orders):
         link, rate, motor = (np.concatenate([path.motion[:, row, j] for path in paths])
                              for row in (0, 1, 3))
         torque = np.concatenate([path.command[:, j] for path in paths])
-        twist = 0.0 if arm.rigid[j] else float(np.std(motor - link))
+        twist = 0.0 if arm.rigid[j] else float(np.std(motor - link))  # an offset is no usual size
         spring = float(arm.stiffness[j] * twist) if twist > 0.0 else float(np.std(torque))
         found.append(Scales(
             friction=float(robot.friction.forward.static[j]), torque=float(np.abs(torque).max()),
@@ -26,7 +26,7 @@ def scales_of(paths, robot, fine_orders):
             link_inertia=float(arm.inertia[j] + arm.mass[j] * arm.com[j] ** 2),
             lowest=float(link.min()), highest=float(link.max()), turned=float(np.ptp(motor)),
             duration=float(max(path.time[-1] - path.time[0] for path in paths)),
-            period=paths[0].fine_period, supply=min(float(path.supply.mean()) for path in paths),
+            supply=min(float(path.supply.mean()) for path in paths),
             fine_orders=fine_orders[j]))
     return found
 
@@ -83,20 +83,27 @@ def bounds_of(kind, joint, robot):
             lower[i] = max(lower[i], _LEAST_RATIO)
             if kind.name in _TO_AND_FRO:
                 upper[i] = min(upper[i], -_LEAST_RATIO)
-    if kind.name == 'viscous_error':  # all of it may be gone, but none pushes
+    if kind.name == 'viscous_error':  # all of it may be gone either way
         j, friction = robot.joints.index(joint), robot.friction
         lower[0] = -max(friction.forward.viscous[j], friction.backward.viscous[j])
     return lower, upper
 
 
 def is_at_limit(spec, robot):
-    """Return whether an effect has a parameter where the search for it ends, which is no value."""
+    """
+    Return whether an effect has a parameter where the search for it ends, which is no value.
+
+    What the catalogue allows is such an end, too, unless physics ends there: at zero, or a share.
+    """
     kind = find(spec.name)
-    return any(lower > parameter.lower and value < lower + _AT_LIMIT * abs(lower)
-               or upper < parameter.upper and value > upper - _AT_LIMIT * abs(upper)
-               for parameter, value, lower, upper in zip(
-                   kind.parameters, spec.values, *bounds_of(kind, spec.joint, robot),
-                   strict=True))
+
+    def is_end(limit, allowed, unit):
+        return limit != allowed or (np.isfinite(limit) and limit != 0.0 and unit != '1')
+    return any(
+        is_end(lower, one.lower, one.unit) and value < lower + _AT_LIMIT * abs(lower)
+        or is_end(upper, one.upper, one.unit) and value > upper - _AT_LIMIT * abs(upper)
+        for one, value, lower, upper in zip(
+            kind.parameters, spec.values, *bounds_of(kind, spec.joint, robot), strict=True))
 
 
 def allowed(guess, lower, upper):

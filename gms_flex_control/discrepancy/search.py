@@ -122,8 +122,9 @@ class _Hunt:
     def exchange(self):
         """Put others in the place of effects where that explains more; return whether any."""
         changed = False
-        for i in range(self._known, len(self.model.robot.effects)):
-            changed |= self._exchanged(i)
+        for one in self.model.robot.effects[self._known:]:  # an exchanged one moves to the end
+            names = [(spec.name, spec.joint) for spec in self.model.robot.effects]
+            changed |= self._exchanged(names.index((one.name, one.joint)))
         return changed
 
     def _exchanged(self, i):

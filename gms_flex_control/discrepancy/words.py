@@ -24,19 +24,20 @@ def of_unseen(joints):
     names = ', '.join(joints)
     return (f"No link encoder of {names} was recorded: the link angle is the motor's less the "
             'twist that its torque, inertia and stiffness ask for, as believed. Not looked for '
-            f'there: {", ".join(lost_effects())}. Without link encoders less is told: of what was '
-            'hidden in robots a quarter was not named (docs/hidden_effects.md).')
+            f'there: {", ".join(lost_effects())}. Without link encoders less is told '
+            '(docs/hidden_effects.md).')
 
 
-def of_late(samples, period):
-    """Return a sentence on torques that were recorded so many samples (of a period [s]) late."""
+def of_late(samples, periods):
+    """Return a sentence on torques that were recorded so many samples (periods [s]) late."""
+    times = sorted({f'{1e3 * samples * period:.3g}' for period in periods}, key=float)
     return (f'the torque stands {samples} sample{"s" * (samples > 1)} '
-            f'({1e3 * samples * period:.3g} ms) after the motion it caused: with all of it '
+            f'({" or ".join(times)} ms) after the motion it caused: with all of it '
             'earlier by that, less than a tenth of what is missing remains; record torque with '
             'the stamp from which on it was held, or shift it')
 
 
-def of_known(first, effects, whole):
+def of_known(first, effects, whole, least):
     """
     Return a sentence if an effect that the model has would explain most with another value.
 
@@ -48,13 +49,15 @@ def of_known(first, effects, whole):
         That the model has.
     whole : float
         What is missing, in units of gain.
+    least : float
+        Gain below which nothing is told.
 
     Returns
     -------
     str
 
     """
-    if not first or first[0].gain < 0.5 * whole:
+    if not first or first[0].gain < max(0.5 * whole, least):
         return ''
     name, joint = first[0].spec.name, first[0].spec.joint
     if (name, joint) not in {(spec.name, spec.joint) for spec in effects}:

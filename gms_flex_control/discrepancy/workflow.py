@@ -93,7 +93,7 @@ def discrepancy(recordings, robot, options=None, *, holdout=(), say=lambda text:
     recordings : sequence of Recording
         Of one robot.
     robot : RobotParams
-        As believed.
+        As believed; recordings may have its joints in any order, and others beside them.
     options : Options, optional
         How to go about it.
     holdout : sequence of Recording
@@ -108,7 +108,7 @@ def discrepancy(recordings, robot, options=None, *, holdout=(), say=lambda text:
     Raises
     ------
     BagError
-        If a recording lacks what the equations need.
+        If a recording lacks what the equations need, and is not refused as bad data.
 
     """
     with blas.in_one_thread():
@@ -130,7 +130,7 @@ def _discrepancy(recordings, robot, options, holdout, say):
     if result.verdict != COMPLETE:
         late = samples_late(problem, found)
         if late:
-            fatal = [of_late(late, paths[0].fine_period)]
+            fatal = [of_late(late, [path.fine_period for path in paths])]
             faults += tuple(fatal)
             if not options.force:
                 return _at_fault(fatal, faults, sources, begun)
@@ -296,7 +296,7 @@ def _told(problem, found, entries, known, options, holdout, say):
         verdict=verdict, findings=main, minor=minor, undecided=undecided,
         unexplained=left_over, gap=gap, tried=tried, retuned=retuned, found=(problem, found),
         robot=with_knobs(found.model.robot, problem.knobs, found.model.x))
-    known_off = of_known(found.first, problem.robot.effects, whole)
+    known_off = of_known(found.first, problem.robot.effects, whole, LEAST_GAIN * problem.caution)
     return replace(result, words=f'{paragraph(result)} {known_off}'.rstrip())
 
 
