@@ -144,9 +144,12 @@ def reversed_torque(case, tmp_path):
     return tmp_path / 'bag'
 
 
+MADE_BY_SOME = 'robot.yaml', 'gap.png', 'evidence_1_backlash_joint1.png', 'map_joint1_1.png'
+
+
 def test_bad_data_are_named_and_end_the_run(folder, tmp_path, capsys, reversed_torque):
     (tmp_path / 'out').mkdir()
-    for name in ('robot.yaml', 'report.json'):
+    for name in (*MADE_BY_SOME, 'report.json', 'notes.png'):
         (tmp_path / 'out' / name).write_text('of an earlier run')
     assert run(tmp_path, reversed_torque, robot=folder / 'robot.yaml') == 2
     printed = capsys.readouterr()
@@ -154,7 +157,8 @@ def test_bad_data_are_named_and_end_the_run(folder, tmp_path, capsys, reversed_t
     report = read_json((tmp_path / 'out' / 'report.json').read_text(encoding='utf-8'))
     assert report['verdict'] == 'bad_data' and report['gap'] is None
     assert any('wrong sign' in fault for fault in report['faults'])
-    assert not (tmp_path / 'out' / 'robot.yaml').exists()
+    assert not any((tmp_path / 'out' / name).exists() for name in MADE_BY_SOME)
+    assert (tmp_path / 'out' / 'notes.png').exists()
     page = (tmp_path / 'out' / 'report.html').read_text(encoding='utf-8')
     assert 'The data are at fault' in page and 'wrong sign' in page
 
@@ -186,6 +190,13 @@ def test_a_wrong_option_is_refused_before_anything_is_read(tmp_path, folder, cap
     error = capsys.readouterr().err
     assert error.startswith('gms_flex discrepancy: ') and error.count('\n') == 1
     assert words in error and not (tmp_path / 'out').exists()
+
+
+@pytest.mark.parametrize('more', [[], ['--each']])
+def test_what_is_fitted_is_not_held_out(folder, tmp_path, capsys, more):
+    assert run(tmp_path, folder / 'bag', folder / 'held_out', '--holdout',
+               folder / 'x' / '..' / 'held_out', *more, robot=folder / 'robot.yaml') == 2
+    assert 'is among the bags and in --holdout' in capsys.readouterr().err
 
 
 def test_the_model_one_believes_in_is_not_overwritten(folder, capsys):

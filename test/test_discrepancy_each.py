@@ -81,6 +81,18 @@ def test_a_cluster_says_what_a_plain_loop_says(folder, alone, tmp_path):
     assert_same(tmp_path / 'out', alone)
 
 
+def test_the_model_that_was_asked_with_is_not_replaced(folder, alone, capsys):
+    """Results of one bag may be the model of the next run, but not of one over them."""
+    out = alone[0]
+    own = out / 'bag' / 'robot.yaml'
+    before = own.read_bytes()
+    args = arguments(folder, out)
+    args[args.index('--robot') + 1] = str(own)
+    assert main(args) == 2
+    assert 'would be replaced by the results of its bag' in capsys.readouterr().err
+    assert own.read_bytes() == before
+
+
 def test_workers_without_each_have_nothing_to_divide(folder, tmp_path, capsys):
     assert main(['discrepancy', str(folder / 'bag'), '--robot', str(folder / 'robot.yaml'),
                  '--workers', '2', '--out', str(tmp_path / 'out')]) == 2

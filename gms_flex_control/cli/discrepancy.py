@@ -9,6 +9,7 @@ from gms_flex_control.cli.batch_options import add_batch_options
 from gms_flex_control.cli.output import say
 
 _WIDTH = 96
+_MADE = ('robot.yaml', 'gap.png', 'evidence_*.png', 'map_*.png')  # not by every run
 
 
 def add_parser(subparsers):
@@ -61,6 +62,7 @@ def run(args):
     from gms_flex_control.errors import ConfigError
 
     refuse_out(Path(args.out), args)
+    refuse_fitted(args)
     options_of(args)
     if args.each:
         from gms_flex_control.cli.discrepancy_each import run_each
@@ -125,12 +127,15 @@ def write_files(result, compared, holdout, args):
 
     out = Path(args.out)
     values = files.report_values(result, holdout=args.holdout, models=compared)
+    earlier = [path for pattern in _MADE for path in out.glob(pattern)
+               if (out / 'report.json').exists()]
+    written = write_discrepancy_report(result, out, holdout=holdout, models=compared)
     if result.robot is not None:
         files.write_robot(result, out / 'robot.yaml')
-    elif (out / 'report.json').exists():
-        (out / 'robot.yaml').unlink(missing_ok=True)  # of an earlier run: no longer true
-    write_discrepancy_report(result, out, holdout=holdout, models=compared)
-    files.write_report_values(values, out / 'report.json')
+        written.append(out / 'robot.yaml')
+    for path in set(earlier) - set(written):  # no longer true
+        path.unlink()
+    files.write_report_values(values, out / 'report.json')  # at last: who waits for it has all
     return values
 
 
@@ -190,6 +195,16 @@ def refuse_out(out, args):
         if Path(file).resolve() == target:
             raise ConfigError(f'{file} would be overwritten by the model that is found; name '
                               'another folder as --out')
+
+
+def refuse_fitted(args):
+    """Raise ConfigError if a bag is both fitted and held out: its gap would tell nothing."""
+    from gms_flex_control.errors import ConfigError
+    bags = {Path(bag).resolve() for bag in args.bags}
+    for bag in args.holdout:
+        if Path(bag).resolve() in bags:
+            raise ConfigError(f'{bag} is among the bags and in --holdout; data held out must '
+                              'take no part in the fit: leave it out of one of them')
 
 
 def models_of(args, robot):

@@ -5,6 +5,7 @@
 
 from argparse import Namespace
 import os
+from pathlib import Path
 from typing import NamedTuple
 
 from gms_flex_control.cli import each
@@ -46,8 +47,20 @@ def items_of(args):
         options[name] = [os.path.abspath(path) for path in options[name]]
     files = [(path, content_of(path)) for name in _FILES for path in options[name]]
     asked = f'{fingerprint()} {digest_of((sorted(options.items()), files))}'
-    return {key: BagItem(place, options)
-            for key, place in each.places_of(args.bags, args.out, asked).items()}, asked
+    places = each.places_of(args.bags, args.out, asked)
+    refuse_own(places.values(), options)
+    return {key: BagItem(place, options) for key, place in places.items()}, asked
+
+
+def refuse_own(places, options):
+    """Raise ConfigError if a file that is asked with is one that the results replace."""
+    from gms_flex_control.errors import ConfigError
+    folders = {place.folder.resolve() for place in places}
+    for name in ('robot', 'models', 'controller'):
+        for file in options[name]:
+            if folders & set(Path(file).resolve().parents):
+                raise ConfigError(f'{file} would be replaced by the results of its bag; copy it '
+                                  'elsewhere, or name another folder as --out')
 
 
 def ask_bag(item):
