@@ -286,6 +286,16 @@ def test_the_last_recording_is_compared_with_the_model_when_asked(lab):
     assert node.signal(INT) == 0 and traceback_free(node)
 
 
+def test_results_that_cannot_be_written_do_not_end_the_node(lab):
+    node = lab.begin(exit_when_done=False)
+    lab.bag.with_name('bag_discrepancy').write_text('a file where a folder is to be')
+    lab.until(lambda: 'recorded' in node.printed() or not node.runs)
+    lab.until(lambda: lab.call(Trigger, '/identification/discrepancy').success)
+    lab.until(lambda: 'discrepancy cannot be run with its results in' in node.printed())
+    lab.until(lambda: lab.call(Trigger, '/identification/discrepancy').success)
+    assert node.signal(INT) == 0 and traceback_free(node)
+
+
 def test_without_other_nodes_it_says_whom_it_misses(lab):
     node = lab.identify(patience=0.5)
     assert node.wait() == 2

@@ -6,6 +6,7 @@
 from pathlib import Path
 import subprocess
 import sys
+from tempfile import TemporaryFile
 import time
 
 from gms_flex_control.errors import GmsFlexError
@@ -250,8 +251,12 @@ class IdentificationNode(Node):
     def _find_discrepancy(self):
         """Compare the bags with the model one believes in, with its friction if identified."""
         friction = self._beside('identified') / 'friction.yaml'
-        code, printed = self._gms_flex('discrepancy', self._beside('discrepancy'),
-                                       [friction] if friction.exists() else [])
+        try:
+            code, printed = self._gms_flex('discrepancy', self._beside('discrepancy'),
+                                           [friction] if friction.exists() else [])
+        except GmsFlexError as error:
+            self.get_logger().warning(str(error))
+            return
         if code in _JUDGED:
             self.say(printed)
         else:
@@ -265,19 +270,28 @@ class IdentificationNode(Node):
     def _gms_flex(self, verb, out, files=()):
         """Run a verb on the bags in a process of its own; return its code and what it printed."""
         believed = out / 'believed_robot.yaml'
-        save_robot(self._robot, believed)
         bags = [str(Path(self['bag']).with_name(name)) for name in self._journal.bags]
-        verb_process = subprocess.Popen(
-            [*executable('gms_flex'), verb, *bags, '--robot', str(believed), *map(str, files),
-             '--out', str(out)],
-            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
-        self.say(f'{verb}: {", ".join(bags)}')
-        while verb_process.poll() is None:
+        command = [*executable('gms_flex'), verb, *bags, '--robot', str(believed),
+                   *map(str, files), '--out', str(out)]
+        try:
+            save_robot(self._robot, believed)
+            self.say(f'{verb}: {", ".join(bags)}')
+            with TemporaryFile('w+') as printed:
+                return self._ended(command, printed), _text_of(printed)
+        except OSError as error:
+            raise ExperimentError(f'{verb} cannot be run with its results in {out}: {error}; '
+                                  'the bags are whole') from error
+
+    def _ended(self, command, printed):
+        """Return the exit code of a command that prints into a file, answering all the while."""
+        process_run = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=printed,
+                                       stderr=subprocess.STDOUT)
+        while process_run.poll() is None:
             self._spinner.spin_once(0.1)
             if not self._spinner.goes_on():
-                verb_process.terminate()
+                process_run.terminate()
                 raise StoppedError
-        return verb_process.returncode, verb_process.stdout.read().strip()
+        return process_run.returncode
 
     def _carry_out(self):
         """Run steps, again after each ~/stop, until all are finished."""
@@ -316,6 +330,12 @@ class IdentificationNode(Node):
 
     def finish(self):
         """End: whatever stopped the experiment has asked for zero torque."""
+
+
+def _text_of(file):
+    """Return what stands in an open text file from its beginning on."""
+    file.seek(0)
+    return file.read().strip()
 
 
 def main(args=None):
