@@ -16,7 +16,7 @@ from gms_flex_control.benchmarks.hidden_effects.outcome import finite, try_job
 from gms_flex_control.cli.main import build_parser, main
 from gms_flex_control.cli.score import jobs_asked
 from gms_flex_control.discrepancy.search import LEAST_GAIN
-from gms_flex_control.errors import BagError
+from gms_flex_control.errors import BagError, SimulationError
 from gms_flex_control.hidden.cases import make_case
 import numpy as np
 import pytest
@@ -267,6 +267,18 @@ def test_a_workflow_that_fails_is_told_and_counts_against_it(workflow, error):
     found = try_job(Job('single', 1, duration=8.0), with_peers=False)
     assert found['verdict'] == 'error' and judgement.judged(found) == 'fault'
     assert 'no torque' in text.report([found])
+
+
+def test_peers_that_fail_answer_nothing_and_the_case_counts(workflow, monkeypatch):
+    """What the workflow cannot compute they mostly cannot either."""
+    workflow.result = BagError('no torque')
+
+    def failing(case, without):
+        raise SimulationError('runs away')
+    monkeypatch.setattr(peers, 'ask', failing)
+    found = try_job(Job('single', 1, duration=8.0))
+    assert found['verdict'] == 'error'
+    assert found['answers'] == {'workflow': [], **{name: [] for name in peers.names()}}
 
 
 def test_score_prints_what_the_journal_holds(tmp_path, capsys):

@@ -11,7 +11,9 @@ from gms_flex_control.errors import ConfigError
 from gms_flex_control.hidden.cases import in_turn
 
 # what an answer depends on
-_SOURCES = ('discrepancy', 'effects', 'friction', 'dynamics', 'hidden', 'simulation')
+_SOURCES = ('analysis', 'benchmarks/hidden_effects', 'control', 'discrepancy', 'dynamics',
+            'effects', 'friction', 'hidden', 'identification', 'params', 'recording.py',
+            'simulation', 'trajectory')
 
 
 class Job(NamedTuple):
@@ -40,7 +42,7 @@ class Job(NamedTuple):
                 or not is_lost(in_turn(self.seed)))
 
 
-# the seeds of the figures in docs/discrepancy.md: kind, motion, how many seeds from 0 on
+# the seeds of the figures in docs/hidden_effects.md: kind, motion, how many seeds from 0 on
 SETS = {
     'full': (('single', 'rich', 333), ('clean', 'rich', 60), ('double', 'rich', 60),
              ('outside', 'rich', 44), ('clutter', 'rich', 108), ('deleted', 'rich', 72),

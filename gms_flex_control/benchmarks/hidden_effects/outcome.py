@@ -13,7 +13,7 @@ from gms_flex_control.hidden.cases import make_case
 from gms_flex_control.hidden.written import truth_values
 
 WORKFLOW = 'workflow'
-# what a numerical failure raises; it counts against the workflow and does not end the bench
+# what a numerical failure raises; it counts against the tool and does not end the bench
 _FAILURES = (GmsFlexError, ArithmeticError, LookupError, ValueError)
 
 
@@ -52,9 +52,7 @@ def try_job(job, with_peers=True):
     if job.kind == 'single' and result is not None and judged(outcome) != RIGHT:
         outcome['truth_gains'] = gain_of_truth(result, *case.truth.effects)
     if with_peers:
-        from gms_flex_control.benchmarks.hidden_effects import peers
-        for name, answer in peers.ask(case, without).items():
-            outcome['answers'][name] = [list(one) for one in answer]
+        outcome['answers'] |= ask_peers(case, without)
     return finite(outcome)
 
 
@@ -83,9 +81,19 @@ def ask_workflow(case, without):
                 for one in result.added]}, result
 
 
+def ask_peers(case, without):
+    """Return what each peer names, lists of [effect, joint]; nothing where it failed."""
+    from gms_flex_control.benchmarks.hidden_effects import peers
+    try:
+        return {name: [list(one) for one in answer]
+                for name, answer in peers.ask(case, without).items()}
+    except _FAILURES:
+        return {name: [] for name in peers.names()}
+
+
 def gain_of_truth(result, effect):
     """
-    Return what the true effect would have gained, known parameters re-tuned; None without data.
+    Return what the true effect would have gained, known parameters re-tuned; None if unknown.
 
     In the unit of the search's gains: what is below search.LEAST_GAIN is not told by the data.
     """
@@ -94,7 +102,10 @@ def gain_of_truth(result, effect):
     if result.found is None:
         return None
     problem, found = result.found
-    model, _ = retuned(problem, with_effect(problem.robot, effect), found.before.x)
+    try:
+        model, _ = retuned(problem, with_effect(problem.robot, effect), found.before.x)
+    except _FAILURES:
+        return None
     return problem.exact_cost(found.before) - problem.exact_cost(model)
 
 

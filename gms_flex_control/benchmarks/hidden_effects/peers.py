@@ -16,7 +16,7 @@ import numpy as np
 FORWARD, SPARSE = 'forward R^2', 'sparse regression'
 NO_PYSINDY = ('sparse regression is skipped: pysindy is not installed; '
               "pip install 'gms_flex_control[peers]'")
-_PRACTICAL = 0.01       # as the workflow's default, share of Coulomb friction
+_PRACTICAL = 0.01       # share of Coulomb friction below which differences do not count
 _LEAST_R2 = 0.01        # that a further effect must explain
 _MOST = 8
 _THRESHOLD, _RIDGE = 0.1, 0.05  # of coefficients of columns scaled to unit length
@@ -25,6 +25,11 @@ _THRESHOLD, _RIDGE = 0.1, 0.05  # of coefficients of columns scaled to unit leng
 def can_regress():
     """Return whether PySINDy is installed."""
     return find_spec('pysindy') is not None
+
+
+def names():
+    """Return the names of the peers that can be asked, tuple of str."""
+    return (FORWARD, SPARSE) if can_regress() else (FORWARD,)
 
 
 def ask(case, without=()):
