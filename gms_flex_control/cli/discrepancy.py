@@ -35,7 +35,7 @@ def add_parser(subparsers):
                         help='bags on which the gap is measured; default: every fourth block '
                              'of 2 s')
     parser.add_argument('--max-effects', type=int, metavar='N',
-                        help='how many effects may be added (default: as many as help)')
+                        help='how many effects may be added (default: 20)')
     parser.add_argument('--without', nargs='+', default=[], metavar='EFFECT',
                         help='effects of the catalogue that are not considered')
     parser.add_argument('--practical', type=float, metavar='SHARE',
