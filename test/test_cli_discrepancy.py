@@ -125,7 +125,12 @@ def test_page_and_pictures_are_written(case, folder, report):
                  'Recording: '):
         assert part in page, part
     assert 'src="http' not in page and 'href="http' not in page
-    for name in ('gap.png', f'evidence_1_backlash_{joint}.png', 'map_joint1_1.png'):
+    assert {one['variable'] for one in report['dependences']} == {
+        'time [s]', 'link angle [rad]', 'motor angle [rad]', 'link rate [rad/s]',
+        'motor rate [rad/s]', 'twist [rad]', 'torque [N m]', 'link acceleration [rad/s^2]',
+        'time since reversal [s]', 'direction', 'distance since reversal [rad]'}
+    for name in ('gap.png', f'evidence_1_backlash_{joint}.png', 'map_joint1_1.png',
+                 'over_joint1_1_link.png', 'over_joint2_2_motor.png'):
         assert (folder / 'out' / name).read_bytes()[:8] == b'\x89PNG\r\n\x1a\n'
 
 
@@ -144,7 +149,8 @@ def reversed_torque(case, tmp_path):
     return tmp_path / 'bag'
 
 
-MADE_BY_SOME = 'robot.yaml', 'gap.png', 'evidence_1_backlash_joint1.png', 'map_joint1_1.png'
+MADE_BY_SOME = ('robot.yaml', 'gap.png', 'evidence_1_backlash_joint1.png', 'map_joint1_1.png',
+                'over_joint1_1_link.png')
 
 
 def test_bad_data_are_named_and_end_the_run(folder, tmp_path, capsys, reversed_torque):

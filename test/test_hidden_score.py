@@ -277,7 +277,7 @@ def test_peers_that_fail_answer_nothing_and_the_case_counts(workflow, monkeypatc
         raise SimulationError('runs away')
     monkeypatch.setattr(peers, 'ask', failing)
     found = try_job(Job('single', 1, duration=8.0))
-    assert found['verdict'] == 'error'
+    assert found['verdict'] == 'error' and 'runs away' in found['peer_error']
     assert found['answers'] == {'workflow': [], **{name: [] for name in peers.names()}}
 
 

@@ -3,10 +3,26 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Curves and pictures of a discrepancy, on numbers made up for them."""
 
+from types import SimpleNamespace
+
 from gms_flex_control.discrepancy.result import Gap, Value
-from gms_flex_control.reports.discrepancy_figures import evidence_figure, gap_figure, maps_figure
-from gms_flex_control.reports.discrepancy_values import plain
-from gms_flex_control.reports.discrepancy_views import bin_edges, binned, Evidence, follows, Map
+from gms_flex_control.reports.discrepancy_figures import (
+    evidence_figure,
+    gap_figure,
+    maps_figure,
+    over_figure,
+)
+from gms_flex_control.reports.discrepancy_values import over_values, plain
+from gms_flex_control.reports.discrepancy_views import (
+    bin_edges,
+    binned,
+    Evidence,
+    follows,
+    further,
+    Map,
+    maps_of,
+    over_all,
+)
 from gms_flex_control.reports.figures import save_figure
 import numpy as np
 
@@ -45,6 +61,55 @@ def test_what_a_residual_follows_is_told_by_its_power():
     assert follows(x, np.random.default_rng(1).permutation(np.sign(x))) < 0.01
 
 
+def test_direction_and_distance_are_those_since_the_last_turn():
+    """To and fro by 1 rad at 1 rad/s, then a rest."""
+    time = np.arange(0.0, 5.0, 0.01)
+    angle = np.where(time < 4.0, np.abs((time + 1.0) % 2.0 - 1.0), 0.0)
+    rate = np.gradient(angle, time)
+    motion = np.zeros((len(time), 6, 1))
+    motion[:, 0, 0], motion[:, 1, 0] = angle, rate
+    found = further(SimpleNamespace(motion=motion), 0)
+    middle = (time * 2.0).astype(int) % 2 == 1
+    moving = (time < 3.9) & middle & (np.abs(rate) > 0.9)
+    assert moving.sum() > 150
+    np.testing.assert_array_equal(found['direction'][moving], np.sign(rate)[moving])
+    np.testing.assert_array_equal(found['direction'][time > 4.1], 0.0)
+    np.testing.assert_allclose(found['distance since reversal'][moving], (time % 1.0)[moving],
+                               atol=0.02)
+
+
+def moving_joint(count=12_000):
+    """Return what Along tells of one rigid joint, and a residual that is its direction."""
+    rng = np.random.default_rng(3)
+    names = ('link angle', 'link rate', 'link acceleration', 'torque', 'time')
+    values = {name: rng.normal(size=count) for name in names}
+    values['direction'] = np.sign(values['link rate'])
+    return SimpleNamespace(
+        joints=('j',), channels=lambda j: [('link', j)], variables=lambda j: values,
+        problem=SimpleNamespace(robot=SimpleNamespace(arm=SimpleNamespace(rigid=[True])))), (
+            values['direction'] + rng.normal(size=count))[:, None], rng.normal(size=(count, 1))
+
+
+def test_what_a_residual_depends_on_is_told_beside_what_is_chance():
+    along, before, chance = moving_joint()
+    found = {one.variable: one for one in over_all(along, before, chance, chance)}
+    told = found['direction']
+    assert 0.45 < told.shares[0] < 0.55 and max(told.shares[1:]) < 0.02
+    assert told.off_zero[0] == 1.0
+    assert found['time [s]'].shares[0] < 0.03 and found['time [s]'].off_zero[0] < 0.2
+    values = over_values(told)
+    assert values['share']['before'] == told.shares[0] and values['equation'] == 'link'
+
+
+def test_a_map_shows_what_is_more_than_chance():
+    along, before, chance = moving_joint()
+    for one in maps_of(along, before, chance, 0):
+        known = np.isfinite(one.before)
+        assert known.sum() > 100
+        assert np.mean(one.before[known] != 0.0) > 0.4
+        assert np.mean(one.after[known] != 0.0) < 0.1
+
+
 def test_a_number_that_is_not_finite_is_null():
     told = plain({'a': np.float64(np.nan), 'b': (np.int64(3), np.array([1.0, np.inf])),
                   'c': Value('gap', 'rad', 1.0, -np.inf, 2.0)})
@@ -62,7 +127,10 @@ def test_pictures_are_drawn_of_any_names_and_of_nothing(tmp_path):
                         before=curve, after=curve, own=curve)
     edges = np.linspace(0.0, 1.0, 4)
     empty = Map('link equation', 'x [rad]', 'y [rad]', edges, edges, *np.full((2, 3, 3), np.nan))
+    along, before, chance = moving_joint(400)
+    over = over_all(along, before, chance, chance)
     for name, figure in (('gap', gap_figure(gap)), ('evidence', evidence_figure(evidence)),
+                         ('over', over_figure(over)),
                          ('map', maps_figure([empty], '$_<b>'))):
         save_figure(figure, tmp_path / f'{name}.png')
         assert (tmp_path / f'{name}.png').stat().st_size > 5000

@@ -9,7 +9,7 @@ from gms_flex_control.cli.batch_options import add_batch_options
 from gms_flex_control.cli.output import say
 
 _WIDTH = 96
-_MADE = ('robot.yaml', 'gap.png', 'evidence_*.png', 'map_*.png')  # not by every run
+_MADE = ('robot.yaml', 'gap.png', 'evidence_*.png', 'map_*.png', 'over_*.png')  # not by every run
 
 
 def add_parser(subparsers):
@@ -135,7 +135,7 @@ def write_files(result, compared, holdout, args):
         written.append(out / 'robot.yaml')
     for path in set(earlier) - set(written):  # no longer true
         path.unlink()
-    files.write_report_values(values, out / 'report.json')  # at last: who waits for it has all
+    files.write_report_values(values, out / 'report.json')  # at last: it says that all is there
     return values
 
 

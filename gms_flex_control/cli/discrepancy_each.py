@@ -56,7 +56,7 @@ def refuse_own(places, options):
     """Raise ConfigError if a file that is asked with is one that the results replace."""
     from gms_flex_control.errors import ConfigError
     folders = {place.folder.resolve() for place in places}
-    for name in ('robot', 'models', 'controller'):
+    for name in _FILES:
         for file in options[name]:
             if folders & set(Path(file).resolve().parents):
                 raise ConfigError(f'{file} would be replaced by the results of its bag; copy it '

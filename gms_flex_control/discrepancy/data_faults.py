@@ -64,7 +64,7 @@ def _of_commands(recording, robot, found):
         return []
     told = {(finding.kind, finding.joint) for finding in found}
     return [finding._replace(text=f'{finding.text} (of its torque commands, which the equations '
-                             'take; its efforts seem right)')
+                             'take)')
             for finding in check(other, robot)
             if finding.kind in _OF_TORQUE and (finding.kind, finding.joint) not in told]
 

@@ -68,7 +68,7 @@ def of_known(first, effects, whole, least):
 
 
 def tells_apart(effect, others):
-    """Return the motion that tells an effect from others, '' if there are none."""
+    """Return the motion that tells an effect from others (names), '' if there are none."""
     return find(effect).tells if others else ''
 
 

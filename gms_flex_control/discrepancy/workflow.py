@@ -267,6 +267,7 @@ def _left(problem, found, before):
 
 
 def _told(problem, found, entries, known, options, holdout, say):
+    """Return the Discrepancy: which effects of the search's end are named, the gap, the rest."""
     before = problem.missing(found.before)
     tried = tuple(Tried(one.spec.name, one.spec.joint, one.gain) for one in found.first)
     whole = max(before * problem.unit_cost, 1e-12)
@@ -282,22 +283,29 @@ def _told(problem, found, entries, known, options, holdout, say):
     findings = [_finding(problem, measured, found, known, one, whole, largest, options)
                 for one in entries]
     main, minor, undecided = naming.grouped(findings, entries)
-    left_over = None
-    if sudden or (_left(problem, found, before) > naming.EXPLAINED if findings else
-                  naming.matters(problem, gap, before, options.practical)):
-        share = max(problem.missing(found.model), 0.0) / max(before, 1e-12)
-        left_over = signature_of(problem, found.model, min(share, 1.0))
-        left_over = left_over._replace(sentence=f'{left_over.sentence} {sudden}'.rstrip())
-    verdict = FOUND if findings else UNEXPLAINED if left_over else COMPLETE
-    retuned = tuple((knob.name, problem.robot.joints[knob.joint] if knob.joint >= 0 else 'arm',
-                     float(value)) for knob, value in zip(problem.knobs, found.model.x,
-                                                          strict=True))
+    is_left = sudden or (_left(problem, found, before) > naming.EXPLAINED if findings else
+                         naming.matters(problem, gap, before, options.practical))
     result = Discrepancy(
-        verdict=verdict, findings=main, minor=minor, undecided=undecided,
-        unexplained=left_over, gap=gap, tried=tried, retuned=retuned, found=(problem, found),
+        verdict=FOUND if findings else UNEXPLAINED if is_left else COMPLETE,
+        findings=main, minor=minor, undecided=undecided,
+        unexplained=_left_over(problem, found, before, sudden) if is_left else None,
+        gap=gap, tried=tried, retuned=_retuned(problem, found.model), found=(problem, found),
         robot=with_knobs(found.model.robot, problem.knobs, found.model.x))
     known_off = of_known(found.first, problem.robot.effects, whole, LEAST_GAIN * problem.caution)
     return replace(result, words=f'{paragraph(result)} {known_off}'.rstrip())
+
+
+def _left_over(problem, found, before, sudden):
+    """Return the Signature of what is left, with a sentence on what sets in ``sudden``ly."""
+    share = max(problem.missing(found.model), 0.0) / max(before, 1e-12)
+    signature = signature_of(problem, found.model, min(share, 1.0))
+    return signature._replace(sentence=f'{signature.sentence} {sudden}'.rstrip())
+
+
+def _retuned(problem, model):
+    """Return name, joint and relative change of each known parameter."""
+    return tuple((knob.name, problem.robot.joints[knob.joint] if knob.joint >= 0 else 'arm',
+                  float(value)) for knob, value in zip(problem.knobs, model.x, strict=True))
 
 
 def _only(problem, found, known, entries):
@@ -332,7 +340,7 @@ def _finding(problem, measured, found, known, one, whole, largest, options):
         share=min(one.loss / whole, 1.0), score=one.loss,
         runner_up=f'{others[0][0]} of {others[0][1]}' if others else None,
         runner_up_score=others[0][2] * one.loss if others else 0.0,
-        confusable_with=alike, tells_apart=tells_apart(spec.name, alike),
+        confusable_with=alike, tells_apart=tells_apart(spec.name, [*alike, *others]),
         evidence=evidence_of(spec, one, others),
         rms_before=torque_rms(measured, one.less.robot, found.model.x),
         rms_after=torque_rms(measured, found.model.robot, found.model.x))

@@ -276,7 +276,7 @@ class IdentificationNode(Node):
         try:
             save_robot(self._robot, believed)
             self.say(f'{verb}: {", ".join(bags)}')
-            with TemporaryFile('w+') as printed:
+            with TemporaryFile('w+', encoding='utf-8', errors='replace') as printed:
                 return self._ended(command, printed), _text_of(printed)
         except OSError as error:
             raise ExperimentError(f'{verb} cannot be run with its results in {out}: {error}; '

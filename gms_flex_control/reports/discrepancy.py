@@ -15,9 +15,16 @@ from gms_flex_control.reports.discrepancy_figures import (
     evidence_figure,
     gap_figure,
     maps_figure,
+    over_figure,
 )
 from gms_flex_control.reports.discrepancy_loop import add_closed_loop
-from gms_flex_control.reports.discrepancy_views import Along, dependences, evidence_of, maps_of
+from gms_flex_control.reports.discrepancy_views import (
+    Along,
+    evidence_of,
+    maps_of,
+    over_all,
+    residuals_of,
+)
 from gms_flex_control.reports.figures import save_figure
 from gms_flex_control.reports.model_comparison import comparison_rows
 from gms_flex_control.reports.page import Curve, Report, Series
@@ -27,7 +34,6 @@ TITLES = {COMPLETE: 'Nothing is missing', FOUND: 'Effects the model lacks',
           UNEXPLAINED: 'Something is missing that has no name here',
           BAD_DATA: 'The data are at fault'}
 MOST_PICTURES = 8     # findings with a picture and a chart of their own
-_MOST_ROWS = 16       # of the table of dependences
 _POINTS = 12_000      # of one line over time
 _CLOUD = 3_000        # points of a cloud
 
@@ -184,20 +190,29 @@ def _add_left(report, result):
 
 
 def _add_residuals(report, along, found, picture):
-    before, after = (along.residual(one.robot, one.x) for one in (found.before, found.model))
-    clean = along.clean(found.model.robot, found.model.x)
+    before, after, clean = residuals_of(along, found)
     report.heading('Where model and measurement disagree')
     report.text('Torque that is missing in the equations of motion, behind a low-pass of 8 Hz; '
-                'positive pushes forward.')
+                'positive pushes forward. Maps are white where the mean is chance (95 %), grey '
+                'where the motion did not go.')
+    over = over_all(along, before, after, clean)
     for j, joint in enumerate(along.joints):
+        name = f'{re.sub(r"[^A-Za-z0-9_-]+", "_", joint)}_{j + 1}'
         report.figure(picture(maps_figure(maps_of(along, before, after, j), joint),
-                              f'map_{re.sub(r"[^A-Za-z0-9_-]+", "_", joint)}_{j + 1}.png'),
-                      f'{joint}: maps of the missing torque')
-    rows = sorted(dependences(along, before, after, clean), key=lambda row: -row[3])[:_MOST_ROWS]
-    report.table(('joint', 'equation', 'variable', 'before', 'after', 'nothing missing'),
-                 [(*row[:3], *(f'{100.0 * share:.0f} %' for share in row[3:])) for row in rows],
-                 'Share of the residual that is a function of one variable alone: known '
-                 'parameters re-tuned, with the effects found, and in a run of the model itself')
+                              f'map_{name}.png'), f'{joint}: maps of the missing torque')
+        for equation, _ in along.channels(j):
+            own = [one for one in over if (one.joint, one.equation) == (joint, equation)]
+            report.figure(picture(over_figure(own), f'over_{name}_{equation}.png'),
+                          f'{joint}: missing in the {equation} equation, over each variable')
+    report.table(
+        ('joint', 'equation', 'variable', 'before', 'after', 'nothing missing',
+         'bins off zero: before', 'after', 'nothing missing'),
+        [(one.joint, one.equation, one.variable,
+          *(f'{100.0 * share:.0f} %' for share in (*one.shares, *one.off_zero)))
+         for one in sorted(over, key=lambda one: -one.shares[0])],
+        'Share of the residual that is a function of one variable alone: known parameters '
+        're-tuned, with the effects found, and in a run of the model itself, which is chance; '
+        'and the share of bins whose 95 % band leaves zero out')
     time, split = _first_times(along), along.problem.whitenings[0].settled.sum()
     scale = torque_scale(before[:split])
     for j, joint in enumerate(along.joints):

@@ -11,6 +11,8 @@ from matplotlib.figure import Figure
 import numpy as np
 
 _MOST_POINTS = 4000
+_COLUMNS = 4          # of panels over each variable
+_CLEAR = 0.99         # of what is drawn there: the farthest bins are cut
 # one colour for one model in every picture and chart
 GIVEN, BEFORE, AFTER, FLOOR = '0.65', COLOURS[1], COLOURS[0], '0.35'
 OWN = COLOURS[2]
@@ -140,7 +142,7 @@ def maps_figure(maps, joint):
         for panel, values in ((upper, one.before), (lower, one.after)):
             drawn = panel.pcolormesh(one.x_edges, one.y_edges, scale.factor * values.T,
                                      cmap='RdBu_r', vmin=-largest, vmax=largest, rasterized=True)
-            panel.set_facecolor('0.93')
+            panel.set_facecolor('0.85')
             panel.tick_params(labelsize=8)
             panel.set_ylabel(one.y_label, fontsize=8)
         upper.set_title(one.title, fontsize=9)
@@ -149,4 +151,49 @@ def maps_figure(maps, joint):
         labelsize=8)
     figure.suptitle(f'{joint}: missing torque [{scale.unit}]\nknown parameters re-tuned (above), '
                     'with the effects found (below)', fontsize=10, parse_math=False)
+    return figure
+
+
+def over_figure(found):
+    """
+    Return the residual of one equation over each variable, with 95 % bands.
+
+    Parameters
+    ----------
+    found : sequence of Over
+        Of one joint and equation.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    """
+    rows = -(-len(found) // _COLUMNS)
+    figure = Figure(figsize=(9.0, 2.0 * rows + 0.9))
+    FigureCanvasAgg(figure)
+    panels = figure.subplots(rows, _COLUMNS, squeeze=False, sharey=True)
+    scale = torque_scale(np.concatenate([one.before.mean for one in found]))
+    farthest = np.concatenate([np.abs(curve.mean) + curve.half
+                               for one in found for curve in (one.before, one.after)])
+    limit = 1.1 * scale.factor * np.quantile(farthest, _CLEAR) if len(farthest) else 1.0
+    for one, panel in zip(found, panels.flat, strict=False):
+        panel.axhline(0.0, color='0.6', linewidth=0.6)
+        for curve, colour in ((one.before, BEFORE), (one.after, AFTER)):
+            low, high = (scale.factor * (curve.mean + side * curve.half) for side in (-1.0, 1.0))
+            panel.fill_between(curve.x, low, high, color=colour, alpha=0.3, linewidth=0)
+            panel.plot(curve.x, scale.factor * curve.mean, color=colour, linewidth=1.0)
+        panel.set_xlabel(one.variable, fontsize=8, labelpad=1)
+        panel.set_title('{:.0f} % -> {:.0f} %'.format(*(100.0 * s for s in one.shares[:2])),
+                        fontsize=8, pad=3)
+        panel.tick_params(labelsize=7)
+        panel.set_ylim(-(limit or 1.0), limit or 1.0)
+    for panel in panels.flat[len(found):]:
+        panel.set_axis_off()
+    for panel in panels[:, 0]:
+        panel.set_ylabel(f'[{scale.unit}]', fontsize=8)
+    figure.suptitle(f'{found[0].joint}: torque missing in the {found[0].equation} equation, means '
+                    'with 95 % bands,\nknown parameters re-tuned (orange), with the effects found '
+                    '(blue); share that is a function of each', fontsize=10, parse_math=False)
+    figure.subplots_adjust(left=0.07, right=0.985, bottom=0.16 / rows, top=1.0 - 0.8 / (
+        2.0 * rows + 0.9), hspace=0.62, wspace=0.08)
     return figure

@@ -10,6 +10,7 @@ from textwrap import wrap
 from gms_flex_control import __version__
 from gms_flex_control.discrepancy.words import named
 from gms_flex_control.files import write_text
+from gms_flex_control.reports.discrepancy_views import over_of
 from gms_flex_control.schema.files import save_robot
 import numpy as np
 
@@ -53,6 +54,7 @@ def report_values(result, *, holdout=(), models=()):
         'retuned': [{'parameter': name, 'joint': joint, 'change': change}
                     for name, joint, change in result.retuned],
         'tried': [one._asdict() for one in result.tried],
+        'dependences': [over_values(one) for one in over_of(result)],
         'models': [model_values(model, joints) for model in models]})
 
 
@@ -68,6 +70,14 @@ def finding_values(finding, joints):
         'confusable_with': finding.confusable_with, 'tells_apart': finding.tells_apart,
         'rms_before': by_joint(joints, finding.rms_before),
         'rms_after': by_joint(joints, finding.rms_after)}
+
+
+def over_values(one):
+    """Return an Over as a dict: shares of the residual, and of bins whose band is off zero."""
+    models = ('before', 'after', 'nothing_missing')
+    return {'joint': one.joint, 'equation': one.equation, 'variable': one.variable,
+            'share': dict(zip(models, one.shares, strict=True)),
+            'off_zero': dict(zip(models, one.off_zero, strict=True))}
 
 
 def gap_values(gap):

@@ -11,11 +11,13 @@ from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.discrepancy.retrace import retrace
 from gms_flex_control.effects.registry import find
 import numpy as np
+from scipy.stats import t
 
 VARIABLES = signature.VARIABLES
 UNITS = {'time': 's', 'link angle': 'rad', 'motor angle': 'rad', 'link rate': 'rad/s',
          'motor rate': 'rad/s', 'twist': 'rad', 'torque': 'N m',
-         'link acceleration': 'rad/s^2', 'time since reversal': 's'}
+         'link acceleration': 'rad/s^2', 'time since reversal': 's', 'direction': '',
+         'distance since reversal': 'rad'}
 BINS = 36
 _LEAST = 6            # samples of a bin
 _MOVING = 0.05        # of the rms rate: slower is at rest
@@ -23,7 +25,7 @@ _BETTER = 0.05        # share by which another factor, or joint, must improve
 _STRANGE = 0.4        # likewise another variable than the one an effect names
 _INDEPENDENT = 0.4    # share of the samples behind the low-pass that are on their own
 _PERIODS = 3.0        # so many waves over a range are laid upon each other
-_MAP_BINS = 20
+_MAP_BINS, _OF_CELL, _LEAST_CELL = (8, 20), 12, 3.0  # samples of a cell in the mean, at least
 _SEED = 991           # of the run in which nothing is missing
 
 
@@ -117,8 +119,9 @@ class Along:
             for path, whitening, kept in zip(self.problem.paths, self.problem.whitenings,
                                              self._kept, strict=True):
                 time = path.time - path.time[0]
+                known = signature.variables(path, j) | further(path, j)
                 parts.append({name: np.interp(whitening.time[kept], time, values)
-                              for name, values in signature.variables(path, j).items()})
+                              for name, values in known.items()})
             self._variables[j] = {name: np.concatenate([part[name] for part in parts])
                                   for name in parts[0]}
         return self._variables[j]
@@ -128,6 +131,22 @@ class Along:
         if self.problem.robot.arm.rigid[j]:
             return [('link', j)]
         return [('link', j), ('motor', len(self.joints) + j)]
+
+
+def further(path, j):
+    """Return which way joint ``j`` moves and how far since it turned: dict of str to (S,)."""
+    angle, rate = path.motion[:, 0, j], path.motion[:, 1, j]
+    last = np.maximum.accumulate(np.where(rate != 0.0, np.arange(len(rate)), 0))
+    turns = np.concatenate([[True], np.diff(np.sign(rate[last])) != 0.0])
+    travelled = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(angle)))])
+    return {'direction': np.sign(rate) * is_moving(rate),
+            'distance since reversal':
+                travelled - np.maximum.accumulate(np.where(turns, travelled, 0.0))}
+
+
+def is_moving(rate):
+    """Return where a joint moves, by its rates (S,), bool."""
+    return np.abs(rate) > _MOVING * np.sqrt(np.mean(rate ** 2))
 
 
 def binned(x, y, edges=None):
@@ -228,13 +247,14 @@ def _shown_over(along, spec, own, j):
     if wanted == 'time':
         return (along.variables(j)[wanted], 'time [s]', np.where(own < 0.0, -1.0, 1.0),
                 'the sign of the effect')
-    moving = np.abs(rate) > _MOVING * np.sqrt(np.mean(rate ** 2))
+    moving = is_moving(rate)
     factors = [(np.ones(len(own)), '')]
     if moving.sum() > _LEAST * 8:
         factors.append((np.sign(rate) * moving, 'the direction of motion'))
     tried = []
     for i, joint in enumerate(along.joints):
-        for name, values in along.variables(i).items():
+        for name in VARIABLES:
+            values = along.variables(i)[name]
             x, label = _folded(spec, name, values)
             label = label if i == j else label.replace(name, f'{name} of {joint}')
             for sign, times in factors if name != 'time' else ():
@@ -263,7 +283,7 @@ def _folded(spec, name, x):
 
 
 class Map(NamedTuple):
-    """Mean residual over two variables, before and after."""
+    """Mean residual over two variables, before and after; zero where that is chance."""
 
     title: str
     x_label: str
@@ -296,10 +316,10 @@ def maps_of(along, before, after, j):
     pairs = [(0, 'link angle', 'link rate'), (0, 'link acceleration', 'link rate')]
     pairs += [(0, 'torque', 'link rate')] if rigid else [(1, 'twist', 'motor rate'),
                                                          (1, 'motor angle', 'motor rate')]
-    found = []
+    bins, found = int(np.clip(np.sqrt(len(before) / _OF_CELL), *_MAP_BINS)), []
     for which, first, second in pairs:
         equation, column = along.channels(j)[which]
-        edges = [np.linspace(*np.quantile(values[name], (0.01, 0.99)), _MAP_BINS + 1)
+        edges = [np.linspace(*np.quantile(values[name], (0.01, 0.99)), bins + 1)
                  for name in (first, second)]
         found.append(Map(f'{equation} equation', f'{first} [{UNITS[first]}]',
                          f'{second} [{UNITS[second]}]', *edges,
@@ -309,32 +329,71 @@ def maps_of(along, before, after, j):
 
 
 def _mean_over(x, y, residual, edges):
-    count, *_ = np.histogram2d(x, y, edges)
-    total, *_ = np.histogram2d(x, y, edges, weights=residual)
-    return np.where(count >= 2.0, total / np.maximum(count, 1.0), np.nan)
+    """Return means over cells (X, Y), zero where their 95 % interval holds it, NaN of few."""
+    count, mean, square = (np.histogram2d(x, y, edges, weights=weights)[0]
+                           for weights in (None, residual, residual ** 2))
+    few, count = count < _LEAST_CELL, np.maximum(count, _LEAST_CELL)
+    mean, square = mean / count, square / count
+    alone = np.maximum(_INDEPENDENT * count, 1.5)
+    half = t.ppf(0.975, np.maximum(alone - 1.0, 1.0)) * np.sqrt(
+        np.maximum(square - mean ** 2, 0.0) / alone)
+    return np.where(few, np.nan, np.where(np.abs(mean) > half, mean, 0.0))
 
 
-def dependences(along, before, after, clean):
+class Over(NamedTuple):
+    """What is missing in an equation, as a function of one variable."""
+
+    joint: str
+    equation: str      # 'link' or 'motor'
+    variable: str      # with its unit
+    before: Binned     # known parameters re-tuned
+    after: Binned      # with the effects found
+    shares: tuple      # of the residual that is a function of it: before, after, nothing missing
+    off_zero: tuple    # of the bins whose 95 % band leaves zero out: likewise
+
+
+def over_all(along, *residuals):
     """
-    Return what residuals depend on: rows of joint, equation, variable and three shares.
+    Return what residuals depend on.
 
     Parameters
     ----------
     along : Along
         The recordings.
-    before, after, clean : ndarray, shape (S, 2n)
-        Residuals; those of a clean run say what share chance alone explains.
+    *residuals : ndarray, shape (S, 2n)
+        Before, after, and of a run in which nothing is missing, which says what is chance.
 
     Returns
     -------
-    list of tuple
+    list of Over
+        By joint and equation, each variable in turn.
 
     """
-    rows = []
+    found = []
     for j, joint in enumerate(along.joints):
         for equation, column in along.channels(j):
-            for name, values in along.variables(j).items():
-                rows.append((joint, equation, name, *(
-                    signature.dependence(values, residual[:, column])
-                    for residual in (before, after, clean))))
-    return rows
+            for name, x in along.variables(j).items():
+                edges, own = bin_edges(x), [residual[:, column] for residual in residuals]
+                curves = [binned(x, one, edges) for one in own]
+                found.append(Over(
+                    joint, equation, f'{name} [{UNITS[name]}]' if UNITS[name] else name,
+                    curves[0], curves[1],
+                    tuple(signature.dependence(x, one) for one in own),
+                    tuple(float(np.mean(np.abs(one.mean) > one.half)) for one in curves)))
+    return found
+
+
+def over_of(result):
+    """Return what the residuals of a Discrepancy depend on, list of Over; of bad data none."""
+    if result.found is None:
+        return []
+    problem, found = result.found[:2]
+    along = Along(problem)
+    return over_all(along, *residuals_of(along, found))
+
+
+def residuals_of(along, found):
+    """Return residuals (S, 2n) before, after, and of a run in which nothing is missing."""
+    before, after = found.before, found.model
+    return (along.residual(before.robot, before.x), along.residual(after.robot, after.x),
+            along.clean(after.robot, after.x))

@@ -11,8 +11,9 @@ from gms_flex_control.errors import ConfigError
 from gms_flex_control.hidden.cases import in_turn
 
 # what an answer depends on
-_SOURCES = ('analysis', 'benchmarks/hidden_effects', 'control', 'discrepancy', 'dynamics',
-            'effects', 'friction', 'hidden', 'identification', 'params', 'recording.py',
+_SOURCES = ('analysis', 'benchmarks/hidden_effects/outcome.py',
+            'benchmarks/hidden_effects/peers.py', 'control', 'discrepancy', 'dynamics', 'effects',
+            'friction', 'hidden', 'identification', 'params', 'recording.py', 'records.py',
             'simulation', 'trajectory')
 
 

@@ -52,7 +52,10 @@ def try_job(job, with_peers=True):
     if job.kind == 'single' and result is not None and judged(outcome) != RIGHT:
         outcome['truth_gains'] = gain_of_truth(result, *case.truth.effects)
     if with_peers:
-        outcome['answers'] |= ask_peers(case, without)
+        answers, error = ask_peers(case, without)
+        outcome['answers'] |= answers
+        if error:
+            outcome['peer_error'] = error
     return finite(outcome)
 
 
@@ -82,13 +85,13 @@ def ask_workflow(case, without):
 
 
 def ask_peers(case, without):
-    """Return what each peer names, lists of [effect, joint]; nothing where it failed."""
+    """Return what each peer names, lists of [effect, joint], and '' or why none of them does."""
     from gms_flex_control.benchmarks.hidden_effects import peers
     try:
         return {name: [list(one) for one in answer]
-                for name, answer in peers.ask(case, without).items()}
-    except _FAILURES:
-        return {name: [] for name in peers.names()}
+                for name, answer in peers.ask(case, without).items()}, ''
+    except _FAILURES as error:
+        return {name: [] for name in peers.names()}, f'{type(error).__name__}: {error}'
 
 
 def gain_of_truth(result, effect):
