@@ -23,6 +23,9 @@ from gms_flex_control.cli.main import main as gms_flex
 
 ROOT = Path(__file__).resolve().parents[1]
 IMAGES = ROOT / 'docs' / 'images'
+DATA = ROOT.parent / 'shared' / 'data'  # recordings of others, which are not committed
+SERVO = [f'{motion}_kp{gain}' for gain in (400, 100) for motion in (
+    'sin_sin', 'lift_and_drop', 'up_and_down', 'sin_time_square')]
 WIDTH = 1285  # of the report's picture [px]
 # from the heading to the end of the first two charts over time
 PART = """(() => {
@@ -38,6 +41,7 @@ class Work(NamedTuple):
 
     commands: tuple
     made: dict    # picture: pattern of one file
+    needs: Path = ROOT
 
 
 WORKS = {
@@ -57,7 +61,22 @@ WORKS = {
          'discrepancy_map.png': 'example/result/map_*_1.png'}),
     'demo-discrepancy': Work(
         ('demo-discrepancy --duration 20 --out demo',),
-        {'discrepancy_demo.png': 'demo/tracking.png'})}
+        {'discrepancy_demo.png': 'demo/tracking.png'}),
+    'kr300': Work(
+        (*(f'import-csv {DATA}/kr300/rec_{part}.csv --map {ROOT}/config/import_kr300.yaml '
+           f'--out kr300_{part}' for part in 'AB'),
+         'torsion ./kr300_A --joint axis1 --stiffness 4.58e6 --out torsion',
+         'discrepancy ./kr300_A --robot torsion/robot.yaml --holdout ./kr300_B --out found'),
+        {'kr300_gap.png': 'found/gap.png', 'kr300_skew.png': 'found/evidence_1_*.png',
+         'kr300_over.png': 'found/over_*_motor.png'}, DATA / 'kr300'),
+    'xl330': Work(
+        (*(f'import-csv {DATA}/bam_xl330/{name}.csv '
+           f'--map {ROOT}/config/import_bam_xl330.yaml --out {name}' for name in SERVO),
+         f'identify {" ".join(f"./{name}" for name in SERVO)} --out identified',
+         f'discrepancy {" ".join(f"./{name}" for name in SERVO)} '
+         '--robot identified/friction.yaml --out found'),
+        {'xl330_gap.png': 'found/gap.png', 'xl330_over.png': 'found/over_*.png',
+         'xl330_measured.png': 'found/measured_*.png'}, DATA / 'bam_xl330')}
 
 
 def main():
@@ -77,6 +96,9 @@ def main():
 
 def make(work, into):
     """Run the commands of a Work and put its pictures into a folder; return 0, or 2."""
+    if not work.needs.is_dir():
+        print(f'pictures.py: left out: {work.needs} is absent', file=sys.stderr)
+        return 0
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         for command in work.commands:
             words = shlex.split(command)
@@ -97,7 +119,7 @@ def make(work, into):
 
 def is_path(word, before):
     """Return whether a word of a command is a file of the folder it is run in."""
-    return before == '--out' or '/' in word
+    return before == '--out' or '/' in word and not Path(word).is_absolute()
 
 
 def taken(source, picture):

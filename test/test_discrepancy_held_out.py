@@ -11,6 +11,7 @@ from gms_flex_control.discrepancy.naming import choices, helps
 from gms_flex_control.discrepancy.path import path_of
 from gms_flex_control.discrepancy.problem import BLOCK, Problem
 from gms_flex_control.discrepancy.result import Gap
+from gms_flex_control.discrepancy.words import of_nearest
 from gms_flex_control.discrepancy.workflow import discrepancy
 from gms_flex_control.hidden.cases import make_case
 import numpy as np
@@ -60,10 +61,19 @@ def test_one_run_that_slips_is_no_matter_of_all_of_them():
 
 def test_without_free_runs_torque_decides():
     """Where data held out are too short for any, nothing has strayed less."""
-    none = np.zeros(1)
+    none = np.full(1, np.nan)
     for much, torque, expected in ((False, 1.0, False), (True, 0.9, False), (False, 0.5, True)):
         told = replace(gap(torque=torque), free_before=none, free_after=none)
         assert helps(told, much=much) is expected
+
+
+def test_what_helps_motion_much_and_torque_too_little_is_told():
+    near = [(0.6, 0.9, [('backlash', 'j1')]),
+            (0.33, 1.21, [('load_friction', 'j1'), ('torque_gain', 'j2')])]
+    told = of_nearest(near)
+    assert 'nearest comes load_friction of j1 and torque_gain of j2' in told
+    assert '0.57 times' in told and '1.1 times' in told
+    assert of_nearest(near[:1]) == of_nearest([]) == ''
 
 
 def test_free_runs_do_not_cross_holes():
@@ -80,6 +90,9 @@ def test_free_runs_do_not_cross_holes():
         problem = Problem([path_of(one, case.nominal)], case.nominal, 0.005)
         strays.append(free_rms(problem, problem.robot, np.zeros(len(problem.knobs))))
     assert np.all(strays[1] < 1.5 * strays[0])
+    nothing = replace(path_of(with_hole, case.nominal), known=np.zeros(len(hole), dtype=bool))
+    assert np.all(np.isnan(free_rms(problem, problem.robot, np.zeros(len(problem.knobs)),
+                                    [nothing])))
 
 
 @pytest.mark.parametrize('duration', [2.2, 4.3, 6.2, 8.0, 9.1])

@@ -18,7 +18,8 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT.parent / 'shared' / 'data'
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f'{DATA} with the recordings is absent')
-# what gms_flex identify makes of all eight recordings of the servo: Coulomb and viscous friction
+# what gms_flex identify makes of all eight recordings of the servo, Coulomb and viscous friction,
+# with presliding a tenth as stiff: with 125 N m/rad load friction is no more than the nearest
 SERVO = """
 /**:
   ros__parameters:

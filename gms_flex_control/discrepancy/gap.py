@@ -26,13 +26,13 @@ def torque_rms(problem, robot, x, paths=None):
 
 
 def free_rms(problem, robot, x, paths=None):
-    """Return by how much half-second runs from held-out moments stray, rms (n,) [rad]."""
+    """Return by how far half-second runs from held-out moments stray, rms (n,) [rad], or NaN."""
     return _rms(_free_squares(problem, robot, x, paths))
 
 
 def _rms(squares):
-    """Return the root of the mean of squares of runs (S, n), zero where there are none."""
-    return np.sqrt(np.sum(squares, axis=0) / max(len(squares), 1))
+    """Return the root of the mean of squares of runs (S, n), NaN where there are none."""
+    return np.sqrt(np.sum(squares, axis=0) / (len(squares) or np.nan))
 
 
 def _free_squares(problem, robot, x, paths=None):

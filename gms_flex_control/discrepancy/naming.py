@@ -41,8 +41,7 @@ def helps(gap, much, strictly=False):
     nothing. ``strictly``, free runs must not stray farther at all: where links are not seen
     nothing else speaks for them.
     """
-    before, after = (float(np.sum(errors ** 2)) for errors in (gap.free_before, gap.free_after))
-    torque, stray = gap.energy_ratio, after / before if before > 0.0 else 1.0  # no runs at all
+    torque, stray = gap.energy_ratio, strayed(gap)
     if strictly and stray >= 1.0:
         return False
     if much:
@@ -50,6 +49,12 @@ def helps(gap, much, strictly=False):
     excuses = sum((bool(torque < _NEARLY_ALL), bool(gap.free_farther < _SIGNIFICANT)))
     farthest = _FARTHEST[excuses]
     return min(torque, stray) < 1.0 and torque < _CHANCE and stray < farthest
+
+
+def strayed(gap):
+    """Return the squared strays of free runs, after over before; 1 if there are no runs."""
+    before, after = (float(np.sum(errors ** 2)) for errors in (gap.free_before, gap.free_after))
+    return after / before if before > 0.0 else 1.0
 
 
 def explains_alone(entries, judged):

@@ -89,7 +89,8 @@ class Gap:
         Residual torque [N m]: of the model as given, with known parameters re-tuned, with the
         effects found, and what a run of the model shows in which nothing is missing.
     free_before, free_after, free_floor : ndarray, shape (n,)
-        Angle by which runs of half a second stray, rms [rad]; before is re-tuned.
+        Angle by which runs of half a second stray, rms [rad]; before is re-tuned; NaN where no
+        half second held out was read without a hole.
     energy_ratio : float
         Squared residual above the floor, after over re-tuned.
     free_farther : float
@@ -147,6 +148,9 @@ class Discrepancy:
         What is left.
     gap : Gap or None
         None where the data are bad.
+    nearest : str
+        A sentence on effects that help free runs but torque too little, and are not added; ''
+        if there are none.
     robot : RobotParams or None
         With known parameters re-tuned and all findings.
     retuned : tuple of (str, str, float)
@@ -172,6 +176,7 @@ class Discrepancy:
     undecided: tuple = ()
     unexplained: Signature | None = None
     gap: Gap | None = None
+    nearest: str = ''
     robot: object = None
     retuned: tuple = ()
     tried: tuple = ()

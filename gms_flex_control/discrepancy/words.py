@@ -7,8 +7,10 @@ from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE, FOUND
 from gms_flex_control.discrepancy.units import angle_scale, torque_scale
 from gms_flex_control.discrepancy.unseen_links import lost_effects
 from gms_flex_control.effects.registry import find
+import numpy as np
 
 _IN_FULL = 5  # findings that are said in full, and named
+_NEAR = 0.5   # of squared free runs: effects that leave less come near
 IN_MOTION = ('Moments at which a link stands were left out: friction then holds what no model of '
              'these foresees.')
 
@@ -67,6 +69,30 @@ def of_known(first, effects, whole, least):
             'ask again; what is named here may but stand for that.')
 
 
+def of_nearest(near):
+    """
+    Return a sentence on what all but helped on data held out, '' if nothing did.
+
+    Parameters
+    ----------
+    near : sequence of (float, float, list of (str, str))
+        Squared strays of free runs and squared torque missed, after over before, and the effects
+        with their joints.
+
+    Returns
+    -------
+    str
+
+    """
+    stray, torque, effects = min(near, default=(1.0, 1.0, []))
+    if stray > _NEAR:
+        return ''
+    names = ' and '.join(f'{name} of {joint}' for name, joint in effects)
+    return (f'nearest comes {names}: with it the free runs held out would stray '
+            f'{stray ** 0.5:.2g} times as far and the torque missed there be {torque ** 0.5:.2g} '
+            'times as large, which is too little to add it.')
+
+
 def tells_apart(effect, others):
     """Return the motion that tells an effect from others (names), '' if there are none."""
     return find(effect).tells if others else ''
@@ -110,6 +136,8 @@ def paragraph(result):
     if result.unexplained is not None:
         parts.append(f'Something is there that the catalogue does not explain: '
                      f'{result.unexplained.sentence}')
+    if result.nearest:
+        parts.append(result.nearest[0].upper() + result.nearest[1:])
     torque, angle = torque_scale(gap.before), angle_scale(gap.free_before)
     torques = ', '.join(
         f'{torque.told(before)} -> {torque.told(after)} {torque.unit} ({joint}, floor '
@@ -120,8 +148,10 @@ def paragraph(result):
         f'{angle.told(after)} {angle.unit}' if result.verdict == COMPLETE else
         f'{angle.told(before)} -> {angle.told(after)} {angle.unit}'
         for before, after in zip(gap.free_before, gap.free_after, strict=True))
-    parts.append(f'On data held out the residual torque is {torques}, and half a second of free '
-                 f'simulation, known parameters re-tuned, strays by {strays}.')
+    parts.append(f'On data held out the residual torque is {torques}, and ' + (
+        'no half second is without a hole to be simulated' if np.isnan(gap.free_after).any() else
+        'half a second of free simulation, known parameters re-tuned, strays by '
+        f'{strays}') + '.')
     return ' '.join(parts)
 
 

@@ -5,6 +5,7 @@
 
 from dataclasses import dataclass, field, replace
 import time
+from typing import NamedTuple
 
 from gms_flex_control import blas
 from gms_flex_control.discrepancy import judge, naming
@@ -34,6 +35,7 @@ from gms_flex_control.discrepancy.words import (
     IN_MOTION,
     of_known,
     of_late,
+    of_nearest,
     of_unseen,
     paragraph,
     tells_apart,
@@ -140,6 +142,9 @@ def _discrepancy(recordings, robot, options, holdout, say):
         moving = _searched(paths, robot, options, holdout, False, say)
         if moving.verdict == FOUND:
             result = replace(moving, words=f'{moving.words} {IN_MOTION}')
+        elif moving.nearest:
+            result = replace(result, nearest=moving.nearest,
+                             words=f'{result.words} In motion alone: {moving.nearest}')
     if problem.unseen:
         result = replace(result, words=f'{result.words} {of_unseen(sorted(problem.unseen))}')
     if faults:
@@ -238,8 +243,18 @@ def _by_gain(found, entries):
     return [by_name[name] for name in ranked if name in by_name]
 
 
+class _Named(NamedTuple):
+    """What is left of a search's end once its effects have been asked to help."""
+
+    found: object
+    entries: list    # of its effects
+    gap: object
+    nearest: str     # a sentence on what all but helped, '' if nothing did
+
+
 def _added(problem, found, known, choices, measured):
-    """Return the search's end with the first choice that helps, its effects and the Gap."""
+    """Return the search's end with the first choice that helps, as _Named."""
+    near = []
     for entries, much in choices:
         if not entries:
             continue
@@ -254,9 +269,10 @@ def _added(problem, found, known, choices, measured):
         except SimulationError:
             continue  # with these effects the robot runs away
         if naming.helps(gap, much, bool(problem.unseen)):
-            return model, judged, gap
+            return _Named(model, judged, gap, '')
+        near.append((naming.strayed(gap), gap.energy_ratio, [_name(model, one) for one in judged]))
     found = _only(problem, found, known, [])
-    return found, [], gap_of(measured, found)
+    return _Named(found, [], gap_of(measured, found), of_nearest(near))
 
 
 def _left(problem, found, before):
@@ -278,7 +294,7 @@ def _told(problem, found, entries, known, options, holdout, say):
     entries = [one for one in entries if not is_at_limit(robot.effects[one.index], robot)]
     choices = naming.choices(entries, _left(problem, found, before), whole,
                              _by_gain(found, entries))
-    found, entries, gap = _added(problem, found, known, choices, measured)
+    found, entries, gap, nearest = _added(problem, found, known, choices, measured)
     largest = max((one.alone for one in entries), default=0.0)
     findings = [_finding(problem, measured, found, known, one, whole, largest, options)
                 for one in entries]
@@ -289,7 +305,8 @@ def _told(problem, found, entries, known, options, holdout, say):
         verdict=FOUND if findings else UNEXPLAINED if is_left else COMPLETE,
         findings=main, minor=minor, undecided=undecided,
         unexplained=_left_over(problem, found, before, sudden) if is_left else None,
-        gap=gap, tried=tried, retuned=_retuned(problem, found.model), found=(problem, found),
+        gap=gap, nearest=nearest if is_left else '', tried=tried,
+        retuned=_retuned(problem, found.model), found=(problem, found),
         robot=with_knobs(found.model.robot, problem.knobs, found.model.x))
     known_off = of_known(found.first, problem.robot.effects, whole, LEAST_GAIN * problem.caution)
     return replace(result, words=f'{paragraph(result)} {known_off}'.rstrip())

@@ -185,6 +185,8 @@ def _add_left(report, result):
     left = result.unexplained
     report.heading('What is unexplained')
     report.note(left.sentence, warning=True)
+    if result.nearest:
+        report.text(result.nearest[0].upper() + result.nearest[1:])
     report.table(('share of what was missing', 'equation', 'joint', 'depends most on'),
                  [(f'{100.0 * left.share:.1f} %', left.equation, left.joint, left.variable)])
 

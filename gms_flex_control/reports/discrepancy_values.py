@@ -50,6 +50,7 @@ def report_values(result, *, holdout=(), models=()):
         'minor': [finding_values(finding, joints) for finding in result.minor],
         'undecided': [finding_values(finding, joints) for finding in result.undecided],
         'unexplained': result.unexplained._asdict() if result.unexplained else None,
+        'nearest': result.nearest,
         'gap': gap_values(result.gap) if result.gap is not None else None,
         'retuned': [{'parameter': name, 'joint': joint, 'change': change}
                     for name, joint, change in result.retuned],
