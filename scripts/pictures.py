@@ -75,8 +75,8 @@ WORKS = {
          f'identify {" ".join(f"./{name}" for name in SERVO)} --out identified',
          f'discrepancy {" ".join(f"./{name}" for name in SERVO)} '
          '--robot identified/friction.yaml --out found'),
-        {'xl330_gap.png': 'found/gap.png', 'xl330_over.png': 'found/over_*.png',
-         'xl330_measured.png': 'found/measured_*.png'}, DATA / 'bam_xl330')}
+        {'xl330_gap.png': 'found/gap.png', 'xl330_over.png': 'found/over_*.png'},
+        DATA / 'bam_xl330')}
 
 
 def main():

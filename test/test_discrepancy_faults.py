@@ -88,7 +88,39 @@ def repeated(recording):
     return taken(recording, held, recording.time)
 
 
+def exchanged_sides(recording):
+    """Return a recording whose motors and links stand under each other's names."""
+    return replace(recording, q_link=recording.q_motor, dq_link=recording.dq_motor,
+                   q_motor=recording.q_link, dq_motor=recording.dq_link)
+
+
+def at_rest(recording):
+    """Return a recording of a robot that holds its angles, in which there is nothing to see."""
+    rng = np.random.default_rng(0)
+    noise = 1e-5 * rng.standard_normal((2, *recording.q_link.shape))
+    none = np.zeros_like(recording.q_link)
+    return replace(recording, q_link=recording.q_link[:1] + noise[0], dq_link=none,
+                   q_motor=recording.q_motor[:1] + noise[1], dq_motor=none)
+
+
+def some_lost(recording):
+    """Return a recording with a tenth of its samples missing, one at a time."""
+    return taken(recording, np.flatnonzero(np.arange(len(recording.time)) % 10 != 4))
+
+
+def one_way(recording):
+    """Return a recording whose first joint goes backwards no more than it must."""
+    forward = np.cumsum(np.maximum(np.diff(recording.q_link[:, 0], prepend=0.0), 0.0))
+    q_link, q_motor = recording.q_link.copy(), recording.q_motor.copy()
+    q_motor[:, 0] += forward - q_link[:, 0]
+    q_link[:, 0] = forward
+    return replace(recording, q_link=q_link, q_motor=q_motor,
+                   dq_link=np.full_like(q_link, np.nan), dq_motor=np.full_like(q_link, np.nan))
+
+
 REFUSED = {
+    'sides exchanged': exchanged_sides, 'no excitation': at_rest,
+    'link rate in degrees per second': scaled('dq_link', 57.3),
     'joints swapped': swapped_joints, 'link encoders swapped': swapped_angles,
     'clock jump': clock_jump, 'milliseconds': lambda r: replace(r, time=1e3 * r.time),
     'half lost': half_lost, 'no angle': lambda r: replace(
@@ -98,7 +130,14 @@ REFUSED = {
     'commands reversed': commanded(torque(-1.0)), 'commands in mN m': commanded(torque(1e3)),
     'motor reversed, commands': commanded(scaled('q_motor', -1.0)),
     'too short': lambda r: taken(r, np.arange(500))}
-TOLD = {'torque clipped': (clipped, 'clipped'), 'samples repeated': (repeated, 'repeat')}
+WORDS = {
+    'sides exchanged': 'motor and link of joint1 seem exchanged',
+    'no excitation': 'joint1 never moves', 'clock jump': 'the clock jumps ahead',
+    'link rate in degrees per second': 'but 57.3 times it', 'half lost': 'are missing in',
+    'milliseconds': 'another unit than seconds', 'motor in gear units': 'but 0.02 times it',
+    'torque reversed': 'wrong sign', 'slipped': 'jumps'}
+TOLD = {'torque clipped': (clipped, 'clipped'), 'samples repeated': (repeated, 'repeat'),
+        'a tenth lost': (some_lost, 'missing'), 'one way': (one_way, 'forward only')}
 
 
 @pytest.mark.parametrize('name', REFUSED)
@@ -107,6 +146,7 @@ def test_a_fault_of_the_data_ends_the_run_with_its_name(case, name):
     assert result.verdict == BAD_DATA
     assert result.findings == () and result.unexplained is None and result.gap is None
     assert result.faults and result.faults[0] in result.words
+    assert WORDS.get(name, '') in result.words
     assert 'was not recorded' not in result.words or name == 'no angle'
     assert 'data are at fault' in result.words
 

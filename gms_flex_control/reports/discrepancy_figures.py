@@ -186,6 +186,9 @@ def over_figure(found):
         panel.set_title('{:.0f} % -> {:.0f} %'.format(*(100.0 * s for s in one.shares[:2])),
                         fontsize=8, pad=3)
         panel.tick_params(labelsize=7)
+        panel.locator_params(axis='x', nbins=5)
+        panel.ticklabel_format(axis='x', scilimits=(-2, 4), useMathText=True)
+        panel.xaxis.get_offset_text().set_fontsize(7)
         panel.set_ylim(-(limit or 1.0), limit or 1.0)
     for panel in panels.flat[len(found):]:
         panel.set_axis_off()
