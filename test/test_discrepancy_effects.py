@@ -7,6 +7,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 from gms_flex_control.discrepancy.fit import Fitted, FIXED
+from gms_flex_control.discrepancy.guesses import all_guesses
 from gms_flex_control.discrepancy.library import Ranked
 from gms_flex_control.discrepancy.naming import matters
 from gms_flex_control.discrepancy.path import path_of
@@ -152,6 +153,17 @@ def test_of_a_robot_that_lacks_nothing_nothing_is_said(seed, plant):
     result, found, _ = outcome('clean', seed, plant=plant, duration=SHORT)
     assert (result.verdict, found, result.unexplained) == (COMPLETE, (), None), result.words
     assert result.robot.effects == ()
+
+
+@pytest.mark.parametrize(('seed', 'plant'), [(0, 'soft'), (1, 'stiff')])
+def test_every_effect_is_looked_for_wherever_it_can_act(seed, plant):
+    case = make_case('clean', seed, plant=plant, duration=5.0)
+    problem = Problem([path_of(case.recording, case.nominal)], case.nominal, 0.005)
+    asked = {(name, joint) for name, joint, _ in all_guesses(problem)}
+    assert asked == {(name, place) for name in registry.names() for place in (
+        ['arm'] if registry.find(name).whole_arm else case.nominal.joints)}
+    left_out = {(name, joint) for name, joint, _ in all_guesses(problem, without=('backlash',))}
+    assert left_out == {one for one in asked if one[0] != 'backlash'}
 
 
 @pytest.mark.parametrize(('seed', 'name'), [
