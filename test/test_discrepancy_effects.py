@@ -153,6 +153,7 @@ def test_of_a_robot_that_lacks_nothing_nothing_is_said(seed, plant):
     result, found, _ = outcome('clean', seed, plant=plant, duration=SHORT)
     assert (result.verdict, found, result.unexplained) == (COMPLETE, (), None), result.words
     assert result.robot.effects == ()
+    assert {one.effect for one in result.tried} | {'supply_sag'} == set(registry.names())
 
 
 @pytest.mark.parametrize(('seed', 'plant'), [(0, 'soft'), (1, 'stiff')])

@@ -132,23 +132,14 @@ class Library:
             Best first.
 
         """
-        problem, knobs = self._problem, len(model.x)
+        problem = self._problem
         own, rows = columns[:, problem.fitted], model.rows[problem.fitted]
         numbers = numbers_of(model.robot, len(problem.robot.effects))
         slope = problem.slope(columns, model.rows, model.robot, numbers)
         low, high = limits(problem, model, len(own))
         gram, best = own @ own.T, {}
         before = half_cost(gram, slope, solve(gram, slope, low, high))
-        free = np.ones(len(own), dtype=bool)
-        free[:knobs] = np.abs(model.x) < _AT_BOUND * problem.bound_of(model.robot)
-        basis, root = np.linalg.qr(own[free].T)
-        along = self.columns @ basis
-        shared = along @ np.linalg.lstsq(
-            root.T, problem.noise.slopes(model.robot, numbers)[free], rcond=1e-10)[0]
-        # where it was not learned, noise adds what it adds to all that makes the column: a
-        # friction that varies with place is friction
-        noise = np.where(np.isnan(self._noise), shared, self._noise)
-        gains = self._gains(rows, basis, along, noise - shared)
+        gains, noise = self._scan(model, own)
         for i in np.argsort(-gains)[:_MOST_TRIED]:
             name, joint, guess = self.guesses[i]
             known = best.get((name, joint), Ranked(0.0, None)).gain
@@ -164,6 +155,29 @@ class Library:
                 best[name, joint] = Ranked(gain, EffectSpec(name=name, joint=joint,
                                                             values=values))
         return sorted(best.values(), key=lambda one: -one.gain)
+
+    def most(self, model, columns):
+        """Return what each hypothesis gains, bounds left aside, dict by effect and joint."""
+        gains, _ = self._scan(model, columns[:, self._problem.fitted])
+        found = {}
+        for (name, joint, _), gain in zip(self.guesses, gains, strict=True):
+            found[name, joint] = max(found.get((name, joint), 0.0), float(gain))
+        return found
+
+    def _scan(self, model, own):
+        """Return what guesses gain where nothing is bounded (G,), and noise's slopes (K,)."""
+        problem, knobs = self._problem, len(model.x)
+        free = np.ones(len(own), dtype=bool)
+        free[:knobs] = np.abs(model.x) < _AT_BOUND * problem.bound_of(model.robot)
+        basis, root = np.linalg.qr(own[free].T)
+        along = self.columns @ basis
+        numbers = numbers_of(model.robot, len(problem.robot.effects))
+        shared = along @ np.linalg.lstsq(
+            root.T, problem.noise.slopes(model.robot, numbers)[free], rcond=1e-10)[0]
+        # where it was not learned, noise adds what it adds to all that makes the column: a
+        # friction that varies with place is friction
+        noise = np.where(np.isnan(self._noise), shared, self._noise)
+        return self._gains(model.rows[problem.fitted], basis, along, noise - shared), noise
 
     def _gains(self, rows, basis, along, noise):
         """

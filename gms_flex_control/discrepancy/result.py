@@ -129,7 +129,8 @@ class Tried(NamedTuple):
 
     effect: str
     joint: str
-    score: float
+    score: float    # what it gains when nothing else is there
+    bounded: bool   # within the bounds of its parameters, found for the best; else left aside
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -47,7 +47,8 @@ class Found(NamedTuple):
     before: Fitted     # known parameters re-tuned, nothing added
     model: Fitted      # with the effects found
     columns: np.ndarray  # derivatives of its rows
-    first: tuple       # of Ranked: the first scan
+    first: tuple       # of Ranked: the best of the first scan, within bounds
+    scan: dict         # (effect, joint) to gain: all of it, bounds left aside
     library: Library
 
 
@@ -87,7 +88,7 @@ def search(problem, *, most=MOST, without=(), begin=None, say=lambda text: None)
     hunt.merge()
     hunt.settle()
     hunt.tell_late()
-    return Found(before, hunt.model, hunt.columns, hunt.first, hunt.library)
+    return Found(before, hunt.model, hunt.columns, hunt.first, hunt.scan, hunt.library)
 
 
 class _Hunt:
@@ -99,6 +100,7 @@ class _Hunt:
         self._gain = SURE_GAIN * problem.caution
         self.columns, self._begun = knobs, model.cost
         self.first = tuple(library.ranked(model, knobs))
+        self.scan = library.most(model, knobs)
 
     def grow(self, most):
         """Add effects while one is worth it; return whether any was."""

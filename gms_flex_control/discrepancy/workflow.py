@@ -285,7 +285,7 @@ def _left(problem, found, before):
 def _told(problem, found, entries, known, options, holdout, say):
     """Return the Discrepancy: which effects of the search's end are named, the gap, the rest."""
     before = problem.missing(found.before)
-    tried = tuple(Tried(one.spec.name, one.spec.joint, one.gain) for one in found.first)
+    tried = _tried(found)
     whole = max(before * problem.unit_cost, 1e-12)
     say('the gap on data held out')
     measured = _measured_on(problem, holdout)
@@ -310,6 +310,14 @@ def _told(problem, found, entries, known, options, holdout, say):
         robot=with_knobs(found.model.robot, problem.knobs, found.model.x))
     known_off = of_known(found.first, problem.robot.effects, whole, LEAST_GAIN * problem.caution)
     return replace(result, words=f'{paragraph(result)} {known_off}'.rstrip())
+
+
+def _tried(found):
+    """Return all hypotheses of the first scan, the best first."""
+    best = {(one.spec.name, one.spec.joint): one.gain for one in found.first}
+    others = sorted((gain, key) for key, gain in found.scan.items() if key not in best)
+    return (*(Tried(*key, gain, True) for key, gain in best.items()),
+            *(Tried(*key, gain, False) for gain, key in reversed(others)))
 
 
 def _left_over(problem, found, before, sudden):

@@ -272,9 +272,10 @@ def _add_tables(report, result, models):
                      'Models compared. Missing: squared residual above that of a clean run, in '
                      'units of it')
     report.table(('effect', 'joint', 'score'),
-                 [(one.effect, one.joint, f'{one.score:.4g}') for one in result.tried],
+                 [(one.effect, one.joint, ('' if one.bounded else 'at most ') + f'{one.score:.4g}')
+                  for one in result.tried],
                  'First scan: sum of squares that each effect alone would remove, known '
-                 'parameters re-tuned')
+                 'parameters re-tuned; beyond the best, bounds of parameters left aside')
     joints = list(dict.fromkeys(joint for _, joint, _ in result.retuned))
     changes = {}
     for name, joint, change in result.retuned:
