@@ -103,3 +103,10 @@ def as_modelled(path, constants):
                       for j in range(off.shape[2])] for i in range(6)])
     fine = np.moveaxis(fine, 2, 0)
     return np.ascontiguousarray(path.fine_motion - fine), path.readings - fine[:, [0, 3]]
+
+
+def all_known(path, starts):
+    """Return of which runs, by their starts (S,) [s], all angles were read, bool."""
+    unread = np.concatenate([[0], np.cumsum(~path.known)])
+    first, last = (np.searchsorted(path.time, when) for when in (starts, starts + HORIZON))
+    return unread[last] == unread[first]

@@ -3,7 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """The gap between model and measurement on data held out, before and after."""
 
-from gms_flex_control.discrepancy.free_run import free_runs, HORIZON
+from gms_flex_control.discrepancy.free_run import all_known, free_runs
 from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.discrepancy.result import Gap
 from gms_flex_control.discrepancy.retrace import retrace
@@ -42,17 +42,10 @@ def _free_squares(problem, robot, x, paths=None):
                                     problem.moments_held_out, strict=True):
         starts, link, motor = free_runs(path, constants)
         at = np.clip(np.searchsorted(whitening.time, starts - path.fine_time[0]), 0, len(out) - 1)
-        kept = out[at] & _all_known(path, starts)
+        kept = out[at] & all_known(path, starts)
         link, motor = np.clip(link[kept], -10.0, 10.0), np.clip(motor[kept], -10.0, 10.0)
         squares.append(np.mean(link ** 2 + motor ** 2, axis=1) / 2.0)
     return np.concatenate(squares)
-
-
-def _all_known(path, starts):
-    """Return of which runs, by their starts (S,) [s], all angles were read, bool."""
-    unread = np.concatenate([[0], np.cumsum(~path.known)])
-    first, last = (np.searchsorted(path.time, when) for when in (starts, starts + HORIZON))
-    return unread[last] == unread[first]
 
 
 def farther(before, after):

@@ -6,7 +6,7 @@
 from pathlib import Path
 import re
 
-from gms_flex_control.discrepancy.free_run import free_runs, HORIZON
+from gms_flex_control.discrepancy.free_run import all_known, free_runs, HORIZON
 from gms_flex_control.discrepancy.path import path_of
 from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE, FOUND, UNEXPLAINED
 from gms_flex_control.discrepancy.units import torque_scale
@@ -258,10 +258,15 @@ def _add_free_runs(report, problem, found, holdout):
 
 
 def _simulated(problem, path, model):
-    """Return times of the starts, and measured and simulated link angles (S, H, n)."""
+    """
+    Return times of the starts, and measured and simulated link angles (S, H, n).
+
+    NaN where a run crosses a hole in the angles.
+    """
     starts, link, _ = free_runs(path, problem.constants(model.robot, model.x))
     first = np.searchsorted(path.fine_time, starts - 0.5 * path.fine_period)
     measured = path.readings[first[:, None] + np.arange(link.shape[1]), 0]
+    measured[~all_known(path, starts)] = np.nan
     return starts, measured, measured - np.clip(link, -10.0, 10.0)
 
 
