@@ -153,17 +153,22 @@ MADE_BY_SOME = ('robot.yaml', 'gap.png', 'evidence_1_backlash_joint1.png', 'map_
                 'over_joint1_1_link.png')
 
 
-def test_bad_data_are_named_and_end_the_run(folder, tmp_path, capsys, reversed_torque):
+@pytest.mark.parametrize(('earlier', 'kept'), [
+    ('{"verdict": "complete"}', False), ('{"joints": {}}', True), ('half a rep', True)])
+def test_bad_data_are_named_and_end_the_run(folder, tmp_path, capsys, reversed_torque, earlier,
+                                            kept):
+    """And what an earlier run of this verb has left goes, but nothing else."""
     (tmp_path / 'out').mkdir()
-    for name in (*MADE_BY_SOME, 'report.json', 'notes.png'):
+    for name in (*MADE_BY_SOME, 'notes.png'):
         (tmp_path / 'out' / name).write_text('of an earlier run')
+    (tmp_path / 'out' / 'report.json').write_text(earlier)
     assert run(tmp_path, reversed_torque, robot=folder / 'robot.yaml') == 2
     printed = capsys.readouterr()
     assert printed.out == '' and 'wrong sign' in ' '.join(printed.err.split())
     report = read_json((tmp_path / 'out' / 'report.json').read_text(encoding='utf-8'))
     assert report['verdict'] == 'bad_data' and report['gap'] is None
     assert any('wrong sign' in fault for fault in report['faults'])
-    assert not any((tmp_path / 'out' / name).exists() for name in MADE_BY_SOME)
+    assert all((tmp_path / 'out' / name).exists() is kept for name in MADE_BY_SOME)
     assert (tmp_path / 'out' / 'notes.png').exists()
     page = (tmp_path / 'out' / 'report.html').read_text(encoding='utf-8')
     assert 'The data are at fault' in page and 'wrong sign' in page

@@ -89,7 +89,7 @@ def test_the_model_that_was_asked_with_is_not_replaced(folder, alone, capsys):
     args = arguments(folder, out)
     args[args.index('--robot') + 1] = str(own)
     assert main(args) == 2
-    assert 'would be replaced by the results of its bag' in capsys.readouterr().err
+    assert 'lies in the folder of results of a bag' in capsys.readouterr().err
     assert own.read_bytes() == before
 
 

@@ -54,6 +54,14 @@ def scaled(name, factor):
     return lambda recording: replace(recording, **{name: factor * getattr(recording, name)})
 
 
+def without_rates(change):
+    """Return a function that changes a recording and drops the rates of motors."""
+    def changed(recording):
+        recording = change(recording)
+        return replace(recording, dq_motor=np.full_like(recording.dq_motor, np.nan))
+    return changed
+
+
 def torque(factor):
     """Return a function that scales torque, as asked for and as given."""
     return lambda recording: replace(recording, command=factor * recording.command,
@@ -125,7 +133,8 @@ REFUSED = {
     'clock jump': clock_jump, 'milliseconds': lambda r: replace(r, time=1e3 * r.time),
     'half lost': half_lost, 'no angle': lambda r: replace(
         r, q_link=np.nan * r.q_link, q_motor=np.nan * r.q_motor),
-    'motor reversed': scaled('q_motor', -1.0), 'motor in gear units': scaled('q_motor', 50.0),
+    'motor reversed': without_rates(scaled('q_motor', -1.0)),
+    'motor in gear units': without_rates(scaled('q_motor', 50.0)),
     'torque reversed': torque(-1.0), 'torque in mN m': torque(1e3), 'slipped': slipped,
     'commands reversed': commanded(torque(-1.0)), 'commands in mN m': commanded(torque(1e3)),
     'motor reversed, commands': commanded(scaled('q_motor', -1.0)),
@@ -134,8 +143,14 @@ WORDS = {
     'sides exchanged': 'motor and link of joint1 seem exchanged',
     'no excitation': 'joint1 never moves', 'clock jump': 'the clock jumps ahead',
     'link rate in degrees per second': 'but 57.3 times it', 'half lost': 'are missing in',
-    'milliseconds': 'another unit than seconds', 'motor in gear units': 'but 0.02 times it',
-    'torque reversed': 'wrong sign', 'slipped': 'jumps'}
+    'milliseconds': 'another unit than seconds', 'motor in gear units': '50.32 times as far',
+    'torque reversed': 'wrong sign', 'slipped': 'jumps',
+    'joints swapped': 'names of joint1 and joint2 seem exchanged',
+    'link encoders swapped': 'angles of one side of joint1 and joint2 seem exchanged',
+    'no angle': 'link angle of joint1 was not recorded', 'motor reversed': '-1.006 times as far',
+    'motor reversed, commands': 'motor velocity of joint1 is not', 'too short': 'are too short',
+    'torque in mN m': 'times what its twist', 'commands in mN m': 'times what its twist',
+    'commands reversed': 'wrong sign'}
 TOLD = {'torque clipped': (clipped, 'clipped'), 'samples repeated': (repeated, 'repeat'),
         'a tenth lost': (some_lost, 'missing'), 'one way': (one_way, 'forward only')}
 
@@ -146,7 +161,7 @@ def test_a_fault_of_the_data_ends_the_run_with_its_name(case, name):
     assert result.verdict == BAD_DATA
     assert result.findings == () and result.unexplained is None and result.gap is None
     assert result.faults and result.faults[0] in result.words
-    assert WORDS.get(name, '') in result.words
+    assert WORDS[name] in result.words
     assert 'was not recorded' not in result.words or name == 'no angle'
     assert 'data are at fault' in result.words
 

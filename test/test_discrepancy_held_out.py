@@ -6,6 +6,7 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
+from gms_flex_control.discrepancy.free_run import all_known, HORIZON
 from gms_flex_control.discrepancy.gap import farther, free_rms
 from gms_flex_control.discrepancy.naming import choices, helps
 from gms_flex_control.discrepancy.path import path_of
@@ -68,12 +69,13 @@ def test_without_free_runs_torque_decides():
 
 
 def test_what_helps_motion_much_and_torque_too_little_is_told():
-    near = [(0.6, 0.9, [('backlash', 'j1')]),
+    near = [(0.6, 0.9, [('backlash', 'j1')]), (np.nan, 0.1, [('drag', 'j1')]),
+            (0.1, 9.0, [('drag', 'j2')]),
             (0.33, 1.21, [('load_friction', 'j1'), ('torque_gain', 'j2')])]
     told = of_nearest(near)
     assert 'nearest comes load_friction of j1 and torque_gain of j2' in told
     assert '0.57 times' in told and '1.1 times' in told
-    assert of_nearest(near[:1]) == of_nearest([]) == ''
+    assert of_nearest(near[:3]) == of_nearest([]) == ''
 
 
 def test_free_runs_do_not_cross_holes():
@@ -90,9 +92,22 @@ def test_free_runs_do_not_cross_holes():
         problem = Problem([path_of(one, case.nominal)], case.nominal, 0.005)
         strays.append(free_rms(problem, problem.robot, np.zeros(len(problem.knobs))))
     assert np.all(strays[1] < 1.5 * strays[0])
-    nothing = replace(path_of(with_hole, case.nominal), known=np.zeros(len(hole), dtype=bool))
+    path = path_of(with_hole, case.nominal)
+    nothing = replace(path, known=np.zeros_like(path.known))
     assert np.all(np.isnan(free_rms(problem, problem.robot, np.zeros(len(problem.knobs)),
                                     [nothing])))
+
+
+@pytest.mark.parametrize('unread', [slice(None, 1), slice(-1, None), slice(100, 110)])
+def test_a_run_is_known_if_all_its_samples_were_read(unread):
+    time = 0.01 * np.arange(300)
+    path = SimpleNamespace(time=time, known=np.ones(300, dtype=bool))
+    path.known[unread] = False
+    starts = 0.5 * np.arange(6) - 0.004
+    expected = [np.all(path.known[(time >= start) & (time < start + HORIZON)])
+                for start in starts]
+    assert not all(expected)
+    assert list(all_known(path, starts)) == expected
 
 
 @pytest.mark.parametrize('duration', [2.2, 4.3, 6.2, 8.0, 9.1])

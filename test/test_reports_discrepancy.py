@@ -127,6 +127,11 @@ def test_pictures_are_drawn_of_any_names_and_of_nothing(tmp_path):
                         before=curve, after=curve, own=curve)
     edges = np.linspace(0.0, 1.0, 4)
     empty = Map('link equation', 'x [rad]', 'y [rad]', edges, edges, *np.full((2, 3, 3), np.nan))
+    chance = empty._replace(before=np.zeros((3, 3)), after=np.zeros((3, 3)))
+    norms = {(mesh.norm.vmin, mesh.norm.vmax) for mesh in [
+        mesh for panel in maps_figure([empty, chance], 'j').axes[:4]
+        for mesh in panel.collections]}
+    assert norms == {(-1.0, 1.0)}  # white, not the first of the colours
     along, before, chance = moving_joint(400)
     over = over_all(along, before, chance, chance)
     for name, figure in (('gap', gap_figure(gap)), ('evidence', evidence_figure(evidence)),

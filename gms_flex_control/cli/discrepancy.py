@@ -127,16 +127,27 @@ def write_files(result, compared, holdout, args):
 
     out = Path(args.out)
     values = files.report_values(result, holdout=args.holdout, models=compared)
-    earlier = [path for pattern in _MADE for path in out.glob(pattern)
-               if (out / 'report.json').exists()]
+    earlier = _earlier(out)
     written = write_discrepancy_report(result, out, holdout=holdout, models=compared)
     if result.robot is not None:
         files.write_robot(result, out / 'robot.yaml')
         written.append(out / 'robot.yaml')
     for path in set(earlier) - set(written):  # no longer true
         path.unlink()
-    files.write_report_values(values, out / 'report.json')  # at last: it says that all is there
+    files.write_report_values(values, out / 'report.json')  # at last
     return values
+
+
+def _earlier(out):
+    """Return the files in ``out`` that an earlier run of this verb has made."""
+    import json
+    try:
+        told = json.loads((out / 'report.json').read_text())
+    except (OSError, ValueError):
+        return []
+    if not isinstance(told, dict) or 'verdict' not in told:  # of another verb
+        return []
+    return [path for pattern in _MADE for path in out.glob(pattern)]
 
 
 def printed(result, compared, values, args):
@@ -200,11 +211,17 @@ def refuse_out(out, args):
 def refuse_fitted(args):
     """Raise ConfigError if a bag is both fitted and held out: its gap would tell nothing."""
     from gms_flex_control.errors import ConfigError
-    bags = {Path(bag).resolve() for bag in args.bags}
+    bags = {_folder_of(bag) for bag in args.bags}
     for bag in args.holdout:
-        if Path(bag).resolve() in bags:
+        if _folder_of(bag) in bags:
             raise ConfigError(f'{bag} is among the bags and in --holdout; data held out must '
                               'take no part in the fit: leave it out of one of them')
+
+
+def _folder_of(bag):
+    """Return the path of a bag, of its folder where a file of it is named."""
+    path = Path(bag).resolve()
+    return path.parent if (path.parent / 'metadata.yaml').is_file() else path
 
 
 def models_of(args, robot):

@@ -59,8 +59,8 @@ def refuse_own(places, options):
     for name in _FILES:
         for file in options[name]:
             if folders & set(Path(file).resolve().parents):
-                raise ConfigError(f'{file} would be replaced by the results of its bag; copy it '
-                                  'elsewhere, or name another folder as --out')
+                raise ConfigError(f'{file} lies in the folder of results of a bag, which may '
+                                  'replace it; copy it elsewhere, or name another folder as --out')
 
 
 def ask_bag(item):

@@ -11,7 +11,7 @@ from gms_flex_control.identification.checks import check
 from gms_flex_control.identification.findings import absent_joints, signals_of
 import numpy as np
 
-_OF_TORQUE = ('swapped_joints', 'torque_sign', 'torque_scale', 'unexplained')
+_OF_TORQUE = ('swapped_joints', 'swapped_sides', 'torque_sign', 'torque_scale', 'unexplained')
 
 
 def faults_of(recordings, robot):
@@ -52,16 +52,17 @@ def _faults(recording, robot):
     commanded = [joint for joint, known in zip(recording.joints, efforts, strict=True)
                  if not known]
     # a command is all that was asked for, clipped or not
-    found = [finding for finding in check(_with_commands(recording, commanded), robot)
+    checked = _with_commands(recording, commanded)
+    found = [finding for finding in check(checked, robot)
              if finding.kind != 'saturated' or finding.joint not in commanded]
-    return found + _of_commands(recording, robot, found)
+    return found + _of_commands(checked, robot, found)
 
 
 def _of_commands(recording, robot, found):
     """Return findings of commands that stand beside efforts and are not among those ``found``."""
     other = _with_commands(recording, recording.joints)
     if np.array_equal(other.tau_motor, recording.tau_motor, equal_nan=True):
-        return []
+        return []  # looked over already
     told = {(finding.kind, finding.joint) for finding in found}
     return [finding._replace(text=f'{finding.text} (of its torque commands, which the equations '
                              'take)')

@@ -47,7 +47,7 @@ class Finding:
     confusable_with : tuple of str
         Effects these data tell apart only weakly, or not.
     tells_apart : str
-        Motion that would tell; '' where nothing is confusable.
+        Motion that would tell it from those and the runner-up; '' where there is none.
     evidence : str
         One sentence.
     rms_before, rms_after : ndarray, shape (n,)
@@ -150,8 +150,8 @@ class Discrepancy:
     gap : Gap or None
         None where the data are bad.
     nearest : str
-        A sentence on effects that help free runs but torque too little, and are not added; ''
-        if there are none.
+        A sentence on effects that help free runs much, torque not enough, and are not added;
+        '' if there are none.
     robot : RobotParams or None
         With known parameters re-tuned and all findings.
     retuned : tuple of (str, str, float)

@@ -15,8 +15,8 @@ class Scale(NamedTuple):
     factor: float
 
     def told(self, value):
-        """Return a value in SI units as a number of this unit, three digits."""
-        return f'{self.factor * value:.3g}'
+        """Return a value in SI units as a number of this unit, three digits; '-' if it is none."""
+        return f'{self.factor * value:.3g}' if np.isfinite(value) else '-'
 
 
 _TORQUES = ((0.9, Scale('mN m', 1e3)), (900.0, Scale('N m', 1.0)), (np.inf, Scale('kN m', 1e-3)))

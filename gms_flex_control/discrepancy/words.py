@@ -10,7 +10,7 @@ from gms_flex_control.effects.registry import find
 import numpy as np
 
 _IN_FULL = 5  # findings that are said in full, and named
-_NEAR = 0.5   # of squared free runs: effects that leave less come near
+_NEAR = 0.5, 2.0  # of squares of free runs and of torque: effects that leave less come near
 IN_MOTION = ('Moments at which a link stands were left out: friction then holds what no model of '
              'these foresees.')
 
@@ -84,17 +84,18 @@ def of_nearest(near):
     str
 
     """
-    stray, torque, effects = min(near, default=(1.0, 1.0, []))
-    if stray > _NEAR:
+    near = [one for one in near if one[0] < _NEAR[0] and one[1] < _NEAR[1]]
+    if not near:
         return ''
+    stray, torque, effects = min(near)
     names = ' and '.join(f'{name} of {joint}' for name, joint in effects)
     return (f'nearest comes {names}: with it the free runs held out would stray '
             f'{stray ** 0.5:.2g} times as far and the torque missed there be {torque ** 0.5:.2g} '
-            'times as large, which is too little to add it.')
+            'times as large; to be added it would have to help both, or one of them more.')
 
 
 def tells_apart(effect, others):
-    """Return the motion that tells an effect from others (names), '' if there are none."""
+    """Return the motion that tells an effect from others, '' if there are none (a sequence)."""
     return find(effect).tells if others else ''
 
 
@@ -149,7 +150,7 @@ def paragraph(result):
         f'{angle.told(before)} -> {angle.told(after)} {angle.unit}'
         for before, after in zip(gap.free_before, gap.free_after, strict=True))
     parts.append(f'On data held out the residual torque is {torques}, and ' + (
-        'no half second is without a hole to be simulated' if np.isnan(gap.free_after).any() else
+        'free simulation of half a second tells nothing' if np.isnan(gap.free_after).any() else
         'half a second of free simulation, known parameters re-tuned, strays by '
         f'{strays}') + '.')
     return ' '.join(parts)

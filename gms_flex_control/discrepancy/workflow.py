@@ -143,8 +143,9 @@ def _discrepancy(recordings, robot, options, holdout, say):
         if moving.verdict == FOUND:
             result = replace(moving, words=f'{moving.words} {IN_MOTION}')
         elif moving.nearest:
-            result = replace(result, nearest=moving.nearest,
-                             words=f'{result.words} In motion alone: {moving.nearest}')
+            nearest = f'In motion alone: {moving.nearest}'
+            result = replace(result, nearest=f'{result.nearest} {nearest}'.lstrip(),
+                             words=f'{result.words} {nearest}')
     if problem.unseen:
         result = replace(result, words=f'{result.words} {of_unseen(sorted(problem.unseen))}')
     if faults:
@@ -313,7 +314,7 @@ def _told(problem, found, entries, known, options, holdout, say):
 
 
 def _tried(found):
-    """Return all hypotheses of the first scan, the best first."""
+    """Return all hypotheses of the first scan: the best of them, then those fitted roughly."""
     best = {(one.spec.name, one.spec.joint): one.gain for one in found.first}
     others = sorted((gain, key) for key, gain in found.scan.items() if key not in best)
     return (*(Tried(*key, gain, True) for key, gain in best.items()),
@@ -365,7 +366,7 @@ def _finding(problem, measured, found, known, one, whole, largest, options):
         share=min(one.loss / whole, 1.0), score=one.loss,
         runner_up=f'{others[0][0]} of {others[0][1]}' if others else None,
         runner_up_score=others[0][2] * one.loss if others else 0.0,
-        confusable_with=alike, tells_apart=tells_apart(spec.name, [*alike, *others]),
+        confusable_with=alike, tells_apart=tells_apart(spec.name, others),
         evidence=evidence_of(spec, one, others),
         rms_before=torque_rms(measured, one.less.robot, found.model.x),
         rms_after=torque_rms(measured, found.model.robot, found.model.x))

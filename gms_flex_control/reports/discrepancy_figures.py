@@ -36,11 +36,11 @@ def gap_figure(gap):
     figure, panels = side_by_side(2, height=1.6 + 0.75 * len(gap.joints))
     torque = torque_scale(gap.before)
     angle = angle_scale(gap.free_before)
-    _bars(panels[0], gap.joints, torque.factor, (
+    _bars(panels[0], gap.joints, torque, (
         ('as given', gap.before, GIVEN), ('known parameters re-tuned', gap.retuned, BEFORE),
         ('with the effects found', gap.after, AFTER),
         ('floor: nothing missing', gap.floor, FLOOR)))
-    _bars(panels[1], gap.joints, angle.factor, (
+    _bars(panels[1], gap.joints, angle, (
         ('known parameters re-tuned', gap.free_before, BEFORE),
         ('with the effects found', gap.free_after, AFTER),
         ('floor: nothing missing', gap.free_floor, FLOOR)))
@@ -60,8 +60,9 @@ def _bars(panel, joints, scale, groups):
     height, at = 0.8 / len(groups), np.arange(len(joints), dtype=float)
     for i, (name, values, colour) in enumerate(groups):
         drawn = panel.barh(at + (i - 0.5 * (len(groups) - 1)) * height,
-                           scale * np.nan_to_num(values), 0.9 * height, color=colour, label=name)
-        panel.bar_label(drawn, [f'{scale * value:.3g}' for value in values], fontsize=7.5,
+                           scale.factor * np.nan_to_num(values), 0.9 * height, color=colour,
+                           label=name)
+        panel.bar_label(drawn, [scale.told(value) for value in values], fontsize=7.5,
                         padding=2)
     panel.set_yticks(at, joints, parse_math=False)
     panel.invert_yaxis()
@@ -136,8 +137,8 @@ def maps_figure(maps, joint):
     FigureCanvasAgg(figure)
     panels = figure.subplots(2, len(maps), squeeze=False, sharex='col', sharey='col')
     scale = torque_scale([np.nan_to_num(one.before).ravel().max(initial=0.0) for one in maps])
-    largest = max((scale.factor * np.nanquantile(np.abs(one.before), 0.98) for one in maps
-                   if np.any(np.isfinite(one.before))), default=1.0)
+    largest = scale.factor * max(_usual(values) for one in maps
+                                 for values in (one.before, one.after)) or 1.0
     for one, (upper, lower) in zip(maps, panels.T, strict=True):
         for panel, values in ((upper, one.before), (lower, one.after)):
             drawn = panel.pcolormesh(one.x_edges, one.y_edges, scale.factor * values.T,
@@ -152,6 +153,12 @@ def maps_figure(maps, joint):
     figure.suptitle(f'{joint}: missing torque [{scale.unit}]\nknown parameters re-tuned (above), '
                     'with the effects found (below)', fontsize=10, parse_math=False)
     return figure
+
+
+def _usual(values):
+    """Return the size of all but the largest of what is neither unknown nor chance; else 0."""
+    sizes = np.abs(values)[np.abs(values) > 0.0]
+    return float(np.quantile(sizes, 0.98)) if sizes.size else 0.0
 
 
 def over_figure(found):

@@ -11,10 +11,11 @@ from gms_flex_control.errors import ConfigError
 from gms_flex_control.hidden.cases import in_turn
 
 # what an answer depends on
-_SOURCES = ('analysis', 'benchmarks/hidden_effects/outcome.py',
-            'benchmarks/hidden_effects/peers.py', 'control', 'discrepancy', 'dynamics', 'effects',
-            'friction', 'hidden', 'identification', 'params', 'recording.py', 'records.py',
-            'simulation', 'trajectory')
+_SOURCES = ('analysis', 'benchmarks/hidden_effects/judgement.py',
+            'benchmarks/hidden_effects/outcome.py', 'benchmarks/hidden_effects/peers.py',
+            'blas.py', 'compiled.py', 'control', 'discrepancy', 'dynamics', 'effects', 'friction',
+            'hidden', 'identification', 'params', 'recording.py', 'records.py', 'simulation',
+            'trajectory')
 
 
 class Job(NamedTuple):
