@@ -147,6 +147,19 @@ def test_what_sticks_is_measured_by_the_noise_of_what_sticks():
     assert [one.effect for one in (*result.findings, *result.minor)] == ['motor_coulomb']
 
 
+def test_two_effects_are_not_merged_into_one_that_has_no_value():
+    """
+    In the paper's polynomial the joints hardly turn, and friction there may vary with place.
+
+    A wave so long that it hardly is one explained as much as Coulomb friction and another wave,
+    took their place, and was not named, as its order was where the search for orders ends.
+    """
+    result, found, truth = outcome('single', 17, motion='polynomial')
+    assert [one.effect for one in found] == ['coulomb_error']
+    assert found[0].values[0].value == pytest.approx(truth.effects[0].values[0], rel=0.01)
+    assert np.all(result.gap.free_after < 0.3 * result.gap.free_before)
+
+
 @pytest.mark.parametrize(('seed', 'plant'), [(0, 'soft'), (1, 'stiff'), (2, None)])
 def test_of_a_robot_that_lacks_nothing_nothing_is_said(seed, plant):
     """Parameters 1 to 3 % off, counts and noise, as always."""

@@ -146,7 +146,8 @@ class _Hunt:
             worth = self._gain * max(larger, 0.2)
             if larger > 0:
                 worth += _BETTER * (less.cost - model.cost)
-            if self._problem.exact_cost(model) - self._problem.exact_cost(other) > worth:
+            if (self._problem.exact_cost(model) - self._problem.exact_cost(other) > worth
+                    and (_ends_at_limit(other) <= is_at_limit(effects[i], model.robot))):
                 self._say(f'{one.spec.name} instead of {effects[i].name}')
                 self.take(other)
                 return True
@@ -168,7 +169,8 @@ class _Hunt:
                 continue
             other = fit(problem, with_effect(less.robot, one.spec), model.x, columns,
                         first=self._known, iterations=_PATIENT)
-            if problem.exact_cost(other) < problem.exact_cost(model) + self._gain:
+            if (problem.exact_cost(other) < problem.exact_cost(model) + self._gain
+                    and not _ends_at_limit(other)):
                 self._say(f'{one.spec.name} instead of two')
                 self.take(other)
                 return True
@@ -218,7 +220,7 @@ class _Hunt:
         model = self.model
         close = [one for one in ranked[:_SHORTLIST] if one.gain > _CLOSE * ranked[0].gain]
         fits = [self._added(one) for one in close]
-        fits = [one for one in fits if not is_at_limit(one.robot.effects[-1], one.robot)] or fits
+        fits = [one for one in fits if not _ends_at_limit(one)] or fits
         fits = self._with_a_future(fits)
         best = model.cost - min(one.cost for one in fits)
         alike = [one for one in fits if model.cost - one.cost >= best - _SIMPLER * abs(best)]
@@ -268,6 +270,11 @@ class _Hunt:
         """Go on with a model, its effects fitted together."""
         self.model, self.columns = refitted(self._problem, fitted.robot, fitted.x, self._knobs,
                                             self._known, iterations=2)
+
+
+def _ends_at_limit(model):
+    """Return whether the last effect of a model has no value, see `is_at_limit`."""
+    return is_at_limit(model.robot.effects[-1], model.robot)
 
 
 def retuned(problem, robot, x):
