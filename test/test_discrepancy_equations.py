@@ -264,7 +264,7 @@ def test_short_recordings_have_blocks_held_out_too(robot, gains, lengths):
 
 
 @pytest.mark.parametrize(('size', 'said'), [(0.0123, '12.3 mN m'), (4.2, '4.2 N m'),
-                                            (4630.0, '4.63 kN m'), (np.nan, 'nan mN m')])
+                                            (4630.0, '4.63 kN m'), (np.nan, '- mN m')])
 def test_torques_are_told_in_units_that_suit(size, said):
     scale = torque_scale([size, 0.001])
     assert f'{scale.told(size)} {scale.unit}' == said

@@ -5,6 +5,7 @@
 
 from dataclasses import replace
 
+from gms_flex_control.discrepancy.data_faults import faults_of
 from gms_flex_control.discrepancy.result import BAD_DATA, UNEXPLAINED
 from gms_flex_control.discrepancy.workflow import discrepancy, Options
 from gms_flex_control.effects.registry import names
@@ -180,8 +181,14 @@ def test_a_fault_of_the_recording_held_out_counts_too(case):
 @pytest.mark.parametrize('name', TOLD)
 def test_a_fault_with_which_one_can_go_on_is_told(case, name):
     change, word = TOLD[name]
-    result = discrepancy([change(case.recording)], case.nominal, Options(most=0))
-    assert any(word in fault for fault in result.faults), result.faults
+    found = faults_of([change(case.recording)], case.nominal)
+    assert any(word in finding.text for finding in found), found
+    assert all(finding.severity == 'warn' for finding in found)
+
+
+def test_one_goes_on_with_faults_that_are_told(case):
+    result = discrepancy([clipped(case.recording)], case.nominal, Options(most=0))
+    assert result.verdict != BAD_DATA and 'clipped' in result.words
 
 
 def test_a_command_is_all_that_was_asked_for_clipped_or_not(case):
