@@ -98,6 +98,7 @@ def is_at_limit(spec, robot):
     kind = find(spec.name)
 
     def is_end(limit, allowed, unit):
+        """Return whether a limit of the search, beside what the catalogue allows, is no value."""
         return limit != allowed or (np.isfinite(limit) and limit != 0.0 and unit != '1')
     return any(
         is_end(lower, one.lower, one.unit) and value < lower + _AT_LIMIT * abs(lower)

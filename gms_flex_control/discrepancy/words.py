@@ -94,6 +94,11 @@ def of_nearest(near):
             'times as large; to be added it would have to help both, or one of them more.')
 
 
+def capitalised(text):
+    """Return a text (not empty) with a capital at its beginning, the rest as it is."""
+    return text[0].upper() + text[1:]
+
+
 def tells_apart(effect, others):
     """Return the motion that tells an effect from others, '' if there are none (a sequence)."""
     return find(effect).tells if others else ''
@@ -138,7 +143,7 @@ def paragraph(result):
         parts.append(f'Something is there that the catalogue does not explain: '
                      f'{result.unexplained.sentence}')
     if result.nearest:
-        parts.append(result.nearest[0].upper() + result.nearest[1:])
+        parts.append(capitalised(result.nearest))
     torque, angle = torque_scale(gap.before), angle_scale(gap.free_before)
     torques = ', '.join(
         f'{torque.told(before)} -> {torque.told(after)} {torque.unit} ({joint}, floor '

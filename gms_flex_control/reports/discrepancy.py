@@ -4,12 +4,12 @@
 """The report of a discrepancy: what the model lacks, why, and how much closer it came."""
 
 from pathlib import Path
-import re
 
 from gms_flex_control.discrepancy.free_run import all_known, free_runs, HORIZON
 from gms_flex_control.discrepancy.path import path_of
 from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE, FOUND, UNEXPLAINED
 from gms_flex_control.discrepancy.units import torque_scale
+from gms_flex_control.discrepancy.words import capitalised
 from gms_flex_control.effects.registry import find
 from gms_flex_control.reports.discrepancy_figures import (
     evidence_figure,
@@ -25,7 +25,7 @@ from gms_flex_control.reports.discrepancy_views import (
     over_all,
     residuals_of,
 )
-from gms_flex_control.reports.figures import save_figure
+from gms_flex_control.reports.figures import file_stem, save_figure
 from gms_flex_control.reports.model_comparison import comparison_rows
 from gms_flex_control.reports.page import Curve, Report, Series
 import numpy as np
@@ -140,7 +140,8 @@ def _add_findings(report, result, along, model, picture):
             report.note(f'These data hardly tell it from {", ".join(finding.confusable_with)}: '
                         f'{finding.tells_apart} would tell.', warning=True)
         evidence = evidence_of(along, model, finding)
-        report.figure(picture(evidence_figure(evidence), f'evidence_{i + 1}_{_stem(finding)}.png'),
+        stem = file_stem(f'{finding.effect}_{finding.joint}')
+        report.figure(picture(evidence_figure(evidence), f'evidence_{i + 1}_{stem}.png'),
                       f'{finding.effect} of {finding.joint}: over {evidence.x_label}')
         _add_evidence_chart(report, evidence)
 
@@ -156,10 +157,6 @@ def _finding_row(finding, scale):
 def _summary_of(effect):
     lines = (find(effect).__doc__ or '').strip().splitlines()
     return lines[0] if lines else ''
-
-
-def _stem(finding):
-    return re.sub(r'[^A-Za-z0-9_-]+', '_', f'{finding.effect}_{finding.joint}')
 
 
 def _add_evidence_chart(report, evidence):
@@ -186,7 +183,7 @@ def _add_left(report, result):
     report.heading('What is unexplained')
     report.note(left.sentence, warning=True)
     if result.nearest:
-        report.text(result.nearest[0].upper() + result.nearest[1:])
+        report.text(capitalised(result.nearest))
     report.table(('share of what was missing', 'equation', 'joint', 'depends most on'),
                  [(f'{100.0 * left.share:.1f} %', left.equation, left.joint, left.variable)])
 
@@ -199,7 +196,7 @@ def _add_residuals(report, along, found, picture):
                 'where the motion did not go.')
     over = over_all(along, before, after, clean)
     for j, joint in enumerate(along.joints):
-        name = f'{re.sub(r"[^A-Za-z0-9_-]+", "_", joint)}_{j + 1}'
+        name = f'{file_stem(joint)}_{j + 1}'
         report.figure(picture(maps_figure(maps_of(along, before, after, j), joint),
                               f'map_{name}.png'), f'{joint}: maps of the missing torque')
         for equation, _ in along.channels(j):

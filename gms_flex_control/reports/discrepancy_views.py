@@ -139,12 +139,12 @@ def further(path, j):
     last = np.maximum.accumulate(np.where(rate != 0.0, np.arange(len(rate)), 0))
     turns = np.concatenate([[True], np.diff(np.sign(rate[last])) != 0.0])
     travelled = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(angle)))])
-    return {'direction': np.sign(rate) * is_moving(rate),
+    return {'direction': np.sign(rate) * _moves(rate),
             'distance since reversal':
                 travelled - np.maximum.accumulate(np.where(turns, travelled, 0.0))}
 
 
-def is_moving(rate):
+def _moves(rate):
     """Return where a joint moves, by its rates (S,), bool."""
     return np.abs(rate) > _MOVING * np.sqrt(np.mean(rate ** 2))
 
@@ -247,7 +247,7 @@ def _shown_over(along, spec, own, j):
     if wanted == 'time':
         return (along.variables(j)[wanted], 'time [s]', np.where(own < 0.0, -1.0, 1.0),
                 'the sign of the effect')
-    moving = is_moving(rate)
+    moving = _moves(rate)
     factors = [(np.ones(len(own)), '')]
     if moving.sum() > _LEAST * 8:
         factors.append((np.sign(rate) * moving, 'the direction of motion'))

@@ -3,6 +3,8 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Pictures like the paper's Figs. 6 to 10, for print: matplotlib without a display."""
 
+import re
+
 from gms_flex_control.analysis.table4 import PAPER_WITHOUT
 from gms_flex_control.analysis.tracking import link_error
 from gms_flex_control.files import atomic_path
@@ -103,6 +105,11 @@ def _plot_error(panel, run, i):
     panel.plot(recording.time[keep], 1e3 * link_error(recording)[keep, i],
                STYLES[{1: 0, 2: 2, 0: 0}.get(index, 1)], color=COLOURS[index],
                label=compensation_name(run.compensation))
+
+
+def file_stem(text):
+    """Return a text, such as the name of a joint, as part of the name of a file."""
+    return re.sub(r'[^A-Za-z0-9_-]+', '_', text)
 
 
 def save_figure(figure, path):

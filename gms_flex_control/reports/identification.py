@@ -4,7 +4,6 @@
 """The report of an identification: what can be trusted, shown in pictures and tables."""
 
 from pathlib import Path
-import re
 
 from gms_flex_control.identification.beside import known_presliding, known_steady, known_values
 from gms_flex_control.identification.words import (
@@ -22,7 +21,7 @@ from gms_flex_control.identification.words import (
     standing,
     STANDINGS,
 )
-from gms_flex_control.reports.figures import save_figure
+from gms_flex_control.reports.figures import file_stem, save_figure
 from gms_flex_control.reports.identification_figures import (
     DIRECTIONS,
     held_out_figure,
@@ -85,9 +84,8 @@ def _save_pictures(identification, folder, beside):
     save_figure(held_out_figure(identification.joints), path)
     yield path, 'Errors on data that took no part in the fit'
     for i, result in enumerate(identification.joints):
-        stem = re.sub(r'[^A-Za-z0-9_-]+', '_', result.joint)
-        clash = any(re.sub(r'[^A-Za-z0-9_-]+', '_', other.joint) == stem
-                    for other in identification.joints[:i])
+        stem = file_stem(result.joint)
+        clash = any(file_stem(other.joint) == stem for other in identification.joints[:i])
         stem = f'{stem}_{i + 1}' if clash else stem
         steady, curve = _known_curves(result, beside)
         figures = [('map', map_figure(result, steady), 'friction over velocity'),
