@@ -280,7 +280,7 @@ def test_a_wave_that_hardly_turns_is_none():
     hidden, = case.truth.effects
     same = ('motor_torque_bias', 'spring_offset', 'constant_link_torque')
     result = discrepancy([case.recording], case.nominal, Lacking(without=same[:1]))
-    assert hidden.name == same[0] and {one.effect for one in result.added} == set(same[1:])
+    assert hidden.name == same[0] and {one.effect for one in result.named} == set(same[1:])
     waves = ('link_encoder_eccentricity', 'kinematic_error', 'friction_asymmetry', 'gravity_tilt')
     result = discrepancy([case.recording], case.nominal, Lacking(without=(*same, *waves)))
     assert result.verdict == UNEXPLAINED, result.words
@@ -322,8 +322,8 @@ def test_torque_constant_and_inertia_are_told_by_the_spring():
     q_link, _, q_motor, _ = np.moveaxis(motion.measured, 1, 0)
     result = discrepancy([recorded(robot, time, q_link, q_motor, motion.command, reference)],
                          nominal)
-    assert {one.effect: one.joint for one in result.added} == dict.fromkeys(hidden, 'joint1')
-    for one in result.added:
+    assert {one.effect: one.joint for one in result.named} == dict.fromkeys(hidden, 'joint1')
+    for one in result.named:
         assert one.values[0].value == pytest.approx(hidden[one.effect], abs=DOUBT)
 
 

@@ -8,13 +8,15 @@ from types import SimpleNamespace
 
 from gms_flex_control.discrepancy.free_run import all_known, HORIZON
 from gms_flex_control.discrepancy.gap import farther, free_rms
-from gms_flex_control.discrepancy.naming import choices, helps
+from gms_flex_control.discrepancy.naming import choices, helps, makes_worse
 from gms_flex_control.discrepancy.path import path_of
 from gms_flex_control.discrepancy.problem import BLOCK, Problem
-from gms_flex_control.discrepancy.result import Gap
+from gms_flex_control.discrepancy.result import FOUND, Gap
 from gms_flex_control.discrepancy.words import of_nearest
 from gms_flex_control.discrepancy.workflow import discrepancy
 from gms_flex_control.hidden.cases import make_case
+from gms_flex_control.reports.discrepancy import write_discrepancy_report
+from gms_flex_control.reports.discrepancy_values import report_values, write_robot
 import numpy as np
 import pytest
 
@@ -39,6 +41,40 @@ def test_effects_must_help_on_data_held_out(told, expected):
     assert helps(told, much=False) is expected
     assert not helps(gap(torque=0.6, stray=0.6), much=True)
     assert not helps(gap(stray=1.001), much=False, strictly=True)
+
+
+def test_what_makes_a_model_worse_is_named_and_not_added(tmp_path):
+    """A true spring with which links break loose a moment sooner in some free runs."""
+    assert not makes_worse(gap(torque=1.01, stray=1.01))
+    assert makes_worse(gap(torque=1.05)) and makes_worse(gap(stray=1.05))
+    case = make_case('single', 75)
+    result = discrepancy([case.recording], case.nominal, holdout=[case.held_out])
+    assert result.verdict == FOUND
+    assert [(one.effect, one.joint) for one in result.named] == [
+        (one.name, one.joint) for one in case.truth.effects]
+    assert result.named[0].rms_after[1] < 0.8 * result.named[0].rms_before[1]
+    assert 'stray 1.0' in result.withheld and result.withheld in result.words
+    assert result.robot.effects == ()
+    for before, after in ((result.gap.retuned, result.gap.after),
+                          (result.gap.free_before, result.gap.free_after)):
+        np.testing.assert_array_equal(before, after)
+    write_robot(result, tmp_path / 'robot.yaml')
+    assert 'not added to the model' in ' '.join(
+        (tmp_path / 'robot.yaml').read_text().replace('#', ' ').split())
+    assert report_values(result)['withheld'] == result.withheld
+    page = write_discrepancy_report(result, tmp_path, holdout=[case.held_out])[0].read_text()
+    assert 'They are named for what they explain' in page
+
+
+def test_an_effect_that_explains_a_trifle_is_not_the_first():
+    """Though it makes a larger torque, which others nearly cancel."""
+    case = make_case('single', 45, motion='polynomial')
+    result = discrepancy([case.recording], case.nominal, holdout=[case.held_out])
+    first, *others = result.named
+    assert result.findings[0] is first
+    assert (first.effect, first.joint) == ('motor_coulomb', 'joint1')
+    larger = max(others, key=lambda one: one.torque)
+    assert larger.torque > 2.0 * first.torque and larger.score < 0.05 * first.score
 
 
 def test_what_many_share_may_be_named_by_what_alone_explains_most():
@@ -129,7 +165,7 @@ def test_blocks_are_held_out_in_which_a_stop_is_met():
                             < stop.values[0]]
     assert len(beyond) and not np.any((beyond // BLOCK).astype(int) % 4 == 3)
     result = discrepancy([recording], case.nominal)
-    problem, _ = result.found
+    problem = result.behind.problem
     held_out = problem.whitenings[0].time[problem.moments_held_out[0]]
     assert np.isin(np.rint(held_out / 0.02), np.rint(beyond / 0.02)).any()
     assert [one.effect for one in result.findings] == ['end_stop']

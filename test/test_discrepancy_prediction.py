@@ -50,3 +50,11 @@ def test_a_delay_and_a_lag_are_told_apart_in_a_closed_loop(seed, effect):
     first = result.findings[0]
     assert (first.effect, first.joint) == (effect, hidden.joint)
     assert next(iter(first.parameters.values())) == pytest.approx(hidden.values[0], rel=0.05)
+
+
+def test_a_delay_is_told_from_a_lag_beside_which_inertia_would_be_smaller():
+    """Errors of prediction are torques: with a lag, and 3 % less inertia, they are smaller."""
+    case = make_case('single', 49, motion='polynomial')
+    result = discrepancy([case.recording], case.nominal, holdout=[case.held_out])
+    assert [(one.effect, one.joint) for one in result.named] == [('input_delay', 'joint1')] == [
+        (one.name, one.joint) for one in case.truth.effects]

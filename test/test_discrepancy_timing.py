@@ -71,9 +71,9 @@ def test_uneven_samples_with_true_stamps_are_no_effect(plant_kind, effects):
     nominal = draw_belief(rng, robot)
     result = discrepancy([uneven_recording(replace(robot, effects=effects), tones, 3)], nominal)
     assert result.verdict == (FOUND if effects else COMPLETE), result.words
-    assert [(one.effect, one.joint) for one in result.added] == [
+    assert [(one.effect, one.joint) for one in result.named] == [
         (spec.name, spec.joint) for spec in effects]
-    for one, spec in zip(result.added, effects, strict=True):
+    for one, spec in zip(result.named, effects, strict=True):
         assert one.values[0].value == pytest.approx(spec.values[0], rel=0.05)
 
 

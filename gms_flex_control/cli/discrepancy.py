@@ -88,7 +88,7 @@ def answered(args):
     result = looped(args, robot, holdout or takes,
                     lambda: searched(takes, robot, options, holdout, args))
     compared = ()
-    if others and result.found is not None:
+    if others and result.behind is not None:
         compared = compare(result, [('as given', robot), ('with what was found', result.robot),
                                     *others], holdout)
     return result, compared, holdout

@@ -213,7 +213,7 @@ def with_closed_loop(result, recordings, gains):
     """
     if result.gap is None:
         return result
-    again = closed_loop_of(*result.found[:2], recordings, gains)
+    again = closed_loop_of(*result.behind[:2], recordings, gains)
     return replace(result, gap=replace(result.gap, closed_loop=again),
                    words=f'{result.words} {sentence_of(again)}')
 

@@ -21,6 +21,7 @@ import numpy as np
 _TAKEN = 0.003        # of its own rows: what else could take its place leaves less than this
 _SURE = 0.05          # likewise: a small effect that others can make but for this is not named
 _CONFUSABLE = 0.98    # cosine, all else re-tuned
+_TRIFLE = 0.05        # of the most that one effect explains
 _RUNNERS = 6          # hypotheses tried in the place of a finding
 
 
@@ -58,6 +59,9 @@ def judged(problem, found, known):
     """
     Return what each effect is worth, the heaviest first.
 
+    But none that explains a trifle before one that explains most: where others nearly cancel an
+    effect, the torque it makes says little of what it is worth.
+
     Parameters
     ----------
     problem : Problem
@@ -80,7 +84,19 @@ def judged(problem, found, known):
         retuned = least_cost(problem, less, others)
         out.append(Judged(i, float(change @ change), max(retuned - model.cost, 0.0), torque, less,
                           others))
-    return sorted(out, key=lambda one: -one.weight)
+    least = _least_loss(out)
+    return sorted(out, key=lambda one: (one.loss < least, -one.weight))
+
+
+def _least_loss(entries):
+    """Return what an effect must explain to be no trifle beside the one that explains most."""
+    return _TRIFLE * max((one.loss for one in entries), default=0.0)
+
+
+def explain_most(entries):
+    """Return those of the Judged that are no trifle beside the one that explains most."""
+    least = _least_loss(entries)
+    return [one for one in entries if one.loss >= least]
 
 
 def is_sure(one):

@@ -51,6 +51,16 @@ def helps(gap, much, strictly=False):
     return min(torque, stray) < 1.0 and torque < _CHANCE and stray < farthest
 
 
+def makes_worse(gap):
+    """
+    Return whether torque or free runs are farther off with the effects than without.
+
+    Such effects may still be there: a truth that makes a link break loose a moment sooner or later
+    may lead free runs astray. But a model is not made worse for the sake of a name.
+    """
+    return bool(max(gap.energy_ratio, strayed(gap)) > _FARTHEST[0])
+
+
 def strayed(gap):
     """Return the squared strays of free runs, after over before; 1 if there are no runs."""
     before, after = (float(np.sum(errors ** 2)) for errors in (gap.free_before, gap.free_after))

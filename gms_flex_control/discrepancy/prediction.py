@@ -31,8 +31,9 @@ def prediction_cost(problem, models, joint):
     ----------
     problem : Problem
         With the recordings.
-    models : sequence of Fitted
-        Of equal inertia, or their equations are no errors of the same readings.
+    models : sequence of (RobotParams, ndarray)
+        Robots and their knobs (P,). Only those of equal inertia compare: the equations are errors
+        of readings times inertia.
     joint : str
         Whose equations.
 
@@ -49,8 +50,8 @@ def prediction_cost(problem, models, joint):
         fine = at_full_rate(path)
         usable = fine.known & (np.abs(fine.time - 0.5 * (fine.time[0] + fine.time[-1]))
                                < 0.5 * np.ptp(fine.time) - _EDGE)
-        for i, model in enumerate(models):
-            left = unexplained(fine, problem.constants(model.robot, model.x))[:, [j, n + j]]
+        for i, (robot, x) in enumerate(models):
+            left = unexplained(fine, problem.constants(robot, x))[:, [j, n + j]]
             costs[i] += _innovation_cost(left[:, np.any(left, axis=0)], usable, fine.period)
     return costs
 

@@ -133,6 +133,14 @@ class Tried(NamedTuple):
     bounded: bool   # within the bounds of its parameters, found for the best; else left aside
 
 
+class Behind(NamedTuple):
+    """The search behind what is said, for figures."""
+
+    problem: object  # Problem: the rows
+    found: object    # Found: what it ended with, less what is withheld
+    named: object    # Fitted: with all findings
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Discrepancy:
     """
@@ -152,8 +160,10 @@ class Discrepancy:
     nearest : str
         A sentence on effects that help free runs much, torque not enough, and are not added;
         '' if there are none.
+    withheld : str
+        A sentence on why findings are named but not added to the robot, '' if they are.
     robot : RobotParams or None
-        With known parameters re-tuned and all findings.
+        With known parameters re-tuned and all findings, unless they are withheld.
     retuned : tuple of (str, str, float)
         Known parameter, joint and relative change.
     tried : tuple of Tried
@@ -166,7 +176,7 @@ class Discrepancy:
         Time it took.
     words : str
         One paragraph.
-    found : object
+    behind : Behind or None
         The search behind it, for figures.
 
     """
@@ -178,6 +188,7 @@ class Discrepancy:
     unexplained: Signature | None = None
     gap: Gap | None = None
     nearest: str = ''
+    withheld: str = ''
     robot: object = None
     retuned: tuple = ()
     tried: tuple = ()
@@ -185,9 +196,9 @@ class Discrepancy:
     sources: tuple = ()
     seconds: float = 0.0
     words: str = ''
-    found: object = None
+    behind: Behind | None = None
 
     @property
-    def added(self):
+    def named(self):
         """Return all findings, those that matter first."""
         return (*self.findings, *self.minor, *self.undecided)

@@ -38,7 +38,7 @@ _FEW = 3              # effects: one is looked for in the place of two
 _NEARLY = 0.95        # of what others explain: what one in their place does at a first guess
 _PATIENT = 8          # iterations: one begins far from where it does what two did
 _LIKELY = 2           # ones that are fitted in full
-_TELLS = 10.0         # twice a logarithm of likelihood: with less, one predicts like the other
+_TELLS = 20.0         # twice a logarithm of two likelihoods: with less, one is like the other
 
 
 class Found(NamedTuple):
@@ -184,21 +184,29 @@ class _Hunt:
             self.take(model)
 
     def tell_late(self):
-        """Put a lag in the place of a delay, or the other way, where it predicts better."""
+        """
+        Put a lag in the place of a delay, or the other way, where it predicts better.
+
+        Both beside all else as it was fitted with the one, and as with the other: errors of
+        prediction are torques, which a smaller inertia makes smaller.
+        """
         for i in range(self._known, len(self.model.robot.effects)):
             robot = self.model.robot
-            spec, before, after = robot.effects[i], robot.effects[:i], robot.effects[i + 1:]
+            spec, others = robot.effects[i], robot.effects[:i] + robot.effects[i + 1:]
             if spec.name not in LATE:
                 continue
             name, = LATE - {spec.name}
             late = replace(spec, name=name, values=(
                 min(spec.values[0], find(name).parameters[0].upper),))
-            if not may_join(late, replace(robot, effects=before + after), self._known):
+            if not may_join(late, replace(robot, effects=others), self._known):
                 continue
-            other = fit(self._problem, replace(robot, effects=(*before, late, *after)),
-                        self.model.x, self._knobs, first=self._known)
-            costs = prediction_cost(self._problem, (self.model, other), spec.joint)
-            if costs[1] < costs[0] - _TELLS:
+            other = fit(self._problem, _with_instead(robot, i, late), self.model.x, self._knobs,
+                        first=self._known)
+            costs = prediction_cost(self._problem, [
+                (_with_instead(model.robot, i, one), model.x)
+                for one in (spec, other.robot.effects[i]) for model in (self.model, other)],
+                spec.joint)
+            if sum(costs[2:]) < sum(costs[:2]) - _TELLS:
                 self._say(f'{name} instead of {spec.name}')
                 self.take(other)
 
@@ -270,6 +278,11 @@ class _Hunt:
         """Go on with a model, its effects fitted together."""
         self.model, self.columns = refitted(self._problem, fitted.robot, fitted.x, self._knobs,
                                             self._known, iterations=2)
+
+
+def _with_instead(robot, i, spec):
+    """Return a robot with another in the place of its i-th effect."""
+    return replace(robot, effects=(*robot.effects[:i], spec, *robot.effects[i + 1:]))
 
 
 def _ends_at_limit(model):

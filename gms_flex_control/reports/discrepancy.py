@@ -92,11 +92,11 @@ def add_discrepancy(report, result, folder, *, holdout=(), models=()):
         return path
 
     _add_summary(report, result)
-    if result.found is not None:
-        problem, found = result.found[:2]
+    if result.behind is not None:
+        problem, found, named = result.behind
         along = Along(problem)
         report.figure(picture(gap_figure(result.gap), 'gap.png'), 'The gap on data held out')
-        _add_findings(report, result, along, found.model, picture)
+        _add_findings(report, result, along, named, picture)
         _add_left(report, result)
         _add_residuals(report, along, found, picture)
         _add_free_runs(report, problem, found, holdout)
@@ -120,7 +120,7 @@ def _add_summary(report, result):
 
 
 def _add_findings(report, result, along, model, picture):
-    findings = result.added
+    findings = result.named
     if not findings:
         return
     report.heading('What was found')
@@ -132,6 +132,8 @@ def _add_findings(report, result, along, model, picture):
         'The largest first; small ones (*) are below what matters in practice, and where one '
         'could also be another its name is but one of several. Share: of what re-tuning cannot '
         'explain, what would be left without the effect')
+    if result.withheld:
+        report.note(result.withheld, warning=True)
     for i, finding in enumerate(findings[:MOST_PICTURES]):
         report.heading(f'{finding.effect} of {finding.joint}', level=3)
         report.text(_summary_of(finding.effect))

@@ -50,7 +50,7 @@ def report_values(result, *, holdout=(), models=()):
         'minor': [finding_values(finding, joints) for finding in result.minor],
         'undecided': [finding_values(finding, joints) for finding in result.undecided],
         'unexplained': result.unexplained._asdict() if result.unexplained else None,
-        'nearest': result.nearest,
+        'nearest': result.nearest, 'withheld': result.withheld,
         'gap': gap_values(result.gap) if result.gap is not None else None,
         'retuned': [{'parameter': name, 'joint': joint, 'change': change}
                     for name, joint, change in result.retuned],
@@ -192,6 +192,8 @@ def _comment(result):
                                result.undecided)):
         if findings:
             lines.append(f'{heading}: ' + '; '.join(named(one) for one in findings) + '.')
+    if result.withheld:
+        lines.append(result.withheld)
     changes = [f'{name} of {joint} {100.0 * change:+.2f} %'
                for name, joint, change in result.retuned if abs(change) >= _LEAST]
     if changes:

@@ -385,9 +385,9 @@ def over_all(along, *residuals):
 
 def over_of(result):
     """Return what the residuals of a Discrepancy depend on, list of Over; of bad data none."""
-    if result.found is None:
+    if result.behind is None:
         return []
-    problem, found = result.found[:2]
+    problem, found = result.behind[:2]
     along = Along(problem)
     return over_all(along, *residuals_of(along, found))
 

@@ -42,7 +42,7 @@ def compare(result, models, holdout=()):
     list of Compared
 
     """
-    problem, _ = result.found
+    problem = result.behind.problem
     measured = problem
     if holdout:
         measured = problem.of_others([path_of(recording, problem.robot)

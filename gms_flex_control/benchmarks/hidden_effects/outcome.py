@@ -81,7 +81,7 @@ def ask_workflow(case, without):
                 'parameters': {name: float(value) for name, value in one.parameters.items()},
                 'runner_up': str(one.runner_up), 'confusable_with': list(map(
                     str, one.confusable_with)), 'decided': one not in result.undecided}
-                for one in result.added]}, result
+                for one in result.named]}, result
 
 
 def ask_peers(case, without):
@@ -102,9 +102,9 @@ def gain_of_truth(result, effect):
     """
     from gms_flex_control.discrepancy.problem import with_effect
     from gms_flex_control.discrepancy.search import retuned
-    if result.found is None:
+    if result.behind is None:
         return None
-    problem, found = result.found
+    problem, found = result.behind[:2]
     try:
         model, _ = retuned(problem, with_effect(problem.robot, effect), found.before.x)
     except _FAILURES:
