@@ -63,7 +63,7 @@ def test_what_makes_a_model_worse_is_named_and_not_added(tmp_path):
         (tmp_path / 'robot.yaml').read_text().replace('#', ' ').split())
     assert report_values(result)['withheld'] == result.withheld
     page = write_discrepancy_report(result, tmp_path, holdout=[case.held_out])[0].read_text()
-    assert 'They are named for what they explain' in page
+    assert 'What is named here is not added to the model' in page
 
 
 def test_an_effect_that_explains_a_trifle_is_not_the_first():

@@ -87,7 +87,8 @@ class Gap:
         Names.
     before, retuned, after, floor : ndarray, shape (n,)
         Residual torque [N m]: of the model as given, with known parameters re-tuned, with the
-        effects found, and what a run of the model shows in which nothing is missing.
+        effects found unless they are withheld, and what a run of that model shows in which
+        nothing is missing.
     free_before, free_after, free_floor : ndarray, shape (n,)
         Angle by which runs of half a second stray, rms [rad]; before is re-tuned; NaN where no
         half second held out was read without a hole.

@@ -109,9 +109,9 @@ def of_withheld(torque, stray):
     str
 
     """
-    return ('They are named for what they explain, but not added to the model: on data held out '
-            f'the torque missed would be {torque ** 0.5:.2g} times as large with them, and free '
-            f'runs would stray {stray ** 0.5:.3g} times as far.')
+    return ('What is named here is not added to the model: on data held out the torque missed '
+            f'would be {torque ** 0.5:.2g} times as large with it, and free runs would stray '
+            f'{stray ** 0.5:.3g} times as far.')
 
 
 def capitalised(text):
