@@ -78,7 +78,7 @@ def run(args):
 def answered(args):
     """Return the Discrepancy of --robot with bags, Compared models, recordings held out."""
     from gms_flex_control.cli.identify import read_take
-    from gms_flex_control.reports.model_comparison import compare
+    from gms_flex_control.reports.model_comparison import as_found, compare
     from gms_flex_control.schema.files import load_robot
 
     options, robot = options_of(args), load_robot(args.robot)
@@ -89,7 +89,7 @@ def answered(args):
                     lambda: searched(takes, robot, options, holdout, args))
     compared = ()
     if others and result.behind is not None:
-        compared = compare(result, [('as given', robot), ('with what was found', result.robot),
+        compared = compare(result, [('as given', robot), ('with what was found', as_found(result)),
                                     *others], holdout)
     return result, compared, holdout
 

@@ -36,8 +36,8 @@ class ClosedLoop(NamedTuple):
     Strays of the simulated closed loop from the measured link angles, rms (n,) [rad].
 
     ``before`` is the model as given, ``retuned`` with known parameters re-tuned, ``after`` with
-    the effects found; ``floor`` is what two runs of the last, of other encoder noise, differ by.
-    The courses are those of the first recording.
+    the effects found unless they are withheld; ``floor`` is what two runs of the last, of other
+    encoder noise, differ by. The courses are those of the first recording.
     """
 
     joints: tuple
@@ -213,7 +213,8 @@ def with_closed_loop(result, recordings, gains):
     """
     if result.gap is None:
         return result
-    again = closed_loop_of(*result.behind[:2], recordings, gains)
+    problem, found, written = result.behind
+    again = closed_loop_of(problem, found._replace(model=written), recordings, gains)
     return replace(result, gap=replace(result.gap, closed_loop=again),
                    words=f'{result.words} {sentence_of(again)}')
 

@@ -21,7 +21,7 @@ import numpy as np
 _TAKEN = 0.003        # of its own rows: what else could take its place leaves less than this
 _SURE = 0.05          # likewise: a small effect that others can make but for this is not named
 _CONFUSABLE = 0.98    # cosine, all else re-tuned
-_TRIFLE = 0.05        # of the most that one effect explains
+_LITTLE = 0.05        # of the most that one effect explains
 _RUNNERS = 6          # hypotheses tried in the place of a finding
 
 
@@ -54,13 +54,17 @@ class Judged(NamedTuple):
         """
         return (self.torque * self.alone) ** 0.5
 
+    def is_trifle(self, most):
+        """Return whether it explains but little beside the ``most`` that one effect does."""
+        return self.loss < _LITTLE * most
+
 
 def judged(problem, found, known):
     """
     Return what each effect is worth, the heaviest first.
 
-    But none that explains a trifle before one that explains most: where others nearly cancel an
-    effect, the torque it makes says little of what it is worth.
+    But one that explains little comes after those that explain more: its torque may be large where
+    noise is, and then it is hardly known.
 
     Parameters
     ----------
@@ -84,19 +88,14 @@ def judged(problem, found, known):
         retuned = least_cost(problem, less, others)
         out.append(Judged(i, float(change @ change), max(retuned - model.cost, 0.0), torque, less,
                           others))
-    least = _least_loss(out)
-    return sorted(out, key=lambda one: (one.loss < least, -one.weight))
+    most = max((one.loss for one in out), default=0.0)
+    return sorted(out, key=lambda one: (one.is_trifle(most), -one.weight))
 
 
-def _least_loss(entries):
-    """Return what an effect must explain to be no trifle beside the one that explains most."""
-    return _TRIFLE * max((one.loss for one in entries), default=0.0)
-
-
-def explain_most(entries):
-    """Return those of the Judged that are no trifle beside the one that explains most."""
-    least = _least_loss(entries)
-    return [one for one in entries if one.loss >= least]
+def largest_alone(entries):
+    """Return the largest torque that one of the Judged alone can make, trifles left out [N m]."""
+    most = max((one.loss for one in entries), default=0.0)
+    return max((one.alone for one in entries if not one.is_trifle(most)), default=0.0)
 
 
 def is_sure(one):

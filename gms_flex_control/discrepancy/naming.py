@@ -26,6 +26,7 @@ _NEARLY_ALL = 0.2     # of held-out torque: less is left of it
 _GOOD_DEAL = ((0.95, 0.3), (0.35, 0.95), (_NEARLY_ALL, 1.1))  # of torque and stray squared
 _CHANCE = 1.1         # of held-out torque, where an effect acts seldom
 _FARTHEST = 1.02, 1.7, 4.0  # of squared free runs, by how many excuses they have; see `helps`
+_WORSE = 1.02         # of squares of torque or of free runs: effects that make more are not added
 _SIGNIFICANT = 2.0    # standard errors of the mean of free runs
 
 
@@ -53,12 +54,13 @@ def helps(gap, much, strictly=False):
 
 def makes_worse(gap):
     """
-    Return whether torque or free runs are farther off with the effects than without.
+    Return whether torque or free runs are farther off with the effects than without, by 1 % rms.
 
     Such effects may still be there: a truth that makes a link break loose a moment sooner or later
-    may lead free runs astray. But a model is not made worse for the sake of a name.
+    may lead free runs astray. But a model is not made worse for the sake of a name, however much
+    of that is chance.
     """
-    return bool(max(gap.energy_ratio, strayed(gap)) > _FARTHEST[0])
+    return bool(max(gap.energy_ratio, strayed(gap)) > _WORSE)
 
 
 def strayed(gap):

@@ -138,8 +138,8 @@ class Behind(NamedTuple):
     """The search behind what is said, for figures."""
 
     problem: object  # Problem: the rows
-    found: object    # Found: what it ended with, less what is withheld
-    named: object    # Fitted: with all findings
+    found: object    # Found: what it ended with, all findings in its model
+    written: object  # Fitted: the model as returned, without them if they are withheld
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -152,8 +152,8 @@ class Discrepancy:
     verdict : str
         'complete', 'effects_found', 'unexplained' or 'bad_data'.
     findings, minor, undecided : tuple of Finding
-        Effects that matter, the largest first; small ones; and, where there are many, those that
-        these data hardly tell from others, whose names are but one of several.
+        Effects that matter, the largest first but for trifles; small ones; and, where there are
+        many, those that these data hardly tell from others, whose names are but one of several.
     unexplained : Signature or None
         What is left.
     gap : Gap or None
@@ -161,8 +161,9 @@ class Discrepancy:
     nearest : str
         A sentence on effects that help free runs much, torque not enough, and are not added;
         '' if there are none.
-    withheld : str
-        A sentence on why findings are named but not added to the robot, '' if they are.
+    withheld : Gap or None
+        What the gap would be with the findings, where they make it worse and are named but not
+        added to the robot; ``gap`` is then that without them.
     robot : RobotParams or None
         With known parameters re-tuned and all findings, unless they are withheld.
     retuned : tuple of (str, str, float)
@@ -189,7 +190,7 @@ class Discrepancy:
     unexplained: Signature | None = None
     gap: Gap | None = None
     nearest: str = ''
-    withheld: str = ''
+    withheld: Gap | None = None
     robot: object = None
     retuned: tuple = ()
     tried: tuple = ()

@@ -38,7 +38,7 @@ _FEW = 3              # effects: one is looked for in the place of two
 _NEARLY = 0.95        # of what others explain: what one in their place does at a first guess
 _PATIENT = 8          # iterations: one begins far from where it does what two did
 _LIKELY = 2           # ones that are fitted in full
-_TELLS = 20.0         # twice a logarithm of two likelihoods: with less, one is like the other
+_TELLS = 20.0         # twice the logarithm of a ratio of likelihoods, of two comparisons together
 
 
 class Found(NamedTuple):
@@ -206,7 +206,8 @@ class _Hunt:
                 (_with_instead(model.robot, i, one), model.x)
                 for one in (spec, other.robot.effects[i]) for model in (self.model, other)],
                 spec.joint)
-            if sum(costs[2:]) < sum(costs[:2]) - _TELLS:
+            own, instead = costs.reshape(2, 2).sum(axis=1)
+            if instead < own - _TELLS:
                 self._say(f'{name} instead of {spec.name}')
                 self.take(other)
 

@@ -94,24 +94,13 @@ def of_nearest(near):
             'times as large; to be added it would have to help both, or one of them more.')
 
 
-def of_withheld(torque, stray):
-    """
-    Return a sentence on effects that are named and would make a model worse.
-
-    Parameters
-    ----------
-    torque, stray : float
-        Squares of what torque is missed and of how far free runs stray on data held out, with
-        the effects over without.
-
-    Returns
-    -------
-    str
-
-    """
+def of_withheld(gap):
+    """Return a sentence on effects that are named and would make a model worse, by their Gap."""
+    before, after = (np.linalg.norm(errors) for errors in (gap.free_before, gap.free_after))
+    runs = '' if np.isnan(after) else (
+        f', and free runs would stray {after / before:.3g} times as far')
     return ('What is named here is not added to the model: on data held out the torque missed '
-            f'would be {torque ** 0.5:.2g} times as large with it, and free runs would stray '
-            f'{stray ** 0.5:.3g} times as far.')
+            f'would be {gap.energy_ratio ** 0.5:.3g} times as large with it{runs}.')
 
 
 def capitalised(text):
@@ -160,7 +149,7 @@ def paragraph(result):
     if result.verdict == FOUND:
         parts += _listed(result)
     if result.withheld:
-        parts.append(result.withheld)
+        parts.append(of_withheld(result.withheld))
     if result.unexplained is not None:
         parts.append(f'Something is there that the catalogue does not explain: '
                      f'{result.unexplained.sentence}')
@@ -176,7 +165,8 @@ def paragraph(result):
         f'{angle.told(after)} {angle.unit}' if result.verdict == COMPLETE else
         f'{angle.told(before)} -> {angle.told(after)} {angle.unit}'
         for before, after in zip(gap.free_before, gap.free_after, strict=True))
-    parts.append(f'On data held out the residual torque is {torques}, and ' + (
+    where = 'Without it, on' if result.withheld else 'On'
+    parts.append(f'{where} data held out the residual torque is {torques}, and ' + (
         'free simulation of half a second tells nothing' if np.isnan(gap.free_after).any() else
         'half a second of free simulation, known parameters re-tuned, strays by '
         f'{strays}') + '.')

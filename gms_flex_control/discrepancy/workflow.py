@@ -38,7 +38,6 @@ from gms_flex_control.discrepancy.words import (
     of_late,
     of_nearest,
     of_unseen,
-    of_withheld,
     paragraph,
     tells_apart,
 )
@@ -130,7 +129,7 @@ def _discrepancy(recordings, robot, options, holdout, say):
         return _at_fault(fatal, faults, sources, begun)
     paths = [path_of(recording, robot) for recording in recordings]
     result = _searched(paths, robot, options, holdout, True, say)
-    problem, found = result.behind[:2]
+    problem, found = result.behind.problem, result.behind.found
     if result.verdict != COMPLETE:
         late = samples_late(problem, found)
         if late:
@@ -298,25 +297,24 @@ def _told(problem, found, entries, known, options, holdout, say):
     choices = naming.choices(entries, _left(problem, found, before), whole,
                              _by_gain(found, entries))
     found, entries, gap, nearest = _added(problem, found, known, choices, measured)
-    largest = max((one.alone for one in judge.explain_most(entries)), default=0.0)
+    largest = judge.largest_alone(entries)
     findings = [_finding(problem, measured, found, known, one, whole, largest, options)
                 for one in entries]
     main, minor, undecided = naming.grouped(findings, entries)
     is_left = sudden or (_left(problem, found, before) > naming.EXPLAINED if findings else
                          naming.matters(problem, gap, before, options.practical))
     left_over = _left_over(problem, found, before, sudden) if is_left else None
-    named, withheld = found.model, ''
+    written, withheld = found.model, None
     if findings and naming.makes_worse(gap):
-        withheld = of_withheld(gap.energy_ratio, naming.strayed(gap))
-        found = _only(problem, found, known, [])
-        gap = gap_of(measured, found)
+        written, withheld = found.before, gap
+        gap = gap_of(measured, found._replace(model=written))
     result = Discrepancy(
         verdict=FOUND if findings else UNEXPLAINED if is_left else COMPLETE,
         findings=main, minor=minor, undecided=undecided,
         unexplained=left_over, gap=gap, nearest=nearest if is_left else '', withheld=withheld,
-        tried=tried, retuned=_retuned(problem, found.model),
-        behind=Behind(problem, found, named),
-        robot=with_knobs(found.model.robot, problem.knobs, found.model.x))
+        tried=tried, retuned=_retuned(problem, written),
+        behind=Behind(problem, found, written),
+        robot=with_knobs(written.robot, problem.knobs, written.x))
     known_off = of_known(found.first, problem.robot.effects, whole, LEAST_GAIN * problem.caution)
     return replace(result, words=f'{paragraph(result)} {known_off}'.rstrip())
 

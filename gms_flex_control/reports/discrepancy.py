@@ -9,7 +9,7 @@ from gms_flex_control.discrepancy.free_run import all_known, free_runs, HORIZON
 from gms_flex_control.discrepancy.path import path_of
 from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE, FOUND, UNEXPLAINED
 from gms_flex_control.discrepancy.units import torque_scale
-from gms_flex_control.discrepancy.words import capitalised
+from gms_flex_control.discrepancy.words import capitalised, of_withheld
 from gms_flex_control.effects.registry import find
 from gms_flex_control.reports.discrepancy_figures import (
     evidence_figure,
@@ -93,10 +93,11 @@ def add_discrepancy(report, result, folder, *, holdout=(), models=()):
 
     _add_summary(report, result)
     if result.behind is not None:
-        problem, found, named = result.behind
+        problem, found = result.behind.problem, result.behind.found
         along = Along(problem)
-        report.figure(picture(gap_figure(result.gap), 'gap.png'), 'The gap on data held out')
-        _add_findings(report, result, along, named, picture)
+        report.figure(picture(gap_figure(result.gap, bool(result.withheld)), 'gap.png'),
+                      'The gap on data held out')
+        _add_findings(report, result, along, found.model, picture)
         _add_left(report, result)
         _add_residuals(report, along, found, picture)
         _add_free_runs(report, problem, found, holdout)
@@ -129,11 +130,12 @@ def _add_findings(report, result, along, model, picture):
         ('effect', 'joint', 'parameters (95 %)', f'torque [{scale.unit}]', 'share',
          'could also be'),
         [_finding_row(one, scale) for one in findings],
-        'The largest first; small ones (*) are below what matters in practice, and where one '
-        'could also be another its name is but one of several. Share: of what re-tuning cannot '
-        'explain, what would be left without the effect')
+        'The largest first but for trifles; small ones (*) are below what matters in practice, '
+        'and where one could also be another its name is but one of several. Share: of what '
+        're-tuning cannot explain, what would be left without the effect')
     if result.withheld:
-        report.note(result.withheld, warning=True)
+        report.note(f'{of_withheld(result.withheld)} The gap above and the closed loop are those '
+                    'without it; maps and free runs below show what it would do.', warning=True)
     for i, finding in enumerate(findings[:MOST_PICTURES]):
         report.heading(f'{finding.effect} of {finding.joint}', level=3)
         report.text(_summary_of(finding.effect))

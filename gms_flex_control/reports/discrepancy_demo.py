@@ -10,6 +10,7 @@ from gms_flex_control import __version__
 from gms_flex_control.analysis.table4 import align
 from gms_flex_control.analysis.tracking import link_error, link_rms
 from gms_flex_control.discrepancy.result import Discrepancy
+from gms_flex_control.discrepancy.words import of_withheld
 from gms_flex_control.effect_compensation.known import compensated
 from gms_flex_control.hidden.written import described
 from gms_flex_control.reports.discrepancy import add_discrepancy
@@ -115,6 +116,8 @@ def revealed(outcome):
     else:
         sentence += 'not named'
     sentence += ', and the gap shrank.' if outcome.shrank else ', and the gap did not shrink.'
+    if outcome.result.withheld:
+        sentence += f' {of_withheld(outcome.result.withheld)}'
     if not compensated(truth['effect']):
         sentence += ' No controller can make up for it: tracking is as before.'
     return sentence
@@ -145,9 +148,9 @@ def write_demo_report(outcome, folder):
     report.heading('Before and after')
     report.text('The arm was driven through a motion by a controller that believed the robot '
                 'file, every parameter 1 to 3 % off. What the workflow found in the bag was '
-                'added to the model; the controller then drove the same motion believing that, '
-                'and once more believing the truth. The upper rows are measured on blocks of the '
-                'bag that no fit has seen, before: known parameters re-tuned.')
+                'added to the model, if it helps; the controller then drove the same motion '
+                'believing that, and once more believing the truth. The upper rows are measured '
+                'on blocks of the bag that no fit has seen, before: known parameters re-tuned.')
     report.table(*outcome_rows(outcome))
     save_figure(tracking_figure(outcome), folder / 'tracking.png')
     report.figure(folder / 'tracking.png', 'How the links follow, by what the controller believes')

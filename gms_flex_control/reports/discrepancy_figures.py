@@ -18,7 +18,7 @@ GIVEN, BEFORE, AFTER, FLOOR = '0.65', COLOURS[1], COLOURS[0], '0.35'
 OWN = COLOURS[2]
 
 
-def gap_figure(gap):
+def gap_figure(gap, withheld=False):
     """
     Return the gap between model and measurement on data held out, joint by joint.
 
@@ -26,6 +26,8 @@ def gap_figure(gap):
     ----------
     gap : Gap
         Of n joints.
+    withheld : bool
+        Whether the effects found are not in the model.
 
     Returns
     -------
@@ -34,15 +36,16 @@ def gap_figure(gap):
 
     """
     figure, panels = side_by_side(2, height=1.6 + 0.75 * len(gap.joints))
+    after = 'the effects found withheld' if withheld else 'with the effects found'
     torque = torque_scale(gap.before)
     angle = angle_scale(gap.free_before)
     _bars(panels[0], gap.joints, torque, (
         ('as given', gap.before, GIVEN), ('known parameters re-tuned', gap.retuned, BEFORE),
-        ('with the effects found', gap.after, AFTER),
+        (after, gap.after, AFTER),
         ('floor: nothing missing', gap.floor, FLOOR)))
     _bars(panels[1], gap.joints, angle, (
         ('known parameters re-tuned', gap.free_before, BEFORE),
-        ('with the effects found', gap.free_after, AFTER),
+        (after, gap.free_after, AFTER),
         ('floor: nothing missing', gap.free_floor, FLOOR)))
     finished(figure, panels, 'Between model and measurement, on data held out')
     panels[0].set_xlabel(f'residual torque, rms [{torque.unit}]')

@@ -8,7 +8,7 @@ import math
 from textwrap import wrap
 
 from gms_flex_control import __version__
-from gms_flex_control.discrepancy.words import named
+from gms_flex_control.discrepancy.words import named, of_withheld
 from gms_flex_control.files import write_text
 from gms_flex_control.reports.discrepancy_views import over_of
 from gms_flex_control.schema.files import save_robot
@@ -50,7 +50,8 @@ def report_values(result, *, holdout=(), models=()):
         'minor': [finding_values(finding, joints) for finding in result.minor],
         'undecided': [finding_values(finding, joints) for finding in result.undecided],
         'unexplained': result.unexplained._asdict() if result.unexplained else None,
-        'nearest': result.nearest, 'withheld': result.withheld,
+        'nearest': result.nearest,
+        'withheld': gap_values(result.withheld) if result.withheld else None,
         'gap': gap_values(result.gap) if result.gap is not None else None,
         'retuned': [{'parameter': name, 'joint': joint, 'change': change}
                     for name, joint, change in result.retuned],
@@ -116,8 +117,9 @@ def over_bags_values(result):
     -------
     dict
         ``verdict``, ``words``, ``effects`` that matter, ``minor`` and ``undecided`` ones as text,
-        ``unexplained`` in a sentence, ``estimates`` of the parameters of the first two, ``gap``
-        by joint, and ``reason``: the faults of bad data, else None.
+        ``withheld`` whether they would make the model worse, ``unexplained`` in a sentence,
+        ``estimates`` of the parameters of the first two, ``gap`` by joint, and ``reason``: the
+        faults of bad data, else None.
 
     """
     gap = result.gap
@@ -127,6 +129,7 @@ def over_bags_values(result):
         **{name: [f'{one.effect} of {one.joint}' for one in found] for name, found in (
             ('effects', result.findings), ('minor', result.minor),
             ('undecided', result.undecided))},
+        'withheld': result.withheld is not None,
         'unexplained': result.unexplained and result.unexplained.sentence,
         'estimates': [_estimate(finding, value) for finding in (*result.findings, *result.minor)
                       for value in finding.values],
@@ -193,7 +196,7 @@ def _comment(result):
         if findings:
             lines.append(f'{heading}: ' + '; '.join(named(one) for one in findings) + '.')
     if result.withheld:
-        lines.append(result.withheld)
+        lines.append(of_withheld(result.withheld))
     changes = [f'{name} of {joint} {100.0 * change:+.2f} %'
                for name, joint, change in result.retuned if abs(change) >= _LEAST]
     if changes:

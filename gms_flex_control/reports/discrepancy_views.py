@@ -387,7 +387,7 @@ def over_of(result):
     """Return what the residuals of a Discrepancy depend on, list of Over; of bad data none."""
     if result.behind is None:
         return []
-    problem, found = result.behind[:2]
+    problem, found = result.behind.problem, result.behind.found
     along = Along(problem)
     return over_all(along, *residuals_of(along, found))
 

@@ -8,6 +8,7 @@ from typing import NamedTuple
 from gms_flex_control.discrepancy.fit import Fitted
 from gms_flex_control.discrepancy.gap import free_rms, torque_rms
 from gms_flex_control.discrepancy.path import path_of
+from gms_flex_control.discrepancy.retuned import with_knobs
 from gms_flex_control.discrepancy.units import angle_scale, torque_scale
 import numpy as np
 
@@ -56,6 +57,12 @@ def compare(result, models, holdout=()):
             free_rms(measured, robot, zero), free_rms(measured, robot, x),
             problem.missing(given), problem.missing(Fitted.of(problem, robot, x))))
     return compared
+
+
+def as_found(result):
+    """Return the robot with all findings of a Discrepancy, also those that are withheld."""
+    problem, model = result.behind.problem, result.behind.found.model
+    return with_knobs(model.robot, problem.knobs, model.x)
 
 
 def _scales(compared):

@@ -104,7 +104,8 @@ def _findings(good):
         return ''
     lines = [[bag, values['verdict'], ', '.join(
         [*values['effects'], *(f'{one} (small)' for one in values['minor']),
-         *(f'{one} (undecided)' for one in values['undecided'])]) or '-']
+         *(f'{one} (undecided)' for one in values['undecided']),
+         *(['withheld'] if values['withheld'] else [])]) or '-']
         for bag, values in list(good.items())[:_LINES]]
     more = f'\nand {len(good) - _LINES} more, see summary.csv' if len(good) > _LINES else ''
     return align(['bag', 'verdict', 'effects'], lines) + more

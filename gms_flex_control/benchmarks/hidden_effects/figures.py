@@ -29,8 +29,8 @@ class Figure(NamedTuple):
         What it is.
     value : float or None
         Share, median or number; None where no outcome tells.
-    required : float
-        What it must reach.
+    required : float or None
+        What it must reach; None if it is only told.
     at_least : bool
         Whether more is better.
     count : int
@@ -42,15 +42,15 @@ class Figure(NamedTuple):
 
     name: str
     value: float | None
-    required: float
+    required: float | None
     at_least: bool
     count: int
     percent: bool = True
 
     @property
     def met(self):
-        """Return whether it is reached; None where no outcome tells."""
-        if self.value is None:
+        """Return whether it is reached; None where no outcome tells or nothing is required."""
+        if self.value is None or self.required is None:
             return None
         return self.value >= self.required if self.at_least else self.value <= self.required
 
@@ -169,6 +169,9 @@ def _use(outcomes):
                percent=False),
         Figure('free run made worse', share(value > MADE_WORSE for value in free), 0.0, False,
                len(free)),
+        Figure('named, but withheld from the model', share(
+            bool(one.get('withheld')) for one in outcomes if one['findings']), None, False,
+               sum(bool(one['findings']) for one in outcomes)),
         Figure('median time of a case [s]', median(seconds), 10.0, False, len(seconds),
                percent=False),
         Figure('largest memory [MB]', max((one['megabytes'] for one in outcomes), default=None),

@@ -75,6 +75,7 @@ def ask_workflow(case, without):
                 'gap': None, 'seconds': time.perf_counter() - begin}, None
     seconds = time.perf_counter() - begin
     return {'verdict': result.verdict, 'seconds': seconds, 'gap': gap_of(result.gap),
+            'withheld': gap_of(result.withheld),
             'findings': [{
                 'effect': one.effect, 'joint': one.joint, 'main': bool(one.main),
                 'score': float(one.score), 'torque': float(one.torque),
@@ -104,7 +105,7 @@ def gain_of_truth(result, effect):
     from gms_flex_control.discrepancy.search import retuned
     if result.behind is None:
         return None
-    problem, found = result.behind[:2]
+    problem, found = result.behind.problem, result.behind.found
     try:
         model, _ = retuned(problem, with_effect(problem.robot, effect), found.before.x)
     except _FAILURES:

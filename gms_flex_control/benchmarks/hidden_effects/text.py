@@ -47,7 +47,8 @@ def table(outcomes):
     peers = {tool: figures.peer_figures(outcomes, tool) for tool in tools[1:]}
     rows = [['figure', *tools, 'required', 'cases', '']]
     for one in figures.figures_of(outcomes):
-        limit = f'{">=" if one.at_least else "<="} {shown(one.required, one.percent)}'
+        limit = '-' if one.required is None else (
+            f'{">=" if one.at_least else "<="} {shown(one.required, one.percent)}')
         mark = {None: '', True: 'met', False: 'MISSED'}[one.met]
         rows.append([one.name, shown(one.value, one.percent),
                      *(shown(peers[tool].get(one.name), one.percent) for tool in tools[1:]),
