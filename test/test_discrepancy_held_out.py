@@ -47,6 +47,7 @@ def test_what_makes_a_model_worse_is_named_and_not_added(tmp_path):
     """A true spring with which links break loose a moment sooner in some free runs."""
     assert not makes_worse(gap(torque=1.01, stray=1.01))
     assert makes_worse(gap(torque=1.05)) and makes_worse(gap(stray=1.05))
+    assert not makes_worse(replace(gap(stray=1.05), free_floor=np.full(1, 1.03)))
     case = make_case('single', 75)
     result = discrepancy([case.recording], case.nominal, holdout=[case.held_out])
     assert result.verdict == FOUND
