@@ -154,7 +154,7 @@ MADE_BY_SOME = ('robot.yaml', 'gap.png', 'evidence_1_backlash_joint1.png', 'map_
 
 
 @pytest.mark.parametrize(('earlier', 'kept'), [
-    ('{"verdict": "complete"}', False), ('{"joints": {}}', True)])
+    ('{"verdict": "complete"}', False), ('{"joints": {}}', True), ('half a rep', True)])
 def test_bad_data_are_named_and_end_the_run(folder, tmp_path, capsys, reversed_torque, earlier,
                                             kept):
     """And what an earlier run of this verb has left goes, but nothing else."""
