@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """What was found, in plain words."""
 
+from gms_flex_control.discrepancy.naming import strayed
 from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE, FOUND
 from gms_flex_control.discrepancy.units import angle_scale, torque_scale
 from gms_flex_control.discrepancy.unseen_links import lost_effects
@@ -96,9 +97,8 @@ def of_nearest(near):
 
 def of_withheld(gap):
     """Return a sentence on effects that are named and would make a model worse, by their Gap."""
-    before, after = (np.linalg.norm(errors) for errors in (gap.free_before, gap.free_after))
-    runs = '' if np.isnan(after) else (
-        f', and free runs would stray {after / before:.3g} times as far')
+    runs = '' if np.isnan(gap.free_after).any() else (
+        f', and free runs would stray {strayed(gap) ** 0.5:.3g} times as far')
     return ('What is named here is not added to the model: on data held out the torque missed '
             f'would be {gap.energy_ratio ** 0.5:.3g} times as large with it{runs}.')
 

@@ -139,7 +139,7 @@ def _add_findings(report, result, along, model, picture):
     for i, finding in enumerate(findings[:MOST_PICTURES]):
         report.heading(f'{finding.effect} of {finding.joint}', level=3)
         report.text(_summary_of(finding.effect))
-        report.text(finding.evidence[:1].upper() + finding.evidence[1:])
+        report.text(capitalised(finding.evidence))
         if finding.confusable_with:
             report.note(f'These data hardly tell it from {", ".join(finding.confusable_with)}: '
                         f'{finding.tells_apart} would tell.', warning=True)
