@@ -5,10 +5,12 @@
 
 from dataclasses import replace
 
+from core_runs import single_axis
 from gms_flex_control.effect_compensation import loop
 from gms_flex_control.effect_compensation.feedforward import CompensatingController
 from gms_flex_control.effect_compensation.known import as_parameters, compensated
 from gms_flex_control.effects.registry import find
+from gms_flex_control.params.friction import FrictionParams, StribeckParams
 from gms_flex_control.params.robot import EffectSpec
 from gms_flex_control.simulation import closed_loop
 from gms_flex_control.simulation.stepped import SteppedController
@@ -91,16 +93,42 @@ def test_the_friction_estimate_follows_load_and_position(effect, factor, robot, 
     assert after[:, 1] == pytest.approx(factor(q) * before[:, 1])
 
 
+def test_of_a_rigid_joint_the_load_is_the_command_less_what_the_rotor_asks_for(gains):
+    """At a desired acceleration of 4 rad/s^2 the rotor takes 0.02 N m of it."""
+    steady = StribeckParams(static=[0.1], coulomb=[0.1], velocity=[0.1], viscous=[0.0])
+    axis = single_axis(FrictionParams(
+        forward=steady, backward=steady, stiffness=[[50.0]], weight=[[1.0]], attraction=[50.0]),
+        0.05, motor_inertia=0.005)
+    one = replace(gains, **{name: getattr(gains, name)[:1] for name in (
+        'kd_link', 'lambda_link', 'kd_motor', 'lambda_motor', 'observer_gain', 'sign_slope',
+        'filter_bandwidth', 'torque_limit')})
+    effect = EffectSpec(name='load_friction', joint='axis', values=(0.3, 0.05))
+    found = []
+    for effects in ((), (effect,)):
+        controller = CompensatingController(one, replace(axis, effects=effects))
+        for k in range(10):
+            controller.measured.q_link[:] = controller.measured.q_motor[:] = 1e-3 * k
+            controller.measured.dq_link[:] = controller.measured.dq_motor[:] = 0.5
+            controller.tick(np.array([[1e-3 * k], [0.5], [4.0], [0.0], [0.0]]),
+                            PERIOD if k else 0.0)
+        found.append((controller.state.command[0], controller.state.friction_hat[0]))
+    (command, before), (_, after) = found
+    assert abs(command) > 0.1
+    assert after == pytest.approx(before * (1.0 + 0.3 * abs(command - 0.02) / 0.05))
+
+
 def test_effects_that_are_parameters_become_parameters(robot):
     model = as_parameters(replace(robot, effects=(
         spec('friction_asymmetry', ratio=0.1), spec('viscous_error', slope=0.02),
+        spec('viscous_asymmetry', slope=0.001),
         spec('gravity_tilt', 'arm', tilt=0.01, direction=0.0), spec('backlash', half_gap=0.01),
         spec('torque_ripple', amplitude=0.01, order=6.0, phase=0.0))))
     assert [one.name for one in model.effects] == ['torque_ripple']
     forward, backward = model.friction.forward, model.friction.backward
     assert forward.coulomb[1] == pytest.approx(1.1 * robot.friction.forward.coulomb[1])
     assert backward.static[1] == pytest.approx(0.9 * robot.friction.backward.static[1])
-    assert forward.viscous[1] == pytest.approx(1.1 * robot.friction.forward.viscous[1] + 0.02)
+    assert forward.viscous[1] == pytest.approx(1.1 * robot.friction.forward.viscous[1] + 0.021)
+    assert backward.viscous[1] == pytest.approx(0.9 * robot.friction.backward.viscous[1] + 0.019)
     assert forward.coulomb[0] == robot.friction.forward.coulomb[0]
     assert model.arm.gravity[0] == pytest.approx(9.80665 * np.sin(0.01))
 
@@ -109,6 +137,9 @@ def test_effects_that_are_parameters_become_parameters(robot):
     (spec('gravity_tilt', 'arm', tilt=0.015, direction=0.1), 0, 0.3),
     (spec('friction_asymmetry', ratio=0.2), 1, 0.7),
     (spec('position_friction', ratio=0.35, order=2.0, phase=0.5), 1, 0.8),
+    (spec('friction_hysteresis', force=0.1, reach=0.02), 1, 0.7),
+    (spec('low_speed_friction', ratio=0.8, velocity=0.2), 1, 0.8),
+    (spec('viscous_asymmetry', slope=0.1), 1, 0.7),
     (spec('viscous_error', slope=0.15), 1, 0.7)])
 def test_the_links_follow_better_once_the_effect_is_known(effect, joint, at_most, robot, gains):
     reference = MOTION.sample(np.arange(4150) * PERIOD)

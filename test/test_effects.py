@@ -53,6 +53,7 @@ EQUATIONS = {
         s[sig.Q_LINK] - p[0], 0.0)),
     'friction_asymmetry': ([0.2], sig.FRICTION, lambda s, p: s[sig.FRICTION] * (
         1 + p[0] * np.sign(s[sig.DQ_LINK]))),
+    'friction_hysteresis': ([0.02, 0.01], sig.FRICTION, lambda s, p: s[sig.FRICTION]),  # begins so
     'friction_drift': ([0.3, 50.0], sig.FRICTION, lambda s, p: s[sig.FRICTION] * (
         1 + p[0] * s[sig.TIME] / p[1])),
     'input_delay': ([DT / 4], sig.TORQUE, lambda s, p: s[sig.TORQUE] * 0.75),
@@ -62,6 +63,8 @@ EQUATIONS = {
         s[sig.SENSED_LINK] + p[0] * np.sin(s[sig.Q_LINK] + p[1]))),
     'load_friction': ([0.1, 0.5], sig.FRICTION, lambda s, p: s[sig.FRICTION] * (
         1 + p[0] * abs(s[sig.SPRING]) / p[1])),
+    'low_speed_friction': ([-0.3, 0.05], sig.FRICTION, lambda s, p: s[sig.FRICTION] * (
+        1 + p[0] * np.exp(-abs(s[sig.DQ_LINK]) / p[1]))),
     'motor_coulomb': ([0.02], sig.MOTOR_TORQUE, lambda s, p: s[sig.MOTOR_TORQUE] - p[0] * clip(
         s[sig.DQ_MOTOR] / 1e-3, 1.0)),
     'motor_inertia_coupling': ([0.004], sig.MOTOR_TORQUE, lambda s, p: (
@@ -73,6 +76,8 @@ EQUATIONS = {
         1 + p[0] * np.cos(p[1] * s[sig.Q_LINK] + p[2]))),
     'quadratic_drag': ([0.05], sig.LINK_TORQUE, lambda s, p: (
         s[sig.LINK_TORQUE] - p[0] * s[sig.DQ_LINK] * abs(s[sig.DQ_LINK]))),
+    'recording_delay': ([0.003], sig.SENSED_LINK, lambda s, p: s[sig.SENSED_LINK] - (
+        p[0] * s[sig.DQ_LINK] - p[0] ** 2 / 2 * s[sig.DDQ_LINK])),
     'spring_cubic': ([12.0], sig.SPRING, lambda s, p: s[sig.SPRING] + p[0] * s[sig.TWIST] ** 3),
     'spring_damping': ([0.02], sig.SPRING, lambda s, p: (
         s[sig.SPRING] + p[0] * s[sig.TWIST_RATE])),
@@ -85,15 +90,24 @@ EQUATIONS = {
     'torque_gain': ([0.1], sig.TORQUE, lambda s, p: s[sig.TORQUE] * (1 + p[0])),
     'torque_ripple': ([0.01, 12.0, 0.3], sig.MOTOR_TORQUE, lambda s, p: (
         s[sig.MOTOR_TORQUE] + p[0] * np.sin(p[1] * s[sig.Q_MOTOR] + p[2]))),
+    'viscous_asymmetry': ([0.03], sig.FRICTION, lambda s, p: (
+        s[sig.FRICTION] + p[0] * abs(s[sig.DQ_LINK]))),
     'viscous_error': ([0.03], sig.FRICTION, lambda s, p: (
         s[sig.FRICTION] + p[0] * s[sig.DQ_LINK])),
 }
 # what else a term may change
 FURTHER = {'backlash': [sig.TWIST_RATE], 'base_flexibility': [sig.SENSED_MOTOR],
-           'motor_inertia_coupling': [sig.LINK_TORQUE - sig.WIDTH]}
+           'motor_inertia_coupling': [sig.LINK_TORQUE - sig.WIDTH],
+           'recording_delay': [row * sig.WIDTH + side for row in range(3)
+                               for side in (sig.SENSED_LINK, sig.SENSED_MOTOR)]}
 # values with which an effect does nothing
 NOTHING = {name: [0.0] * len(registry.find(name).parameters) for name in TERMS}
 NOTHING |= {'actuator_saturation': [1e6], 'end_stop': [10.0, 0.0], 'load_friction': [0.0, 1.0]}
+
+
+def row_of(name):
+    """Return the row of signals that an effect of the second joint, or of the arm, is given."""
+    return 0 if registry.find(name).whole_arm else 1
 
 
 class Row:
@@ -139,15 +153,16 @@ def test_every_effect_of_the_catalogue_has_its_equation_here():
 def test_a_term_does_what_its_equation_says(name):
     """On its joint and its signal alone, over many random states."""
     values, changed, equation = EQUATIONS[name]
+    row = row_of(name)
     for seed in range(50):
         before = random_signals(3, seed)
         after = run_compiled(name, values, before)
-        assert after[1, changed] == pytest.approx(equation(Row(before, 1), values), rel=1e-12,
-                                                  abs=1e-15)
+        assert after[row, changed] == pytest.approx(equation(Row(before, row), values), rel=1e-12,
+                                                    abs=1e-15)
         if name == 'backlash' and abs(before[1, sig.TWIST]) < values[0]:
             assert after[1, sig.TWIST_RATE] == 0.0
         for signal in (changed, *FURTHER.get(name, ())):
-            Row(after, 1)[signal] = Row(before, 1)[signal]
+            Row(after, row)[signal] = Row(before, row)[signal]
         np.testing.assert_array_equal(after, before)
 
 
@@ -160,7 +175,7 @@ def test_the_compiled_term_is_the_plain_python_one(name):
         signals = random_signals(3, seed)
         compiled = run_compiled(name, values, signals, memory=compiled_memory)
         plain = signals.copy()
-        kind.apply(Row(plain, 1), values, memory, DT)
+        kind.apply(Row(plain, row_of(name)), values, memory, DT)
         np.testing.assert_allclose(compiled, plain, rtol=1e-14, atol=0)
         np.testing.assert_allclose(compiled_memory[:len(memory)], memory, rtol=1e-14, atol=0)
 
@@ -175,7 +190,8 @@ def test_a_term_with_values_of_nothing_leaves_the_run_as_it_is(ideal_robot, name
 
 
 @pytest.mark.parametrize('name', sorted(set(TERMS) - {
-    'base_flexibility', 'encoder_skew', 'end_stop', 'link_encoder_eccentricity', 'supply_sag'}))
+    'base_flexibility', 'encoder_skew', 'end_stop', 'link_encoder_eccentricity',
+    'recording_delay', 'supply_sag'}))
 def test_a_term_with_values_changes_the_run(ideal_robot, name):
     """It is wired into the plant, not only into the table."""
     values = {'actuator_saturation': [0.05], 'backlash': [0.05]}.get(name, EQUATIONS[name][0])
@@ -258,7 +274,7 @@ def test_an_effect_is_named_as_its_module_and_describes_its_parameters(name):
 def test_the_catalogue_is_its_folder():
     files = {path.stem for path in Path(catalogue.__path__[0]).glob('*.py')} - {'__init__'}
     assert set(registry.names()) == files
-    assert len(files) >= 37
+    assert len(files) >= 41
 
 
 @pytest.mark.parametrize(('wrong', 'sentence'), [

@@ -67,7 +67,8 @@ def sense(control, measured, constants, state):
         s[j, sig.JOINT], s[j, sig.JOINTS] = j, s.shape[0]
         s[j, sig.Q_LINK], s[j, sig.DQ_LINK] = measured.q_link[j], measured.dq_link[j]
         s[j, sig.Q_MOTOR], s[j, sig.DQ_MOTOR] = measured.q_motor[j], measured.dq_motor[j]
-        s[j, sig.TORQUE] = s[j, sig.SPRING] = control.command[j]
+        s[j, sig.TORQUE] = control.command[j]
+        s[j, sig.SPRING] = control.command[j] - constants.motor_inertia[j] * s[j, sig.DDQ_LINK]
         if constants.flexible[j]:
             s[j, sig.TWIST] = measured.q_motor[j] - measured.q_link[j]
             s[j, sig.TWIST_RATE] = measured.dq_motor[j] - measured.dq_link[j]
@@ -134,10 +135,12 @@ class CompensatingController(SteppedController):
         """Forget the motion so far: observer and filters begin anew."""
         super().reset()
         self._fed = boxed(records.build(state_layout(self._model.n_joints)))
+        self._acceleration = self._fed[0].signals[:, sig.DDQ_LINK]
 
     def tick(self, reference, dt):
         """Answer ``measured`` with a torque (n_joints,) [N m]; see control.cascade.tick."""
         command = super().tick(reference, dt)
         if self._model.effects:
+            self._acceleration[:] = reference[2]  # none is measured
             feed(self._state, self._measured, dt, self._feeding, self._fed)
         return command

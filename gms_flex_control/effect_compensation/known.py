@@ -11,10 +11,11 @@ from gms_flex_control.effects.table import with_changes
 import numpy as np
 
 # torques that follow from what is measured now, smoothly: fed forward, see feedforward.py
-FED = ('constant_link_torque', 'load_friction', 'motor_torque_bias', 'motor_viscous',
-       'position_friction', 'quadratic_drag', 'torque_ripple')
+FED = ('constant_link_torque', 'friction_hysteresis', 'load_friction', 'low_speed_friction',
+       'motor_torque_bias', 'motor_viscous', 'position_friction', 'quadratic_drag',
+       'torque_ripple')
 # terms that are parameters of the friction model as well
-_FOLDED = ('friction_asymmetry', 'viscous_error')
+_FOLDED = ('friction_asymmetry', 'viscous_asymmetry', 'viscous_error')
 
 
 def compensated(name):
@@ -68,8 +69,9 @@ def _folded(friction, name, values):
     sides = {}
     for side, sign in (('forward', 1.0), ('backward', -1.0)):
         steady = getattr(friction, side)
-        if name == 'viscous_error':
-            sides[side] = replace(steady, viscous=np.maximum(steady.viscous + values, 0.0))
+        if name in ('viscous_asymmetry', 'viscous_error'):
+            further = values if name == 'viscous_error' else sign * values
+            sides[side] = replace(steady, viscous=np.maximum(steady.viscous + further, 0.0))
         else:
             factor = np.maximum(1.0 + sign * values, 0.05)  # levels stay above zero
             sides[side] = replace(steady, static=steady.static * factor,

@@ -12,6 +12,8 @@ import math
 from gms_flex_control.compiled import compiled_effect
 from gms_flex_control.errors import ParameterError
 
+LEAST_RELATIVE = -0.55  # least relative error looked for: ratios near -1 are implausible
+
 
 class Stage(IntEnum):
     """Where in the model an effect acts; the stages run in this order in every substep."""
@@ -36,6 +38,10 @@ class Parameter:
         As shown in reports and YAML (``effects.<joint>.<effect>.<name>``).
     lower, upper : float
         Closed bounds of the values the model allows.
+    relative : bool
+        Whether it is a relative error, looked for from `LEAST_RELATIVE` on.
+    fixed : bool
+        Whether it only sets the unit of another and is not fitted.
 
     """
 
@@ -44,6 +50,8 @@ class Parameter:
     description: str
     lower: float = -math.inf
     upper: float = math.inf
+    relative: bool = False
+    fixed: bool = False
 
 
 class Effect(ABC):
@@ -63,6 +71,12 @@ class Effect(ABC):
     declared_from = 0.8       # share of what it explains from which these are said to do as well
     tells: str                # motion that tells it from others, as '... would tell'
     of_feedback = False       # encoder noise in the torque of a feedback resembles a little of it
+    replaces = None           # kind of known parameter of which this is a larger error
+    needs_link_encoder = False  # cannot be judged on a flexible joint without one
+    needs_commands = False    # what is measured as torque has passed it already
+    needs_planar = False      # requires links that carry each other
+    of_recording = False      # an error of the recording, not of the robot
+    needs_supply = False      # requires a recorded voltage of the supply
 
     @classmethod
     @abstractmethod
@@ -81,6 +95,97 @@ class Effect(ABC):
             Empty where it cannot act.
 
         """
+
+    @classmethod
+    @abstractmethod
+    def typical(cls, scales):
+        """
+        Return the standard deviation of a zero-mean prior on each parameter.
+
+        Parameters
+        ----------
+        scales : Scales
+            Of a joint on which the effect can act, see `guesses`.
+
+        Returns
+        -------
+        tuple of float or None
+            As ``parameters``; None for phases, orders, places and limits, of which zero is not
+            the likeliest, and for those that are fixed.
+
+        """
+
+    @classmethod
+    def excludes(cls, rigid):
+        """Return the names of effects that may not stand beside it on a joint, rigid or not."""
+        return ()
+
+    @classmethod
+    def torque_acted(cls, torque, period, values):
+        """
+        Return recorded torques as they acted, of an effect that is an error of the recording.
+
+        Parameters
+        ----------
+        torque : ndarray, shape (T, n_joints)
+            As recorded, held over samples [N m].
+        period : float
+            Sample [s].
+        values : tuple of float
+            Values of ``parameters``.
+
+        Returns
+        -------
+        ndarray, shape (T, n_joints), or None
+            None where it is no error of recorded torques.
+
+        """
+        return None
+
+    @classmethod
+    def torque_scale(cls, values, supply):
+        """
+        Return the factor by which it scales the whole torque of an actuator.
+
+        A model that shrinks all torques has smaller residuals and explains nothing: they count
+        per unit of the torque that was commanded.
+
+        Parameters
+        ----------
+        values : tuple of float
+            Values of ``parameters``.
+        supply : float
+            Mean voltage of the supply [V].
+
+        Returns
+        -------
+        float
+
+        """
+        return 1.0
+
+    @classmethod
+    def search_bounds(cls, joint_index, robot):
+        """
+        Return the least and the largest values that are looked for.
+
+        Parameters
+        ----------
+        joint_index : int
+            Of the joint; 0 for the whole arm.
+        robot : RobotParams
+            As believed.
+
+        Returns
+        -------
+        lower, upper : list of float
+            Of each parameter, within the bounds that the model allows.
+
+        """
+        lower = [max(one.lower, LEAST_RELATIVE) if one.relative else
+                 max(one.lower, cls.slowest) if one.name == 'order' else one.lower
+                 for one in cls.parameters]
+        return lower, [one.upper for one in cls.parameters]
 
     @classmethod
     def values(cls, given, where):

@@ -30,6 +30,7 @@ class Scales(NamedTuple):
     duration: float   # [s]
     supply: float = 0.0  # mean voltage of the supply [V]; 0 where it is not known
     fine_orders: tuple = ()  # of waves over the motor angle that stand out [1/rad]
+    mass: float = 1.0  # of all links [kg]
 
     @property
     def rigid(self):
@@ -102,7 +103,8 @@ def sizes(values, *fixed):
             for value in values]
 
 
-def shapes(size, values):
+def shapes(size, values, positive=True):
     """Return guesses linear in the first parameter for each value of the second."""
-    return [Guess(((size, value),), lambda c, value=value: (c[0] * size, value), 0.0)
+    return [Guess(((size, value),), lambda c, value=value: (c[0] * size, value),
+                  0.0 if positive else -np.inf)
             for value in values]

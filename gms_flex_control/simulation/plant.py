@@ -117,7 +117,7 @@ def springs(state, dt, constants, work):
     s, links, effects = work.signals, constants.chain, constants.effects
     effect_table.run_stage(_TWIST, s, state.memory, dt, effects)
     for j in range(links.moment.shape[0]):
-        s[j, sig.SPRING] = s[j, sig.TORQUE]  # of a rigid joint
+        s[j, sig.SPRING] = s[j, sig.TORQUE] - links.motor_inertia[j] * s[j, sig.DDQ_LINK]
         if links.flexible[j]:
             s[j, sig.SPRING] = (links.stiffness[j] * s[j, sig.TWIST]
                                 + links.damping[j] * s[j, sig.TWIST_RATE])

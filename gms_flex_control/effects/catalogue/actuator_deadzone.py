@@ -18,6 +18,7 @@ class ActuatorDeadzone(Term):
     evidence = 'torque'
     confusable = ('backlash',)
     tells = 'fast motion with small torque beside slow motion with large torque'
+    needs_commands = True
     parameters = (
         Parameter('deadzone', 'N m', 'half width', lower=0.0),
     )
@@ -26,6 +27,11 @@ class ActuatorDeadzone(Term):
     def guesses(cls, scales):
         """Return how it might be there, list of Guess."""
         return sizes(scales.friction * np.geomspace(0.02, 1.0, 10))
+
+    @classmethod
+    def typical(cls, scales):
+        """Return usual sizes of its parameters, tuple of float or None."""
+        return (0.3 * scales.friction,)
 
     @staticmethod
     def apply(s, p, memory, dt):

@@ -17,7 +17,7 @@ class ActuatorLag(Term):
     stage = Stage.ACTUATOR
     memory_size = 1
     evidence = 'time since reversal'
-    confusable = ('input_delay',)
+    confusable = ('input_delay', 'recording_delay')
     tells = 'torque that changes faster, up to a tenth of the sample rate'
     of_feedback = True
     parameters = (
@@ -28,6 +28,16 @@ class ActuatorLag(Term):
     def guesses(cls, scales):
         """Return how it might be there, list of Guess."""
         return sizes((0.001, 0.003, 0.006, 0.012, 0.02))
+
+    @classmethod
+    def typical(cls, scales):
+        """Return usual sizes of its parameters, tuple of float or None."""
+        return (8e-3,)
+
+    @classmethod
+    def excludes(cls, rigid):
+        """Return what may not stand beside it, tuple of str."""
+        return ('input_delay',)  # their sum alone shows
 
     @staticmethod
     def apply(s, p, memory, dt):

@@ -18,6 +18,7 @@ class ActuatorSaturation(Term):
     evidence = 'torque'
     confusable = ()
     tells = 'faster motion, which asks for torque well beyond the limit'
+    needs_commands = True
     parameters = (
         Parameter('limit', 'N m', 'largest torque either way', lower=0.0),
     )
@@ -26,6 +27,11 @@ class ActuatorSaturation(Term):
     def guesses(cls, scales):
         """Return how it might be there, list of Guess."""
         return sizes(scales.torque * np.linspace(0.2, 0.95, 16))
+
+    @classmethod
+    def typical(cls, scales):
+        """Return usual sizes of its parameters, tuple of float or None."""
+        return (None,)
 
     @staticmethod
     def apply(s, p, memory, dt):

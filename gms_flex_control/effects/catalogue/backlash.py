@@ -15,7 +15,7 @@ class Backlash(Term):
 
     name = 'backlash'
     stage = Stage.TWIST
-    evidence = 'twist'
+    evidence = 'torsion'
     confusable = ('actuator_deadzone',)
     tells = 'slow reversals under load, and with the link free'
     parameters = (
@@ -28,6 +28,11 @@ class Backlash(Term):
         if scales.rigid:
             return []
         return sizes(scales.twist * np.geomspace(0.01, 0.6, 12))
+
+    @classmethod
+    def typical(cls, scales):
+        """Return usual sizes of its parameters, tuple of float or None."""
+        return (0.2 * scales.twist,)
 
     @staticmethod
     def apply(s, p, memory, dt):

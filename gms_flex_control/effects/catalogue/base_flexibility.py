@@ -25,6 +25,7 @@ class BaseFlexibility(Term):
     evidence = 'link acceleration'
     confusable = ()
     tells = 'short pulses of torque with the arm at rest'
+    needs_link_encoder = True
     parameters = (
         Parameter('frequency', 'Hz', 'natural frequency w / 2 pi', lower=0.0),
         Parameter('inertia', 'kg m^2', 'inertia of the base about the joint', lower=0.0),
@@ -39,6 +40,11 @@ class BaseFlexibility(Term):
                       lambda c, frequency=frequency: (
                           frequency, heavy / np.clip(c[0], 0.02, 20.0), 0.05), 0.0)
                 for frequency in np.geomspace(3.0, 15.0, 9)]
+
+    @classmethod
+    def typical(cls, scales):
+        """Return usual sizes of its parameters, tuple of float or None."""
+        return (None, None, None)
 
     @staticmethod
     def apply(s, p, memory, dt):

@@ -18,14 +18,20 @@ class CoulombError(Change):
     evidence = 'link rate'
     confusable = ('friction_drift',)
     tells = 'the same motion at the beginning and at the end of a long run'
+    replaces = 'level'
     parameters = (
-        Parameter('ratio', '1', 'relative error', lower=-0.95),
+        Parameter('ratio', '1', 'relative error', lower=-0.95, relative=True),
     )
 
     @classmethod
     def guesses(cls, scales):
         """Return how it might be there, list of Guess."""
         return linear(0.1)
+
+    @classmethod
+    def typical(cls, scales):
+        """Return usual sizes of its parameters, tuple of float or None."""
+        return (0.3,)
 
     @staticmethod
     def change(robot, joint, values):

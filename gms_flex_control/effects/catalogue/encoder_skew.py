@@ -17,6 +17,7 @@ class EncoderSkew(Term):
     evidence = 'motor rate'
     confusable = ()
     tells = 'motion at constant speeds, slow and fast, both ways'
+    needs_link_encoder = True
     parameters = (
         Parameter('delay', 's', 'by which the motor side is older than the link side',
                   lower=-0.05, upper=0.05),
@@ -28,6 +29,11 @@ class EncoderSkew(Term):
         if scales.rigid:
             return []
         return linear(0.0005)
+
+    @classmethod
+    def typical(cls, scales):
+        """Return usual sizes of its parameters, tuple of float or None."""
+        return (3e-3,)
 
     @staticmethod
     def apply(s, p, memory, dt):

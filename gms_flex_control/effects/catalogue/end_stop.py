@@ -32,6 +32,11 @@ class EndStop(Term):
         return [Guess(((angle, stiffness),), lambda c, angle=angle: (angle, c[0] * stiffness), 0.0)
                 for angle in (*above[above > 0.0], *below[below < 0.0])]
 
+    @classmethod
+    def typical(cls, scales):
+        """Return usual sizes of its parameters, tuple of float or None."""
+        return (None, scales.friction / 0.01)
+
     @staticmethod
     def apply(s, p, memory, dt):
         """Change the signals of one joint."""

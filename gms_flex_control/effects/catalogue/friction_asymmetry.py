@@ -15,16 +15,28 @@ class FrictionAsymmetry(Term):
     name = 'friction_asymmetry'
     stage = Stage.FRICTION
     evidence = 'link rate'
-    confusable = ('constant_link_torque',)
+    confusable = ('constant_link_torque', 'viscous_asymmetry')
     tells = 'motion both ways over the whole range, with rests between'
+    replaces = 'asymmetry'
     parameters = (
-        Parameter('ratio', '1', 'relative difference'),
+        Parameter('ratio', '1', 'relative difference', relative=True),
     )
 
     @classmethod
     def guesses(cls, scales):
         """Return how it might be there, list of Guess."""
         return linear(0.1)
+
+    @classmethod
+    def typical(cls, scales):
+        """Return usual sizes of its parameters, tuple of float or None."""
+        return (0.2,)
+
+    @classmethod
+    def search_bounds(cls, joint_index, robot):
+        """Return what is looked for, two lists: as much more one way as less the other."""
+        lower, upper = super().search_bounds(joint_index, robot)
+        return lower, [-lower[0], *upper[1:]]
 
     @staticmethod
     def apply(s, p, memory, dt):

@@ -18,14 +18,19 @@ class FrictionDrift(Term):
     confusable = ('coulomb_error',)
     tells = 'the same motion at the beginning and at the end of a long run'
     parameters = (
-        Parameter('ratio', '1', 'relative change over the duration'),
-        Parameter('duration', 's', 'time in which the change happens', lower=0.0),
+        Parameter('ratio', '1', 'relative change over the duration', relative=True),
+        Parameter('duration', 's', 'time in which the change happens', lower=0.0, fixed=True),
     )
 
     @classmethod
     def guesses(cls, scales):
         """Return how it might be there, list of Guess."""
         return linear(0.1, scales.duration)
+
+    @classmethod
+    def typical(cls, scales):
+        """Return usual sizes of its parameters, tuple of float or None."""
+        return (0.3, None)
 
     @staticmethod
     def apply(s, p, memory, dt):

@@ -18,6 +18,7 @@ class GravityTilt(Change):
 
     name = 'gravity_tilt'
     whole_arm = True
+    needs_planar = True
     evidence = 'link angle'
     confusable = ()
     tells = 'rests in many poses all around'
@@ -30,6 +31,11 @@ class GravityTilt(Change):
     def guesses(cls, scales):
         """Return how it might be there, list of Guess."""
         return wave(0.002)
+
+    @classmethod
+    def typical(cls, scales):
+        """Return usual sizes of its parameters, tuple of float or None."""
+        return (0.015, None)
 
     @staticmethod
     def change(robot, joint, values):

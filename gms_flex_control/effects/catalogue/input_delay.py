@@ -22,7 +22,7 @@ class InputDelay(Term):
     stage = Stage.ACTUATOR
     memory_size = 2 + 2 * _SLOTS  # time, newest slot, (since when, torque) of each slot
     evidence = 'time since reversal'
-    confusable = ('actuator_lag',)
+    confusable = ('actuator_lag', 'recording_delay')
     tells = 'torque that changes faster, up to a tenth of the sample rate'
     of_feedback = True
     parameters = (
@@ -33,6 +33,16 @@ class InputDelay(Term):
     def guesses(cls, scales):
         """Return how it might be there, list of Guess."""
         return sizes((0.001, 0.003, 0.006, 0.012, 0.02))
+
+    @classmethod
+    def typical(cls, scales):
+        """Return usual sizes of its parameters, tuple of float or None."""
+        return (8e-3,)
+
+    @classmethod
+    def excludes(cls, rigid):
+        """Return what may not stand beside it, tuple of str."""
+        return ('actuator_lag',)  # their sum alone shows
 
     @staticmethod
     def apply(s, p, memory, dt):

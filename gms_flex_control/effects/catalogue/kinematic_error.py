@@ -18,6 +18,7 @@ class KinematicError(Term):
     evidence = 'motor angle'
     confusable = ('torque_ripple',)
     tells = 'the same path under another load'
+    needs_link_encoder = True
     parameters = (
         Parameter('amplitude', 'rad', 'amplitude of the error', lower=0.0),
         Parameter('phase', 'rad', 'phase at q_motor = 0'),
@@ -29,6 +30,11 @@ class KinematicError(Term):
         if scales.rigid:
             return []
         return wave(0.02 * scales.twist)
+
+    @classmethod
+    def typical(cls, scales):
+        """Return usual sizes of its parameters, tuple of float or None."""
+        return (0.1 * scales.twist, None)
 
     @staticmethod
     def apply(s, p, memory, dt):

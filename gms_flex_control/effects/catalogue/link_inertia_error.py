@@ -18,14 +18,25 @@ class LinkInertiaError(Change):
     evidence = 'link acceleration'
     confusable = ('tip_payload',)
     tells = 'the joint alone with the others bent and stretched'
+    replaces = 'inertia'
     parameters = (
-        Parameter('ratio', '1', 'relative error', lower=-0.95),
+        Parameter('ratio', '1', 'relative error', lower=-0.95, relative=True),
     )
 
     @classmethod
     def guesses(cls, scales):
         """Return how it might be there, list of Guess."""
         return linear(0.1)
+
+    @classmethod
+    def typical(cls, scales):
+        """Return usual sizes of its parameters, tuple of float or None."""
+        return (0.3,)
+
+    @classmethod
+    def excludes(cls, rigid):
+        """Return what may not stand beside it, tuple of str."""
+        return ('torque_gain',) if rigid else ()
 
     @staticmethod
     def change(robot, joint, values):

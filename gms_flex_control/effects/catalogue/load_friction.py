@@ -10,22 +10,31 @@ from gms_flex_control.effects.signals import FRICTION, SPRING
 
 
 class LoadFriction(Term):
-    """F -> F (1 + ratio abs(s) / load)."""
+    """
+    F -> F (1 + ratio abs(s) / load).
+
+    s is what the transmission carries: weight, inertia and friction of the link.
+    """
 
     name = 'load_friction'
     stage = Stage.FRICTION
-    evidence = 'twist'
+    evidence = 'torsion'
     confusable = ()
     tells = 'the same motion under another load'
     parameters = (
-        Parameter('ratio', '1', 'relative growth at the load', lower=0.0),
-        Parameter('load', 'N m', 'torque at which it is reached', lower=0.0),
+        Parameter('ratio', '1', 'relative growth at the load', lower=0.0, relative=True),
+        Parameter('load', 'N m', 'torque at which it is reached', lower=0.0, fixed=True),
     )
 
     @classmethod
     def guesses(cls, scales):
         """Return how it might be there, list of Guess."""
         return linear(0.1, scales.spring, positive=True)
+
+    @classmethod
+    def typical(cls, scales):
+        """Return usual sizes of its parameters, tuple of float or None."""
+        return (0.2, None)
 
     @staticmethod
     def apply(s, p, memory, dt):

@@ -32,6 +32,11 @@ class MotorInertiaCoupling(Term):
         """Return how it might be there, list of Guess."""
         return linear(0.3 * scales.inertia)
 
+    @classmethod
+    def typical(cls, scales):
+        """Return usual sizes of its parameters, tuple of float or None."""
+        return (scales.inertia,)
+
     @staticmethod
     def apply(s, p, memory, dt):
         """Change the signals of one joint."""

@@ -17,8 +17,9 @@ class MotorInertiaError(Change):
     evidence = 'link acceleration'
     confusable = ()
     tells = 'fast motion of the motor with the link held'
+    replaces = 'motor_inertia'
     parameters = (
-        Parameter('ratio', '1', 'relative error', lower=-0.99),
+        Parameter('ratio', '1', 'relative error', lower=-0.99, relative=True),
     )
 
     @classmethod
@@ -27,6 +28,16 @@ class MotorInertiaError(Change):
         if scales.rigid and scales.link_inertia > 0.0:
             return []  # the joint's inertia is that of its link, too
         return linear(0.1)
+
+    @classmethod
+    def typical(cls, scales):
+        """Return usual sizes of its parameters, tuple of float or None."""
+        return (0.3,)
+
+    @classmethod
+    def excludes(cls, rigid):
+        """Return what may not stand beside it, tuple of str."""
+        return ('torque_gain',) if rigid else ()
 
     @staticmethod
     def change(robot, joint, values):

@@ -26,6 +26,11 @@ class MotorTorqueBias(Term):
         """Return how it might be there, list of Guess."""
         return linear(0.1 * scales.friction)
 
+    @classmethod
+    def typical(cls, scales):
+        """Return usual sizes of its parameters, tuple of float or None."""
+        return (0.3 * scales.friction,)
+
     @staticmethod
     def apply(s, p, memory, dt):
         """Change the signals of one joint."""

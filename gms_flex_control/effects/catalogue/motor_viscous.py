@@ -26,6 +26,11 @@ class MotorViscous(Term):
         """Return how it might be there, list of Guess."""
         return linear(0.1 * scales.friction / scales.speed, positive=True)
 
+    @classmethod
+    def typical(cls, scales):
+        """Return usual sizes of its parameters, tuple of float or None."""
+        return (0.2 * scales.friction / scales.speed,)
+
     @staticmethod
     def apply(s, p, memory, dt):
         """Change the signals of one joint."""

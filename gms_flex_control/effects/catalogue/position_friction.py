@@ -20,7 +20,7 @@ class PositionFriction(Term):
     confusable = ()
     tells = 'slow motion both ways over the whole range'
     parameters = (
-        Parameter('ratio', '1', 'relative variation'),
+        Parameter('ratio', '1', 'relative variation', relative=True),
         Parameter('order', '1', 'periods per revolution', lower=0.0),
         Parameter('phase', 'rad', 'phase at q_link = 0'),
     )
@@ -29,6 +29,17 @@ class PositionFriction(Term):
     def guesses(cls, scales):
         """Return how it might be there, list of Guess."""
         return waves(0.1, orders(scales.highest - scales.lowest, 6.0))
+
+    @classmethod
+    def typical(cls, scales):
+        """Return usual sizes of its parameters, tuple of float or None."""
+        return (0.2, None, None)
+
+    @classmethod
+    def search_bounds(cls, joint_index, robot):
+        """Return what is looked for, two lists: as much more one way as less the other."""
+        lower, upper = super().search_bounds(joint_index, robot)
+        return lower, [-lower[0], *upper[1:]]
 
     @staticmethod
     def apply(s, p, memory, dt):

@@ -20,8 +20,9 @@ class PreslidingError(Change):
 
     name = 'presliding_error'
     evidence = 'time since reversal'
-    confusable = ()
+    confusable = ('friction_hysteresis',)
     tells = 'many small reversals, of a few mrad'
+    replaces = 'blocks'
     parameters = (
         Parameter('stiffness', '1', 'relative error of all block stiffnesses', lower=-0.95),
         Parameter('tilt', '1', 'load moved from the softer to the stiffer blocks', lower=-1.0,
@@ -32,6 +33,11 @@ class PreslidingError(Change):
     def guesses(cls, scales):
         """Return how it might be there, list of Guess."""
         return [Guess(((-0.3, 0.0),), lambda c: (max(-0.3 * c[0], -0.9), 0.0))]
+
+    @classmethod
+    def typical(cls, scales):
+        """Return usual sizes of its parameters, tuple of float or None."""
+        return (0.5, 0.3)
 
     @staticmethod
     def change(robot, joint, values):

@@ -14,7 +14,7 @@ class SpringCubic(Term):
 
     name = 'spring_cubic'
     stage = Stage.SPRING
-    evidence = 'twist'
+    evidence = 'torsion'
     confusable = ()
     tells = 'slow torque up to the largest, both ways, with the link held'
     parameters = (
@@ -27,6 +27,11 @@ class SpringCubic(Term):
         if scales.rigid:
             return []
         return linear(0.1 * scales.spring / scales.twist ** 3)
+
+    @classmethod
+    def typical(cls, scales):
+        """Return usual sizes of its parameters, tuple of float or None."""
+        return (0.1 * scales.spring / scales.twist ** 3,)
 
     @staticmethod
     def apply(s, p, memory, dt):

@@ -28,6 +28,11 @@ class SpringDamping(Term):
             return []
         return linear(0.003, positive=True)
 
+    @classmethod
+    def typical(cls, scales):
+        """Return usual sizes of its parameters, tuple of float or None."""
+        return (0.2 * (scales.inertia * scales.spring / scales.twist) ** 0.5,)
+
     @staticmethod
     def apply(s, p, memory, dt):
         """Change the signals of one joint."""

@@ -16,7 +16,7 @@ class SpringHysteresis(Term):
     name = 'spring_hysteresis'
     stage = Stage.SPRING
     memory_size = 3
-    evidence = 'twist'
+    evidence = 'torsion'
     confusable = ()
     tells = 'slow torque up and down to several heights, with the link held'
     parameters = (
@@ -30,6 +30,11 @@ class SpringHysteresis(Term):
         if scales.rigid:
             return []
         return shapes(0.1 * scales.friction, scales.twist * np.geomspace(0.02, 2.0, 8))
+
+    @classmethod
+    def typical(cls, scales):
+        """Return usual sizes of its parameters, tuple of float or None."""
+        return (0.2 * scales.friction, scales.twist)
 
     @staticmethod
     def apply(s, p, memory, dt):

@@ -14,9 +14,10 @@ class SpringOffset(Term):
 
     name = 'spring_offset'
     stage = Stage.TWIST
-    evidence = 'twist'
+    evidence = 'torsion'
     confusable = ('constant_link_torque',)
     tells = 'a recording with another load, or with the link held'
+    needs_link_encoder = True
     parameters = (
         Parameter('offset', 'rad', 'twist of the unloaded spring, negative'),
     )
@@ -27,6 +28,11 @@ class SpringOffset(Term):
         if scales.rigid:
             return []
         return linear(0.05 * scales.twist)
+
+    @classmethod
+    def typical(cls, scales):
+        """Return usual sizes of its parameters, tuple of float or None."""
+        return (0.2 * scales.twist,)
 
     @staticmethod
     def apply(s, p, memory, dt):

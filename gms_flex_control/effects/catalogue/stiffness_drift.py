@@ -18,8 +18,8 @@ class StiffnessDrift(Term):
     confusable = ('stiffness_error',)
     tells = 'a longer recording, or one before and one after warming up'
     parameters = (
-        Parameter('ratio', '1', 'relative change over the duration'),
-        Parameter('duration', 's', 'time in which the change happens', lower=0.0),
+        Parameter('ratio', '1', 'relative change over the duration', relative=True),
+        Parameter('duration', 's', 'time in which the change happens', lower=0.0, fixed=True),
     )
 
     @classmethod
@@ -28,6 +28,11 @@ class StiffnessDrift(Term):
         if scales.rigid:
             return []
         return linear(0.1, scales.duration)
+
+    @classmethod
+    def typical(cls, scales):
+        """Return usual sizes of its parameters, tuple of float or None."""
+        return (0.2, None)
 
     @staticmethod
     def apply(s, p, memory, dt):

@@ -14,11 +14,12 @@ class StiffnessError(Change):
     """K -> K (1 + ratio)."""
 
     name = 'stiffness_error'
-    evidence = 'twist'
+    evidence = 'torsion'
     confusable = ('stiffness_drift',)
     tells = 'a longer recording, or one before and one after warming up'
+    replaces = 'stiffness'
     parameters = (
-        Parameter('ratio', '1', 'relative error', lower=-0.99),
+        Parameter('ratio', '1', 'relative error', lower=-0.99, relative=True),
     )
 
     @classmethod
@@ -27,6 +28,16 @@ class StiffnessError(Change):
         if scales.rigid:
             return []
         return linear(0.1)
+
+    @classmethod
+    def typical(cls, scales):
+        """Return usual sizes of its parameters, tuple of float or None."""
+        return (0.2,)
+
+    @classmethod
+    def excludes(cls, rigid):
+        """Return what may not stand beside it, tuple of str."""
+        return () if rigid else ('torque_gain',)
 
     @staticmethod
     def change(robot, joint, values):

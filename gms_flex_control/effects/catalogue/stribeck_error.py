@@ -16,16 +16,23 @@ class StribeckError(Change):
 
     name = 'stribeck_error'
     evidence = 'link rate'
-    confusable = ()
+    confusable = ('low_speed_friction',)
     tells = 'slow motion at many constant speeds'
+    replaces = 'static'
     parameters = (
-        Parameter('ratio', '1', 'further friction at rest over the Coulomb level', lower=-0.95),
+        Parameter('ratio', '1', 'further friction at rest over the Coulomb level', lower=-0.95,
+                  relative=True),
     )
 
     @classmethod
     def guesses(cls, scales):
         """Return how it might be there, list of Guess."""
         return linear(0.1)
+
+    @classmethod
+    def typical(cls, scales):
+        """Return usual sizes of its parameters, tuple of float or None."""
+        return (0.3,)
 
     @staticmethod
     def change(robot, joint, values):

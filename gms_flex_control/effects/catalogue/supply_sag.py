@@ -17,6 +17,7 @@ class SupplySag(Term):
     evidence = 'torque'
     confusable = ()
     tells = 'the same motion at two voltages of the supply'
+    needs_supply = True
     parameters = (
         Parameter('ratio', '1/V', 'relative fall of the torque constant per volt less',
                   lower=0.0),
@@ -36,6 +37,16 @@ class SupplySag(Term):
             shift = c[1] / ratio if abs(c[1]) < 0.5 * volts * abs(ratio) else 0.0
             return ratio * size, volts - shift
         return [Guess(((size, volts), (size, volts - 1.0)), values)]
+
+    @classmethod
+    def typical(cls, scales):
+        """Return usual sizes of its parameters, tuple of float or None."""
+        return (1.0 / scales.supply, None)
+
+    @classmethod
+    def torque_scale(cls, values, supply):
+        """Return the factor of the whole torque."""
+        return 1.0 + values[0] * (supply - values[1])
 
     @staticmethod
     def apply(s, p, memory, dt):

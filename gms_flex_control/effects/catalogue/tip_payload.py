@@ -15,6 +15,7 @@ class TipPayload(Change):
 
     name = 'tip_payload'
     whole_arm = True
+    needs_planar = True
     evidence = 'link acceleration'
     confusable = ('link_inertia_error',)
     tells = 'the same motion with the last link bent and stretched'
@@ -26,6 +27,11 @@ class TipPayload(Change):
     def guesses(cls, scales):
         """Return how it might be there, list of Guess."""
         return linear(0.05, positive=True)
+
+    @classmethod
+    def typical(cls, scales):
+        """Return usual sizes of its parameters, tuple of float or None."""
+        return (0.1 * scales.mass,)
 
     @staticmethod
     def change(robot, joint, values):

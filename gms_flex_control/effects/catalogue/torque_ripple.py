@@ -33,6 +33,11 @@ class TorqueRipple(Term):
         return waves(0.05 * scales.friction,
                      (*orders(scales.turned, HIGHEST_GUESSED, 2.0), *scales.fine_orders))
 
+    @classmethod
+    def typical(cls, scales):
+        """Return usual sizes of its parameters, tuple of float or None."""
+        return (0.1 * scales.friction, None, None)
+
     @staticmethod
     def apply(s, p, memory, dt):
         """Change the signals of one joint."""

@@ -17,6 +17,7 @@ class ViscousError(Term):
     evidence = 'link rate'
     confusable = ('quadratic_drag',)
     tells = 'faster motion, over a range of speeds of 1 to 5'
+    replaces = 'viscous'
     parameters = (
         Parameter('slope', 'N m s/rad', 'further viscous friction'),
     )
@@ -25,6 +26,17 @@ class ViscousError(Term):
     def guesses(cls, scales):
         """Return how it might be there, list of Guess."""
         return linear(0.1 * scales.friction / scales.speed)
+
+    @classmethod
+    def typical(cls, scales):
+        """Return usual sizes of its parameters, tuple of float or None."""
+        return (0.3 * scales.friction / scales.speed,)
+
+    @classmethod
+    def search_bounds(cls, joint_index, robot):
+        """Return what is looked for, two lists: all of it may be gone either way."""
+        steady = robot.friction.forward, robot.friction.backward
+        return [-max(float(one.viscous[joint_index]) for one in steady)], [cls.parameters[0].upper]
 
     @staticmethod
     def apply(s, p, memory, dt):

@@ -1,0 +1,71 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""What effects declare of themselves: exclusions, bounds of the search, usual sizes."""
+
+from gms_flex_control.discrepancy.signature import VARIABLES
+from gms_flex_control.effects import registry
+from gms_flex_control.effects.base import Stage, Term
+from gms_flex_control.effects.guess import Scales
+import numpy as np
+import pytest
+
+SCALES = Scales(friction=0.1, torque=0.5, spring=0.3, twist=0.2, speed=0.5, inertia=0.005,
+                link_inertia=0.1, lowest=-1.0, highest=1.0, turned=2.0, duration=20.0, supply=12.0,
+                mass=2.5)
+
+
+@pytest.mark.parametrize('name', registry.names())
+def test_what_an_effect_declares_is_consistent(ideal_robot, name):
+    """Mutual exclusion, bounds of the search within those of the model, usual sizes in them."""
+    kind = registry.find(name)
+    for rigid in (False, True):
+        for other in kind.excludes(rigid):
+            assert other != name and name in registry.find(other).excludes(rigid)
+    usual = kind.typical(SCALES)
+    assert len(usual) == len(kind.parameters)
+    for joint in range(1 if kind.whole_arm else 2):
+        lower, upper = kind.search_bounds(joint, ideal_robot)
+        for one, low, high, size in zip(kind.parameters, lower, upper, usual, strict=True):
+            assert one.lower <= low < high <= one.upper
+            assert one.fixed <= (size is None)
+            assert size is None or (size > 0.0 and low < size < high)
+    assert not (kind.whole_arm and kind.replaces)
+    if issubclass(kind, Term) and kind.stage == Stage.SENSOR:
+        assert kind.needs_link_encoder
+
+
+@pytest.mark.parametrize('name', registry.names())
+def test_an_effect_says_what_it_shows_against_and_what_it_is_confused_with(name):
+    kind = registry.find(name)
+    assert kind.evidence in VARIABLES
+    assert kind.tells and not kind.tells.endswith('.')
+    for other in kind.confusable:
+        assert other != name and name in registry.find(other).confusable
+
+
+@pytest.mark.parametrize('name', registry.names())
+def test_sizes_an_effect_is_looked_for_with_follow_the_machine(name):
+    """A machine a thousand times as strong is looked at with torques a thousand times as large."""
+    large = SCALES._replace(**{field: 1e3 * getattr(SCALES, field) for field in (
+        'friction', 'torque', 'spring', 'inertia', 'link_inertia', 'mass')})
+    kind = registry.find(name)
+    for one, small, big in zip(kind.parameters, kind.typical(SCALES), kind.typical(large),
+                               strict=True):
+        factor = 1e3 if one.unit.startswith(('N m', 'kg')) else 1.0
+        assert (small is None and big is None) or big == pytest.approx(factor * small)
+
+
+def test_parameters_that_are_looked_for_in_part_of_their_bounds(ideal_robot):
+    """Ratios from -0.55 on, waves from the slowest order, viscous friction until none is left."""
+    def bounds(name, joint=1):
+        return registry.find(name).search_bounds(joint, ideal_robot)
+    assert bounds('stiffness_error') == ([-0.55], [np.inf])
+    assert bounds('friction_asymmetry') == ([-0.55], [0.55])
+    assert bounds('position_friction') == ([-0.55, 0.7, -np.inf], [0.55, np.inf, np.inf])
+    assert bounds('torque_ripple')[0][1] == 1.5
+    assert bounds('presliding_error')[0][0] == -0.95
+    sides = ideal_robot.friction.forward, ideal_robot.friction.backward
+    assert bounds('viscous_error')[0] == [-max(one.viscous[1] for one in sides)]
+    assert registry.find('torque_gain').excludes(True) == ('link_inertia_error',
+                                                           'motor_inertia_error')
