@@ -9,6 +9,7 @@ from textwrap import wrap
 
 from gms_flex_control import __version__
 from gms_flex_control.files import write_text
+from gms_flex_control.identification.result import CONFIDENT
 from gms_flex_control.identification.words import (
     data_sentence,
     joint_sentences,
@@ -16,12 +17,15 @@ from gms_flex_control.identification.words import (
     short_name,
     standing,
 )
+from gms_flex_control.params.uncertainty import KINDS
 from gms_flex_control.schema.build import robot_values
 from gms_flex_control.schema.files import save_values
 import numpy as np
 
 REPORT_FORMAT = 1
 _COMMENT_WIDTH = 90
+# times what is usual: intervals know nothing of what a model lacks, nor of other days
+_LEAST_TOLD, _MOST_TOLD = 0.5, 4.0
 
 
 def report_json(identification):
@@ -111,6 +115,42 @@ def friction_values(identification):
                 values[name] = value
     for joint in identification.robot.joints:
         _drop_empty_blocks(values, f'friction.{joint}.')
+    return values | uncertainty_values(identification)
+
+
+# kinds of known parameters by the parameters of friction that tell them
+_TOLD_BY = {'level': ('coulomb',), 'viscous': ('viscous',), 'static': ('static',),
+            'velocity': ('velocity',), 'attraction': ('attraction',), 'blocks': ('stiffness[',)}
+
+
+def uncertainty_values(identification):
+    """
+    Return how well friction is known: flat ``uncertainty`` parameters, from the intervals.
+
+    Parameters
+    ----------
+    identification : Identification
+        Estimates that are flagged tell nothing.
+
+    Returns
+    -------
+    dict of str to float
+        Relative standard deviations.
+
+    """
+    values = {}
+    for result in identification.joints:
+        for kind, names in _TOLD_BY.items():
+            sizes = [0.5 * max(one.interval.high - one.interval.low,
+                               one.bootstrap.high - one.bootstrap.low)
+                     / CONFIDENT / abs(one.value) for one in result.estimates
+                     if not one.flags and one.value
+                     and any(one.name.split('.')[-1].startswith(name) for name in names)
+                     and one.name.startswith('friction.')]
+            sizes = [size for size in sizes if np.isfinite(size) and size > 0.0]
+            if sizes:
+                values[f'uncertainty.{result.joint}.{kind}'] = float(np.clip(
+                    np.median(sizes), _LEAST_TOLD * KINDS[kind].sd, _MOST_TOLD * KINDS[kind].sd))
     return values
 
 

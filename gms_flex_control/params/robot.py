@@ -3,7 +3,8 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """The robot as one frozen object: names, arm, friction, encoders and effects."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 from gms_flex_control.errors import ParameterError
 from gms_flex_control.params.arm import ArmParams
@@ -51,6 +52,9 @@ class RobotParams:
         What is measured.
     effects : tuple of EffectSpec
         Named terms beyond these.
+    uncertainty : dict of (str, str) to float
+        Relative standard deviation of a kind (of params.uncertainty) on a joint, or on 'arm',
+        where it is not the usual one.
 
     Raises
     ------
@@ -65,6 +69,7 @@ class RobotParams:
     friction: FrictionParams
     encoder: EncoderParams
     effects: tuple = ()
+    uncertainty: Mapping = field(default_factory=dict)
 
     def __post_init__(self):
         n = len(self.joints)

@@ -80,8 +80,11 @@ def robot_from_values(values):
                                for name in ('counts', 'noise', 'velocity_cutoff')})
     effects = _effects({name: checked(known[name], value) for name, value in values.items()
                         if name.startswith('effects.')})
+    uncertainty = {(name.split('.')[2], name.split('.')[1]): checked(known[name], value)
+                   for name, value in values.items() if name.startswith('uncertainty.')}
     return RobotParams(joints=joints, motors=tuple(motors), arm=arm, encoder=encoder,
-                       friction=_friction(flat, joints), effects=effects)
+                       friction=_friction(flat, joints), effects=effects,
+                       uncertainty=uncertainty)
 
 
 def _require_links(kind, joints, values):
@@ -212,4 +215,6 @@ def robot_values(robot):
         parameters = registry.find(spec.name).parameters
         values |= {f'effects.{spec.joint}.{spec.name}.{parameter.name}': float(value)
                    for parameter, value in zip(parameters, spec.values, strict=True)}
+    values |= {f'uncertainty.{joint}.{kind}': float(sd)
+               for (kind, joint), sd in robot.uncertainty.items()}
     return values

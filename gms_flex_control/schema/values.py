@@ -8,6 +8,7 @@ import math
 from gms_flex_control.effects import registry
 from gms_flex_control.errors import ConfigError, ParameterError
 from gms_flex_control.params.robot import WHOLE_ARM
+from gms_flex_control.params.uncertainty import KINDS, LEAST, MOST
 from gms_flex_control.schema.key import Key, SMALLEST
 from gms_flex_control.schema.keys import all_keys
 from gms_flex_control.suggest import did_you_mean
@@ -140,6 +141,41 @@ def effect_key(name, joints):
                upper=entry.upper)
 
 
+def uncertainty_key(name, joints):
+    """
+    Return the key of a standard deviation, ``uncertainty.<joint>.<kind>``.
+
+    Parameters
+    ----------
+    name : str
+        Full key.
+    joints : sequence of str
+        Link names.
+
+    Returns
+    -------
+    Key
+
+    Raises
+    ------
+    ConfigError
+        If joint or kind is unknown; the sentence names the nearest.
+
+    """
+    parts = name.split('.')
+    if len(parts) != 3:
+        raise ConfigError(f'{name} must have the form uncertainty.<joint>.<kind>')
+    _, joint, kind = parts
+    if joint not in (*joints, WHOLE_ARM):
+        raise ConfigError(f'{name}: unknown joint {joint!r}'
+                          f'{did_you_mean(joint, (*joints, WHOLE_ARM))}')
+    if kind not in KINDS:
+        raise ConfigError(f'{name}: unknown kind of parameter {kind!r}'
+                          f'{did_you_mean(kind, KINDS)}; known: {", ".join(KINDS)}')
+    return Key(name, 'double', f'relative standard deviation: {KINDS[kind].description}', '1',
+               lower=LEAST, upper=MOST)
+
+
 def known_keys(names, joints):
     """
     Return the key of every name.
@@ -166,6 +202,8 @@ def known_keys(names, joints):
     for name in names:
         if name.startswith('effects.'):
             keys[name] = effect_key(name, joints)
+        elif name.startswith('uncertainty.'):
+            keys[name] = uncertainty_key(name, joints)
         elif name in known:
             keys[name] = known[name]
         else:
