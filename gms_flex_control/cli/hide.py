@@ -12,8 +12,9 @@ def add_parser(subparsers):
     parser = subparsers.add_parser(
         'hide', help='bags of simulated robots in which an effect is hidden',
         description='Draw robots in which something is hidden, drive them and write, for each, '
-                    'DIR/<kind>_<seed>/ with bag and held_out (two motions of the same robot), '
-                    'robot.yaml (what its user believes, 1 to 3 % off), controller.yaml and '
+                    'DIR/<kind>_<seed>[_<population>]/ with bag and held_out (two motions of '
+                    'the same robot), '
+                    'robot.yaml (what its user believes), controller.yaml and '
                     'truth.json. The integrator is not the one of the workflow.')
     parser.add_argument('--out', required=True, metavar='DIR')
     parser.add_argument('--kind', nargs='+', default=['single'], metavar='KIND',
@@ -21,13 +22,10 @@ def add_parser(subparsers):
                              '(default: single)')
     parser.add_argument('--seeds', default='0:1', metavar='A:B',
                         help='from A up to, not including, B; or a single one (default: 0:1)')
-    parser.add_argument('--motion', default='rich', metavar='NAME',
-                        help='rich, sinusoid or polynomial (default: rich)')
+    parser.add_argument('--population', default='home', metavar='NAME',
+                        help='which robots, see gms_flex_control/hidden/populations.py '
+                             '(default: home)')
     parser.add_argument('--plant', metavar='NAME', help='soft or stiff; default: drawn')
-    parser.add_argument('--sensors', default='both', metavar='NAME',
-                        help='both, or motors: bags of robots whose links have no encoder '
-                             '(default: both)')
-    parser.add_argument('--gravity', action='store_true', help='arms in a tilted plane')
     parser.add_argument('--effect', metavar='NAME',
                         help='hide this one instead of the one whose turn it is')
     parser.add_argument('--duration', type=float, default=60.0, metavar='S',
@@ -38,25 +36,23 @@ def add_parser(subparsers):
 
 def run(args):
     """Write the cases; return 0."""
-    from gms_flex_control.hidden.cases import make_case, require_known, SENSORS
+    from gms_flex_control.hidden.cases import make_case
     from gms_flex_control.hidden.written import truth_values
 
-    require_known('sensors', args.sensors, SENSORS)
-    told = []
+    told, population = [], '' if args.population == 'home' else f'_{args.population}'
     for kind in args.kind:
         for seed in seeds_of(args.seeds):
-            folder = Path(args.out) / f'{kind}_{seed}'
+            folder = Path(args.out) / f'{kind}_{seed}{population}'
             if folder.exists():
                 if not args.json:
                     print(f'{folder}: exists, kept as it is')
                 continue
-            case = make_case(kind, seed, motion=args.motion, plant=args.plant,
-                             duration=args.duration, effect=args.effect,
-                             gravity=args.gravity)
-            write_case(case if args.sensors == 'both' else case.without_links(), folder)
+            case = make_case(kind, seed, population=args.population, plant=args.plant,
+                             duration=args.duration, effect=args.effect)
+            write_case(case, folder)
             told.append({'folder': str(folder), **truth_values(case.truth)})
             if not args.json:
-                print(f'{folder}: {case.truth.plant}, {case.truth.motion}')
+                print(f'{folder}: {case.truth.population}, {case.truth.plant}')
     if args.json:
         print(json.dumps(told, indent=2))
     return 0
@@ -124,7 +120,9 @@ def write_case(case, folder):
         for name, recording in (('bag', case.recording), ('held_out', case.held_out)):
             write_recording(part / name, *as_named(recording, case.nominal.motors))
         save_robot(case.nominal, part / 'robot.yaml')
-        save_values(controller_values(case.gains, case.nominal.joints), part / 'controller.yaml')
+        if case.gains is not None:
+            save_values(controller_values(case.gains, case.nominal.joints),
+                        part / 'controller.yaml')
         write_text(part / 'truth.json', json.dumps(truth_values(case.truth), indent=2) + '\n')
         os.replace(part, folder)
     finally:

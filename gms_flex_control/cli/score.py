@@ -27,15 +27,11 @@ def add_parser(subparsers):
                         help='instead of a set: kinds of hidden robots, with --seeds')
     parser.add_argument('--seeds', default='0:10', metavar='A:B',
                         help='of --kind, from A up to, not including, B (default: 0:10)')
-    parser.add_argument('--motion', default='rich', metavar='NAME',
-                        help='of --kind: rich, sinusoid or polynomial (default: rich)')
+    parser.add_argument('--population', nargs='+', default=['home'], metavar='NAME',
+                        help='of --kind: which robots, see gms_flex_control/hidden/'
+                             'populations.py (default: home)')
     parser.add_argument('--plant', metavar='NAME',
                         help='of --kind: soft or stiff; default: drawn')
-    parser.add_argument('--sensors', default='both', metavar='NAME',
-                        help='of --kind: both, or motors, of robots whose links have no encoder '
-                             '(default: both)')
-    parser.add_argument('--gravity', action='store_true',
-                        help='of --kind: arms in a tilted plane')
     parser.add_argument('--duration', type=float, default=60.0, metavar='S',
                         help='of each recording of --kind (default: %(default)g)')
     parser.add_argument('--out', required=True, metavar='DIR',
@@ -68,25 +64,28 @@ def run(args):
 
 
 def jobs_asked(args):
-    """Return the jobs of --kind, less those whose effect no sensor shows, else of --set."""
+    """Return the jobs of --kind, less those whose effect cannot be there, else of --set."""
     from gms_flex_control.benchmarks.hidden_effects.jobs import Job, jobs_of
     from gms_flex_control.cli.hide import seeds_of
-    from gms_flex_control.hidden.cases import KINDS, require_duration, require_known, SENSORS
-    from gms_flex_control.hidden.motions import MOTIONS
+    from gms_flex_control.errors import ConfigError
+    from gms_flex_control.hidden.cases import KINDS, require_duration, require_known
     from gms_flex_control.hidden.plants import PLANTS
+    from gms_flex_control.hidden.populations import POPULATIONS
 
     if not args.kind:
+        if args.population != ['home']:
+            raise ConfigError('--population is of --kind: give kinds and --seeds as well')
         return jobs_of(args.chosen, args.share)
     for kind in args.kind:
         require_known('kind', kind, KINDS)
-    require_known('motion', args.motion, MOTIONS)
+    for population in args.population:
+        require_known('population', population, POPULATIONS)
     if args.plant is not None:
         require_known('plant', args.plant, PLANTS)
-    require_known('sensors', args.sensors, SENSORS)
     require_duration(args.duration)
-    jobs = [Job(kind, seed, args.motion, args.plant, args.duration, args.sensors,
-                args.gravity)
-            for seed in seeds_of(args.seeds) for kind in args.kind]
+    jobs = [Job(kind, seed, population, args.plant, args.duration)
+            for seed in seeds_of(args.seeds) for kind in args.kind
+            for population in args.population]
     return [job for job in jobs if job.can_be_seen]
 
 
@@ -131,5 +130,5 @@ def line_of(outcome):
     hidden = hidden or (truth['outsider'] or {}).get('name', 'nothing')
     named = ', '.join(f'{one["effect"]} of {one["joint"]}{"" if one["main"] else " (small)"}'
                       for one in outcome['findings'][:3])
-    return (f'{truth["kind"]} {truth["seed"]} {truth["plant"]} {truth["motion"]}: {hidden} -> '
+    return (f'{truth["kind"]} {truth["seed"]} {truth["plant"]} {truth["population"]}: {hidden} -> '
             f'{outcome["verdict"]}{": " if named else ""}{named} ({outcome["seconds"]:.1f} s)')

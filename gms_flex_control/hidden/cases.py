@@ -4,11 +4,13 @@
 """Cases of the test bench: a robot with something hidden in it, drawn from kind and seed."""
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 from gms_flex_control.effects import registry
 from gms_flex_control.errors import ConfigError, SimulationError
 from gms_flex_control.hidden import motions, outsiders, plants, sizes, truth
 from gms_flex_control.hidden.dominance import Torques
+from gms_flex_control.hidden.populations import belief_errors, Drives, POPULATIONS
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.robot import RobotParams
 from gms_flex_control.recording import Recording
@@ -16,13 +18,13 @@ from gms_flex_control.suggest import did_you_mean
 import numpy as np
 
 KINDS = ('single', 'clean', 'double', 'outside', 'clutter', 'deleted')
-SENSORS = ('both', 'motors')  # of a joint: link and motor, or the motor alone
-PERIOD, DURATION = 2e-3, 60.0
+DURATION = 60.0
 CLUTTER, CLUTTER_SIZE = 14, (0.01, 0.03)  # how many small effects, of how much of F_s
 _DOMINANT = 1.5       # times the torque of each small one
 _TRIES, _SOFTER = 20, 0.8  # of draws, and what each takes off the gains of the motor law
 # beyond these nobody would record the robot: from the reference, rms [rad]; time at the limit
 _FARTHEST, _LIMITED = 0.6, 0.01
+_OF_POPULATION = 1    # stream of the numbers that are no others' than a population's
 _SHORTEST, _LONGEST = 2.0, 3600.0  # recordings [s]
 
 
@@ -37,8 +39,10 @@ class Truth:
         One of `KINDS`.
     seed : int
         It was drawn from.
+    population : str
+        It is one of.
     plant, motion : str
-        'soft' or 'stiff'; 'rich', 'sinusoid' or 'polynomial'.
+        'soft' or 'stiff'; one of `motions.MOTIONS`.
     effects : tuple of EffectSpec
         The main effects.
     clutter : tuple of EffectSpec
@@ -49,11 +53,16 @@ class Truth:
         Where it acts.
     robot : RobotParams
         The true robot, all effects included.
+    belief_errors : dict of str to ndarray, shape (n_joints,)
+        How far the robot is from what is believed, see `populations.belief_errors`.
+    torque_noise : ndarray, shape (n_joints,)
+        Standard deviation over a sample of the torque the drives add [N m].
 
     """
 
     kind: str
     seed: int
+    population: str
     plant: str
     motion: str
     effects: tuple
@@ -61,6 +70,8 @@ class Truth:
     outsider: str | None
     outsider_joint: str | None
     robot: RobotParams
+    belief_errors: dict
+    torque_noise: np.ndarray
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -73,9 +84,9 @@ class Case:
     recording, held_out : Recording
         Two motions of the same robot; ``tau_motor`` is the torque the drives were asked for.
     nominal : RobotParams
-        The robot as believed: every parameter 1 to 3 % off.
-    gains : ControllerParams
-        It was driven with.
+        The robot as believed: at home every parameter is 1 to 3 % off.
+    gains : ControllerParams or None
+        It was driven with; None of another controller than the cascade.
     truth : Truth
         Not for the tool that is tried.
 
@@ -84,7 +95,7 @@ class Case:
     recording: Recording
     held_out: Recording
     nominal: RobotParams
-    gains: ControllerParams
+    gains: ControllerParams | None
     truth: Truth
 
     def without_links(self):
@@ -121,8 +132,8 @@ def require_duration(duration):
         raise ConfigError(f'--duration {duration:g}: give {_SHORTEST:g} to {_LONGEST:g} s')
 
 
-def make_case(kind, seed, *, motion='rich', plant=None, duration=DURATION, effect=None,
-              gravity=False):
+def make_case(kind, seed, *, population='home', motion=None, plant=None, duration=DURATION,
+              effect=None, gravity=False):
     """
     Draw a case.
 
@@ -134,8 +145,10 @@ def make_case(kind, seed, *, motion='rich', plant=None, duration=DURATION, effec
     seed : int
         Every number comes from it and from ``kind``. Effects and disturbances are taken in
         turn, so that successive seeds hold each of them.
-    motion : {'rich', 'sinusoid', 'polynomial'}
-        What the robot does.
+    population : str
+        Which robots, of `populations.POPULATIONS`.
+    motion : str, optional
+        What the robot does, of `motions.MOTIONS`, instead of what the population does.
     plant : {'soft', 'stiff'}, optional
         Default: drawn.
     duration : float
@@ -143,7 +156,7 @@ def make_case(kind, seed, *, motion='rich', plant=None, duration=DURATION, effec
     effect : str, optional
         Main effect, or outsider, instead of the one whose turn it is.
     gravity : bool
-        Whether the plane is tilted, as far as the robot's springs bear it.
+        Whether the plane is tilted in any case.
 
     Returns
     -------
@@ -152,79 +165,108 @@ def make_case(kind, seed, *, motion='rich', plant=None, duration=DURATION, effec
     Raises
     ------
     ConfigError
-        If kind, motion, plant or effect is unknown, or the duration none.
+        If kind, population, motion, plant or effect is unknown, or the duration none.
     SimulationError
         If no draw gave a robot that can be driven.
 
     """
     require_known('kind', kind, KINDS)
-    require_known('motion', motion, motions.MOTIONS)
+    require_known('population', population, POPULATIONS)
+    row = POPULATIONS[population]
+    row = replace(row, motion=motion or row.motion, gravity=gravity or row.gravity)
+    require_known('motion', row.motion, motions.MOTIONS)
     require_duration(duration)
     if plant is not None:
         require_known('plant', plant, plants.PLANTS)
     if effect is not None:
         require_known('effect', effect,
                       outsiders.NAMES if kind == 'outside' else available_effects())
+    if kind not in ('clean', 'outside') and (effect or in_turn(seed)) in row.without:
+        raise ConfigError(f'robots of {population} cannot have {effect or in_turn(seed)}: take '
+                          'another seed or effect')
     rng = np.random.default_rng([KINDS.index(kind), seed])
+    own = np.random.default_rng([KINDS.index(kind), seed, _OF_POPULATION])
     drawn_plant = str(rng.choice(plants.PLANTS))
     plant = plant or drawn_plant
-    for softer in _SOFTER ** np.arange(_TRIES):
+    for softer in row.softness * _SOFTER ** np.arange(_TRIES):
         try:
-            return _draw(rng, kind, seed, motion, plant, duration, effect, gravity, softer)
+            case = _draw(rng, own, kind, seed, row, plant, duration, effect, softer)
         except SimulationError:  # cannot be driven with that in it: another one, more gently
             continue
+        case = replace(case, truth=replace(case.truth, population=population))
+        return case if row.links_seen else case.without_links()
     raise SimulationError(f'{kind} {seed}: none of {_TRIES} draws could be driven')
 
 
-def _draw(rng, kind, seed, motion, plant, duration, effect, gravity, softer):
-    time = np.arange(round(duration / PERIOD)) * PERIOD
+def _draw(rng, own, kind, seed, population, plant, duration, effect, softer):
+    period = 1.0 / population.rate
+    time = np.arange(round(duration / period)) * period
     robot, gains = plants.draw_robot(rng, plant)
-    if gravity:
+    if population.gravity:
         robot, gains = plants.under_gravity(rng, robot, gains)
     gains = replace(gains, kd_motor=gains.kd_motor * softer,
                     lambda_motor=gains.lambda_motor * softer)
     nominal = plants.draw_belief(rng, robot)
-    references = [motions.draw_reference(rng, motion, plant, time) for _ in range(2)]
+    robot, nominal = (_with_encoders(one, population) for one in (robot, nominal))
+    if population.beliefs is not None:
+        nominal = plants.draw_belief(own, robot, population.beliefs)
+    drives = Drives(own, population, robot)
+    references = [motions.draw_reference(rng, population.motion, plant, time) for _ in range(2)]
     seeds = rng.integers(2 ** 31, size=3)
-    bare = _driven(robot, nominal, gains, references[0], seeds[2])
-    figures = sizes.figures_of(robot, bare, PERIOD)
+    driven = partial(_driven, period=period, drive=population.drive)
+    bare = driven(robot, nominal, gains, references[0], seeds[2])
+    figures = sizes.figures_of(robot, bare, period)
     effects, disturbances = (), (None, None)
     if kind == 'outside':
         name = effect or outsiders.NAMES[seed % len(outsiders.NAMES)]
         joint = int(rng.integers(robot.n_joints))
-        first = outsiders.draw_disturbance(rng, name, joint, figures[joint], len(time), PERIOD)
+        first = outsiders.draw_disturbance(rng, name, joint, figures[joint], len(time), period)
         disturbances = first, first._replace(
-            drawn=outsiders.draw_course(rng, name, len(time), PERIOD))
+            drawn=outsiders.draw_course(rng, name, len(time), period))
     elif kind != 'clean':
-        effects = _main_effects(rng, 2 if kind == 'double' else 1, seed, robot, figures, effect)
+        names = [name for name in available_effects() if name not in population.without]
+        chosen = _names(rng, 2 if kind == 'double' else 1, effect or in_turn(seed), names)
+        effects = tuple(_main(rng, name, robot, figures) for name in chosen)
     clutter = ()
     if kind == 'clutter':
         clutter = _clutter(rng, effects, robot, figures)
         torques = Torques(_recording(bare, references[0], time, robot, False, 'without effects',
                                      None), robot)
-        others = (effect,) if effect else available_effects()
+        others = (effect,) if effect else names
         effects = _dominant(rng, effects[0], clutter, robot, figures, torques, others)
     robot = replace(robot, effects=effects + clutter)
     with_rates = rng.random() < 0.5
     recordings = []
     for k, reference in enumerate(references):
         supply, seen = plants.draw_supply(rng, time)
-        run = _driven(robot, nominal, gains, reference, seeds[k], disturbances[k], supply)
+        run = driven(robot, nominal, gains, reference, seeds[k], disturbance=disturbances[k],
+                     supply=supply, noise=drives.draw(own, len(time)))
         recordings.append(_recording(run, reference, time, robot, with_rates,
                                      f'{kind} {seed}', seen))
     if all(spec.name != 'supply_sag' for spec in effects) and rng.random() < 0.5:
         recordings = [replace(recording, supply=None) for recording in recordings]
     first = disturbances[0]
-    return Case(recording=recordings[0], held_out=recordings[1], nominal=nominal, gains=gains,
-                truth=Truth(kind=kind, seed=seed, plant=plant, motion=motion, effects=effects,
-                            clutter=clutter, outsider=first.name if first else None,
+    return Case(recording=recordings[0], held_out=recordings[1], nominal=nominal,
+                gains=None if population.drive is truth.under_pid else gains,
+                truth=Truth(kind=kind, seed=seed, population='', plant=plant,
+                            motion=population.motion, effects=effects, clutter=clutter,
+                            outsider=first.name if first else None,
                             outsider_joint=robot.joints[first.joint] if first else None,
-                            robot=robot))
+                            robot=robot, belief_errors=belief_errors(robot, nominal),
+                            torque_noise=drives.deviation))
 
 
-def _driven(robot, nominal, gains, reference, seed, disturbance=None, supply=None):
-    motion = truth.simulate(robot, nominal, gains, reference, period=PERIOD, seed=int(seed),
-                            disturbance=disturbance, supply=supply)
+def _with_encoders(robot, population):
+    """Return a robot with the encoders of its population, and as much noise in counts."""
+    encoder = robot.encoder
+    counts = float(population.counts or encoder.counts)
+    return replace(robot, encoder=replace(
+        encoder, counts=counts, noise=encoder.noise * (encoder.counts / counts),
+        velocity_cutoff=population.velocity_cutoff))
+
+
+def _driven(robot, nominal, gains, reference, seed, **others):
+    motion = truth.simulate(robot, nominal, gains, reference, seed=int(seed), **others)
     limited = np.mean(np.abs(motion.command) >= gains.torque_limit, axis=0)
     if (sizes.rms(motion.true[:, 0] - reference[:, 0]).max() > _FARTHEST
             or limited.max() > _LIMITED):
@@ -232,15 +274,14 @@ def _driven(robot, nominal, gains, reference, seed, disturbance=None, supply=Non
     return motion
 
 
-def _main_effects(rng, count, seed, robot, figures, effect):
-    """Return ``count`` different main effects; the first is that of the seed's turn."""
-    names = available_effects()
-    chosen = [effect or in_turn(seed)]
+def _names(rng, count, first, names):
+    """Return the names of ``count`` different main effects, list of str."""
+    chosen = [first]
     while len(chosen) < count:
         name = str(rng.choice(names))
         if name not in chosen:
             chosen.append(name)
-    return tuple(_main(rng, name, robot, figures) for name in chosen)
+    return chosen
 
 
 def _main(rng, name, robot, figures):

@@ -5,7 +5,7 @@
 
 from dataclasses import replace
 
-from gms_flex_control.discrepancy.path import path_of
+from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.hidden.sizes import rms
 from gms_flex_control.simulation import plant
@@ -28,15 +28,15 @@ class Torques:
     """
 
     def __init__(self, recording, robot):
-        self._robot, self._path = robot, path_of(recording, robot)
+        self._robot, self._motion = robot, motion_of(recording, robot)
         self._without = self._residual(robot)
 
     def _residual(self, robot):
-        return unexplained(self._path, plant.constants_of(robot))
+        return unexplained(self._motion, plant.constants_of(robot))
 
     def of(self, spec):
         """Return the rms torque of an EffectSpec, of the larger equation [N m]."""
         change = self._residual(replace(self._robot, effects=(spec,))) - self._without
-        width = max(round(_OVER / self._path.period), 1)
+        width = max(round(_OVER / self._motion.period), 1)
         slow = uniform_filter1d(change, width, axis=0, mode='nearest')
         return float(rms(slow).max())

@@ -7,7 +7,7 @@ from gms_flex_control.trajectory import builders
 from gms_flex_control.trajectory.segments import COEFFICIENTS, Trajectory
 import numpy as np
 
-MOTIONS = ('rich', 'sinusoid', 'polynomial')
+MOTIONS = ('rich', 'sinusoid', 'polynomial', 'slow')
 _ACCELERATION = {'soft': 1.5, 'stiff': 2.5}  # of the sum of tones, largest [rad/s^2]
 
 
@@ -19,8 +19,9 @@ def draw_reference(rng, motion, plant, time):
     ----------
     rng : numpy.random.Generator
         Where every number comes from.
-    motion : {'rich', 'sinusoid', 'polynomial'}
-        Tones, moves of many speeds and slow reversals one after the other; or the paper's.
+    motion : {'rich', 'sinusoid', 'polynomial', 'slow'}
+        Tones, moves of many speeds and slow reversals one after the other; the paper's; or slow
+        moves and creeping reversals with rests between them.
     plant : {'soft', 'stiff'}
         A soft robot is moved more gently.
     time : ndarray, shape (T,)
@@ -38,6 +39,8 @@ def draw_reference(rng, motion, plant, time):
         repeats = int(np.ceil(time[-1] / 8.0))
         return builders.polynomial(rng.uniform(0.7, 1.3, 2), rng.uniform(3.5, 5.0),
                                    rng.uniform(1.0, 3.0), repeats).sample(time)
+    if motion == 'slow':
+        return slow(rng, time[-1]).sample(time)
     third = time[-1] / 3.0
     parts = [*tones(rng, 0.5, third, (0.1, 0.7), 0.9, _ACCELERATION[plant], 4),
              *tones(rng, 2.3 * third, 0.7 * third, (0.08, 0.3), 0.12, 0.4, 3),
@@ -45,8 +48,10 @@ def draw_reference(rng, motion, plant, time):
     return sum(part.sample(time) for part in parts)
 
 
-# largest acceleration of a move of degree 9, times distance / duration^2
-_STEEPEST = 9.4
+# largest acceleration of a move of degree 9, times distance / duration^2, and largest speed
+_STEEPEST, _FASTEST = 9.4, 2.46
+# slow: speed of a stroke that creeps, and of one that travels [rad/s]; its time, and that of rests
+_CREEPING, _TRAVELLING, _STROKE, _REST = (0.005, 0.1), (0.05, 0.6), (2.0, 5.0), (1.0, 3.0)
 
 
 def tones(rng, start, duration, band, reach, acceleration, count):
@@ -105,4 +110,27 @@ def moves(rng, start, duration, acceleration):
         begin += [time, time + taken]
         scale += [taken, 1.0]
         here, time = there, time + taken + rng.uniform(0.0, 0.8)
+    return builders.polynomials(begin, scale, polys)
+
+
+def slow(rng, duration):
+    """Return creeping reversals and slow moves in turn, each joint at a speed of its own."""
+    polys, begin, scale = [builders.constant([0.0, 0.0])], [0.0], [1.0]
+    here, time, creeping = np.zeros(2), 0.5, True
+    while time < duration:
+        taken = rng.uniform(*_STROKE)
+        speed = np.exp(rng.uniform(*np.log(_CREEPING if creeping else _TRAVELLING), 2))
+        stroke = speed * taken / _FASTEST * rng.choice([-1.0, 1.0], 2)
+        stroke = np.where(np.abs(here + stroke) > 1.1, -stroke, stroke)
+        for way in (1.0, -1.0, 1.0) if creeping else (1.0,):
+            there = here + way * stroke
+            polys.append(builders.hermite(builders.at_rest(here), builders.at_rest(there), taken))
+            begin.append(time)
+            scale.append(taken)
+            here, time = there, time + taken
+        polys.append(builders.constant(here))
+        begin.append(time)
+        scale.append(1.0)
+        time += rng.uniform(*_REST)
+        creeping = not creeping
     return builders.polynomials(begin, scale, polys)

@@ -5,6 +5,7 @@
 
 from dataclasses import replace
 
+from gms_flex_control.errors import ParameterError, SimulationError
 from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.params.encoder import EncoderParams
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
@@ -15,11 +16,11 @@ import numpy as np
 NOMINAL_SUPPLY = 24.0  # [V]
 PLANTS = ('soft', 'stiff')
 COUNTS = (20000, 20000, 65536, 131072, 262144, 524288)  # per revolution, one drawn
-BELIEF = (0.01, 0.03)  # how far every believed parameter lies off the truth, either way
 _STIFFNESS = {'soft': (1.0, 1.5), 'stiff': (24.0, 36.0)}  # [N m/rad]
 _KD_MOTOR = {'soft': 0.2, 'stiff': 0.6}
 _SAG = (0.03, 0.3)  # by which the arm's weight may wind up a spring, largest, rad
 _GRAVITY = 9.81     # [m/s^2]
+_TRIES = 100        # of what is believed of the links
 _TO_SPARE = 1.2     # times the largest weight, above the torque that motion takes
 
 
@@ -175,9 +176,27 @@ def with_base_parameters(arm, factors):
     return replace(arm, com=com, inertia=whole - arm.mass * com ** 2)
 
 
-def draw_belief(rng, robot):
+def base_parameters(arm):
     """
-    Return the robot with every parameter 1 to 3 % off, as its user believes it to be.
+    Return the inertia of each link about its joint with the mass it carries, and the coupling.
+
+    Of two links in a plane: shape (2,), and l1 m2 c2, scalar [kg m^2].
+    """
+    about_joint = arm.inertia + arm.mass * arm.com ** 2
+    return (about_joint + carried_masses(arm) * arm.length ** 2,
+            arm.length[0] * arm.mass[1] * arm.com[1])
+
+
+def uniform_errors(rng, low=0.01, high=0.03):
+    """Return a function (kind, *shape) that draws relative errors of a size, either way."""
+    def draw(kind, *shape):
+        return rng.uniform(low, high, shape) * rng.choice([-1.0, 1.0], shape)
+    return draw
+
+
+def draw_belief(rng, robot, errors=uniform_errors):
+    """
+    Return the robot as its user believes it to be.
 
     Parameters
     ----------
@@ -185,26 +204,43 @@ def draw_belief(rng, robot):
         Where every number comes from.
     robot : RobotParams
         The truth; its effects are not believed in.
+    errors : callable
+        Of ``rng``, returns a function that draws the relative errors of a kind of parameters;
+        by default each is 1 to 3 % off.
 
     Returns
     -------
     RobotParams
 
     """
-    def factors(*shape):
-        return 1.0 + rng.uniform(*BELIEF, shape) * rng.choice([-1.0, 1.0], shape)
+    drawn = errors(rng)
 
-    base = factors(3)
-    heavy = factors(1) if np.any(robot.arm.gravity) else [1.0]
-    arm = replace(with_base_parameters(robot.arm, np.append(base, heavy)),
-                  motor_inertia=robot.arm.motor_inertia * factors(2),
-                  stiffness=robot.arm.stiffness * factors(2))
+    def factors(kind, *shape):
+        return 1.0 + drawn(kind, *shape)
+
+    arm = replace(_believed_links(robot.arm, factors),
+                  motor_inertia=robot.arm.motor_inertia * factors('motor_inertia', 2),
+                  stiffness=robot.arm.stiffness * factors('stiffness', 2))
     friction, sides = robot.friction, []
     for steady in (friction.forward, friction.backward):
-        level = factors(2)
+        level = factors('level', 2)
         sides.append(StribeckParams(
             static=steady.static * level, coulomb=steady.coulomb * level,
-            velocity=steady.velocity * factors(2), viscous=steady.viscous * factors(2)))
+            velocity=steady.velocity * factors('velocity', 2),
+            viscous=steady.viscous * factors('viscous', 2)))
     return replace(robot, arm=arm, effects=(), friction=replace(
         friction, forward=sides[0], backward=sides[1],
-        stiffness=friction.stiffness * factors(2, 1), attraction=friction.attraction * factors(2)))
+        stiffness=friction.stiffness * factors('blocks', 2, 1),
+        attraction=friction.attraction * factors('attraction', 2)))
+
+
+def _believed_links(arm, factors):
+    """Return the arm with base parameters believed; those that no links can have are refused."""
+    for _ in range(_TRIES):
+        base = factors('inertia', 3)
+        heavy = factors('inertia', 1) if np.any(arm.gravity) else [1.0]
+        try:
+            return with_base_parameters(arm, np.append(base, heavy))
+        except ParameterError:
+            continue
+    raise SimulationError(f'none of {_TRIES} beliefs on the inertia of the links is that of links')

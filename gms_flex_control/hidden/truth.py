@@ -11,11 +11,11 @@ from gms_flex_control.control import cascade
 from gms_flex_control.dynamics import chain
 from gms_flex_control.effects import table as effect_table
 from gms_flex_control.errors import ConfigError, SimulationError
-from gms_flex_control.hidden.kernels import loop, mechanics, outside
+from gms_flex_control.hidden.kernels import loop, mechanics, outside, pid
 from gms_flex_control.simulation import encoder
 import numpy as np
 
-SUBSTEPS = 50  # 40 microseconds at 500 Hz
+STEP = 4e-5  # of the integration, about [s]
 # solved with the mass matrix instead of by their terms: the accelerations in them are implicit
 CARRIED, BASE = 'motor_inertia_coupling', 'base_flexibility'
 
@@ -27,6 +27,20 @@ class Disturbance(NamedTuple):
     joint: int
     values: tuple
     drawn: np.ndarray  # (T,) random numbers, one held over each sample
+
+
+class Scene(NamedTuple):
+    """What a run takes beside reference and controller, in the order of the kernels."""
+
+    state: np.record
+    constants: np.record
+    strange: np.record    # of a Disturbance
+    drawn: np.ndarray     # (T,) its random numbers
+    supply: np.ndarray    # (T,) [V]
+    noise: np.ndarray     # (T, n) torque of the drives [N m]
+    measured: np.record
+    encoders: np.record
+    rng: np.random.Generator
 
 
 class Motion(NamedTuple):
@@ -80,10 +94,30 @@ def strange_record(disturbance):
                          joint=disturbance.joint, values=values)
 
 
-def simulate(robot, model, gains, reference, *, period=2e-3, substeps=SUBSTEPS, seed=0,
-             disturbance=None, supply=None):
+def under_cascade(robot, model, gains, reference, period, scene, angles, torques):
+    """Run a Scene under the cascade controller; fills ``angles`` and ``torques``."""
+    loop.run(reference, period, round(period / STEP), *scene, cascade.init(model),
+             cascade.constants_of(gains, model), cascade.workspace(robot.n_joints), angles,
+             torques)
+
+
+def under_pid(robot, model, gains, reference, period, scene, angles, torques):
     """
-    Simulate a robot under the cascade controller.
+    Run a Scene under PID controllers of the motors' angles, gains from the motor law.
+
+    A motor is asked to be where the spring carries inertia and weight of the links, as believed.
+    """
+    asked = reference.copy()
+    for row, (q, v, a) in zip(asked, reference[:, :3], strict=True):
+        link = chain.matrices(q, v, v, a, model.arm)
+        row[0] += (link.mass @ a + link.coriolis @ v + link.gravity) / model.arm.stiffness
+    loop.run_pid(asked, period, round(period / STEP), *scene, pid.init(gains), angles, torques)
+
+
+def simulate(robot, model, gains, reference, *, period=2e-3, seed=0, disturbance=None,
+             supply=None, noise=None, drive=under_cascade):
+    """
+    Simulate a robot under its controller.
 
     Parameters
     ----------
@@ -97,14 +131,17 @@ def simulate(robot, model, gains, reference, *, period=2e-3, substeps=SUBSTEPS, 
         Desired link angle and derivatives; the robot starts at rest at its first row.
     period : float
         Sample [s].
-    substeps : int
-        Integration steps in it.
     seed : int
         Of the encoder noise.
     disturbance : Disturbance, optional
         From outside the catalogue.
     supply : ndarray, shape (T,), optional
         Voltage over each sample [V]; not known by default.
+    noise : ndarray, shape (T, n_joints), optional
+        Torque the drives add to that of their motors over each sample [N m].
+    drive : callable
+        Which controller and integrator: `under_cascade`, `under_pid` or
+        `mujoco_plant.under_cascade`.
 
     Returns
     -------
@@ -114,17 +151,20 @@ def simulate(robot, model, gains, reference, *, period=2e-3, substeps=SUBSTEPS, 
     ------
     SimulationError
         If the loop diverges; the sentence says when.
+    ConfigError
+        If the robot is none that ``drive`` can move.
 
     """
     samples, n = len(reference), robot.n_joints
     angles, torques = np.empty((samples, 8, n)), np.empty((samples, 4, n))
-    drawn = np.zeros(samples) if disturbance is None else disturbance.drawn
-    supply = np.zeros(samples) if supply is None else supply
-    loop.run(np.ascontiguousarray(reference), period, substeps, at_rest(robot, reference[0, 0]),
-             constants_of(robot), strange_record(disturbance), drawn, supply, encoder.init(n),
-             encoder.constants_of(robot.encoder), np.random.default_rng(seed),
-             cascade.init(model), cascade.constants_of(gains, model), cascade.workspace(n),
-             angles, torques)
+    scene = Scene(
+        state=at_rest(robot, reference[0, 0]), constants=constants_of(robot),
+        strange=strange_record(disturbance),
+        drawn=np.zeros(samples) if disturbance is None else disturbance.drawn,
+        supply=np.zeros(samples) if supply is None else supply,
+        noise=np.zeros((samples, n)) if noise is None else noise, measured=encoder.init(n),
+        encoders=encoder.constants_of(robot.encoder), rng=np.random.default_rng(seed))
+    drive(robot, model, gains, np.ascontiguousarray(reference), period, scene, angles, torques)
     sound = np.isfinite(angles).all(axis=(1, 2)) & (np.abs(angles[:, 4]) < 1e3).all(axis=1)
     if not sound.all():
         raise SimulationError(f'the hidden robot diverged at {np.argmin(sound) * period:g} s; '
@@ -132,7 +172,7 @@ def simulate(robot, model, gains, reference, *, period=2e-3, substeps=SUBSTEPS, 
     return Motion(angles[:, :4], angles[:, 4:], *np.moveaxis(torques, 1, 0))
 
 
-def simulate_open(robot, command, *, period=2e-3, substeps=SUBSTEPS, state=None,
+def simulate_open(robot, command, *, period=2e-3, substeps=None, state=None,
                   disturbance=None):
     """
     Simulate a robot under given torques.
@@ -143,8 +183,10 @@ def simulate_open(robot, command, *, period=2e-3, substeps=SUBSTEPS, state=None,
         As it is.
     command : ndarray, shape (T, n_joints)
         Torque held over each sample [N m].
-    period, substeps, disturbance
+    period, disturbance
         As `simulate`.
+    substeps : int, optional
+        Integration steps in a sample; by default steps of `STEP`.
     state : numpy.record, optional
         Start; default at rest at zero.
 
@@ -157,6 +199,7 @@ def simulate_open(robot, command, *, period=2e-3, substeps=SUBSTEPS, state=None,
     command = np.ascontiguousarray(command, dtype=float)
     states = np.empty((len(command) + 1, 4, robot.n_joints))
     drawn = np.zeros(len(command)) if disturbance is None else disturbance.drawn
-    loop.run_open(command, period, substeps, at_rest(robot) if state is None else state.copy(),
+    loop.run_open(command, period, substeps or round(period / STEP),
+                  at_rest(robot) if state is None else state.copy(),
                   constants_of(robot), strange_record(disturbance), drawn, states)
     return states

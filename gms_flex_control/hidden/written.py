@@ -28,15 +28,21 @@ def truth_values(truth):
     Returns
     -------
     dict
-        Kind, seed, plant, motion, ``effects`` (main ones), ``clutter``, ``outsider``.
+        Kind, seed, population, plant, motion, ``effects`` (main ones), ``clutter``,
+        ``outsider``, ``belief_errors`` (joint -> kind -> relative error), ``torque_noise``.
 
     """
     outsider = None
     if truth.outsider is not None:
         outsider = {'name': truth.outsider, 'joint': truth.outsider_joint}
-    return {'kind': truth.kind, 'seed': truth.seed, 'plant': truth.plant,
+    return {'kind': truth.kind, 'seed': truth.seed, 'population': truth.population,
+            'plant': truth.plant,
             'motion': truth.motion, 'effects': [described(spec) for spec in truth.effects],
-            'clutter': [described(spec) for spec in truth.clutter], 'outsider': outsider}
+            'clutter': [described(spec) for spec in truth.clutter], 'outsider': outsider,
+            'belief_errors': {joint: {
+                kind: float(error[j]) for kind, error in truth.belief_errors.items()}
+                for j, joint in enumerate(truth.robot.joints)},
+            'torque_noise': truth.torque_noise.tolist()}
 
 
 def as_named(recording, motors):

@@ -6,9 +6,10 @@
 from typing import NamedTuple
 
 from gms_flex_control.batches import sources
-from gms_flex_control.discrepancy.unseen_links import is_lost
+from gms_flex_control.effects.registry import find
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.hidden.cases import in_turn
+from gms_flex_control.hidden.populations import POPULATIONS
 
 # what an answer depends on
 _SOURCES = ('analysis', 'benchmarks/hidden_effects/judgement.py',
@@ -19,39 +20,37 @@ _SOURCES = ('analysis', 'benchmarks/hidden_effects/judgement.py',
 
 
 class Job(NamedTuple):
-    """One hidden robot to be tried; see hidden.cases.make_case and SENSORS."""
+    """One hidden robot to be tried; see hidden.cases.make_case."""
 
     kind: str
     seed: int
-    motion: str = 'rich'
+    population: str = 'home'
     plant: str | None = None
     duration: float = 60.0
-    sensors: str = 'both'
-    gravity: bool = False
 
     @property
     def key(self):
         """Return a name of its own, str."""
-        sensors = '' if self.sensors == 'both' else f'/{self.sensors}'
-        gravity = '/gravity' if self.gravity else ''
-        return (f'{self.kind}/{self.motion}/{self.plant or "drawn"}/{self.duration:g}/'
-                f'{self.seed}{sensors}{gravity}')
+        population = '' if self.population == 'home' else f'/{self.population}'
+        return (f'{self.kind}/{POPULATIONS[self.population].motion}/{self.plant or "drawn"}/'
+                f'{self.duration:g}/{self.seed}{population}')
 
     @property
     def can_be_seen(self):
-        """Return whether the main effect shows with these sensors at all."""
-        return (self.sensors == 'both' or self.kind in ('clean', 'outside')
-                or not is_lost(in_turn(self.seed)))
+        """Return whether its robots can have the main effect, and whether it shows on them."""
+        row, name = POPULATIONS[self.population], in_turn(self.seed)
+        return self.kind in ('clean', 'outside') or (
+            name not in row.without and (row.links_seen or not find(name).needs_link_encoder))
 
 
-# the seeds of the figures in docs/hidden_effects.md: kind, motion, how many seeds from 0 on
+# the seeds of the figures in docs/hidden_effects.md: kind, population, how many seeds from 0 on
 SETS = {
-    'full': (('single', 'rich', 333), ('clean', 'rich', 60), ('double', 'rich', 60),
-             ('outside', 'rich', 44), ('clutter', 'rich', 108), ('deleted', 'rich', 72),
-             ('single', 'sinusoid', 54), ('single', 'polynomial', 54)),
-    'quick': (('single', 'rich', 36), ('clean', 'rich', 6), ('double', 'rich', 6),
-              ('outside', 'rich', 11), ('clutter', 'rich', 12), ('deleted', 'rich', 9),
-              ('single', 'sinusoid', 6), ('single', 'polynomial', 6)),
+    'full': (('single', 'home', 333), ('clean', 'home', 60), ('double', 'home', 60),
+             ('outside', 'home', 44), ('clutter', 'home', 108), ('deleted', 'home', 72),
+             ('single', 'paper_sinusoid', 54), ('single', 'paper_polynomial', 54)),
+    'quick': (('single', 'home', 36), ('clean', 'home', 6), ('double', 'home', 6),
+              ('outside', 'home', 11), ('clutter', 'home', 12), ('deleted', 'home', 9),
+              ('single', 'paper_sinusoid', 6), ('single', 'paper_polynomial', 6)),
 }
 
 
@@ -80,8 +79,8 @@ def jobs_of(name, share=1.0):
         raise ConfigError(f'set {name!r} is unknown; known: {", ".join(SETS)}')
     if not 0.0 < share <= 1.0:
         raise ConfigError(f'share {share:g} must be more than 0, at most 1')
-    placed = [((seed + 0.5) / count, Job(kind, seed, motion))
-              for kind, motion, count in SETS[name] for seed in range(count)]
+    placed = [((seed + 0.5) / count, Job(kind, seed, population))
+              for kind, population, count in SETS[name] for seed in range(count)]
     jobs = [job for _, job in sorted(placed, key=lambda one: one[0])]
     return jobs[:max(round(share * len(jobs)), 1)]
 

@@ -4,10 +4,19 @@
 """Answers judged by what was hidden: right, wrong, and how far the numbers are off."""
 
 from gms_flex_control.benchmarks.hidden_effects.outcome import ranked, WORKFLOW
+from gms_flex_control.params.robot import WHOLE_ARM
 import numpy as np
 
-RIGHT, CONFUSABLE, WRONG, UNEXPLAINED, NOTHING, FAULT = (
-    'right', 'confusable', 'wrong', 'unexplained', 'nothing', 'fault')
+RIGHT, BELIEF, CONFUSABLE, WRONG, UNEXPLAINED, NOTHING, FAULT = (
+    'right', 'belief', 'confusable', 'wrong', 'unexplained', 'nothing', 'fault')
+FAR_OFF = 0.04  # what is believed that far from the truth may be named
+# effects that are errors of belief: which, of populations.belief_errors
+BELIEFS = {
+    'stiffness_error': ('stiffness',), 'motor_inertia_error': ('motor_inertia',),
+    'link_inertia_error': ('link_inertia', 'coupling'),
+    'tip_payload': ('link_inertia', 'coupling'), 'coulomb_error': ('level',),
+    'viscous_error': ('viscous',), 'stribeck_error': ('static', 'velocity'),
+    'presliding_error': ('blocks',), 'friction_asymmetry': ('asymmetry',)}
 # effects whose torques are functions of the same things: one stands in for another that is not
 # in the catalogue
 RELATIVES = (
@@ -38,6 +47,33 @@ def names_given(outcome, tool=WORKFLOW):
     return [tuple(one) for one in answers[tool]] if tool in answers else None
 
 
+def is_belief_error(outcome, effect, joint):
+    """
+    Return whether what is named is an error of belief the robot truly has.
+
+    Parameters
+    ----------
+    outcome : dict
+        Of `outcome.try_job`.
+    effect, joint : str
+        Named by the workflow or a peer; of the workflow's findings the sign counts as well.
+
+    """
+    errors = outcome['truth']['belief_errors']
+    found = [next(iter(one['parameters'].values())) for one in outcome['findings']
+             if (one['effect'], one['joint']) == (effect, joint)]
+    return any(abs(error) > FAR_OFF and (not found or not found[0] or error * found[0] > 0.0)
+               for kind in BELIEFS.get(effect, ())
+               for error in (one[kind] for name, one in errors.items()
+                             if joint in (name, WHOLE_ARM)))
+
+
+def not_believed(outcome):
+    """Return the findings (dicts) that are no errors of belief the robot truly has."""
+    return [one for one in outcome['findings']
+            if not is_belief_error(outcome, one['effect'], one['joint'])]
+
+
 def judged(outcome, tool=WORKFLOW):
     """
     Return what the first name given is worth.
@@ -52,8 +88,9 @@ def judged(outcome, tool=WORKFLOW):
     Returns
     -------
     str
-        'right' (effect and joint), 'confusable' (another, which the answer says cannot be told
-        from the right one), 'wrong', 'unexplained', 'nothing' found, or 'fault' of data or tool.
+        'right' (effect and joint), 'belief' (a parameter that truly is far from what is
+        believed), 'confusable' (another, which the answer calls indistinguishable from the right
+        one), 'wrong', 'unexplained', 'nothing' found, or 'fault' of data or tool.
 
     """
     given, hidden = names_given(outcome, tool), hidden_names(outcome)[0]
@@ -62,6 +99,8 @@ def judged(outcome, tool=WORKFLOW):
     if given:
         if given[0] == hidden:
             return RIGHT
+        if is_belief_error(outcome, *given[0]):
+            return BELIEF
         if tool == WORKFLOW:
             first = ranked(outcome['findings'])[0]
             if hidden[0] in first['confusable_with']:
@@ -70,6 +109,17 @@ def judged(outcome, tool=WORKFLOW):
     if tool == WORKFLOW and outcome['verdict'] == 'unexplained':
         return UNEXPLAINED
     return NOTHING
+
+
+def holds_truth(outcome):
+    """
+    Return whether the credible set has the hidden effects, and no others, in one of its models.
+
+    Errors of belief that the robot truly has may be there or not.
+    """
+    hidden = set(hidden_names(outcome))
+    return any({tuple(one) for one in model['effects'] if tuple(one) in hidden
+                or not is_belief_error(outcome, *one)} == hidden for model in outcome['models'])
 
 
 def unrelated(first, second):

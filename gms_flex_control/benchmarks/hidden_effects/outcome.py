@@ -32,15 +32,13 @@ def try_job(job, with_peers=True):
     -------
     dict
         ``key``, ``truth``, ``answers`` (tool -> list of [effect, joint]), ``verdict``,
-        ``findings``, ``gap``, ``seconds``, ``megabytes``; ``error`` where the workflow failed;
-        ``truth_gains`` of a single effect that was missed, see `gain_of_truth`.
+        ``findings``, ``models``, ``noise``, ``gap``, ``seconds``, ``megabytes``; ``error`` where
+        the workflow failed; ``truth_gains`` of a missed single effect, see `gain_of_truth`.
 
     """
     from gms_flex_control.benchmarks.hidden_effects.judgement import judged, RIGHT
-    case = make_case(job.kind, job.seed, motion=job.motion, plant=job.plant,
-                     duration=job.duration, gravity=job.gravity)
-    if job.sensors == 'motors':
-        case = case.without_links()
+    case = make_case(job.kind, job.seed, population=job.population, plant=job.plant,
+                     duration=job.duration)
     without = tuple(spec.name for spec in case.truth.effects) if job.kind == 'deleted' else ()
     outcome = {'key': job.key, 'truth': truth_values(case.truth), 'answers': {}}
     answer, result = ask_workflow(case, without)
@@ -48,7 +46,7 @@ def try_job(job, with_peers=True):
     outcome['megabytes'] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (
         1024.0 if sys.platform != 'darwin' else 1024.0 ** 2)
     outcome['answers'][WORKFLOW] = [[one['effect'], one['joint']] for one in ranked(
-        outcome['findings']) if one['decided']]
+        outcome['findings'])]
     if job.kind == 'single' and result is not None and judged(outcome) != RIGHT:
         outcome['truth_gains'] = gain_of_truth(result, *case.truth.effects)
     if with_peers:
@@ -72,17 +70,22 @@ def ask_workflow(case, without):
         result = discrepancy([case.recording], case.nominal, options, holdout=[case.held_out])
     except _FAILURES as error:
         return {'error': f'{type(error).__name__}: {error}', 'verdict': 'error', 'findings': [],
-                'gap': None, 'seconds': time.perf_counter() - begin}, None
+                'models': [], 'noise': [], 'gap': None,
+                'seconds': time.perf_counter() - begin}, None
     seconds = time.perf_counter() - begin
     return {'verdict': result.verdict, 'seconds': seconds, 'gap': gap_of(result.gap),
             'withheld': gap_of(result.withheld),
             'findings': [{
                 'effect': one.effect, 'joint': one.joint, 'main': bool(one.main),
-                'score': float(one.score), 'torque': float(one.torque),
+                'score': float(one.score), 'probability': float(one.probability),
+                'held_out': one.held_out._asdict(), 'torque': float(one.torque),
                 'parameters': {name: float(value) for name, value in one.parameters.items()},
-                'runner_up': str(one.runner_up), 'confusable_with': list(map(
-                    str, one.confusable_with)), 'decided': one not in result.undecided}
-                for one in result.named]}, result
+                'runner_up': str(one.runner_up),
+                'confusable_with': list(map(str, one.confusable_with))}
+                for one in result.named],
+            'models': [{'effects': [list(one) for one in model.effects],
+                        'probability': float(model.probability)} for model in result.models],
+            'noise': [one._asdict() for one in result.noise]}, result
 
 
 def ask_peers(case, without):
@@ -97,20 +100,25 @@ def ask_peers(case, without):
 
 def gain_of_truth(result, effect):
     """
-    Return what the true effect would have gained, known parameters re-tuned; None if unknown.
+    Return 2 log evidence of the true effect over nothing, all fitted; None if unknown.
 
-    In the unit of the search's gains: what is below search.LEAST_GAIN is not told by the data.
+    Below thresholds.EVIDENCE the data do not speak for it.
     """
-    from gms_flex_control.discrepancy.problem import with_effect
-    from gms_flex_control.discrepancy.search import retuned
+    from gms_flex_control.discrepancy.evidence import state_of
+    from gms_flex_control.discrepancy.fitting import refitted, retuned
+    from gms_flex_control.discrepancy.likelihood import with_effect
+    from gms_flex_control.discrepancy.search import count_of
     if result.behind is None:
         return None
-    problem, found = result.behind.problem, result.behind.found
+    likelihood = result.behind.likelihood
     try:
-        model, _ = retuned(problem, with_effect(problem.robot, effect), found.before.x)
+        nothing, own = retuned(likelihood, likelihood.robot, result.behind.before.x)
+        begin = likelihood.fitted(with_effect(likelihood.robot, effect), nothing.x)
+        with_it, without_it = (state_of(likelihood, *state, count_of(likelihood, ()))
+                               for state in (refitted(likelihood, begin, own), (nothing, own)))
     except _FAILURES:
         return None
-    return problem.exact_cost(found.before) - problem.exact_cost(model)
+    return with_it.evidence - without_it.evidence
 
 
 def gap_of(gap):

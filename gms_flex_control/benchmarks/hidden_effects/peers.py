@@ -4,9 +4,9 @@
 """
 Peers of the workflow on the same library: sparse regression, and forward selection by R^2.
 
-Both get what the workflow's first scan has: rows of the residual and, for every guess of every
-effect, the rows it would change, the known parameters re-tuned in all of them. What they lack is
-what comes after: significance, fits of the effects themselves, held-out data.
+Both get what the workflow's first scan has: whitened residuals, weighted by their noise, and for
+every guess of every effect what it would change of them, the known parameters re-tuned in all.
+What they lack is what comes after: evidence, fits of the effects themselves, held-out data.
 """
 
 from importlib.util import find_spec
@@ -16,7 +16,6 @@ import numpy as np
 FORWARD, SPARSE = 'forward R^2', 'sparse regression'
 NO_PYSINDY = ('sparse regression is skipped: pysindy is not installed; '
               "pip install 'gms_flex_control[peers]'")
-_PRACTICAL = 0.01       # share of Coulomb friction below which differences do not count
 _LEAST_R2 = 0.01        # that a further effect must explain
 _MOST = 8
 _THRESHOLD, _RIDGE = 0.1, 0.05  # of coefficients of columns scaled to unit length
@@ -72,23 +71,24 @@ def library_of(case, without):
         The residual scaled likewise.
 
     """
-    from gms_flex_control.discrepancy.fit import Fitted
-    from gms_flex_control.discrepancy.library import Library
-    from gms_flex_control.discrepancy.path import path_of
-    from gms_flex_control.discrepancy.problem import Problem
+    from gms_flex_control.discrepancy.dictionary import Dictionary
+    from gms_flex_control.discrepancy.fitting import retuned
+    from gms_flex_control.discrepancy.likelihood import Likelihood
+    from gms_flex_control.discrepancy.motion import motion_of
 
-    problem = Problem([path_of(case.recording, case.nominal)], case.nominal, _PRACTICAL)
-    x, rows, knobs = problem.retuned(problem.robot, np.zeros(len(problem.knobs)))
-    library = Library(problem, Fitted(problem.robot, x, rows, 0.0), knobs, without)
-    basis, _ = np.linalg.qr(knobs[:, problem.fitted].T)
-    columns = np.concatenate([library.columns, -rows[None, problem.fitted]])
+    likelihood = Likelihood([motion_of(case.recording, case.nominal)], case.nominal)
+    model, own = retuned(likelihood, case.nominal, np.zeros(len(likelihood.nuisances)))
+    dictionary = Dictionary(likelihood, model, without)
+    root = np.sqrt(likelihood.weights(model.sums.groups))
+    basis, _ = np.linalg.qr((own * root).T)
+    columns = np.concatenate([dictionary.columns, -model.rows[None]]) * root
     columns = columns - (columns @ basis) @ basis.T
     length = np.linalg.norm(columns, axis=1, keepdims=True)
     columns = columns / np.where(length > 0.0, length, 1.0)
     small = np.linalg.qr(columns.T, mode='r')
-    ends = np.cumsum([0, *(len(guess.probes) for _, _, guess in library.guesses)])
+    ends = np.cumsum([0, *(len(guess.probes) for _, _, guess in dictionary.guesses)])
     groups = [slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)]
-    return ([(name, joint) for name, joint, _ in library.guesses], groups, small[:, :-1],
+    return ([(name, joint) for name, joint, _ in dictionary.guesses], groups, small[:, :-1],
             small[:, -1])
 
 

@@ -6,7 +6,9 @@
 from gms_flex_control.benchmarks.hidden_effects import figures
 from gms_flex_control.benchmarks.hidden_effects.judgement import RIGHT
 from gms_flex_control.benchmarks.hidden_effects.outcome import WORKFLOW
-from gms_flex_control.discrepancy.search import LEAST_GAIN
+from gms_flex_control.discrepancy.thresholds import EVIDENCE
+
+NUMBERS = ('cases', 'free run', 'energy', 'time [s]')  # figures of a population, else shares
 
 
 def aligned(rows):
@@ -56,6 +58,23 @@ def table(outcomes):
     return aligned(rows)
 
 
+def populations(outcomes):
+    """Return a line of figures for each population, str; the workflow alone."""
+    told = populations_of(outcomes)
+    rows = [['population', *next(iter(told.values()), ())]]
+    for name, values in told.items():
+        rows.append([name, *(f'{value:.3g}' if value is not None and key in NUMBERS
+                             else '-' if value is None else f'{100.0 * value:.0f} %'
+                             for key, value in values.items())])
+    return aligned(rows) if told else ''
+
+
+def populations_of(outcomes):
+    """Return the figures of every population there is an outcome of, dict of dict."""
+    return {name: figures.of_population(outcomes, name)
+            for name in dict.fromkeys(one['truth']['population'] for one in outcomes)}
+
+
 def matrix(outcomes):
     """Return the confusion matrix of singles as lines: hidden, how many right, other answers."""
     counts = figures.confusion(outcomes)
@@ -70,8 +89,9 @@ def matrix(outcomes):
 
 
 def not_named(outcomes):
-    """Return the singles that were missed as lines, with what the truth would have gained."""
-    rows = [['missed', 'hidden', 'answer', f'the truth gains (of {LEAST_GAIN:g} that are asked)']]
+    """Return the singles that were missed as lines, with the evidence of the truth."""
+    rows = [['missed', 'hidden', 'answer',
+             f'2 log evidence of the truth (threshold {EVIDENCE:g})']]
     for key, hidden, answer, gain in figures.missed(outcomes):
         first = answer if isinstance(answer, str) else ' of '.join(answer[0])
         rows.append([key, ' of '.join(hidden[0]), first, '-' if gain is None else f'{gain:.0f}'])
@@ -81,7 +101,9 @@ def not_named(outcomes):
 def report(outcomes):
     """Return the whole report, str."""
     failed = [f'{one["key"]}: {one["error"]}' for one in outcomes if one.get('error')]
-    parts = [matrix(outcomes), not_named(outcomes), table(outcomes)]
+    parts = [matrix(outcomes), not_named(outcomes), populations(outcomes)]
+    if any(one['truth']['population'] in figures.REQUIRED for one in outcomes):
+        parts.append(table(outcomes))
     parts += ['The workflow failed:\n' + '\n'.join(failed)] if failed else []
     return '\n\n'.join(part for part in parts if part)
 
@@ -92,6 +114,7 @@ def values(outcomes):
     return {
         'cases': len(outcomes),
         'figures': [one._asdict() | {'met': one.met} for one in figures.figures_of(outcomes)],
+        'populations': populations_of(outcomes),
         'peers': {tool: figures.peer_figures(outcomes, tool) for tool in tools[1:]},
         'confusion': figures.confusion(outcomes),
         'missed': [{'key': key, 'hidden': hidden, 'answer': answer, 'truth_gains': gain}

@@ -17,7 +17,7 @@ from gms_flex_control.control import cascade
 from gms_flex_control.effects import signals as sig
 from gms_flex_control.effects import table as effect_table
 from gms_flex_control.effects.base import Stage
-from gms_flex_control.hidden.kernels import friction, mechanics, outside
+from gms_flex_control.hidden.kernels import friction, mechanics, outside, pid
 from gms_flex_control.records import FLAG, FLOAT
 from gms_flex_control.simulation import encoder
 import numpy as np
@@ -30,10 +30,11 @@ def state_layout(n, n_blocks):
     """
     Return the dtype of state and work space.
 
-    Angles in it are absolute; ``base`` is angle and rate of the base under joint 1.
+    Angles in it are absolute; ``base`` is angle and rate of the base under joint 1; ``noise`` is
+    what the drives add to the torque of the motors over a sample [N m].
     """
     vectors = ('q', 'v', 'q_motor', 'v_motor', 'a', 'a_motor', 'a_end', 'a_motor_end', 'v_end',
-               'v_motor_end', 'link_torque', 'motor_torque', 'applied')
+               'v_motor_end', 'link_torque', 'motor_torque', 'applied', 'noise')
     return records.layout(
         *((name, FLOAT, (n,)) for name in vectors), ('base', FLOAT, (2,)), ('push', FLOAT, (1,)),
         ('supply', FLOAT, (1,)),
@@ -59,12 +60,13 @@ def fill(x, q, v, q_motor, v_motor, command, time):
 
 
 @compiled
-def evaluate(x, q, v, q_motor, v_motor, command, time, dt, memory, c, strange, drawn, a,
-             a_motor):
-    """Write the accelerations at a state (four of (n,)) into ``a`` and ``a_motor`` (n,)."""
+def load(x, q, v, q_motor, v_motor, command, time, dt, memory, c, strange, drawn):
+    """Write what acts on links and motors at a state (four of (n,)), all but the inertia."""
     s, effects, n = x.signals, c.effects, q.shape[0]
     fill(x, q, v, q_motor, v_motor, command, time)
     effect_table.run_stage(_ACTUATOR, s, memory, dt, effects)
+    for j in range(n):
+        s[j, sig.TORQUE] += x.noise[j]
     effect_table.run_stage(_TWIST, s, memory, dt, effects)
     for j in range(n):
         s[j, sig.SPRING] = c.stiffness[j] * s[j, sig.TWIST] + c.damping[j] * s[j, sig.TWIST_RATE]
@@ -89,9 +91,16 @@ def evaluate(x, q, v, q_motor, v_motor, command, time, dt, memory, c, strange, d
         else:
             x.link_torque[j] += x.motor_torque[j]
     x.push[0] = s[0, sig.FRICTION] - s[0, sig.TORQUE]
+
+
+@compiled
+def evaluate(x, q, v, q_motor, v_motor, command, time, dt, memory, c, strange, drawn, a,
+             a_motor):
+    """Write the accelerations at a state (four of (n,)) into ``a`` and ``a_motor`` (n,)."""
+    load(x, q, v, q_motor, v_motor, command, time, dt, memory, c, strange, drawn)
     mechanics.accelerate(c, q, v, x.link_torque, x.motor_torque, a, a_motor)
-    for j in range(n):
-        s[j, sig.DDQ_LINK], s[j, sig.DDQ_MOTOR] = a[j], a_motor[j]
+    for j in range(q.shape[0]):
+        x.signals[j, sig.DDQ_LINK], x.signals[j, sig.DDQ_MOTOR] = a[j], a_motor[j]
 
 
 @compiled
@@ -157,24 +166,41 @@ def sense(x, time, period, c, measured, encoders, rng):
 
 
 @compiled
-def run(reference, period, substeps, x, c, strange, drawn, supply, measured, encoders, rng,
+def write_sample(k, x, c, measured, control_state, angles, torques):
+    """Write sample ``k`` of a run into ``angles`` (T, 8, n) and ``torques`` (T, 4, n)."""
+    for j in range(x.q.shape[0]):
+        angles[k, 0, j], angles[k, 1, j] = measured.q_link[j], measured.dq_link[j]
+        angles[k, 2, j], angles[k, 3, j] = measured.q_motor[j], measured.dq_motor[j]
+        angles[k, 4, j], angles[k, 5, j] = x.q[j], x.v[j]
+        angles[k, 6, j], angles[k, 7, j] = x.q_motor[j], x.v_motor[j]
+        torques[k, 0, j], torques[k, 1, j] = control_state.command[j], x.applied[j]
+        torques[k, 2, j] = friction.friction_torque(j, x.v[j], x.torque, x.direction, c.friction)
+        torques[k, 3, j] = control_state.friction_hat[j]
+
+
+@compiled
+def run(reference, period, substeps, x, c, strange, drawn, supply, noise, measured, encoders, rng,
         control_state, control, control_work, angles, torques):
-    """Run T samples in closed loop; fills ``angles`` (T, 8, n) and ``torques`` (T, 4, n)."""
+    """Run T samples under the cascade; fills ``angles`` and ``torques``, see write_sample."""
     for k in range(reference.shape[0]):
-        time, x.supply[0] = k * period, supply[k]
+        time, x.supply[0], x.noise[:] = k * period, supply[k], noise[k]
         sense(x, time, period, c, measured, encoders, rng)
         cascade.tick(control_state, measured, reference[k], period if k > 0 else 0.0, control,
                      control_work)
-        for j in range(x.q.shape[0]):
-            angles[k, 0, j], angles[k, 1, j] = measured.q_link[j], measured.dq_link[j]
-            angles[k, 2, j], angles[k, 3, j] = measured.q_motor[j], measured.dq_motor[j]
-            angles[k, 4, j], angles[k, 5, j] = x.q[j], x.v[j]
-            angles[k, 6, j], angles[k, 7, j] = x.q_motor[j], x.v_motor[j]
-            torques[k, 0, j], torques[k, 1, j] = control_state.command[j], x.applied[j]
-            torques[k, 2, j] = friction.friction_torque(j, x.v[j], x.torque, x.direction,
-                                                        c.friction)
-            torques[k, 3, j] = control_state.friction_hat[j]
+        write_sample(k, x, c, measured, control_state, angles, torques)
         advance(x, control_state.command, time, period, substeps, c, strange, drawn[k])
+
+
+@compiled
+def run_pid(reference, period, substeps, x, c, strange, drawn, supply, noise, measured, encoders,
+            rng, control, angles, torques):
+    """Run T samples as `run` does, under PID controllers."""
+    for k in range(reference.shape[0]):
+        time, x.supply[0], x.noise[:] = k * period, supply[k], noise[k]
+        sense(x, time, period, c, measured, encoders, rng)
+        pid.tick(control, measured, reference[k], period if k > 0 else 0.0)
+        write_sample(k, x, c, measured, control, angles, torques)
+        advance(x, control.command, time, period, substeps, c, strange, drawn[k])
 
 
 @compiled

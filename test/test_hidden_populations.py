@@ -1,0 +1,237 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Populations of hidden robots: each is what its row says, and home is what it was before."""
+
+from dataclasses import replace
+from functools import cache
+
+from gms_flex_control.bags.reader import read_recording
+from gms_flex_control.cli.main import main
+from gms_flex_control.dynamics import chain
+from gms_flex_control.errors import ConfigError
+from gms_flex_control.hidden import motions, mujoco_plant, plants, sizes, truth
+from gms_flex_control.hidden.cases import make_case
+from gms_flex_control.hidden.populations import (
+    belief_errors,
+    Drives,
+    gaussian_errors,
+    Population,
+    POPULATIONS,
+    SPREAD,
+    WIDTHS,
+)
+import numpy as np
+import pytest
+
+TIME = np.arange(10000) * 2e-3
+needs_mujoco = pytest.mark.skipif(not mujoco_plant.available(), reason='mujoco is not installed')
+
+
+@cache
+def drawn(population, kind='single', seed=1):
+    return make_case(kind, seed, population=population, duration=8.0)
+
+
+def robot_of(seed, plant='soft'):
+    return plants.draw_robot(np.random.default_rng(seed), plant)[0]
+
+
+@pytest.mark.parametrize(('kind', 'seed', 'numbers'), [
+    ('clean', 3, (0.0037699111843077517, 0.03298672286269283, 0.009992183378168935,
+                  -0.0012566370614359172, 0.008148427347760528, 1.2911661679045268)),
+    ('double', 8, (0.0012566370614359172, -0.0009424777960769379, -0.09224599410484541,
+                   -0.003141592653589793, 0.007390283125628748, 1.3831171886947131))])
+def test_home_is_what_was_drawn_before_there_were_populations(kind, seed, numbers):
+    """Encoders, torque and belief, printed by the code before."""
+    case = make_case(kind, seed, duration=4.0)
+    first, nominal = case.recording, case.nominal
+    np.testing.assert_allclose(
+        (first.q_link[1500, 0], first.q_motor[1500, 1], first.command[1500, 0],
+         case.held_out.q_link[-1, 1], nominal.arm.inertia[1], nominal.friction.attraction[0]),
+        numbers, rtol=1e-7)
+
+
+@pytest.mark.parametrize('name', [name for name in POPULATIONS if name != 'mujoco']
+                         + [pytest.param('mujoco', marks=needs_mujoco)])
+def test_a_population_is_what_its_row_says(name):
+    """And the robot with the same thing hidden in it is the one at home."""
+    row, case, home = POPULATIONS[name], drawn(name), drawn('home')
+    recording = case.recording
+    assert case.truth.population == name
+    assert np.diff(recording.time) == pytest.approx(1.0 / row.rate)
+    assert np.isfinite(recording.q_link).all() == row.links_seen
+    assert np.isfinite(recording.q_motor).all() and np.isfinite(recording.command).all()
+    encoder = case.nominal.encoder
+    assert encoder.counts == (row.counts or home.nominal.encoder.counts)
+    assert 0.0999 < encoder.noise * encoder.counts / (2.0 * np.pi) < 0.5001
+    assert (case.gains is None) == (row.drive is truth.under_pid)
+    assert np.any(case.nominal.arm.gravity) == row.gravity
+    np.testing.assert_array_equal(case.truth.robot.arm.stiffness,
+                                  home.truth.robot.arm.stiffness)
+    assert [spec.name for spec in case.truth.effects] == [
+        spec.name for spec in home.truth.effects]
+    np.testing.assert_allclose(
+        case.truth.torque_noise, row.noise * np.mean(
+            [side.static for side in (case.truth.robot.friction.forward,
+                                      case.truth.robot.friction.backward)], axis=0))
+
+
+def test_some_populations_are_for_tuning_and_most_for_reporting():
+    assert {name for name, row in POPULATIONS.items() if row.tuning} == {
+        'home', 'noise_6', 'gaussian_beliefs', 'paper_polynomial'}
+
+
+@pytest.mark.parametrize(('name', 'low', 'high'), [('beliefs_3', 0.03, 0.09),
+                                                   ('beliefs_10', 0.1, 0.3)])
+def test_what_is_believed_is_far_off_and_physical(name, low, high):
+    """Either way, of robots that can be: every mass matrix positive, F_s above F_c."""
+    signs = []
+    for seed in range(40):
+        robot = robot_of(seed)
+        belief = plants.draw_belief(np.random.default_rng([1, seed]), robot,
+                                    POPULATIONS[name].beliefs)
+        for kind, error in belief_errors(robot, belief).items():
+            if kind not in ('level', 'static', 'viscous', 'velocity', 'asymmetry'):
+                off = np.abs(1.0 / (1.0 + error) - 1.0)
+                assert np.all((off > low - 1e-9) & (off < high + 1e-9)), kind
+        signs += np.sign(belief_errors(robot, belief)['stiffness']).tolist()
+        for q in np.linspace(-np.pi, np.pi, 9):
+            zero = np.zeros(2)
+            mass = chain.matrices(np.array([0.0, q]), zero, zero, zero, belief.arm).mass
+            assert np.linalg.eigvalsh(mass).min() > 0.0
+        for side in (belief.friction.forward, belief.friction.backward):
+            assert np.all(side.static >= side.coulomb) and np.all(side.viscous > 0.0)
+    assert abs(np.mean(signs)) < 0.35
+
+
+def test_gaussian_beliefs_are_as_wide_as_their_kind():
+    off = {kind: [] for kind in WIDTHS}
+    for seed in range(400):
+        draw = gaussian_errors(np.random.default_rng(seed))
+        for kind, values in off.items():
+            values.extend(draw(kind, 8))
+    wider = np.sqrt(np.mean(np.square(np.linspace(*SPREAD, 1001))))  # over all robots
+    for kind, values in off.items():
+        assert np.std(values) == pytest.approx(wider * WIDTHS[kind], rel=0.1), kind
+        assert abs(np.mean(values)) < 0.1 * WIDTHS[kind]
+
+
+def test_errors_of_belief_are_those_the_catalogue_would_name():
+    """Truth over belief: the effect with that number makes the truth of what is believed."""
+    robot = robot_of(0)
+    believed = replace(robot, arm=replace(
+        plants.with_base_parameters(robot.arm, [1.0, 1.0, 1.25, 1.0]),
+        stiffness=robot.arm.stiffness / [1.1, 1.0]))
+    errors = belief_errors(robot, believed)
+    np.testing.assert_allclose(errors['stiffness'], [0.1, 0.0], atol=1e-12)
+    np.testing.assert_allclose(errors['link_inertia'], [0.0, -0.2], atol=1e-12)
+    steady = robot.friction.forward
+    stronger = replace(steady, static=1.2 * steady.static, coulomb=1.2 * steady.coulomb)
+    errors = belief_errors(replace(robot, friction=replace(robot.friction, forward=stronger)),
+                           robot)
+    np.testing.assert_allclose(errors['level'], 0.1)
+    np.testing.assert_allclose(errors['asymmetry'], 0.1)
+
+
+def applied_noise(population, duration=20.0):
+    """Return torque applied less commanded (T - 1, 2), its Drives and the samples' period."""
+    rng = np.random.default_rng(4)
+    robot, gains = plants.draw_robot(rng, 'stiff')
+    time = TIME[TIME < duration]
+    reference = motions.draw_reference(rng, 'rich', 'stiff', time)
+    drives = Drives(rng, population, robot)
+    runs = [truth.simulate(robot, robot, gains, reference, noise=drives.draw(rng, len(time)))
+            for _ in range(2)]
+    noise = [run.applied[1:] - run.command[:-1] for run in runs]
+    assert abs(np.corrcoef(noise[0][:, 0], noise[1][:, 0])[0, 1]) < 0.2
+    return noise[0], drives
+
+
+def test_white_torque_noise_is_as_large_as_stated_and_forgets_at_once():
+    """6 % of F_s in each sample of the torque that really acts, different in each run."""
+    noise, drives = applied_noise(POPULATIONS['noise_6'])
+    np.testing.assert_allclose(noise.std(axis=0), drives.deviation, rtol=0.03)
+    for one in noise.T:
+        assert abs(np.corrcoef(one[1:], one[:-1])[0, 1]) < 0.03
+
+
+def test_coloured_torque_noise_is_of_first_order_with_the_corner_drawn():
+    noise, drives = applied_noise(Population(noise=0.06, coloured=True))
+    assert np.all((drives.corner >= 2.0) & (drives.corner <= 20.0))
+    np.testing.assert_allclose(noise.std(axis=0), drives.deviation, rtol=0.25)
+    for one, corner in zip(noise.T, drives.corner, strict=True):
+        remembered = np.corrcoef(one[1:], one[:-1])[0, 1]
+        assert -np.log(remembered) / (2.0 * np.pi * 2e-3) == pytest.approx(corner, rel=0.3)
+
+
+def test_nobody_records_the_noise_and_it_is_not_in_the_belief():
+    case, home = drawn('noise_6', 'clean'), drawn('gaussian_beliefs', 'clean')
+    np.testing.assert_array_equal(case.recording.tau_motor[1:], case.recording.command[:-1])
+    np.testing.assert_array_equal(case.nominal.friction.stiffness,
+                                  home.nominal.friction.stiffness)
+    assert np.any(case.recording.q_motor != home.recording.q_motor)
+
+
+def test_slow_robots_creep_and_rest():
+    """Rests of 1 to 3 s between moves, speeds down to that of Stribeck."""
+    time = np.arange(30000) * 2e-3
+    reference = motions.draw_reference(np.random.default_rng(2), 'slow', 'soft', time)
+    assert np.abs(reference[:, 0]).max() < 1.2 and np.abs(reference[:, 1]).max() < 0.61
+    rests = np.all(np.abs(reference[:, 1]) < 1e-12, axis=1)
+    edges = np.flatnonzero(np.diff(rests.astype(int)))
+    longest = np.diff(edges)[1::2] * 2e-3 if not rests[0] else np.diff(edges[1:])[::2] * 2e-3
+    within = longest[longest > 0.5]
+    assert len(within) >= 4 and np.all((within > 0.99) & (within < 3.01))
+    moving = np.abs(reference[:, 1]).max(axis=1)
+    assert np.mean(moving < 0.06) > 0.3
+
+
+def test_pid_follows_without_a_model_of_friction(tmp_path):
+    """Its motors are where they are asked to be; hide writes no gains of the cascade."""
+    rng = np.random.default_rng(3)
+    robot, gains = plants.draw_robot(rng, 'stiff')
+    reference = motions.draw_reference(rng, 'rich', 'stiff', TIME)
+    run = truth.simulate(robot, robot, gains, reference, drive=truth.under_pid)
+    assert sizes.rms(run.true[:, 0] - reference[:, 0]).max() < 0.05
+    assert np.isnan(run.friction_hat).all()
+    args = ['hide', '--out', str(tmp_path), '--kind', 'clean', '--population', 'pid',
+            '--duration', '8']
+    assert main(args) == 0
+    folder = tmp_path / 'clean_0_pid'
+    assert not (folder / 'controller.yaml').exists() and (folder / 'robot.yaml').exists()
+    assert np.isfinite(read_recording(folder / 'bag').command).any()
+
+
+@needs_mujoco
+@pytest.mark.parametrize(('plant', 'tilted', 'near'), [('soft', True, 2e-4),
+                                                       ('stiff', False, 1e-5)])
+def test_mujoco_moves_the_hidden_robot_alike(plant, tilted, near):
+    """At steps of 0.1 ms: within 0.2 or 0.01 mrad over 1 s, less than what is hidden."""
+    rng = np.random.default_rng(1)
+    robot, gains = plants.draw_robot(rng, plant)
+    if tilted:
+        robot, gains = plants.under_gravity(rng, robot, gains)
+    robot = replace(robot, encoder=replace(robot.encoder, counts=0.0, noise=0.0))
+    reference = motions.draw_reference(rng, 'rich', plant, TIME)[:500]
+    bare = truth.simulate(robot, robot, gains, reference)
+    spec = sizes.spec('backlash', 1, robot.joints, sizes.MAIN['backlash'](
+        rng, sizes.figures_of(robot, bare, 2e-3)[1]))
+    hidden = replace(robot, effects=(spec,))
+    ours, theirs = (truth.simulate(hidden, robot, gains, reference, drive=drive)
+                    for drive in (truth.under_cascade, mujoco_plant.under_cascade))
+    assert np.abs(theirs.true - ours.true)[:, [0, 2]].max() < near
+    assert np.abs(bare.true - ours.true)[:, [0, 2]].max() > 5.0 * near
+
+
+def test_what_a_population_cannot_have_is_refused():
+    with pytest.raises(ConfigError, match='mujoco cannot have base_flexibility'):
+        make_case('single', 0, population='mujoco', effect='base_flexibility')
+    with pytest.raises(ConfigError, match="population 'nois_6' is unknown; did you mean"):
+        make_case('single', 0, population='nois_6')
+
+
+def test_without_mujoco_it_is_asked_for(monkeypatch):
+    monkeypatch.setattr(mujoco_plant, 'available', lambda: False)
+    with pytest.raises(ConfigError, match='not installed: install the extra bench'):
+        make_case('clean', 0, population='mujoco', duration=2.0)
