@@ -3,8 +3,8 @@ SHELL := /bin/bash
 BIN := .venv/bin
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo demo-identify demo-discrepancy test lint bench screenshots pictures newcomers docs \
-        lock clean
+.PHONY: help demo demo-identify demo-discrepancy test lint bench bench-real screenshots pictures \
+        newcomers docs lock clean
 
 # A ROS installation or another environment in the caller's shell must not leak in.
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH COLCON_PREFIX_PATH
@@ -34,6 +34,9 @@ lint: .venv/.with-test  ## Run ruff (the ament linters run among the tests)
 bench: .venv/.with-bench  ## Measure speed, beside MuJoCo
 	@$(BIN)/gms_flex bench
 
+bench-real: .venv/.with-bench  ## Ask real machines, beside least squares, write docs/real_machines.md
+	@$(BIN)/python -m bench.real_machines --out bench_real_output --docs
+
 screenshots: .venv/.with-test  ## Make the pictures of docs/view.md anew (needs chromium)
 	@PYTHONPATH=test $(BIN)/python scripts/screenshots.py
 
@@ -55,7 +58,7 @@ lock: .venv/.created  ## Write constraints.txt anew from the newest versions set
 	  --output-file constraints.txt setup.py -
 
 clean:  ## Remove the environment and all that was made
-	rm -rf .venv docs/_api docs/_build demo_output demo_identify_output demo_discrepancy_output build install log .pytest_cache .ruff_cache *.egg-info
+	rm -rf .venv docs/_api docs/_build demo_output demo_identify_output demo_discrepancy_output bench_real_output build install log .pytest_cache .ruff_cache *.egg-info
 
 # A new lock starts a new environment, so that nothing of the old one stays.
 .venv/.created: constraints.txt scripts/create_venv.sh

@@ -118,7 +118,8 @@ def test_a_package_without_its_files_says_where_it_looked(installed):
 
 
 def test_every_picture_is_shown_and_made_by_a_script():
-    scripts = ''.join(path.read_text('utf-8') for path in (ROOT / 'scripts').glob('*.py'))
+    scripts = ''.join(path.read_text('utf-8') for path in (
+        *(ROOT / 'scripts').glob('*.py'), *(ROOT / 'bench').rglob('*.py')))
     pages = ''.join(path.read_text('utf-8') for path in (
         ROOT / 'README.md', *sorted((ROOT / 'docs').rglob('*.md'))))
     pictures = {path.name for path in (ROOT / 'docs' / 'images').iterdir()}

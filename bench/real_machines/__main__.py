@@ -1,0 +1,76 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""
+Run identification and discrepancy on public recordings of real machines, beside least squares.
+
+    .venv/bin/python -m bench.real_machines [MACHINE ...] [--out DIR] [--docs]
+"""
+
+import argparse
+import json
+from pathlib import Path
+import sys
+
+from bench.real_machines import pictures, table
+from bench.real_machines.machines import MACHINES, ROOT, shared_data, VARIABLE
+from bench.real_machines.run import run
+
+DOCUMENT = ROOT / 'docs' / 'real_machines.md'
+
+
+def main(argv=None):
+    """Run the machines asked for; return 0, or 1 if none has its files."""
+    args = arguments(argv)
+    outcomes, skipped = [], []
+    for name in args.machines:
+        machine = MACHINES[name]
+        if machine.absent():
+            skipped.append(f'{machine.title}: skipped, {machine.absent()} is absent')
+            continue
+        for split in machine.splits[:1 if args.first else None]:
+            outcomes.append(run(machine, split, lambda text, name=name, split=split: print(
+                f'  {name}, {split.name}: {text} ...', file=sys.stderr, flush=True)))
+    write(args, outcomes, skipped)
+    print('\n'.join([table.as_text(table.rows(outcomes)), *table.remarks(outcomes), *skipped]))
+    return 0 if outcomes else 1
+
+
+def arguments(argv):
+    """Return the arguments."""
+    parser = argparse.ArgumentParser(
+        prog='python -m bench.real_machines', description=__doc__.partition('\n\n')[0],
+        epilog=f'The recordings are looked for in {shared_data()} (set {VARIABLE}).')
+    parser.add_argument('machines', nargs='*', metavar='MACHINE', default=list(MACHINES),
+                        help=f'of {", ".join(MACHINES)} (default: all)')
+    parser.add_argument('--first', action='store_true', help='only the first split of each')
+    parser.add_argument('--out', type=Path, metavar='DIR',
+                        help='folder for results.json and the pictures')
+    parser.add_argument('--docs', action='store_true',
+                        help=f'write {DOCUMENT.relative_to(ROOT)} and its pictures anew')
+    args = parser.parse_args(argv)
+    unknown = sorted(set(args.machines) - set(MACHINES))
+    if unknown:
+        parser.error(f'{unknown[0]}: there is no such machine; known: {", ".join(MACHINES)}')
+    return args
+
+
+def write(args, outcomes, skipped):
+    """Write results and pictures where they were asked for."""
+    firsts = {outcome.machine: outcome for outcome in reversed(outcomes)}
+    shown = [(MACHINES[name].title, pictures.NAMES[name]) for name in MACHINES if name in firsts]
+    folders = [args.out] if args.out else []
+    folders += [DOCUMENT.parent / 'images'] if args.docs else []
+    for folder in folders:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, outcome in firsts.items():
+            pictures.draw(outcome, folder / pictures.NAMES[name])
+    if args.out:
+        told = json.dumps(table.as_json(outcomes, skipped), indent=2, allow_nan=False)
+        (args.out / 'results.json').write_text(f'{told}\n', encoding='utf-8')
+    if args.docs:
+        table.into_document(DOCUMENT, outcomes, skipped, shown)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,154 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""
+One axis of a recording as the equations of motion see it, for models and least squares alike.
+
+Everything the bench takes from the inside of `gms_flex_control.discrepancy` is imported here.
+"""
+
+from dataclasses import dataclass, replace
+
+from gms_flex_control.discrepancy import motion as equations
+from gms_flex_control.discrepancy.residuals import unexplained
+from gms_flex_control.identification.unknown_robot import rigid_axes
+from gms_flex_control.simulation.plant import constants_of
+import numpy as np
+from scipy.signal import butter, sosfiltfilt
+
+EDGE = 0.5      # at both ends, where filters are not settled [s]
+_ORDER = 4      # of the low-pass, run forward and backward
+_GAIN = 'torque_gain'  # the effect that scales what is measured
+_DRIVEN = 0     # the axis; recordings are of one joint
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """
+    The measured motion of one axis.
+
+    Parameters
+    ----------
+    time, period : ndarray, shape (S,), and float
+        Evenly spaced [s].
+    angle, rate : ndarray, shape (S,)
+        Of the side the drive acts on, smoothed [rad, rad/s].
+    acceleration, torque : ndarray, shape (S,)
+        From second differences of the readings, and the torque held meanwhile, both behind one
+        filter [rad/s^2, N m].
+    standing : ndarray, shape (S,)
+        Whether the encoder saw nothing move for a fifth of a second, bool.
+    weight : float
+        On both neighbours: what that filter does to a function of the motion.
+    source : str
+        The recording.
+
+    """
+
+    time: np.ndarray
+    period: float
+    angle: np.ndarray
+    rate: np.ndarray
+    acceleration: np.ndarray
+    torque: np.ndarray
+    standing: np.ndarray
+    weight: float
+    source: str
+
+    def filtered(self, column):
+        """Return a function of the motion (S,) as the filter of the torque shows it."""
+        return equations.seen(column, self.weight)
+
+    @property
+    def used(self):
+        """
+        Return which samples are used, bool (S,).
+
+        Not the ends, which filters still feel, and not where the axis stands: there friction is
+        whatever holds it, and no function of the motion.
+        """
+        inside = (self.time >= EDGE) & (self.time <= self.time[-1] - EDGE)
+        return inside & ~self.standing
+
+
+def driven_side(recording):
+    """Return a recording of a rigid axis at the angle of its motor, or of its link without one."""
+    q_motor = recording.q_motor
+    if not np.isfinite(q_motor).any():
+        return recording
+    return replace(recording, q_link=q_motor, dq_link=recording.dq_motor,
+                   q_motor=np.full_like(q_motor, np.nan),
+                   dq_motor=np.full_like(q_motor, np.nan))
+
+
+def motion_of(recording, fine=False):
+    """
+    Return the Motion of a recording of one joint.
+
+    Parameters
+    ----------
+    recording : Recording
+        Of one joint.
+    fine : bool
+        At every sample of the recording instead of every 4 ms.
+
+    Returns
+    -------
+    Motion
+
+    """
+    full = _measured(driven_side(recording), rigid_axes(recording), fine)
+    return Motion(
+        time=full.time - full.time[0], period=full.period, angle=full.states[:, 0, _DRIVEN],
+        rate=full.states[:, 1, _DRIVEN], acceleration=full.second[:, 0, _DRIVEN],
+        torque=full.drive[:, _DRIVEN], standing=full.standing[:, _DRIVEN],
+        weight=equations.sampled_weight(full.factor), source=recording.source)
+
+
+def residual_torque(recording, robot, fine=False):
+    """
+    Return the torque that a model leaves unexplained along the measured motion.
+
+    Parameters
+    ----------
+    recording : Recording
+        Of the robot's one joint.
+    robot : RobotParams
+        The model.
+    fine : bool
+        As `motion_of`.
+
+    Returns
+    -------
+    ndarray, shape (S,)
+        Measured less modelled torque of the drive [N m], at the times of `motion_of`. Of a
+        flexible joint the sum of both equations, in which its spring has no part. In torque as
+        measured: a model that has the drive's gain smaller misses no less for it.
+
+    """
+    missing = unexplained(_measured(recording, robot, fine), constants_of(robot))
+    gain = 1.0 + sum(spec.values[0] for spec in robot.effects if spec.name == _GAIN)
+    return -missing.sum(axis=1) / gain
+
+
+def low_pass(values, band, period):
+    """Return values (S, ...) behind a Butterworth low-pass of a band [Hz], without phase."""
+    return sosfiltfilt(butter(_ORDER, band, fs=1.0 / period, output='sos'), values, axis=0)
+
+
+def rms(values):
+    """Return the root of the mean of squares."""
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def gap_of(result):
+    """Return the free-run error before and after of a Discrepancy [rad], or NaN."""
+    gap = result.gap
+    if gap is None:
+        return np.nan, np.nan
+    return float(gap.free_before[_DRIVEN]), float(gap.free_after[_DRIVEN])
+
+
+def _measured(recording, robot, fine):
+    motion = equations.motion_of(recording, robot)
+    return equations.at_full_rate(motion) if fine else motion

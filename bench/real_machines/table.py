@@ -1,0 +1,115 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Outcomes as a table for a terminal, for docs/real_machines.md, and as JSON."""
+
+from dataclasses import asdict
+import math
+import re
+
+from bench.real_machines.machines import MACHINES, shared_data
+from bench.real_machines.run import CRASHED
+
+BEGIN = '<!-- made by make bench-real: begin -->'
+END = '<!-- made by make bench-real: end -->'
+_HEAD = ('machine: fitted, then held out', 'band [Hz]', 'torque', '(a)', '(b)', '(b) chosen',
+         'identified', 'final', 'final / (b)', 'free run', 'verdict', 'named', 'known, named',
+         'time [s]')
+_NUMBERS = range(1, 9)
+
+
+def rows(outcomes):
+    """Return the table (list of lists of str), its head first: one row per split and band."""
+    table = [list(_HEAD)]
+    for outcome in outcomes:
+        machine = MACHINES[outcome.machine]
+        for k, one in enumerate(outcome.bands):
+            torques = [f'{machine.factor * value:.3g}' for value in (
+                one.torque, one.textbook, one.library, one.chosen, one.identified, one.final)]
+            torques[0] += f' {machine.unit}'
+            first = [f'{machine.title}: {outcome.split}'] if k == 0 else ['']
+            told = _told(outcome, machine) if k == 0 else [''] * 5
+            table.append([*first, f'{one.band:g}', *torques, f'{one.ratio:.2f}', *told])
+    return table
+
+
+def _told(outcome, machine):
+    """Return the cells of a row that are the same in every band."""
+    unit, factor = machine.length
+    free = '-'
+    if math.isfinite(outcome.free_before):
+        free = f'{factor * outcome.free_before:.3g} -> {factor * outcome.free_after:.3g} {unit}'
+    named = [effect for effect, _ in outcome.named]
+    told = [effect if effect in outcome.added else f'{effect} (not added)' for effect in named]
+    known = [f'{effect} {"yes" if effect in named else "no"}' for effect in machine.known]
+    return [free, outcome.verdict, ', '.join(told) or '-', ', '.join(known) or '-',
+            f'{outcome.identify_seconds + outcome.seconds:.0f}']
+
+
+def as_text(table):
+    """Return a table as aligned lines."""
+    widths = [max(len(row[k]) for row in table) for k in range(len(table[0]))]
+    lines = ['  '.join(cell.rjust(width) if k in _NUMBERS else cell.ljust(width)
+                       for k, (cell, width) in enumerate(zip(row, widths, strict=True))).rstrip()
+             for row in table]
+    return '\n'.join([lines[0], '  '.join('-' * width for width in widths), *lines[1:]])
+
+
+def as_markdown(table):
+    """Return a table for a document."""
+    marks = ['--:' if k in _NUMBERS else '---' for k in range(len(table[0]))]
+    return '\n'.join(f'| {" | ".join(row)} |' for row in (table[0], marks, *table[1:]))
+
+
+def remarks(outcomes):
+    """Return a line for each identification that refused and each discrepancy that crashed."""
+    lines = []
+    for one in outcomes:
+        machine = MACHINES[one.machine]
+        folder, name = f'{shared_data() / machine.folder}/', f'{machine.title}, {one.split}'
+        if one.refused:
+            lines.append(f'- {name}: `identify` refuses ({one.refused}); the belief stands in '
+                         'the place of its robot.'.replace(folder, ''))
+        if one.verdict == CRASHED:
+            lines.append(f'- {name}: `discrepancy` ends with an error: {one.words}'.replace(
+                folder, ''))
+    return lines
+
+
+def into_document(path, outcomes, skipped, pictures):
+    """
+    Write the results between the markers of a document.
+
+    Parameters
+    ----------
+    path : Path
+        The document; its markers stand on lines of their own.
+    outcomes : sequence of Outcome
+        All that was run.
+    skipped : sequence of str
+        A line for each machine that was not.
+    pictures : sequence of (str, str)
+        Title and file name in images/.
+
+    """
+    lines = [*remarks(outcomes), *(f'- {line}' for line in skipped)]
+    parts = [as_markdown(rows(outcomes)), *(['\n'.join(lines)] if lines else []),
+             *(f'![{title}](images/{name})' for title, name in pictures)]
+    text, made = path.read_text(encoding='utf-8'), '\n\n'.join(parts)
+    pattern = f'{re.escape(BEGIN)}.*?{re.escape(END)}'
+    path.write_text(re.sub(pattern, lambda _: f'{BEGIN}\n\n{made}\n\n{END}', text,
+                           flags=re.DOTALL), encoding='utf-8')
+
+
+def as_json(outcomes, skipped):
+    """Return everything for machines; what is not finite is None. SI units."""
+    def plain(value):
+        if isinstance(value, dict):
+            return {str(key): plain(one) for key, one in value.items() if key != 'pictured'}
+        if isinstance(value, (list, tuple)):
+            return [plain(one) for one in value]
+        if isinstance(value, (str, bool, int)) or value is None:
+            return value
+        return float(value) if math.isfinite(value) else None
+    return {'skipped': list(skipped), 'outcomes': [
+        plain(asdict(one)) | {'ratio': [band.ratio for band in one.bands]} for one in outcomes]}

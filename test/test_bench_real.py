@@ -1,0 +1,232 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""The bench of real machines: its least squares on closed forms, its imports, a whole run."""
+
+from dataclasses import replace
+import json
+
+from bench.real_machines import least_squares, library, table
+from bench.real_machines.__main__ import main
+from bench.real_machines.least_squares import Part
+from bench.real_machines.machines import between, MACHINES, shared_data, VARIABLE
+from bench.real_machines.motion import low_pass, Motion, motion_of, residual_torque, rms
+from bench.real_machines.run import Outcome, parts_of
+from gms_flex_control.identification.unknown_robot import rigid_joints
+from gms_flex_control.params.friction import StribeckParams
+from gms_flex_control.recording import Recording
+import numpy as np
+import pytest
+
+PERIOD = 2e-3
+BAND = 40.0
+INERTIA, COULOMB, VISCOUS, OFFSET = 2.0, 3.0, 1.5, -0.7
+RIPPLE, ORDER, DELAY = 0.6, 40.0, 1.5e-3
+ANGLE = (0.9, 0.5), (0.4, 1.3)  # amplitude [rad] and frequency [Hz] of both sines
+
+
+def angle(time, derivative=0):
+    """Return the angle at times, or a derivative, in closed form."""
+    return sum(amplitude * (2.0 * np.pi * hertz) ** derivative
+               * np.sin(2.0 * np.pi * hertz * time + 0.5 * np.pi * derivative)
+               for amplitude, hertz in ANGLE)
+
+
+def torque(time, ripple=0.0):
+    """Return the torque that the motion at ``time`` takes."""
+    rate = angle(time, 1)
+    return (INERTIA * angle(time, 2) + COULOMB * np.sign(rate) + VISCOUS * rate + OFFSET
+            + ripple * np.sin(ORDER * angle(time) + 0.3))
+
+
+def motion(ripple=0.0, delay=0.0, duration=20.0):
+    """Return a Motion without noise whose torque lags behind by ``delay``."""
+    time = PERIOD * np.arange(int(duration / PERIOD))
+    return Motion(time=time, period=PERIOD, angle=angle(time), rate=angle(time, 1),
+                  acceleration=angle(time, 2), torque=torque(time - delay, ripple),
+                  standing=np.zeros(len(time), dtype=bool), weight=0.0, source='closed form')
+
+
+def part(one):
+    return [Part(one, one.used)]
+
+
+def test_textbook_recovers_inertia_and_friction():
+    fit = least_squares.textbook(part(motion()), BAND, gravity=False)
+    assert fit.weights == pytest.approx([INERTIA, COULOMB, VISCOUS, OFFSET], rel=5e-3)
+    assert fit.rms(part(motion())) < 0.02 * COULOMB
+
+
+def test_the_strongest_ripple_is_found():
+    one = motion(RIPPLE)
+    plain = least_squares.textbook(part(one), BAND, gravity=False)
+    orders = library.ripple_orders(part(one), [plain.residual(one)], BAND)
+    assert orders[0] == pytest.approx(ORDER, rel=0.01)
+
+
+@pytest.mark.parametrize('delay', [DELAY, -DELAY])
+def test_library_recovers_ripple_and_delay_and_chooses_them(delay):
+    one = motion(RIPPLE, delay)
+    found = least_squares.compared(part(one), BAND, gravity=False, loaded=False)
+    assert {'ripple', 'delay'} <= set(found.chosen.groups)
+    assert found.chosen.delay == pytest.approx(delay, abs=1.3e-4)
+    wave = next(column.name for column in found.chosen.columns if column.group == 'ripple')
+    order = wave.partition('_')[2]
+    size = np.hypot(found.chosen.weight(f'sin_{order}'), found.chosen.weight(f'cos_{order}'))
+    assert size == pytest.approx(RIPPLE, rel=0.05)
+    assert found.chosen.weight('inertia') == pytest.approx(INERTIA, rel=0.01)
+    later = part(motion(RIPPLE, delay, 30.0))
+    assert found.chosen.rms(later) < 0.2 * found.plain.rms(later)
+
+
+def test_nothing_is_chosen_where_the_textbook_is_the_truth():
+    rng = np.random.default_rng(1)
+    one = motion()
+    noisy = replace(one, torque=one.torque + rng.normal(0.0, 0.5, len(one.time)))
+    found = least_squares.compared(part(noisy), BAND, gravity=False, loaded=False)
+    assert found.chosen.groups == found.plain.groups
+
+
+def test_friction_is_never_negative():
+    driven = replace(motion(), torque=torque(motion().time) - 5.0 * np.sign(motion().rate))
+    assert least_squares.textbook(part(driven), BAND, False).weight('coulomb') == 0.0
+
+
+def test_elasto_plastic_element_follows_its_closed_form():
+    """From +1 it goes to -1 within twice its yield after a reversal, along a straight line."""
+    path = np.concatenate([np.linspace(0.0, 1.0, 101), np.linspace(1.0, 0.0, 101)[1:]])
+    force = library.elasto_plastic(path, 0.2)
+    back = 1.0 - path[101:]
+    assert force[:101] == pytest.approx(np.minimum(path[:101] / 0.2, 1.0))
+    assert force[101:] == pytest.approx(np.maximum(1.0 - back / 0.2, -1.0))
+
+
+def closed_form_recording():
+    """Return a Recording of the closed form, torque held over each sample as its middle has it."""
+    time = PERIOD * np.arange(10000)
+    nothing = np.full((len(time), 1), np.nan)
+    return Recording(
+        joints=('axis',), time=time, q_link=angle(time)[:, None], dq_link=nothing,
+        q_motor=nothing, dq_motor=nothing, tau_motor=torque(time - 0.5 * PERIOD)[:, None],
+        command=nothing, reference=np.full((len(time), 5, 1), np.nan), friction_hat=nothing,
+        source='closed form')
+
+
+def test_a_model_with_the_same_parameters_leaves_what_least_squares_leaves():
+    """Both see one motion behind one filter, so the comparison is fair."""
+    recording = closed_form_recording()
+    one = motion_of(recording)
+    fit = least_squares.textbook(part(one), 8.0, gravity=False)
+    robot = rigid_joints(['axis'])
+    sides = {side: StribeckParams(
+        static=[level], coulomb=[level], velocity=[1e-3], viscous=[fit.weight('viscous')])
+        for side, level in (('forward', fit.weight('coulomb') + fit.weight('offset')),
+                            ('backward', fit.weight('coulomb') - fit.weight('offset')))}
+    robot = replace(
+        robot, arm=replace(robot.arm, inertia=np.array([fit.weight('inertia')])),
+        friction=replace(robot.friction, **sides, stiffness=np.array([[1e5]]),
+                         attraction=np.array([1e3])))
+    left = low_pass(residual_torque(recording, robot), 8.0, one.period)
+    assert fit.weight('inertia') == pytest.approx(INERTIA, rel=0.01)
+    assert rms((left - fit.residual(one))[one.used]) < 0.05 * COULOMB
+    heavier = replace(robot, arm=replace(robot.arm, inertia=robot.arm.inertia + 0.5))
+    more = low_pass(residual_torque(recording, heavier), 8.0, one.period) - left
+    expected = low_pass(-0.5 * one.acceleration, 8.0, one.period)
+    assert rms((more - expected)[one.used]) < 0.01 * rms(expected)
+
+
+def test_where_the_axis_stands_nothing_is_asked():
+    recording = closed_form_recording()
+    still = recording.q_link.copy()
+    still[2000:4000] = still[2000]
+    used = motion_of(replace(recording, q_link=still)).used
+    time = PERIOD * 2.0 * np.arange(len(used))
+    assert not used[(time > 4.2) & (time < 7.8)].any() and used[(time > 9) & (time < 12)].all()
+
+
+def test_a_cut_recording_begins_anew():
+    cut = between(closed_form_recording(), 2.0, 5.0)
+    assert cut.time[0] == 0.0 and cut.time[-1] == pytest.approx(3.0 - PERIOD)
+    assert cut.q_link[0, 0] == pytest.approx(angle(2.0))
+
+
+DEGREE, INCH, KIP = np.pi / 180.0, 0.0254, 4448.2216
+# samples per second, and from the columns of the log: position and torque in SI
+LOGS = {
+    'emps': (1000.0, lambda log: log[1], lambda log: 35.15065188 * log[3]),
+    'kr300_axis1': (250.0, lambda log: DEGREE * log[1], lambda log: 256.9 * log[4]),
+    'kr300_axis2': (250.0, lambda log: DEGREE * log[6], lambda log: 267.4 * log[8]),
+    'kr300_axis3': (250.0, lambda log: DEGREE * log[10], lambda log: 252.3 * log[12]),
+    'xl330': (188.0, lambda log: log[2],
+              lambda log: 0.104 * (log[4] / 885.0 * log[5] - 0.354 * log[3])),
+    'arts_friction_damper': (512.0, lambda log: INCH * log[1], lambda log: KIP * log[2]),
+    'odri_motor': (1000.0, lambda log: log[1][8800:], lambda log: log[3][8800:])}
+
+
+def needed(name):
+    """Return a machine, or skip where its files are absent."""
+    machine = MACHINES[name]
+    if machine.absent():
+        pytest.skip(f'{machine.absent()} is absent')
+    return machine
+
+
+@pytest.mark.parametrize('name', list(MACHINES))
+def test_logs_come_in_si_units_at_their_own_rate(name):
+    machine = needed(name)
+    piece = machine.splits[0].fitted[0]
+    recording = machine.recording(piece)
+    log = np.genfromtxt(shared_data() / machine.folder / piece.file, delimiter=',',
+                        skip_header=1).T
+    rate, position, effort = LOGS[name]
+    assert 1.0 / recording.period == pytest.approx(rate, rel=0.01)
+    assert recording.q_link[:, 0] == pytest.approx(position(log), rel=1e-5, abs=1e-12)
+    assert recording.tau_motor[:, 0] == pytest.approx(effort(log), rel=1e-5, abs=1e-9)
+    assert machine.believed(recording).joints == (machine.joint,)
+
+
+@pytest.mark.parametrize('name', list(MACHINES))
+def test_nothing_that_is_held_out_is_fitted(name):
+    for split in MACHINES[name].splits:
+        for one in split.fitted:
+            for other in split.held_out:
+                assert (one.file != other.file or one.end <= other.begin
+                        or other.end <= one.begin), (split.name, one)
+
+
+def test_least_squares_of_emps_is_that_published():
+    """Janot, Gautier and Brunot: 95.11 kg, 203.5 N s/m, 20.39 N, -3.16 N."""
+    machine = needed('emps')
+    recording = machine.recording(machine.splits[0].fitted[0])
+    fit = least_squares.textbook(parts_of([recording], BAND), BAND, gravity=False)
+    assert fit.weight('inertia') == pytest.approx(95.11, rel=0.005)
+    assert fit.weight('viscous') == pytest.approx(203.5, rel=0.03)
+    assert fit.weight('coulomb') == pytest.approx(20.39, rel=0.03)
+    assert fit.weight('offset') == pytest.approx(-3.16, rel=0.03)
+
+
+def test_the_smallest_machine_runs_from_log_to_table(tmp_path, capsys):
+    needed('kr300_axis1')
+    assert main(['kr300_axis1', '--first', '--out', str(tmp_path)]) == 0
+    printed = capsys.readouterr().out
+    assert 'KUKA KR300, axis 1: A, then B' in printed and 'crashed' not in printed
+    outcome, = json.loads((tmp_path / 'results.json').read_text())['outcomes']
+    for one in outcome['bands']:
+        assert 0 < one['final'] < one['torque'] and 0 < one['chosen'] < one['torque']
+    assert (tmp_path / 'real_kr300_axis1.png').stat().st_size > 5000
+
+
+def test_absent_recordings_are_skipped_with_a_reason(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv(VARIABLE, str(tmp_path))
+    assert main(['emps']) == 1
+    assert f'skipped, {tmp_path}/emps/identification.csv is absent' in capsys.readouterr().out
+
+
+def test_the_document_keeps_what_stands_around_the_table(tmp_path):
+    path = tmp_path / 'page.md'
+    path.write_text(f'before\n{table.BEGIN}\nold\n{table.END}\nafter\n')
+    outcome = Outcome(machine='emps', split='one', bands=(), verdict='crashed', words='why \\1')
+    table.into_document(path, [outcome], ['EMPS: skipped'], [('EMPS', 'real_emps.png')])
+    text = path.read_text()
+    assert text.startswith('before\n') and text.endswith('\nafter\n') and 'old' not in text
+    assert 'why \\1' in text and '![EMPS](images/real_emps.png)' in text
