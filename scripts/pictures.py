@@ -61,22 +61,7 @@ WORKS = {
          'discrepancy_map.png': 'example/result/map_*_1.png'}),
     'demo-discrepancy': Work(
         ('demo-discrepancy --duration 20 --out demo',),
-        {'discrepancy_demo.png': 'demo/tracking.png'}),
-    'kr300': Work(
-        (*(f'import-csv {DATA}/kr300/rec_{part}.csv --map {ROOT}/config/import_kr300.yaml '
-           f'--out kr300_{part}' for part in 'AB'),
-         'torsion ./kr300_A --joint axis1 --stiffness 4.58e6 --out torsion',
-         'discrepancy ./kr300_A --robot torsion/robot.yaml --holdout ./kr300_B --out found'),
-        {'kr300_gap.png': 'found/gap.png', 'kr300_skew.png': 'found/evidence_1_*.png',
-         'kr300_over.png': 'found/over_*_motor.png'}, DATA / 'kr300'),
-    'xl330': Work(
-        (*(f'import-csv {DATA}/bam_xl330/{name}.csv '
-           f'--map {ROOT}/config/import_bam_xl330.yaml --out {name}' for name in SERVO),
-         f'identify {" ".join(f"./{name}" for name in SERVO)} --out identified',
-         f'discrepancy {" ".join(f"./{name}" for name in SERVO)} '
-         '--robot identified/friction.yaml --out found'),
-        {'xl330_gap.png': 'found/gap.png', 'xl330_over.png': 'found/over_*.png'},
-        DATA / 'bam_xl330')}
+        {'discrepancy_demo.png': 'demo/tracking.png'})}
 
 
 def main():

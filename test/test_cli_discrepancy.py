@@ -120,14 +120,14 @@ def test_models_are_compared_by_one_yardstick(outcome, report, folder):
 def test_page_and_pictures_are_written(case, folder, report):
     joint = case.truth.effects[0].joint
     page = (folder / 'out' / 'report.html').read_text(encoding='utf-8')
-    for part in (report['words'].split(';')[0], f'backlash of {joint}', 'The gap', 'twist [rad]',
+    for part in (report['words'].split(';')[0], f'backlash of {joint}', 'The gap', 'torsion [rad]',
                  'What was tried', 'simulated - measured', 'motor_inertia', 'Models compared',
                  'Recording: '):
         assert part in page, part
     assert 'src="http' not in page and 'href="http' not in page
     assert {one['variable'] for one in report['dependences']} == {
         'time [s]', 'link angle [rad]', 'motor angle [rad]', 'link rate [rad/s]',
-        'motor rate [rad/s]', 'twist [rad]', 'torque [N m]', 'link acceleration [rad/s^2]',
+        'motor rate [rad/s]', 'torsion [rad]', 'torque [N m]', 'link acceleration [rad/s^2]',
         'time since reversal [s]', 'direction', 'distance since reversal [rad]'}
     for name in ('gap.png', f'evidence_1_backlash_{joint}.png', 'map_joint1_1.png',
                  'over_joint1_1_link.png', 'over_joint2_2_motor.png'):
@@ -193,8 +193,7 @@ def test_json_is_printed_and_nothing_else(folder, tmp_path, capsys, reversed_tor
 
 @pytest.mark.parametrize(('arguments', 'words'), [
     (['--without', 'backlsh'], "did you mean 'backlash'"),
-    (['--max-effects', '0'], '--max-effects 0: at least one'),
-    (['--practical', '3'], '--practical 3: give a share')])
+    (['--max-effects', '0'], '--max-effects 0: at least one')])
 def test_a_wrong_option_is_refused_before_anything_is_read(tmp_path, folder, capsys, arguments,
                                                            words):
     assert run(tmp_path, tmp_path / 'none', *arguments, robot=folder / 'robot.yaml') == 2

@@ -9,18 +9,17 @@ from gms_flex_control.bags.reader import read_recording
 from gms_flex_control.benchmarks.hidden_effects.outcome import try_job
 from gms_flex_control.cli.main import build_parser, main
 from gms_flex_control.cli.score import jobs_asked
-from gms_flex_control.discrepancy.path import path_of, with_links
-from gms_flex_control.discrepancy.problem import with_effect
+from gms_flex_control.discrepancy.likelihood import with_effect
+from gms_flex_control.discrepancy.motion import motion_of, with_links
 from gms_flex_control.discrepancy.residuals import (
     drive_torque,
     motion_as_modelled,
     unexplained,
 )
-from gms_flex_control.discrepancy.result import COMPLETE, FOUND
-from gms_flex_control.discrepancy.unseen_links import lost_effects
+from gms_flex_control.discrepancy.result import COMPLETE, FOUND, UNEXPLAINED
 from gms_flex_control.discrepancy.workflow import discrepancy
 from gms_flex_control.effects.registry import find
-from gms_flex_control.hidden.cases import make_case
+from gms_flex_control.hidden.cases import available_effects, make_case
 from gms_flex_control.params.robot import EffectSpec
 from gms_flex_control.schema.files import load_robot
 from gms_flex_control.simulation import plant
@@ -54,14 +53,15 @@ def test_the_link_is_where_its_encoder_saw_it(plant_name):
 def test_each_model_puts_the_link_where_its_own_effects_want_it():
     """A motor with strong ripple and a torque that is late: what they do to the twist is known."""
     case = make_case('single', 11, effect='motor_coulomb', duration=20.0)
-    path = path_of(blind(case.recording), case.truth.robot)
+    motion = motion_of(blind(case.recording), case.truth.robot)
     off = []
     for robot in (replace(case.truth.robot, effects=()), case.truth.robot):
         constants = plant.constants_of(robot)
         work = plant.workspace(robot.n_joints)
-        motion, _ = motion_as_modelled(path, constants, work, drive_torque(path, constants, work))
-        off.append(strayed(case, np.stack([np.interp(case.recording.time, path.time, column)
-                                           for column in motion[:, 0].T], axis=1)))
+        states, _ = motion_as_modelled(motion, constants, work,
+                                       drive_torque(motion, constants, work))
+        off.append(strayed(case, np.stack([np.interp(case.recording.time, motion.time, column)
+                                           for column in states[:, 0].T], axis=1)))
     joint = case.truth.robot.joints.index(case.truth.effects[0].joint)
     assert off[1][joint] < 0.7 * off[0][joint]
 
@@ -71,36 +71,37 @@ def test_each_model_puts_the_link_where_its_own_effects_want_it():
 def test_an_effect_of_no_size_changes_nothing(effect):
     """What is computed of a link must not depend on how many steps it is computed in."""
     case = make_case('clean', 15, duration=10.0)
-    path = path_of(blind(case.recording), case.nominal)
+    motion = motion_of(blind(case.recording), case.nominal)
     values = [parameter.upper if np.isfinite(parameter.upper) else 1.0
               for parameter in find(effect).parameters]
     values[0] = 1e-13
     other = with_effect(case.nominal, EffectSpec(name=effect, joint='joint1',
                                                  values=tuple(values)))
-    rows = [unexplained(path, plant.constants_of(robot)) for robot in (case.nominal, other)]
+    rows = [unexplained(motion, plant.constants_of(robot)) for robot in (case.nominal, other)]
     assert np.std(rows[1] - rows[0]) < 1e-6 * np.std(rows[0])
 
 
 def test_a_spring_that_stiffens_puts_the_link_where_its_encoder_saw_it():
     case = make_case('single', 1, effect='spring_cubic', plant='stiff', duration=20.0)
-    path = path_of(blind(case.recording), case.truth.robot)
-    seen = path_of(case.recording, case.truth.robot)
+    motion = motion_of(blind(case.recording), case.truth.robot)
+    seen = motion_of(case.recording, case.truth.robot)
     off = []
     for robot in (replace(case.truth.robot, effects=()), case.truth.robot):
         constants = plant.constants_of(robot)
         work = plant.workspace(robot.n_joints)
-        motion, _ = motion_as_modelled(path, constants, work, drive_torque(path, constants, work))
-        off.append(np.std((motion - seen.motion)[200:-200, 0], axis=0))
+        states, _ = motion_as_modelled(motion, constants, work,
+                                       drive_torque(motion, constants, work))
+        off.append(np.std((states - seen.states)[200:-200, 0], axis=0))
     joint = case.truth.robot.joints.index(case.truth.effects[0].joint)
     assert off[1][joint] < 0.2 * off[0][joint]
 
 
 def test_links_that_have_encoders_are_taken_from_them():
     case = make_case('clean', 3, duration=20.0)
-    path = path_of(blind(case.recording, [1]), case.nominal)
-    assert [link.joint for link in path.unseen] == [1]
-    assert path_of(case.recording, case.nominal).unseen == ()
-    np.testing.assert_allclose(path.readings[:, 0, 0], case.recording.q_link[:, 0])
+    motion = motion_of(blind(case.recording, [1]), case.nominal)
+    assert [link.joint for link in motion.unseen] == [1]
+    assert motion_of(case.recording, case.nominal).unseen == ()
+    np.testing.assert_allclose(motion.readings[:, 0, 0], case.recording.q_link[:, 0])
 
 
 def test_a_clean_robot_is_complete_and_it_is_said_what_is_lost():
@@ -108,10 +109,10 @@ def test_a_clean_robot_is_complete_and_it_is_said_what_is_lost():
     result = discrepancy([blind(case.recording)], case.nominal)
     assert result.verdict == COMPLETE, result.words
     assert 'No link encoder of joint1, joint2 was recorded' in result.words
-    assert 'encoder_skew' in result.words.split('Not looked for there:')[1]
+    assert 'encoder_skew' in result.words.split('Not identifiable there:')[1]
 
 
-@pytest.mark.parametrize(('effect', 'seed'), [('motor_coulomb', 8), ('presliding_error', 20)])
+@pytest.mark.parametrize(('effect', 'seed'), [('motor_coulomb', 8)])
 def test_an_effect_is_named_by_the_motors_alone(effect, seed):
     case = make_case('single', seed, effect=effect, duration=20.0)
     result = discrepancy([blind(case.recording)], case.nominal)
@@ -123,24 +124,26 @@ def test_an_effect_is_named_by_the_motors_alone(effect, seed):
 
 def test_a_bag_that_names_the_motors_alone_gives_links_without_angles(tmp_path, capsys):
     """As `gms_flex hide` writes it of a robot whose links have no encoders."""
-    args = ['--kind', 'clean', '--seeds', '3', '--duration', '4', '--sensors']
-    assert main(['hide', '--out', str(tmp_path), *args, 'motors']) == 0
+    args = ['--kind', 'clean', '--seeds', '3', '--duration', '4', '--population']
+    assert main(['hide', '--out', str(tmp_path), *args, 'motors_only']) == 0
     own = make_case('clean', 3, duration=4.0).recording
-    robot = load_robot(tmp_path / 'clean_3' / 'robot.yaml')
-    read = read_recording(tmp_path / 'clean_3' / 'bag', joints=own.joints, motors=robot.motors)
+    folder, = tmp_path.iterdir()
+    robot = load_robot(folder / 'robot.yaml')
+    read = read_recording(folder / 'bag', joints=own.joints, motors=robot.motors)
     assert read.joints == own.joints and np.isnan(read.q_link).all()
     np.testing.assert_array_equal(read.q_motor, own.q_motor)
     np.testing.assert_array_equal(read.command, own.command)
     assert main(['hide', '--out', str(tmp_path), *args, 'none']) == 2
-    assert "sensors 'none' is unknown" in capsys.readouterr().err
+    assert "population 'none' is unknown" in capsys.readouterr().err
 
 
 def test_the_bench_leaves_out_what_motors_do_not_show():
-    args = ['score', '--kind', 'single', 'clean', '--seeds', '0:37', '--out', 'x', '--sensors']
+    args = ['score', '--kind', 'single', 'clean', '--seeds', '0:37', '--out', 'x', '--population']
     both, motors = (jobs_asked(build_parser().parse_args([*args, name]))
-                    for name in ('both', 'motors'))
-    assert len(both) == 2 * 37 and len(motors) == len(both) - len(lost_effects())
+                    for name in ('home', 'motors_only'))
+    lost = [name for name in available_effects() if find(name).needs_link_encoder]
+    assert len(both) == 2 * 37 and 0 < len(lost) == len(both) - len(motors)
     assert not {job.key for job in both} & {job.key for job in motors}
     found = try_job(next(job for job in motors if job.kind == 'clean')._replace(duration=8.0),
                     with_peers=False)
-    assert found['verdict'] == COMPLETE
+    assert found['verdict'] in (COMPLETE, UNEXPLAINED) and not found['findings']

@@ -1,7 +1,7 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""Imports point one way, ROS stays under nodes/ and bag libraries under bags/."""
+"""Imports point one way, ROS stays under nodes/, and the search knows no effect by name."""
 
 import ast
 import html
@@ -10,6 +10,7 @@ from pathlib import Path
 import re
 
 import gms_flex_control
+from gms_flex_control.effects import registry
 import pytest
 
 PACKAGE = 'gms_flex_control'
@@ -99,6 +100,42 @@ def test_a_forbidden_import_is_found(module, source, complaint):
 ])
 def test_an_allowed_import_passes(module, source):
     assert complaints(source, module) == []
+
+
+# what the search may say of the catalogue: the highest order that ripple is guessed with, which
+# the finer waves begin at; and a nuisance parameter that an effect of equal name replaces
+ALLOWED = {('discrepancy/dictionary.py', 'torque_ripple'),
+           ('discrepancy/nuisance.py', 'viscous_asymmetry')}
+SEARCH = [module for module in MODULES if module.startswith('discrepancy/')]
+
+
+def effects_named(source):
+    """Yield the effects a module names as string, identifier or import; docstrings left out."""
+    tree, known = ast.parse(source), set(registry.names())
+    prose = {id(node.body[0].value) for node in ast.walk(tree)
+             if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef))
+             and isinstance(node.body[0], ast.Expr)}
+    for node in ast.walk(tree):
+        words = [getattr(node, field, None) for field in ('id', 'attr', 'arg', 'name', 'module')]
+        if isinstance(node, ast.Constant) and id(node) not in prose:
+            words.append(node.value)
+        for word in words:
+            if isinstance(word, str):
+                yield from known.intersection(re.findall(r'\w+', word))
+
+
+@pytest.mark.parametrize('module', SEARCH)
+def test_the_search_knows_no_effect_by_name(module):
+    """An effect declares what is particular about it; a new one needs no change of the search."""
+    named = {(module, name) for name in effects_named(MODULES[module].read_text('utf-8'))}
+    assert named <= ALLOWED
+
+
+def test_a_name_of_an_effect_is_found():
+    assert set(effects_named('"""A docstring on backlash."""\nx = {"of backlash": encoder_skew}')
+               ) == {'backlash', 'encoder_skew'}
+    assert set(effects_named('from gms_flex_control.effects.catalogue.end_stop import f')) == {
+        'end_stop'}
 
 
 def test_the_drawing_of_the_layers_holds_all_its_words():

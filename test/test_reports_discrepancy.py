@@ -5,14 +5,22 @@
 
 from types import SimpleNamespace
 
+from gms_flex_control.discrepancy import workflow
 from gms_flex_control.discrepancy.result import Gap, Value
+from gms_flex_control.hidden.cases import make_case
+from gms_flex_control.reports.discrepancy import write_discrepancy_report
 from gms_flex_control.reports.discrepancy_figures import (
     evidence_figure,
     gap_figure,
     maps_figure,
     over_figure,
 )
-from gms_flex_control.reports.discrepancy_values import over_values, plain
+from gms_flex_control.reports.discrepancy_values import (
+    over_values,
+    plain,
+    report_values,
+    write_robot,
+)
 from gms_flex_control.reports.discrepancy_views import (
     bin_edges,
     binned,
@@ -66,9 +74,9 @@ def test_direction_and_distance_are_those_since_the_last_turn():
     time = np.arange(0.0, 5.0, 0.01)
     angle = np.where(time < 4.0, np.abs((time + 1.0) % 2.0 - 1.0), 0.0)
     rate = np.gradient(angle, time)
-    motion = np.zeros((len(time), 6, 1))
-    motion[:, 0, 0], motion[:, 1, 0] = angle, rate
-    found = further(SimpleNamespace(motion=motion), 0)
+    states = np.zeros((len(time), 6, 1))
+    states[:, 0, 0], states[:, 1, 0] = angle, rate
+    found = further(SimpleNamespace(states=states), 0)
     middle = (time * 2.0).astype(int) % 2 == 1
     moving = (time < 3.9) & middle & (np.abs(rate) > 0.9)
     assert moving.sum() > 150
@@ -86,7 +94,7 @@ def moving_joint(count=12_000):
     values['direction'] = np.sign(values['link rate'])
     return SimpleNamespace(
         joints=('j',), channels=lambda j: [('link', j)], variables=lambda j: values,
-        problem=SimpleNamespace(robot=SimpleNamespace(arm=SimpleNamespace(rigid=[True])))), (
+        likelihood=SimpleNamespace(robot=SimpleNamespace(arm=SimpleNamespace(rigid=[True])))), (
             values['direction'] + rng.normal(size=count))[:, None], rng.normal(size=(count, 1))
 
 
@@ -119,7 +127,8 @@ def test_a_number_that_is_not_finite_is_null():
 def test_pictures_are_drawn_of_any_names_and_of_nothing(tmp_path):
     zero = np.zeros(1)
     gap = Gap(joints=('$_<b>',), energy_ratio=1.0, **dict.fromkeys(
-        ('before', 'retuned', 'after', 'floor', 'free_before', 'free_after', 'free_floor'), zero))
+        ('before', 'retuned', 'after', 'floor', 'rest_before', 'rest_after', 'free_before',
+         'free_after', 'free_floor'), zero))
     x, y = sampled()
     curve = binned(x, y)
     evidence = Evidence(effect='backlash', joint='$_<b>', equation='link', of_joint='$_<b>',
@@ -139,3 +148,18 @@ def test_pictures_are_drawn_of_any_names_and_of_nothing(tmp_path):
                          ('map', maps_figure([empty], '$_<b>'))):
         save_figure(figure, tmp_path / f'{name}.png')
         assert (tmp_path / f'{name}.png').stat().st_size > 5000
+
+
+def test_what_is_withheld_is_told_on_page_and_in_files(monkeypatch, tmp_path):
+    """Beside the gap of the model that is written, which is that without the findings."""
+    monkeypatch.setattr(workflow, '_is_worse', lambda gap: True)
+    case = make_case('single', 4, effect='stiffness_error', duration=10.0)
+    true, = case.truth.effects
+    result = workflow.discrepancy([case.recording], case.nominal, holdout=[case.held_out])
+    write_robot(result, tmp_path / 'robot.yaml')
+    assert 'not added to the model' in ' '.join(
+        (tmp_path / 'robot.yaml').read_text().replace('#', ' ').split())
+    told = report_values(result)
+    assert told['withheld']['after'][true.joint] < told['gap']['after'][true.joint]
+    page = write_discrepancy_report(result, tmp_path, holdout=[case.held_out])[0].read_text()
+    assert 'What is named here is not added to the model' in page

@@ -37,7 +37,7 @@ def add_parser(subparsers):
 
 
 def run(args):
-    """Hide, drive, find, drive again and tell; return 0 if the name is right, the gap less."""
+    """Hide, drive, find, drive again and report; return 0 if the name is right, the gap less."""
     from gms_flex_control.reports.discrepancy_demo import outcome_text, write_demo_report
 
     begin, out = time.monotonic(), Path(args.out)
@@ -82,7 +82,7 @@ def write_files(hidden, out):
         'believed_robot.yaml', 'trajectory.yaml', 'hidden_robot.yaml'))
     save_robot(hidden.believed, believed, comment='The robot as it is believed to be: every '
                'parameter 1 to 3 % off.')
-    save_robot(hidden.robot, plant, comment='The robot as it is; not told to the tool.')
+    save_robot(hidden.robot, plant, comment='The robot as it is; unknown to the tool.')
     save_values(hidden.trajectory_values(), motion)
     return (believed, controller_file(), motion), plant
 

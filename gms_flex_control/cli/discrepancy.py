@@ -32,18 +32,16 @@ def add_parser(subparsers):
                         help='the model one believes in, later files winning')
     parser.add_argument('--out', required=True, metavar='DIR', help='folder for the results')
     parser.add_argument('--holdout', nargs='+', default=[], metavar='BAG',
-                        help='bags on which the gap is measured; default: every fourth block '
-                             'of 2 s')
+                        help='bags on which the gap is measured; default: blocks of 2 s, each '
+                             'predicted from the others')
     parser.add_argument('--max-effects', type=int, metavar='N',
                         help='how many effects may be added (default: 20)')
     parser.add_argument('--without', nargs='+', default=[], metavar='EFFECT',
                         help='effects of the catalogue that are not considered')
-    parser.add_argument('--practical', type=float, metavar='SHARE',
-                        help='torque that matters in practice, as a share of Coulomb friction '
-                             '(default: 0.03); smaller effects are listed apart')
     parser.add_argument('--doubt', type=float, default=1.0, metavar='TIMES',
-                        help='how many times as far as usual (4.5 %% of inertia, stiffness, '
-                             'friction) known parameters may be off (default: 1)')
+                        help='standard deviations of known parameters, as a multiple of the '
+                             'usual ones: 1.5 %% of inertia and stiffness, 2 %% of friction '
+                             '(default: 1)')
     parser.add_argument('--models', nargs='+', default=[], metavar='FILE',
                         help='further models of the robot to compare on the same bags')
     parser.add_argument('--controller', nargs='+', default=[], metavar='FILE',
@@ -188,11 +186,6 @@ def options_of(args):
         chosen['most'] = args.max_effects
     if not 0.0 < args.doubt <= 100.0:
         raise ConfigError(f'--doubt {args.doubt:g}: give a number above 0, up to 100')
-    if args.practical is not None:
-        if not 0.0 < args.practical < 1.0:
-            raise ConfigError(f'--practical {args.practical:g}: give a share of Coulomb friction '
-                              'above 0 and below 1')
-        chosen['practical'] = args.practical
     return Options(**chosen)
 
 
@@ -209,7 +202,7 @@ def refuse_out(out, args):
 
 
 def refuse_fitted(args):
-    """Raise ConfigError if a bag is both fitted and held out: its gap would tell nothing."""
+    """Raise ConfigError if a bag is both fitted and held out: its gap would mean nothing."""
     from gms_flex_control.errors import ConfigError
     bags = {_folder_of(bag) for bag in args.bags}
     for bag in args.holdout:

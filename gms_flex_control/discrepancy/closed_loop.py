@@ -6,14 +6,14 @@
 from dataclasses import replace
 from typing import NamedTuple
 
-from gms_flex_control.discrepancy.path import supply_voltage
-from gms_flex_control.discrepancy.retuned import with_knobs
+from gms_flex_control.discrepancy.motion import supply_voltage
+from gms_flex_control.discrepancy.nuisance import with_nuisances
 from gms_flex_control.effect_compensation import loop
 from gms_flex_control.errors import BagError
 import numpy as np
 
 LEAST_TIME = 1.0   # with a reference all along, shorter recordings are of no use [s]
-_FARTHEST = 10.0   # strays are cut there, of loops that run away [rad]
+_FARTHEST = 10.0   # errors are cut there, of loops that run away [rad]
 _LONGEST = 5.5     # periods between samples of one stretch
 _EVEN = 0.02       # of the period: samples closer to an even grid are left as they are
 _SEED, _OTHER_SEED = 991, 992  # of the encoder noise
@@ -33,7 +33,7 @@ class Stretch(NamedTuple):
 
 class ClosedLoop(NamedTuple):
     """
-    Strays of the simulated closed loop from the measured link angles, rms (n,) [rad].
+    Errors of the simulated closed loop: its link angles less those measured, rms (n,) [rad].
 
     ``before`` is the model as given, ``retuned`` with known parameters re-tuned, ``after`` with
     the effects found unless they are withheld; ``floor`` is what two runs of the last, of other
@@ -142,16 +142,14 @@ def simulated(robot, believed, gains, stretch, seed=_SEED):
     return run.measured[:, 0]
 
 
-def closed_loop_of(problem, found, recordings, gains):
+def closed_loop_of(behind, recordings, gains):
     """
     Simulate the closed loop of recordings with the model before and after.
 
     Parameters
     ----------
-    problem : Problem
-        With the robot believed in, which the recordings' controller believed in as well.
-    found : Found
-        The search's end.
+    behind : Behind
+        The search; the robot it began with is what the recordings' controller believed in.
     recordings : sequence of Recording
         With references.
     gains : ControllerParams
@@ -162,10 +160,10 @@ def closed_loop_of(problem, found, recordings, gains):
     ClosedLoop
 
     """
-    given = problem.robot
+    given, nuisances = behind.likelihood.robot, behind.likelihood.nuisances
     stretches = [stretch_of(recording.of_joints(given.joints)) for recording in recordings]
-    retuned, after = (with_knobs(one.robot, problem.knobs, one.x)
-                      for one in (found.before, found.model))
+    retuned, after = (with_nuisances(one.robot, nuisances, one.x)
+                      for one in (behind.before, behind.written))
     angles = {name: [simulated(robot, given, gains, stretch, seed) for stretch in stretches]
               for name, robot, seed in (('before', given, _SEED), ('retuned', retuned, _SEED),
                                         ('after', after, _SEED), ('again', after, _OTHER_SEED))}
@@ -213,17 +211,17 @@ def with_closed_loop(result, recordings, gains):
     """
     if result.gap is None:
         return result
-    problem, found, written = result.behind
-    again = closed_loop_of(problem, found._replace(model=written), recordings, gains)
+    again = closed_loop_of(result.behind, recordings, gains)
     return replace(result, gap=replace(result.gap, closed_loop=again),
                    words=f'{result.words} {sentence_of(again)}')
 
 
 def sentence_of(again):
     """Return a ClosedLoop in words."""
-    strays = ', '.join(
-        f'{1e3 * before:.3g} -> {1e3 * after:.3g} mrad ({joint}, floor {1e3 * floor:.3g})'
+    errors = ', '.join(
+        f'{1e3 * before:.3g} -> {1e3 * after:.3g} mrad ({joint}, noise floor '
+        f'{1e3 * floor:.3g})'
         for joint, before, after, floor in zip(again.joints, again.before, again.after,
                                                again.floor, strict=True))
-    return ('The closed loop, simulated anew along the recorded reference, strays from the link '
-            f'angles measured by {strays}.')
+    return ('Errors of the closed loop, simulated anew along the recorded reference and compared '
+            f'with the link angles measured, are {errors}.')

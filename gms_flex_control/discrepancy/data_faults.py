@@ -5,7 +5,7 @@
 
 from dataclasses import replace
 
-from gms_flex_control.discrepancy.path import has_commands, held, with_links
+from gms_flex_control.discrepancy.motion import has_commands, held, with_links
 from gms_flex_control.identification import clock_checks, motion_checks
 from gms_flex_control.identification.checks import check
 from gms_flex_control.identification.findings import absent_joints, signals_of

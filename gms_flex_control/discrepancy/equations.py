@@ -4,7 +4,7 @@
 """
 The torques of Eq. (1) along a motion that was measured, with every effect of the catalogue.
 
-The same functions that move the simulated robot are called along the measured path, so an effect
+The same functions that move the simulated robot are called along the measured motion, so an effect
 needs no second description to be looked for: what it adds here is what it would add there.
 """
 
@@ -39,11 +39,11 @@ def mean_applied(command, supply, time, period, constants, state, work, out):
 
 
 @compiled
-def replay_friction(k, path, period, constants, state, work):
+def replay_friction(k, states, period, constants, state, work):
     """Move the blocks to sample ``k`` and write the friction torques into ``work.friction``."""
     if k > 0:
-        for j in range(path.shape[2]):
-            work.displacement[j] = path[k, 0, j] - path[k - 1, 0, j]
+        for j in range(states.shape[2]):
+            work.displacement[j] = states[k, 0, j] - states[k - 1, 0, j]
         gms.advance(state.friction, work.displacement, state.dq_link, period, constants.friction)
     gms.total(state.friction, state.dq_link, constants.friction, work.friction)
 
@@ -73,14 +73,14 @@ def rigid_body(q, dq, ddq, links, work, bias, inertial):
 
 
 @compiled
-def torques_along(path, second, command, time, period, constants, state, work, link, motor,
+def torques_along(states, second, command, time, period, constants, state, work, link, motor,
                   inertial):
     """
-    Write all torques of Eq. (1) along a measured path.
+    Write all torques of Eq. (1) along a measured motion.
 
     Parameters
     ----------
-    path : ndarray, shape (T, 6, n)
+    states : ndarray, shape (T, 6, n)
         Smoothed link angle, rate and acceleration, then those of the motor.
     second : ndarray, shape (T, n)
         Second differences of the link angles as they were read, filtered [rad/s^2].
@@ -103,9 +103,9 @@ def torques_along(path, second, command, time, period, constants, state, work, l
     samples, n = command.shape
     bias = np.empty(n)
     for k in range(samples):
-        plant.take_place(k, path, command[k], time[k], state, work)
+        plant.take_place(k, states, command[k], time[k], state, work)
         plant.springs(state, period, constants, work)
-        replay_friction(k, path, period, constants, state, work)
+        replay_friction(k, states, period, constants, state, work)
         for j in range(n):
             s[j, sig.FRICTION] = work.friction[j]
         for stage in (_FRICTION, _LINK, _MOTOR):
@@ -122,18 +122,18 @@ def torques_along(path, second, command, time, period, constants, state, work, l
 
 
 @compiled
-def sensor_errors(path, measured, command, time, period, constants, state, work, link, motor):
+def sensor_errors(states, measured, command, time, period, constants, state, work, link, motor):
     """
-    Write by how much the encoders of a model read too high along a path, (T, n) each [rad].
+    Write by how much the encoders of a model read too high along a motion, (T, n) each [rad].
 
-    Friction is that of the ``measured`` path: of a base that bends, joints turn against it.
+    Friction is that of the ``measured`` motion: of a base that bends, joints turn against it.
     """
     s = work.signals
     for k in range(command.shape[0]):
         for j in range(command.shape[1]):
             state.dq_link[j] = measured[k, 1, j]
         replay_friction(k, measured, period, constants, state, work)
-        plant.take_place(k, path, command[k], time[k], state, work)
+        plant.take_place(k, states, command[k], time[k], state, work)
         for j in range(command.shape[1]):
             s[j, sig.FRICTION] = work.friction[j]
         plant.run_sensors(state, period, constants, work)

@@ -23,7 +23,7 @@ _STEP = 4e-4                 # of the integration [s]
 
 
 @compiled
-def run_freely(motion, command, pushed, supply, time, period, substeps, starts, horizon, constants,
+def run_freely(states, command, pushed, supply, time, period, substeps, starts, horizon, constants,
                state, replayed, work, link, motor):
     """
     Fill angles (S, horizon, n) of runs from the measured state at each of ``starts`` (S,).
@@ -34,13 +34,13 @@ def run_freely(motion, command, pushed, supply, time, period, substeps, starts, 
     at, ahead = 0, 0.5 * period / substeps
     for k in range(command.shape[0]):
         for j in range(n):
-            replayed.dq_link[j] = motion[k, 1, j]
-        replay_friction(k, motion, period, constants, replayed, work)
+            replayed.dq_link[j] = states[k, 1, j]
+        replay_friction(k, states, period, constants, replayed, work)
         if at < starts.shape[0] and k == starts[at]:
-            copy_state(replayed.friction, motion[k, 0], motion[k, 1], state.friction,
+            copy_state(replayed.friction, states[k, 0], states[k, 1], state.friction,
                        state.q_link, state.dq_link)
             for j in range(n):
-                state.q_motor[j], state.dq_motor[j] = motion[k, 3, j], motion[k, 4, j]
+                state.q_motor[j], state.dq_motor[j] = states[k, 3, j], states[k, 4, j]
                 state.q_link[j] += ahead * state.dq_link[j]
                 state.q_motor[j] += ahead * state.dq_motor[j]
             for step in range(horizon):
@@ -54,13 +54,13 @@ def run_freely(motion, command, pushed, supply, time, period, substeps, starts, 
             at += 1
 
 
-def free_runs(path, constants):
+def free_runs(motion, constants):
     """
     Return how far free runs of a model stray from a recording.
 
     Parameters
     ----------
-    path : Path
+    motion : Motion
         The recording.
     constants : numpy.record
         The model.
@@ -73,40 +73,40 @@ def free_runs(path, constants):
         Measured minus simulated angles [rad]; of a link that is unseen, its motor's.
 
     """
-    period, n = path.fine_period, len(path.joints)
+    period, n = motion.fine_period, len(motion.joints)
     horizon = max(round(HORIZON / period), 2)
-    starts = np.arange(round(STRIDE / period), len(path.fine_time) - horizon,
+    starts = np.arange(round(STRIDE / period), len(motion.fine_time) - horizon,
                        max(round(STRIDE / period), 1))
-    motion, readings = path.fine_motion, path.readings
-    if acts(constants, SENSOR) or path.unseen:
-        motion, readings = as_modelled(path, constants)
+    states, readings = motion.fine_states, motion.readings
+    if acts(constants, SENSOR) or motion.unseen:
+        states, readings = as_modelled(motion, constants)
     link, motor = np.empty((2, len(starts), horizon, n))
-    pushed = np.zeros_like(path.command) if path.pushed is None else path.pushed
-    run_freely(motion, path.command, pushed, path.supply, path.fine_time, period,
+    pushed = np.zeros_like(motion.command) if motion.pushed is None else motion.pushed
+    run_freely(states, motion.command, pushed, motion.supply, motion.fine_time, period,
                max(1, round(period / _STEP)), starts, horizon, constants, fresh_state(constants),
                fresh_state(constants), plant.workspace(n), link, motor)
     rows = starts[:, None] + np.arange(horizon)
     link, motor = readings[rows, 0] - link, readings[rows, 1] - motor
-    for unseen in path.unseen:
+    for unseen in motion.unseen:
         link[..., unseen.joint] = motor[..., unseen.joint]
-    return path.fine_time[starts], link, motor
+    return motion.fine_time[starts], link, motor
 
 
-def as_modelled(path, constants):
+def as_modelled(motion, constants):
     """Return motion (T, 6, n) and readings (T, 2, n) of a recording, as the model sees them."""
-    work = plant.workspace(len(path.joints))
-    drive = drive_torque(path, constants, work)
-    motion, second = motion_as_modelled(path, constants, work, drive)
-    motion, _ = corrected(path, drive, motion, second, constants, work)
-    off = path.motion - motion
-    fine = np.stack([[np.interp(path.fine_time, path.time, off[:, i, j])
+    work = plant.workspace(len(motion.joints))
+    drive = drive_torque(motion, constants, work)
+    states, second = motion_as_modelled(motion, constants, work, drive)
+    states, _ = corrected(motion, drive, states, second, constants, work)
+    off = motion.states - states
+    fine = np.stack([[np.interp(motion.fine_time, motion.time, off[:, i, j])
                       for j in range(off.shape[2])] for i in range(6)])
     fine = np.moveaxis(fine, 2, 0)
-    return np.ascontiguousarray(path.fine_motion - fine), path.readings - fine[:, [0, 3]]
+    return np.ascontiguousarray(motion.fine_states - fine), motion.readings - fine[:, [0, 3]]
 
 
-def all_known(path, starts):
+def all_known(motion, starts):
     """Return of which runs, by their starts (S,) [s], all angles were read, bool."""
-    unread = np.concatenate([[0], np.cumsum(~path.known)])
-    first, last = (np.searchsorted(path.time, when) for when in (starts, starts + HORIZON))
+    unread = np.concatenate([[0], np.cumsum(~motion.known)])
+    first, last = (np.searchsorted(motion.time, when) for when in (starts, starts + HORIZON))
     return unread[last] == unread[first]

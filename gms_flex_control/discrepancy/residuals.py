@@ -2,7 +2,7 @@
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """
-What Eq. (1) leaves unexplained along a measured path, without differentiating noise.
+What Eq. (1) leaves unexplained along a measured motion, without differentiating noise.
 
 Link and motor equation are formed from second differences of the readings as they are, filtered
 with the torques alike, so that nothing but the model's error remains. Smoothed motion serves only
@@ -11,7 +11,7 @@ where a torque is a function of it.
 
 from gms_flex_control import records
 from gms_flex_control.discrepancy import equations
-from gms_flex_control.discrepancy.path import (
+from gms_flex_control.discrepancy.motion import (
     sampled_weight,
     second_difference,
     seen,
@@ -30,13 +30,13 @@ _STIFFEST = 6.0       # times a spring's stiffness, at most
 _OF_SPRINGS = int(Stage.TWIST), int(Stage.SPRING)
 
 
-def unexplained(path, constants):
+def unexplained(motion, constants):
     """
-    Return the residual torques of a model along a path.
+    Return the residual torques of a model along a motion.
 
     Parameters
     ----------
-    path : Path
+    motion : Motion
         The measured motion, S samples of n joints.
     constants : numpy.record
         The model, of simulation.plant.constants_of.
@@ -52,41 +52,41 @@ def unexplained(path, constants):
     Eq. (1): ``M ddq + C dq + g - s + F`` and ``J ddq_motor + s - u``.
 
     """
-    work = plant.workspace(len(path.joints))
-    drive = drive_torque(path, constants, work)
-    motion, second = motion_as_modelled(path, constants, work, drive)
-    both = _residuals(path, constants, work, drive, motion, second)
-    for link in path.unseen:  # the motor equation has been used
+    work = plant.workspace(len(motion.joints))
+    drive = drive_torque(motion, constants, work)
+    states, second = motion_as_modelled(motion, constants, work, drive)
+    both = _residuals(motion, constants, work, drive, states, second)
+    for link in motion.unseen:  # the motor equation has been used
         both[0, :, link.joint] += both[1, :, link.joint]
         both[1, :, link.joint] = 0.0
     return np.concatenate(both, axis=1)
 
 
-def motion_as_modelled(path, constants, work, drive):
+def motion_as_modelled(motion, constants, work, drive):
     """
     Return motion (S, 6, n) and second differences (S, 2, n), unseen links where a model has them.
 
     That is where its motor equation holds behind the low-pass, whatever it was begun with.
     """
-    motion, second = path.motion, path.second
-    if not path.unseen:
-        return motion, second
-    weight, before = sampled_weight(path.factor), None
+    states, second = motion.states, motion.second
+    if not motion.unseen:
+        return states, second
+    weight, before = sampled_weight(motion.factor), None
     shift = np.zeros_like(drive)
     linear = not any(acts(constants, stage) for stage in _OF_SPRINGS)
     for _ in range(1 if linear else _CORRECTIONS):  # one is exact for a linear spring
-        _, on_motor = _residuals(path, constants, work, drive, motion, second)
+        _, on_motor = _residuals(motion, constants, work, drive, states, second)
         stiffness = _secant(before, on_motor, seen(shift, weight), constants.chain.stiffness)
-        before, motion, second = on_motor, motion.copy(), second.copy()
-        for link in path.unseen:
+        before, states, second = on_motor, states.copy(), second.copy()
+        for link in motion.unseen:
             j = link.joint
-            begun = motion[:, 0, j]
+            begun = states[:, 0, j]
             shift[:, j] = low_pass(seen(begun, weight) + on_motor[:, j] / stiffness[:, j],
-                                   max(round(link.window / path.factor), 2)) - begun
-            _, rate, bend = derivatives(shift[:, j], path.period, smoothing(path.period))
-            motion[:, :3, j] += np.stack([shift[:, j], rate, bend], axis=1)
-            second[:, 0, j] += second_difference(shift[:, j], path.period)
-    return motion, second
+                                   max(round(link.window / motion.factor), 2)) - begun
+            _, rate, bend = derivatives(shift[:, j], motion.period, smoothing(motion.period))
+            states[:, :3, j] += np.stack([shift[:, j], rate, bend], axis=1)
+            second[:, 0, j] += second_difference(shift[:, j], motion.period)
+    return states, second
 
 
 def _secant(before, after, shift, stiffness):
@@ -102,51 +102,51 @@ def _secant(before, after, shift, stiffness):
     return np.clip(slope, stiffness, _STIFFEST * stiffness)
 
 
-def _residuals(path, constants, work, drive, motion, second):
+def _residuals(motion, constants, work, drive, states, second):
     """Return what is missing in the link and in the motor equations along a motion (2, S, n)."""
     flexible = constants.chain.flexible
     if acts(constants, SENSOR):
-        motion, second = corrected(path, drive, motion, second, constants, work)
+        states, second = corrected(motion, drive, states, second, constants, work)
     link, motor, inertial = np.empty((3, *drive.shape))
-    equations.torques_along(motion, np.ascontiguousarray(second[:, 0]), drive, path.time,
-                            path.period, constants, fresh_state(constants), work, link, motor,
+    equations.torques_along(states, np.ascontiguousarray(second[:, 0]), drive, motion.time,
+                            motion.period, constants, fresh_state(constants), work, link, motor,
                             inertial)
-    weight = sampled_weight(path.factor)
-    unsmoothed = constants.chain.stiffness * path.twist_rest  # what smoothing took of the spring
+    weight = sampled_weight(motion.factor)
+    unsmoothed = constants.chain.stiffness * motion.twist_rest  # what smoothing took of the spring
     on_link = inertial - seen(link, weight) - unsmoothed - (1.0 - flexible) * drive
-    if path.pushed is not None:
-        on_link -= path.through_filter(path.pushed)
+    if motion.pushed is not None:
+        on_link -= motion.through_filter(motion.pushed)
     on_motor = flexible * (constants.chain.motor_inertia * second[:, 1]
                            - seen(motor, weight) + unsmoothed - drive)
     return np.stack([on_link, on_motor])
 
 
-def drive_torque(path, constants, work):
+def drive_torque(motion, constants, work):
     """Return the torque of the actuators (S, n) as the equations see it [N m]."""
     if not acts(constants, ACTUATOR):
-        return path.drive
-    applied = np.empty_like(path.command)
-    equations.mean_applied(path.command, path.supply, path.fine_time, path.fine_period, constants,
-                           fresh_state(constants), work, applied)
-    return path.through_filter(applied)
+        return motion.drive
+    applied = np.empty_like(motion.command)
+    equations.mean_applied(motion.command, motion.supply, motion.fine_time, motion.fine_period,
+                           constants, fresh_state(constants), work, applied)
+    return motion.through_filter(applied)
 
 
-def corrected(path, drive, motion, second, constants, work):
+def corrected(motion, drive, states, second, constants, work):
     """
     Return motion (S, 6, n) and second differences (S, 2, n) cleared of sensor errors.
 
     Errors are functions of the true motion, which is the measured one less these errors.
     """
     link, motor = np.empty((2, *drive.shape))
-    true = motion
+    true = states
     for _ in range(_CLEARINGS):
-        equations.sensor_errors(true, motion, drive, path.time, path.period, constants,
+        equations.sensor_errors(true, states, drive, motion.time, motion.period, constants,
                                 fresh_state(constants), work, link, motor)
         off = np.stack([link, motor], axis=1)
-        rate = np.gradient(off, path.period, axis=0)
-        bend = second_difference(off, path.period)
+        rate = np.gradient(off, motion.period, axis=0)
+        bend = second_difference(off, motion.period)
         errors = np.stack([off, rate, bend], axis=2).reshape(len(off), 6, -1)
-        true = np.ascontiguousarray(motion - errors)
+        true = np.ascontiguousarray(states - errors)
     return true, second - bend
 
 

@@ -39,11 +39,15 @@ class Finding:
     share : float
         Of what known parameters cannot explain, what would be left without it.
     score : float
-        Sum of squares of rows that it removes, all else re-tuned.
+        2 log evidence that it adds, all else re-tuned.
+    probability : float
+        Of all models that hold it.
+    held_out : Gain
+        What it adds to the log likelihood of blocks of time that were left out.
     runner_up : str or None
         The next best explanation in its place, 'effect of joint'.
     runner_up_score : float
-        What that one would have removed.
+        ``score`` times the share of it that this one would explain.
     confusable_with : tuple of str
         Effects these data tell apart only weakly, or not.
     tells_apart : str
@@ -62,6 +66,8 @@ class Finding:
     torque: float
     share: float
     score: float
+    probability: float
+    held_out: object
     runner_up: str | None
     runner_up_score: float
     confusable_with: tuple
@@ -86,14 +92,16 @@ class Gap:
     joints : tuple of str
         Names.
     before, retuned, after, floor : ndarray, shape (n,)
-        Residual torque [N m]: of the model as given, with known parameters re-tuned, with the
-        effects found unless they are withheld, and what a run of that model shows in which
-        nothing is missing.
+        Residual torque in motion, rms [N m]: of the model as given, with known parameters
+        re-tuned, with the effects found unless they are withheld, and of a null simulation.
+    rest_before, rest_after : ndarray, shape (n,)
+        Likewise while the link stands, re-tuned and with the effects found, which decides
+        nothing; NaN where it never stands.
     free_before, free_after, free_floor : ndarray, shape (n,)
-        Angle by which runs of half a second stray, rms [rad]; before is re-tuned; NaN where no
-        half second held out was read without a hole.
+        Free-run error: angle between half a second of free simulation and the measurement, rms
+        [rad]; before is re-tuned; NaN where no half second was read without a hole.
     energy_ratio : float
-        Squared residual above the floor, after over re-tuned.
+        Squared residual above the floor, after over re-tuned, all joints together.
     free_farther : float
         By how many standard errors of the mean of all runs their squares are larger after than
         before; beside the rms, which one run that sticks or slips can make.
@@ -107,12 +115,24 @@ class Gap:
     retuned: np.ndarray
     after: np.ndarray
     floor: np.ndarray
+    rest_before: np.ndarray
+    rest_after: np.ndarray
     free_before: np.ndarray
     free_after: np.ndarray
     free_floor: np.ndarray
     energy_ratio: float
     free_farther: float = 0.0
     closed_loop: object = None
+
+
+class Noise(NamedTuple):
+    """Torque noise of one equation that the recording holds and encoders do not make."""
+
+    joint: str
+    equation: str      # 'motor', which is the noise of the drive, or 'link'
+    per_sample: float  # of the white part, standard deviation per sample [N m]
+    rms: float         # of all of it behind the low-pass, in motion [N m]
+    colour: str        # 'white', 'slow' or 'fast', by the octaves in which it is largest
 
 
 class Signature(NamedTuple):
@@ -130,40 +150,48 @@ class Tried(NamedTuple):
 
     effect: str
     joint: str
-    score: float    # what it gains when nothing else is there
+    score: float    # decrease of the cost when nothing else is there
     bounded: bool   # within the bounds of its parameters, found for the best; else left aside
 
 
-class Behind(NamedTuple):
-    """The search behind what is said, for figures."""
+class Credible(NamedTuple):
+    """One model of the set that holds 95 % of the probability."""
 
-    problem: object  # Problem: the rows
-    found: object    # Found: what it ended with, all findings in its model
-    written: object  # Fitted: the model as returned, without them if they are withheld
+    effects: tuple      # of (effect, joint)
+    probability: float
+
+
+class Behind(NamedTuple):
+    """The search behind what is reported, for figures."""
+
+    likelihood: object  # Likelihood of the recordings
+    before: object      # Fitted: known parameters re-tuned
+    after: object       # Fitted: with all effects found
+    written: object     # Fitted: the model as returned
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Discrepancy:
     """
-    Everything that is said about a model and its recordings.
+    Everything that is reported about a model and its recordings.
 
     Parameters
     ----------
     verdict : str
         'complete', 'effects_found', 'unexplained' or 'bad_data'.
-    findings, minor, undecided : tuple of Finding
-        Effects that matter, the largest first but for trifles; small ones; and, where there are
-        many, those that these data hardly tell from others, whose names are but one of several.
+    findings, minor : tuple of Finding
+        Effects that matter, the largest first, and small ones, which change no verdict.
+    models : tuple of Credible
+        The sets of effects that hold 95 % of the probability, the likeliest first.
+    noise : tuple of Noise
+        Torque noise of the recordings.
     unexplained : Signature or None
-        What is left.
+        What is left, where it matters.
     gap : Gap or None
         None where the data are bad.
-    nearest : str
-        A sentence on effects that help free runs much, torque not enough, and are not added;
-        '' if there are none.
     withheld : Gap or None
-        What the gap would be with the findings, where they make it worse and are named but not
-        added to the robot; ``gap`` is then that without them.
+        What the gap would be with the findings, where free runs are worse with them: they are
+        named but not added to the robot; ``gap`` is then that without them.
     robot : RobotParams or None
         With known parameters re-tuned and all findings, unless they are withheld.
     retuned : tuple of (str, str, float)
@@ -186,10 +214,10 @@ class Discrepancy:
     verdict: str
     findings: tuple = ()
     minor: tuple = ()
-    undecided: tuple = ()
+    models: tuple = ()
+    noise: tuple = ()
     unexplained: Signature | None = None
     gap: Gap | None = None
-    nearest: str = ''
     withheld: Gap | None = None
     robot: object = None
     retuned: tuple = ()
@@ -203,4 +231,4 @@ class Discrepancy:
     @property
     def named(self):
         """Return all findings, those that matter first."""
-        return (*self.findings, *self.minor, *self.undecided)
+        return (*self.findings, *self.minor)

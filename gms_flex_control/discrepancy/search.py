@@ -2,70 +2,75 @@
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """
-The search for what is missing: one effect after the other, all re-tuned together each time.
+The search for what is missing: a beam over sets of effects, ordered by evidence.
 
-The library tells which effects would gain most; only those are fitted in full.
+The dictionary tells which effects would gain most; only those are fitted in full. Neighbours of a
+set have one effect more, another in the place of one, or one in the place of two.
 """
 
 from dataclasses import replace
 from itertools import combinations
 from typing import NamedTuple
 
-from gms_flex_control.discrepancy.compatible import LATE, may_join
-from gms_flex_control.discrepancy.fit import effect_columns, fit, Fitted, FIXED, numbers_of
-from gms_flex_control.discrepancy.guesses import is_at_limit
-from gms_flex_control.discrepancy.library import least_cost, Library
-from gms_flex_control.discrepancy.prediction import prediction_cost
-from gms_flex_control.discrepancy.problem import with_effect
-from gms_flex_control.effects.registry import find
+from gms_flex_control.discrepancy.dictionary import Dictionary, guesses_of
+from gms_flex_control.discrepancy.evidence import State, state_of
+from gms_flex_control.discrepancy.fitting import (
+    extended,
+    fit,
+    is_at_limit,
+    refitted,
+    retuned,
+    without,
+)
+from gms_flex_control.discrepancy.likelihood import Fitted, with_effect
+from gms_flex_control.discrepancy.thresholds import EVIDENCE, PLAUSIBLE
 import numpy as np
 
 MOST = 20
-_BY_MOTORS = 6        # at most where links are not seen: with more, none is sure
-LEAST_GAIN = 60.0     # sum of squares of rows; see docs/discrepancy.md
-SURE_GAIN = 150.0     # likewise, however much else is left
-LEAST_SHARE = 0.01    # of what is still unexplained
-LEAST_PART = 1e-4     # of all that was missing at first
-_OF_LITTLE = 0.1      # of what is left: a gain below SURE_GAIN must be as much
-_OF_ALL = 1e-3        # of all that was missing at first, likewise
-_SHORTLIST = 3        # hypotheses that are fitted in full
-_CLOSE = 0.5          # of the best gain
-_SIMPLER = 0.03       # of a gain: so much less is as good, with fewer numbers
-_EQUAL = 0.001        # of a gain: so much less is no difference
-_BETTER = 0.01        # likewise: so much more is better, with more numbers
-_ROUNDS = 3           # of adding and exchanging
-_FEW = 3              # effects: one is looked for in the place of two
-_NEARLY = 0.95        # of what others explain: what one in their place does at a first guess
-_PATIENT = 8          # iterations: one begins far from where it does what two did
-_LIKELY = 2           # ones that are fitted in full
-_TELLS = 20.0         # twice the logarithm of a ratio of likelihoods, of two comparisons together
+_BEAM = 3             # sets that are followed, while there are few effects
+_FEW = 3              # effects: with more, one set is followed
+_SHORTLIST = 3        # hypotheses that are better when they are fitted in full
+_CLOSE = 0.25         # of the best gain: with less, no hypothesis is fitted
+_NEARLY = 0.9         # of what an effect explains: a rival gains so much at a first guess
+_ROUNDS = 4           # of adding, exchanging and taking derivatives anew
 
 
 class Found(NamedTuple):
     """What the search ended with."""
 
-    before: Fitted     # known parameters re-tuned, nothing added
-    model: Fitted      # with the effects found
-    columns: np.ndarray  # derivatives of its rows
+    before: Fitted     # nuisance parameters re-tuned as far as plausible, nothing added
+    best: State        # with the effects found
+    tried: tuple       # of State: all that were fitted
     first: tuple       # of Ranked: the best of the first scan, within bounds
     scan: dict         # (effect, joint) to gain: all of it, bounds left aside
-    library: Library
+    dictionary: Dictionary
+    nuisances: np.ndarray  # (P, R) derivatives by the nuisance parameters, of the last model
+    first_columns: np.ndarray  # likewise, of the model before
+    hypotheses: int    # effects of joints that were looked for
+
+    def near(self, known):
+        """Return the effects of joints (effect, joint) that came near, set."""
+        ranked = (*self.first, *self.dictionary.ranked(self.best.model, self.best.columns,
+                                                       PLAUSIBLE))
+        return {(one.spec.name, one.spec.joint) for one in ranked}.union(
+            *(state.key(known) for state in self.tried))
 
 
-def search(problem, *, most=MOST, without=(), begin=None, say=lambda text: None):
+def search(likelihood, *, most=MOST, excluded=(), begin=None, say=lambda text: None):
     """
-    Add effects until nothing is gained.
+    Return the likeliest set of effects.
 
     Parameters
     ----------
-    problem : Problem
-        The rows.
+    likelihood : Likelihood
+        Of the recordings.
     most : int
         How many effects may be added.
-    without : collection of str
+    excluded : collection of str
         Effects that are left out.
-    begin : Fitted, optional
-        With effects to begin with.
+    begin : Found, optional
+        Of a search with other null simulations: its effects are begun with, and what came near
+        is looked for.
     say : callable, optional
         Told what is being done.
 
@@ -74,292 +79,168 @@ def search(problem, *, most=MOST, without=(), begin=None, say=lambda text: None)
     Found
 
     """
-    before, knobs = retuned(problem, problem.robot, np.zeros(len(problem.knobs)))
-    say('every effect along the motion')
-    hunt = _Hunt(problem, before, knobs, Library(problem, before, knobs, without), say)
-    most = min(most, _BY_MOTORS) if problem.unseen else most
-    if begin:
-        hunt.take(begin)
+    hunt = _Search(likelihood, excluded, begin, say)
+    if begin is not None:
+        hunt.take(begin.best.model)
     for _ in range(_ROUNDS):
-        while hunt.grow(most):
-            pass
-        if not hunt.exchange():
+        before = hunt.best.evidence
+        hunt.grow(most)
+        hunt.improve()
+        hunt.settle()
+        if hunt.best.evidence < before + EVIDENCE:
             break
-    hunt.merge()
-    hunt.settle()
-    hunt.tell_late()
-    return Found(before, hunt.model, hunt.columns, hunt.first, hunt.scan, hunt.library)
+    return Found(hunt.before, hunt.best, tuple(hunt.tried.values()), hunt.first, hunt.scan,
+                 hunt.dictionary, hunt.nuisances, hunt.first_columns, hunt.hypotheses)
 
 
-class _Hunt:
-    """The model as it grows."""
+def count_of(likelihood, excluded):
+    """Return how many effects of joints are looked for."""
+    return len({guess[:2] for guess in guesses_of(likelihood, excluded)})
 
-    def __init__(self, problem, model, knobs, library, say):
-        self._problem, self.model, self._knobs, self.library = problem, model, knobs, library
-        self._known, self._say = len(model.robot.effects), say
-        self._gain = SURE_GAIN * problem.caution
-        self.columns, self._begun = knobs, model.cost
-        self.first = tuple(library.ranked(model, knobs))
-        self.scan = library.most(model, knobs)
+
+class _Search:
+    """The best set so far, and all that were tried."""
+
+    def __init__(self, likelihood, excluded, begin, say):
+        self._likelihood, self._say = likelihood, say
+        self._known = len(likelihood.robot.effects)
+        x = begin.before.x if begin else np.zeros(len(likelihood.nuisances))
+        # where nuisance parameters stand for something else, nothing would be left to explain
+        plausible, self.nuisances = retuned(likelihood, likelihood.robot, x, PLAUSIBLE)
+        self.first_columns = self.nuisances
+        self.hypotheses = begin.hypotheses if begin else count_of(likelihood, excluded)
+        say('every effect along the motion')
+        only = begin.near(self._known) if begin else None
+        self.dictionary = Dictionary(likelihood, plausible, excluded, only)
+        self.tried = {}
+        self.before = plausible
+        self.best = self._tried(*retuned(
+            likelihood, likelihood.robot, np.where(np.abs(x) > np.abs(plausible.x), x,
+                                                   plausible.x), columns=self.nuisances))
+        self.first = begin.first if begin else tuple(
+            self.dictionary.ranked(plausible, self.nuisances, PLAUSIBLE))
+        self.scan = begin.scan if begin else self.dictionary.largest(plausible, self.nuisances)
+
+    def _tried(self, model, columns):
+        """Return a model as a State, the best of those tried with the same effects."""
+        state = state_of(self._likelihood, model, columns, self.hypotheses)
+        if any(is_at_limit(spec, model.robot) for spec in model.robot.effects[self._known:]):
+            state = state._replace(evidence=-np.inf)  # where the search ends is no value
+        key = state.key(self._known)
+        if key not in self.tried or state.evidence > self.tried[key].evidence:
+            self.tried[key] = state
+        return self.tried[key]
+
+    def take(self, model):
+        """Go on with a model, its effects fitted together."""
+        self.best = self._tried(*refitted(self._likelihood, model, self.nuisances, iterations=3))
 
     def grow(self, most):
-        """Add effects while one is worth it; return whether any was."""
-        grown = False
-        while len(self.model.robot.effects) - self._known < most:
-            ranked = self.library.ranked(self.model, self.columns)
-            ranked = [one for one in ranked if may_join(one.spec, self.model.robot, self._known)
-                      and self.library.beyond_chance(one) >= self._least(one.spec)]
-            if not ranked:
+        """Add effects to the best sets while the evidence grows."""
+        beam = [self.best]
+        while len(self.best.model.robot.effects) - self._known < most:
+            added = len(self.best.model.robot.effects) - self._known
+            width = _BEAM if added < _FEW else 1
+            found = {}
+            for state in beam:
+                for one in self._neighbours(state):
+                    found[one.key(self._known)] = one
+            states = sorted(found.values(), key=lambda one: -one.evidence)[:width]
+            if not states or states[0].evidence < self.best.evidence + EVIDENCE:
                 break
-            added = self._best_added(ranked)
-            if self.model.cost - added.cost < self._least(added.robot.effects[-1]):
-                break
-            self._append(added)
-            self._say(f'{added.robot.effects[-1].name} of {added.robot.effects[-1].joint}')
-            grown = True
-        if grown:
-            self.take(self.model)
-        return grown
+            self.best, beam = states[0], states
+            last = self.best.model.robot.effects[-1]
+            self._say(f'{last.name} of {last.joint}')
+        if len(self.best.model.robot.effects) > self._known + 1:
+            self.take(self.best.model)
 
-    def exchange(self):
-        """Put others in the place of effects where that explains more; return whether any."""
-        changed = False
-        for one in self.model.robot.effects[self._known:]:  # an exchanged one moves to the end
-            names = [(spec.name, spec.joint) for spec in self.model.robot.effects]
-            changed |= self._exchanged(names.index((one.name, one.joint)))
-        return changed
+    def _neighbours(self, state):
+        """Return the States with one effect more, those that gain most."""
+        worth = EVIDENCE + 2.0 * np.log(self.hypotheses)
+        found = {}
+        for model, columns, limit in self._bases(state):
+            ranked, better = self.dictionary.ranked(model, columns, limit), 0
+            for one in ranked:
+                key = one.spec.name, one.spec.joint
+                if one.gain < max(_CLOSE * ranked[0].gain, worth) or better == _SHORTLIST:
+                    break
+                if key in found:
+                    continue
+                other = self._fitted(with_effect(model.robot, one.spec), model.x, columns)
+                if other is not None:
+                    found[key] = self._tried(other, extended(
+                        self._likelihood, other, columns, len(other.robot.effects) - 1))
+                    better += found[key].evidence > state.evidence + EVIDENCE
+        return list(found.values())
 
-    def _exchanged(self, i):
-        model, effects = self.model, self.model.robot.effects
-        less, others = without(self._problem, model, self.columns, self._known, i)
-        ranked = self.library.ranked(less, others)
-        least = _NEARLY * (least_cost(self._problem, less, others) - model.cost)
-        own = effects[i].name, effects[i].joint
-        for one in ranked[:_SHORTLIST]:
-            if ((one.spec.name, one.spec.joint) == own
-                    or one.gain < max(_CLOSE * ranked[0].gain, least)
-                    or not may_join(one.spec, less.robot, self._known)):
+    def _bases(self, state):
+        """
+        Yield a model, its columns, and how far nuisance parameters may go from there.
+
+        As it is, and with nuisance parameters that are plausible: where they are not, they stand
+        for something that is missing.
+        """
+        model = state.model
+        yield model, state.columns, np.inf
+        if np.any(np.abs(model.x) > PLAUSIBLE * self._likelihood.sd):
+            columns = np.concatenate([self.nuisances, state.columns[len(model.x):]])
+            yield (fit(self._likelihood, model.robot, model.x, columns, plausible=PLAUSIBLE),
+                   columns, PLAUSIBLE)
+
+    def _fitted(self, robot, x, columns):
+        """Return a fit, None if an effect ends at a limit of the search."""
+        model = fit(self._likelihood, robot, x, columns)
+        added = model.robot.effects[self._known:]
+        return None if any(is_at_limit(spec, model.robot) for spec in added) else model
+
+    def improve(self):
+        """Drop, exchange and merge effects where that has more evidence."""
+        for spec in self.best.model.robot.effects[self._known:]:
+            there = [(one.name, one.joint) for one in self.best.model.robot.effects]
+            if (spec.name, spec.joint) in there:
+                self._instead_of(there.index((spec.name, spec.joint)))
+        added = range(self._known, len(self.best.model.robot.effects))
+        if len(added) <= _FEW:
+            for pair in combinations(added, 2):
+                if max(pair) < len(self.best.model.robot.effects):
+                    self._instead_of(*pair)
+
+    def _instead_of(self, *dropped):
+        """Try a model without some effects, and with another in their place."""
+        likelihood, model = self._likelihood, self.best.model
+        less, others = without(likelihood, model, self.best.columns, *dropped)
+        states = [self._tried(fit(likelihood, less.robot, model.x, others), others)]
+        less = fit(likelihood, less.robot, model.x, others, plausible=PLAUSIBLE)
+        loss = less.cost - model.cost
+        for one in self.dictionary.ranked(less, others, PLAUSIBLE)[:_SHORTLIST]:
+            if one.gain < _NEARLY * loss or (one.spec.name, one.spec.joint) in {
+                    (model.robot.effects[i].name, model.robot.effects[i].joint)
+                    for i in dropped}:
                 continue
-            other = fit(self._problem, with_effect(less.robot, one.spec), model.x, others,
-                        first=self._known)
-            larger = _size(one.spec) - _size(effects[i])
-            worth = self._gain * max(larger, 0.2)
-            if larger > 0:
-                worth += _BETTER * (less.cost - model.cost)
-            if (self._problem.exact_cost(model) - self._problem.exact_cost(other) > worth
-                    and (_ends_at_limit(other) <= is_at_limit(effects[i], model.robot))):
-                self._say(f'{one.spec.name} instead of {effects[i].name}')
-                self.take(other)
-                return True
-        return False
-
-    def merge(self):
-        """Put one effect in the place of two where it explains as much, if there are few."""
-        while self._known + 2 <= len(self.model.robot.effects) <= self._known + _FEW:
-            added = range(self._known, len(self.model.robot.effects))
-            if not any(self._merged(*pair) for pair in combinations(added, 2)):
-                return
-
-    def _merged(self, i, k):
-        problem, model = self._problem, self.model
-        less, columns = without(problem, model, self.columns, self._known, i, k)
-        least = _NEARLY * (least_cost(problem, less, columns) - model.cost)
-        for one in self.library.ranked(less, columns)[:_LIKELY]:
-            if one.gain < least or not may_join(one.spec, less.robot, self._known):
-                continue
-            other = fit(problem, with_effect(less.robot, one.spec), model.x, columns,
-                        first=self._known, iterations=_PATIENT)
-            if (problem.exact_cost(other) < problem.exact_cost(model) + self._gain
-                    and not _ends_at_limit(other)):
-                self._say(f'{one.spec.name} instead of two')
-                self.take(other)
-                return True
-        return False
+            other = self._fitted(with_effect(less.robot, one.spec), less.x, others)
+            if other is not None:
+                states.append(self._tried(other, extended(
+                    likelihood, other, others, len(other.robot.effects) - 1)))
+        best = max(states, key=lambda one: one.evidence)
+        if best.evidence > self.best.evidence:
+            self._say(f'{len(dropped)} effects fewer or others')
+            self.take(best.model)
 
     def settle(self):
         """Fit all once more by derivatives of the model found: those of the first are stale."""
-        model = self.model
+        model = self.best.model
         if len(model.robot.effects) > self._known:
-            self._knobs = self._problem.knob_columns(model.robot, model.x, model.rows)
-            self.take(model)
-
-    def tell_late(self):
-        """
-        Put a lag in the place of a delay, or the other way, where it predicts better.
-
-        Both beside all else as it was fitted with the one, and as with the other: errors of
-        prediction are torques, which a smaller inertia makes smaller.
-        """
-        for i in range(self._known, len(self.model.robot.effects)):
-            robot = self.model.robot
-            spec, others = robot.effects[i], robot.effects[:i] + robot.effects[i + 1:]
-            if spec.name not in LATE:
-                continue
-            name, = LATE - {spec.name}
-            late = replace(spec, name=name, values=(
-                min(spec.values[0], find(name).parameters[0].upper),))
-            if not may_join(late, replace(robot, effects=others), self._known):
-                continue
-            other = fit(self._problem, _with_instead(robot, i, late), self.model.x, self._knobs,
-                        first=self._known)
-            costs = prediction_cost(self._problem, [
-                (_with_instead(model.robot, i, one), model.x)
-                for one in (spec, other.robot.effects[i]) for model in (self.model, other)],
-                spec.joint)
-            own, instead = costs.reshape(2, 2).sum(axis=1)
-            if instead < own - _TELLS:
-                self._say(f'{name} instead of {spec.name}')
-                self.take(other)
-
-    def _least(self, spec):
-        """Return what an effect must gain to be added."""
-        left = self.model.cost - self._problem.clean_cost
-        begun = self._begun - self._problem.clean_cost
-        gain = np.clip(max(_OF_LITTLE * left, _OF_ALL * begun), LEAST_GAIN, SURE_GAIN)
-        if self._problem.unseen or find(spec.name).of_feedback:
-            gain = self._gain
-        return max(gain, LEAST_SHARE * left, LEAST_PART * begun)
-
-    def _best_added(self, ranked):
-        """
-        Return the best of few hypotheses fitted in full, the simplest of those alike.
-
-        Of those that differ by nothing, the one that asks least of what is known.
-        """
-        model = self.model
-        close = [one for one in ranked[:_SHORTLIST] if one.gain > _CLOSE * ranked[0].gain]
-        fits = [self._added(one) for one in close]
-        fits = [one for one in fits if not _ends_at_limit(one)] or fits
-        fits = self._with_a_future(fits)
-        best = model.cost - min(one.cost for one in fits)
-        alike = [one for one in fits if model.cost - one.cost >= best - _SIMPLER * abs(best)]
-        fewest = min(_size(one.robot.effects[-1]) for one in alike)
-        alike = [one for one in alike if _size(one.robot.effects[-1]) == fewest]
-        least = min(one.cost for one in alike) + _EQUAL * abs(best)
-        return min((one for one in alike if one.cost <= least),
-                   key=lambda one: np.sum(self._problem.burden_of(one.rows) ** 2))
-
-    def _with_a_future(self, fits):
-        """
-        Return those beside which one more effect would leave least, if two explain nearly all.
-
-        Of two effects that are missing, another may explain a little of each.
-        """
-        clean, begun = self._problem.clean_cost, len(self.model.robot.effects) > self._known
-        little = clean + _OF_LITTLE * (self.model.cost - clean)
-        if begun or len(fits) < 2 or min(one.cost for one in fits) < little:
-            return fits
-        left = np.array([one.cost - self._next_gain(one) for one in fits])
-        if left.min() > little:
-            return fits
-        most = left.min() + _SIMPLER * (self.model.cost - left.min())
-        return [one for one, cost in zip(fits, left, strict=True) if cost <= most]
-
-    def _next_gain(self, model):
-        """Return what the best effect beside the last one of a model would gain."""
-        columns = _extended(self._problem, model, self.columns, len(model.robot.effects) - 1)
-        return max((one.gain for one in self.library.ranked(model, columns)
-                    if may_join(one.spec, model.robot, self._known)), default=0.0)
-
-    def _added(self, one):
-        """Return the model with a hypothesis fitted, all derivatives anew if it disappoints."""
-        model, problem = self.model, self._problem
-        robot = with_effect(model.robot, one.spec)
-        fitted = fit(problem, robot, model.x, self.columns, first=self._known)
-        if model.cost - fitted.cost > _CLOSE * one.gain:
-            return fitted
-        return fit(problem, fitted.robot, fitted.x, self._knobs, first=self._known)
-
-    def _append(self, fitted):
-        """Go on with one more effect, derivatives by all else as they were."""
-        last = len(fitted.robot.effects) - 1
-        self.model, self.columns = fitted, _extended(self._problem, fitted, self.columns, last)
-
-    def take(self, fitted):
-        """Go on with a model, its effects fitted together."""
-        self.model, self.columns = refitted(self._problem, fitted.robot, fitted.x, self._knobs,
-                                            self._known, iterations=2)
+            self.nuisances = self._likelihood.columns(model.robot, model.x, model.rows)
+            again = self._tried(*refitted(self._likelihood, model, self.nuisances))
+            self.best = again
 
 
-def _with_instead(robot, i, spec):
-    """Return a robot with another in the place of its i-th effect."""
-    return replace(robot, effects=(*robot.effects[:i], spec, *robot.effects[i + 1:]))
-
-
-def _ends_at_limit(model):
-    """Return whether the last effect of a model has no value, see `is_at_limit`."""
-    return is_at_limit(model.robot.effects[-1], model.robot)
-
-
-def retuned(problem, robot, x):
-    """Return a robot with its knobs re-tuned from ``x`` (P,), and the knobs' columns (P, R)."""
-    x, rows, knobs = problem.retuned(robot, x)
-    return Fitted(robot, x, rows, problem.cost(rows, robot, x)), knobs
-
-
-def refitted(problem, robot, x, knobs, known, iterations=3):
-    """
-    Return a robot with all its effects fitted together, and its columns anew.
-
-    Parameters
-    ----------
-    problem : Problem
-        The rows.
-    robot : RobotParams
-        Where to begin.
-    x : ndarray, shape (P,)
-        Knobs to begin with.
-    knobs : ndarray, shape (P, R)
-        Derivatives by the knobs.
-    known : int
-        Effects the user knew of, which stay.
-    iterations : int
-        At most.
-
-    Returns
-    -------
-    model : Fitted
-    columns : ndarray, shape (C, R)
-        Derivatives by the knobs and by the parameters of effects that are not known.
-
-    """
-    model = fit(problem, robot, x, knobs, first=known, iterations=iterations)
-    return model, _extended(problem, model, knobs, known)
-
-
-def _extended(problem, model, columns, first):
-    """Return columns (C, R), then those by the parameters of effects from the ``first`` on."""
-    own = effect_columns(problem, model.robot, model.x, model.rows,
-                         numbers_of(model.robot, first))
-    return np.concatenate([columns, own])
-
-
-def without(problem, model, columns, known, *dropped):
-    """
-    Return a model less some of its effects, nothing re-tuned, and the columns of all else.
-
-    Parameters
-    ----------
-    problem : Problem
-        The rows.
-    model : Fitted
-        With the effects.
-    columns : ndarray, shape (C, R)
-        Derivatives by its knobs and by the parameters of its effects.
-    known : int
-        Effects the user knew of, which have no columns.
-    *dropped : int
-        Which effects.
-
-    """
-    effects = model.robot.effects
-    robot = replace(model.robot, effects=tuple(
-        spec for i, spec in enumerate(effects) if i not in dropped))
-    own = [len(model.x) + k for k, number in enumerate(numbers_of(model.robot, known))
-           if number.effect in dropped]
-    return Fitted.of(problem, robot, model.x), np.delete(columns, own, axis=0)
-
-
-def _size(spec):
-    """Return how many numbers of an effect are free."""
-    return sum(parameter.name not in FIXED for parameter in find(spec.name).parameters)
+def with_only(found, likelihood, keep):
+    """Return a State with only some effects (indices), all re-tuned."""
+    effects = found.best.model.robot.effects
+    known = len(likelihood.robot.effects)
+    robot = replace(found.best.model.robot,
+                    effects=effects[:known] + tuple(effects[i] for i in keep))
+    model = likelihood.fitted(robot, found.best.model.x)
+    return state_of(likelihood, *refitted(likelihood, model, found.nuisances),
+                    found.hypotheses)

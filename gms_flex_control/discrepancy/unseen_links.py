@@ -11,13 +11,10 @@ leaves. What remains is one equation per joint, that of link and motor together.
 
 from typing import NamedTuple
 
-from gms_flex_control.effects.base import Stage, Term
-from gms_flex_control.effects.registry import find, names
 from gms_flex_control.identification.smoothing import low_pass, low_pass_window, noise_of
 from gms_flex_control.simulation import plant
 import numpy as np
 
-_OF_TWIST = ('spring_offset', 'kinematic_error')  # errors of an angle that torque cannot tell
 _NOISE = 0.05            # of the usual torque: what noise of the link's inertia may amount to
 _BAND = (1.0, 20.0)      # of the low-pass that sees to it [Hz]
 
@@ -74,7 +71,7 @@ def link_angle(motor, torque, bend, link):
     motor : ndarray, shape (T,)
         Motor angle as read [rad].
     torque : ndarray, shape (T,)
-        Of the motor, as second differences see it (path.held_triangle) [N m].
+        Of the motor, as second differences see it (motion.held_triangle) [N m].
     bend : ndarray, shape (T,)
         Second difference of the motor angle [rad/s^2].
     link : UnseenLink
@@ -86,14 +83,3 @@ def link_angle(motor, torque, bend, link):
 
     """
     return low_pass(motor - (torque - link.inertia * bend) / link.stiffness, link.window)
-
-
-def is_lost(name):
-    """Return whether an effect cannot be judged without a link encoder."""
-    kind = find(name)
-    return name in _OF_TWIST or issubclass(kind, Term) and kind.stage == Stage.SENSOR
-
-
-def lost_effects():
-    """Return the names of all effects that cannot be judged there, tuple of str."""
-    return tuple(name for name in names() if is_lost(name))

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 from gms_flex_control import __version__
 from gms_flex_control.analysis.table4 import align
 from gms_flex_control.analysis.tracking import link_error, link_rms
+from gms_flex_control.discrepancy.describe import of_withheld
 from gms_flex_control.discrepancy.result import Discrepancy
-from gms_flex_control.discrepancy.words import of_withheld
 from gms_flex_control.effect_compensation.known import compensated
 from gms_flex_control.hidden.written import described
 from gms_flex_control.reports.discrepancy import add_discrepancy
@@ -46,7 +46,7 @@ class DemoOutcome(NamedTuple):
     @property
     def first(self):
         """Return the Finding that matters most, small ones coming last; None if there is none."""
-        return next(iter((*self.result.findings, *self.result.minor)), None)
+        return next(iter(self.result.named), None)
 
     @property
     def named(self):
@@ -57,7 +57,7 @@ class DemoOutcome(NamedTuple):
 
     @property
     def shrank(self):
-        """Return whether residual torque and stray of free runs became less on data held out."""
+        """Return whether residual torque and free-run error became less on data held out."""
         gap = self.result.gap
         return gap is not None and all(
             np.sum(after ** 2) < np.sum(before ** 2) for before, after in (
@@ -85,8 +85,8 @@ def outcome_rows(outcome):
     """Return header and rows of the table: what is measured, of which joint, before and after."""
     gap, rows = outcome.result.gap, []
     if gap is not None:
-        kinds = [('residual torque [mN m]', gap.retuned, gap.after, gap.floor),
-                 ('free run of 0.5 s [mrad]', gap.free_before, gap.free_after, gap.free_floor)]
+        kinds = [('residual torque in motion [mN m]', gap.retuned, gap.after, gap.floor),
+                 ('free-run error, 0.5 s [mrad]', gap.free_before, gap.free_after, gap.free_floor)]
         if gap.closed_loop is not None:
             again = gap.closed_loop
             kinds.append(('closed loop again [mrad]', again.retuned, again.after, again.floor))
@@ -94,7 +94,7 @@ def outcome_rows(outcome):
     tracking = outcome.tracking
     rows += _rows([('tracking error [mrad]', *(tracking[belief] for belief in BELIEFS))],
                   outcome.hidden.robot.joints)
-    return ('rms', 'joint', 'before', 'after', 'floor / true model'), rows
+    return ('rms', 'joint', 'before', 'after', 'noise floor / true model'), rows
 
 
 def _rows(kinds, joints):
@@ -112,14 +112,14 @@ def revealed(outcome):
     elif outcome.first is not None:
         sentence += f'named wrongly, {outcome.first.effect} of {outcome.first.joint}'
         if truth['effect'] in outcome.first.confusable_with:
-            sentence += ' (said to be hard to tell from it)'
+            sentence += ' (said to be indistinguishable from it)'
     else:
         sentence += 'not named'
     sentence += ', and the gap shrank.' if outcome.shrank else ', and the gap did not shrink.'
     if outcome.result.withheld:
         sentence += f' {of_withheld(outcome.result.withheld)}'
     if not compensated(truth['effect']):
-        sentence += ' No controller can make up for it: tracking is as before.'
+        sentence += ' No controller can compensate it: tracking is as before.'
     return sentence
 
 
@@ -144,7 +144,7 @@ def write_demo_report(outcome, folder):
     folder = Path(folder)
     report = Report('What does the model lack? A demonstration',
                     'Three ROS 2 nodes in lockstep; the plant has something in it that the tool, '
-                    'given a bag and the robot file believed in, is not told')
+                    'given a bag and the robot file believed in, does not know')
     report.heading('Before and after')
     report.text('The arm was driven through a motion by a controller that believed the robot '
                 'file, every parameter 1 to 3 % off. What the workflow found in the bag was '

@@ -3,7 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Pictures of a discrepancy: the gap, the evidence of each effect, maps of the residual."""
 
-from gms_flex_control.discrepancy.units import angle_scale, torque_scale
+from gms_flex_control.discrepancy.describe import angle_scale, torque_scale
 from gms_flex_control.reports.figures import COLOURS, finished, WIDTH
 from gms_flex_control.reports.identification_figures import side_by_side
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -32,7 +32,7 @@ def gap_figure(gap, withheld=False):
     Returns
     -------
     matplotlib.figure.Figure
-        Residual torque and stray of free runs.
+        Residual torque in motion and free-run error.
 
     """
     figure, panels = side_by_side(2, height=1.6 + 0.75 * len(gap.joints))
@@ -42,14 +42,14 @@ def gap_figure(gap, withheld=False):
     _bars(panels[0], gap.joints, torque, (
         ('as given', gap.before, GIVEN), ('known parameters re-tuned', gap.retuned, BEFORE),
         (after, gap.after, AFTER),
-        ('floor: nothing missing', gap.floor, FLOOR)))
+        ('noise floor', gap.floor, FLOOR)))
     _bars(panels[1], gap.joints, angle, (
         ('known parameters re-tuned', gap.free_before, BEFORE),
         (after, gap.free_after, AFTER),
-        ('floor: nothing missing', gap.free_floor, FLOOR)))
+        ('noise floor', gap.free_floor, FLOOR)))
     finished(figure, panels, 'Between model and measurement, on data held out')
-    panels[0].set_xlabel(f'residual torque, rms [{torque.unit}]')
-    panels[1].set_xlabel(f'stray of free runs of 0.5 s, rms [{angle.unit}]')
+    panels[0].set_xlabel(f'residual torque in motion, rms [{torque.unit}]')
+    panels[1].set_xlabel(f'free-run error over 0.5 s, rms [{angle.unit}]')
     for panel in panels:
         panel.tick_params(axis='y', which='both', left=False, right=False)
         panel.set_xlim(left=0.0, right=1.18 * panel.dataLim.xmax or 1.0)
@@ -65,7 +65,7 @@ def _bars(panel, joints, scale, groups):
         drawn = panel.barh(at + (i - 0.5 * (len(groups) - 1)) * height,
                            scale.factor * np.nan_to_num(values), 0.9 * height, color=colour,
                            label=name)
-        panel.bar_label(drawn, [scale.told(value) for value in values], fontsize=7.5,
+        panel.bar_label(drawn, [scale.text(value) for value in values], fontsize=7.5,
                         padding=2)
     panel.set_yticks(at, joints, parse_math=False)
     panel.invert_yaxis()

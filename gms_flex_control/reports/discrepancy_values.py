@@ -8,17 +8,17 @@ import math
 from textwrap import wrap
 
 from gms_flex_control import __version__
-from gms_flex_control.discrepancy.words import named, of_withheld
+from gms_flex_control.discrepancy.describe import named, of_withheld
 from gms_flex_control.files import write_text
 from gms_flex_control.reports.discrepancy_views import over_of
 from gms_flex_control.schema.files import save_robot
 import numpy as np
 
-REPORT_FORMAT = 1
+REPORT_FORMAT = 2
 _COMMENT_WIDTH = 90
-_LEAST = 1e-4     # change of a known parameter that is told
+_LEAST = 1e-4     # change of a known parameter that is reported
 _TORQUES = ('before', 'retuned', 'after', 'floor')
-_STRAYS = ('free_before', 'free_after', 'free_floor')
+_OF_GAP = (*_TORQUES, 'rest_before', 'rest_after', 'free_before', 'free_after', 'free_floor')
 
 
 def report_values(result, *, holdout=(), models=()):
@@ -28,7 +28,7 @@ def report_values(result, *, holdout=(), models=()):
     Parameters
     ----------
     result : Discrepancy
-        To be told.
+        What to report.
     holdout : sequence of str
         Recordings the gap was measured on, if not on blocks held out.
     models : sequence of Compared
@@ -38,7 +38,7 @@ def report_values(result, *, holdout=(), models=()):
     -------
     dict
         Of str, int, float, bool, None, list and dict; a number that is not finite is None.
-        SI units: torques in N m, strays of free runs in rad.
+        SI units: torques in N m, free-run errors in rad.
 
     """
     joints = result.gap.joints if result.gap is not None else ()
@@ -48,9 +48,11 @@ def report_values(result, *, holdout=(), models=()):
         'seconds': result.seconds, 'faults': result.faults,
         'findings': [finding_values(finding, joints) for finding in result.findings],
         'minor': [finding_values(finding, joints) for finding in result.minor],
-        'undecided': [finding_values(finding, joints) for finding in result.undecided],
+        'credible': [{'effects': [{'effect': effect, 'joint': joint} for effect, joint in
+                                  model.effects], 'probability': model.probability}
+                     for model in result.models],
+        'noise': [one._asdict() for one in result.noise],
         'unexplained': result.unexplained._asdict() if result.unexplained else None,
-        'nearest': result.nearest,
         'withheld': gap_values(result.withheld) if result.withheld else None,
         'gap': gap_values(result.gap) if result.gap is not None else None,
         'retuned': [{'parameter': name, 'joint': joint, 'change': change}
@@ -66,7 +68,9 @@ def finding_values(finding, joints):
         'effect': finding.effect, 'joint': finding.joint,
         'parameters': {value.name: {'value': value.value, 'unit': value.unit, 'low': value.low,
                                     'high': value.high} for value in finding.values},
-        'score': finding.score, 'share': finding.share, 'torque': finding.torque,
+        'score': finding.score, 'probability': finding.probability,
+        'held_out': finding.held_out._asdict(),
+        'share': finding.share, 'torque': finding.torque,
         'evidence': finding.evidence, 'runner_up': finding.runner_up,
         'runner_up_score': finding.runner_up_score,
         'confusable_with': finding.confusable_with, 'tells_apart': finding.tells_apart,
@@ -84,7 +88,7 @@ def over_values(one):
 
 def gap_values(gap):
     """Return a Gap as a dict, each figure by joint."""
-    return {name: by_joint(gap.joints, getattr(gap, name)) for name in (*_TORQUES, *_STRAYS)} | {
+    return {name: by_joint(gap.joints, getattr(gap, name)) for name in _OF_GAP} | {
         'energy_ratio': gap.energy_ratio, 'closed_loop': loop_values(gap.closed_loop)}
 
 
@@ -116,10 +120,9 @@ def over_bags_values(result):
     Returns
     -------
     dict
-        ``verdict``, ``words``, ``effects`` that matter, ``minor`` and ``undecided`` ones as text,
-        ``withheld`` whether they would make the model worse, ``unexplained`` in a sentence,
-        ``estimates`` of the parameters of the first two, ``gap`` by joint, and ``reason``: the
-        faults of bad data, else None.
+        ``verdict``, ``words``, ``effects`` that matter and ``minor`` ones as text, ``withheld``
+        whether they would make the model worse, ``unexplained`` in a sentence, ``estimates`` of
+        their parameters, ``gap`` by joint, and ``reason``: the faults of bad data, else None.
 
     """
     gap = result.gap
@@ -127,11 +130,10 @@ def over_bags_values(result):
         'reason': '; '.join(result.faults) or result.words if result.gap is None else None,
         'verdict': result.verdict, 'words': result.words,
         **{name: [f'{one.effect} of {one.joint}' for one in found] for name, found in (
-            ('effects', result.findings), ('minor', result.minor),
-            ('undecided', result.undecided))},
+            ('effects', result.findings), ('minor', result.minor))},
         'withheld': result.withheld is not None,
         'unexplained': result.unexplained and result.unexplained.sentence,
-        'estimates': [_estimate(finding, value) for finding in (*result.findings, *result.minor)
+        'estimates': [_estimate(finding, value) for finding in result.named
                       for value in finding.values],
         'gap': None if gap is None else {
             name: by_joint(gap.joints, getattr(gap, name)) for name in _TORQUES}})
@@ -190,9 +192,7 @@ def _comment(result):
     lines = [f'What gms_flex discrepancy {__version__} made of a robot file and of '
              f'{", ".join(result.sources)}.', f'Verdict: {result.verdict}.']
     for heading, findings in (('Effects that were missing', result.findings),
-                              ('Small effects', result.minor),
-                              ('Effects that these data hardly tell from others',
-                               result.undecided)):
+                              ('Small effects', result.minor)):
         if findings:
             lines.append(f'{heading}: ' + '; '.join(named(one) for one in findings) + '.')
     if result.withheld:
@@ -200,6 +200,6 @@ def _comment(result):
     changes = [f'{name} of {joint} {100.0 * change:+.2f} %'
                for name, joint, change in result.retuned if abs(change) >= _LEAST]
     if changes:
-        lines.append('Known parameters re-tuned within their doubt: ' + ', '.join(changes) + '.')
+        lines.append('Known parameters re-tuned: ' + ', '.join(changes) + '.')
     return '\n'.join(part for line in lines for part in wrap(
         line, _COMMENT_WIDTH, subsequent_indent='    '))

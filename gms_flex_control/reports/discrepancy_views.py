@@ -7,15 +7,15 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from gms_flex_control.discrepancy import signature
+from gms_flex_control.discrepancy.null_simulation import null_simulation
 from gms_flex_control.discrepancy.residuals import unexplained
-from gms_flex_control.discrepancy.retrace import retrace
 from gms_flex_control.effects.registry import find
 import numpy as np
 from scipy.stats import t
 
 VARIABLES = signature.VARIABLES
 UNITS = {'time': 's', 'link angle': 'rad', 'motor angle': 'rad', 'link rate': 'rad/s',
-         'motor rate': 'rad/s', 'twist': 'rad', 'torque': 'N m',
+         'motor rate': 'rad/s', 'torsion': 'rad', 'torque': 'N m',
          'link acceleration': 'rad/s^2', 'time since reversal': 's', 'direction': '',
          'distance since reversal': 'rad'}
 BINS = 36
@@ -26,7 +26,7 @@ _STRANGE = 0.4        # likewise another variable than the one an effect names
 _INDEPENDENT = 0.4    # share of the samples behind the low-pass that are on their own
 _PERIODS = 3.0        # so many waves over a range are laid upon each other
 _MAP_BINS, _OF_CELL, _LEAST_CELL = (8, 20), 12, 3.0  # samples of a cell in the mean, at least
-_SEED = 991           # of the run in which nothing is missing
+_SEED = 991           # of the null simulation
 
 
 class Binned(NamedTuple):
@@ -86,41 +86,46 @@ class Along:
 
     Parameters
     ----------
-    problem : Problem
-        The recordings.
+    likelihood : Likelihood
+        Of the recordings.
 
     """
 
-    def __init__(self, problem):
-        self.problem = problem
-        self.joints = problem.robot.joints
-        self._kept = [whitening.settled for whitening in problem.whitenings]
+    def __init__(self, likelihood):
+        self.likelihood = likelihood
+        self.joints = likelihood.robot.joints
         self._variables = {}
 
-    def residual(self, robot, x, paths=None):
-        """Return residual torques (S, 2n) of a model behind the low-pass [N m]."""
-        constants = self.problem.constants(robot, x)
-        return np.concatenate([
-            whitening.torque_rows(unexplained(path, constants))[kept]
-            for path, whitening, kept in zip(paths or self.problem.paths,
-                                             self.problem.whitenings, self._kept, strict=True)])
+    def _kept(self, rows):
+        """Return rows (S', ...) of each recording where filters are settled, joined (S, ...)."""
+        return np.concatenate([one[whitening.settled] for one, whitening in zip(
+            rows, self.likelihood.whitenings, strict=True)])
 
-    def clean(self, robot, x):
-        """Return residuals (S, 2n) of a run of a model in which nothing is missing."""
-        constants = self.problem.constants(robot, x)
-        return self.residual(robot, x, [
-            retrace(path, constants, np.random.default_rng(_SEED))
-            for path in self.problem.paths])
+    def residual(self, model):
+        """Return residual torques (S, 2n) of a Fitted behind the low-pass [N m]."""
+        return self._kept(self.likelihood.torque(model))
+
+    def null(self, model):
+        """Return residuals (S, 2n) of a null simulation of a Fitted, torque noise in it."""
+        constants = self.likelihood.constants(model.robot, model.x)
+        rows = []
+        for m, (motion, whitening) in enumerate(zip(
+                self.likelihood.motions, self.likelihood.whitenings, strict=True)):
+            rng = np.random.default_rng([_SEED, m])
+            rows.append(whitening.torque_rows(
+                unexplained(null_simulation(motion, constants, rng), constants)
+                + self.likelihood.torque_noise(m, rng)))
+        return self._kept(rows)
 
     def variables(self, j):
         """Return what residuals of joint ``j`` may depend on, dict of str to (S,)."""
         if j not in self._variables:
             parts = []
-            for path, whitening, kept in zip(self.problem.paths, self.problem.whitenings,
-                                             self._kept, strict=True):
-                time = path.time - path.time[0]
-                known = signature.variables(path, j) | further(path, j)
-                parts.append({name: np.interp(whitening.time[kept], time, values)
+            for motion, whitening in zip(self.likelihood.motions, self.likelihood.whitenings,
+                                         strict=True):
+                time, settled = motion.time - motion.time[0], whitening.time[whitening.settled]
+                known = signature.variables(motion, j) | further(motion, j)
+                parts.append({name: np.interp(settled, time, values)
                               for name, values in known.items()})
             self._variables[j] = {name: np.concatenate([part[name] for part in parts])
                                   for name in parts[0]}
@@ -128,14 +133,14 @@ class Along:
 
     def channels(self, j):
         """Return (equation, column) of each equation of joint ``j``."""
-        if self.problem.robot.arm.rigid[j]:
+        if self.likelihood.robot.arm.rigid[j]:
             return [('link', j)]
         return [('link', j), ('motor', len(self.joints) + j)]
 
 
-def further(path, j):
+def further(motion, j):
     """Return which way joint ``j`` moves and how far since it turned: dict of str to (S,)."""
-    angle, rate = path.motion[:, 0, j], path.motion[:, 1, j]
+    angle, rate = motion.states[:, 0, j], motion.states[:, 1, j]
     last = np.maximum.accumulate(np.where(rate != 0.0, np.arange(len(rate)), 0))
     turns = np.concatenate([[True], np.diff(np.sign(rate[last])) != 0.0])
     travelled = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(angle)))])
@@ -213,7 +218,7 @@ def evidence_of(along, model, finding):
     specs = model.robot.effects
     spec = next(one for one in specs if (one.name, one.joint) == (finding.effect, finding.joint))
     less = replace(model.robot, effects=tuple(one for one in specs if one is not spec))
-    after, before = along.residual(model.robot, model.x), along.residual(less, model.x)
+    after, before = along.residual(model), along.residual(replace(model, robot=less))
     j, equation, column = _strongest(along, before - after, finding.joint)
     own = before[:, column] - after[:, column]
     x, x_label, sign, times = _shown_over(along, spec, own, j)
@@ -312,9 +317,9 @@ def maps_of(along, before, after, j):
     list of Map
 
     """
-    values, rigid = along.variables(j), along.problem.robot.arm.rigid[j]
+    values, rigid = along.variables(j), along.likelihood.robot.arm.rigid[j]
     pairs = [(0, 'link angle', 'link rate'), (0, 'link acceleration', 'link rate')]
-    pairs += [(0, 'torque', 'link rate')] if rigid else [(1, 'twist', 'motor rate'),
+    pairs += [(0, 'torque', 'link rate')] if rigid else [(1, 'torsion', 'motor rate'),
                                                          (1, 'motor angle', 'motor rate')]
     bins, found = int(np.clip(np.sqrt(len(before) / _OF_CELL), *_MAP_BINS)), []
     for which, first, second in pairs:
@@ -348,7 +353,7 @@ class Over(NamedTuple):
     variable: str      # with its unit
     before: Binned     # known parameters re-tuned
     after: Binned      # with the effects found
-    shares: tuple      # of the residual that is a function of it: before, after, nothing missing
+    shares: tuple      # of the residual that is a function of it: before, after, by chance
     off_zero: tuple    # of the bins whose 95 % band leaves zero out: likewise
 
 
@@ -361,7 +366,7 @@ def over_all(along, *residuals):
     along : Along
         The recordings.
     *residuals : ndarray, shape (S, 2n)
-        Before, after, and of a run in which nothing is missing, which says what is chance.
+        Before, after, and of a null simulation, which tells what is chance.
 
     Returns
     -------
@@ -387,13 +392,10 @@ def over_of(result):
     """Return what the residuals of a Discrepancy depend on, list of Over; of bad data none."""
     if result.behind is None:
         return []
-    problem, found = result.behind.problem, result.behind.found
-    along = Along(problem)
-    return over_all(along, *residuals_of(along, found))
+    along = Along(result.behind.likelihood)
+    return over_all(along, *residuals_of(along, result.behind))
 
 
-def residuals_of(along, found):
-    """Return residuals (S, 2n) before, after, and of a run in which nothing is missing."""
-    before, after = found.before, found.model
-    return (along.residual(before.robot, before.x), along.residual(after.robot, after.x),
-            along.clean(after.robot, after.x))
+def residuals_of(along, behind):
+    """Return residuals (S, 2n) before, after, and of a null simulation."""
+    return along.residual(behind.before), along.residual(behind.after), along.null(behind.after)

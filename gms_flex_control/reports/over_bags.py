@@ -104,7 +104,6 @@ def _findings(good):
         return ''
     lines = [[bag, values['verdict'], ', '.join(
         [*values['effects'], *(f'{one} (small)' for one in values['minor']),
-         *(f'{one} (undecided)' for one in values['undecided']),
          *(['withheld'] if values['withheld'] else [])]) or '-']
         for bag, values in list(good.items())[:_LINES]]
     more = f'\nand {len(good) - _LINES} more, see summary.csv' if len(good) > _LINES else ''
@@ -119,7 +118,7 @@ def _parameters(rows, good):
               number(row.standard_deviation, 2), _share(row), number(row.foreseen, 2),
               *(number(told[bag].get(row.name, math.nan)) for bag in beside)] for row in rows]
     return (align(['parameter', 'unit', 'bags', 'mean', 'std', 'std [%]', 'foreseen', *beside],
-                  lines) + '\nbags: those that tell it; std over the bags; foreseen: std by '
+                  lines) + '\nbags: those that estimate it; std over the bags; foreseen: std by '
             'their intervals')
 
 
@@ -128,11 +127,11 @@ def _share(row):
 
 
 def _untold(rows, good):
-    """Return which parameters no bag tells, '' if each is told."""
+    """Return which parameters no bag estimates, '' if there are none."""
     names = dict.fromkeys(one['name'] for values in good.values() for one in values['estimates'])
     left = [name.removeprefix('friction.') for name in names
             if name not in {row.name for row in rows}]
-    return fill(f'Told by no bag: {", ".join(left)}', _WIDTH) if left else ''
+    return fill(f'Estimated by no bag: {", ".join(left)}', _WIDTH) if left else ''
 
 
 def _differing(rows):

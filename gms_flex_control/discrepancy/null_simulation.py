@@ -4,7 +4,7 @@
 """
 The motion of a recording as a model would have made it: the data if nothing were missing.
 
-The model is simulated under the recorded torque plus what keeps its motors on the recorded path,
+The model is simulated under the recorded torque plus what keeps its motors on the recorded motion,
 and a gentle push that keeps links that are seen there: a link that stood stands, one that crept
 creeps. Torque, push and motion then fit the model exactly, whatever it lacks. Read through the
 same encoders and put through the same filters, such a run shows what a residual looks like where
@@ -15,14 +15,14 @@ from dataclasses import replace
 
 from gms_flex_control.analysis.signals import quantum
 from gms_flex_control.compiled import compiled
-from gms_flex_control.discrepancy.path import encoder_step, make_path
+from gms_flex_control.discrepancy.motion import encoder_step, make_motion
 from gms_flex_control.discrepancy.residuals import fresh_state
 from gms_flex_control.effects import signals as sig
 from gms_flex_control.errors import SimulationError
 from gms_flex_control.simulation import plant
 import numpy as np
 
-BANDWIDTH = 30.0      # of the motors' hold on the path [rad/s]
+BANDWIDTH = 30.0      # of the motors' hold on the motion [rad/s]
 _ALONE = 60.0         # likewise, where nothing but the motor holds the link
 _OF_LINKS = 15.0      # likewise, of the push [rad/s]
 _DAMPED = 1.4         # twice the damping ratio of both
@@ -31,8 +31,8 @@ _STEP = 4e-4          # of the integration [s]
 
 
 @compiled
-def retrace_loop(motion, command, supply, time, period, substeps, gains, constants, state, work,
-                 held, pushed, link, motor):
+def simulate_along(states, command, supply, time, period, substeps, gains, constants, state, work,
+                   held, pushed, link, motor):
     """
     Fill torques and angles (T, n) of a run along ``motion`` (T, 6, n).
 
@@ -49,21 +49,21 @@ def retrace_loop(motion, command, supply, time, period, substeps, gains, constan
             link[k, j] = work.signals[j, sig.SENSED_LINK] - ahead * state.dq_link[j]
             motor[k, j] = work.signals[j, sig.SENSED_MOTOR] - ahead * state.dq_motor[j]
             rows = 3 if flexible[j] else 0
-            held[k, j] = (command[k, j] + gains[0, j] * (motion[k, rows, j] - state.q_motor[j])
-                          + gains[1, j] * (motion[k, rows + 1, j] - state.dq_motor[j]))
-            pushed[k, j] = (gains[2, j] * (motion[k, 0, j] - state.q_link[j])
-                            + gains[3, j] * (motion[k, 1, j] - state.dq_link[j]))
+            held[k, j] = (command[k, j] + gains[0, j] * (states[k, rows, j] - state.q_motor[j])
+                          + gains[1, j] * (states[k, rows + 1, j] - state.dq_motor[j]))
+            pushed[k, j] = (gains[2, j] * (states[k, 0, j] - state.q_link[j])
+                            + gains[3, j] * (states[k, 1, j] - state.dq_link[j]))
             work.outside[j] = pushed[k, j]
         plant.advance(state, held[k], time[k], period, substeps, constants, work)
 
 
-def retrace(path, constants, rng):
+def null_simulation(motion, constants, rng):
     """
-    Return a Path the model makes of a recording, read through encoders like those of it.
+    Return a Motion the model makes of a recording, read through encoders like those of it.
 
     Parameters
     ----------
-    path : Path
+    motion : Motion
         The recording.
     constants : numpy.record
         The model, of simulation.plant.constants_of.
@@ -72,7 +72,7 @@ def retrace(path, constants, rng):
 
     Returns
     -------
-    Path
+    Motion
 
     Raises
     ------
@@ -80,32 +80,32 @@ def retrace(path, constants, rng):
         If the model runs away.
 
     """
-    links, n = constants.chain, len(path.joints)
+    links, n = constants.chain, len(motion.joints)
     inertia = np.where(links.flexible, links.motor_inertia,
                        np.diag(links.coupling) + np.diag(links.rigid_inertia))
     own, bandwidth = np.diag(links.coupling) * links.flexible, np.full(n, BANDWIDTH)
-    for link in path.unseen:
+    for link in motion.unseen:
         own[link.joint] = 0.0
-        bandwidth[link.joint] = np.clip(_OF_RATE / path.fine_period, BANDWIDTH, _ALONE)
+        bandwidth[link.joint] = np.clip(_OF_RATE / motion.fine_period, BANDWIDTH, _ALONE)
     gains = np.stack([inertia * bandwidth ** 2, _DAMPED * inertia * bandwidth,
                       own * _OF_LINKS ** 2, _DAMPED * own * _OF_LINKS])
-    state, first = fresh_state(constants), path.fine_motion[0]
+    state, first = fresh_state(constants), motion.fine_states[0]
     state.q_link[:], state.dq_link[:], state.q_motor[:], state.dq_motor[:] = first[[0, 1, 3, 4]]
-    held, pushed, link, motor = np.empty((4, *path.command.shape))
-    retrace_loop(path.fine_motion, path.command, path.supply, path.fine_time, path.fine_period,
-                 max(1, round(path.fine_period / _STEP)), gains, constants, state,
-                 plant.workspace(n), held, pushed, link, motor)
+    held, pushed, link, motor = np.empty((4, *motion.command.shape))
+    simulate_along(motion.fine_states, motion.command, motion.supply, motion.fine_time,
+                   motion.fine_period, max(1, round(motion.fine_period / _STEP)), gains,
+                   constants, state, plant.workspace(n), held, pushed, link, motor)
     readings = np.stack([link, motor], axis=1)
     if not np.all(np.isfinite(readings)):
-        raise SimulationError(f'{path.source}: the model runs away along the recorded motion; its '
-                              'inertia, stiffness and friction are not those of this robot')
+        raise SimulationError(f'{motion.source}: the model runs away along the recorded motion; '
+                              'its inertia, stiffness and friction are not those of this robot')
     for side in range(2):
         for j in range(n):
-            readings[:, side, j] = read(readings[:, side, j], path.readings[:, side, j],
-                                        path.noise[side, j], rng)
-    made = make_path(path.joints, path.fine_time, path.fine_period, readings, held,
-                     path.supply, path.commanded, path.source, path.unseen)
-    return replace(made, known=path.known, pushed=pushed)
+            readings[:, side, j] = read(readings[:, side, j], motion.readings[:, side, j],
+                                        motion.noise[side, j], rng)
+    made = make_motion(motion.joints, motion.fine_time, motion.fine_period, readings, held,
+                       motion.supply, motion.commanded, motion.source, motion.unseen)
+    return replace(made, known=motion.known, pushed=pushed)
 
 
 def read(angle, like, noise, rng):

@@ -24,7 +24,7 @@ _DEVIATIONS = 6.0      # of noise: so far apart readings of a link at rest lie
 
 
 @dataclass(frozen=True, eq=False)
-class Path:
+class Motion:
     """
     One measured motion as the equations take it.
 
@@ -78,14 +78,14 @@ class Path:
     fine_time: np.ndarray
     fine_period: float
     readings: np.ndarray
-    fine_motion: np.ndarray
+    fine_states: np.ndarray
     command: np.ndarray
     supply: np.ndarray
     noise: np.ndarray
     factor: int
     time: np.ndarray
     period: float
-    motion: np.ndarray
+    states: np.ndarray
     second: np.ndarray
     drive: np.ndarray
     twist_rest: np.ndarray
@@ -100,9 +100,8 @@ class Path:
         """Return torques (T, n) held over samples as the equations see them, shape (S, n)."""
         return thinned(held_triangle(torque), self.factor)
 
-    def with_torque_earlier(self, count):
-        """Return the Path with torques that act so many samples before they were recorded."""
-        command = np.concatenate([self.command[count:], np.repeat(self.command[-1:], count, 0)])
+    def with_torque(self, command):
+        """Return the Motion with other torques held from sample to sample, (T, n) [N m]."""
         return replace(self, command=command, drive=self.through_filter(command))
 
 
@@ -147,9 +146,9 @@ def sampled_weight(factor):
     return (1.0 / 6.0 + (factor ** 2 - 1.0) / 3.0) / (2.0 * factor ** 2)
 
 
-def path_of(recording, robot):
+def motion_of(recording, robot):
     """
-    Return the Path of a recording.
+    Return the Motion of a recording.
 
     Parameters
     ----------
@@ -160,7 +159,7 @@ def path_of(recording, robot):
 
     Returns
     -------
-    Path
+    Motion
 
     Raises
     ------
@@ -182,20 +181,19 @@ def path_of(recording, robot):
             known &= ~in_hole(recording.time[np.isfinite(angles[:, j])], time, period)
         if robot.arm.rigid[j]:
             readings[:, 1, j] = readings[:, 0, j]
-    path = make_path(recording.joints, time, period, readings,
-                     held_torque(recording, time, period),
-                     supply_voltage(recording, time), has_commands(recording), recording.source,
-                     unseen)
+    motion = make_motion(recording.joints, time, period, readings,
+                         held_torque(recording, time, period), supply_voltage(recording, time),
+                         has_commands(recording), recording.source, unseen)
     half = round(0.5 * _SETTLED / period)  # friction remembers the motion that nobody saw
     known = minimum_filter1d(known, 2 * half + 1, origin=half)
-    known = minimum_filter1d(known, smoothing(period) + 4 * path.factor)
-    return replace(path, known=known[::path.factor])
+    known = minimum_filter1d(known, smoothing(period) + 4 * motion.factor)
+    return replace(motion, known=known[::motion.factor])
 
 
-def make_path(joints, time, period, readings, command, supply, commanded, source, unseen=(),
-              factor=None):
+def make_motion(joints, time, period, readings, command, supply, commanded, source, unseen=(),
+                factor=None):
     """
-    Return the Path of even samples; arguments as its fields, those of ``fine_...``.
+    Return the Motion of even samples; arguments as its fields, those of ``fine_...``.
 
     The readings of links that are ``unseen`` are computed, in place. Without a ``factor`` the
     equations are formed every `WORKING_PERIOD`.
@@ -209,18 +207,18 @@ def make_path(joints, time, period, readings, command, supply, commanded, source
         bend[:, 0, j] = second_difference(readings[:, 0, j], period)
     noise = np.sqrt(np.mean(np.diff(readings, 3, axis=0) ** 2, axis=0) / 20.0)
     window = smoothing(period)
-    motion = np.stack([np.stack(derivatives(readings[:, side, j], period, window), axis=1)
+    states = np.stack([np.stack(derivatives(readings[:, side, j], period, window), axis=1)
                        for side in range(2) for j in range(n)], axis=2)
-    motion = motion.reshape(len(time), 3, 2, n).swapaxes(1, 2).reshape(len(time), 6, n)
+    states = states.reshape(len(time), 3, 2, n).swapaxes(1, 2).reshape(len(time), 6, n)
     factor = factor or max(int(WORKING_PERIOD / period * (1.0 + 1e-6)), 1)
-    thin = np.ascontiguousarray(motion[::factor])
+    thin = np.ascontiguousarray(states[::factor])
     twist = thinned(seen(readings[:, 1] - readings[:, 0], 1.0 / 12.0), factor)
-    return Path(
+    return Motion(
         joints=tuple(joints), fine_time=time, fine_period=period, readings=readings,
-        fine_motion=np.ascontiguousarray(motion), command=command, supply=supply,
+        fine_states=np.ascontiguousarray(states), command=command, supply=supply,
         noise=noise, factor=factor,
         time=np.ascontiguousarray(time[::factor]), period=period * factor,
-        motion=thin,
+        states=thin,
         second=thinned(bend, factor),
         drive=thinned(held, factor),
         twist_rest=twist - seen(thin[:, 3] - thin[:, 0], sampled_weight(factor)),
@@ -229,12 +227,13 @@ def make_path(joints, time, period, readings, command, supply, commanded, source
         commanded=commanded, source=source, unseen=unseen)
 
 
-def at_full_rate(path):
-    """Return a Path with its equations formed at every sample of the recording."""
-    fine = make_path(path.joints, path.fine_time, path.fine_period, path.readings.copy(),
-                     path.command, path.supply, path.commanded, path.source, path.unseen, factor=1)
-    known = np.repeat(path.known, path.factor)[:len(path.fine_time)]
-    return replace(fine, known=known, pushed=path.pushed)
+def at_full_rate(motion):
+    """Return a Motion with its equations formed at every sample of the recording."""
+    fine = make_motion(motion.joints, motion.fine_time, motion.fine_period,
+                       motion.readings.copy(), motion.command, motion.supply, motion.commanded,
+                       motion.source, motion.unseen, factor=1)
+    known = np.repeat(motion.known, motion.factor)[:len(motion.fine_time)]
+    return replace(fine, known=known, pushed=motion.pushed)
 
 
 def with_links(recording, robot):
@@ -242,10 +241,10 @@ def with_links(recording, robot):
     unseen = unseen_links(recording, robot)
     if not unseen:
         return recording
-    path, q_link = path_of(recording, robot), recording.q_link.copy()
+    motion, q_link = motion_of(recording, robot), recording.q_link.copy()
     for link in unseen:
-        q_link[:, link.joint] = np.interp(recording.time, path.fine_time,
-                                          path.readings[:, 0, link.joint])
+        q_link[:, link.joint] = np.interp(recording.time, motion.fine_time,
+                                          motion.readings[:, 0, link.joint])
     return replace(recording, q_link=q_link)
 
 

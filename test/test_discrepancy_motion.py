@@ -1,12 +1,14 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""What the search for what is missing makes of samples that are uneven, or read late."""
+"""Recordings made ready: torques as held, links that stand, samples that are uneven."""
 
 from dataclasses import replace
 
-from gms_flex_control.discrepancy.path import make_path, mean_held
-from gms_flex_control.discrepancy.residuals import corrected, drive_torque
+from core_runs import single_axis
+from discrepancy_runs import FRICTIONLESS
+from gms_flex_control.discrepancy.motion import make_motion, mean_held, standing
+from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.discrepancy.result import COMPLETE, FOUND
 from gms_flex_control.discrepancy.workflow import discrepancy
 from gms_flex_control.hidden.plants import draw_belief, draw_robot
@@ -18,6 +20,49 @@ import numpy as np
 import pytest
 
 TICK, TICKS = 1e-4, 20  # of the plant [s]; of a sample, as a rule
+
+
+@pytest.mark.parametrize(('period', 'factor'), [(4e-3, 1), (2e-3, 2), (1e-3, 4)])
+def test_a_held_torque_and_the_second_difference_of_the_angle_agree_exactly(period, factor):
+    """Under torques held over samples a free axis moves on parabolas; nothing is left of them."""
+    rng, inertia = np.random.default_rng(0), 0.02
+    command = rng.standard_normal((2000, 1))
+    rate = np.concatenate([[0.0], np.cumsum(command[:-1, 0])]) * period / inertia
+    step = rate * period + 0.5 * command[:, 0] * period ** 2 / inertia
+    angle = np.concatenate([[0.0], np.cumsum(step[:-1])])
+    readings = np.repeat(angle[:, None, None], 2, axis=1)
+    robot = single_axis(FRICTIONLESS, inertia)
+    motion = make_motion(robot.joints, np.arange(2000) * period, period, readings, command,
+                         np.zeros(2000), True, 'parabola')
+    assert motion.factor == factor
+    left = unexplained(motion, plant.constants_of(robot))[4:-4]
+    np.testing.assert_allclose(left, 0.0, atol=1e-13 * np.ptp(angle) * inertia / period ** 2)
+    assert np.abs(motion.drive[4:-4]).max() > 0.5
+    heavier = unexplained(motion, plant.constants_of(single_axis(FRICTIONLESS, 1.5 * inertia)))
+    np.testing.assert_allclose(heavier[4:-4, 0], 0.5 * motion.drive[4:-4, 0], atol=1e-6)
+
+
+def test_a_link_stands_that_its_encoder_does_not_see_move():
+    """Readings that go to and fro between two counts for longer than 0.2 s, and only these."""
+    count, period = 1e-3, 2e-3
+    time = np.arange(3000) * period
+    angle = 1.0004 + 0.5 * (np.minimum(time - 2.0, 0.0) + np.maximum(time - 4.0, 0.0))
+    angle += 0.3 * count * np.sin(40.0 * time)
+    read = np.round(angle / count) * count
+    still = standing(read[:, None], np.array([0.3 * count]), period)[:, 0]
+    assert np.all(still[(time > 2.11) & (time < 3.89)])
+    assert not np.any(still[(time < 1.99) | (time > 4.01)])
+
+
+def test_the_mean_of_what_was_held_is_that_of_a_fine_grid():
+    rng = np.random.default_rng(0)
+    since = np.cumsum(rng.integers(10, 31, 400)) * 1e-4
+    torque = rng.standard_normal((400, 2))
+    time = since[0] + 2e-3 * np.arange(int((since[-1] - since[0]) / 2e-3) + 1)
+    mean = mean_held(torque, since, time, 2e-3)
+    fine = time[:, None] + (np.arange(20) + 0.5) * 1e-4
+    held = torque[np.searchsorted(since, fine, side='right') - 1]
+    assert mean == pytest.approx(held.mean(axis=1), abs=1e-9)
 
 
 def uneven_recording(robot, reference, seed):
@@ -50,17 +95,6 @@ def tones(time):
                      0.4 * np.sin(2.7 * time + 1.0) + 0.15 * np.sin(7.1 * time)])
 
 
-def test_the_mean_of_what_was_held_is_that_of_a_fine_grid():
-    rng = np.random.default_rng(0)
-    since = np.cumsum(rng.integers(10, 31, 400)) * 1e-4
-    torque = rng.standard_normal((400, 2))
-    time = since[0] + 2e-3 * np.arange(int((since[-1] - since[0]) / 2e-3) + 1)
-    mean = mean_held(torque, since, time, 2e-3)
-    fine = time[:, None] + (np.arange(20) + 0.5) * 1e-4
-    held = torque[np.searchsorted(since, fine, side='right') - 1]
-    assert mean == pytest.approx(held.mean(axis=1), abs=1e-9)
-
-
 @pytest.mark.parametrize(('plant_kind', 'effects'), [
     ('stiff', ()), ('soft', ()),
     ('stiff', (EffectSpec(name='motor_coulomb', joint='joint2', values=(0.02,)),))])
@@ -75,29 +109,3 @@ def test_uneven_samples_with_true_stamps_are_no_effect(plant_kind, effects):
         (spec.name, spec.joint) for spec in effects]
     for one, spec in zip(result.named, effects, strict=True):
         assert one.values[0].value == pytest.approx(spec.values[0], rel=0.05)
-
-
-def test_a_late_encoder_is_cleared_where_its_motor_is_quick(ideal_robot):
-    """At 12 Hz 3 ms are a fifth of a radian: their square is no trifle."""
-    delay, speed = 3e-3, 2.0 * np.pi * 12.0
-    time = np.arange(2000) * 1e-3
-    true = np.stack([np.zeros_like(time), 0.1 * np.sin(speed * time)], axis=1)
-    late = true.copy()
-    late[:, 1] = 0.1 * np.sin(speed * (time - delay))
-    robot = replace(ideal_robot, effects=tuple(
-        EffectSpec(name='encoder_skew', joint=joint, values=(delay,))
-        for joint in ideal_robot.joints))
-    readings = np.repeat(late[:, :, None], robot.n_joints, axis=2)
-    path = make_path(robot.joints, time, 1e-3, readings, np.zeros((2000, robot.n_joints)),
-                     np.zeros(2000), True, 'a tone')
-    constants, work = plant.constants_of(robot), plant.workspace(robot.n_joints)
-    drive = drive_torque(path, constants, work)
-    motion, second = corrected(path, drive, path.motion, path.second, constants, work)
-    inner = slice(20, -20)
-    angle = true[::path.factor][inner, 1]
-    assert motion[inner, 3, 0] == pytest.approx(angle, abs=0.02 * 0.1)
-    read = path.second[inner, 1, 0]
-    bend = angle * np.dot(read, read) ** 0.5 / np.dot(angle, angle) ** 0.5 * -1.0
-    largest = np.abs(bend).max()
-    assert np.abs(read - bend).max() > 0.2 * largest
-    assert second[inner, 1, 0] == pytest.approx(bend, abs=0.03 * largest)

@@ -1,0 +1,213 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""What was found, in plain words, with units that suit: of a desk arm, or of a press."""
+
+from typing import NamedTuple
+
+from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE, FOUND
+from gms_flex_control.effects.registry import find, names
+import numpy as np
+
+_IN_FULL = 5          # findings that are named in full
+_REMAINS = 0.1        # of what is missing: less is not worth a sentence
+
+
+class Scale(NamedTuple):
+    """A unit, and how many of it one SI unit is."""
+
+    unit: str
+    factor: float
+
+    def text(self, value):
+        """Return a value in SI units as a number of this unit, three digits; '-' if absent."""
+        return f'{self.factor * value:.3g}' if np.isfinite(value) else '-'
+
+
+_TORQUES = ((0.9, Scale('mN m', 1e3)), (900.0, Scale('N m', 1.0)), (np.inf, Scale('kN m', 1e-3)))
+_ANGLES = ((0.9, Scale('mrad', 1e3)), (np.inf, Scale('rad', 1.0)))
+
+
+def torque_scale(values):
+    """Return the Scale that suits torques (any shape) [N m]."""
+    return _suiting(_TORQUES, values)
+
+
+def angle_scale(values):
+    """Return the Scale that suits angles (any shape) [rad]."""
+    return _suiting(_ANGLES, values)
+
+
+def _suiting(scales, values):
+    sizes = np.abs(np.asarray(values, dtype=float))
+    largest = float(np.max(sizes, where=np.isfinite(sizes), initial=0.0))
+    return next(scale for limit, scale in scales if largest < limit)
+
+
+def first_of(texts, count):
+    """Return the first few texts as sentences, and how many more there are."""
+    more = [f'({len(texts) - count} more in the report.)'] if len(texts) > count else []
+    return ' '.join([f'{text.rstrip(".")}.' for text in texts[:count]] + more)
+
+
+def capitalised(text):
+    """Return a text (not empty) with a capital at its beginning, the rest as it is."""
+    return text[0].upper() + text[1:]
+
+
+def of_faults(texts):
+    """Return a sentence on faults of the data (texts) that end the run."""
+    return f'The data are at fault, not the model: {first_of(texts, 4)}'
+
+
+def evidence_of(one, others):
+    """Return one sentence on why an effect is named, from its Worth and its rivals."""
+    scale = torque_scale(one.torque)
+    sentence = (f'it contributes {scale.text(one.torque)} {scale.unit} rms, '
+                f'{100.0 * one.share:.0f} % of which (in squares) nothing else in the model can '
+                f'make; on blocks of time that were left out it adds {one.gain.nats:.3g} to the '
+                f'log likelihood, {one.gain.sigmas:.2g} standard errors')
+    if others:
+        name, joint, share = others[0]
+        sentence += (f'; the next best in its place, {name} of {joint}, explains '
+                     f'{100.0 * share:.1f} % of that')
+    return sentence + '.'
+
+
+def value_words(finding):
+    """Return the values of a finding, such as 'half_gap 0.0021 rad'."""
+    return ', '.join(f'{v.name} {v.value:.4g}{"" if v.unit == "1" else " " + v.unit}'
+                     for v in finding.values)
+
+
+def named(finding):
+    """Return a finding in few words."""
+    summary = (find(finding.effect).__doc__ or '').strip().splitlines()[0]
+    return f'{finding.effect} of {finding.joint} ({value_words(finding)}; {summary.rstrip(".")})'
+
+
+def of_noise(noise):
+    """Return a Noise in words."""
+    scale = torque_scale(noise.rms)
+    where = f'drive of {noise.joint}' if noise.equation == 'motor' else f'link of {noise.joint}'
+    per_sample = (f'{scale.text(noise.per_sample)} {scale.unit} per sample, '
+                  if noise.per_sample > 0.0 else '')
+    colour = {'white': 'white', 'slow': 'mostly slow', 'fast': 'mostly fast'}[noise.colour]
+    return f'{where}: {per_sample}{scale.text(noise.rms)} {scale.unit} rms up to 8 Hz, {colour}'
+
+
+def of_withheld(gap):
+    """Return a sentence on effects that make free runs worse, by their Gap."""
+    return ('What is named here is not added to the model, which predicts motion better without: '
+            f'free-run errors would be {free_ratio(gap):.3g} times as large, residual torque '
+            f'{np.sqrt(gap.energy_ratio):.3g} times.')
+
+
+def free_ratio(gap):
+    """Return free-run errors of a Gap after over before, NaN where there are none."""
+    before, after = (float(np.sum(one ** 2)) for one in (gap.free_before, gap.free_after))
+    return float(np.sqrt(after / before)) if before > 0.0 else np.nan
+
+
+def paragraph(result, unseen=(), known_off=None):
+    """
+    Return one paragraph on a Discrepancy.
+
+    Parameters
+    ----------
+    result : Discrepancy
+        With a gap.
+    unseen : sequence of str
+        Joints whose links have no encoder.
+    known_off : (str, str), optional
+        Effect and joint of an effect the model has that another value would serve best.
+
+    Returns
+    -------
+    str
+
+    """
+    if result.verdict == BAD_DATA:
+        return result.words
+    parts = [*_verdict(result), *_remainder(result)]
+    if result.withheld:
+        parts.append(of_withheld(result.withheld))
+    parts += [_gap(result), *_noise(result)]
+    if unseen:
+        lost = [name for name in names() if find(name).needs_link_encoder]
+        parts.append(f'No link encoder of {", ".join(unseen)} was recorded: the link angle is '
+                     "computed from the motor's, its torque, inertia and stiffness as believed. "
+                     f'Not identifiable there: {", ".join(lost)}.')
+    if known_off:
+        parts.append(f'{known_off[0]} of {known_off[1]}, which the model has already, would '
+                     'explain more than anything else with another value: correct it or take it '
+                     'out, and run again.')
+    return ' '.join(parts)
+
+
+def _verdict(result):
+    """Yield sentences: what is missing, and what each finding could also be."""
+    if result.verdict == COMPLETE:
+        yield ('Nothing that matters is missing: what the model leaves is noise, and no effect '
+               'of the catalogue improves held-out prediction by more than what matters in '
+               'practice.')
+    if result.findings:
+        shown = result.findings[:_IN_FULL]
+        yield f'The model lacks {"; ".join(named(one) for one in shown)}.'
+        for one in shown:
+            if one.confusable_with:
+                yield (f'{one.effect} of {one.joint} is indistinguishable here from '
+                       f'{" or ".join(one.confusable_with)}; discriminating experiment: '
+                       f'{one.tells_apart}.')
+    beside = [*result.findings[_IN_FULL:], *result.minor]
+    if beside:
+        yield f'Smaller than what matters in practice: {_briefly(beside)}.'
+
+
+def _remainder(result):
+    """Yield sentences on how much is explained, and what remains."""
+    gap = result.withheld or result.gap
+    left = result.unexplained
+    if result.verdict == FOUND and left is not None and left.share > _REMAINS:
+        sure = min(one.probability for one in result.findings)
+        yield (f'That explains {100.0 * (1.0 - gap.energy_ratio):.0f} % of what is missing '
+               f'({sure:.2f} sure); {100.0 * gap.energy_ratio:.0f} % remains unexplained: '
+               f'{left.sentence}')
+    elif left is not None and result.verdict != FOUND:
+        yield f'Something is missing that the catalogue does not explain: {left.sentence}'
+
+
+def _gap(result):
+    """Return a sentence on torque and free runs on held-out data."""
+    gap = result.gap
+    torque, angle = torque_scale(gap.before), angle_scale(gap.free_before)
+    torques = ', '.join(
+        f'{torque.text(before)} -> {torque.text(after)} {torque.unit} ({joint}, noise floor '
+        f'{torque.text(floor)})'
+        for joint, before, after, floor in zip(gap.joints, gap.retuned, gap.after, gap.floor,
+                                               strict=True))
+    where = 'Without it, on' if result.withheld else 'On'
+    text = f'{where} held-out data the residual torque in motion is {torques}'
+    if np.isnan(gap.free_after).any():
+        return f'{text}; no free run was possible.'
+    runs = ', '.join(
+        f'{angle.text(before)} -> {angle.text(after)} {angle.unit} (noise floor '
+        f'{angle.text(floor)})'
+        for before, after, floor in zip(gap.free_before, gap.free_after, gap.free_floor,
+                                        strict=True))
+    return f'{text}; errors of free runs of half a second are {runs}.'
+
+
+def _noise(result):
+    """Yield a sentence on the torque noise of the recordings, if it matters."""
+    shown = [of_noise(one) for one in result.noise if one.equation == 'motor'
+             or one.rms > 0.0 and result.verdict == COMPLETE]
+    if shown:
+        yield f'Torque noise of the recording: {"; ".join(shown)}.'
+
+
+def _briefly(findings):
+    """Return the names of the first few findings, and how many more there are."""
+    shown = ', '.join(f'{one.effect} of {one.joint}' for one in findings[:_IN_FULL])
+    more = len(findings) - _IN_FULL
+    return f'{shown} and {more} more in the report' if more > 0 else shown

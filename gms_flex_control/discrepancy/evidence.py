@@ -1,0 +1,95 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""
+The evidence for models: likelihood, priors, and what the freedom of each parameter costs.
+
+Laplace's approximation: 2 log evidence is that of the likeliest parameters less log det of what
+the data add to the precision of the priors (the Occam factor), less the odds against each effect
+before anything was measured.
+"""
+
+from typing import NamedTuple
+
+from gms_flex_control.discrepancy.fitting import numbers_of, prior_cost, prior_of
+from gms_flex_control.discrepancy.likelihood import Fitted
+from gms_flex_control.discrepancy.thresholds import CREDIBLE
+import numpy as np
+
+
+class State(NamedTuple):
+    """A model, its derivatives and its evidence."""
+
+    model: Fitted
+    columns: np.ndarray  # (C, R) by nuisance parameters, then numbers of effects
+    evidence: float      # 2 log, but for a constant
+
+    def key(self, known):
+        """Return the effects that were added, frozenset of (effect, joint)."""
+        return frozenset((spec.name, spec.joint) for spec in self.model.robot.effects[known:])
+
+
+def state_of(likelihood, model, columns, hypotheses):
+    """
+    Return a model with its evidence.
+
+    Parameters
+    ----------
+    likelihood : Likelihood
+        Of the recordings.
+    model : Fitted
+        At its likeliest.
+    columns : ndarray, shape (C, R)
+        Derivatives of its rows.
+    hypotheses : int
+        How many effects of joints are looked for; one is expected to be missing.
+
+    Returns
+    -------
+    State
+
+    """
+    numbers = numbers_of(likelihood, model.robot)
+    precision, _, free = prior_of(likelihood, model.robot, numbers)
+    weight = likelihood.weights(model.sums.groups)
+    scaled = columns[free] / np.sqrt(precision[free])[:, None]
+    gram = (scaled * weight) @ scaled.T
+    _, occam = np.linalg.slogdet(np.eye(len(gram)) + gram)
+    added = len(model.robot.effects) - len(likelihood.robot.effects)
+    exact = likelihood.sums(model.rows, model.robot, model.x, exact=True)
+    evidence = (-exact.cost - prior_cost(likelihood, model) - occam
+                - 2.0 * added * np.log(max(hypotheses, 2)))
+    return State(model, columns, float(evidence) if np.isfinite(evidence) else -np.inf)
+
+
+def posterior(states, known):
+    """
+    Return the probabilities of models that were tried, those of equal effects once.
+
+    Parameters
+    ----------
+    states : sequence of State
+        Tried.
+    known : int
+        Effects the user knew of.
+
+    Returns
+    -------
+    list of (frozenset, float)
+        Effects and probability, the likeliest first.
+
+    """
+    best = {}
+    for state in states:
+        key = state.key(known)
+        best[key] = max(best.get(key, -np.inf), state.evidence)
+    keys = sorted(best, key=lambda key: -best[key])
+    log = 0.5 * np.array([best[key] for key in keys])
+    mass = np.exp(log - log.max())
+    return list(zip(keys, (mass / mass.sum()).tolist(), strict=True))
+
+
+def credible(models, mass=CREDIBLE):
+    """Return the fewest models (of `posterior`) that hold so much of the probability."""
+    shares = np.cumsum([share for _, share in models])
+    return models[:int(np.searchsorted(shares, mass)) + 1]

@@ -1,0 +1,363 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""
+From effects that were fitted to findings: what each is worth, and what it could also be.
+
+An effect is a finding if its evidence and held-out prediction both speak for it. Small ones are
+listed apart and change no verdict.
+"""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+from gms_flex_control.discrepancy.describe import evidence_of
+from gms_flex_control.discrepancy.dictionary import may_join
+from gms_flex_control.discrepancy.evidence import posterior, state_of
+from gms_flex_control.discrepancy.fitting import fit, numbers_of, prior_of, refitted, without
+from gms_flex_control.discrepancy.free_functions import FreeFunctions
+from gms_flex_control.discrepancy.likelihood import Fitted
+from gms_flex_control.discrepancy.result import Finding, Value
+from gms_flex_control.discrepancy.search import with_only
+from gms_flex_control.discrepancy.thresholds import (
+    EVIDENCE,
+    LARGEST_NOISE,
+    PLAUSIBLE,
+    PRACTICAL,
+    RESEMBLES,
+    TRIFLE,
+    UNSEEN,
+    WORSE,
+)
+from gms_flex_control.discrepancy.validation import (
+    energy_of,
+    Gain,
+    gain_of,
+    prediction_cost,
+    torque_rms,
+)
+from gms_flex_control.effects.registry import find
+from gms_flex_control.identification.result import CONFIDENT
+import numpy as np
+
+_ALIKE = 0.96         # of what an effect explains: another that explains so much is alike
+_RUNNERS = 6          # hypotheses tried in the place of a finding
+_OF_INERTIA = ('inertia', 'motor_inertia', 'gravity')
+
+
+class Worth(NamedTuple):
+    """One effect of a model and what it is worth."""
+
+    index: int         # among the robot's effects
+    torque: float      # rms of what it contributes [N m]
+    share: float       # of its rows that nothing else can make
+    loss: float        # cost of its absence, known parameters no farther off than plausible
+    evidence: float    # 2 log evidence that it adds
+    gain: Gain         # on held-out blocks
+    less: Fitted       # the model without it, known parameters plausible
+    others: np.ndarray  # derivatives of that (C, R)
+
+    @property
+    def alone(self):
+        """Return the torque that nothing else can make, rms [N m]."""
+        return self.torque * self.share ** 0.5
+
+    @property
+    def weight(self):
+        """
+        Return by what effects are ranked [N m]: between all its torque and what is its alone.
+
+        A large effect that others can make the better part of is large all the same.
+        """
+        return (self.torque * self.alone) ** 0.5
+
+    def is_real(self, caution=1.0):
+        """Return whether evidence and held-out data speak for it, with so much ``caution``."""
+        return self.evidence > EVIDENCE and self.gain._replace(
+            sigmas=self.gain.sigmas / caution).is_real
+
+
+def worth_of(likelihood, found, i):
+    """Return what the i-th effect of a search's end is worth."""
+    model, columns, _ = found.best
+    spec = model.robot.effects[i]
+    less, others = without(likelihood, model, columns, i)
+    change = less.rows - model.rows
+    own, loss = _beside(likelihood, model, less, others, change)
+    anything = fit(likelihood, less.robot, model.x, others)
+    limit = np.maximum(PLAUSIBLE, np.abs(model.x) / likelihood.sd)
+    plausible = fit(likelihood, less.robot, model.x, others, plausible=limit)
+    gain = gain_of(likelihood, (model, columns), (plausible, others), change, limit)
+    if find(spec.name).of_feedback and not _predicts(likelihood, found, spec, plausible):
+        gain = gain._replace(nats=min(gain.nats, 0.0))
+    evidence = found.best.evidence - state_of(likelihood, anything, others,
+                                              found.hypotheses).evidence
+    return Worth(i, likelihood.torque_rms(less, model), min(loss / own, 1.0) if own > 0.0 else 0.0,
+                 max(plausible.cost - model.cost, 0.0), evidence, gain, plausible, others)
+
+
+def _beside(likelihood, model, less, others, change):
+    """Return the squares of what an effect changes, and of what nothing else can make of it."""
+    weight = likelihood.weights(model.sums.groups)
+    numbers = numbers_of(likelihood, less.robot)
+    precision, centred, _ = prior_of(likelihood, less.robot, numbers)
+    kept = np.ones(len(others), dtype=bool)
+    kept[:len(model.x)] = likelihood.resting(less.robot) | ~likelihood.resting(model.robot)
+    used = others[kept]
+    gram = (used * weight) @ used.T + np.diag((precision * centred)[kept])
+    slope = used @ (weight * change)
+    own = float(change @ (weight * change))
+    return own, max(own - float(slope @ np.linalg.lstsq(gram, slope, rcond=1e-12)[0]), 0.0)
+
+
+def _predicts(likelihood, found, spec, less):
+    """Return whether an effect makes prediction one sample ahead better, inertia as it is."""
+    model = found.best.model
+    inertia = np.array([one.name in _OF_INERTIA for one in likelihood.nuisances], dtype=bool)
+    with_it, without_it = prediction_cost(
+        likelihood, [(model.robot, model.x), (less.robot, np.where(inertia, model.x, less.x))],
+        spec.joint)
+    return without_it - with_it > EVIDENCE + 2.0 * np.log(found.hypotheses)
+
+
+def judged(likelihood, found):
+    """
+    Return the search's end with effects that are real alone, their Worths, and what is left.
+
+    Where a free function of some variable is left to explain, an effect that explains less than
+    such functions would in its place only resembles what is there.
+
+    Returns
+    -------
+    Found, list of Worth, Free or None
+
+    """
+    found, worths = _pruned(likelihood, _timed(likelihood, found))
+    functions = FreeFunctions(likelihood)
+    while True:
+        left = functions.left_in(found.best.model, found.best.columns, caution_of(likelihood))
+        if not worths or left is None and not is_noisy(likelihood, found.best.model):
+            return found, worths, left
+        shares = [_share(functions, found.best.model.robot.effects[one.index], one, left)
+                  for one in worths]
+        if min(shares) > RESEMBLES:
+            return found, worths, left
+        worst = worths[int(np.argmin(shares))].index
+        found, worths = _pruned(likelihood, _dropped(likelihood, found, worst))
+
+
+def predictive(likelihood, found, worths, holdout=None):
+    """
+    Return the search's end without effects that make held-out torque worse, and their Worths.
+
+    Parameters
+    ----------
+    likelihood : Likelihood
+        Of the recordings.
+    found : Found
+        The search's end.
+    worths : list of Worth
+        Its effects.
+    holdout : Likelihood, optional
+        Of other recordings; default the blocks of time that are left out in turn.
+
+    Returns
+    -------
+    Found, list of Worth
+
+    """
+    known = len(likelihood.robot.effects)
+    while len(worths) > 1:
+        effects, energies = found.best.model.robot.effects, {}
+        for one in worths:
+            less = with_only(found, likelihood, [i for i in range(known, len(effects))
+                                                 if i != one.index])
+            energies[one.index] = energy_of(likelihood, less.model, less.columns, holdout)
+        worst = min(energies, key=energies.get)
+        if WORSE * energies[worst] > energy_of(likelihood, found.best.model, found.best.columns,
+                                               holdout):
+            break
+        found, worths = _pruned(likelihood, _dropped(likelihood, found, worst))
+    return _alone(likelihood, found, worths, holdout)
+
+
+def _alone(likelihood, found, worths, holdout):
+    """Return the search's end with one effect alone if that predicts held-out torque better."""
+    known = len(likelihood.robot.effects)
+    single = sorted((state for state in found.tried if len(state.key(known)) == 1),
+                    key=lambda state: -state.evidence)[:_RUNNERS]
+    energies = [energy_of(likelihood, state.model, state.columns, holdout) for state in single]
+    if not worths or not single or WORSE * min(energies) > energy_of(
+            likelihood, found.best.model, found.best.columns, holdout):
+        return found, worths
+    other = found._replace(best=single[int(np.argmin(energies))])
+    other, others = _pruned(likelihood, other)
+    return (other, others) if others else (found, worths)
+
+
+def _share(functions, spec, one, left):
+    """
+    Return the share of what there is to explain that an effect, a Worth, explains.
+
+    Of what a free function would in its place; and of what is left over its own variable, where
+    its shape is not that of what is there.
+    """
+    free = functions.best(one.less, one.others, spec.joint)
+    share = one.loss / max(free.gain, 1e-12)
+    if left is not None and left.joint == spec.joint and find(spec.name).evidence in left.variable:
+        share = min(share, one.loss / max(one.loss + left.gain, 1e-12))
+    return share
+
+
+def is_noisy(likelihood, model):
+    """Return whether a model leaves more than drives make of noise, and than encoders do."""
+    return bool(np.any(likelihood.excess_torque(model) > np.maximum(
+        LARGEST_NOISE * np.tile(likelihood.coulomb, 2),
+        caution_of(likelihood) * likelihood.clean_torque())))
+
+
+def caution_of(likelihood):
+    """Return times as many standard errors as usual that held-out data must tell."""
+    return UNSEEN if likelihood.unseen else 1.0
+
+
+def _timed(likelihood, found):
+    """
+    Return the search's end with late effects exchanged where others predict better.
+
+    Lag and delay differ above the frequencies of the rows only. Both are compared beside all else
+    as fitted with the one, and as with the other.
+    """
+    for i in range(len(likelihood.robot.effects), len(found.best.model.robot.effects)):
+        model = found.best.model
+        spec = model.robot.effects[i]
+        for name in find(spec.name).confusable if find(spec.name).of_feedback else ():
+            kind = find(name)
+            other = replace(spec, name=name, values=(
+                min(spec.values[0], kind.parameters[0].upper),))
+            rest = model.robot.effects[:i] + model.robot.effects[i + 1:]
+            if (kind.whole_arm != find(spec.name).whole_arm or not kind.of_feedback
+                    or not may_join(other, replace(model.robot, effects=rest),
+                                    len(likelihood.robot.effects))):
+                continue
+            swapped, columns = refitted(likelihood, likelihood.fitted(
+                _instead(model.robot, i, other), model.x), found.nuisances)
+            costs = prediction_cost(likelihood, [
+                (_instead(one.robot, i, late), one.x) for late in (
+                    spec, swapped.robot.effects[i]) for one in (model, swapped)], spec.joint)
+            own, instead = costs.reshape(2, 2).sum(axis=1)
+            if instead < own - 2.0 * (EVIDENCE + 2.0 * np.log(found.hypotheses)):
+                found = found._replace(best=state_of(likelihood, swapped, columns,
+                                                     found.hypotheses))
+                break
+    return found
+
+
+def _instead(robot, i, spec):
+    """Return a robot with another in the place of its i-th effect."""
+    return replace(robot, effects=(*robot.effects[:i], spec, *robot.effects[i + 1:]))
+
+
+def _pruned(likelihood, found):
+    """Return the search's end with effects that data speak for alone, and their Worths, ranked."""
+    known = len(likelihood.robot.effects)
+    while True:
+        count = len(found.best.model.robot.effects)
+        worths = [worth_of(likelihood, found, i) for i in range(known, count)]
+        weak = [one for one in worths if not one.is_real(caution_of(likelihood))]
+        if not weak:
+            most = max((one.loss for one in worths), default=0.0)
+            return found, sorted(worths, key=lambda one: (one.loss < TRIFLE * most, -one.weight))
+        worst = min(weak, key=lambda one: min(one.evidence, 2.0 * one.gain.nats))
+        found = _dropped(likelihood, found, worst.index)
+
+
+def _dropped(likelihood, found, index):
+    """Return the search's end without an effect, which no model that was tried has any more."""
+    known, effects = len(likelihood.robot.effects), found.best.model.robot.effects
+    best = with_only(found, likelihood, [i for i in range(known, len(effects)) if i != index])
+    key = effects[index].name, effects[index].joint
+    return found._replace(best=best, tried=(
+        *(state for state in found.tried if key not in state.key(known)), best))
+
+
+def findings_of(likelihood, found, worths, measured):
+    """
+    Return a Finding for each Worth.
+
+    Parameters
+    ----------
+    likelihood : Likelihood
+        Of the recordings.
+    found : Found
+        The search's end.
+    worths : list of Worth
+        Its effects.
+    measured : Likelihood
+        Of the recordings on which residuals are told.
+
+    Returns
+    -------
+    list of Finding
+
+    """
+    known = len(likelihood.robot.effects)
+    models = posterior(found.tried, known)
+    whole = max(found.before.cost - found.best.model.cost, 1e-12)
+    after, out = torque_rms(measured, found.best.model), []
+    for one in worths:
+        spec = found.best.model.robot.effects[one.index]
+        key = spec.name, spec.joint
+        others = _rivals(likelihood, found, one)
+        alike = {name for name, _, share in others if share > _ALIKE}
+        kind = find(spec.name)
+        alike |= {name for name, _, share in others
+                  if name in kind.confusable and share > kind.declared_from}
+        before = torque_rms(measured, one.less)
+        better = np.sqrt(np.maximum(before ** 2 - after ** 2, 0.0)) / likelihood.coulomb
+        out.append(Finding(
+            effect=spec.name, joint=spec.joint, values=_values(likelihood, found, one.index),
+            main=bool(better.max() >= PRACTICAL), torque=one.torque,
+            share=min(one.loss / whole, 1.0), score=one.evidence, held_out=one.gain,
+            probability=float(sum(mass for names, mass in models if key in names)),
+            runner_up=f'{others[0][0]} of {others[0][1]}' if others else None,
+            runner_up_score=others[0][2] * one.evidence if others else 0.0,
+            confusable_with=tuple(sorted(alike - {spec.name})),
+            tells_apart=kind.tells if others else '', evidence=evidence_of(one, others),
+            rms_before=before, rms_after=after))
+    return [one for one in out if one.main or not find(one.effect).of_recording]
+
+
+def _rivals(likelihood, found, one):
+    """Return (name, joint, share of its loss) of what could stand in an effect's place."""
+    spec = found.best.model.robot.effects[one.index]
+    ranked = found.dictionary.ranked(one.less, one.others, PLAUSIBLE)
+    return [(other.spec.name, other.spec.joint, min(other.gain / max(one.loss, 1e-12), 1.0))
+            for other in ranked[:_RUNNERS]
+            if (other.spec.name, other.spec.joint) != (spec.name, spec.joint)]
+
+
+def _values(likelihood, found, index):
+    """
+    Return the Values of one effect, intervals by the curvature of the likelihood.
+
+    Or by how far null simulations scatter, if that is more: the curvature takes it that rows are
+    independent.
+    """
+    model, columns, _ = found.best
+    numbers, weight = numbers_of(likelihood, model.robot), likelihood.weights(model.sums.groups)
+    precision, _, free = prior_of(likelihood, model.robot, numbers)
+    scale = 1.0 / np.sqrt(precision[free])
+    used = columns[free] * scale[:, None]
+    inverse = np.linalg.pinv((used * weight) @ used.T + np.eye(len(used)), hermitian=True)
+    scatter = inverse @ (used * weight) @ likelihood.clean.T
+    variance = np.zeros(len(free))
+    variance[free] = np.maximum(np.diag(inverse), np.mean(scatter ** 2, axis=1)) * scale ** 2
+    spec, out = model.robot.effects[index], []
+    for k, parameter in enumerate(find(spec.name).parameters):
+        half = sum(CONFIDENT * float(np.sqrt(variance[len(model.x) + place]))
+                   for place, number in enumerate(numbers)
+                   if (number.effect, number.parameter) == (index, k))
+        value = float(spec.values[k])
+        out.append(Value(parameter.name, parameter.unit, value, value - half, value + half))
+    return tuple(out)

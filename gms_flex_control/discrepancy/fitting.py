@@ -1,0 +1,342 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Gauss and Newton on all that is free: nuisance parameters, and parameters of effects."""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+from gms_flex_control.compiled import compiled
+from gms_flex_control.discrepancy.nuisance import LARGEST
+from gms_flex_control.effects.registry import find
+import numpy as np
+
+_SWEEPS = 400                 # of descent by coordinates
+_SETTLED = 1e-10              # decrease of half the cost below which descent ends
+_STEP = 0.01                  # of a value, for its derivative
+_ANGLES = {'phase': 0.02, 'direction': 0.02, 'order': 0.02}
+_REACH, _ANGLE_REACH = 60.0, 25.0  # largest change at once, in steps
+_SHRINK = (1.0, 0.3, 0.1)     # of a step that does not help
+_ENOUGH = 0.05                # decrease of the cost below which a fit has ended
+_PHASE_SD = np.pi / np.sqrt(3.0)  # of a phase that nothing is known of
+_RETUNED = 3                  # times at most that derivatives are taken anew
+_AT_LIMIT = 0.01              # relative distance from a limit of the search
+
+
+@compiled
+def descend(gram, right, lower, upper, x):
+    """Minimise ``x' G x / 2 - b' x`` within bounds, coordinate by coordinate, in place."""
+    size = x.shape[0]
+    for _ in range(_SWEEPS):
+        moved = 0.0
+        for i in range(size):
+            if gram[i, i] <= 0.0:
+                continue
+            slope = right[i]
+            for k in range(size):
+                slope -= gram[i, k] * x[k]
+            value = min(max(x[i] + slope / gram[i, i], lower[i]), upper[i])
+            moved = max(moved, gram[i, i] * (value - x[i]) ** 2)
+            x[i] = value
+        if moved < _SETTLED:
+            break
+
+
+def solve(gram, right, lower, upper):
+    """
+    Return the minimiser of ``x' G x / 2 - b' x`` within bounds.
+
+    Parameters
+    ----------
+    gram : ndarray, shape (P, P)
+        Symmetric, positive semi-definite.
+    right, lower, upper : ndarray, shape (P,)
+        b and the bounds.
+
+    Returns
+    -------
+    ndarray, shape (P,)
+
+    """
+    free = np.ones(len(right), dtype=bool)
+    x = np.zeros(len(right))
+    fixed = np.zeros(len(right))
+    for _ in range(3 * len(right)):  # active set: quick where few bounds are met
+        rest = right[free] - gram[np.ix_(free, ~free)] @ fixed[~free]
+        part = gram[np.ix_(free, free)]
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(part), 1e-300))
+        inside = scale * np.linalg.lstsq(part * np.outer(scale, scale), scale * rest,
+                                         rcond=1e-12)[0]
+        x[free], x[~free] = inside, fixed[~free]
+        beyond = (x < lower) | (x > upper)
+        if not beyond.any():
+            break
+        fixed[beyond] = np.clip(x, lower, upper)[beyond]
+        free &= ~beyond
+        if not free.any():
+            x = np.clip(x, lower, upper)
+            break
+    x = np.clip(x, lower, upper)
+    descend(np.ascontiguousarray(gram), right, lower, upper, x)  # frees what was bound too soon
+    return x
+
+
+class Number(NamedTuple):
+    """One parameter of one effect that a fit moves."""
+
+    effect: int
+    parameter: int
+    step: float
+    reach: float
+    lower: float
+    upper: float
+    sd: float          # of its prior
+    centred: bool      # whether zero is its likeliest value
+
+
+def bounds_of(spec, robot):
+    """Return the least and the largest values that are looked for of an effect's parameters."""
+    at = robot.joints.index(spec.joint) if spec.joint in robot.joints else 0
+    return find(spec.name).search_bounds(at, robot)
+
+
+def numbers_of(likelihood, robot, first=None):
+    """Return the Numbers of all effects of a robot from the ``first`` on, default the added."""
+    numbers = []
+    first = len(likelihood.robot.effects) if first is None else first
+    for i, spec in enumerate(robot.effects[first:], start=first):
+        kind = find(spec.name)
+        typical = kind.typical(likelihood.scales_of(spec.joint))
+        for k, (parameter, lower, upper) in enumerate(
+                zip(kind.parameters, *bounds_of(spec, robot), strict=True)):
+            if parameter.fixed:
+                continue
+            angle, value = _ANGLES.get(parameter.name), spec.values[k]
+            usual = 0.1 if parameter.unit == '1' else 1e-6
+            step = angle or _STEP * max(abs(value), min(usual, typical[k] or usual))
+            sd = typical[k] or (_PHASE_SD if parameter.unit == 'rad' and angle
+                                else max(abs(value), 1e-9))
+            numbers.append(Number(i, k, step, (_ANGLE_REACH if angle else _REACH) * step,
+                                  lower, upper, sd, typical[k] is not None))
+    return numbers
+
+
+def values_of(robot, numbers):
+    """Return the values (V,) of parameters."""
+    return np.array([robot.effects[n.effect].values[n.parameter] for n in numbers])
+
+
+def at_values(robot, numbers, values):
+    """Return a robot with parameters of its effects at values (V,), kept within bounds."""
+    lists = [list(spec.values) for spec in robot.effects]
+    for number, value in zip(numbers, values, strict=True):
+        lists[number.effect][number.parameter] = float(np.clip(value, number.lower, number.upper))
+    return replace(robot, effects=tuple(replace(spec, values=tuple(entries)) for spec, entries
+                                        in zip(robot.effects, lists, strict=True)))
+
+
+def is_at_limit(spec, robot):
+    """
+    Return whether an effect has a parameter where the search for it ends, which is no value.
+
+    What the catalogue allows is such an end, too, unless physics ends there: at zero, or a share.
+    """
+    kind = find(spec.name)
+
+    def is_end(limit, allowed, unit):
+        """Return whether a limit of the search, beside what the catalogue allows, is no value."""
+        return limit != allowed or (np.isfinite(limit) and limit != 0.0 and unit != '1')
+    return any(
+        is_end(lower, one.lower, one.unit) and value < lower + _AT_LIMIT * abs(lower)
+        or is_end(upper, one.upper, one.unit) and value > upper - _AT_LIMIT * abs(upper)
+        for one, value, lower, upper in zip(
+            kind.parameters, spec.values, *bounds_of(spec, robot), strict=True))
+
+
+def effect_columns(likelihood, robot, x, rows, numbers):
+    """Return derivatives (V, R) of the rows by parameters of effects."""
+    values = values_of(robot, numbers)
+
+    def column(i):
+        at, step = values.copy(), numbers[i].step
+        step = -step if at[i] + step > numbers[i].upper else step
+        at[i] += step
+        return (likelihood.rows(at_values(robot, numbers, at), x) - rows) / step
+    return likelihood.each(column, range(len(numbers))).reshape(len(numbers), len(rows))
+
+
+def prior_of(likelihood, robot, numbers):
+    """
+    Return the priors of all that is free.
+
+    Returns
+    -------
+    precision : ndarray, shape (C,)
+        Inverse variance of nuisance parameters, then of numbers.
+    centred : ndarray, shape (C,)
+        Whether the prior pulls to zero, 1 or 0.
+    free : ndarray, shape (C,)
+        False for nuisance parameters that an effect replaces.
+
+    """
+    sd = np.concatenate([likelihood.sd, [one.sd for one in numbers]])
+    ones = np.ones(len(likelihood.sd))
+    centred = np.concatenate([ones, [float(one.centred) for one in numbers]])
+    free = np.concatenate([~likelihood.resting(robot), np.ones(len(numbers), dtype=bool)])
+    return 1.0 / sd ** 2, centred, free
+
+
+def step_of(likelihood, model, columns, numbers, weight=None, plausible=np.inf):
+    """
+    Return the step (C,) of all that is free to where a model is likeliest, to first order.
+
+    ``weight`` (R,) of the rows is that of the model unless given; nuisance parameters go no
+    farther than ``plausible`` standard deviations of their priors.
+    """
+    precision, centred, free = prior_of(likelihood, model.robot, numbers)
+    weight = likelihood.weights(model.sums.groups) if weight is None else weight
+    values = np.concatenate([model.x, values_of(model.robot, numbers)])
+    gram = (columns * weight) @ columns.T + np.diag(precision * centred)
+    slope = (likelihood.slopes(columns, model, weight, numbers)
+             - precision * centred * values)
+    low, high = limits(model, numbers, values, free, plausible * likelihood.sd)
+    return solve(gram, slope, low, high)
+
+
+def limits(model, numbers, values, free, plausible=np.inf):
+    """Return how far all that is free may go, (C,) each."""
+    reach = np.array([one.reach for one in numbers])
+    farthest = np.broadcast_to(np.minimum(plausible, LARGEST), model.x.shape)
+    low = np.concatenate([-farthest, [one.lower for one in numbers]])
+    high = np.concatenate([farthest, [one.upper for one in numbers]])
+    low, high = np.minimum(low - values, 0.0), np.maximum(high - values, 0.0)
+    low[len(model.x):] = np.maximum(low[len(model.x):], -reach)
+    high[len(model.x):] = np.minimum(high[len(model.x):], reach)
+    low[~free] = high[~free] = -values[~free]
+    return low, high
+
+
+def fit(likelihood, robot, x, columns, first=None, iterations=3, plausible=np.inf):
+    """
+    Move nuisance parameters and the numbers of effects to where a model is likeliest.
+
+    Parameters
+    ----------
+    likelihood : Likelihood
+        Of the recordings.
+    robot : RobotParams
+        Where to begin.
+    x : ndarray, shape (P,)
+        Nuisance parameters to begin with.
+    columns : ndarray, shape (C, R)
+        Derivatives that hardly change: by nuisance parameters and, if they are known, by the
+        first numbers of these effects; the others are taken anew each time.
+    first : int, optional
+        Effects before are left as they are; default those the user knows.
+    iterations : int
+        At most.
+    plausible : float or ndarray, shape (P,)
+        Standard deviations of their priors that nuisance parameters may go.
+
+    Returns
+    -------
+    Fitted
+
+    """
+    x = np.where(likelihood.resting(robot), 0.0, x)
+    x = np.clip(x, -plausible * likelihood.sd, plausible * likelihood.sd)
+    model, known = likelihood.fitted(robot, x), len(columns) - len(x)
+    for _ in range(iterations):
+        numbers = numbers_of(likelihood, model.robot, first)
+        own = effect_columns(likelihood, model.robot, model.x, model.rows, numbers[known:])
+        step = step_of(likelihood, model, np.concatenate([columns, own]), numbers,
+                       plausible=plausible)
+        values = values_of(model.robot, numbers)
+        for shrink in _SHRINK:
+            other = likelihood.fitted(
+                at_values(model.robot, numbers, values + shrink * step[len(x):]),
+                model.x + shrink * step[:len(x)])
+            gain = model.cost - other.cost + _prior_cost(model, numbers) - _prior_cost(
+                other, numbers)
+            if gain > 0.0:
+                break
+        else:
+            break
+        model = other
+        if gain < _ENOUGH:
+            break
+    return model
+
+
+def _prior_cost(model, numbers):
+    """Return -2 log prior of the numbers of effects."""
+    values = values_of(model.robot, numbers)
+    return float(sum((value / one.sd) ** 2 for value, one in zip(values, numbers, strict=True)
+                     if one.centred))
+
+
+def prior_cost(likelihood, model):
+    """Return -2 log prior of the sizes of a model's effects."""
+    return _prior_cost(model, numbers_of(likelihood, model.robot))
+
+
+def retuned(likelihood, robot, x, plausible=np.inf, columns=None):
+    """
+    Return a robot with its nuisance parameters re-tuned from ``x`` (P,), a Fitted, and columns.
+
+    The derivatives are taken anew where the parameters have moved, unless they are given.
+    """
+    fixed = columns is not None
+    if not fixed:
+        model = likelihood.fitted(robot, x)
+        columns = likelihood.columns(robot, x, model.rows)
+    for _ in range(_RETUNED):
+        model = fit(likelihood, robot, x, columns, first=len(robot.effects), plausible=plausible)
+        moved, x = np.abs(model.x - x) / likelihood.sd, model.x
+        if fixed or moved.max() < 1.0:
+            break
+        columns = likelihood.columns(robot, x, model.rows)
+    return model, columns
+
+
+def refitted(likelihood, model, nuisances, iterations=3):
+    """
+    Return a model with all its effects fitted together, and its columns anew.
+
+    Parameters
+    ----------
+    likelihood : Likelihood
+        Of the recordings.
+    model : Fitted
+        Where to begin.
+    nuisances : ndarray, shape (P, R)
+        Derivatives by the nuisance parameters.
+    iterations : int
+        At most.
+
+    Returns
+    -------
+    model : Fitted
+    columns : ndarray, shape (C, R)
+        Derivatives by nuisance parameters and by the numbers of its effects.
+
+    """
+    model = fit(likelihood, model.robot, model.x, nuisances, iterations=iterations)
+    return model, extended(likelihood, model, nuisances)
+
+
+def extended(likelihood, model, columns, first=None):
+    """Return columns (C, R), then those by the numbers of effects from the ``first`` on."""
+    own = effect_columns(likelihood, model.robot, model.x, model.rows,
+                         numbers_of(likelihood, model.robot, first))
+    return np.concatenate([columns, own])
+
+
+def without(likelihood, model, columns, *dropped):
+    """Return a model less some of its effects, nothing re-tuned, and the columns of all else."""
+    effects = model.robot.effects
+    robot = replace(model.robot, effects=tuple(
+        spec for i, spec in enumerate(effects) if i not in dropped))
+    numbers = numbers_of(likelihood, model.robot)
+    own = [len(model.x) + k for k, one in enumerate(numbers) if one.effect in dropped]
+    return likelihood.fitted(robot, model.x), np.delete(columns, own, axis=0)

@@ -1,0 +1,204 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""
+Torques that are a free function of one variable: hypotheses without a name.
+
+Where one of them explains what is missing much better than an effect of the catalogue does, the
+effect only resembles what is there.
+"""
+
+from typing import NamedTuple
+
+from gms_flex_control.discrepancy.fitting import numbers_of, prior_of, values_of
+from gms_flex_control.discrepancy.likelihood import BLOCK
+from gms_flex_control.discrepancy.signature import of_others, variables
+from gms_flex_control.discrepancy.thresholds import EVIDENCE, PRACTICAL
+from gms_flex_control.discrepancy.validation import FOLDS, gain_over
+import numpy as np
+
+_KNOTS = 20           # of a function, even in the samples
+_OF_TIME = 12         # likewise, of time, at most
+# not of torque: a function of it may shrink the whole equation
+_VARIABLES = ('time', 'link angle', 'link rate', 'torsion')
+_DIRECTED = ('time', 'link angle')  # multiplied by the direction of motion, too
+_LEAST = 3.0 * PRACTICAL  # of Coulomb friction: a function that is free fits some noise
+_WEIGHINGS = 3        # times that noise levels are taken anew
+_DEGREES = 4.0        # of freedom of Student's distribution
+
+
+class Free(NamedTuple):
+    """A function of one variable in one equation, and what it would gain."""
+
+    evidence: float    # 2 log, over the model it was added to
+    gain: float        # decrease of the cost
+    torque: float      # rms of what it adds [N m]
+    joint: str
+    equation: str      # 'link' or 'motor'
+    variable: str
+
+
+class FreeFunctions:
+    """
+    The rows of all free functions.
+
+    Parameters
+    ----------
+    likelihood : Likelihood
+        Of the recordings.
+
+    """
+
+    def __init__(self, likelihood):
+        self._likelihood = likelihood
+        robot, self._all = likelihood.robot, []
+        for j, joint in enumerate(robot.joints):
+            values = [variables(motion, j) for motion in likelihood.motions]
+            moving = [_direction(one['link rate']) for one in values]
+            shapes = [(name, _hats([one[name] for one in values],
+                                   _knots_of_time(likelihood) if name == 'time' else _KNOTS))
+                      for name in _VARIABLES if not (name == 'torsion' and robot.arm.rigid[j])]
+            others = [of_others(motion, j) for motion in likelihood.motions]
+            shapes += [(name, _hats([one[name] for one in others], _KNOTS))
+                       for name in others[0] if name.startswith('link angle')]
+            shapes += [(f'{name} times the direction of motion',
+                        [hats * way[:, None] for hats, way in zip(own, moving, strict=True)])
+                       for name, own in shapes if name in _DIRECTED]
+            for side, equation in enumerate(('link', 'motor')):
+                if equation == 'motor' and (robot.arm.rigid[j] or joint in likelihood.unseen):
+                    continue
+                jobs = [(name, own, j + side * robot.n_joints) for name, own in shapes]
+                self._all += [(joint, equation, name, rows, torque) for (name, *_), (
+                    rows, torque) in zip(jobs, likelihood.pool.map(self._rows, jobs),
+                                         strict=True)]
+
+    def _rows(self, job):
+        """Return the rows (K, R) of hats (S, K) in a column of the residuals, and their gram."""
+        _, hats, column = job
+        likelihood, rows = self._likelihood, []
+        for k in range(hats[0].shape[1]):
+            torques = [np.zeros((len(own), 2 * likelihood.robot.n_joints)) for own in hats]
+            for torque, own in zip(torques, hats, strict=True):
+                torque[:, column] = own[:, k]
+            rows.append(likelihood.rows_of_torque(torques))
+        every = np.concatenate(hats)
+        return np.array(rows), every.T @ every / len(every)
+
+    def best(self, model, columns, joint=None):
+        """
+        Return the free function of most evidence beside a model, None if there is none.
+
+        Parameters
+        ----------
+        model : Fitted
+            What is there.
+        columns : ndarray, shape (C, R)
+            Derivatives of its rows.
+        joint : str, optional
+            Only functions of this joint.
+
+        Returns
+        -------
+        Free or None
+
+        """
+        here = [one for one in self._all if joint in (None, 'arm', one[0])]
+        found = list(self._likelihood.pool.map(lambda one: self._gained(model, columns, one),
+                                               here))
+        return max(found, key=lambda one: one.evidence, default=None)
+
+    def _gained(self, model, columns, one):
+        """Return a function as a Free."""
+        joint, equation, name, rows, square = one
+        likelihood = self._likelihood
+        step, _ = self._fitted(model, columns, rows, np.ones(len(model.rows), dtype=bool))
+        weight = likelihood.weights(self._sums(model, columns, rows, step))
+        cost = likelihood.misfit(self._sums(model, columns, rows, step)) + self._prior(
+            model, step[:len(columns)])
+        size = np.full(len(rows), 1.0 / likelihood.level_of(joint) ** 2)
+        scaled = rows / np.sqrt(size)[:, None]
+        _, occam = np.linalg.slogdet(np.eye(len(rows)) + (scaled * weight) @ scaled.T)
+        own = step[len(columns):]
+        before = likelihood.misfit(model.sums.groups) + self._prior(model, 0.0)
+        gain = float(before - cost - np.sum(own ** 2 * size))
+        return Free(gain - occam - 2.0 * np.log(len(self._all)), gain,
+                    float(np.sqrt(max(own @ square @ own, 0.0))), joint, equation, name)
+
+    def _prior(self, model, step):
+        """Return -2 log prior of a model after a step of its own parameters."""
+        numbers = numbers_of(self._likelihood, model.robot)
+        precision, centred, _ = prior_of(self._likelihood, model.robot, numbers)
+        values = np.concatenate([model.x, values_of(model.robot, numbers)]) + step
+        return float(np.sum(precision * centred * values ** 2))
+
+    def _fitted(self, model, columns, rows, kept):
+        """Return the step of all parameters and weights of a function, and the weights of rows."""
+        likelihood = self._likelihood
+        numbers = numbers_of(likelihood, model.robot)
+        precision, centred, free = prior_of(likelihood, model.robot, numbers)
+        values = np.concatenate([model.x, values_of(model.robot, numbers), np.zeros(len(rows))])
+        size = np.full(len(rows), 1.0 / likelihood.coulomb.max() ** 2)
+        pull = np.concatenate([precision * centred, size])
+        free = np.concatenate([free, np.ones(len(rows), dtype=bool)])
+        every = np.concatenate([columns, rows])[free]
+        step, sums = np.zeros(len(values)), model.sums.groups
+        for _ in range(_WEIGHINGS):
+            weight = likelihood.weights(sums) * kept
+            slope = -every @ (weight * model.rows) - (pull * values)[free]
+            step[free] = np.linalg.lstsq((every * weight) @ every.T + np.diag(pull[free]), slope,
+                                         rcond=1e-12)[0]
+            sums = self._sums(model, columns, rows, step)
+        return step, likelihood.weights(sums)
+
+    def _sums(self, model, columns, rows, step):
+        """Return the sums of a model after a step, what noise adds as it is (G,)."""
+        likelihood = self._likelihood
+        moved = model.rows + step[:len(columns)] @ columns + step[len(columns):] @ rows
+        noise = np.bincount(likelihood.group, model.rows ** 2, len(likelihood.count)) \
+            - model.sums.groups
+        return np.bincount(likelihood.group, moved ** 2, len(likelihood.count)) - noise
+
+    def left_in(self, model, columns, caution=1.0):
+        """Return the free function that a model lacks, a Free, None where nothing matters."""
+        free = self.best(model, columns)
+        if (free is None or free.evidence < EVIDENCE
+                or free.torque < _LEAST * self._likelihood.level_of(free.joint)):
+            return None
+        gain = self._held_out(model, columns, free)
+        return free if gain._replace(sigmas=gain.sigmas / caution).is_real else None
+
+    def _held_out(self, model, columns, free):
+        """Return what a Free adds to the log likelihood of blocks left out, a Gain."""
+        rows = next(one[3] for one in self._all
+                    if one[:3] == (free.joint, free.equation, free.variable))
+        likelihood, out = self._likelihood, np.zeros(self._likelihood.blocks)
+        for sign, own in ((1.0, rows), (-1.0, rows[:0])):
+            for k in range(FOLDS):
+                left_out = likelihood.block % FOLDS == k
+                step, weight = self._fitted(model, columns, own, ~left_out)
+                scale = weight[left_out]
+                moved = (model.rows + step[:len(columns)] @ columns
+                         + step[len(columns):] @ own)[left_out]
+                logs = 0.5 * np.log(scale) - 0.5 * (_DEGREES + 1.0) * np.log1p(
+                    moved ** 2 * scale / _DEGREES)
+                out += sign * np.bincount(likelihood.block[left_out], logs, likelihood.blocks)
+        return gain_over(out)
+
+
+def _knots_of_time(likelihood):
+    """Return the knots of a function of time: a block left out must not hold one alone."""
+    longest = max(motion.time[-1] - motion.time[0] for motion in likelihood.motions)
+    return int(np.clip(longest / (2.0 * BLOCK), 3, _OF_TIME))
+
+
+def _direction(rate):
+    """Return the direction of motion (S,), smoothly through rest."""
+    return np.tanh(rate / max(0.05 * float(np.sqrt(np.mean(rate ** 2))), 1e-12))
+
+
+def _hats(values, knots):
+    """Return triangles about knots of a variable, (S, K) for each recording."""
+    every = np.concatenate(values)
+    at = np.unique(np.quantile(every, np.linspace(0.0, 1.0, knots)))
+    return [np.stack([np.interp(own, at, unit) for unit in np.eye(len(at))], axis=1)
+            for own in values]

@@ -1,0 +1,202 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""
+Nuisance parameters: what a user knows of a robot, but never exactly, each with its prior.
+
+Each is a relative change of numbers the model has, re-tuned with every hypothesis. Its prior is
+normal; a change that such a prior makes implausible is an error with a name, such as
+stiffness_error, whose own prior is as wide as errors are.
+"""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+from gms_flex_control.params.uncertainty import KINDS
+from gms_flex_control.simulation import plant
+import numpy as np
+
+PRIOR = {kind: one.sd for kind, one in KINDS.items()}  # relative standard deviations
+LARGEST = 0.8     # relative change: nothing that a model has vanishes altogether
+_CARRIED = ('coupling', 'moment')  # of links
+_PROBE = 0.01     # relative change that shows what effects make of them
+
+
+class Nuisance(NamedTuple):
+    """One relative change of known parameters."""
+
+    name: str
+    joint: int            # -1 for the whole arm
+    sd: float             # standard deviation of its prior
+    fields: tuple         # of (part, field, index) of the kernels' record
+    signs: tuple          # +1 or -1 for each field
+
+    def apply(self, constants, value):
+        """Change a record of simulation.plant.constants_of in place by ``value``."""
+        for (part, field, index), sign in zip(self.fields, self.signs, strict=True):
+            getattr(getattr(constants, part), field)[index] *= 1.0 + sign * value
+
+
+class RotorNuisance(NamedTuple):
+    """One relative change of the motor inertia of a rigid joint, which several numbers share."""
+
+    joint: int
+    sd: float             # standard deviation of its prior
+    name = 'motor_inertia'
+    fields = (('chain', 'motor_inertia', ...), ('chain', 'rigid_inertia', ...))
+
+    def apply(self, constants, value):
+        """Change a record of simulation.plant.constants_of in place by ``value``."""
+        own, seen = constants.chain.motor_inertia, constants.chain.rigid_inertia
+        toward = constants.chain.inverse[self.joint]
+        seen += value * own[self.joint] * np.outer(toward, toward)  # theta is not the joint's
+        own[self.joint] *= 1.0 + value
+
+
+def nuisances_of(constants, prior, stated=None):
+    """
+    Return the nuisance parameters of a robot.
+
+    Parameters
+    ----------
+    constants : numpy.record
+        Of simulation.plant.constants_of.
+    prior : dict of str to float
+        Standard deviation of each kind.
+    stated : dict of (str, int) to float, optional
+        Standard deviations that the user states for a kind on a joint.
+
+    Returns
+    -------
+    tuple of Nuisance and RotorNuisance
+
+    """
+    chain, friction, found = constants.chain, constants.friction, []
+    n, stated = len(chain.motor_inertia), stated or {}
+
+    def sd(kind, joint):
+        return stated.get((kind, joint), prior[kind])
+
+    def add(kind, joint, *fields, signs=None):
+        found.append(Nuisance(kind, joint, sd(kind, joint), fields, signs or (1,) * len(fields)))
+
+    heavy = np.any(chain.gravity != 0.0)
+    for i in range(n):
+        # what link i has of mass times distance: gravity and its coupling to every link before
+        moment = [('chain', 'coupling', pair) for k in range(i) if chain.coupling[k, i] != 0.0
+                  for pair in ((k, i), (i, k))]
+        if heavy and chain.moment[i] != 0.0:
+            add('gravity', i, *moment, ('chain', 'moment', i))
+        elif moment:
+            add('inertia', -1, *moment, ('chain', 'moment', i))
+        if chain.coupling[i, i] != 0.0:
+            add('inertia', i, ('chain', 'coupling', (i, i)))
+    for j in range(n):
+        if chain.flexible[j]:
+            add('stiffness', j, ('chain', 'stiffness', j))
+            add('motor_inertia', j, ('chain', 'motor_inertia', j))
+        elif chain.motor_inertia[j] > 0.0:
+            found.append(RotorNuisance(j, sd('motor_inertia', j)))
+        if chain.damping[j] > 0.0:
+            add('damping', j, ('chain', 'damping', j))
+        level = [('friction', name, (row, j)) for row in (0, 1) for name in ('static', 'coulomb')]
+        add('level', j, *level)
+        add('asymmetry', j, *level, signs=(1, 1, -1, -1))
+        for kind, signs in (('viscous', (1, 1)), ('viscous_asymmetry', (1, -1))):
+            add(kind, j, *(('friction', 'viscous', (row, j)) for row in (0, 1)), signs=signs)
+        above = (1.0 - 2.0 * sd('static', j)) * friction.static[:, j] >= friction.coulomb[:, j]
+        if above.all():  # else it may fall below Coulomb friction; stribeck_error lifts it
+            add('static', j, *(('friction', 'static', (row, j)) for row in (0, 1)))
+        for row in (0, 1):
+            add('velocity', j, ('friction', 'velocity', (row, j)))
+        add('attraction', j, ('friction', 'attraction', j))
+        add('blocks', j, ('friction', 'stiffness', j))
+    return tuple(found)
+
+
+def tuned(constants, nuisances, values):
+    """Return a copy of constants with nuisance parameters at ``values`` (P,)."""
+    copy = constants.copy()
+    for nuisance, value in zip(nuisances, values, strict=True):
+        if value != 0.0:
+            nuisance.apply(copy, value)
+    return copy
+
+
+def with_nuisances(robot, nuisances, x):
+    """
+    Return a robot whose own parameters are what its nuisance parameters make them.
+
+    Parameters
+    ----------
+    robot : RobotParams
+        With effects.
+    nuisances : sequence of Nuisance
+        Of `nuisances_of`.
+    x : ndarray, shape (P,)
+        Their values.
+
+    Returns
+    -------
+    RobotParams
+        Its record is that of `tuned`.
+
+    """
+    wanted = tuned(plant.constants_of(robot), nuisances, x).chain
+    record = tuned(plant.constants_of(replace(robot, effects=())), nuisances, x)
+    # a nuisance parameter scales what a link carries with all that effects make of it, such as
+    # a payload's share; what they make of it is affine in what it is without them
+    whole, other = _carried(robot, record), record.copy()
+    for name in _CARRIED:
+        getattr(other.chain, name)[...] *= 1.0 + _PROBE
+    for name, one, two in zip(_CARRIED, whole, _carried(robot, other), strict=True):
+        own = getattr(record.chain, name)
+        slope = np.divide(two - one, _PROBE * own, out=np.ones_like(own), where=own != 0.0)
+        own += (getattr(wanted, name) - one) / slope
+    return _with_record(robot, record)
+
+
+def _carried(robot, record):
+    """Return what links carry with the effects of a robot whose own parameters are a record's."""
+    chain = plant.constants_of(_with_record(robot, record)).chain
+    return [np.array(getattr(chain, name)) for name in _CARRIED]
+
+
+def _with_record(robot, record):
+    """Return a robot whose parameters, effects left out, are those of a kernels' record."""
+    friction, links = record.friction, record.chain
+    sides = {}
+    for row, side in enumerate(('forward', 'backward')):
+        steady = getattr(robot.friction, side)
+        coulomb = np.array(friction.coulomb[row])
+        sides[side] = replace(steady, coulomb=coulomb,
+                              static=np.maximum(friction.static[row], coulomb),
+                              velocity=np.array(friction.velocity[row]),
+                              viscous=np.array(friction.viscous[row]))
+    arm = with_base(robot.arm, links)
+    arm = replace(
+        arm, stiffness=np.where(robot.arm.rigid, robot.arm.stiffness, links.stiffness),
+        damping=np.where(robot.arm.rigid, robot.arm.damping, links.damping),
+        motor_inertia=np.array(links.motor_inertia))
+    return replace(robot, arm=arm, friction=replace(
+        robot.friction, **sides, stiffness=np.array(friction.stiffness),
+        attraction=np.array(friction.attraction)))
+
+
+def with_base(arm, links):
+    """Return an arm whose links have the inertia and moments of the kernels' record."""
+    mass, com, inertia = arm.mass.copy(), arm.com.copy(), arm.inertia.copy()
+    planar = arm.kind == 'planar'
+    for i in range(arm.n_joints - 1, -1, -1):
+        carried = mass[i + 1:].sum() if planar else 0.0
+        moment = links.moment[i]
+        if planar and i > 0 and arm.length[i - 1] > 0.0:
+            moment = links.coupling[i - 1, i] / arm.length[i - 1]
+        own = moment - carried * arm.length[i]
+        about = links.coupling[i, i] - carried * arm.length[i] ** 2
+        if mass[i] > 0.0:
+            if own ** 2 > mass[i] * about > 0.0:  # with that mass no link turns so easily
+                mass[i] = own ** 2 / about
+            com[i] = own / mass[i]
+        inertia[i] = max(about - mass[i] * com[i] ** 2, 0.0)
+    return replace(arm, mass=mass, com=com, inertia=inertia)

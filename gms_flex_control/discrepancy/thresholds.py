@@ -1,0 +1,51 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""The numbers that decide, each with its meaning and where it comes from."""
+
+# Improvement of held-out residual torque that matters in practice, as a share of Coulomb friction:
+# effects that improve it less are listed apart and change no verdict. Twice the noise below.
+PRACTICAL = 0.01
+
+# White noise that is added to null simulations, as a share of Coulomb friction, rms up to
+# whitening.HIGHEST, so that filters' own errors never count.
+PRACTICAL_FLOOR = 0.5 * PRACTICAL
+
+# 2 log evidence that an effect must add, beyond the prior odds of one effect among all
+# hypotheses. Kass and Raftery: "positive"; held-out prediction must agree.
+EVIDENCE = 2.0
+
+# Standard errors by which held-out log likelihood must gain, over blocks: one in forty by chance.
+HELD_OUT = 2.0
+
+# Times as many standard errors where links have no encoder: their angles are computed with the
+# model that is in question.
+UNSEEN = 3.0
+
+# Held-out log likelihood that must be gained: four hundred to one, some hundred hypotheses are
+# tried (Ville's inequality).
+HELD_OUT_NATS = 6.0
+
+# Blocks in which an effect must act for a standard error to be known.
+FEW_BLOCKS = 6
+
+# Noise of drives, as a share of Coulomb friction behind the low-pass: data sheets of drives and
+# cogging of small motors; more of it is called unexplained.
+LARGEST_NOISE = 0.10
+
+# Share of what the largest effect explains below which an effect is not ranked by its torque:
+# where noise is large, so may be the torque of what is hardly known.
+TRIFLE = 0.05
+
+# Standard deviations of its prior within which a known parameter may stand for an effect.
+PLAUSIBLE = 2.0
+
+# Probability of the set of models that is reported.
+CREDIBLE = 0.95
+
+# Growth of squared free-run errors by which a model is worse: 1 % rms.
+WORSE = 1.02
+
+# Share of what a free function of one variable explains that an effect must explain in its place
+# to be named: true effects reach 0.99 to 3.7 on hidden robots, resemblances 0.1 to 0.85.
+RESEMBLES = 0.9

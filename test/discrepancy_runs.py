@@ -1,0 +1,61 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""What several tests of the search for what is missing need: motions, and likelihoods of them."""
+
+from dataclasses import replace
+
+from core_runs import single_axis
+from gms_flex_control.discrepancy.fitting import retuned
+from gms_flex_control.discrepancy.likelihood import Likelihood
+from gms_flex_control.discrepancy.motion import make_motion, motion_of
+from gms_flex_control.hidden import motions, truth
+from gms_flex_control.params.friction import FrictionParams, StribeckParams
+from gms_flex_control.recording import Recording
+import numpy as np
+
+NONE = StribeckParams(static=[1e-14], coulomb=[1e-14], velocity=[1.0], viscous=[0.0])
+FRICTIONLESS = FrictionParams(forward=NONE, backward=NONE, stiffness=[[1e-14]], weight=[[1.0]],
+                              attraction=[1.0])
+
+
+def driven_motion(robot, gains, seed=0, duration=20.0):
+    """Return the Motion of a rich motion of a robot, by the integrator of hidden robots."""
+    time = np.arange(round(duration / 2e-3)) * 2e-3
+    reference = motions.draw_reference(np.random.default_rng(7), 'rich', 'soft', time)
+    run = truth.simulate(robot, replace(robot, effects=()), gains, reference, seed=seed)
+    return make_motion(robot.joints, time, 2e-3, np.ascontiguousarray(run.measured[:, [0, 2]]),
+                       run.command, np.zeros(len(time)), True, 'a hidden robot')
+
+
+def rigid_motion(inertia=0.02, motor_inertia=0.0):
+    """Return a rigid axis without friction, and a Motion of 0.8 s."""
+    robot = single_axis(FRICTIONLESS, inertia, motor_inertia=motor_inertia)
+    time = np.arange(200) * 4e-3
+    return robot, make_motion(
+        robot.joints, time, 4e-3, np.repeat(np.sin(time)[:, None, None], 2, axis=1),
+        np.cos(time)[:, None], np.zeros(200), True, 'sine')
+
+
+def likelihood_of(case, **options):
+    """Return the Likelihood of a case as its user believes the robot."""
+    return Likelihood([motion_of(case.recording, case.nominal)], case.nominal, **options)
+
+
+def as_believed(likelihood):
+    """Return a Fitted of the robot as believed, nothing re-tuned."""
+    return likelihood.fitted(likelihood.robot, np.zeros(len(likelihood.nuisances)))
+
+
+def retuned_of(likelihood, plausible=np.inf):
+    """Return a Fitted with all known parameters re-tuned, and its columns (P, R)."""
+    return retuned(likelihood, likelihood.robot, np.zeros(len(likelihood.nuisances)), plausible)
+
+
+def recorded(robot, time, q_link, q_motor, command, reference):
+    """Return the Recording of angles as read and torques as asked for."""
+    unknown = np.full_like(q_link, np.nan)
+    return Recording(
+        joints=robot.joints, time=time, q_link=q_link, q_motor=q_motor, dq_link=unknown,
+        dq_motor=unknown, tau_motor=np.vstack([np.zeros((1, 2)), command[:-1]]), command=command,
+        reference=reference, friction_hat=unknown, source='simulated', supply=None)

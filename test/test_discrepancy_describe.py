@@ -1,0 +1,99 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""What is said: units that suit, sentences of what was found, and where something is left."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+from discrepancy_runs import as_believed, driven_motion
+from gms_flex_control.discrepancy.describe import (
+    evidence_of,
+    first_of,
+    of_noise,
+    of_withheld,
+    torque_scale,
+)
+from gms_flex_control.discrepancy.findings import Worth
+from gms_flex_control.discrepancy.likelihood import Likelihood
+from gms_flex_control.discrepancy.result import Gap, Noise
+from gms_flex_control.discrepancy.signature import signature_of
+from gms_flex_control.discrepancy.validation import Gain
+from gms_flex_control.discrepancy.workflow import _is_worse, _known_off
+from gms_flex_control.params.robot import EffectSpec
+import numpy as np
+import pytest
+
+
+@pytest.mark.parametrize(('size', 'said'), [(0.0123, '12.3 mN m'), (4.2, '4.2 N m'),
+                                            (4630.0, '4.63 kN m'), (np.nan, '- mN m')])
+def test_torques_are_told_in_units_that_suit(size, said):
+    scale = torque_scale([size, 0.001])
+    assert f'{scale.text(size)} {scale.unit}' == said
+
+
+def test_of_many_texts_the_first_are_said():
+    assert first_of(['one', 'two.'], 2) == 'one. two.'
+    assert first_of(['one', 'two', 'three'], 1) == 'one. (2 more in the report.)'
+
+
+def gap(torque=0.5, free=0.5, farther=0.0):
+    """Return a Gap by its ratios of squares."""
+    zero = np.zeros(1)
+    return Gap(joints=('j',), before=zero, retuned=zero, after=zero, floor=zero, free_floor=zero,
+               rest_before=zero, rest_after=zero, energy_ratio=torque, free_before=np.ones(1),
+               free_after=np.sqrt([free]), free_farther=farther)
+
+
+@pytest.mark.parametrize(('told', 'expected'), [
+    (gap(), False), (gap(free=1.01, farther=5.0), False), (gap(free=1.05, farther=3.0), True),
+    (gap(free=1.05, farther=1.0), False), (gap(free=1.05, farther=-0.5), False),
+    (gap(torque=2.0), False),
+    (replace(gap(free=1.05, farther=3.0), free_floor=np.full(1, 1.03)), False)])
+def test_a_model_is_worse_whose_free_runs_are_farther_off(told, expected):
+    """By more than 1 %, than one run that slips, and than its own null simulation."""
+    assert _is_worse(told) == expected
+
+
+def test_why_effects_are_withheld_is_told():
+    said = of_withheld(gap(torque=0.64, free=1.21))
+    assert 'free-run errors would be 1.1 times as large, residual torque 0.8 times.' in said
+
+
+def test_noise_is_told_by_drive_and_colour():
+    said = of_noise(Noise('j', 'motor', 0.0123, 0.004, 'white'))
+    assert said == 'drive of j: 12.3 mN m per sample, 4 mN m rms up to 8 Hz, white'
+    assert of_noise(Noise('j', 'link', 0.0, 4000.0, 'slow')) == (
+        'link of j: 4 kN m rms up to 8 Hz, mostly slow')
+
+
+def test_an_effect_that_changes_nothing_that_is_fitted_is_none():
+    idle = Worth(0, 0.1, 0.0, 0.0, 50.0, Gain(0.0, 0.0, 0), None, None)
+    assert not idle.is_real() and idle.alone == idle.weight == 0.0
+    assert '0 % of which' in evidence_of(idle, ())
+    assert not idle._replace(evidence=1.0, gain=Gain(50.0, 5.0, 10)).is_real()
+    assert idle._replace(gain=Gain(50.0, 5.0, 10)).is_real()
+    assert not idle._replace(gain=Gain(50.0, 5.0, 10)).is_real(caution=3.0)
+
+
+def test_a_known_effect_that_gains_by_chance_alone_is_not_told():
+    """It must gain most of all, and much."""
+    spec, other = (EffectSpec(name=name, joint='joint1', values=(0.01,))
+                   for name in ('backlash', 'spring_cubic'))
+    robot = SimpleNamespace(effects=(spec,))
+    for gain, rival, expected in ((20.0, 1.0, False), (80.0, 1.0, True), (80.0, 200.0, False)):
+        scan = {('backlash', 'joint1'): gain, (other.name, other.joint): rival}
+        told = _known_off(SimpleNamespace(scan=scan), robot)
+        assert told == (('backlash', 'joint1') if expected else None)
+    assert _known_off(SimpleNamespace(scan={}), robot) is None
+
+
+def test_what_is_left_is_described_where_most_is_left(robot, gains):
+    """The second of two recordings holds a torque on a motor that the first does not."""
+    biased = EffectSpec(name='motor_torque_bias', joint='joint2', values=(0.02,))
+    motions = [driven_motion(replace(robot, effects=effects), gains, seed, duration=6.0)
+               for seed, effects in enumerate([(), (biased,)])]
+    for order in (motions, motions[::-1]):
+        likelihood = Likelihood(order, robot)
+        found = signature_of(likelihood, as_believed(likelihood), 1.0)
+        assert (found.equation, found.joint, found.variable) == ('motor', 'joint2', 'constant')

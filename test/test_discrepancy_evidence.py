@@ -1,0 +1,118 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""The evidence of models: closed forms where all is linear and normal, and what is credible."""
+
+from types import SimpleNamespace
+
+from discrepancy_runs import driven_motion
+from gms_flex_control.discrepancy.evidence import credible, posterior, State, state_of
+from gms_flex_control.discrepancy.likelihood import Fitted, Likelihood, Sums
+from gms_flex_control.discrepancy.null_simulation import null_simulation
+from gms_flex_control.discrepancy.search import search
+from gms_flex_control.effects.guess import Scales
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+SD = np.array([0.5, 2.0])
+
+
+class Linear:
+    """Rows that are linear in two nuisance parameters, with noise of unit variance."""
+
+    def __init__(self, offset, slopes):
+        self._offset, self.slopes_by, self.sd = offset, slopes, SD
+        self.robot = SimpleNamespace(effects=(), joints=('j',))
+
+    def resting(self, robot):
+        return np.zeros(2, dtype=bool)
+
+    def weights(self, groups):
+        return np.ones(len(self._offset))
+
+    def sums(self, rows, robot, x, exact=False):
+        return Sums(np.array([rows @ rows]), rows @ rows + np.sum((x / SD) ** 2))
+
+    def likeliest(self):
+        """Return the Fitted at the likeliest nuisance parameters."""
+        a, y = self.slopes_by, self._offset
+        x = np.linalg.solve(a @ a.T + np.diag(1.0 / SD ** 2), -a @ y)
+        rows = y + x @ a
+        return Fitted(self.robot, x, rows, self.sums(rows, self.robot, x))
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_the_evidence_of_a_linear_normal_model_is_exact(seed):
+    """Y = -x A + noise with x ~ N(0, sd^2): y ~ N(0, 1 + A' diag(sd^2) A), and so its density."""
+    rng = np.random.default_rng(seed)
+    slopes = rng.standard_normal((2, 12)) * [[1.0], [0.2]]
+    y = rng.standard_normal(12) - (SD * rng.standard_normal(2)) @ slopes
+    given = Linear(y, slopes)
+    state = state_of(given, given.likeliest(), slopes, 50)
+    exact = multivariate_normal.logpdf(y, cov=np.eye(12) + (slopes.T * SD ** 2) @ slopes)
+    assert state.evidence == pytest.approx(2.0 * exact + 12.0 * np.log(2.0 * np.pi), rel=1e-9)
+
+
+def test_an_effect_has_the_odds_of_one_among_all_against_it():
+    """The same rows with one effect more whose parameter changes nothing, and none that counts."""
+    rng = np.random.default_rng(1)
+    slopes = rng.standard_normal((2, 12))
+    given = Linear(rng.standard_normal(12), slopes)
+    model = given.likeliest()
+    few, many = (state_of(given, model, slopes, count).evidence for count in (2, 200))
+    assert few == many  # no effect, no odds
+    given.robot = SimpleNamespace(effects=(), joints=('j',))
+    told = SimpleNamespace(name='motor_torque_bias', joint='j', values=(0.0,))
+    arm = SimpleNamespace(rigid=[True], stiffness=[np.inf])
+    with_one = Fitted(SimpleNamespace(effects=(told,), joints=('j',), arm=arm), model.x,
+                      model.rows, model.sums)
+    given.scales_of = lambda joint: Scales(0.1, 1.0, 0.0, 0.0, 1.0, 0.01, 0.1, -1.0, 1.0, 2.0,
+                                           20.0)
+    columns = np.concatenate([slopes, np.zeros((1, 12))])
+    one = [state_of(given, with_one, columns, count).evidence for count in (2, 200)]
+    assert one[0] - one[1] == pytest.approx(2.0 * np.log(100.0))
+    assert few - one[1] == pytest.approx(2.0 * np.log(200.0))
+
+
+def state(evidence, *effects):
+    """Return a State of effects (name, joint) with 2 log evidence."""
+    specs = tuple(SimpleNamespace(name=name, joint=joint) for name, joint in effects)
+    return State(SimpleNamespace(robot=SimpleNamespace(effects=specs)), None, evidence)
+
+
+A, B = ('a', 'joint1'), ('b', 'joint2')
+
+
+def test_probabilities_of_models_sum_to_one_and_follow_the_evidence():
+    """Odds of exp(half a difference); equal sets count once, at their best."""
+    found = posterior([state(0.0), state(4.0, A), state(6.0, A, B), state(5.0, B, A)], 0)
+    assert [names for names, _ in found] == [{A, B}, {A}, set()]
+    shares = np.array([share for _, share in found])
+    assert shares.sum() == pytest.approx(1.0)
+    assert shares[0] / shares[1] == pytest.approx(np.exp(1.0))
+    assert shares[1] / shares[2] == pytest.approx(np.exp(2.0))
+    assert posterior([state(-1e5, A), state(-2e5, B)], 0)[0][1] == pytest.approx(1.0)
+    assert [names for names, _ in posterior([state(0.0, A), state(1.0, A, B)], 1)] == [{B}, set()]
+
+
+@pytest.mark.parametrize(('shares', 'mass', 'count'), [
+    ((0.96, 0.04), 0.95, 1), ((0.5, 0.3, 0.2), 0.75, 2), ((0.5, 0.3, 0.2), 0.95, 3),
+    ((0.94, 0.02, 0.02, 0.02), 0.95, 2), ((1.0,), 0.95, 1)])
+def test_the_credible_set_is_the_smallest_that_holds_enough(shares, mass, count):
+    models = [(frozenset({(str(k), 'j')}), share) for k, share in enumerate(shares)]
+    chosen = credible(models, mass)
+    assert chosen == models[:count]
+    assert sum(shares[:count]) >= mass > sum(shares[:count - 1])
+
+
+@pytest.mark.parametrize('seed', range(2))
+def test_of_a_null_simulation_nothing_is_found(robot, gains, seed):
+    """Noise in torques and columns alike, of another seed than those of the measure."""
+    first = Likelihood([driven_motion(robot, gains, seed=1)], robot)
+    run = null_simulation(first.motions[0], first.constants(robot, np.zeros(len(first.sd))),
+                          np.random.default_rng([7, seed]))
+    found = search(Likelihood([run], robot, seed))
+    assert found.best.key(0) == frozenset()
+    ranked = found.first  # however many sizes of some effect are alike
+    assert len({(one.spec.name, one.spec.joint) for one in ranked}) == len(ranked) > 6

@@ -1,0 +1,66 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Least squares within bounds, and where a search ends."""
+
+from gms_flex_control.discrepancy.dictionary import allowed
+from gms_flex_control.discrepancy.fitting import bounds_of, is_at_limit, solve
+from gms_flex_control.effects.guess import linear
+from gms_flex_control.params.robot import EffectSpec
+import numpy as np
+import pytest
+from scipy.optimize import lsq_linear
+
+
+def test_bounded_least_squares_agrees_with_scipy():
+    """Random problems, most with bounds that hold; also columns of very different size."""
+    rng = np.random.default_rng(4)
+    met = 0
+    for _ in range(40):
+        size = int(rng.integers(1, 12))
+        a = rng.standard_normal((30, size)) * 10.0 ** rng.uniform(-2, 2, size)
+        b = rng.standard_normal(30)
+        free = np.linalg.lstsq(a, b, rcond=None)[0]
+        width = np.abs(free) * rng.uniform(0.3, 3.0, size) + 1e-6
+        low, high = -width * rng.uniform(0.0, 1.0, size), width
+        x = solve(a.T @ a, a.T @ b, low, high)
+        exact = lsq_linear(a, b, (low, high), method='bvls', tol=1e-14).x
+        assert np.all((x >= low) & (x <= high))
+        np.testing.assert_allclose(x, exact, atol=1e-4 * np.abs(exact).max(), rtol=1e-3)
+        assert np.sum((a @ x - b) ** 2) <= np.sum((a @ exact - b) ** 2) + 1e-8
+        met += int(np.any((exact <= low) | (exact >= high)))
+    assert met > 20
+
+
+def test_bounded_least_squares_lives_with_columns_that_are_alike():
+    """The same column twice: the cost is that of one with the sum of both ranges."""
+    rng = np.random.default_rng(5)
+    a, b = rng.standard_normal((20, 1)), rng.standard_normal(20) * 5.0
+    twice, bound = np.tile(a, 2), np.array([0.1, 0.1])
+    x = solve(twice.T @ twice, twice.T @ b, -bound, bound)
+    once = np.clip(a[:, 0] @ b / (a[:, 0] @ a[:, 0]), -0.2, 0.2)
+    assert np.sum(x) == pytest.approx(once, abs=1e-9)
+
+
+def test_friction_that_pushes_is_not_looked_for(robot):
+    """All viscous friction may be gone; what is said to be more is no slope but something else."""
+    viscous = robot.friction.forward.viscous[0]
+    lower, upper = bounds_of(EffectSpec(
+        name='viscous_error', joint='joint1', values=(0.0,)), robot)
+    assert lower == [-max(viscous, robot.friction.backward.viscous[0])] and upper == [np.inf]
+    size = 0.01
+    guess = allowed(linear(size)[0], lower, upper)
+    assert guess.values([-1e3])[0] == lower[0] == pytest.approx(guess.lowest * size)
+    at = [EffectSpec(name='viscous_error', joint='joint1', values=(share * lower[0],))
+          for share in (1.0, 0.9, -2.0)]
+    assert [is_at_limit(spec, robot) for spec in at] == [True, False, False]
+
+
+def test_a_value_where_the_catalogue_ends_is_none(robot):
+    """A delay of 50 ms is the longest that is looked for; a share of 1 is all there is."""
+    for name, values, expected in (
+            ('input_delay', (0.05,), True), ('input_delay', (0.049,), False),
+            ('encoder_skew', (-0.05,), True), ('encoder_skew', (0.0,), False),
+            ('presliding_error', (0.1, 1.0), False), ('backlash', (0.0,), False)):
+        spec = EffectSpec(name=name, joint='joint1', values=values)
+        assert is_at_limit(spec, robot) == expected

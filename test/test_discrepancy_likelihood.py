@@ -1,0 +1,192 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""How likely recordings are: closed forms of the misfit, and what encoder noise adds to it."""
+
+from copy import copy
+from dataclasses import replace
+from types import SimpleNamespace
+
+from discrepancy_runs import as_believed, driven_motion, likelihood_of, retuned_of
+from gms_flex_control.discrepancy.likelihood import Likelihood, with_effect
+from gms_flex_control.discrepancy.null_simulation import null_simulation
+from gms_flex_control.discrepancy.residuals import unexplained
+from gms_flex_control.hidden.cases import make_case
+from gms_flex_control.params.robot import EffectSpec
+import numpy as np
+import pytest
+
+
+@pytest.fixture(scope='module')
+def likelihood(robot, gains):
+    """Return the Likelihood of a clean run through encoders."""
+    return Likelihood([driven_motion(robot, gains, seed=1)], robot)
+
+
+GROUPS = np.repeat(np.arange(3), [50, 80, 100])
+
+
+def grouped():
+    """Return what the misfit needs of a Likelihood: three groups of rows."""
+    given = SimpleNamespace(group=GROUPS, count=np.bincount(GROUPS).astype(float))
+    given.noise_levels = lambda sums: Likelihood.noise_levels(given, sums)
+    return given
+
+
+def test_the_misfit_is_twice_the_log_likelihood_of_normal_rows():
+    """
+    Of rows with a standard deviation s: sum(y^2 / s^2 + log s^2), s^2 = mean(y^2) or 1 if less.
+
+    Less is none: nothing is quieter than null simulations.
+    """
+    rng, given = np.random.default_rng(0), grouped()
+    rows = rng.standard_normal(len(GROUPS)) * np.array([0.5, 2.0, 7.0])[GROUPS]
+    sums = np.bincount(GROUPS, rows ** 2)
+    expected = sum(np.sum(rows[GROUPS == g] ** 2 / s2 + np.log(s2)) for g, s2 in enumerate(
+        np.maximum(sums / given.count, 1.0)))
+    assert Likelihood.misfit(given, sums) == pytest.approx(expected, rel=1e-12)
+    several = Likelihood.misfit(given, np.stack([sums, 2.0 * sums]))
+    assert several[0] == pytest.approx(expected) and several[1] > several[0]
+
+
+def test_groups_below_their_noise_count_as_least_squares():
+    """And where all levels are below 1 the misfit is the sum of squares itself."""
+    given, sums = grouped(), np.array([49.0, 3.0, 99.9])
+    assert Likelihood.misfit(given, sums) == pytest.approx(sums.sum(), rel=1e-12)
+    np.testing.assert_array_equal(Likelihood.weights(given, sums), np.ones(len(GROUPS)))
+
+
+@pytest.mark.parametrize('levels', [(0.3, 0.9, 0.99), (1.5, 0.5, 30.0), (1e-3, 1e3, 2.0)])
+def test_weights_are_the_derivative_of_the_misfit_by_squares(levels):
+    given = grouped()
+    sums = np.array(levels) * given.count
+    weights = Likelihood.weights(given, sums)
+    for g in range(3):
+        step = 1e-5 * given.count * max(levels[g], 0.1) * (np.arange(3) == g)
+        slope = (Likelihood.misfit(given, sums + step) - Likelihood.misfit(given, sums - step)
+                 ) / (2.0 * step[g])
+        np.testing.assert_allclose(weights[g == GROUPS], slope, rtol=1e-5)
+
+
+def test_one_octave_that_is_noisy_does_not_hide_the_others(likelihood):
+    """Ten times the noise in a group costs its own rows their weight, and no other."""
+    model = as_believed(likelihood)
+    loudest = int(np.argmax(likelihood.count))
+    rows = np.where(likelihood.group == loudest, 10.0, 1.0) * model.rows
+    before, after = (likelihood.weights(likelihood.sums(one, model.robot, model.x).groups)
+                     for one in (model.rows, rows))
+    same = likelihood.group != loudest
+    np.testing.assert_allclose(after[same], before[same])
+    assert np.all(after[~same] < 0.05)
+
+
+def test_fresh_clean_runs_have_unit_variance(likelihood, robot):
+    """Of another seed than those the measure was taken from; so is the recording itself."""
+    zero = np.zeros(len(likelihood.nuisances))
+    constants, whitening = likelihood.constants(robot, zero), likelihood.whitenings[0]
+    fresh = null_simulation(likelihood.motions[0], constants, np.random.default_rng([0, 99]))
+    level = np.mean(likelihood.clean ** 2)  # the floor is white noise that is not in them
+    for motion in (fresh, likelihood.motions[0]):
+        rows = whitening.rows_of(unexplained(motion, constants))
+        rows = rows[np.any(rows, axis=1)]
+        assert 0.6 < rows.var() / level < 1.6
+    assert 0.2 < level < 1.3
+
+
+def test_every_row_has_a_group_a_block_and_an_equation(likelihood):
+    assert likelihood.count.sum() == len(likelihood.group) == len(as_believed(likelihood).rows)
+    assert np.all(likelihood.count > 0)
+    for g in range(len(likelihood.count)):  # one equation and one octave each
+        mine = likelihood.group == g
+        assert len(set(likelihood.channel[mine])) == len(set(likelihood.part[mine])) == 1
+    assert set(likelihood.block) == set(range(likelihood.blocks))
+    assert set(likelihood.channel) == set(range(4))
+
+
+def test_priors_pull_known_parameters_by_their_standard_deviation(likelihood):
+    """A move by two standard deviations costs four, beside what the rows say of it."""
+    model = as_believed(likelihood)
+    for i in (0, 3):
+        x = 2.0 * likelihood.sd * (np.arange(len(likelihood.sd)) == i)
+        sums = likelihood.sums(model.rows, model.robot, x)
+        assert sums.cost - likelihood.misfit(sums.groups) == pytest.approx(4.0)
+    wide = likelihood_of(make_case('clean', 3, duration=3.0), widened=3.0)
+    usual = likelihood_of(make_case('clean', 3, duration=3.0))
+    np.testing.assert_allclose(wide.sd, 3.0 * usual.sd)
+
+
+def test_known_parameters_of_a_clean_run_stay_where_they_are(likelihood):
+    """Each number that is fitted to noise gains one, to a few times the deviation of that."""
+    model, _ = retuned_of(likelihood)
+    count = len(likelihood.nuisances)
+    assert as_believed(likelihood).cost - model.cost < count + 3.0 * np.sqrt(2.0 * count)
+    assert np.mean(model.rows ** 2) < 1.3 * np.mean(likelihood.clean ** 2)
+
+
+def test_slopes_are_the_derivative_of_the_cost(likelihood):
+    """Finite differences of the cost against rows, weights, and what encoder noise adds."""
+    x = 0.5 * likelihood.sd * np.random.default_rng(2).uniform(-1.0, 1.0, len(likelihood.sd))
+    model = likelihood.fitted(likelihood.robot, x)
+    columns = likelihood.columns(model.robot, x, model.rows)
+    slopes = likelihood.slopes(columns, model, likelihood.weights(model.sums.groups))
+    slopes -= x / likelihood.sd ** 2
+    told = []
+    for i in range(len(x)):
+        step = 0.02 * likelihood.sd[i] * (np.arange(len(x)) == i)
+        ends = [likelihood.fitted(model.robot, x + sign * step).cost for sign in (1.0, -1.0)]
+        told.append((ends[1] - ends[0]) / (4.0 * step[i]))  # downhill, of half the cost
+    told, size = np.array(told) * likelihood.sd, slopes * likelihood.sd
+    np.testing.assert_allclose(size, told, atol=0.05 * np.abs(told).max() + 0.05)
+
+
+@pytest.mark.parametrize(('name', 'nuisance'), [
+    ('motor_inertia_error', 'motor_inertia'), ('stiffness_error', 'stiffness')])
+def test_the_same_robot_costs_the_same_however_it_is_said(robot, gains, name, nuisance):
+    """An error of a parameter that its nuisance makes good leaves robot and cost as they are."""
+    coarse = replace(robot, encoder=replace(robot.encoder, counts=8192.0))
+    likelihood = Likelihood([driven_motion(coarse, gains)], robot)
+    ratio, index = -0.04, [one.name for one in likelihood.nuisances].index(nuisance)
+    x = np.zeros(len(likelihood.nuisances))
+    plain = likelihood.fitted(robot, x)
+    spec = EffectSpec(name=name, joint=robot.joints[likelihood.nuisances[index].joint],
+                      values=(ratio,))
+    likelihood.learn_noise(replace(spec, values=(0.1,)), [(0, (0.1,))])
+    same = with_effect(robot, spec)
+    x[index] = 1.0 / (1.0 + ratio) - 1.0
+    other = likelihood.fitted(same, x)
+    np.testing.assert_allclose(other.rows, plain.rows, atol=1e-6)
+    misfits = [likelihood.misfit(one.sums.groups) for one in (plain, other)]
+    weight = likelihood.weights(plain.sums.groups)  # what noise adds by it, not made good
+    noise = abs(2.0 * likelihood.noise_slopes(plain, weight)[index] * x[index])
+    assert noise > 1.0
+    assert misfits[1] == pytest.approx(misfits[0], abs=0.1 * noise)
+
+
+def test_what_sticks_is_measured_by_the_noise_of_what_sticks():
+    """
+    A motor that holds by dry friction creeps unseen: the true model misses torque there.
+
+    By the noise of the robot as believed that is much, and looks like further effects.
+    """
+    case = make_case('single', 45, duration=20.0)
+    likelihood = likelihood_of(case)
+    true = likelihood.fitted(case.truth.robot, np.zeros(len(likelihood.nuisances)))
+    settled = likelihood.simulated_as(true)
+    again = settled.fitted(true.robot, true.x)
+    levels = [np.mean(model.rows ** 2) / np.mean(one.clean ** 2)
+              for one, model in ((likelihood, true), (settled, again))]
+    assert levels[0] > 5.0 and levels[1] < 1.5
+
+
+def test_torque_noise_that_is_told_is_that_of_the_rows(likelihood):
+    """White noise of a size per sample, through the filter of the equations: in all channels."""
+    noisy = copy(likelihood)
+    noisy.noise = np.full_like(likelihood.noise, 0.01)
+    torque = noisy.torque_noise(0, np.random.default_rng(0))
+    motion = likelihood.motions[0]
+    impulse = np.zeros((len(motion.fine_time), 2))
+    impulse[len(impulse) // 2] = 1.0
+    # one impulse reaches samples of the equations by its distance: the mean over all distances
+    gain = np.sum([np.sum(motion.through_filter(np.roll(impulse, k, axis=0))[:, 0] ** 2)
+                   for k in range(motion.factor)])
+    np.testing.assert_allclose(torque.std(axis=0), 0.01 * np.sqrt(gain), rtol=0.05)

@@ -1,0 +1,97 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Torque noise of drives that nobody recorded: measured, and no effect."""
+
+from dataclasses import replace
+
+from discrepancy_runs import likelihood_of, retuned_of
+from gms_flex_control.discrepancy.residuals import unexplained
+from gms_flex_control.discrepancy.result import COMPLETE, FOUND
+from gms_flex_control.discrepancy.thresholds import PRACTICAL
+from gms_flex_control.discrepancy.workflow import discrepancy
+from gms_flex_control.hidden.cases import make_case
+from gms_flex_control.params.robot import EffectSpec
+import numpy as np
+import pytest
+
+SHORT = 20.0  # [s]
+
+
+@pytest.mark.parametrize('population', ['noise_3', 'noise_6'])
+@pytest.mark.parametrize('seed', [0, 4])
+def test_white_torque_noise_is_measured(seed, population):
+    """To a quarter of its size per sample, on each motor."""
+    case = make_case('clean', seed, population=population, duration=SHORT)
+    likelihood = likelihood_of(case)
+    model, _ = retuned_of(likelihood)
+    told = likelihood.white_noise(model)[0, likelihood.robot.n_joints:]
+    np.testing.assert_allclose(told, case.truth.torque_noise, rtol=0.25)
+
+
+def test_of_drives_without_noise_next_to_none_is_told():
+    """Less than half a percent of F_s, which is a twelfth of what noisy drives have."""
+    case = make_case('clean', 4, duration=SHORT)
+    likelihood = likelihood_of(case)
+    told = likelihood.white_noise(retuned_of(likelihood)[0])[0]
+    assert np.all(told[2:] < 0.005 * case.nominal.friction.forward.static)
+
+
+def test_noise_that_was_measured_is_not_measured_again():
+    """With it in the null simulations the recording is as loud as they are."""
+    case = make_case('clean', 4, population='noise_6', duration=SHORT)
+    likelihood = likelihood_of(case)
+    noisy = likelihood.with_noise(likelihood.white_noise(retuned_of(likelihood)[0]))
+    model, _ = retuned_of(noisy)
+    assert np.mean(model.rows ** 2) == pytest.approx(np.mean(noisy.clean ** 2), rel=0.3)
+    np.testing.assert_allclose(noisy.white_noise(model)[0, 2:], case.truth.torque_noise, rtol=0.25)
+
+
+@pytest.mark.parametrize(('seed', 'population'), [
+    (0, 'noise_3'), (4, 'noise_6'), (5, 'noise_6_coloured'), (6, 'noise_6_coloured')])
+def test_a_robot_with_noisy_drives_lacks_nothing(seed, population):
+    case = make_case('clean', seed, population=population, duration=SHORT)
+    result = discrepancy([case.recording], case.nominal)
+    assert (result.verdict, result.named) == (COMPLETE, ()), result.words
+    told = {one.joint: one for one in result.noise if one.equation == 'motor'}
+    assert set(told) == set(case.nominal.joints)
+    assert 'Torque noise of the recording' in result.words
+    if population != 'noise_6_coloured':
+        assert {one.colour for one in told.values()} == {'white'}
+        np.testing.assert_allclose([told[joint].per_sample for joint in case.nominal.joints],
+                                   case.truth.torque_noise, rtol=0.25)
+
+
+@pytest.mark.parametrize(('seed', 'effect'), [(3, 'backlash'), (8, 'motor_coulomb'),
+                                              (9, 'torque_ripple')])
+def test_an_effect_is_named_beside_noise(seed, effect):
+    case = make_case('single', seed, effect=effect, population='noise_6', duration=SHORT)
+    result = discrepancy([case.recording], case.nominal)
+    true, = case.truth.effects
+    first = result.named[0]
+    assert (first.effect, first.joint) == (true.name, true.joint)
+    assert first.values[0].value == pytest.approx(true.values[0], rel=0.15)
+    # what it explains of data held out [N m], joint by joint, against what matters in practice
+    explained = np.sqrt(np.maximum(result.gap.retuned ** 2 - result.gap.after ** 2, 0.0))
+    friction = case.nominal.friction.forward.coulomb
+    assert result.verdict == FOUND or np.all(explained < PRACTICAL * friction), result.words
+
+
+def test_two_gains_that_make_torques_small_are_not_named():
+    """
+    Half the torque constant, and inertia with it, would halve whatever noise leaves.
+
+    Residuals are those per unit of commanded torque, so nothing is gained by it.
+    """
+    case = make_case('clean', 2, population='noise_6', duration=SHORT)
+    likelihood = likelihood_of(case)
+    zero, n = np.zeros(len(likelihood.nuisances)), likelihood.robot.n_joints
+    weak = replace(likelihood.robot, effects=tuple(
+        EffectSpec(name='torque_gain', joint=joint, values=(-0.5,))
+        for joint in likelihood.robot.joints))
+    left = unexplained(likelihood.motions[0], likelihood.constants(weak, zero))
+    left[:, n:] /= 0.5  # of the motors, which the drives turn
+    np.testing.assert_allclose(likelihood.rows(weak, zero),
+                               likelihood.rows_of_torque([left]) - likelihood.usual, atol=1e-9)
+    result = discrepancy([case.recording], case.nominal)
+    assert result.named == (), result.words

@@ -1,0 +1,76 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Null simulations: a recording's motion as the model would have made it."""
+
+from dataclasses import replace
+
+from core_runs import single_axis
+from discrepancy_runs import as_believed, driven_motion
+from gms_flex_control.discrepancy.likelihood import Likelihood
+from gms_flex_control.discrepancy.motion import make_motion, motion_of
+from gms_flex_control.discrepancy.null_simulation import null_simulation
+from gms_flex_control.discrepancy.residuals import unexplained
+from gms_flex_control.hidden.cases import make_case
+from gms_flex_control.params.friction import FrictionParams, StribeckParams
+from gms_flex_control.params.robot import EffectSpec
+from gms_flex_control.simulation import plant
+import numpy as np
+import pytest
+from scipy.ndimage import uniform_filter1d
+
+
+def test_a_null_simulation_belongs_to_its_model_whatever_the_recording_held(ideal_robot, gains):
+    """
+    The recording holds backlash and a tenth of friction as bias; the simulated one neither.
+
+    Its motors stay within 20 mrad of the recording. Up to some 10 Hz, what the model leaves of
+    it is a tenth of what it left before; above there is the encoders' noise.
+    """
+    effects = (EffectSpec(name='backlash', joint='joint1', values=(0.005,)),
+               EffectSpec(name='motor_torque_bias', joint='joint2', values=(0.01,)))
+    motion = driven_motion(replace(ideal_robot, effects=effects), gains)
+    constants = plant.constants_of(ideal_robot)
+    again = null_simulation(motion, constants, np.random.default_rng(0))
+    before, after = (np.sqrt(np.mean(uniform_filter1d(
+        unexplained(one, constants)[50:-50], 10, axis=0) ** 2, axis=0))
+        for one in (motion, again))
+    assert before[0] > 3e-3 and before[3] > 9e-3
+    assert np.all(after < 0.1 * before.max())
+    assert np.abs(again.readings - motion.readings)[:, 1].max() < 0.02
+    assert np.ptp(motion.readings[:, 1], axis=0).min() > 0.4
+
+
+@pytest.mark.parametrize('inertia', [0.11, 0.01, 0.0])
+def test_a_rigid_axis_is_held_on_its_motion_wherever_its_inertia_stands(inertia):
+    """Of link or rotor; friction is believed a fifth too small."""
+    friction = StribeckParams(coulomb=[0.1], static=[0.1], velocity=[0.1], viscous=[0.0])
+    friction = FrictionParams(forward=friction, backward=friction, stiffness=[[50.0]],
+                              weight=[[1.0]], attraction=[50.0])
+    robot = single_axis(friction, inertia, motor_inertia=0.11 - inertia)
+    time = np.arange(2500) * 2e-3
+    angle = 0.3 * np.sin(np.pi * time)
+    command = 0.125 * np.sign(np.cos(np.pi * time)) - 0.11 * np.pi ** 2 * angle
+    motion = make_motion(robot.joints, time, 2e-3, np.repeat(angle[:, None, None], 2, axis=1),
+                         command[:, None], np.zeros(len(time)), True, 'sine')
+    again = null_simulation(motion, plant.constants_of(robot), np.random.default_rng(0))
+    assert np.abs(again.readings - motion.readings).max() < 1e-3
+
+
+@pytest.mark.parametrize(('seed', 'gravity'), [(7, True), (10, True), (10, False)])
+def test_a_null_simulation_stands_where_the_recording_stood(seed, gravity):
+    """
+    Under a weight that makes it fall otherwise, and where a soft spring would let it creep.
+
+    The residual of the recording is then what that of such a run is: as large, level for level.
+    """
+    case = make_case('clean', seed, gravity=gravity, duration=40.0)
+    motion, robot = motion_of(case.recording, case.truth.robot), case.truth.robot
+    again = null_simulation(motion, plant.constants_of(case.nominal), np.random.default_rng(0))
+    assert np.abs(again.states - motion.states)[:, [0, 3]].max() < 0.02
+    assert motion.standing[motion.time > 1.0].mean() > 0.01
+    standing = motion.standing & again.standing
+    assert standing.sum() > 0.5 * motion.standing.sum()
+    alike = [Likelihood([motion], robot, seed) for seed in range(2)]
+    level = np.mean([np.mean(as_believed(one).rows ** 2) for one in alike])
+    assert level == pytest.approx(np.mean([np.mean(one.clean ** 2) for one in alike]), rel=0.1)

@@ -1,0 +1,218 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""What data held out say of effects: whether they help, how much, and what is but chance."""
+
+from copy import copy
+from dataclasses import replace
+from types import SimpleNamespace
+
+from discrepancy_runs import as_believed, likelihood_of, retuned_of
+from gms_flex_control.discrepancy.fitting import extended, fit
+from gms_flex_control.discrepancy.free_run import all_known, HORIZON
+from gms_flex_control.discrepancy.likelihood import Likelihood, with_effect
+from gms_flex_control.discrepancy.motion import motion_of
+from gms_flex_control.discrepancy.thresholds import PLAUSIBLE
+from gms_flex_control.discrepancy.validation import (
+    _innovation_cost,
+    farther,
+    FOLDS,
+    free_rms,
+    Gain,
+    gain_of,
+    gap_of,
+    torque_rms,
+)
+from gms_flex_control.discrepancy.workflow import discrepancy
+from gms_flex_control.hidden.cases import make_case
+from gms_flex_control.params.robot import EffectSpec
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+PERIOD = 2e-3
+
+
+@pytest.fixture(scope='module')
+def case():
+    """Return a robot whose spring is a quarter off, driven for 20 s."""
+    return make_case('single', 4, effect='stiffness_error', duration=20.0)
+
+
+@pytest.fixture(scope='module')
+def likelihood(case):
+    """Return its Likelihood, as believed."""
+    return likelihood_of(case)
+
+
+def gain_with(likelihood, spec):
+    """Return the Gain of an effect, fitted from a size, over the model without it."""
+    without, own = retuned_of(likelihood, PLAUSIBLE)
+    other = fit(likelihood, with_effect(likelihood.robot, spec), without.x, own,
+                plausible=PLAUSIBLE)
+    return gain_of(likelihood, (other, extended(likelihood, other, own, 0)), (without, own),
+                   other.rows - without.rows)
+
+
+def test_the_true_effect_gains_on_every_part_of_the_recording(case, likelihood):
+    true, = case.truth.effects
+    gain = gain_with(likelihood, replace(true, values=(0.5 * true.values[0],)))
+    assert gain.is_real and gain.nats > 1000.0 and gain.sigmas > 5.0
+    assert gain.blocks == likelihood.blocks
+
+
+@pytest.mark.parametrize(('name', 'values'), [
+    ('torque_ripple', (1e-4, 17.0, 0.3)), ('friction_asymmetry', (0.01,)),
+    ('motor_viscous', (1e-4,)), ('spring_cubic', (0.1,))])
+def test_an_effect_that_is_not_there_gains_nothing(name, values):
+    """Of a clean robot: whatever it is fitted to in some blocks of time is not in the others."""
+    likelihood = likelihood_of(make_case('clean', 5, duration=20.0))
+    gain = gain_with(likelihood, EffectSpec(name=name, joint='joint1', values=values))
+    assert not gain.is_real and gain.nats < 6.0
+
+
+@pytest.mark.parametrize(('seed', 'population'), [
+    (5, 'home'), (4, 'home'), (4, 'gaussian_beliefs')])
+def test_a_model_gains_nothing_over_itself(seed, population):
+    """Where known parameters are at the end of what is plausible, or beyond, as well."""
+    likelihood = likelihood_of(make_case('clean', seed, population=population, duration=20.0))
+    state = retuned_of(likelihood, PLAUSIBLE)
+    gain = gain_of(likelihood, state, state, np.ones(len(likelihood.group)))
+    assert abs(gain.nats) < 1.0 and not gain.is_real
+
+
+@pytest.mark.parametrize(('gain', 'expected'), [
+    (Gain(50.0, 5.0, 10), True), (Gain(50.0, 1.0, 10), False), (Gain(3.0, 5.0, 10), False),
+    (Gain(50.0, 0.5, 2), True), (Gain(-50.0, -5.0, 10), False)])
+def test_a_gain_is_real_that_is_large_and_not_of_one_block(gain, expected):
+    """Of an effect that acts in few blocks no standard error is known."""
+    assert gain.is_real is expected
+
+
+def test_a_perfect_model_is_at_its_floor(case):
+    """Torque and free runs of the true robot, against those of its null simulations."""
+    likelihood = Likelihood([motion_of(case.recording, case.truth.robot)], case.truth.robot)
+    model, columns = retuned_of(likelihood, 0.0)
+    gap = gap_of(likelihood, (model, columns), (model, columns))
+    np.testing.assert_allclose(torque_rms(likelihood, model), gap.floor, rtol=0.3)
+    np.testing.assert_allclose(free_rms(likelihood, model), gap.free_floor, rtol=0.5)
+    np.testing.assert_allclose(gap.before, gap.floor, rtol=0.3)
+    assert abs(gap.free_farther) < 2.0
+
+
+def test_a_wrong_model_is_far_above_its_floor(case, likelihood):
+    believed, j = as_believed(likelihood), case.nominal.joints.index(case.truth.effects[0].joint)
+    true = likelihood.fitted(replace(case.nominal, effects=case.truth.effects), believed.x)
+    assert torque_rms(likelihood, believed)[j] > 10.0 * torque_rms(likelihood, true)[j]
+    assert free_rms(likelihood, believed)[j] > 10.0 * free_rms(likelihood, true)[j]
+
+
+def test_one_run_that_slips_is_no_matter_of_all_of_them():
+    """A hundred runs that stray by a tenth less, one of which strays ten times as far."""
+    rng = np.random.default_rng(0)
+    before = rng.uniform(0.5, 1.5, (100, 2))
+    slipped, worse = 0.9 * before, 1.1 * before
+    slipped[7] *= 10.0
+    assert -20.0 < farther(before, slipped) < 1.0
+    assert farther(before, worse) > 10.0
+    assert farther(before, before) == 0.0
+
+
+def test_free_runs_do_not_cross_holes():
+    """A line through half a second that nobody saw is no motion."""
+    case = make_case('clean', 3, duration=20.0)
+    recording = case.recording
+    hole = (recording.time > 6.6) & (recording.time < 7.1)
+    with_hole = replace(recording, **{
+        name: np.where(hole[:, None], np.nan, getattr(recording, name))
+        for name in ('q_link', 'q_motor', 'dq_link', 'dq_motor')})
+    errors = []
+    for one in (recording, with_hole):
+        likelihood = Likelihood([motion_of(one, case.nominal)], case.nominal)
+        errors.append(free_rms(likelihood, as_believed(likelihood)))
+    assert np.all(errors[1] < 1.5 * errors[0])
+    nothing, motion = copy(likelihood), likelihood.motions[0]
+    nothing.motions = (replace(motion, known=np.zeros_like(motion.known)),)
+    assert np.all(np.isnan(free_rms(nothing, as_believed(likelihood))))
+
+
+@pytest.mark.parametrize('unread', [slice(None, 1), slice(-1, None), slice(100, 110)])
+def test_a_run_is_known_if_all_its_samples_were_read(unread):
+    time = 0.01 * np.arange(300)
+    motion = SimpleNamespace(time=time, known=np.ones(300, dtype=bool))
+    motion.known[unread] = False
+    starts = 0.5 * np.arange(6) - 0.004
+    expected = [np.all(motion.known[(time >= start) & (time < start + HORIZON)])
+                for start in starts]
+    assert not all(expected)
+    assert list(all_known(motion, starts)) == expected
+
+
+@pytest.mark.parametrize('durations', [(2.2,), (4.3,), (9.1,), (6.0, 6.0, 6.0)])
+def test_all_of_every_recording_is_left_out_once_and_never_all_at_a_time(durations):
+    cases = [make_case('clean', 3, duration=duration) for duration in durations]
+    motions = [motion_of(case.recording, case.nominal) for case in cases]
+    likelihood = Likelihood(motions, cases[0].nominal)
+    folds = [likelihood.block % FOLDS == k for k in range(min(FOLDS, likelihood.blocks))]
+    assert len(folds) > 1 and np.all(np.sum(folds, axis=0) == 1)
+    for fold in folds:
+        assert 0 < fold.sum() <= 0.6 * len(fold)
+    assert [len(np.unique(block)) > 1 for block in likelihood.block_at] == [True] * len(motions)
+
+
+def test_a_stop_that_is_met_in_few_blocks_is_found():
+    """It acts in some blocks only, each of which is left out once."""
+    case = make_case('single', 32, effect='end_stop', duration=20.0)
+    stop, = case.truth.effects
+    result = discrepancy([case.recording], case.nominal)
+    assert [one.effect for one in result.findings] == ['end_stop'], result.words
+    joint = case.nominal.joints.index(stop.joint)
+    assert result.gap.after[joint] < 0.5 * result.gap.retuned[joint]
+    assert result.findings[0].held_out.blocks < result.behind.likelihood.blocks
+
+
+@pytest.fixture
+def noise():
+    """Return 20 s of two channels, each predicted from its past but for errors of 0.1 and 3."""
+    white = np.random.default_rng(0).standard_normal((10000, 2)) * [0.1, 3.0]
+    return lfilter([1.0], [1.0, -1.6, 0.8], white, axis=0)
+
+
+def test_the_cost_is_that_of_what_cannot_be_predicted(noise):
+    """The logarithm of the variance of both errors, as they do not depend on each other."""
+    usable = np.ones(len(noise), dtype=bool)
+    cost = _innovation_cost(noise, usable, PERIOD) / (len(noise) - 40)
+    assert cost == pytest.approx(2.0 * np.log(0.1 * 3.0), abs=0.05)
+    assert np.log(np.linalg.det(np.cov(noise.T))) > cost + 3.0
+
+
+def test_nothing_is_predicted_from_samples_that_are_not_known(noise):
+    usable = np.ones(len(noise), dtype=bool)
+    usable[3000:3010] = usable[7000:7500] = False
+    filled = np.where(usable[:, None], noise, 1e6)
+    assert _innovation_cost(filled, usable, PERIOD) == _innovation_cost(
+        noise, usable, PERIOD) != 0.0
+
+
+def test_a_short_recording_tells_nothing(noise):
+    assert _innovation_cost(noise[:200], np.ones(200, dtype=bool), PERIOD) == 0.0
+
+
+@pytest.mark.parametrize(('seed', 'effect'), [(86, 'input_delay'), (85, 'actuator_lag')])
+def test_a_delay_and_a_lag_are_told_apart_in_a_closed_loop(seed, effect):
+    """By residuals below 20 Hz, the delay of the first would be a lag of the same time."""
+    case = make_case('single', seed)
+    hidden, = case.truth.effects
+    assert hidden.name == effect and hidden.values[0] < 5e-3
+    result = discrepancy([case.recording], case.nominal)
+    first = result.findings[0]
+    assert (first.effect, first.joint) == (effect, hidden.joint)
+    assert next(iter(first.parameters.values())) == pytest.approx(hidden.values[0], rel=0.05)
+
+
+def test_a_delay_is_told_from_a_lag_beside_which_inertia_would_be_smaller():
+    """Errors of prediction are torques: with a lag, and 3 % less inertia, they are smaller."""
+    case = make_case('single', 49, motion='polynomial')
+    result = discrepancy([case.recording], case.nominal, holdout=[case.held_out])
+    assert [(one.effect, one.joint) for one in result.named] == [('input_delay', 'joint1')] == [
+        (one.name, one.joint) for one in case.truth.effects]

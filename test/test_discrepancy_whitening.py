@@ -1,0 +1,117 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""The measure of residuals: octaves that lose nothing, rows that are white and of one size."""
+
+from gms_flex_control.discrepancy.whitening import Octaves, Whitening
+import numpy as np
+import pytest
+from scipy.ndimage import uniform_filter1d
+
+
+@pytest.fixture(scope='module')
+def octaves():
+    return Octaves(320, 4)
+
+
+def numbers_of(octaves, signals):
+    return octaves(np.fft.fft(signals, axis=0))
+
+
+def test_numbers_are_a_turned_view_of_the_samples(octaves):
+    """The transform of the unit matrix is orthonormal: all is kept, nothing told twice."""
+    matrix = numbers_of(octaves, np.eye(320))
+    np.testing.assert_allclose(matrix @ matrix.T, np.eye(320), atol=1e-12)
+    assert [len(part) for part in octaves.parts] == [160, 80, 40, 20, 20]
+
+
+@pytest.mark.parametrize('part', range(5))
+def test_a_tone_is_found_in_its_octave(octaves, part):
+    """In the middle of a band, whose edges are those of halved sampling rates."""
+    highest = 0.5 / 2 ** part
+    frequency = round((0.75 if part < 4 else 0.5) * highest * 320) / 320
+    tone = np.sin(2.0 * np.pi * frequency * np.arange(320) + 0.3)[:, None]
+    numbers = numbers_of(octaves, tone)[:, 0]
+    assert np.sum(numbers[octaves.parts[part]] ** 2) > 0.99 * np.sum(tone ** 2)
+
+
+@pytest.mark.parametrize('moment', [100, 101, 163])
+def test_a_knock_is_found_where_it_was(octaves, moment):
+    """The mean time of its squares is that of the knock, to a number of each octave."""
+    knock = np.zeros((320, 1))
+    knock[moment] = 1.0
+    squares = numbers_of(octaves, knock)[:, 0] ** 2
+    for part, spacing in zip(octaves.parts, octaves.spacings, strict=True):
+        mean = squares[part] @ octaves.time[part] / squares[part].sum()
+        assert abs(mean - moment) <= spacing
+
+
+def test_the_spread_of_coloured_noise_is_foreseen(octaves):
+    """Many runs of noise behind a difference, whose power is 4 sin(w / 2)^2."""
+    power = 4.0 * np.sin(np.pi * np.arange(320) / 320)[:, None] ** 2
+    white = np.random.default_rng(3).standard_normal((320, 2000))
+    numbers = numbers_of(octaves, white - np.roll(white, 1, axis=0))
+    for part, foreseen in zip(octaves.parts, octaves.spread(power), strict=True):
+        assert np.mean(numbers[part] ** 2) == pytest.approx(foreseen[0], rel=0.05)
+
+
+def test_rows_of_even_noise_are_white_and_of_unit_variance():
+    """Coloured noise that two equations share: rows of a run that was not measured are plain."""
+    rng, period = np.random.default_rng(0), 4e-3
+    white = rng.standard_normal((7, 10000, 2)) @ [[1.0, 0.8], [0.0, 0.5]]
+    noise = white - 0.9 * np.roll(white, 1, axis=1)
+    noise[..., 1] = uniform_filter1d(noise[..., 1], 5, axis=1)
+    whitening = Whitening(noise[:6], period, np.zeros(2), np.ones(noise.shape[1:], dtype=bool))
+    rows = whitening.rows_of(noise[6])
+    rows = rows[np.any(rows, axis=1)]
+    assert np.all(np.abs(rows.var(axis=0) - 1.0) < 0.15)
+    allowed = 4.0 / np.sqrt(len(rows)) + 0.03
+    for lag in (1, 2, 3, 10):
+        assert np.all(np.abs(np.mean(rows[lag:] * rows[:-lag], axis=0)) < allowed)
+    assert abs(np.mean(rows[:, 0] * rows[:, 1])) < allowed
+    assert np.mean(np.abs(rows) > 1.96) == pytest.approx(0.05, abs=0.02)
+
+
+def test_where_an_equation_tells_nothing_its_residual_counts_nothing():
+    """A torque of a thousand times the noise while a link stands changes no row elsewhere."""
+    noise = np.random.default_rng(2).standard_normal((7, 10000, 1))
+    seen = np.ones((10000, 1), dtype=bool)
+    seen[4000:6000] = False
+    whitening = Whitening(noise[:6], 4e-3, np.zeros(1), seen)
+    stuck = noise[6].copy()
+    stuck[4000:6000] += 1000.0
+    rows = whitening.rows_of(stuck)
+    np.testing.assert_allclose(rows, whitening.rows_of(noise[6]), rtol=1e-9, atol=1e-9)
+    inside = (whitening.row_time > 16.01) & (whitening.row_time < 23.99)
+    told = rows[~inside & np.any(rows, axis=1)]
+    assert not np.any(rows[inside]) and told.var() == pytest.approx(1.0, abs=0.2)
+
+
+def test_slow_noise_of_rests_does_not_hide_what_is_slow_in_motion():
+    """
+    Torque as large as white noise, which at rest wanders slowly by twenty times as much.
+
+    In motion alone its rows would have the squares of its samples; weighed by what noise is on
+    average, a thousandth of them.
+    """
+    rng, period = np.random.default_rng(5), 4e-3
+    noise = rng.standard_normal((7, 15000, 1))
+    slow = uniform_filter1d(rng.standard_normal(noise.shape), 250, axis=1)
+    resting = (np.arange(15000) % 3000 < 900)[:, None]
+    noise += 20.0 * slow / slow.std() * uniform_filter1d(resting.astype(float), 100, axis=0)
+    whitening = Whitening(noise[:6], period, np.zeros(1), np.ones(noise.shape[1:], dtype=bool))
+    torque = np.sign(np.sin(2.0 * np.pi * 0.2 * period * np.arange(15000)))[:, None]
+    assert np.sum(whitening.rows_of(torque) ** 2) > 0.1 * np.sum(torque[~resting] ** 2)
+    rows = whitening.rows_of(noise[6])
+    assert rows[np.any(rows, axis=1)].var() == pytest.approx(1.0, abs=0.25)
+
+
+def test_a_floor_makes_all_below_it_small():
+    """Noise a tenth of the floor counts a hundredth; noise far above is hardly changed."""
+    noise = np.random.default_rng(1).standard_normal((7, 10000, 1))
+    share = 20.0 / 125.0  # of the power of white noise that lies below 20 Hz
+    for floor, level in ((10.0, 0.01), (0.1, 1.0)):
+        whitening = Whitening(noise[:6], 4e-3, np.array([floor * np.sqrt(share)]),
+                              np.ones(noise.shape[1:], dtype=bool))
+        whitening.scale[:] = 1.0
+        assert whitening.rows_of(noise[6]).var() == pytest.approx(level, rel=0.1)
