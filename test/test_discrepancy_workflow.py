@@ -353,7 +353,8 @@ def test_moves_and_rests_alone_of_a_robot_that_lacks_nothing():
 def test_more_noise_than_drives_have_is_unexplained(monkeypatch, rms, expected):
     """A tenth of Coulomb friction, behind the low-pass."""
     monkeypatch.setattr(workflow, 'signature_of', lambda likelihood, model, share, free: share)
-    likelihood = SimpleNamespace(coulomb=np.full(1, 0.1), clean_torque=lambda: np.zeros(2),
+    likelihood = SimpleNamespace(unseen=set(), coulomb=np.full(1, 0.1),
+                                 clean_torque=lambda: np.zeros(2),
                                  excess_torque=lambda model: np.array([rms, 0.0]))
     left = workflow._left_over(likelihood, None, None, SimpleNamespace(energy_ratio=2.0))
     assert (left == 1.0) is expected

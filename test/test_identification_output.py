@@ -67,7 +67,7 @@ def test_friction_yaml_loads_after_the_robot_file_and_equals(tmp_path, joints):
 def test_friction_yaml_holds_friction_alone_and_no_empty_blocks(tmp_path):
     write_friction(identification(), tmp_path / 'friction.yaml')
     names = {name.split('.')[0] for name in read_parameters(tmp_path / 'friction.yaml')}
-    assert names == {'joints', 'motors', 'friction'}
+    assert names == {'joints', 'motors', 'friction', 'uncertainty'}
     weights = friction_values(identification())['friction.joint1.weight']
     assert len(weights) == 6 and 0.0 not in weights
 

@@ -20,6 +20,7 @@ from gms_flex_control.discrepancy.likelihood import Fitted
 from gms_flex_control.discrepancy.result import Finding, Value
 from gms_flex_control.discrepancy.search import with_only
 from gms_flex_control.discrepancy.thresholds import (
+    BETTER,
     EVIDENCE,
     LARGEST_NOISE,
     PLAUSIBLE,
@@ -27,7 +28,6 @@ from gms_flex_control.discrepancy.thresholds import (
     RESEMBLES,
     TRIFLE,
     UNSEEN,
-    WORSE,
 )
 from gms_flex_control.discrepancy.validation import (
     energy_of,
@@ -174,8 +174,8 @@ def predictive(likelihood, found, worths, holdout=None):
                                                  if i != one.index])
             energies[one.index] = energy_of(likelihood, less.model, less.columns, holdout)
         worst = min(energies, key=energies.get)
-        if WORSE * energies[worst] > energy_of(likelihood, found.best.model, found.best.columns,
-                                               holdout):
+        now = energy_of(likelihood, found.best.model, found.best.columns, holdout)
+        if BETTER * energies[worst] > now:
             break
         found, worths = _pruned(likelihood, _dropped(likelihood, found, worst))
     return _alone(likelihood, found, worths, holdout)
@@ -187,8 +187,8 @@ def _alone(likelihood, found, worths, holdout):
     single = sorted((state for state in found.tried if len(state.key(known)) == 1),
                     key=lambda state: -state.evidence)[:_RUNNERS]
     energies = [energy_of(likelihood, state.model, state.columns, holdout) for state in single]
-    if not worths or not single or WORSE * min(energies) > energy_of(
-            likelihood, found.best.model, found.best.columns, holdout):
+    now = energy_of(likelihood, found.best.model, found.best.columns, holdout)
+    if not worths or not single or BETTER * min(energies) > now:
         return found, worths
     other = found._replace(best=single[int(np.argmin(energies))])
     other, others = _pruned(likelihood, other)

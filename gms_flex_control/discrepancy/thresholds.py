@@ -43,6 +43,10 @@ PLAUSIBLE = 2.0
 # Probability of the set of models that is reported.
 CREDIBLE = 0.95
 
+# Times by which squared held-out torque times squared free-run error must fall for fewer effects
+# to be preferred to those of most evidence: far beyond what chance does at the noise floor.
+BETTER = 2.0
+
 # Growth of squared free-run errors by which a model is worse: 1 % rms.
 WORSE = 1.02
 
