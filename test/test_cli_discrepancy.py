@@ -85,7 +85,7 @@ def test_the_closed_loop_of_the_other_motion_comes_closer(case, report, folder):
     assert loop['sources'] == [str(folder / 'held_out')]
     assert loop['after'][joint] < loop['retuned'][joint]
     assert max(loop['floor'][joint], loop['after'][joint]) < loop['before'][joint]
-    assert 'The closed loop, simulated anew' in report['words']
+    assert 'closed loop, simulated anew' in report['words']
     page = (folder / 'out' / 'report.html').read_text(encoding='utf-8')
     assert f'{joint}: closed loop, simulated - measured' in page
 
