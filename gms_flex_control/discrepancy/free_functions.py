@@ -14,7 +14,7 @@ from gms_flex_control.discrepancy.fitting import numbers_of, prior_of, values_of
 from gms_flex_control.discrepancy.likelihood import BLOCK
 from gms_flex_control.discrepancy.signature import of_others, variables
 from gms_flex_control.discrepancy.thresholds import EVIDENCE, PRACTICAL
-from gms_flex_control.discrepancy.validation import FOLDS, gain_over
+from gms_flex_control.discrepancy.validation import FOLDS, gain_over, log_density
 import numpy as np
 
 _KNOTS = 20           # of a function, even in the samples
@@ -24,7 +24,6 @@ _VARIABLES = ('time', 'link angle', 'link rate', 'torsion')
 _DIRECTED = ('time', 'link angle')  # multiplied by the direction of motion, too
 _LEAST = 3.0 * PRACTICAL  # of Coulomb friction: a function that is free fits some noise
 _WEIGHINGS = 3        # times that noise levels are taken anew
-_DEGREES = 4.0        # of freedom of Student's distribution
 
 
 class Free(NamedTuple):
@@ -179,9 +178,8 @@ class FreeFunctions:
                 scale = weight[left_out]
                 moved = (model.rows + step[:len(columns)] @ columns
                          + step[len(columns):] @ own)[left_out]
-                logs = 0.5 * np.log(scale) - 0.5 * (_DEGREES + 1.0) * np.log1p(
-                    moved ** 2 * scale / _DEGREES)
-                out += sign * np.bincount(likelihood.block[left_out], logs, likelihood.blocks)
+                out += sign * np.bincount(likelihood.block[left_out], log_density(moved, scale),
+                                          likelihood.blocks)
         return gain_over(out)
 
 

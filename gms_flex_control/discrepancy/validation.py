@@ -70,10 +70,14 @@ def predicted(likelihood, model, columns, plausible=np.inf):
     for left_out, step in _steps(likelihood, model, columns, weight, plausible):
         rows = model.rows[left_out] + step @ columns[:, left_out]
         scale = weight[left_out]
-        logs = 0.5 * np.log(scale) - 0.5 * (_DEGREES + 1.0) * np.log1p(
-            rows ** 2 * scale / _DEGREES)
-        out += np.bincount(likelihood.block[left_out], logs, minlength=likelihood.blocks)
+        out += np.bincount(likelihood.block[left_out], log_density(rows, scale),
+                           minlength=likelihood.blocks)
     return out
+
+
+def log_density(rows, weight):
+    """Return the logarithm of Student's density, but for a constant, of rows (R,) so weighted."""
+    return 0.5 * np.log(weight) - 0.5 * (_DEGREES + 1.0) * np.log1p(rows ** 2 * weight / _DEGREES)
 
 
 def _steps(likelihood, model, columns, weight, plausible=np.inf):

@@ -122,9 +122,7 @@ def effect_key(name, joints):
     if len(parts) != 4:
         raise ConfigError(f'{name} must have the form effects.<joint>.<effect>.<parameter>')
     _, joint, effect, parameter = parts
-    if joint not in (*joints, WHOLE_ARM):
-        raise ConfigError(f'{name}: unknown joint {joint!r}'
-                          f'{did_you_mean(joint, (*joints, WHOLE_ARM))}')
+    _require_place(name, joint, joints)
     try:
         kind = registry.find(effect)
     except ParameterError as error:
@@ -139,6 +137,13 @@ def effect_key(name, joints):
     entry = known[parameter]
     return Key(name, 'double', entry.description, entry.unit, lower=entry.lower,
                upper=entry.upper)
+
+
+def _require_place(name, joint, joints):
+    """Raise ConfigError if a key's joint is none of the robot's, nor the whole arm."""
+    if joint not in (*joints, WHOLE_ARM):
+        raise ConfigError(f'{name}: unknown joint {joint!r}'
+                          f'{did_you_mean(joint, (*joints, WHOLE_ARM))}')
 
 
 def uncertainty_key(name, joints):
@@ -166,9 +171,7 @@ def uncertainty_key(name, joints):
     if len(parts) != 3:
         raise ConfigError(f'{name} must have the form uncertainty.<joint>.<kind>')
     _, joint, kind = parts
-    if joint not in (*joints, WHOLE_ARM):
-        raise ConfigError(f'{name}: unknown joint {joint!r}'
-                          f'{did_you_mean(joint, (*joints, WHOLE_ARM))}')
+    _require_place(name, joint, joints)
     if kind not in KINDS:
         raise ConfigError(f'{name}: unknown kind of parameter {kind!r}'
                           f'{did_you_mean(kind, KINDS)}; known: {", ".join(KINDS)}')
