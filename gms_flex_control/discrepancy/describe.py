@@ -97,10 +97,10 @@ def of_noise(noise):
 
 
 def of_withheld(gap):
-    """Return a sentence on effects that make free runs worse, by their Gap."""
-    return ('What is named here is not added to the model, which predicts motion better without: '
-            f'free-run errors would be {free_ratio(gap):.3g} times as large, residual torque '
-            f'{np.sqrt(gap.energy_ratio):.3g} times.')
+    """Return a sentence on effects that make prediction worse, by their Gap."""
+    return ('The model that is written lacks some of what is named here, since it predicts better '
+            f'without: with all of it free-run errors would be {free_ratio(gap):.3g} times as '
+            f'large, residual torque {np.sqrt(gap.energy_ratio):.3g} times.')
 
 
 def free_ratio(gap):
@@ -130,9 +130,16 @@ def paragraph(result, unseen=(), known_off=None):
     if result.verdict == BAD_DATA:
         return result.words
     parts = [*_verdict(result), *_remainder(result)]
+    if result.stand_ins:
+        parts.append('In the model that is written '
+                     f'{" and ".join(f"{one.name} of {one.joint}" for one in result.stand_ins)} '
+                     'take its place: motion is predicted better with them, but they explain '
+                     'less than some function of one variable does, so they only resemble it.')
     if result.withheld:
         parts.append(of_withheld(result.withheld))
     parts += [_gap(result), *_noise(result)]
+    if result.recordings:
+        parts.append(f'Unlike in the first recording: {"; ".join(result.recordings)}.')
     if unseen:
         lost = [name for name in names() if find(name).needs_link_encoder]
         parts.append(f'No link encoder of {", ".join(unseen)} was recorded: the link angle is '

@@ -14,7 +14,14 @@ from typing import NamedTuple
 from gms_flex_control.discrepancy.describe import evidence_of
 from gms_flex_control.discrepancy.dictionary import may_join
 from gms_flex_control.discrepancy.evidence import posterior, state_of
-from gms_flex_control.discrepancy.fitting import fit, numbers_of, prior_of, refitted, without
+from gms_flex_control.discrepancy.fitting import (
+    fit,
+    is_at_limit,
+    numbers_of,
+    prior_of,
+    refitted,
+    without,
+)
 from gms_flex_control.discrepancy.free_functions import FreeFunctions
 from gms_flex_control.discrepancy.likelihood import Fitted
 from gms_flex_control.discrepancy.result import Finding, Value
@@ -41,6 +48,7 @@ from gms_flex_control.identification.result import CONFIDENT
 import numpy as np
 
 _ALIKE = 0.96         # of what an effect explains: another that explains so much is alike
+_WEAKEST = 3          # effects of least held-out gain: whether fewer predict better
 _RUNNERS = 6          # hypotheses tried in the place of a finding
 _OF_INERTIA = ('inertia', 'motor_inertia', 'gravity')
 
@@ -53,6 +61,7 @@ class Worth(NamedTuple):
     share: float       # of its rows that nothing else can make
     loss: float        # cost of its absence, known parameters no farther off than plausible
     evidence: float    # 2 log evidence that it adds
+    outright: float    # likewise, known parameters no farther off than plausible without it
     gain: Gain         # on held-out blocks
     less: Fitted       # the model without it, known parameters plausible
     others: np.ndarray  # derivatives of that (C, R)
@@ -88,12 +97,14 @@ def worth_of(likelihood, found, i):
     limit = np.maximum(PLAUSIBLE, np.abs(model.x) / likelihood.sd)
     plausible = fit(likelihood, less.robot, model.x, others, plausible=limit)
     gain = gain_of(likelihood, (model, columns), (plausible, others), change, limit)
-    if find(spec.name).of_feedback and not _predicts(likelihood, found, spec, plausible):
+    if is_at_limit(spec, model.robot) or (find(spec.name).of_feedback and not _predicts(
+            likelihood, found, spec, plausible)):
         gain = gain._replace(nats=min(gain.nats, 0.0))
     evidence = found.best.evidence - state_of(likelihood, anything, others,
                                               found.hypotheses).evidence
     return Worth(i, likelihood.torque_rms(less, model), min(loss / own, 1.0) if own > 0.0 else 0.0,
-                 max(plausible.cost - model.cost, 0.0), evidence, gain, plausible, others)
+                 max(plausible.cost - model.cost, 0.0), evidence,
+                 evidence + plausible.cost - anything.cost, gain, plausible, others)
 
 
 def _beside(likelihood, model, less, others, change):
@@ -129,19 +140,20 @@ def judged(likelihood, found):
 
     Returns
     -------
-    Found, list of Worth, Free or None
+    Found, list of Worth, Free or None, Found
+        The last with effects that only resemble what is there as well.
 
     """
     found, worths = _pruned(likelihood, _timed(likelihood, found))
-    functions = FreeFunctions(likelihood)
+    functions, whole = FreeFunctions(likelihood), found
     while True:
         left = functions.left_in(found.best.model, found.best.columns, caution_of(likelihood))
         if not worths or left is None and not is_noisy(likelihood, found.best.model):
-            return found, worths, left
+            return found, worths, left, whole
         shares = [_share(functions, found.best.model.robot.effects[one.index], one, left)
                   for one in worths]
         if min(shares) > RESEMBLES:
-            return found, worths, left
+            return found, worths, left, whole
         worst = worths[int(np.argmin(shares))].index
         found, worths = _pruned(likelihood, _dropped(likelihood, found, worst))
 
@@ -169,7 +181,7 @@ def predictive(likelihood, found, worths, holdout=None):
     known = len(likelihood.robot.effects)
     while len(worths) > 1:
         effects, energies = found.best.model.robot.effects, {}
-        for one in worths:
+        for one in sorted(worths, key=lambda one: one.gain.nats)[:_WEAKEST]:
             less = with_only(found, likelihood, [i for i in range(known, len(effects))
                                                  if i != one.index])
             energies[one.index] = energy_of(likelihood, less.model, less.columns, holdout)
@@ -197,15 +209,17 @@ def _alone(likelihood, found, worths, holdout):
 
 def _share(functions, spec, one, left):
     """
-    Return the share of what there is to explain that an effect, a Worth, explains.
+    Return the share of the evidence there is for something that an effect, a Worth, has.
 
     Of what a free function would in its place; and of what is left over its own variable, where
     its shape is not that of what is there.
     """
     free = functions.best(one.less, one.others, spec.joint)
-    share = one.loss / max(free.gain, 1e-12)
+    if free.evidence <= 0.0:
+        return np.inf
+    share = one.outright / free.evidence
     if left is not None and left.joint == spec.joint and find(spec.name).evidence in left.variable:
-        share = min(share, one.loss / max(one.loss + left.gain, 1e-12))
+        share = min(share, one.outright / max(one.outright + left.evidence, 1e-12))
     return share
 
 
@@ -247,8 +261,9 @@ def _timed(likelihood, found):
                     spec, swapped.robot.effects[i]) for one in (model, swapped)], spec.joint)
             own, instead = costs.reshape(2, 2).sum(axis=1)
             if instead < own - 2.0 * (EVIDENCE + 2.0 * np.log(found.hypotheses)):
-                found = found._replace(best=state_of(likelihood, swapped, columns,
-                                                     found.hypotheses))
+                best = state_of(likelihood, swapped, columns, found.hypotheses)
+                found = found._replace(best=best, tried=(best, *_tried_without(
+                    likelihood, found, spec)))
                 break
     return found
 
@@ -273,12 +288,21 @@ def _pruned(likelihood, found):
 
 
 def _dropped(likelihood, found, index):
-    """Return the search's end without an effect, which no model that was tried has any more."""
+    """
+    Return the search's end without an effect, which no model that was tried has any more.
+
+    It goes on with the likeliest of the others: one of them may have what stood in its place.
+    """
     known, effects = len(likelihood.robot.effects), found.best.model.robot.effects
-    best = with_only(found, likelihood, [i for i in range(known, len(effects)) if i != index])
-    key = effects[index].name, effects[index].joint
-    return found._replace(best=best, tried=(
-        *(state for state in found.tried if key not in state.key(known)), best))
+    less = with_only(found, likelihood, [i for i in range(known, len(effects)) if i != index])
+    tried = (less, *_tried_without(likelihood, found, effects[index]))
+    return found._replace(best=max(tried, key=lambda state: state.evidence), tried=tried)
+
+
+def _tried_without(likelihood, found, spec):
+    """Return the States that were tried without an effect."""
+    known = len(likelihood.robot.effects)
+    return (state for state in found.tried if (spec.name, spec.joint) not in state.key(known))
 
 
 def findings_of(likelihood, found, worths, measured):

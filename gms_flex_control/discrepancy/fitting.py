@@ -13,6 +13,7 @@ import numpy as np
 
 _SWEEPS = 400                 # of descent by coordinates
 _SETTLED = 1e-10              # decrease of half the cost below which descent ends
+_RIDGE = 1e-10                # of the diagonal, where parameters are nearly one
 _STEP = 0.01                  # of a value, for its derivative
 _ANGLES = {'phase': 0.02, 'direction': 0.02, 'order': 0.02}
 _REACH, _ANGLE_REACH = 60.0, 25.0  # largest change at once, in steps
@@ -65,8 +66,8 @@ def solve(gram, right, lower, upper):
         rest = right[free] - gram[np.ix_(free, ~free)] @ fixed[~free]
         part = gram[np.ix_(free, free)]
         scale = 1.0 / np.sqrt(np.maximum(np.diag(part), 1e-300))
-        inside = scale * np.linalg.lstsq(part * np.outer(scale, scale), scale * rest,
-                                         rcond=1e-12)[0]
+        inside = scale * np.linalg.solve(
+            part * np.outer(scale, scale) + _RIDGE * np.eye(len(scale)), scale * rest)
         x[free], x[~free] = inside, fixed[~free]
         beyond = (x < lower) | (x > upper)
         if not beyond.any():

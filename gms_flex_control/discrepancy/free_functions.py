@@ -22,6 +22,7 @@ _OF_TIME = 12         # likewise, of time, at most
 # not of torque: a function of it may shrink the whole equation
 _VARIABLES = ('time', 'link angle', 'link rate', 'torsion')
 _DIRECTED = ('time', 'link angle')  # multiplied by the direction of motion, too
+_TIMES_DIRECTION = ' times the direction of motion'
 _LEAST = 3.0 * PRACTICAL  # of Coulomb friction: a function that is free fits some noise
 _WEIGHINGS = 3        # times that noise levels are taken anew
 
@@ -37,6 +38,16 @@ class Free(NamedTuple):
     variable: str
 
 
+class _Function(NamedTuple):
+    """The rows of one free function."""
+
+    joint: str
+    equation: str
+    variable: str
+    rows: np.ndarray     # (K, R) of its triangles
+    square: np.ndarray   # (K, K) mean products of the triangles
+
+
 class FreeFunctions:
     """
     The rows of all free functions.
@@ -50,38 +61,23 @@ class FreeFunctions:
 
     def __init__(self, likelihood):
         self._likelihood = likelihood
-        robot, self._all = likelihood.robot, []
+        robot = likelihood.robot
+        self._knots = [_knots(likelihood, j) for j in range(robot.n_joints)]
+        jobs = []
         for j, joint in enumerate(robot.joints):
-            values = [variables(motion, j) for motion in likelihood.motions]
-            moving = [_direction(one['link rate']) for one in values]
-            shapes = [(name, _hats([one[name] for one in values],
-                                   _knots_of_time(likelihood) if name == 'time' else _KNOTS))
-                      for name in _VARIABLES if not (name == 'torsion' and robot.arm.rigid[j])]
-            others = [of_others(motion, j) for motion in likelihood.motions]
-            shapes += [(name, _hats([one[name] for one in others], _KNOTS))
-                       for name in others[0] if name.startswith('link angle')]
-            shapes += [(f'{name} times the direction of motion',
-                        [hats * way[:, None] for hats, way in zip(own, moving, strict=True)])
-                       for name, own in shapes if name in _DIRECTED]
             for side, equation in enumerate(('link', 'motor')):
                 if equation == 'motor' and (robot.arm.rigid[j] or joint in likelihood.unseen):
                     continue
-                jobs = [(name, own, j + side * robot.n_joints) for name, own in shapes]
-                self._all += [(joint, equation, name, rows, torque) for (name, *_), (
-                    rows, torque) in zip(jobs, likelihood.pool.map(self._rows, jobs),
-                                         strict=True)]
+                jobs += [(j, equation, name, j + side * robot.n_joints)
+                         for name in self._knots[j]]
+        self._all = list(likelihood.pool.map(self._function, jobs))
 
-    def _rows(self, job):
-        """Return the rows (K, R) of hats (S, K) in a column of the residuals, and their gram."""
-        _, hats, column = job
-        likelihood, rows = self._likelihood, []
-        for k in range(hats[0].shape[1]):
-            torques = [np.zeros((len(own), 2 * likelihood.robot.n_joints)) for own in hats]
-            for torque, own in zip(torques, hats, strict=True):
-                torque[:, column] = own[:, k]
-            rows.append(likelihood.rows_of_torque(torques))
-        every = np.concatenate(hats)
-        return np.array(rows), every.T @ every / len(every)
+    def _function(self, job):
+        """Return a _Function, given its joint, equation, variable and column of the residuals."""
+        j, equation, name, column = job
+        likelihood, at = self._likelihood, self._knots[j][name]
+        rows, square = _rows(likelihood, likelihood.motions, j, name, at, column)
+        return _Function(likelihood.robot.joints[j], equation, name, rows, square)
 
     def best(self, model, columns, joint=None):
         """
@@ -101,27 +97,27 @@ class FreeFunctions:
         Free or None
 
         """
-        here = [one for one in self._all if joint in (None, 'arm', one[0])]
+        here = [one for one in self._all if joint in (None, 'arm', one.joint)]
         found = list(self._likelihood.pool.map(lambda one: self._gained(model, columns, one),
                                                here))
         return max(found, key=lambda one: one.evidence, default=None)
 
     def _gained(self, model, columns, one):
         """Return a function as a Free."""
-        joint, equation, name, rows, square = one
-        likelihood = self._likelihood
+        likelihood, rows = self._likelihood, one.rows
         step, _ = self._fitted(model, columns, rows, np.ones(len(model.rows), dtype=bool))
         weight = likelihood.weights(self._sums(model, columns, rows, step))
-        cost = likelihood.misfit(self._sums(model, columns, rows, step)) + self._prior(
-            model, step[:len(columns)])
-        size = np.full(len(rows), 1.0 / likelihood.level_of(joint) ** 2)
+        mine = step[:len(columns)]
+        cost = (likelihood.misfit(self._sums(model, columns, rows, step))
+                + self._prior(model, mine) - 2.0 * float(self._noise(model, weight) @ mine))
+        size = np.full(len(rows), 1.0 / likelihood.level_of(one.joint) ** 2)
         scaled = rows / np.sqrt(size)[:, None]
         _, occam = np.linalg.slogdet(np.eye(len(rows)) + (scaled * weight) @ scaled.T)
         own = step[len(columns):]
         before = likelihood.misfit(model.sums.groups) + self._prior(model, 0.0)
         gain = float(before - cost - np.sum(own ** 2 * size))
         return Free(gain - occam - 2.0 * np.log(len(self._all)), gain,
-                    float(np.sqrt(max(own @ square @ own, 0.0))), joint, equation, name)
+                    float(np.sqrt(max(own @ one.square @ own, 0.0))), *one[:3])
 
     def _prior(self, model, step):
         """Return -2 log prior of a model after a step of its own parameters."""
@@ -144,10 +140,16 @@ class FreeFunctions:
         for _ in range(_WEIGHINGS):
             weight = likelihood.weights(sums) * kept
             slope = -every @ (weight * model.rows) - (pull * values)[free]
+            slope[:free[:len(columns)].sum()] += self._noise(model, weight)[free[:len(columns)]]
             step[free] = np.linalg.lstsq((every * weight) @ every.T + np.diag(pull[free]), slope,
                                          rcond=1e-12)[0]
             sums = self._sums(model, columns, rows, step)
         return step, likelihood.weights(sums)
+
+    def _noise(self, model, weight):
+        """Return the slopes (C,) that encoder noise makes, which are no merit of a function."""
+        return self._likelihood.noise_slopes(model, weight, numbers_of(
+            self._likelihood, model.robot))
 
     def _sums(self, model, columns, rows, step):
         """Return the sums of a model after a step, what noise adds as it is (G,)."""
@@ -168,7 +170,7 @@ class FreeFunctions:
 
     def _held_out(self, model, columns, free):
         """Return what a Free adds to the log likelihood of blocks left out, a Gain."""
-        rows = next(one[3] for one in self._all
+        rows = next(one.rows for one in self._all
                     if one[:3] == (free.joint, free.equation, free.variable))
         likelihood, out = self._likelihood, np.zeros(self._likelihood.blocks)
         for sign, own in ((1.0, rows), (-1.0, rows[:0])):
@@ -183,20 +185,51 @@ class FreeFunctions:
         return gain_over(out)
 
 
-def _knots_of_time(likelihood):
-    """Return the knots of a function of time: a block left out must not hold one alone."""
-    longest = max(motion.time[-1] - motion.time[0] for motion in likelihood.motions)
-    return int(np.clip(longest / (2.0 * BLOCK), 3, _OF_TIME))
+def _values(motion, j):
+    """Return what a torque of joint ``j`` may be a function of, dict of str to (S,)."""
+    own = variables(motion, j)
+    return {name: own[name] for name in _VARIABLES} | {
+        name: values for name, values in of_others(motion, j).items()
+        if name.startswith('link angle')}
+
+
+def _knots(likelihood, j):
+    """Return the knots (K,) of the functions of joint ``j``, dict by variable."""
+    motions, rigid = likelihood.motions, likelihood.robot.arm.rigid[j]
+    longest = max(motion.time[-1] - motion.time[0] for motion in motions)
+    # a block of time that is left out must not hold a knot alone
+    counts = {'time': int(np.clip(longest / (2.0 * BLOCK), 3, _OF_TIME))}
+    values, found = [_values(motion, j) for motion in motions], {}
+    for name in values[0]:
+        if name == 'torsion' and rigid:
+            continue
+        every = np.concatenate([one[name] for one in values])
+        at = np.unique(np.quantile(every, np.linspace(0.0, 1.0, counts.get(name, _KNOTS))))
+        found[name] = at
+        if name in _DIRECTED or name not in _VARIABLES:
+            found[name + _TIMES_DIRECTION] = at
+    return found
+
+
+def _rows(likelihood, motions, j, name, at, column):
+    """Return the rows (K, R) of triangles about knots (K,), and their mean products (K, K)."""
+    hats = []
+    for motion in motions:
+        variable = name.removesuffix(_TIMES_DIRECTION)
+        own = np.stack([np.interp(_values(motion, j)[variable], at, unit)
+                        for unit in np.eye(len(at))], axis=1)
+        hats.append(own * _direction(motion.states[:, 1, j])[:, None]
+                    if variable != name else own)
+    rows = []
+    for k in range(len(at)):
+        torques = [np.zeros((len(own), 2 * likelihood.robot.n_joints)) for own in hats]
+        for torque, own in zip(torques, hats, strict=True):
+            torque[:, column] = own[:, k]
+        rows.append(likelihood.rows_of_torque(torques))
+    every = np.concatenate(hats)
+    return np.array(rows), every.T @ every / len(every)
 
 
 def _direction(rate):
     """Return the direction of motion (S,), smoothly through rest."""
     return np.tanh(rate / max(0.05 * float(np.sqrt(np.mean(rate ** 2))), 1e-12))
-
-
-def _hats(values, knots):
-    """Return triangles about knots of a variable, (S, K) for each recording."""
-    every = np.concatenate(values)
-    at = np.unique(np.quantile(every, np.linspace(0.0, 1.0, knots)))
-    return [np.stack([np.interp(own, at, unit) for unit in np.eye(len(at))], axis=1)
-            for own in values]

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import os
 from typing import NamedTuple
 
-from gms_flex_control.discrepancy.nuisance import nuisances_of, PRIOR, tuned
+from gms_flex_control.discrepancy.nuisance import nuisances_of, of_recordings, OfRecording, PRIOR, tuned
 from gms_flex_control.discrepancy.null_simulation import null_simulation
 from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.discrepancy.thresholds import LARGEST_NOISE, PRACTICAL_FLOOR
@@ -38,6 +38,8 @@ _LEAST_SCALE = 0.1     # of the torque that was commanded
 _FEWEST = 40           # rows of a group that tell a noise level
 _FAST_OCTAVES = 2      # highest ones: above 5 Hz
 _DRAWS = 4             # of unit noise
+_LOW = 4.0             # standard deviations of chi square: sums below are no merit of a model
+_MOST_ADDED = 1.0      # times what encoders add to the null simulations: more is not taken away
 _OCTAVES_OF_NOISE = 3  # highest ones, in which the quietest tells the white part of noise
 
 
@@ -91,15 +93,19 @@ class Likelihood:
         Of the null simulations.
     widened : float
         How many times as far off as usual known parameters may be.
+    held_out : bool
+        Whether models are fitted to other recordings: what is particular about these ones is
+        not known.
 
     """
 
-    def __init__(self, motions, robot, seed=0, widened=1.0):
+    def __init__(self, motions, robot, seed=0, widened=1.0, held_out=False):
         self.motions, self.robot, self._seed = tuple(motions), robot, seed
         prior = {kind: widened * sd for kind, sd in PRIOR.items()}
         stated = {(kind, robot.joints.index(joint) if joint in robot.joints else -1):
                   widened * sd for (kind, joint), sd in robot.uncertainty.items()}
-        self.nuisances = nuisances_of(plant.constants_of(robot), prior, stated)
+        self.nuisances = nuisances_of(plant.constants_of(robot), prior, stated) + (
+            () if held_out else of_recordings(self.motions, robot))
         self.sd = np.array([one.sd for one in self.nuisances])
         friction = robot.friction
         self.coulomb = 0.5 * (friction.forward.coulomb + friction.backward.coulomb)
@@ -154,12 +160,14 @@ class Likelihood:
         self._own = one - other
 
         def by_nuisance(i):
-            """Return how noise shows in the rows of a nuisance parameter, 0 if they are noise."""
+            """Return how noise shows in the rows of a nuisance parameter, and which rows tell it."""
             at = self._null_rows(robot, x + _STEP * (np.arange(len(x)) == i))
             noise = at[0] - at[1] - self._own
-            hidden = np.sum(noise ** 2) > 2.0 * _ALL_NOISE * np.sum((at[0] - one) ** 2)
-            return (0.0 if hidden else 1.0 / _STEP) * noise
-        self._by_nuisance = self.each(by_nuisance, range(len(x))).reshape(len(x), len(one))
+            hidden = (self._by_group(noise ** 2)
+                      > 2.0 * _ALL_NOISE * self._by_group((at[0] - one) ** 2))
+            return noise / _STEP, ~hidden[self.group]
+        self._by_nuisance, self._tells = np.moveaxis(
+            self.each(by_nuisance, range(len(x))).reshape(len(x), 2, len(one)), 1, 0)
         self._by_effect = {}  # (effect, joint): (parameters, R)
 
     def torque_noise(self, m, rng):
@@ -204,6 +212,7 @@ class Likelihood:
         self.channel = np.concatenate(channels)[self._used]
         self.part = np.concatenate(parts)[self._used]  # the octave, the highest first
         self.count = np.bincount(self.group).astype(float)
+        self._least = np.maximum(self.count - _LOW * np.sqrt(2.0 * self.count), 0.0)
         self.by_group = np.argsort(self.group, kind='stable')  # rows, group after group
         self.ends = np.concatenate([[0], np.cumsum(self.count)]).astype(int)
 
@@ -211,7 +220,8 @@ class Likelihood:
         """
         Return the white torque noise of each equation beyond that of the null simulations.
 
-        The quietest of the high octaves tells it: what is missing shows in some, noise in all.
+        The quietest of the high octaves tells it: what is missing shows in some, noise in all. It
+        is not more than drives make.
 
         Parameters
         ----------
@@ -247,7 +257,8 @@ class Likelihood:
                                       / _MEDIAN * (1.0 + 1.0 / np.sqrt(here.sum())))
                 if excess:
                     out[m, c] = np.sqrt(max(min(excess) + self.noise[m, c] ** 2, 0.0))
-        return out
+        most = LARGEST_NOISE * np.tile(self.coulomb, 2) / np.maximum(self.noise_response(), 1e-300)
+        return np.minimum(out, most)
 
     # --- what encoder noise adds to the sums, which a lighter arm would make smaller -----------
 
@@ -308,7 +319,9 @@ class Likelihood:
         ``exact``: what noise adds is simulated, not extrapolated from the null.
         """
         noise = self._differences(robot, x) if exact else self.noise_along(robot, x)
-        groups = self._by_group(rows ** 2 - 0.5 * (noise ** 2 - self._own ** 2))
+        added = 0.5 * self._by_group(noise ** 2 - self._own ** 2)
+        most = 0.5 * _MOST_ADDED * self._by_group(self._own ** 2)
+        groups = np.maximum(self._by_group(rows ** 2) - np.minimum(added, most), self._least)
         return Sums(groups, self.misfit(groups) + float(np.sum((x / self.sd) ** 2)))
 
     def misfit(self, sums):
@@ -333,11 +346,20 @@ class Likelihood:
         noise = 0.5 * weight * self.noise_along(model.robot, model.x)
         by_number = [np.sum(self.noise_rows(model.robot.effects[one.effect])[one.parameter]
                             * noise) for one in numbers]
-        return np.concatenate([self._by_nuisance @ noise, by_number])
+        return np.concatenate([(self._by_nuisance * self._tells) @ noise, by_number])
 
     def constants(self, robot, x):
         """Return the kernels' record of a robot with its nuisance parameters at ``x``."""
-        return tuned(plant.constants_of(robot), self.nuisances, x)
+        mine = x[:len(self.nuisances)]  # recordings held out have none of their own
+        return tuned(plant.constants_of(robot), self.nuisances, mine)
+
+    def recorded(self, motions, x):
+        """Return motions cleared of what nuisance parameters (P,) make particular about each."""
+        motions = list(motions)
+        for one, value in zip(self.nuisances, x, strict=False):
+            if value != 0.0 and isinstance(one, OfRecording):
+                motions[one.recording] = one.recorded(motions[one.recording], value)
+        return motions
 
     def _rows_of(self, residuals):
         """Return the rows (R,) that count of residuals (S, 2 n) of each recording."""
@@ -351,6 +373,7 @@ class Likelihood:
     def _residuals(self, motions, robot, x):
         """Return residual torques per unit of commanded torque, (S, 2 n) each."""
         scale, acting = np.ones(2 * robot.n_joints), []
+        motions = self.recorded(motions, x)
         for spec in robot.effects:
             kind = find(spec.name)
             shifted = [kind.torque_acted(motion.command, motion.fine_period, spec.values)
@@ -389,12 +412,16 @@ class Likelihood:
         return np.array(list(self.pool.map(function, jobs)))
 
     def columns(self, robot, x, rows):
-        """Return derivatives of the rows by the nuisance parameters, shape (P, R)."""
+        """
+        Return derivatives of the rows by the nuisance parameters, shape (P, R).
+
+        They are 0 in groups in which encoder noise shows more than the parameter does.
+        """
         def column(i):
             at = x.copy()
             at[i] += _STEP
             return (self.rows(robot, at) - rows) / _STEP
-        return self.each(column, range(len(x))).reshape(len(x), len(rows))
+        return self._tells * self.each(column, range(len(x))).reshape(len(x), len(rows))
 
     # --- torques -----------------------------------------------------------------------------
 
@@ -402,7 +429,8 @@ class Likelihood:
         """Return the residual torques of a model behind the low-pass, (S', 2 n) each [N m]."""
         constants = self.constants(model.robot, model.x)
         return [whitening.torque_rows(unexplained(motion, constants))
-                for motion, whitening in zip(self.motions, self.whitenings, strict=True)]
+                for motion, whitening in zip(self.recorded(self.motions, model.x),
+                                             self.whitenings, strict=True)]
 
     def excess_torque(self, model):
         """Return what a model leaves in motion beyond null simulations, rms (2 n,) [N m]."""

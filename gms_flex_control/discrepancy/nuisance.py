@@ -22,6 +22,25 @@ _CARRIED = ('coupling', 'moment')  # of links
 _PROBE = 0.01     # relative change that shows what effects make of them
 
 
+class _Kind(NamedTuple):
+    """One way in which recordings differ."""
+
+    sd: float             # of its prior, in units
+    least: float          # that is reported, in units
+    what: str
+    unit: str             # in which it is reported
+    factor: float         # of which one SI unit has so many
+
+
+# units: Coulomb friction, torque, a sample, and the torsion that ten times Coulomb friction makes
+OF_RECORDING = {
+    'torque_bias_of_recording': _Kind(0.05, 0.01, 'torque', 'N m', 1.0),
+    'torque_scale_of_recording': _Kind(0.01, 0.01, 'torque', '%', 100.0),
+    'delay_of_recording': _Kind(0.1, 0.1, 'torque', 'samples later', 1.0),
+    'zero_of_recording': _Kind(0.1, 0.001, 'zero of the link encoder', 'mrad', 1e3)}
+_ZEROS = 10.0
+
+
 class Nuisance(NamedTuple):
     """One relative change of known parameters."""
 
@@ -51,6 +70,80 @@ class RotorNuisance(NamedTuple):
         toward = constants.chain.inverse[self.joint]
         seen += value * own[self.joint] * np.outer(toward, toward)  # theta is not the joint's
         own[self.joint] *= 1.0 + value
+
+
+class OfRecording(NamedTuple):
+    """
+    What differs between the first recording and another: an encoder zero, torque, or its time.
+
+    Those of the first are the robot's as far as anybody can tell, and have effects with names.
+    """
+
+    name: str
+    joint: int
+    recording: int
+    sd: float             # standard deviation of its prior, in units
+    unit: float           # of the kind [rad], [N m], 1 or [samples]
+    fields = ()
+
+    def apply(self, constants, value):
+        """Leave a record of simulation.plant.constants_of as it is: no robot has it."""
+
+    def words(self, joints, value):
+        """Return ``value`` units in words, of a robot with ``joints``."""
+        kind = OF_RECORDING[self.name]
+        return (f'{kind.what} of {joints[self.joint]} {kind.factor * value * self.unit:+.3g} '
+                f'{kind.unit} in recording {self.recording + 1}')
+
+    def is_reported(self, value):
+        """Return whether ``value`` units matter."""
+        return abs(value) > OF_RECORDING[self.name].least
+
+    def recorded(self, motion, value):
+        """Return a Motion cleared of ``value`` units."""
+        size, j = value * self.unit, self.joint
+        if self.name == 'zero_of_recording':
+            states, fine, readings = (one.copy() for one in (
+                motion.states, motion.fine_states, motion.readings))
+            for angles in (states, fine, readings):
+                angles[:, 0, j] -= size
+            return replace(motion, states=states, fine_states=fine, readings=readings)
+        torque = motion.command.copy()
+        if self.name == 'torque_bias_of_recording':
+            torque[:, j] -= size
+        elif self.name == 'torque_scale_of_recording':
+            torque[:, j] /= 1.0 + size
+        else:  # held torques: a sample has the mean of what acted in it
+            torque[1:, j] += size * (motion.command[:-1, j] - motion.command[1:, j])
+        return motion.with_torque(torque)
+
+
+def of_recordings(motions, robot):
+    """
+    Return the nuisance parameters of all recordings but the first.
+
+    Parameters
+    ----------
+    motions : sequence of Motion
+        The recordings.
+    robot : RobotParams
+        As believed.
+
+    Returns
+    -------
+    tuple of OfRecording
+
+    """
+    level = 0.5 * (robot.friction.forward.coulomb + robot.friction.backward.coulomb)
+    unseen, found = {link.joint for motion in motions for link in motion.unseen}, []
+    for j in range(robot.n_joints):
+        kinds = [('torque_bias_of_recording', level[j]), ('torque_scale_of_recording', 1.0),
+                 ('delay_of_recording', 1.0)]
+        if not robot.arm.rigid[j] and j not in unseen:
+            kinds.append(('zero_of_recording', _ZEROS * level[j] / robot.arm.stiffness[j]))
+        found += [OfRecording(name, j, m, OF_RECORDING[name].sd, unit)
+                  for name, unit in kinds for m in range(1, len(motions))]
+    return tuple(found)
 
 
 def nuisances_of(constants, prior, stated=None):

@@ -102,9 +102,6 @@ class Gap:
         [rad]; before is re-tuned; NaN where no half second was read without a hole.
     energy_ratio : float
         Squared residual above the floor, after over re-tuned, all joints together.
-    free_farther : float
-        By how many standard errors of the mean of all runs their squares are larger after than
-        before; beside the rms, which one run that sticks or slips can make.
     closed_loop : ClosedLoop or None
         The closed loop of the recordings simulated anew; None where it was not asked for.
 
@@ -121,7 +118,6 @@ class Gap:
     free_after: np.ndarray
     free_floor: np.ndarray
     energy_ratio: float
-    free_farther: float = 0.0
     closed_loop: object = None
 
 
@@ -181,6 +177,9 @@ class Discrepancy:
         'complete', 'effects_found', 'unexplained' or 'bad_data'.
     findings, minor : tuple of Finding
         Effects that matter, the largest first, and small ones, which change no verdict.
+    stand_ins : tuple of EffectSpec
+        Effects in ``robot`` that only resemble what is missing: prediction is better with them,
+        but a free function of one variable explains more.
     models : tuple of Credible
         The sets of effects that hold 95 % of the probability, the likeliest first.
     noise : tuple of Noise
@@ -190,12 +189,14 @@ class Discrepancy:
     gap : Gap or None
         None where the data are bad.
     withheld : Gap or None
-        What the gap would be with the findings, where free runs are worse with them: they are
-        named but not added to the robot; ``gap`` is then that without them.
+        What the gap would be with all findings, where ``robot`` has others since it predicts
+        better: they are named all the same; ``gap`` is that of ``robot``.
     robot : RobotParams or None
         With known parameters re-tuned and all findings, unless they are withheld.
     retuned : tuple of (str, str, float)
         Known parameter, joint and relative change.
+    recordings : tuple of str
+        What is particular about one of them beyond its prior: an encoder zero, torque, time.
     tried : tuple of Tried
         The first scan.
     faults : tuple of str
@@ -214,6 +215,7 @@ class Discrepancy:
     verdict: str
     findings: tuple = ()
     minor: tuple = ()
+    stand_ins: tuple = ()
     models: tuple = ()
     noise: tuple = ()
     unexplained: Signature | None = None
@@ -221,6 +223,7 @@ class Discrepancy:
     withheld: Gap | None = None
     robot: object = None
     retuned: tuple = ()
+    recordings: tuple = ()
     tried: tuple = ()
     faults: tuple = ()
     sources: tuple = ()

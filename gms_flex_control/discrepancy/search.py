@@ -27,11 +27,13 @@ from gms_flex_control.discrepancy.thresholds import EVIDENCE, PLAUSIBLE
 import numpy as np
 
 MOST = 20
-_BEAM = 3             # sets that are followed, while there are few effects
+_BEAM = 2             # sets that are followed, while there are few effects
 _FEW = 3              # effects: with more, one set is followed
 _SHORTLIST = 3        # hypotheses that are better when they are fitted in full
 _CLOSE = 0.25         # of the best gain: with less, no hypothesis is fitted
 _NEARLY = 0.9         # of what an effect explains: a rival gains so much at a first guess
+_FAR = 3.0            # standard deviations that a nuisance parameter moves: its effect is another
+_ANEW = 2             # times that derivatives are then taken anew
 _ROUNDS = 4           # of adding, exchanging and taking derivatives anew
 
 
@@ -82,10 +84,13 @@ def search(likelihood, *, most=MOST, excluded=(), begin=None, say=lambda text: N
     hunt = _Search(likelihood, excluded, begin, say)
     if begin is not None:
         hunt.take(begin.best.model)
+    improved = None
     for _ in range(_ROUNDS):
         before = hunt.best.evidence
         hunt.grow(most)
-        hunt.improve()
+        if hunt.effects != improved:
+            hunt.improve()
+            improved = hunt.effects
         hunt.settle()
         if hunt.best.evidence < before + EVIDENCE:
             break
@@ -121,6 +126,11 @@ class _Search:
             self.dictionary.ranked(plausible, self.nuisances, PLAUSIBLE))
         self.scan = begin.scan if begin else self.dictionary.largest(plausible, self.nuisances)
 
+    @property
+    def effects(self):
+        """Return the effects that were added so far, frozenset of (effect, joint)."""
+        return self.best.key(self._known)
+
     def _tried(self, model, columns):
         """Return a model as a State, the best of those tried with the same effects."""
         state = state_of(self._likelihood, model, columns, self.hypotheses)
@@ -143,7 +153,7 @@ class _Search:
             width = _BEAM if added < _FEW else 1
             found = {}
             for state in beam:
-                for one in self._neighbours(state):
+                for one in self._neighbours(state, min(width + 1, _SHORTLIST)):
                     found[one.key(self._known)] = one
             states = sorted(found.values(), key=lambda one: -one.evidence)[:width]
             if not states or states[0].evidence < self.best.evidence + EVIDENCE:
@@ -154,22 +164,21 @@ class _Search:
         if len(self.best.model.robot.effects) > self._known + 1:
             self.take(self.best.model)
 
-    def _neighbours(self, state):
-        """Return the States with one effect more, those that gain most."""
+    def _neighbours(self, state, shortlist):
+        """Return the States with one effect more, as many as a short list that have more evidence."""
         worth = EVIDENCE + 2.0 * np.log(self.hypotheses)
         found = {}
         for model, columns, limit in self._bases(state):
             ranked, better = self.dictionary.ranked(model, columns, limit), 0
             for one in ranked:
                 key = one.spec.name, one.spec.joint
-                if one.gain < max(_CLOSE * ranked[0].gain, worth) or better == _SHORTLIST:
+                if one.gain < max(_CLOSE * ranked[0].gain, worth) or better == shortlist:
                     break
                 if key in found:
                     continue
                 other = self._fitted(with_effect(model.robot, one.spec), model.x, columns)
                 if other is not None:
-                    found[key] = self._tried(other, extended(
-                        self._likelihood, other, columns, len(other.robot.effects) - 1))
+                    found[key] = self._tried(other[0], self._extended(*other))
                     better += found[key].evidence > state.evidence + EVIDENCE
         return list(found.values())
 
@@ -188,10 +197,28 @@ class _Search:
                    columns, PLAUSIBLE)
 
     def _fitted(self, robot, x, columns):
-        """Return a fit, None if an effect ends at a limit of the search."""
-        model = fit(self._likelihood, robot, x, columns)
+        """
+        Return a fit with the columns of all but its last effect, None if it ends at a limit.
+
+        Derivatives by nuisance parameters are taken anew where these have moved far: a clock that
+        is wrong changes what a spring does.
+        """
+        likelihood, model = self._likelihood, fit(self._likelihood, robot, x, columns)
+        for _ in range(_ANEW):
+            if np.max(np.abs(model.x - x) / likelihood.sd) < _FAR:
+                break
+            x = model.x
+            columns = np.concatenate([likelihood.columns(model.robot, x, model.rows),
+                                      columns[len(x):]])
+            model = fit(likelihood, model.robot, x, columns)
         added = model.robot.effects[self._known:]
-        return None if any(is_at_limit(spec, model.robot) for spec in added) else model
+        if any(is_at_limit(spec, model.robot) for spec in added):
+            return None
+        return model, columns
+
+    def _extended(self, model, columns):
+        """Return columns (C, R), then those of the last effect."""
+        return extended(self._likelihood, model, columns, len(model.robot.effects) - 1)
 
     def improve(self):
         """Drop, exchange and merge effects where that has more evidence."""
@@ -219,8 +246,7 @@ class _Search:
                 continue
             other = self._fitted(with_effect(less.robot, one.spec), less.x, others)
             if other is not None:
-                states.append(self._tried(other, extended(
-                    likelihood, other, others, len(other.robot.effects) - 1)))
+                states.append(self._tried(other[0], self._extended(*other)))
         best = max(states, key=lambda one: one.evidence)
         if best.evidence > self.best.evidence:
             self._say(f'{len(dropped)} effects fewer or others')

@@ -47,8 +47,9 @@ CREDIBLE = 0.95
 # to be preferred to those of most evidence: far beyond what chance does at the noise floor.
 BETTER = 2.0
 
-# Growth of squared free-run errors by which a model is worse: 1 % rms.
-WORSE = 1.02
+# Times by which squared held-out torque times squared free-run error must be less for another
+# model to be written than the one with all effects found: 5 % rms of either.
+CLEARLY = 1.1
 
 # Share of what a free function of one variable explains that an effect must explain in its place
 # to be named: true effects reach 0.99 to 3.7 on hidden robots, resemblances 0.1 to 0.85.

@@ -134,9 +134,8 @@ def gap_of(likelihood, before, after, holdout=None):
     ----------
     likelihood : Likelihood
         Of the recordings that were fitted.
-    before, after : (Fitted, ndarray of shape (C, R))
-        Nuisance parameters re-tuned as far as plausible, and with the effects found; derivatives
-        of their rows.
+    before, after : State
+        Nuisance parameters re-tuned as far as plausible, and with the effects found.
     holdout : Likelihood, optional
         Of other recordings; default the blocks of time that are left out in turn.
 
@@ -147,10 +146,11 @@ def gap_of(likelihood, before, after, holdout=None):
     """
     given = likelihood.fitted(likelihood.robot, np.zeros(len(likelihood.nuisances)))
     parts = {'before': [(given.robot, given.x, *_whole(likelihood, holdout))]}
-    for name, (model, own), limit in (('retuned', before, PLAUSIBLE), ('after', after, np.inf)):
+    for name, (model, own, _), limit in (
+            ('retuned', before, PLAUSIBLE), ('after', after, np.inf)):
         parts[name] = (_folds(likelihood, model, own, limit) if holdout is None else
                        [(model.robot, model.x, *_whole(likelihood, holdout))])
-    measured, after = holdout or likelihood, after[0]
+    measured, after = holdout or likelihood, after.model
     torque = {name: _torque(measured, one) for name, one in parts.items()}
     clean = _clean(measured, after)
     floor = _torque(measured, [(after.robot, after.x, *_whole(likelihood, holdout))], clean)
@@ -165,22 +165,23 @@ def gap_of(likelihood, before, after, holdout=None):
         rest_before=torque['retuned'][1], rest_after=torque['after'][1],
         free_before=_rms(free['retuned']), free_after=_rms(free['after']),
         free_floor=_rms(free['floor']),
-        energy_ratio=above[1] / above[0] if above[0] > 0.0 else 1.0,
-        free_farther=farther(free['retuned'], free['after']))
+        energy_ratio=above[1] / above[0] if above[0] > 0.0 else 1.0)
 
 
 def energy_of(likelihood, model, columns, holdout=None):
     """
     Return the squared residual torque of a model on held-out data times that of its free runs.
 
-    In Coulomb frictions squared and in rad^2; arguments as of `gap_of`.
+    In Coulomb frictions squared and in rad^2, the geometric mean of all runs: one that slips
+    decides nothing. Arguments as of `gap_of`.
     """
     parts = (_folds(likelihood, model, columns, np.inf) if holdout is None else
              [(model.robot, model.x, *_whole(likelihood, holdout))])
     measured = holdout or likelihood
-    free = np.sum(free_rms(measured, model) ** 2)
-    return (float(np.sum((_torque(measured, parts)[0] / likelihood.coulomb) ** 2))
-            * (float(free) if np.isfinite(free) else 1.0))
+    runs = np.sum(_free_squares(measured, [(model.robot, model.x, *_whole(measured, None))]),
+                  axis=1)
+    free = np.exp(np.mean(np.log(np.maximum(runs, 1e-30)))) if len(runs) else 1.0
+    return float(np.sum((_torque(measured, parts)[0] / likelihood.coulomb) ** 2) * free)
 
 
 def torque_rms(likelihood, model):
@@ -225,8 +226,8 @@ def _torque(likelihood, parts, motions=None):
     squares, counts = np.zeros((2, n)), np.zeros((2, n))
     for robot, x, masks in parts:
         constants = likelihood.constants(robot, x)
-        for m, (motion, mask) in enumerate(zip(motions or likelihood.motions, masks,
-                                               strict=True)):
+        for m, (motion, mask) in enumerate(zip(motions or likelihood.recorded(
+                likelihood.motions, x), masks, strict=True)):
             whitening, residual = likelihood.whitenings[m], unexplained(motion, constants)
             if motions:
                 residual = residual + likelihood.torque_noise(m, np.random.default_rng(_SEED))
@@ -249,8 +250,9 @@ def _free_squares(likelihood, parts, motions=None):
     squares = []
     for robot, x, masks in parts:
         constants = likelihood.constants(robot, x)
-        for motion, whitening, mask in zip(motions or likelihood.motions, likelihood.whitenings,
-                                           masks, strict=True):
+        for motion, whitening, mask in zip(
+                motions or likelihood.recorded(likelihood.motions, x), likelihood.whitenings,
+                masks, strict=True):
             starts, link, motor = free_runs(motion, constants)
             at = np.clip(np.searchsorted(whitening.time, starts - motion.fine_time[0]), 0,
                          len(mask) - 1)
@@ -259,16 +261,6 @@ def _free_squares(likelihood, parts, motions=None):
                            for one in (link, motor))
             squares.append(np.mean(link ** 2 + motor ** 2, axis=1) / 2.0)
     return np.concatenate(squares)
-
-
-def farther(before, after):
-    """Return by how many standard errors squares of runs (S, n) have grown."""
-    if len(before) != len(after):
-        return 0.0
-    change = np.sum(after - before, axis=1)
-    if len(change) < 2 or not np.any(change):
-        return 0.0
-    return float(np.mean(change) / np.std(change, ddof=1) * np.sqrt(len(change)))
 
 
 # --- prediction one sample ahead ----------------------------------------------------------------

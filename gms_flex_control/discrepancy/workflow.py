@@ -9,12 +9,13 @@ import time
 from gms_flex_control import blas
 from gms_flex_control.discrepancy import describe
 from gms_flex_control.discrepancy.data_faults import faults_of
-from gms_flex_control.discrepancy.evidence import credible, posterior
+from gms_flex_control.discrepancy.evidence import credible, posterior, State
 from gms_flex_control.discrepancy.findings import findings_of, is_noisy, judged, predictive
 from gms_flex_control.discrepancy.fitting import retuned
 from gms_flex_control.discrepancy.likelihood import Likelihood
 from gms_flex_control.discrepancy.motion import motion_of
-from gms_flex_control.discrepancy.nuisance import with_nuisances
+from gms_flex_control.discrepancy.nuisance import OfRecording, with_nuisances
+from gms_flex_control.discrepancy.null_simulation import null_simulation
 from gms_flex_control.discrepancy.result import (
     BAD_DATA,
     Behind,
@@ -28,16 +29,12 @@ from gms_flex_control.discrepancy.result import (
 )
 from gms_flex_control.discrepancy.search import search
 from gms_flex_control.discrepancy.signature import signature_of
-from gms_flex_control.discrepancy.thresholds import (
-    HELD_OUT,
-    PLAUSIBLE,
-    PRACTICAL_FLOOR,
-    WORSE,
-)
-from gms_flex_control.discrepancy.validation import gap_of
+from gms_flex_control.discrepancy.thresholds import CLEARLY, PLAUSIBLE, PRACTICAL_FLOOR
+from gms_flex_control.discrepancy.validation import energy_of, gap_of
 from gms_flex_control.errors import SimulationError
 import numpy as np
 
+_SIZES = 4            # of sets that may predict better than the one found
 _EVEN = 2.0           # times the white part: noise of more is slow or fast
 
 
@@ -121,36 +118,40 @@ def _compared(motions, holdout, robot, options, say):
     found = search(likelihood, most=options.most, excluded=options.without, say=say)
     likelihood, found = _again(likelihood, found, options, say)
     say('held-out prediction')
-    found, worths, free = judged(likelihood, found)
-    measured = (Likelihood(holdout, robot, options.seed, widened=options.doubt)
+    found, worths, free, whole = judged(likelihood, found)
+    measured = (Likelihood(holdout, robot, options.seed, options.doubt, held_out=True)
                 if holdout else None)
     found, worths = predictive(likelihood, found, worths, measured)
     findings = findings_of(likelihood, found, worths, measured or likelihood)
     if not any(one.main for one in findings) and (
             free is not None or is_noisy(likelihood, found.best.model)):
         findings = []  # beside what is unexplained, what is small only resembles it
-    before, after = found.before, found.best
-    gap = gap_of(likelihood, (before, found.first_columns), (after.model, after.columns), measured)
+    before, known = State(found.before, found.first_columns, -np.inf), len(robot.effects)
+    after, named = _best_predicting(likelihood, before, found, whole, measured), found.best.key(known)
+    stand_ins = tuple(spec for spec in after.model.robot.effects[known:]
+                      if (spec.name, spec.joint) not in named)
     main = tuple(one for one in findings if one.main)
-    written, withheld = after.model, None
-    if findings and _is_worse(gap):
-        written, withheld = before, gap
-        gap = gap_of(likelihood, *(2 * [(before, found.first_columns)]), measured)
-    noise = noise_of(likelihood, after.model)
-    left = _left_over(likelihood, after.model, free, withheld or gap)
-    known = len(robot.effects)
+    gap, withheld = gap_of(likelihood, before, after, measured), None
+    if {(one.effect, one.joint) for one in main} - after.key(known):
+        withheld = gap_of(likelihood, before, found.best, measured)
+    noise = noise_of(likelihood, found.best.model)
+    left = _left_over(likelihood, found.best.model, free, withheld or gap, measured)
     result = Discrepancy(
         verdict=FOUND if main else UNEXPLAINED if left else COMPLETE,
         findings=main, minor=tuple(one for one in findings if not one.main),
         models=tuple(Credible(tuple(sorted(names)), mass) for names, mass in credible(
             posterior(found.tried, known))),
-        noise=noise if left is None else (), unexplained=left, gap=gap, withheld=withheld,
-        tried=_tried(found),
+        stand_ins=stand_ins, noise=noise if left is None else (), unexplained=left, gap=gap,
+        withheld=withheld, tried=_tried(found),
         retuned=tuple((one.name, robot.joints[one.joint] if one.joint >= 0 else 'arm',
-                       float(value)) for one, value in zip(likelihood.nuisances, written.x,
-                                                           strict=True)),
-        behind=Behind(likelihood, before, after.model, written),
-        robot=with_nuisances(written.robot, likelihood.nuisances, written.x))
+                       float(value)) for one, value in zip(likelihood.nuisances, after.model.x,
+                                                           strict=True)
+                      if not isinstance(one, OfRecording)),
+        recordings=tuple(one.words(robot.joints, float(value)) for one, value in zip(
+            likelihood.nuisances, after.model.x, strict=True)
+            if isinstance(one, OfRecording) and one.is_reported(value)),
+        behind=Behind(likelihood, before.model, found.best.model, after.model),
+        robot=with_nuisances(after.model.robot, likelihood.nuisances, after.model.x))
     return replace(result, words=describe.paragraph(result, sorted(likelihood.unseen),
                                                     _known_off(found, robot)))
 
@@ -168,16 +169,30 @@ def _again(likelihood, found, options, say):
     Noise depends on the robot: where it sticks, say, encoder counts hide its friction; and torque
     noise was measured beside all that was missing.
     """
-    model, known = found.best.model, len(likelihood.robot.effects)
+    found, known = _sound(likelihood, found), len(likelihood.robot.effects)
+    model = found.best.model
     if len(model.robot.effects) == known and np.all(np.abs(model.x) < PLAUSIBLE * likelihood.sd):
         return likelihood, found
     say('once more, with the noise of such a robot')
-    try:
-        other = likelihood.simulated_as(model).with_noise(0.0 * likelihood.noise)
-    except SimulationError:
-        return likelihood, found  # with these effects the robot runs away
-    other = other.with_noise(other.white_noise(other.fitted(model.robot, model.x)))
+    other = likelihood.simulated_as(model).with_noise(0.0 * likelihood.noise)
+    # beside more effects there is less that may be taken for noise
+    other = other.with_noise(np.minimum(likelihood.noise, other.white_noise(
+        other.fitted(model.robot, model.x))))
     return other, search(other, most=options.most, excluded=options.without, begin=found, say=say)
+
+
+def _sound(likelihood, found):
+    """Return a search with the likeliest set of effects with which the robot does not run away."""
+    for state in (found.best, *sorted(found.tried, key=lambda state: -state.evidence)):
+        model = state.model
+        try:
+            for motion in likelihood.motions:
+                null_simulation(motion, likelihood.constants(model.robot, model.x),
+                                np.random.default_rng(0))
+        except SimulationError:
+            continue
+        return found._replace(best=state)
+    return found
 
 
 def noise_of(likelihood, model):
@@ -212,22 +227,38 @@ def noise_of(likelihood, model):
     return tuple(found)
 
 
-def _left_over(likelihood, model, free, gap):
-    """Return the Signature of what is left where it is more than noise of drives, else None."""
-    if free is None and not is_noisy(likelihood, model):
-        return None
-    return signature_of(likelihood, model, min(gap.energy_ratio, 1.0), free)
-
-
-def _is_worse(gap):
+def _left_over(likelihood, model, free, gap, measured=None):
     """
-    Return whether free runs are farther off with the effects than without.
+    Return the Signature of what is left where it is more than noise of drives, else None.
 
-    Farther by more than chance, and than what a null simulation of the model itself shows.
+    Also where only other recordings, ``measured``, show it: then of these.
     """
-    before, after, floor = (float(np.sum(one ** 2)) for one in (
-        gap.free_before, gap.free_after, gap.free_floor))
-    return after > WORSE * before and after > floor and gap.free_farther > HELD_OUT
+    share = min(gap.energy_ratio, 1.0)
+    if free is not None or is_noisy(likelihood, model):
+        return signature_of(likelihood, model, share, free)
+    if measured is not None and is_noisy(measured, model):
+        return signature_of(measured, model, share)
+    return None
+
+
+def _best_predicting(likelihood, before, found, whole, measured):
+    """
+    Return the State that predicts torque and free runs best on held-out data.
+
+    That with the effects found, unless another is clearly better: with fewer, or with such as
+    only resemble what is missing.
+    """
+    known, best = len(likelihood.robot.effects), {}
+    for state in sorted(found.tried, key=lambda state: -state.evidence):
+        best.setdefault(len(state.key(known)), state)
+    others = [before, whole.best, *(best[size] for size in sorted(best)[:_SIZES])]
+
+    def energy(state):
+        return energy_of(likelihood, state.model, state.columns, measured)
+    energies = [energy(state) for state in others]
+    if CLEARLY * min(energies) < energy(found.best):
+        return others[int(np.argmin(energies))]
+    return found.best
 
 
 def _tried(found):

@@ -12,7 +12,7 @@ import math
 from gms_flex_control.compiled import compiled_effect
 from gms_flex_control.errors import ParameterError
 
-LEAST_RELATIVE = -0.55  # least relative error looked for: ratios near -1 are implausible
+LEAST_RELATIVE = -0.8   # least relative error looked for: ratios near -1 are implausible
 
 
 class Stage(IntEnum):

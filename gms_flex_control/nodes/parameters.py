@@ -85,7 +85,7 @@ class NodeParameters:
         self._keys = {key.name: key for key in own_keys(self.joints)}
         if 'motors' in self._keys:
             self._keys |= {name: key for name, key in known.items()
-                           if name.startswith('effects.')}
+                           if name.startswith(('effects.', 'uncertainty.'))}
         self.values = {name: self._value(key, given) for name, key in self._keys.items()}
         for name in given:
             node.undeclare_parameter(name)

@@ -51,10 +51,13 @@ def report_values(result, *, holdout=(), models=()):
         'credible': [{'effects': [{'effect': effect, 'joint': joint} for effect, joint in
                                   model.effects], 'probability': model.probability}
                      for model in result.models],
+        'stand_ins': [{'effect': one.name, 'joint': one.joint, 'values': list(one.values)}
+                      for one in result.stand_ins],
         'noise': [one._asdict() for one in result.noise],
         'unexplained': result.unexplained._asdict() if result.unexplained else None,
         'withheld': gap_values(result.withheld) if result.withheld else None,
         'gap': gap_values(result.gap) if result.gap is not None else None,
+        'recordings': list(result.recordings),
         'retuned': [{'parameter': name, 'joint': joint, 'change': change}
                     for name, joint, change in result.retuned],
         'tried': [one._asdict() for one in result.tried],

@@ -47,7 +47,7 @@ def compare(result, models, holdout=()):
     """
     likelihood = result.behind.likelihood
     measured = Likelihood([motion_of(recording, likelihood.robot) for recording in holdout],
-                          likelihood.robot) if holdout else likelihood
+                          likelihood.robot, held_out=True) if holdout else likelihood
     zero, compared = np.zeros(len(likelihood.nuisances)), []
     for name, robot in models:
         pair = likelihood.fitted(robot, zero), retuned(likelihood, robot, zero, PLAUSIBLE)[0]
