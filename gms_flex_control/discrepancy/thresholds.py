@@ -51,6 +51,6 @@ BETTER = 2.0
 # model to be written than the one with all effects found: 5 % rms of either.
 CLEARLY = 1.1
 
-# Share of what a free function of one variable explains that an effect must explain in its place
-# to be named: true effects reach 0.99 to 3.7 on hidden robots, resemblances 0.1 to 0.85.
+# Share of the evidence of a free function of one variable that an effect must have in its place
+# to be named: true effects reach 0.9 to 3.7 on hidden robots, resemblances 0.1 to 0.85.
 RESEMBLES = 0.9
