@@ -39,7 +39,7 @@ _FEWEST = 40           # rows of a group that tell a noise level
 _FAST_OCTAVES = 2      # highest ones: above 5 Hz
 _DRAWS = 4             # of unit noise
 _LOW = 4.0             # standard deviations of chi square: sums below are no merit of a model
-_MOST_ADDED = 1.0      # times what encoders add to the null simulations: more is not taken away
+_MOST_ADDED = 3.0      # times what encoders add to the null simulations: as of twice the inertia
 _OCTAVES_OF_NOISE = 3  # highest ones, in which the quietest tells the white part of noise
 
 
