@@ -112,7 +112,7 @@ def test_models_are_compared_by_one_yardstick(outcome, report, folder):
     given, found, same = report['models']
     assert [one['model'] for one in (given, found)] == ['as given', 'with what was found']
     assert same == {**given, 'model': str(folder / 'robot.yaml')}
-    assert found['missing'] < 0.3 < given['missing_retuned'] < given['missing']
+    assert found['missing'] < 0.5 < given['missing_retuned'] < given['missing']
     assert given['torque'] == pytest.approx(report['gap']['before'])
     assert f'{folder / "robot.yaml"}: missing' in outcome.stdout
 

@@ -58,7 +58,7 @@ def test_noise_is_told_by_drive_and_colour():
 
 
 def test_an_effect_that_changes_nothing_that_is_fitted_is_none():
-    idle = Worth(0, 0.1, 0.0, 0.0, 50.0, Gain(0.0, 0.0, 0), None, None)
+    idle = Worth(0, 0.1, 0.0, 0.0, 50.0, 50.0, Gain(0.0, 0.0, 0), None, None)
     assert not idle.is_real() and idle.alone == idle.weight == 0.0
     assert '0 % of which' in evidence_of(idle, ())
     assert not idle._replace(evidence=1.0, gain=Gain(50.0, 5.0, 10)).is_real()

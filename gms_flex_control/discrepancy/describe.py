@@ -131,10 +131,9 @@ def paragraph(result, unseen=(), known_off=None):
         return result.words
     parts = [*_verdict(result), *_remainder(result)]
     if result.stand_ins:
-        parts.append('In the model that is written '
-                     f'{" and ".join(f"{one.name} of {one.joint}" for one in result.stand_ins)} '
-                     'take its place: motion is predicted better with them, but they explain '
-                     'less than some function of one variable does, so they only resemble it.')
+        names_of = ' and '.join(f'{one.name} of {one.joint}' for one in result.stand_ins)
+        parts.append(f'The model that is written has {names_of} in its place: it predicts better '
+                     'so, but they only resemble what is missing.')
     if result.withheld:
         parts.append(of_withheld(result.withheld))
     parts += [_gap(result), *_noise(result)]

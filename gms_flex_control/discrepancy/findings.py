@@ -214,10 +214,10 @@ def _share(functions, spec, one, left):
     Of what a free function would in its place; and of what is left over its own variable, where
     its shape is not that of what is there.
     """
-    free = functions.best(one.less, one.others, spec.joint)
-    if free.evidence <= 0.0:
+    free = functions.ranked(one.less, one.others, spec.joint)
+    if not free or free[0].evidence <= 0.0:
         return np.inf
-    share = one.outright / free.evidence
+    share = one.outright / free[0].evidence
     if left is not None and left.joint == spec.joint and find(spec.name).evidence in left.variable:
         share = min(share, one.outright / max(one.outright + left.evidence, 1e-12))
     return share

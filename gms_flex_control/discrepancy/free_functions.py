@@ -24,6 +24,7 @@ _VARIABLES = ('time', 'link angle', 'link rate', 'torsion')
 _DIRECTED = ('time', 'link angle')  # multiplied by the direction of motion, too
 _TIMES_DIRECTION = ' times the direction of motion'
 _LEAST = 3.0 * PRACTICAL  # of Coulomb friction: a function that is free fits some noise
+_TRIED = 4            # functions of most evidence, of which one may be real
 _WEIGHINGS = 3        # times that noise levels are taken anew
 
 
@@ -79,9 +80,9 @@ class FreeFunctions:
         rows, square = _rows(likelihood, likelihood.motions, j, name, at, column)
         return _Function(likelihood.robot.joints[j], equation, name, rows, square)
 
-    def best(self, model, columns, joint=None):
+    def ranked(self, model, columns, joint=None):
         """
-        Return the free function of most evidence beside a model, None if there is none.
+        Return the free functions beside a model, list of Free, that of most evidence first.
 
         Parameters
         ----------
@@ -92,15 +93,10 @@ class FreeFunctions:
         joint : str, optional
             Only functions of this joint.
 
-        Returns
-        -------
-        Free or None
-
         """
         here = [one for one in self._all if joint in (None, 'arm', one.joint)]
-        found = list(self._likelihood.pool.map(lambda one: self._gained(model, columns, one),
-                                               here))
-        return max(found, key=lambda one: one.evidence, default=None)
+        found = self._likelihood.pool.map(lambda one: self._gained(model, columns, one), here)
+        return sorted(found, key=lambda one: -one.evidence)
 
     def _gained(self, model, columns, one):
         """Return a function as a Free."""
@@ -161,12 +157,13 @@ class FreeFunctions:
 
     def left_in(self, model, columns, caution=1.0):
         """Return the free function that a model lacks, a Free, None where nothing matters."""
-        free = self.best(model, columns)
-        if (free is None or free.evidence < EVIDENCE
-                or free.torque < _LEAST * self._likelihood.level_of(free.joint)):
-            return None
-        gain = self._held_out(model, columns, free)
-        return free if gain._replace(sigmas=gain.sigmas / caution).is_real else None
+        for free in self.ranked(model, columns)[:_TRIED]:
+            if (free.evidence > EVIDENCE
+                    and free.torque > _LEAST * self._likelihood.level_of(free.joint)):
+                gain = self._held_out(model, columns, free)
+                if gain._replace(sigmas=gain.sigmas / caution).is_real:
+                    return free
+        return None
 
     def _held_out(self, model, columns, free):
         """Return what a Free adds to the log likelihood of blocks left out, a Gain."""

@@ -123,19 +123,20 @@ def _compared(motions, holdout, robot, options, say):
                 if holdout else None)
     found, worths = predictive(likelihood, found, worths, measured)
     findings = findings_of(likelihood, found, worths, measured or likelihood)
-    if not any(one.main for one in findings) and (
-            free is not None or is_noisy(likelihood, found.best.model)):
-        findings = []  # beside what is unexplained, what is small only resembles it
     before, known = State(found.before, found.first_columns, -np.inf), len(robot.effects)
-    after, named = _best_predicting(likelihood, before, found, whole, measured), found.best.key(known)
+    gap, withheld = gap_of(likelihood, before, found.best, measured), None
+    left = _left_over(likelihood, found.best.model, free, gap, measured)
+    if left is not None and (gap.energy_ratio >= 1.0 or not any(one.main for one in findings)):
+        findings = []  # what is unexplained is larger: effects only resemble some of it
+    main = tuple(one for one in findings if one.main)
+    named = {(one.effect, one.joint) for one in findings}
+    after = _best_predicting(likelihood, before, found, whole if left else found, measured)
     stand_ins = tuple(spec for spec in after.model.robot.effects[known:]
                       if (spec.name, spec.joint) not in named)
-    main = tuple(one for one in findings if one.main)
-    gap, withheld = gap_of(likelihood, before, after, measured), None
-    if {(one.effect, one.joint) for one in main} - after.key(known):
-        withheld = gap_of(likelihood, before, found.best, measured)
+    if after is not found.best:
+        withheld = gap if {(one.effect, one.joint) for one in main} - after.key(known) else None
+        gap = gap_of(likelihood, before, after, measured)
     noise = noise_of(likelihood, found.best.model)
-    left = _left_over(likelihood, found.best.model, free, withheld or gap, measured)
     result = Discrepancy(
         verdict=FOUND if main else UNEXPLAINED if left else COMPLETE,
         findings=main, minor=tuple(one for one in findings if not one.main),
