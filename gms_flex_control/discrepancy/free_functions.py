@@ -22,7 +22,6 @@ _OF_TIME = 12         # likewise, of time, at most
 # not of torque: a function of it may shrink the whole equation
 _VARIABLES = ('time', 'link angle', 'link rate', 'torsion')
 _DIRECTED = ('time', 'link angle')  # multiplied by the direction of motion, too
-_TIMES_DIRECTION = ' times the direction of motion'
 _LEAST = 3.0 * PRACTICAL  # of Coulomb friction: a function that is free fits some noise
 _TRIED = 4            # functions of most evidence, of which one may be real
 _WEIGHINGS = 3        # times that noise levels are taken anew
@@ -62,23 +61,15 @@ class FreeFunctions:
 
     def __init__(self, likelihood):
         self._likelihood = likelihood
-        robot = likelihood.robot
-        self._knots = [_knots(likelihood, j) for j in range(robot.n_joints)]
-        jobs = []
+        robot, jobs = likelihood.robot, []
         for j, joint in enumerate(robot.joints):
+            shapes = _shapes(likelihood, j)
             for side, equation in enumerate(('link', 'motor')):
                 if equation == 'motor' and (robot.arm.rigid[j] or joint in likelihood.unseen):
                     continue
-                jobs += [(j, equation, name, j + side * robot.n_joints)
-                         for name in self._knots[j]]
-        self._all = list(likelihood.pool.map(self._function, jobs))
-
-    def _function(self, job):
-        """Return a _Function, given its joint, equation, variable and column of the residuals."""
-        j, equation, name, column = job
-        likelihood, at = self._likelihood, self._knots[j][name]
-        rows, square = _rows(likelihood, likelihood.motions, j, name, at, column)
-        return _Function(likelihood.robot.joints[j], equation, name, rows, square)
+                jobs += [(joint, equation, name, hats, j + side * robot.n_joints)
+                         for name, hats in shapes.items()]
+        self._all = list(likelihood.pool.map(lambda job: _function(likelihood, *job), jobs))
 
     def ranked(self, model, columns, joint=None):
         """
@@ -182,49 +173,38 @@ class FreeFunctions:
         return gain_over(out)
 
 
-def _values(motion, j):
-    """Return what a torque of joint ``j`` may be a function of, dict of str to (S,)."""
-    own = variables(motion, j)
-    return {name: own[name] for name in _VARIABLES} | {
-        name: values for name, values in of_others(motion, j).items()
-        if name.startswith('link angle')}
-
-
-def _knots(likelihood, j):
-    """Return the knots (K,) of the functions of joint ``j``, dict by variable."""
-    motions, rigid = likelihood.motions, likelihood.robot.arm.rigid[j]
+def _shapes(likelihood, j):
+    """Return triangles over variables of joint ``j``, dict of list of ndarray (S, K)."""
+    motions, found = likelihood.motions, {}
+    own = [variables(motion, j) for motion in motions]
+    others = [of_others(motion, j) for motion in motions]
     longest = max(motion.time[-1] - motion.time[0] for motion in motions)
-    # a block of time that is left out must not hold a knot alone
-    counts = {'time': int(np.clip(longest / (2.0 * BLOCK), 3, _OF_TIME))}
-    values, found = [_values(motion, j) for motion in motions], {}
-    for name in values[0]:
-        if name == 'torsion' and rigid:
+    moving = [_direction(one['link rate']) for one in own]
+    for name in (*_VARIABLES, *(name for name in others[0] if name.startswith('link angle'))):
+        if name == 'torsion' and likelihood.robot.arm.rigid[j]:
             continue
-        every = np.concatenate([one[name] for one in values])
-        at = np.unique(np.quantile(every, np.linspace(0.0, 1.0, counts.get(name, _KNOTS))))
-        found[name] = at
-        if name in _DIRECTED or name not in _VARIABLES:
-            found[name + _TIMES_DIRECTION] = at
+        values = [one[name] for one in (own if name in _VARIABLES else others)]
+        # a block of time that is left out must not hold a knot alone
+        knots = int(np.clip(longest / (2.0 * BLOCK), 3, _OF_TIME)) if name == 'time' else _KNOTS
+        at = np.unique(np.quantile(np.concatenate(values), np.linspace(0.0, 1.0, knots)))
+        found[name] = [np.stack([np.interp(one, at, unit) for unit in np.eye(len(at))], axis=1)
+                       for one in values]
+        if name in _DIRECTED:
+            found[f'{name} times the direction of motion'] = [
+                hats * way[:, None] for hats, way in zip(found[name], moving, strict=True)]
     return found
 
 
-def _rows(likelihood, motions, j, name, at, column):
-    """Return the rows (K, R) of triangles about knots (K,), and their mean products (K, K)."""
-    hats = []
-    for motion in motions:
-        variable = name.removesuffix(_TIMES_DIRECTION)
-        own = np.stack([np.interp(_values(motion, j)[variable], at, unit)
-                        for unit in np.eye(len(at))], axis=1)
-        hats.append(own * _direction(motion.states[:, 1, j])[:, None]
-                    if variable != name else own)
+def _function(likelihood, joint, equation, name, hats, column):
+    """Return a _Function of triangles (S, K) in a column of the residuals."""
     rows = []
-    for k in range(len(at)):
+    for k in range(hats[0].shape[1]):
         torques = [np.zeros((len(own), 2 * likelihood.robot.n_joints)) for own in hats]
         for torque, own in zip(torques, hats, strict=True):
             torque[:, column] = own[:, k]
         rows.append(likelihood.rows_of_torque(torques))
     every = np.concatenate(hats)
-    return np.array(rows), every.T @ every / len(every)
+    return _Function(joint, equation, name, np.array(rows), every.T @ every / len(every))
 
 
 def _direction(rate):
