@@ -17,7 +17,13 @@ from dataclasses import dataclass, replace
 import os
 from typing import NamedTuple
 
-from gms_flex_control.discrepancy.nuisance import nuisances_of, of_recordings, OfRecording, PRIOR, tuned
+from gms_flex_control.discrepancy.nuisance import (
+    nuisances_of,
+    of_recordings,
+    OfRecording,
+    PRIOR,
+    tuned,
+)
 from gms_flex_control.discrepancy.null_simulation import null_simulation
 from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.discrepancy.thresholds import LARGEST_NOISE, PRACTICAL_FLOOR
@@ -160,7 +166,7 @@ class Likelihood:
         self._own = one - other
 
         def by_nuisance(i):
-            """Return how noise shows in the rows of a nuisance parameter, and which rows tell it."""
+            """Return how noise shows by a nuisance parameter, and which rows tell it."""
             at = self._null_rows(robot, x + _STEP * (np.arange(len(x)) == i))
             noise = at[0] - at[1] - self._own
             hidden = (self._by_group(noise ** 2)

@@ -165,7 +165,7 @@ class _Search:
             self.take(self.best.model)
 
     def _neighbours(self, state, shortlist):
-        """Return the States with one effect more, as many as a short list that have more evidence."""
+        """Return the States with one effect more, so many with more evidence."""
         worth = EVIDENCE + 2.0 * np.log(self.hypotheses)
         found = {}
         for model, columns, limit in self._bases(state):
