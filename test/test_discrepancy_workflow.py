@@ -363,7 +363,7 @@ def test_more_noise_than_drives_have_is_unexplained(monkeypatch, rms, expected):
 def test_what_makes_a_model_worse_is_named_and_not_added(named, monkeypatch):
     """As told by prediction; the words say so."""
     monkeypatch.setattr(workflow, '_best_predicting',
-                        lambda likelihood, before, found, whole, measured: before)
+                        lambda likelihood, found, whole, measured: found.before)
     case, _ = named
     result = discrepancy([case.recording], case.nominal, holdout=[case.held_out])
     true, = case.truth.effects

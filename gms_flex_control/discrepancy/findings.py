@@ -184,9 +184,9 @@ def predictive(likelihood, found, worths, holdout=None):
         for one in sorted(worths, key=lambda one: one.gain.nats)[:_WEAKEST]:
             less = with_only(found, likelihood, [i for i in range(known, len(effects))
                                                  if i != one.index])
-            energies[one.index] = energy_of(likelihood, less.model, less.columns, holdout)
+            energies[one.index] = energy_of(likelihood, less, holdout)
         worst = min(energies, key=energies.get)
-        now = energy_of(likelihood, found.best.model, found.best.columns, holdout)
+        now = energy_of(likelihood, found.best, holdout)
         if BETTER * energies[worst] > now:
             break
         found, worths = _pruned(likelihood, _dropped(likelihood, found, worst))
@@ -198,8 +198,8 @@ def _alone(likelihood, found, worths, holdout):
     known = len(likelihood.robot.effects)
     single = sorted((state for state in found.tried if len(state.key(known)) == 1),
                     key=lambda state: -state.evidence)[:_RUNNERS]
-    energies = [energy_of(likelihood, state.model, state.columns, holdout) for state in single]
-    now = energy_of(likelihood, found.best.model, found.best.columns, holdout)
+    energies = [energy_of(likelihood, state, holdout) for state in single]
+    now = energy_of(likelihood, found.best, holdout)
     if not worths or not single or BETTER * min(energies) > now:
         return found, worths
     other = found._replace(best=single[int(np.argmin(energies))])
@@ -327,7 +327,7 @@ def findings_of(likelihood, found, worths, measured):
     """
     known = len(likelihood.robot.effects)
     models = posterior(found.tried, known)
-    whole = max(found.before.cost - found.best.model.cost, 1e-12)
+    whole = max(found.before.model.cost - found.best.model.cost, 1e-12)
     after, out = torque_rms(measured, found.best.model), []
     for one in worths:
         spec = found.best.model.robot.effects[one.index]

@@ -14,7 +14,7 @@ from gms_flex_control.discrepancy.fitting import numbers_of, prior_of, values_of
 from gms_flex_control.discrepancy.likelihood import BLOCK
 from gms_flex_control.discrepancy.signature import of_others, variables
 from gms_flex_control.discrepancy.thresholds import EVIDENCE, PRACTICAL
-from gms_flex_control.discrepancy.validation import FOLDS, gain_over, log_density
+from gms_flex_control.discrepancy.validation import folds, gain_over, of_blocks
 import numpy as np
 
 _KNOTS = 20           # of a function, even in the samples
@@ -92,11 +92,10 @@ class FreeFunctions:
     def _gained(self, model, columns, one):
         """Return a function as a Free."""
         likelihood, rows = self._likelihood, one.rows
-        step, _ = self._fitted(model, columns, rows, np.ones(len(model.rows), dtype=bool))
-        weight = likelihood.weights(self._sums(model, columns, rows, step))
-        mine = step[:len(columns)]
-        cost = (likelihood.misfit(self._sums(model, columns, rows, step))
-                + self._prior(model, mine) - 2.0 * float(self._noise(model, weight) @ mine))
+        step, sums = self._fitted(model, columns, rows)
+        weight, mine = likelihood.weights(sums), step[:len(columns)]
+        cost = (likelihood.misfit(sums) + self._prior(model, mine)
+                - 2.0 * float(self._noise(model, weight) @ mine))
         size = np.full(len(rows), 1.0 / likelihood.level_of(one.joint) ** 2)
         scaled = rows / np.sqrt(size)[:, None]
         _, occam = np.linalg.slogdet(np.eye(len(rows)) + (scaled * weight) @ scaled.T)
@@ -113,8 +112,8 @@ class FreeFunctions:
         values = np.concatenate([model.x, values_of(model.robot, numbers)]) + step
         return float(np.sum(precision * centred * values ** 2))
 
-    def _fitted(self, model, columns, rows, kept):
-        """Return the step of all parameters and weights of a function, and the weights of rows."""
+    def _fitted(self, model, columns, rows, kept=True):
+        """Return the step of all parameters and weights of a function, and the sums (G,)."""
         likelihood = self._likelihood
         numbers = numbers_of(likelihood, model.robot)
         precision, centred, free = prior_of(likelihood, model.robot, numbers)
@@ -131,7 +130,7 @@ class FreeFunctions:
             step[free] = np.linalg.lstsq((every * weight) @ every.T + np.diag(pull[free]), slope,
                                          rcond=1e-12)[0]
             sums = self._sums(model, columns, rows, step)
-        return step, likelihood.weights(sums)
+        return step, sums
 
     def _noise(self, model, weight):
         """Return the slopes (C,) that encoder noise makes, which are no merit of a function."""
@@ -148,29 +147,28 @@ class FreeFunctions:
 
     def left_in(self, model, columns, caution=1.0):
         """Return the free function that a model lacks, a Free, None where nothing matters."""
+        without = None
         for free in self.ranked(model, columns)[:_TRIED]:
-            if (free.evidence > EVIDENCE
-                    and free.torque > _LEAST * self._likelihood.level_of(free.joint)):
-                gain = self._held_out(model, columns, free)
-                if gain._replace(sigmas=gain.sigmas / caution).is_real:
-                    return free
+            if (free.evidence <= EVIDENCE
+                    or free.torque <= _LEAST * self._likelihood.level_of(free.joint)):
+                continue
+            rows = next(one.rows for one in self._all
+                        if one[:3] == (free.joint, free.equation, free.variable))
+            if without is None:
+                without = self._predicted(model, columns, rows[:0])
+            gain = gain_over(self._predicted(model, columns, rows) - without)
+            if gain._replace(sigmas=gain.sigmas / caution).is_real:
+                return free
         return None
 
-    def _held_out(self, model, columns, free):
-        """Return what a Free adds to the log likelihood of blocks left out, a Gain."""
-        rows = next(one.rows for one in self._all
-                    if one[:3] == (free.joint, free.equation, free.variable))
+    def _predicted(self, model, columns, rows):
+        """Return the log likelihood of blocks left out (B,), with a function of rows (K, R)."""
         likelihood, out = self._likelihood, np.zeros(self._likelihood.blocks)
-        for sign, own in ((1.0, rows), (-1.0, rows[:0])):
-            for k in range(FOLDS):
-                left_out = likelihood.block % FOLDS == k
-                step, weight = self._fitted(model, columns, own, ~left_out)
-                scale = weight[left_out]
-                moved = (model.rows + step[:len(columns)] @ columns
-                         + step[len(columns):] @ own)[left_out]
-                out += sign * np.bincount(likelihood.block[left_out], log_density(moved, scale),
-                                          likelihood.blocks)
-        return gain_over(out)
+        for left_out in folds(likelihood):
+            step, sums = self._fitted(model, columns, rows, ~left_out)
+            moved = model.rows + step[:len(columns)] @ columns + step[len(columns):] @ rows
+            out += of_blocks(likelihood, left_out, moved, likelihood.weights(sums))
+        return out
 
 
 def _shapes(likelihood, j):

@@ -22,7 +22,7 @@ from gms_flex_control.discrepancy.fitting import (
     retuned,
     without,
 )
-from gms_flex_control.discrepancy.likelihood import Fitted, with_effect
+from gms_flex_control.discrepancy.likelihood import with_effect
 from gms_flex_control.discrepancy.thresholds import EVIDENCE, PLAUSIBLE
 import numpy as np
 
@@ -40,14 +40,13 @@ _ROUNDS = 4           # of adding, exchanging and taking derivatives anew
 class Found(NamedTuple):
     """What the search ended with."""
 
-    before: Fitted     # nuisance parameters re-tuned as far as plausible, nothing added
+    before: State      # nuisance parameters re-tuned as far as plausible, nothing added
     best: State        # with the effects found
     tried: tuple       # of State: all that were fitted
     first: tuple       # of Ranked: the best of the first scan, within bounds
     scan: dict         # (effect, joint) to gain: all of it, bounds left aside
     dictionary: Dictionary
     nuisances: np.ndarray  # (P, R) derivatives by the nuisance parameters, of the last model
-    first_columns: np.ndarray  # likewise, of the model before
     hypotheses: int    # effects of joints that were looked for
 
     def near(self, known):
@@ -95,7 +94,7 @@ def search(likelihood, *, most=MOST, excluded=(), begin=None, say=lambda text: N
         if hunt.best.evidence < before + EVIDENCE:
             break
     return Found(hunt.before, hunt.best, tuple(hunt.tried.values()), hunt.first, hunt.scan,
-                 hunt.dictionary, hunt.nuisances, hunt.first_columns, hunt.hypotheses)
+                 hunt.dictionary, hunt.nuisances, hunt.hypotheses)
 
 
 def count_of(likelihood, excluded):
@@ -109,16 +108,15 @@ class _Search:
     def __init__(self, likelihood, excluded, begin, say):
         self._likelihood, self._say = likelihood, say
         self._known = len(likelihood.robot.effects)
-        x = begin.before.x if begin else np.zeros(len(likelihood.nuisances))
+        x = begin.before.model.x if begin else np.zeros(len(likelihood.nuisances))
         # where nuisance parameters stand for something else, nothing would be left to explain
         plausible, self.nuisances = retuned(likelihood, likelihood.robot, x, PLAUSIBLE)
-        self.first_columns = self.nuisances
         self.hypotheses = begin.hypotheses if begin else count_of(likelihood, excluded)
         say('every effect along the motion')
         only = begin.near(self._known) if begin else None
         self.dictionary = Dictionary(likelihood, plausible, excluded, only)
         self.tried = {}
-        self.before = plausible
+        self.before = State(plausible, self.nuisances, -np.inf)  # no more than a yardstick
         self.best = self._tried(*retuned(
             likelihood, likelihood.robot, np.where(np.abs(x) > np.abs(plausible.x), x,
                                                    plausible.x), columns=self.nuisances))

@@ -66,25 +66,27 @@ def predicted(likelihood, model, columns, plausible=np.inf):
 
     """
     weight = likelihood.weights(model.sums.groups)
-    out = np.zeros(likelihood.blocks)
-    for left_out, step in _steps(likelihood, model, columns, weight, plausible):
-        rows = model.rows[left_out] + step @ columns[:, left_out]
-        scale = weight[left_out]
-        out += np.bincount(likelihood.block[left_out], log_density(rows, scale),
-                           minlength=likelihood.blocks)
-    return out
+    return sum(of_blocks(likelihood, left_out, model.rows + step @ columns, weight)
+               for left_out, step in _steps(likelihood, model, columns, weight, plausible))
 
 
-def log_density(rows, weight):
-    """Return the logarithm of Student's density, but for a constant, of rows (R,) so weighted."""
-    return 0.5 * np.log(weight) - 0.5 * (_DEGREES + 1.0) * np.log1p(rows ** 2 * weight / _DEGREES)
+def of_blocks(likelihood, left_out, rows, weight):
+    """Return the log likelihood of blocks (B,), of rows (R,) that are left out, so weighted."""
+    density = (0.5 * np.log(weight)
+               - 0.5 * (_DEGREES + 1.0) * np.log1p(rows ** 2 * weight / _DEGREES))
+    return np.bincount(likelihood.block[left_out], density[left_out], likelihood.blocks)
+
+
+def folds(likelihood):
+    """Yield which rows (R,) are left out of each fold, bool."""
+    for k in range(min(FOLDS, likelihood.blocks)):
+        yield likelihood.block % FOLDS == k
 
 
 def _steps(likelihood, model, columns, weight, plausible=np.inf):
     """Yield which rows (R,) are left out of each fold, and the step (C,) of a fit without."""
     numbers = numbers_of(likelihood, model.robot)
-    for k in range(min(FOLDS, likelihood.blocks)):
-        left_out = likelihood.block % FOLDS == k
+    for left_out in folds(likelihood):
         yield left_out, step_of(likelihood, model, columns, numbers, weight * ~left_out,
                                 plausible)
 
@@ -145,18 +147,16 @@ def gap_of(likelihood, before, after, holdout=None):
 
     """
     given = likelihood.fitted(likelihood.robot, np.zeros(len(likelihood.nuisances)))
-    parts = {'before': [(given.robot, given.x, *_whole(likelihood, holdout))]}
-    for name, (model, own, _), limit in (
-            ('retuned', before, PLAUSIBLE), ('after', after, np.inf)):
-        parts[name] = (_folds(likelihood, model, own, limit) if holdout is None else
-                       [(model.robot, model.x, *_whole(likelihood, holdout))])
-    measured, after = holdout or likelihood, after.model
+    measured = holdout or likelihood
+    parts = {'before': _whole(measured, given),
+             'retuned': _parts(likelihood, before, holdout, PLAUSIBLE),
+             'after': _parts(likelihood, after, holdout)}
+    after = after.model
     torque = {name: _torque(measured, one) for name, one in parts.items()}
     clean = _clean(measured, after)
-    floor = _torque(measured, [(after.robot, after.x, *_whole(likelihood, holdout))], clean)
+    floor = _torque(measured, _whole(measured, after), clean)
     free = {name: _free_squares(measured, parts[name]) for name in ('retuned', 'after')}
-    free['floor'] = _free_squares(measured, [(after.robot, after.x,
-                                              *_whole(likelihood, holdout))], clean)
+    free['floor'] = _free_squares(measured, _whole(measured, after), clean)
     above = [float(np.sum(np.maximum(torque[name][0] ** 2 - floor[0] ** 2, 0.0)))
              for name in ('retuned', 'after')]
     return Gap(
@@ -168,36 +168,40 @@ def gap_of(likelihood, before, after, holdout=None):
         energy_ratio=above[1] / above[0] if above[0] > 0.0 else 1.0)
 
 
-def energy_of(likelihood, model, columns, holdout=None):
+def energy_of(likelihood, state, holdout=None):
     """
-    Return the squared residual torque of a model on held-out data times that of its free runs.
+    Return the squared residual torque of a State on held-out data times that of its free runs.
 
     In Coulomb frictions squared and in rad^2, the geometric mean of all runs: one that slips
     decides nothing. Arguments as of `gap_of`.
     """
-    parts = (_folds(likelihood, model, columns, np.inf) if holdout is None else
-             [(model.robot, model.x, *_whole(likelihood, holdout))])
     measured = holdout or likelihood
-    runs = np.sum(_free_squares(measured, [(model.robot, model.x, *_whole(measured, None))]),
-                  axis=1)
+    runs = np.sum(_free_squares(measured, _whole(measured, state.model)), axis=1)
     free = np.exp(np.mean(np.log(np.maximum(runs, 1e-30)))) if len(runs) else 1.0
-    return float(np.sum((_torque(measured, parts)[0] / likelihood.coulomb) ** 2) * free)
+    torque, _ = _torque(measured, _parts(likelihood, state, holdout))
+    return float(np.sum((torque / likelihood.coulomb) ** 2) * free)
 
 
 def torque_rms(likelihood, model):
     """Return the residual torque of each joint in motion, rms (n,) [N m], of a Fitted."""
-    return _torque(likelihood, [(model.robot, model.x, *_whole(likelihood, None))])[0]
+    return _torque(likelihood, _whole(likelihood, model))[0]
 
 
 def free_rms(likelihood, model):
     """Return the free-run error of each joint, rms (n,) [rad], of a Fitted; NaN without runs."""
-    return _rms(_free_squares(likelihood, [(model.robot, model.x,
-                                            *_whole(likelihood, None))]))
+    return _rms(_free_squares(likelihood, _whole(likelihood, model)))
 
 
-def _whole(likelihood, holdout):
-    """Return masks of all settled moments of each recording, in a tuple."""
-    return ([whitening.settled for whitening in (holdout or likelihood).whitenings],)
+def _parts(likelihood, state, holdout, plausible=np.inf):
+    """Return what predicts which held-out moments: a State as it is, or refitted in folds."""
+    if holdout is not None:
+        return _whole(holdout, state.model)
+    return _folds(likelihood, state.model, state.columns, plausible)
+
+
+def _whole(likelihood, model):
+    """Return robot, nuisance parameters and all settled moments (masks) of one model."""
+    return [(model.robot, model.x, [whitening.settled for whitening in likelihood.whitenings])]
 
 
 def _folds(likelihood, model, columns, plausible):

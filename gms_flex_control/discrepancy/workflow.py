@@ -9,7 +9,7 @@ import time
 from gms_flex_control import blas
 from gms_flex_control.discrepancy import describe
 from gms_flex_control.discrepancy.data_faults import faults_of
-from gms_flex_control.discrepancy.evidence import credible, posterior, State
+from gms_flex_control.discrepancy.evidence import credible, posterior
 from gms_flex_control.discrepancy.findings import findings_of, is_noisy, judged, predictive
 from gms_flex_control.discrepancy.fitting import retuned
 from gms_flex_control.discrepancy.likelihood import Likelihood
@@ -123,19 +123,20 @@ def _compared(motions, holdout, robot, options, say):
                 if holdout else None)
     found, worths = predictive(likelihood, found, worths, measured)
     findings = findings_of(likelihood, found, worths, measured or likelihood)
-    before, known = State(found.before, found.first_columns, -np.inf), len(robot.effects)
-    gap, withheld = gap_of(likelihood, before, found.best, measured), None
+    gap, withheld = gap_of(likelihood, found.before, found.best, measured), None
     left = _left_over(likelihood, found.best.model, free, gap, measured)
     if left is not None and (gap.energy_ratio >= 1.0 or not any(one.main for one in findings)):
         findings = []  # what is unexplained is larger: effects only resemble some of it
     main = tuple(one for one in findings if one.main)
     named = {(one.effect, one.joint) for one in findings}
-    after = _best_predicting(likelihood, before, found, whole if left else found, measured)
+    after = _best_predicting(likelihood, found, whole if left else found, measured)
+    known, changes = len(robot.effects), list(zip(likelihood.nuisances, after.model.x.tolist(),
+                                                  strict=True))
     stand_ins = tuple(spec for spec in after.model.robot.effects[known:]
                       if (spec.name, spec.joint) not in named)
     if after is not found.best:
         withheld = gap if {(one.effect, one.joint) for one in main} - after.key(known) else None
-        gap = gap_of(likelihood, before, after, measured)
+        gap = gap_of(likelihood, found.before, after, measured)
     noise = noise_of(likelihood, found.best.model)
     result = Discrepancy(
         verdict=FOUND if main else UNEXPLAINED if left else COMPLETE,
@@ -144,14 +145,11 @@ def _compared(motions, holdout, robot, options, say):
             posterior(found.tried, known))),
         stand_ins=stand_ins, noise=noise if left is None else (), unexplained=left, gap=gap,
         withheld=withheld, tried=_tried(found),
-        retuned=tuple((one.name, robot.joints[one.joint] if one.joint >= 0 else 'arm',
-                       float(value)) for one, value in zip(likelihood.nuisances, after.model.x,
-                                                           strict=True)
-                      if not isinstance(one, OfRecording)),
-        recordings=tuple(one.words(robot.joints, float(value)) for one, value in zip(
-            likelihood.nuisances, after.model.x, strict=True)
-            if isinstance(one, OfRecording) and one.is_reported(value)),
-        behind=Behind(likelihood, before.model, found.best.model, after.model),
+        retuned=tuple((one.name, robot.joints[one.joint] if one.joint >= 0 else 'arm', value)
+                      for one, value in changes if not isinstance(one, OfRecording)),
+        recordings=tuple(one.words(robot.joints, value) for one, value in changes
+                         if isinstance(one, OfRecording) and one.is_reported(value)),
+        behind=Behind(likelihood, found.before.model, found.best.model, after.model),
         robot=with_nuisances(after.model.robot, likelihood.nuisances, after.model.x))
     return replace(result, words=describe.paragraph(result, sorted(likelihood.unseen),
                                                     _known_off(found, robot)))
@@ -242,7 +240,7 @@ def _left_over(likelihood, model, free, gap, measured=None):
     return None
 
 
-def _best_predicting(likelihood, before, found, whole, measured):
+def _best_predicting(likelihood, found, whole, measured):
     """
     Return the State that predicts torque and free runs best on held-out data.
 
@@ -252,12 +250,11 @@ def _best_predicting(likelihood, before, found, whole, measured):
     known, best = len(likelihood.robot.effects), {}
     for state in sorted(found.tried, key=lambda state: -state.evidence):
         best.setdefault(len(state.key(known)), state)
-    others = [before, whole.best, *(best[size] for size in sorted(best)[:_SIZES])]
-
-    def energy(state):
-        return energy_of(likelihood, state.model, state.columns, measured)
-    energies = [energy(state) for state in others]
-    if CLEARLY * min(energies) < energy(found.best):
+    others = [state for state in (found.before, whole.best,
+                                  *(best[size] for size in sorted(best)[:_SIZES]))
+              if state is not found.best]
+    energies = [energy_of(likelihood, state, measured) for state in others]
+    if CLEARLY * min(energies) < energy_of(likelihood, found.best, measured):
         return others[int(np.argmin(energies))]
     return found.best
 
