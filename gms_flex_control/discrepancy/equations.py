@@ -73,17 +73,34 @@ def rigid_body(q, dq, ddq, links, work, bias, inertial):
 
 
 @compiled
-def torques_along(states, second, command, time, period, constants, state, work, link, motor,
-                  inertial):
+def friction_along(states, period, constants, state, work, friction):
+    """Fill ``friction`` (T, n) [N m] along a motion (T, 6, n); state and work are overwritten."""
+    for k in range(states.shape[0]):
+        for j in range(states.shape[2]):
+            state.dq_link[j] = states[k, 1, j]
+        replay_friction(k, states, period, constants, state, work)
+        for j in range(states.shape[2]):
+            friction[k, j] = work.friction[j]
+
+
+@compiled
+def rigid_body_along(states, second, links, work, bias, inertial):
+    """Fill ``C dq + g`` and ``M second``, (T, n) each [N m], along a motion (T, 6, n)."""
+    for k in range(states.shape[0]):
+        rigid_body(states[k, 0], states[k, 1], second[k], links, work, bias[k], inertial[k])
+
+
+@compiled
+def torques_along(states, friction, command, time, period, constants, state, work, link, motor):
     """
-    Write all torques of Eq. (1) along a measured motion.
+    Write the torques of Eq. (1) along a measured motion that are not those of rigid bodies.
 
     Parameters
     ----------
     states : ndarray, shape (T, 6, n)
         Smoothed link angle, rate and acceleration, then those of the motor.
-    second : ndarray, shape (T, n)
-        Second differences of the link angles as they were read, filtered [rad/s^2].
+    friction : ndarray, shape (T, n)
+        Of the links, of `friction_along` [N m].
     command : ndarray, shape (T, n)
         Torque of the actuators about there, for effects that look at it [N m].
     time : ndarray, shape (T,)
@@ -93,26 +110,21 @@ def torques_along(states, second, command, time, period, constants, state, work,
     constants, state, work : numpy.record
         From simulation.plant; the state is overwritten.
     link, motor : ndarray, shape (T, n)
-        Filled: all torques at sample k that move link and motor, those of the actuators and
-        what ``inertial`` holds left out.
-    inertial : ndarray, shape (T, n)
-        Filled: ``M second``.
+        Filled: all torques at sample k that move link and motor, but those of the actuators and
+        of `rigid_body_along`.
 
     """
     s, links, effects = work.signals, constants.chain, constants.effects
     samples, n = command.shape
-    bias = np.empty(n)
     for k in range(samples):
         plant.take_place(k, states, command[k], time[k], state, work)
         plant.springs(state, period, constants, work)
-        replay_friction(k, states, period, constants, state, work)
         for j in range(n):
-            s[j, sig.FRICTION] = work.friction[j]
+            s[j, sig.FRICTION] = friction[k, j]
         for stage in (_FRICTION, _LINK, _MOTOR):
             effect_table.run_stage(stage, s, state.memory, period, effects)
-        rigid_body(state.q_link, state.dq_link, second[k], links, work.chain, bias, inertial[k])
         for j in range(n):
-            link[k, j] = s[j, sig.LINK_TORQUE] - s[j, sig.FRICTION] - bias[j]
+            link[k, j] = s[j, sig.LINK_TORQUE] - s[j, sig.FRICTION]
             if links.flexible[j]:
                 link[k, j] += s[j, sig.SPRING]
                 motor[k, j] = s[j, sig.MOTOR_TORQUE] - s[j, sig.SPRING]
@@ -122,20 +134,18 @@ def torques_along(states, second, command, time, period, constants, state, work,
 
 
 @compiled
-def sensor_errors(states, measured, command, time, period, constants, state, work, link, motor):
+def sensor_errors(states, friction, command, time, period, constants, state, work, link, motor):
     """
     Write by how much the encoders of a model read too high along a motion, (T, n) each [rad].
 
-    Friction is that of the ``measured`` motion: of a base that bends, joints turn against it.
+    ``friction`` (T, n) is that of the measured motion: of a base that bends, joints turn against
+    it.
     """
     s = work.signals
     for k in range(command.shape[0]):
-        for j in range(command.shape[1]):
-            state.dq_link[j] = measured[k, 1, j]
-        replay_friction(k, measured, period, constants, state, work)
         plant.take_place(k, states, command[k], time[k], state, work)
         for j in range(command.shape[1]):
-            s[j, sig.FRICTION] = work.friction[j]
+            s[j, sig.FRICTION] = friction[k, j]
         plant.run_sensors(state, period, constants, work)
         for j in range(command.shape[1]):
             link[k, j] = s[j, sig.SENSED_LINK] - state.q_link[j]

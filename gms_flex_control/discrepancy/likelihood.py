@@ -14,6 +14,7 @@ break-away does not count as much as motion does.
 from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from dataclasses import dataclass, replace
+from functools import lru_cache
 import os
 from typing import NamedTuple
 
@@ -107,6 +108,7 @@ class Likelihood:
 
     def __init__(self, motions, robot, seed=0, widened=1.0, held_out=False):
         self.motions, self.robot, self._seed = tuple(motions), robot, seed
+        self.held_out = held_out
         prior = {kind: widened * sd for kind, sd in PRIOR.items()}
         stated = {(kind, robot.joints.index(joint) if joint in robot.joints else -1):
                   widened * sd for (kind, joint), sd in robot.uncertainty.items()}
@@ -131,6 +133,10 @@ class Likelihood:
         self._clean = list(self.pool.map(
             lambda run: [unexplained(motion, constants) for motion in run], runs))
         self._pair, self._null = runs[:2], (robot, x)
+        if not self.held_out:  # at each nuisance parameter a little off, and as simulated
+            self._null_residuals = list(self.pool.map(
+                lambda step: [self._residuals(run, robot, x + step) for run in self._pair],
+                (*(_STEP * np.eye(len(x))), np.zeros(len(x)))))
         self._whiten()
 
     def simulated_as(self, model):
@@ -161,20 +167,21 @@ class Likelihood:
         # recording, whose rows scatter by that of this mean as well
         self.usual, count = clean.mean(axis=0), len(clean)
         self.clean = (clean - self.usual) * np.sqrt((count + 1) / (count - 1))
-        robot, x = self._null
-        one, other = self._null_rows(robot, x)
+        self._by_effect = {}  # (effect, joint): (parameters, R)
+        if self.held_out:
+            return
+        one, other = (self._rows_of(run) for run in self._null_residuals[-1])
         self._own = one - other
 
         def by_nuisance(i):
             """Return how noise shows by a nuisance parameter, and which rows tell it."""
-            at = self._null_rows(robot, x + _STEP * (np.arange(len(x)) == i))
+            at = [self._rows_of(run) for run in self._null_residuals[i]]
             noise = at[0] - at[1] - self._own
             hidden = (self._by_group(noise ** 2)
                       > 2.0 * _ALL_NOISE * self._by_group((at[0] - one) ** 2))
             return noise / _STEP, ~hidden[self.group]
         self._by_nuisance, self._tells = np.moveaxis(
-            self.each(by_nuisance, range(len(x))).reshape(len(x), 2, len(one)), 1, 0)
-        self._by_effect = {}  # (effect, joint): (parameters, R)
+            self.each(by_nuisance, range(len(self.nuisances))), 1, 0)
 
     def torque_noise(self, m, rng):
         """Return the residual torque (S, 2 n) that white torque noise makes in a recording."""
@@ -357,7 +364,7 @@ class Likelihood:
     def constants(self, robot, x):
         """Return the kernels' record of a robot with its nuisance parameters at ``x``."""
         mine = x[:len(self.nuisances)]  # recordings held out have none of their own
-        return tuned(plant.constants_of(robot), self.nuisances, mine)
+        return tuned(_record_of(robot), self.nuisances, mine)
 
     def recorded(self, motions, x):
         """Return motions cleared of what nuisance parameters (P,) make particular about each."""
@@ -394,7 +401,9 @@ class Likelihood:
                 j = robot.joints.index(spec.joint)
                 driven = not robot.arm.rigid[j] and spec.joint not in self.unseen
                 scale[j + robot.n_joints * driven] *= max(factor, _LEAST_SCALE)
-        constants = self.constants(replace(robot, effects=tuple(acting)), x)
+        if len(acting) < len(robot.effects):
+            robot = replace(robot, effects=tuple(acting))
+        constants = self.constants(robot, x)
         return [unexplained(motion, constants) / scale for motion in motions]
 
     def rows_of_torque(self, residuals):
@@ -497,6 +506,12 @@ class Likelihood:
         """Return Coulomb friction of a joint, the least of all for the whole arm [N m]."""
         joints = self.robot.joints
         return float(self.coulomb[joints.index(joint)] if joint in joints else self.coulomb.min())
+
+
+@lru_cache(maxsize=64)
+def _record_of(robot):
+    """Return the kernels' record of a robot, which nobody may change."""
+    return plant.constants_of(robot)
 
 
 def scales_of(motions, robot):

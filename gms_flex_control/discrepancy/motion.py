@@ -3,7 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """A recording made ready: even samples, smoothed angles with their derivatives, held torques."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from gms_flex_control.analysis.signals import quantum
 from gms_flex_control.discrepancy.unseen_links import link_angle, unseen_links
@@ -20,6 +20,7 @@ _ONE_COUNT = 1.5       # counts: the reading goes to and fro between two
 _FINE = 20.0           # times a count's own noise: steps below are none of an encoder
 _LONGEST_HOLE = 5.5    # samples: readings farther apart are not bridged
 _SETTLED = 0.3         # after a hole, until friction is that of the motion seen [s]
+_MOST_KEPT = 16        # torques along a motion that are kept
 _DEVIATIONS = 6.0      # of noise: so far apart readings of a link at rest lie
 
 
@@ -95,6 +96,16 @@ class Motion:
     source: str
     unseen: tuple = ()
     pushed: np.ndarray | None = None
+    _kept: dict = field(init=False, repr=False, default_factory=dict)
+
+    def once(self, key, make):
+        """Return what ``make`` returns, of the last few keys without calling it again."""
+        found = self._kept.pop(key, None)
+        found = make() if found is None else found
+        self._kept[key] = found  # the latest asked for is last
+        for old in list(self._kept)[:-_MOST_KEPT]:
+            self._kept.pop(old, None)
+        return found
 
     def through_filter(self, torque):
         """Return torques (T, n) held over samples as the equations see them, shape (S, n)."""
@@ -207,9 +218,7 @@ def make_motion(joints, time, period, readings, command, supply, commanded, sour
         bend[:, 0, j] = second_difference(readings[:, 0, j], period)
     noise = np.sqrt(np.mean(np.diff(readings, 3, axis=0) ** 2, axis=0) / 20.0)
     window = smoothing(period)
-    states = np.stack([np.stack(derivatives(readings[:, side, j], period, window), axis=1)
-                       for side in range(2) for j in range(n)], axis=2)
-    states = states.reshape(len(time), 3, 2, n).swapaxes(1, 2).reshape(len(time), 6, n)
+    states = np.stack(derivatives(readings, period, window), axis=2).reshape(len(time), 6, n)
     factor = factor or max(int(WORKING_PERIOD / period * (1.0 + 1e-6)), 1)
     thin = np.ascontiguousarray(states[::factor])
     twist = thinned(seen(readings[:, 1] - readings[:, 0], 1.0 / 12.0), factor)

@@ -12,6 +12,7 @@ stiffness_error, whose own prior is as wide as errors are.
 from dataclasses import replace
 from typing import NamedTuple
 
+from gms_flex_control import records
 from gms_flex_control.params.uncertainty import KINDS
 from gms_flex_control.simulation import plant
 import numpy as np
@@ -50,10 +51,10 @@ class Nuisance(NamedTuple):
     fields: tuple         # of (part, field, index) of the kernels' record
     signs: tuple          # +1 or -1 for each field
 
-    def apply(self, constants, value):
-        """Change a record of simulation.plant.constants_of in place by ``value``."""
+    def apply(self, boxed, value):
+        """Change a boxed record of simulation.plant.constants_of in place by ``value``."""
         for (part, field, index), sign in zip(self.fields, self.signs, strict=True):
-            getattr(getattr(constants, part), field)[index] *= 1.0 + sign * value
+            boxed[part][field][0][index] *= 1.0 + sign * value
 
 
 class RotorNuisance(NamedTuple):
@@ -64,10 +65,11 @@ class RotorNuisance(NamedTuple):
     name = 'motor_inertia'
     fields = (('chain', 'motor_inertia', ...), ('chain', 'rigid_inertia', ...))
 
-    def apply(self, constants, value):
-        """Change a record of simulation.plant.constants_of in place by ``value``."""
-        own, seen = constants.chain.motor_inertia, constants.chain.rigid_inertia
-        toward = constants.chain.inverse[self.joint]
+    def apply(self, boxed, value):
+        """Change a boxed record of simulation.plant.constants_of in place by ``value``."""
+        own, seen, inverse = (boxed['chain'][name][0] for name in (
+            'motor_inertia', 'rigid_inertia', 'inverse'))
+        toward = inverse[self.joint]
         seen += value * own[self.joint] * np.outer(toward, toward)  # theta is not the joint's
         own[self.joint] *= 1.0 + value
 
@@ -86,7 +88,7 @@ class OfRecording(NamedTuple):
     unit: float           # of the kind [rad], [N m], 1 or [samples]
     fields = ()
 
-    def apply(self, constants, value):
+    def apply(self, boxed, value):
         """Leave a record of simulation.plant.constants_of as it is: no robot has it."""
 
     def words(self, joints, value):
@@ -209,11 +211,11 @@ def nuisances_of(constants, prior, stated=None):
 
 def tuned(constants, nuisances, values):
     """Return a copy of constants with nuisance parameters at ``values`` (P,)."""
-    copy = constants.copy()
+    boxed = records.boxed(constants)
     for nuisance, value in zip(nuisances, values, strict=True):
         if value != 0.0:
-            nuisance.apply(copy, value)
-    return copy
+            nuisance.apply(boxed, value)
+    return boxed[0]
 
 
 def with_nuisances(robot, nuisances, x):

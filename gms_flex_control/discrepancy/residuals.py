@@ -27,6 +27,7 @@ _CORRECTIONS = 4      # of an unseen link's angle, where a spring is not linear
 _CLEARINGS = 3        # of a motion from errors of its encoders
 _TOLD = 1e-3          # of the largest shift: with less, no stiffness is told by it
 _STIFFEST = 6.0       # times a spring's stiffness, at most
+_OF_BODIES = ('orientation', 'offset', 'moment', 'coupling', 'rigid_inertia', 'gravity')
 _OF_SPRINGS = int(Stage.TWIST), int(Stage.SPRING)
 
 
@@ -107,18 +108,44 @@ def _residuals(motion, constants, work, drive, states, second):
     flexible = constants.chain.flexible
     if acts(constants, SENSOR):
         states, second = corrected(motion, drive, states, second, constants, work)
-    link, motor, inertial = np.empty((3, *drive.shape))
-    equations.torques_along(states, np.ascontiguousarray(second[:, 0]), drive, motion.time,
-                            motion.period, constants, fresh_state(constants), work, link, motor,
-                            inertial)
+    link, motor = np.empty((2, *drive.shape))
+    equations.torques_along(states, _friction(motion, states, constants, work), drive,
+                            motion.time, motion.period, constants, fresh_state(constants), work,
+                            link, motor)
+    bias, inertial = _rigid_body(motion, states, second, constants, work)
     weight = sampled_weight(motion.factor)
     unsmoothed = constants.chain.stiffness * motion.twist_rest  # what smoothing took of the spring
-    on_link = inertial - seen(link, weight) - unsmoothed - (1.0 - flexible) * drive
+    on_link = inertial - seen(link - bias, weight) - unsmoothed - (1.0 - flexible) * drive
     if motion.pushed is not None:
         on_link -= motion.through_filter(motion.pushed)
     on_motor = flexible * (constants.chain.motor_inertia * second[:, 1]
                            - seen(motor, weight) + unsmoothed - drive)
     return np.stack([on_link, on_motor])
+
+
+def _friction(motion, states, constants, work):
+    """Return the friction torques (S, n) along states [N m], worked out once for each friction."""
+    def made():
+        friction = np.empty((len(states), states.shape[2]))
+        equations.friction_along(states, motion.period, constants, fresh_state(constants), work,
+                                 friction)
+        return friction
+    if states is not motion.states:
+        return made()
+    return motion.once(('friction', constants.friction.tobytes()), made)
+
+
+def _rigid_body(motion, states, second, constants, work):
+    """Return ``C dq + g`` and ``M second``, (S, n) each [N m], worked out once for each arm."""
+    def made():
+        bias, inertial = np.empty((2, len(states), states.shape[2]))
+        equations.rigid_body_along(states, np.ascontiguousarray(second[:, 0]), constants.chain,
+                                   work.chain, bias, inertial)
+        return bias, inertial
+    if states is not motion.states or second is not motion.second:
+        return made()
+    return motion.once(('rigid body', *(constants.chain[name].tobytes() for name in _OF_BODIES)),
+                       made)
 
 
 def drive_torque(motion, constants, work):
@@ -138,9 +165,9 @@ def corrected(motion, drive, states, second, constants, work):
     Errors are functions of the true motion, which is the measured one less these errors.
     """
     link, motor = np.empty((2, *drive.shape))
-    true = states
+    true, friction = states, _friction(motion, states, constants, work)
     for _ in range(_CLEARINGS):
-        equations.sensor_errors(true, states, drive, motion.time, motion.period, constants,
+        equations.sensor_errors(true, friction, drive, motion.time, motion.period, constants,
                                 fresh_state(constants), work, link, motor)
         off = np.stack([link, motor], axis=1)
         rate = np.gradient(off, motion.period, axis=0)

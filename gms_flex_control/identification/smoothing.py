@@ -114,7 +114,7 @@ def derivatives(values, period, window):
 
     Parameters
     ----------
-    values : ndarray, shape (T,)
+    values : ndarray, shape (T, ...)
         Evenly sampled, without gaps.
     period : float
         Sample [s].
@@ -123,10 +123,11 @@ def derivatives(values, period, window):
 
     Returns
     -------
-    tuple of ndarray, shape (T,)
+    tuple of ndarray, shape (T, ...)
         Value, rate and acceleration, all through the same filter.
 
     """
     window = min(window, 2 * ((len(values) - 1) // 2) + 1)
     order = min(_ORDER, window - 1)
-    return tuple(savgol_filter(values, window, order, deriv=k, delta=period) for k in range(3))
+    return tuple(savgol_filter(values, window, order, deriv=k, delta=period, axis=0)
+                 for k in range(3))
