@@ -20,7 +20,7 @@ _ONE_COUNT = 1.5       # counts: the reading goes to and fro between two
 _FINE = 20.0           # times a count's own noise: steps below are none of an encoder
 _LONGEST_HOLE = 5.5    # samples: readings farther apart are not bridged
 _SETTLED = 0.3         # after a hole, until friction is that of the motion seen [s]
-_MOST_KEPT = 16        # torques along a motion that are kept
+_MOST_KEPT = 8         # torques along a motion that are kept
 _DEVIATIONS = 6.0      # of noise: so far apart readings of a link at rest lie
 
 

@@ -9,6 +9,8 @@ with the torques alike, so that nothing but the model's error remains. Smoothed 
 where a torque is a function of it.
 """
 
+from functools import partial
+
 from gms_flex_control import records
 from gms_flex_control.discrepancy import equations
 from gms_flex_control.discrepancy.motion import (
@@ -29,6 +31,7 @@ _TOLD = 1e-3          # of the largest shift: with less, no stiffness is told by
 _STIFFEST = 6.0       # times a spring's stiffness, at most
 _OF_BODIES = ('orientation', 'offset', 'moment', 'coupling', 'rigid_inertia', 'gravity')
 _OF_SPRINGS = int(Stage.TWIST), int(Stage.SPRING)
+_BEFORE_LINKS = ACTUATOR, *_OF_SPRINGS, int(Stage.MOTOR)
 
 
 def unexplained(motion, constants):
@@ -55,8 +58,9 @@ def unexplained(motion, constants):
     """
     work = plant.workspace(len(motion.joints))
     drive = drive_torque(motion, constants, work)
-    states, second = motion_as_modelled(motion, constants, work, drive)
-    both = _residuals(motion, constants, work, drive, states, second)
+    both = _residuals(motion, constants, work, drive,
+                      *motion_as_modelled(motion, constants, work, drive),
+                      _of_springs(motion, constants))
     for link in motion.unseen:  # the motor equation has been used
         both[0, :, link.joint] += both[1, :, link.joint]
         both[1, :, link.joint] = 0.0
@@ -69,14 +73,31 @@ def motion_as_modelled(motion, constants, work, drive):
 
     That is where its motor equation holds behind the low-pass, whatever it was begun with.
     """
-    states, second = motion.states, motion.second
     if not motion.unseen:
-        return states, second
+        return motion.states, motion.second
+    return motion.once(_of_springs(motion, constants), partial(
+        _with_unseen_links, motion, constants, work, drive))
+
+
+def _of_springs(motion, constants):
+    """Return what tells motions with unseen links apart, tuple of bytes."""
+    if not motion.unseen:
+        return ()
+    key = _key(constants, _BEFORE_LINKS, 'stiffness', 'damping', 'motor_inertia')
+    return ('unseen', *key, *(_key(constants, (SENSOR,), 'friction', *_OF_BODIES)
+                              if acts(constants, SENSOR) else ()))
+
+
+def _with_unseen_links(motion, constants, work, drive):
+    """Return motion (S, 6, n) and second differences (S, 2, n), unseen links worked out."""
+    states, second = motion.states, motion.second
     weight, before = sampled_weight(motion.factor), None
     shift = np.zeros_like(drive)
+    joints = [link.joint for link in motion.unseen]
     linear = not any(acts(constants, stage) for stage in _OF_SPRINGS)
     for _ in range(1 if linear else _CORRECTIONS):  # one is exact for a linear spring
-        _, on_motor = _residuals(motion, constants, work, drive, states, second)
+        _, on_motor = _residuals(motion, constants, work, drive, states, second,
+                                 () if before is None else None)
         stiffness = _secant(before, on_motor, seen(shift, weight), constants.chain.stiffness)
         before, states, second = on_motor, states.copy(), second.copy()
         for link in motion.unseen:
@@ -84,9 +105,11 @@ def motion_as_modelled(motion, constants, work, drive):
             begun = states[:, 0, j]
             shift[:, j] = low_pass(seen(begun, weight) + on_motor[:, j] / stiffness[:, j],
                                    max(round(link.window / motion.factor), 2)) - begun
-            _, rate, bend = derivatives(shift[:, j], motion.period, smoothing(motion.period))
-            states[:, :3, j] += np.stack([shift[:, j], rate, bend], axis=1)
-            second[:, 0, j] += second_difference(shift[:, j], motion.period)
+        moved = np.stack(derivatives(shift[:, joints], motion.period, smoothing(motion.period)),
+                         axis=1)
+        moved[:, 0] = shift[:, joints]
+        states[:, :3, joints] += moved
+        second[:, 0, joints] += second_difference(shift[:, joints], motion.period)
     return states, second
 
 
@@ -103,16 +126,25 @@ def _secant(before, after, shift, stiffness):
     return np.clip(slope, stiffness, _STIFFEST * stiffness)
 
 
-def _residuals(motion, constants, work, drive, states, second):
-    """Return what is missing in the link and in the motor equations along a motion (2, S, n)."""
+def _residuals(motion, constants, work, drive, states, second, way=None):
+    """
+    Return what is missing in the link and in the motor equations along a motion (2, S, n).
+
+    Torques are kept where ``way``, tuple of bytes, tells motions of this recording apart.
+    """
     flexible = constants.chain.flexible
+    kept = motion.once if way is not None else lambda key, make: make()
+    way, friction = way or (), _key(constants, (), 'friction')
     if acts(constants, SENSOR):
-        states, second = corrected(motion, drive, states, second, constants, work)
+        way = (*way, *_key(constants, (ACTUATOR, SENSOR)), *friction)
+        states, second = kept(('corrected', *way), partial(
+            corrected, motion, drive, states, second, constants, work))
     link, motor = np.empty((2, *drive.shape))
-    equations.torques_along(states, _friction(motion, states, constants, work), drive,
-                            motion.time, motion.period, constants, fresh_state(constants), work,
-                            link, motor)
-    bias, inertial = _rigid_body(motion, states, second, constants, work)
+    equations.torques_along(
+        states, kept((*way, *friction), partial(_friction, motion, states, constants, work)),
+        drive, motion.time, motion.period, constants, fresh_state(constants), work, link, motor)
+    bias, inertial = kept((*way, *_key(constants, (), *_OF_BODIES)), partial(
+        _rigid_body, states, second, constants, work))
     weight = sampled_weight(motion.factor)
     unsmoothed = constants.chain.stiffness * motion.twist_rest  # what smoothing took of the spring
     on_link = inertial - seen(link - bias, weight) - unsmoothed - (1.0 - flexible) * drive
@@ -123,39 +155,48 @@ def _residuals(motion, constants, work, drive, states, second):
     return np.stack([on_link, on_motor])
 
 
+def _key(constants, stages, *fields):
+    """Return what tells models apart by some stages of effects and fields, tuple of bytes."""
+    effects, chain, found = constants.effects, constants.chain, []
+    starts, params = effects['stage_start'], effects['first_param']
+    for stage in stages:
+        terms = slice(starts[stage], starts[stage + 1])
+        if terms.start < terms.stop:
+            last = params[terms.stop] or None  # 0 behind the last term
+            found += [effects['address'][terms].tobytes(), effects['joint'][terms].tobytes(),
+                      effects['params'][params[terms.start]:last].tobytes()]
+    return (*found, *((constants.friction if name == 'friction' else chain[name]).tobytes()
+                      for name in fields))
+
+
 def _friction(motion, states, constants, work):
-    """Return the friction torques (S, n) along states [N m], worked out once for each friction."""
-    def made():
-        friction = np.empty((len(states), states.shape[2]))
-        equations.friction_along(states, motion.period, constants, fresh_state(constants), work,
-                                 friction)
-        return friction
-    if states is not motion.states:
-        return made()
-    return motion.once(('friction', constants.friction.tobytes()), made)
+    """Return the friction torques (S, n) along a motion (S, 6, n) [N m]."""
+    friction = np.empty((len(states), states.shape[2]))
+    equations.friction_along(states, motion.period, constants, fresh_state(constants), work,
+                             friction)
+    return friction
 
 
-def _rigid_body(motion, states, second, constants, work):
-    """Return ``C dq + g`` and ``M second``, (S, n) each [N m], worked out once for each arm."""
-    def made():
-        bias, inertial = np.empty((2, len(states), states.shape[2]))
-        equations.rigid_body_along(states, np.ascontiguousarray(second[:, 0]), constants.chain,
-                                   work.chain, bias, inertial)
-        return bias, inertial
-    if states is not motion.states or second is not motion.second:
-        return made()
-    return motion.once(('rigid body', *(constants.chain[name].tobytes() for name in _OF_BODIES)),
-                       made)
+def _rigid_body(states, second, constants, work):
+    """Return ``C dq + g`` and ``M second``, (S, n) each [N m]."""
+    bias, inertial = np.empty((2, len(states), states.shape[2]))
+    equations.rigid_body_along(states, np.ascontiguousarray(second[:, 0]), constants.chain,
+                               work.chain, bias, inertial)
+    return bias, inertial
 
 
 def drive_torque(motion, constants, work):
     """Return the torque of the actuators (S, n) as the equations see it [N m]."""
     if not acts(constants, ACTUATOR):
         return motion.drive
-    applied = np.empty_like(motion.command)
-    equations.mean_applied(motion.command, motion.supply, motion.fine_time, motion.fine_period,
-                           constants, fresh_state(constants), work, applied)
-    return motion.through_filter(applied)
+
+    def made():
+        applied = np.empty_like(motion.command)
+        equations.mean_applied(motion.command, motion.supply, motion.fine_time,
+                               motion.fine_period, constants, fresh_state(constants), work,
+                               applied)
+        return motion.through_filter(applied)
+    return motion.once(('drive', *_key(constants, (ACTUATOR,))), made)
 
 
 def corrected(motion, drive, states, second, constants, work):

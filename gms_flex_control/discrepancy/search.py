@@ -151,7 +151,7 @@ class _Search:
             width = _BEAM if added < _FEW else 1
             found = {}
             for state in beam:
-                for one in self._neighbours(state, min(width + 1, _SHORTLIST)):
+                for one in self._neighbours(state, width + 1 if width > 1 else 1):
                     found[one.key(self._known)] = one
             states = sorted(found.values(), key=lambda one: -one.evidence)[:width]
             if not states or states[0].evidence < self.best.evidence + EVIDENCE:
@@ -178,7 +178,10 @@ class _Search:
                 if other is not None:
                     found[key] = self._tried(other[0], self._extended(*other))
                     better += found[key].evidence > state.evidence + EVIDENCE
-        return list(found.values())
+            if better == shortlist:
+                break
+        found = sorted(found.values(), key=lambda one: -one.evidence)
+        return [self._anew(one, state.model.x) for one in found[:1]] + found[1:]
 
     def _bases(self, state):
         """
@@ -195,24 +198,27 @@ class _Search:
                    columns, PLAUSIBLE)
 
     def _fitted(self, robot, x, columns):
-        """
-        Return a fit with the columns of all but its last effect, None if it ends at a limit.
+        """Return a fit with the columns of all but its last effect, None if it ends at a limit."""
+        model = fit(self._likelihood, robot, x, columns)
+        added = model.robot.effects[self._known:]
+        return None if any(is_at_limit(spec, model.robot) for spec in added) else (model, columns)
 
-        Derivatives by nuisance parameters are taken anew where these have moved far: a clock that
-        is wrong changes what a spring does.
+    def _anew(self, state, x):
         """
-        likelihood, model = self._likelihood, fit(self._likelihood, robot, x, columns)
+        Return a State by derivatives of its own if nuisance parameters have moved far from ``x``.
+
+        A clock that is wrong changes what a spring does.
+        """
+        likelihood, model = self._likelihood, state.model
         for _ in range(_ANEW):
             if np.max(np.abs(model.x - x) / likelihood.sd) < _FAR:
                 break
             x = model.x
-            columns = np.concatenate([likelihood.columns(model.robot, x, model.rows),
-                                      columns[len(x):]])
-            model = fit(likelihood, model.robot, x, columns)
-        added = model.robot.effects[self._known:]
-        if any(is_at_limit(spec, model.robot) for spec in added):
-            return None
-        return model, columns
+            nuisances = likelihood.columns(model.robot, x, model.rows)
+            state = max(state, self._tried(*refitted(likelihood, model, nuisances)),
+                        key=lambda one: one.evidence)
+            model = state.model
+        return state
 
     def _extended(self, model, columns):
         """Return columns (C, R), then those of the last effect."""
