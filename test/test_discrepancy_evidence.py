@@ -32,7 +32,8 @@ class Linear:
         return np.ones(len(self._offset))
 
     def sums(self, rows, robot, x, exact=False):
-        return Sums(np.array([rows @ rows]), rows @ rows + np.sum((x / SD) ** 2))
+        return Sums(np.array([rows @ rows]), rows @ rows + np.sum((x / SD) ** 2),
+                    np.array([False]))
 
     def likeliest(self):
         """Return the Fitted at the likeliest nuisance parameters."""

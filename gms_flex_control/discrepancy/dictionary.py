@@ -27,7 +27,6 @@ from gms_flex_control.effects.registry import find, names
 from gms_flex_control.params.robot import EffectSpec, WHOLE_ARM
 import numpy as np
 
-_ALL_NOISE = 0.3      # of the squares of a column: noise shows more than the effect does
 _AT_BOUND = 0.99      # of what is plausible of a nuisance parameter: it can give no more
 _NEW = 1e-6           # of the squares of a guess's columns: nothing else makes so much of them
 _EXACT = 8            # effects of joints whose gain is found within bounds, either way
@@ -172,16 +171,14 @@ class Dictionary:
             likelihood.learn_noise(EffectSpec(name=name, joint=joint, values=values), sets)
         list(likelihood.pool.map(learn, linear))
         added = np.zeros_like(self.columns)
-        for row, (name, joint, values) in zip(added, jobs, strict=True):
-            row += np.asarray(values) @ likelihood.noise_rows(
-                EffectSpec(name=name, joint=joint, values=values))
-        hidden = np.sum(added ** 2, axis=1) > 2.0 * _ALL_NOISE * np.sum(self.columns ** 2, axis=1)
-        for name, joint in {jobs[i][:2] for i in np.flatnonzero(hidden)}:
-            likelihood.forget_noise(name, joint)
+        for column, row, (name, joint, values) in zip(self.columns, added, jobs, strict=True):
+            spec, values = EffectSpec(name=name, joint=joint, values=values), np.asarray(values)
+            telling = likelihood.telling(spec)
+            column *= telling[np.argmax(values != 0.0)]
+            row += values @ (likelihood.noise_rows(spec) * telling)
         learned = {one[:2] for one in linear}
-        told = np.array([(name, joint) in learned or _is_of_torque(name)
-                         for name, joint, _ in jobs], dtype=bool)
-        return added, ~told | hidden
+        return added, ~np.array([(name, joint) in learned or _is_of_torque(name)
+                                 for name, joint, _ in jobs], dtype=bool)
 
     def gains(self, model, columns, plausible=np.inf, even=False):
         """
@@ -209,7 +206,8 @@ class Dictionary:
         # where it was not learned, noise adds what it adds to all that makes the column: a
         # friction that varies with place is friction
         noise = np.where(self._unknown, shared, self._noise @ (
-            0.5 * weight * likelihood.noise_along(model.robot, model.x)))
+            0.5 * weight * model.sums.cleared[likelihood.group]
+            * likelihood.noise_along(model.robot, model.x)))
         right = -(scaled @ left) + noise - shared
         gains = np.zeros(len(self.guesses))
         for i, (first, last) in enumerate(zip(self._places[:-1], self._places[1:], strict=True)):

@@ -155,14 +155,16 @@ def is_at_limit(spec, robot):
 
 
 def effect_columns(likelihood, robot, x, rows, numbers):
-    """Return derivatives (V, R) of the rows by parameters of effects."""
+    """Return derivatives (V, R) of rows by parameters of effects, 0 in rows of mostly noise."""
     values = values_of(robot, numbers)
 
     def column(i):
         at, step = values.copy(), numbers[i].step
         step = -step if at[i] + step > numbers[i].upper else step
         at[i] += step
-        return (likelihood.rows(at_values(robot, numbers, at), x) - rows) / step
+        spec, k = robot.effects[numbers[i].effect], numbers[i].parameter
+        return likelihood.telling(spec)[k] * (
+            likelihood.rows(at_values(robot, numbers, at), x) - rows) / step
     return likelihood.each(column, range(len(numbers))).reshape(len(numbers), len(rows))
 
 

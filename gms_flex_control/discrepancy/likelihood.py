@@ -55,6 +55,7 @@ class Sums(NamedTuple):
 
     groups: np.ndarray  # (G,)
     cost: float         # -2 log likelihood and -2 log prior, but for constants
+    cleared: np.ndarray  # (G,) whether what noise adds has been subtracted, bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,21 +168,26 @@ class Likelihood:
         # recording, whose rows scatter by that of this mean as well
         self.usual, count = clean.mean(axis=0), len(clean)
         self.clean = (clean - self.usual) * np.sqrt((count + 1) / (count - 1))
-        self._by_effect = {}  # (effect, joint): (parameters, R)
+        self._by_effect = {}  # (effect, joint): as `_shown`, (parameters, R) each
         if self.held_out:
             return
-        one, other = (self._rows_of(run) for run in self._null_residuals[-1])
-        self._own = one - other
+        self._null_rows = [self._rows_of(run) for run in self._null_residuals[-1]]
+        self._own = self._null_rows[0] - self._null_rows[1]
+        self._by_nuisance, self._tells = np.moveaxis(self.each(
+            lambda i: self._shown([self._rows_of(run) for run in self._null_residuals[i]], _STEP),
+            range(len(self.nuisances))), 1, 0)
 
-        def by_nuisance(i):
-            """Return how noise shows by a nuisance parameter, and which rows tell it."""
-            at = [self._rows_of(run) for run in self._null_residuals[i]]
-            noise = at[0] - at[1] - self._own
-            hidden = (self._by_group(noise ** 2)
-                      > 2.0 * _ALL_NOISE * self._by_group((at[0] - one) ** 2))
-            return noise / _STEP, ~hidden[self.group]
-        self._by_nuisance, self._tells = np.moveaxis(
-            self.each(by_nuisance, range(len(self.nuisances))), 1, 0)
+    def _shown(self, rows, step):
+        """
+        Return what a ``step`` of a parameter makes of two null simulations, (2, R).
+
+        How noise shows in the derivative, and 1 where the derivative tells something: not in
+        groups in which it is mostly noise.
+        """
+        noise = rows[0] - rows[1] - self._own
+        hidden = (self._by_group(noise ** 2)
+                  > 2.0 * _ALL_NOISE * self._by_group((rows[0] - self._null_rows[0]) ** 2))
+        return noise / step, ~hidden[self.group]
 
     def torque_noise(self, m, rng):
         """Return the residual torque (S, 2 n) that white torque noise makes in a recording."""
@@ -275,13 +281,8 @@ class Likelihood:
 
     # --- what encoder noise adds to the sums, which a lighter arm would make smaller -----------
 
-    def _differences(self, robot, x):
-        """Return how rows of two null simulations differ: they share their motion, not noise."""
-        one, other = self._null_rows(robot, x)
-        return one - other
-
-    def _null_rows(self, robot, x):
-        """Return the rows of a model along two null simulations."""
+    def _along_nulls(self, robot, x):
+        """Return the rows of a model along two null simulations of one motion, not one noise."""
         return [self._rows_of(self._residuals(run, robot, x)) for run in self._pair]
 
     def learn_noise(self, spec, linear):
@@ -297,19 +298,20 @@ class Likelihood:
 
         """
         robot, x = self._null
-        rows = np.zeros((len(spec.values), len(self._own)))
+        shown = np.zeros((len(spec.values), 2, len(self._own)))
+        shown[:, 1] = 1.0
         for k, values in linear:
             changed = replace(robot, effects=(*robot.effects, replace(spec, values=values)))
-            rows[k] = (self._differences(changed, x) - self._own) / values[k]
-        self._by_effect[spec.name, spec.joint] = rows
-
-    def forget_noise(self, name, joint):
-        """Take it that noise adds nothing by an effect: its rows are but noise."""
-        self._by_effect.pop((name, joint), None)
+            shown[k] = self._shown(self._along_nulls(changed, x), values[k])
+        self._by_effect[spec.name, spec.joint] = shown[:, 0], shown[:, 1]
 
     def noise_rows(self, spec):
         """Return how encoder noise shows in the rows by each parameter of an effect, or 0."""
-        return self._by_effect.get((spec.name, spec.joint), np.zeros((len(spec.values), 1)))
+        return self._by_effect.get((spec.name, spec.joint), np.zeros((1, len(spec.values), 1)))[0]
+
+    def telling(self, spec):
+        """Return 1 in rows that tell each parameter of an effect, 0 in those of mostly noise."""
+        return self._by_effect.get((spec.name, spec.joint), np.ones((2, len(spec.values), 1)))[1]
 
     def noise_along(self, robot, x):
         """Return how rows of two null simulations would differ for a model (R,)."""
@@ -331,11 +333,15 @@ class Likelihood:
 
         ``exact``: what noise adds is simulated, not extrapolated from the null.
         """
-        noise = self._differences(robot, x) if exact else self.noise_along(robot, x)
+        noise = (np.subtract(*self._along_nulls(robot, x)) if exact
+                 else self.noise_along(robot, x))
         added = 0.5 * self._by_group(noise ** 2 - self._own ** 2)
         most = 0.5 * _MOST_ADDED * self._by_group(self._own ** 2)
-        groups = np.maximum(self._by_group(rows ** 2) - np.minimum(added, most), self._least)
-        return Sums(groups, self.misfit(groups) + float(np.sum((x / self.sd) ** 2)))
+        whole = self._by_group(rows ** 2)
+        least = np.minimum(whole, self._least)  # clearing is no merit below what chance does
+        groups = np.maximum(whole - np.minimum(added, most), least)
+        return Sums(groups, self.misfit(groups) + float(np.sum((x / self.sd) ** 2)),
+                    (groups > least) & (added < most))
 
     def misfit(self, sums):
         """Return -2 log likelihood of sums (..., G) at the likeliest noise levels."""
@@ -356,9 +362,11 @@ class Likelihood:
 
     def noise_slopes(self, model, weight, numbers=()):
         """Return the part of `slopes` that encoder noise makes (C,)."""
-        noise = 0.5 * weight * self.noise_along(model.robot, model.x)
-        by_number = [np.sum(self.noise_rows(model.robot.effects[one.effect])[one.parameter]
-                            * noise) for one in numbers]
+        noise = 0.5 * weight * model.sums.cleared[self.group] * self.noise_along(
+            model.robot, model.x)
+        specs = [(model.robot.effects[one.effect], one.parameter) for one in numbers]
+        by_number = [np.sum(self.noise_rows(spec)[k] * self.telling(spec)[k] * noise)
+                     for spec, k in specs]
         return np.concatenate([(self._by_nuisance * self._tells) @ noise, by_number])
 
     def constants(self, robot, x):

@@ -121,7 +121,9 @@ def gain_of(likelihood, state, other, change, plausible=PLAUSIBLE):
 def gain_over(gains, acts=slice(None)):
     """Return the Gain of log likelihoods (B,), over blocks in which an effect acts (B,)."""
     own = gains[acts]
-    spread = np.std(own, ddof=1) / np.sqrt(len(own)) if len(own) > 1 else np.inf
+    if len(own) < 2:
+        return Gain(float(gains.sum()), 0.0, len(own))
+    spread = np.std(own, ddof=1) / np.sqrt(len(own))
     return Gain(float(gains.sum()), float(own.mean() / max(spread, 1e-12)), len(own))
 
 
