@@ -13,4 +13,4 @@ from gms_flex_control.nodes import launch_parts as parts
 def generate_launch_description():
     """Return the closed loop around a real robot; torque waits for /plant/enable."""
     return parts.description(parts.arguments(bridge=parts.config('bridge.yaml'), priority='50'),
-                             [*parts.closed_loop(), *parts.helpers()])
+                             parts.closed_loop())
