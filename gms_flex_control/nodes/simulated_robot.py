@@ -25,6 +25,7 @@ import numpy as np
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import SetBool
 
 _REPEAT_PERIOD = 1.0     # an unanswered state is sent again in lockstep [s]
 _LATEST_START = 5        # samples the stamps may be off the clock before some are left out
@@ -79,6 +80,7 @@ class SimulatedRobot(SupervisedRobot):
         self._supervisor, self._commands = Supervisor('no command yet'), CommandWatch()
         self._wanted = True      # whether commands enable torque
         self._passing = False    # whether the fault passes by itself
+        self._paused = False     # whether a robot in lockstep waits, whatever comes
         self._said = None
         self._lock = threading.RLock()
         self._command = (self._zero, None, 0)  # torque, stamp answered, when it came
@@ -97,6 +99,12 @@ class SimulatedRobot(SupervisedRobot):
             self._clock_pub = self._node.create_publisher(Clock, '/clock', qos)
             self._clock_period = round(NANOSECONDS / values['clock_rate'])
             self._next_clock = 0
+            self._node.create_service(SetBool, '~/pause', self._health.guard(self._on_pause))
+
+    def _on_pause(self, request, response):
+        self._paused = request.data
+        response.success, response.message = True, 'paused' if request.data else 'goes on'
+        return response
 
     def run(self, spinner):
         """Simulate until the duration is over or a signal comes."""
@@ -245,7 +253,8 @@ class SimulatedRobot(SupervisedRobot):
         return {
             'state': self._supervisor.state, 'reason': self._supervisor.reason,
             'samples': self._ticks, 'samples without a fresh command': self._missed,
-            'samples left out': self._left_out, 'commands refused': self._refused, 'faults': self._supervisor.faults,
+            'samples left out': self._left_out, 'commands refused': self._refused,
+            'faults': self._supervisor.faults,
             'controller': self._commands.name if silence is not None else 'none yet',
             'silence of the controller [ms]': round((silence or 0) / 1e6, 1)}
 
@@ -308,8 +317,8 @@ class SimulatedRobot(SupervisedRobot):
         self._first += count * self._period  # which counts samples for the timing
         self._resumed += count * self._period
         self._health.warn('clock', (
-            f'{behind / 1e6:.1f} ms late, {count} samples are left out: the machine is too busy for '
-            'this rate, or stood still' if behind > 0 else
+            f'{behind / 1e6:.1f} ms late, {count} samples are left out: the machine is too busy '
+            'for this rate, or stood still' if behind > 0 else
             f'the clock was set back by {-behind / 1e6:.1f} ms'))
         return count
 
@@ -322,6 +331,8 @@ class SimulatedRobot(SupervisedRobot):
         repeat = time.monotonic() + _REPEAT_PERIOD
         while spinner.goes_on():
             spinner.spin_once()
+            if self._paused:
+                continue
             torque, stamp, arrived = self._command
             if arrived and (stamp is None or stamp == self._stamp):
                 if self._is_last():  # answered too: a recording lacks nothing

@@ -21,12 +21,11 @@ $(ros2 pkg prefix --share gms_flex_control)/config; every --params-file may add 
 def _start(name):
     for number in (signal.SIGINT, signal.SIGTERM):  # `run_node` has handlers of its own later
         signal.signal(number, lambda *_: os._exit(0))
-    words = sys.argv[1:]
-    if {'-h', '--help'} & set(words[:words.index('--ros-args') if '--ros-args' in words else None]):
-        module = import_module(f'gms_flex_control.nodes.{name}')
+    module = import_module(f'gms_flex_control.nodes.{name}')
+    if sys.argv[1:2] in (['-h'], ['--help']):
         print(_HELP.format(name=name, summary=module.__doc__.strip()))
         return 0
-    return import_module(f'gms_flex_control.nodes.{name}').main()
+    return module.main()
 
 
 def controller_node():
