@@ -18,6 +18,7 @@ setup(
     data_files=[
         ('share/ament_index/resource_index/packages', ['resource/' + package_name]),
         ('share/' + package_name, ['package.xml']),
+        ('share/' + package_name + '/hook', ['resource/path.dsv']),  # see colcon.pkg
         ('share/' + package_name + '/config', sorted(glob('config/*.*'))),
         ('share/' + package_name + '/launch', sorted(glob('launch/*.launch.py'))),
         ('share/' + package_name + '/layouts', sorted(glob('layouts/*'))),

@@ -169,7 +169,7 @@ def _where_installed(helper, package):
     try:
         get_package_prefix(package)
         return helper
-    except PackageNotFoundError:
+    except (PackageNotFoundError, OSError):  # the latter: there is no ROS environment
         sentence = (f'{package} is not installed, the launch goes on without: '
                     f'sudo apt install ros-jazzy-{package.replace("_", "-")}')
         return OpaqueFunction(function=lambda _: get_logger('launch').warning(sentence),

@@ -8,6 +8,8 @@ import os
 import signal
 import sys
 
+from gms_flex_control.errors import GmsFlexError
+
 _HELP = """{summary}
 
 usage: ros2 run gms_flex_control {name} --ros-args --params-file ROBOT.yaml [ARGUMENT ...]
@@ -21,7 +23,11 @@ $(ros2 pkg prefix --share gms_flex_control)/config; every --params-file may add 
 def _start(name):
     for number in (signal.SIGINT, signal.SIGTERM):  # `run_node` has handlers of its own later
         signal.signal(number, lambda *_: os._exit(0))
-    module = import_module(f'gms_flex_control.nodes.{name}')
+    try:
+        module = import_module(f'gms_flex_control.nodes.{name}')
+    except GmsFlexError as error:  # of what is not installed
+        print(f'{name}: {error}', file=sys.stderr)
+        return 2
     if sys.argv[1:2] in (['-h'], ['--help']):
         print(_HELP.format(name=name, summary=module.__doc__.strip()))
         return 0
