@@ -18,6 +18,7 @@ from node_harness import (
 )
 import pytest
 
+DiagnosticArray = pytest.importorskip('diagnostic_msgs.msg').DiagnosticArray
 PERIOD = 20_000_000  # [ns]
 
 
@@ -81,3 +82,11 @@ def test_stamps_are_near_the_clock_again_after_a_stop(tmp_path):
         assert not any((stamp_of(state) - stamp_of(states[0])) % PERIOD for state in states)
         left_out = (stamp_of(states[begin]) - stamp_of(states[0])) // PERIOD - begin
         assert left_out > 30 and ' samples are left out' in plant.printed()
+
+
+def test_diagnostics_have_the_time_of_the_system_while_there_is_no_clock(tmp_path):
+    with Lab(tmp_path) as lab:
+        reports = lab.listen(DiagnosticArray, '/diagnostics')
+        lab.start('trajectory_node', use_sim_time=True)
+        lab.until(lambda: reports)
+        assert abs(time.time() - reports[0].header.stamp.sec) < 3600.0
