@@ -219,6 +219,7 @@ class IdentificationNode(Node):
         for remote in (self.trajectory, self.controller):
             self._come(remote.is_ready, lambda remote=remote: (
                 f'the services of {remote.name} did not appear'))
+        self._set_pause(False)  # of one that was killed while it computed
         self._come(lambda: self.watch.samples > _RATE_SAMPLES, lambda: f'no state on {STATES}')
         samples = self.plan.duration(self._journal.finished) / self.watch.period
         require_space(Path(self['bag']).parent, samples * _BYTES_PER_SAMPLE)

@@ -318,7 +318,7 @@ class SimulatedRobot(SupervisedRobot):
         self._resumed += count * self._period
         self._health.warn('clock', (
             f'{behind / 1e6:.1f} ms late, {count} samples are left out: the machine is too busy '
-            'for this rate, or stood still' if behind > 0 else
+            'for this rate or stood still, or the clock was set' if behind > 0 else
             f'the clock was set back by {-behind / 1e6:.1f} ms'))
         return count
 
