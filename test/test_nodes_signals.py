@@ -104,7 +104,7 @@ def test_a_signal_during_the_start_ends_it_without_an_error(tmp_path):
 def test_a_signal_at_any_moment_of_the_start_prints_no_traceback(tmp_path):
     """Also while modules are imported, and where a callback of a library swallows it."""
     with Lab(tmp_path) as lab:
-        for k in range(12):
+        for k in range(9):
             node = lab.start(f'{NODES[k % 3]}.{k}')
             lab.until(lambda node=node: imports(node.process.pid))
             time.sleep(0.05 * k)
