@@ -18,6 +18,7 @@ setup(
     data_files=[
         ('share/ament_index/resource_index/packages', ['resource/' + package_name]),
         ('share/' + package_name, ['package.xml']),
+        ('share/' + package_name + '/hook', ['resource/path.dsv']),  # see colcon.pkg
         ('share/' + package_name + '/config', sorted(glob('config/*.*'))),
         ('share/' + package_name + '/launch', sorted(glob('launch/*.launch.py'))),
         ('share/' + package_name + '/layouts', sorted(glob('layouts/*'))),
@@ -75,11 +76,11 @@ setup(
     license='Apache-2.0',
     entry_points={
         'console_scripts': [
-            'controller_node = gms_flex_control.nodes.controller_node:main',
+            'controller_node = gms_flex_control.nodes.start:controller_node',
             'gms_flex = gms_flex_control.cli.main:main',
-            'identification_node = gms_flex_control.nodes.identification_node:main',
-            'plant_node = gms_flex_control.nodes.plant_node:main',
-            'trajectory_node = gms_flex_control.nodes.trajectory_node:main',
+            'identification_node = gms_flex_control.nodes.start:identification_node',
+            'plant_node = gms_flex_control.nodes.start:plant_node',
+            'trajectory_node = gms_flex_control.nodes.start:trajectory_node',
         ],
         'gms_flex_control.devices': [
             'serial_example = gms_flex_control.hardware.serial_device:SerialDevice',

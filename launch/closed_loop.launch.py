@@ -12,4 +12,4 @@ from gms_flex_control.nodes import launch_parts as parts
 
 def generate_launch_description():
     """Return the closed loop around a simulated robot."""
-    return parts.description(parts.arguments(), [*parts.closed_loop(), *parts.helpers()])
+    return parts.description(parts.arguments(), parts.closed_loop())

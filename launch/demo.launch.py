@@ -21,5 +21,4 @@ def generate_launch_description():
     loop = parts.closed_loop(
         controller={'compensation': LaunchConfiguration('compensation')},
         trajectory={'trajectory.autostart': True})
-    return parts.description([*parts.arguments(rviz='true'), compensation],
-                             [*loop, *parts.helpers()])
+    return parts.description([*parts.arguments(rviz='true'), compensation], loop)

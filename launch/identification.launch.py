@@ -31,4 +31,4 @@ def generate_launch_description():
          'identification.resume': ParameterValue(LaunchConfiguration('resume'), value_type=bool)},
         on_exit=Shutdown())
     return parts.description([*parts.arguments(), *own],
-                             [*parts.closed_loop(), experiment, *parts.helpers()])
+                             [*parts.closed_loop(), experiment])

@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """As much of ``launch`` and ``launch_ros`` as our launch files use: they are on no registry."""
 
+import logging
 from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
@@ -46,14 +47,17 @@ def _condition(wanted):
 
 MODULES = {
     'launch': _kinds('LaunchDescription'),
-    'launch.actions': _kinds('DeclareLaunchArgument', 'ExecuteProcess', 'GroupAction', 'Shutdown'),
+    'launch.actions': _kinds('DeclareLaunchArgument', 'ExecuteProcess', 'GroupAction',
+                             'OpaqueFunction', 'Shutdown'),
     'launch.conditions': {'IfCondition': _condition('true'),
                           'UnlessCondition': _condition('false')},
+    'launch.logging': {'get_logger': logging.getLogger},
     'launch.substitutions': {
         'Command': lambda parts: Substitution(lambda known: f'output of {text(parts, known)}'),
         'EqualsSubstitution': _compared(True),
         'NotEqualsSubstitution': _compared(False),
-        'LaunchConfiguration': lambda name: Substitution(lambda known: known[name]),
+        'LaunchConfiguration': lambda name, default=None: Substitution(
+            lambda known: known.get(name, default)),
         'PathJoinSubstitution': lambda parts: Substitution(
             lambda known: '/'.join(text(part, known) for part in parts))},
     'launch_ros': {},
@@ -82,9 +86,10 @@ class Started(NamedTuple):
     parameters: dict[str, Any]
     namespace: str = ''
     remappings: tuple = ()
+    ends_all: bool = False  # the launch ends with it
 
 
-def started(description, given):
+def started(description, given, pushed=''):
     """
     Return what a launch description starts.
 
@@ -94,6 +99,8 @@ def started(description, given):
         What ``generate_launch_description`` returned.
     given : dict of str
         Launch arguments.
+    pushed : str
+        Namespace that a file around it has pushed.
 
     Returns
     -------
@@ -109,12 +116,18 @@ def started(description, given):
     assert set(given) <= set(known)
     group, = (entity for entity in description.given[0] if _kind(entity) == 'GroupAction')
     found, common, namespace = [], {}, ''
+    known['ros_namespace'] = pushed
     for action in group.given[0]:
         if _kind(action) == 'PushRosNamespace':
             namespace = text(action.given[0], known)
+            known['ros_namespace'] = f'/{pushed}/{namespace}'.rstrip('/').replace('//', '/')
         elif _kind(action) == 'SetParameter':
             common[action.given[0]] = text(action.given[1], known)
-        elif action.condition is None or action.condition(known):
+        elif action.condition is not None and not action.condition(known):
+            continue
+        elif _kind(action) == 'OpaqueFunction':
+            action.options['function'](None)
+        else:
             found.append(_process(action, known, common, namespace))
     return found
 
@@ -136,4 +149,5 @@ def _process(action, known, common, namespace):
             files.append(text(item, known))
     words = [text(word, known) for word in options.get('arguments', ())]
     return Started(options['executable'], words, files, own, namespace,
-                   tuple(options.get('remappings', ())))
+                   tuple(options.get('remappings', ())),
+                   _kind(options.get('on_exit')) == 'Shutdown')

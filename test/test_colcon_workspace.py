@@ -11,6 +11,7 @@ import subprocess
 import sys
 import time
 
+from gms_flex_control import __version__
 import pytest
 
 PACKAGE = 'gms_flex_control'
@@ -122,6 +123,15 @@ def test_the_workspace_runs_its_own_copy(prefix, environment):
     module, share = map(Path, result.stdout.split())
     assert prefix in module.parents
     assert share == prefix / 'share' / PACKAGE
+
+
+def test_a_sourced_workspace_has_the_tool_on_its_path(prefix, environment):
+    result = subprocess.run(
+        ['bash', '-c', '. "$0" && command -v gms_flex && gms_flex --version',
+         prefix.parent / 'local_setup.bash'], cwd=prefix, env=environment,
+        capture_output=True, text=True, timeout=60, check=False)
+    where, version = result.stdout.split()
+    assert Path(where) == prefix / 'lib' / PACKAGE / 'gms_flex' and version == __version__
 
 
 def test_an_installed_node_runs_and_ends_cleanly(plant, domain, monkeypatch):

@@ -10,6 +10,7 @@ from pathlib import Path
 import stat
 import subprocess
 import sys
+from xml.etree import ElementTree
 
 from gms_flex_control import nodes
 from gms_flex_control.bags.reader import read_recording
@@ -50,12 +51,23 @@ def run_file(name, path):
 
 
 @pytest.fixture
-def start(monkeypatch):
+def start(monkeypatch, tmp_path):
     """Return a function that tells what a launch file starts with some arguments."""
-    def started(name, **given):
-        found = launch_stand_in.started(loaded(name, monkeypatch), given)
+    for name in SHOWN:
+        register(name, tmp_path)
+    monkeypatch.setenv('AMENT_PREFIX_PATH', str(tmp_path))
+
+    def started(name, pushed='', **given):
+        found = launch_stand_in.started(loaded(name, monkeypatch), given, pushed)
         return {process.executable: process for process in found}
     return started
+
+
+def register(package, prefix):
+    """Let the ament index of a prefix know a package."""
+    index = prefix / 'share' / 'ament_index' / 'resource_index' / 'packages'
+    index.mkdir(parents=True, exist_ok=True)
+    (index / package).touch()
 
 
 @pytest.mark.parametrize('name', FILES)
@@ -84,6 +96,27 @@ def test_the_demo_takes_every_compensation_of_the_controller(mode, start):
     ({'rviz': 'true', 'state_publisher': 'false'}, SHOWN[1:])])
 def test_frames_are_published_for_rviz_and_where_they_are_asked_for(given, shown, start):
     assert sorted(set(start('closed_loop', **given)) - set(LOOP)) == shown
+
+
+def test_helpers_of_packages_that_are_missing_are_warnings(start, monkeypatch, caplog):
+    monkeypatch.setenv('AMENT_PREFIX_PATH', '')
+    assert sorted(start('demo')) == sorted(LOOP)
+    assert [record.getMessage().split()[0] for record in caplog.records] == SHOWN
+    assert 'sudo apt install ros-jazzy-robot-state-publisher' in caplog.text
+
+
+def test_no_dependency_draws_what_a_robot_does_not_need():
+    """Nor what rosdep would take from PyPI, which Ubuntu 24.04 refuses."""
+    manifest = ElementTree.parse(ROOT / 'package.xml').getroot()
+    names = {dependency.text for dependency in manifest.iter('exec_depend')}
+    assert not names & {*SHOWN, 'mcap-ros2-support', 'python3-rosbags-pip'}
+
+
+@pytest.mark.parametrize('name', FILES)
+def test_helpers_come_first_and_the_loop_ends_with_any_of_its_nodes(name, start):
+    found = start(name, rviz='true', record='bag')
+    assert sorted(list(found)[:3]) == sorted([*SHOWN, 'gms_flex'])
+    assert all(found[node].ends_all for node in LOOP)
 
 
 def test_frames_stay_in_their_namespace(start):
@@ -131,6 +164,13 @@ def test_a_bridge_file_takes_the_place_of_the_simulation(name, start):
     assert simulated.parameters['mode'] == 'lockstep'
 
 
+def test_a_real_robot_is_started_gently(start):
+    """With the gains that test_tuning holds the arm with."""
+    gains = start('bridge')['controller_node'].files[-1]
+    assert gains == str(ROOT / 'config' / 'first_start.yaml')
+    assert start('demo')['controller_node'].files[-1].endswith('/controller.yaml')
+
+
 def test_a_real_robot_goes_before_other_programs(start):
     given = {name: process.parameters.get('realtime_priority')
              for name, process in start('bridge', bridge='my_bridge.yaml').items()}
@@ -147,8 +187,10 @@ def test_arguments_reach_the_processes(name, start):
     assert found['controller_node'].files == ['my.yaml', 'gains.yaml']
     assert found['trajectory_node'].files == ['my.yaml', 'gains.yaml', 'way.yaml']
     assert {found[node].namespace for node in LOOP} == {'left'}
-    assert found['gms_flex'].words[:3] == ['record', '--topics', 'left/joint_states']
+    assert found['gms_flex'].words[:3] == ['record', '--topics', '/left/joint_states']
     assert found['gms_flex'].words[-2:] == ['--out', 'bag']
+    outer = start(name, pushed='cell', namespace='left', record='bag')
+    assert '/cell/left/joint_states' in outer['gms_flex'].words
     assert found['controller_node'].parameters['use_sim_time'] == 'true'
     if name != 'bridge':  # the simulation makes that time
         assert found['plant_node'].parameters['use_sim_time'] == 'False'
@@ -178,9 +220,7 @@ def fakes(tmp_path, monkeypatch):
     out.mkdir()
     for package, names in {'gms_flex_control': [*LOOP, 'identification_node', 'gms_flex'],
                            **{name: [name] for name in SHOWN}}.items():
-        index = tmp_path / 'share' / 'ament_index' / 'resource_index' / 'packages'
-        index.mkdir(parents=True, exist_ok=True)
-        (index / package).touch()
+        register(package, tmp_path)
         folder = tmp_path / 'lib' / package
         folder.mkdir(parents=True)
         for name in names:
@@ -242,7 +282,7 @@ def test_the_real_launch_hands_parameters_on(fakes):
 @needs_launch
 @pytest.mark.flaky(reruns=2)  # other processes of the machine can delay real nodes
 def test_the_real_launch_runs_the_loop_in_a_namespace(fakes, tmp_path, monkeypatch):
-    """Installed nodes track in lockstep until the time is over; what is recorded can be read."""
+    """Installed nodes track in lockstep until the plant's time is over, which ends all of them."""
     nodes_there = {'plant_node', 'controller_node', 'trajectory_node', 'gms_flex'}
     for name in nodes_there:
         module = 'cli.main' if name == 'gms_flex' else f'nodes.{name}'
@@ -255,7 +295,7 @@ def test_the_real_launch_runs_the_loop_in_a_namespace(fakes, tmp_path, monkeypat
     for name, value in private_environment().items():
         monkeypatch.setenv(name, value)
     done = subprocess.run(
-        [sys.executable, '-c', RUN, str(ROOT / 'launch' / 'demo.launch.py'), 'plant_node',
+        [sys.executable, '-c', RUN, str(ROOT / 'launch' / 'demo.launch.py'), 'none',
          'rviz:=false', 'mode:=lockstep', 'namespace:=left', f'robot:={robot}',
          f'record:={tmp_path / "bag"}'], capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 0, done.stdout + done.stderr

@@ -95,6 +95,13 @@ def test_zero_until_enabled_then_the_measured_state_is_held(lab):
     assert list(lab.states[-1].name) == ['joint1', 'joint2', 'joint1_motor', 'joint2_motor']
 
 
+def test_helper_nodes_without_parameters_are_hidden(lab):
+    """As 'ros2 param list' would wait for each of them."""
+    others = {'robot', 'probe'}
+    lab.until(lambda: set(lab.node.get_node_names()) - others == {
+        'plant', 'cascade_controller', 'trajectory', '_plant_safety', '_plant_guardian'})
+
+
 def test_what_takes_torque_away_while_it_is_asked_for_prevails(lab):
     """~/enable waits for the reference to hold, of a process that stands still meanwhile."""
     enable(lab)

@@ -21,6 +21,7 @@ from node_harness import (
     JointState,
     Lab,
     services,
+    stamp_of,
     STATES,
     traceback_free,
     Trigger,
@@ -278,7 +279,11 @@ def test_the_last_recording_is_compared_with_the_model_when_asked(lab):
     lab.until(lambda: lab.call(Trigger, '/identification/discrepancy').success)
     again = lab.call(Trigger, '/identification/discrepancy')
     assert not again.success and 'runs already' in again.message
+    lab.until(lambda: 'discrepancy: ' in node.printed())
+    states = lab.listen(JointState, STATES)
     lab.until((beside / 'report.json').exists, bound=300.0)
+    assert len({stamp_of(state) for state in states}) < RATE  # the loop in lockstep has paused
+    lab.until(lambda: len(states) > 2 * RATE)
     report = json.loads((beside / 'report.json').read_text())
     assert report['verdict'] != 'bad_data' and report['sources'] == [str(lab.bag)]
     assert load_robot(beside / 'robot.yaml').joints == ('joint1', 'joint2')

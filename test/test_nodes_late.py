@@ -1,12 +1,24 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""A loop that does not keep up says so while it runs."""
+"""A loop that does not keep up says so while it runs, and its stamps stay near the clock."""
+
+import signal
+import time
 
 from gms_flex_control.nodes.loop_timing import LateSamples
-from node_harness import array_message, COMMANDS, Float64MultiArray, JointState, Lab, STATES
+from node_harness import (
+    array_message,
+    COMMANDS,
+    Float64MultiArray,
+    JointState,
+    Lab,
+    stamp_of,
+    STATES,
+)
 import pytest
 
+DiagnosticArray = pytest.importorskip('diagnostic_msgs.msg').DiagnosticArray
 PERIOD = 20_000_000  # [ns]
 
 
@@ -51,3 +63,30 @@ def test_a_plant_whose_controller_answers_every_second_state_warns(tmp_path):
             return '% of the last 50 samples had no fresh command' in plant.printed()
 
         lab.until(warned)
+
+
+@pytest.mark.flaky(reruns=2)  # other processes of the machine can delay real nodes
+def test_stamps_are_near_the_clock_again_after_a_stop(tmp_path):
+    """Whole periods are left out, and it is told how many."""
+    with Lab(tmp_path) as lab:
+        states = lab.listen(JointState, STATES)
+        plant = lab.start('plant_node', rate=50.0)
+        lab.until(lambda: len(states) > 5)
+        plant.process.send_signal(signal.SIGSTOP)
+        time.sleep(1.0)
+        plant.process.send_signal(signal.SIGCONT)
+        lab.until(lambda: 'ms late' in plant.printed())
+        begin = len(states)
+        lags = [time.time_ns() - stamp_of(state) for state in lab.more(states, 20)]
+        assert min(lags) < 0.2e9
+        assert not any((stamp_of(state) - stamp_of(states[0])) % PERIOD for state in states)
+        left_out = (stamp_of(states[begin]) - stamp_of(states[0])) // PERIOD - begin
+        assert left_out > 30 and ' samples are left out' in plant.printed()
+
+
+def test_diagnostics_have_the_time_of_the_system_while_there_is_no_clock(tmp_path):
+    with Lab(tmp_path) as lab:
+        reports = lab.listen(DiagnosticArray, '/diagnostics')
+        lab.start('trajectory_node', use_sim_time=True)
+        lab.until(lambda: reports)
+        assert abs(time.time() - reports[0].header.stamp.sec) < 3600.0

@@ -89,8 +89,8 @@ def test_effort_of_a_motor_is_the_torque_applied_in_the_sample_before(loop):
 
 
 def test_stamps_of_realtime_are_whole_periods_apart(loop):
-    states = loop.more(loop.states, 100)
-    assert set(np.diff([stamp_of(state) for state in states])) == {PERIOD}
+    stamps = np.diff([stamp_of(state) for state in loop.more(loop.states, 100)])
+    assert np.median(stamps) == PERIOD and not np.any(stamps % PERIOD)  # a busy machine skips some
 
 
 def test_reference_and_command_carry_layout_stamp_and_source(loop):

@@ -3,8 +3,14 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Every node ends by a signal with exit code 0, and the controller's last torque is zero."""
 
+import json
+from pathlib import Path
 import signal
+import sys
+import time
 
+from gms_flex_control.experiment.processes import executable, ros_arguments
+from gms_flex_control.nodes.scheduling import LAUNCHED
 from node_harness import (
     COMMANDS,
     CONFIG,
@@ -93,3 +99,70 @@ def test_a_signal_during_the_start_ends_it_without_an_error(tmp_path):
             lab.until(lambda node=node: any(tmp_path.glob(f'*_{node.process.pid}_*.log')))
             assert node.signal(INT) == 0
             assert 'Traceback' not in node.printed() and 'rror' not in node.printed()
+
+
+def test_a_signal_at_any_moment_of_the_start_prints_no_traceback(tmp_path):
+    """Also while modules are imported, and where a callback of a library swallows it."""
+    with Lab(tmp_path) as lab:
+        for k in range(9):
+            node = lab.start(f'{NODES[k % 3]}.{k}')
+            lab.until(lambda node=node: imports(node.process.pid))
+            time.sleep(0.05 * k)
+            assert node.signal(INT) == 0, node.printed()
+            assert 'Traceback' not in node.printed() and 'rror' not in node.printed()
+
+
+def imports(pid):
+    """Return whether a process is past the start of Python itself: it has loaded numpy."""
+    return '_multiarray_umath' in Path(f'/proc/{pid}/maps').read_text()
+
+
+def test_the_first_start_says_why_it_takes_long_and_can_be_ended(tmp_path):
+    """The plant has to compile: its cache is empty."""
+    with Lab(tmp_path) as lab:
+        lab.environment['NUMBA_CACHE_DIR'] = str(tmp_path / 'cache')
+        plant = lab.start('plant_node')
+        lab.until(lambda: 'the first start on a machine compiles' in plant.printed())
+        assert '2 joints' not in plant.printed()
+        assert plant.signal(INT) == 0 and 'Traceback' not in plant.printed()
+
+
+@pytest.mark.parametrize('name', [*NODES, 'identification_node'])
+def test_help_says_what_a_node_is_and_how_it_is_started(tmp_path, name):
+    with Lab(tmp_path) as lab:
+        node = lab.run([*executable(name), '--help'], name)
+        assert node.wait() == 0
+        assert f'usage: ros2 run gms_flex_control {name} --ros-args' in node.printed()
+
+
+def test_what_a_launch_has_started_ends_with_it(tmp_path):
+    """The last command is zero torque, however the launch ended; without one nodes go on."""
+    with Lab(tmp_path) as lab:
+        files = [*FILES, CONFIG / 'sinusoid.yaml']
+        plant = lab.start('plant_node', files=files)
+        lab.environment[LAUNCHED] = 'true'
+        starts = [[*executable(name), *ros_arguments(files, {'trajectory.autostart': True})]
+                  for name in ('controller_node', 'trajectory_node')]
+        launch = lab.run([sys.executable, '-c', LAUNCH, json.dumps(starts)], 'launch')
+        commands = lab.listen(Float64MultiArray, COMMANDS)
+        lab.until(lambda: len(commands) > 100 and any(commands[-1].data))
+        launch.signal(signal.SIGKILL)
+        lab.until(lambda: not any(map(alive, map(int, launch.printed().split()[:2]))))
+        assert not any(commands[-1].data)
+        assert plant.runs
+
+
+LAUNCH = """
+import json, subprocess, sys
+started = [subprocess.Popen(words) for words in json.loads(sys.argv[1])]
+print(*(one.pid for one in started), flush=True)
+started[0].wait()
+"""
+
+
+def alive(pid):
+    """Return whether a process runs."""
+    try:
+        return Path(f'/proc/{pid}/stat').read_text().split()[2] != 'Z'
+    except FileNotFoundError:
+        return False

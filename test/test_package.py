@@ -8,6 +8,8 @@ from importlib import import_module, util
 from pathlib import Path
 import re
 import shutil
+import subprocess
+import sys
 import xml.etree.ElementTree as ElementTree
 
 import gms_flex_control
@@ -80,6 +82,19 @@ def test_parameter_files_are_found_in_the_source_tree():
     assert resources.share_path() == ROOT
     assert resources.robot_file() == ROOT / 'config' / 'robot.yaml'
     assert resources.controller_file() == ROOT / 'config' / 'controller.yaml'
+
+
+def test_without_the_packages_of_pypi_only_bags_are_missing():
+    """The nodes of the loop run; what needs a bag says what to install."""
+    pytest.importorskip('rclpy')
+    program = ('import sys; sys.modules |= dict.fromkeys(("mcap", "rosbags", "threadpoolctl"))\n'
+               'from gms_flex_control.cli.main import main\n'
+               'from gms_flex_control.nodes import controller_node, plant_node, trajectory_node\n'
+               'sys.exit(main(["info", "bag"]))')
+    done = subprocess.run([sys.executable, '-c', program], capture_output=True, text=True,
+                          timeout=60, check=False)
+    assert done.returncode == 2
+    assert done.stderr.startswith('gms_flex info: bags need mcap and rosbags for Python: pip ins')
 
 
 @pytest.fixture

@@ -96,4 +96,4 @@ def test_only_one_node_may_command_or_refer_or_speak_with_the_robot():
                                '/robot/effort_controller/commands')}
     assert publishers == {'/effort_controller/commands': {'cascade_controller'},
                           '/reference': {'trajectory'}, '/joint_states': {'plant'},
-                          '/robot/effort_controller/commands': {'plant', 'plant_guardian'}}
+                          '/robot/effort_controller/commands': {'plant', '_plant_guardian'}}

@@ -9,6 +9,7 @@ import math
 
 from core_runs import joint_friction, single_axis
 from gms_flex_control.cli.main import main
+from gms_flex_control.control.gain_conditions import violations
 from gms_flex_control.hardware.limits import limited, violation
 from gms_flex_control.params.encoder import EncoderParams
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
@@ -189,11 +190,25 @@ def test_a_torque_that_may_rise_but_slowly_asks_for_gentle_gains(arm):
     assert ended_by(limits, robot, gentle.gains, 200.0, 8.0) == ''
 
 
-def ended_by(limits, robot, gains, rate, duration):
-    """Return the fault of a sinusoid of 0.3 rad behind limits, '' without."""
-    plant, controller = SteppedPlant(robot, period=1.0 / rate, substeps=20), SteppedController(
-        gains, robot)
-    motion, torque = builders.sinusoid(np.full(2, 0.3), 6.0), np.zeros(2)
+def test_the_gains_of_a_first_start_hold_the_arm_behind_the_bridge(arm):
+    """One sample of delay more; the paper's swing at rest, within two seconds."""
+    robot, paper = arm
+    values, _ = read_values([robot_file().with_name('bridge.yaml')])
+    limits, rest = limits_from_values(values, robot.joints), np.array([0.1234, -0.21])
+    gentle = load_controller(robot_file().with_name('first_start.yaml'), robot)
+    assert all('still holds' in sentence for sentence in violations(gentle, robot))
+    for compensation in ('none', 'gms'):
+        assert 'moves at' in ended_by(limits, robot, replace(paper, compensation=compensation),
+                                      200.0, 2.0, builders.hold(rest), delay=1)
+        assert ended_by(limits, robot, replace(gentle, compensation=compensation), 200.0, 60.0,
+                        builders.hold(rest), delay=1) == ''
+
+
+def ended_by(limits, robot, gains, rate, duration, motion=None, delay=0):
+    """Return the fault of a motion, a sinusoid of 0.3 rad, behind limits, '' without."""
+    motion, torque = motion or builders.sinusoid(np.full(2, 0.3), 6.0), np.zeros(2)
+    plant = SteppedPlant(robot, period=1.0 / rate, substeps=20, q_link=motion.sample(0.0)[0])
+    controller, waiting = SteppedController(gains, robot), [torque] * delay
     for k in range(round(duration * rate)):
         state = plant.measured
         if fault := violation(robot.joints, state, limits):
@@ -202,7 +217,8 @@ def ended_by(limits, robot, gains, rate, duration):
             getattr(controller.measured, name)[:] = getattr(state, name)
         asked = controller.tick(motion.sample(k / rate), 1.0 / rate if k else 0.0)
         torque = limited(asked, torque, 1.0 / rate, state.q_link, state.dq_link, limits)
-        plant.advance(torque)
+        waiting.append(torque)
+        plant.advance(waiting.pop(0))
     return ''
 
 

@@ -5,8 +5,6 @@
 
 import json
 
-from gms_flex_control.bags.summary import summarise
-
 
 def add_parser(subparsers):
     """Add the verb to the command line."""
@@ -21,6 +19,7 @@ def add_parser(subparsers):
 
 def run(args):
     """Print the summary; return 0, or 1 for a damaged bag."""
+    from gms_flex_control.bags.summary import summarise
     summary = summarise(args.bag)
     print(json.dumps(summary.as_dict(), indent=2) if args.json else summary.text())
     return 0 if summary.sound else 1

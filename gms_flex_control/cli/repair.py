@@ -5,8 +5,6 @@
 
 import json
 
-from gms_flex_control.bags.repair import repair_bag
-
 
 def add_parser(subparsers):
     """Add the verb to the command line."""
@@ -22,6 +20,7 @@ def add_parser(subparsers):
 
 def run(args):
     """Repair and print what was done; return 0, or 1 if messages were lost."""
+    from gms_flex_control.bags.repair import repair_bag
     result = repair_bag(args.bag, args.out)
     print(json.dumps(result.as_dict(), indent=2) if args.json else result.text())
     return 0 if result.lost == 0 else 1

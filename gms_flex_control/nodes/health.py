@@ -15,6 +15,13 @@ OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.E
 _LOOK_PERIOD = 0.1   # a change is published within this [s]
 _LOOKS_PER_REPORT = 10
 _WARN_PERIOD = 5.0   # of warnings of one kind [s]
+_SYSTEM = Clock()
+
+
+def now(node):
+    """Return the time of a node; that of the system while it waits for the first /clock."""
+    time_of_node = node.get_clock().now()
+    return time_of_node if time_of_node.nanoseconds else _SYSTEM.now()
 
 
 class Health:
@@ -137,5 +144,5 @@ class Health:
             values=[KeyValue(key=key, value=str(value))
                     for key, value in self._figures().items()])
         message = DiagnosticArray(status=[status])
-        message.header.stamp = self._node.get_clock().now().to_msg()
+        message.header.stamp = now(self._node).to_msg()
         self._publisher.publish(message)

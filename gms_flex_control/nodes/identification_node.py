@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """The identification experiment as a ROS 2 node: it drives trajectory and controller."""
 
+from contextlib import contextmanager
 from pathlib import Path
 import subprocess
 import sys
@@ -37,7 +38,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
-from std_srvs.srv import Trigger
+from std_srvs.srv import SetBool, Trigger
 
 PHASE = '~/phase'
 _BYTES_PER_SAMPLE = 1000  # state, command and reference with their frames, generously
@@ -71,6 +72,8 @@ class IdentificationNode(Node):
         self.trajectory = RemoteNode(self, self['trajectory_node'],
                                      ('start', 'stop', 'reset', 'release'))
         self.controller = RemoteNode(self, self['controller_node'])
+        self._pause = self.create_client(
+            SetBool, self.resolve_service_name(f"{self['plant_node']}/pause"))
         self.watch = Watch(self.plan)
         self._bag = self._spinner = self._pending = None
         self._runner = StepRunner(self, self._journal)
@@ -216,6 +219,7 @@ class IdentificationNode(Node):
         for remote in (self.trajectory, self.controller):
             self._come(remote.is_ready, lambda remote=remote: (
                 f'the services of {remote.name} did not appear'))
+        self._set_pause(False)  # of one that was killed while it computed
         self._come(lambda: self.watch.samples > _RATE_SAMPLES, lambda: f'no state on {STATES}')
         samples = self.plan.duration(self._journal.finished) / self.watch.period
         require_space(Path(self['bag']).parent, samples * _BYTES_PER_SAMPLE)
@@ -276,11 +280,25 @@ class IdentificationNode(Node):
         try:
             save_robot(self._robot, believed)
             self.say(f'{verb}: {", ".join(bags)}')
-            with TemporaryFile('w+', encoding='utf-8', errors='replace') as printed:
+            with TemporaryFile('w+', encoding='utf-8', errors='replace') as printed, \
+                    self._plant_paused():
                 return self._ended(command, printed), _text_of(printed)
         except OSError as error:
             raise ExperimentError(f'{verb} cannot be run with its results in {out}: {error}; '
                                   'the bags are whole') from error
+
+    @contextmanager
+    def _plant_paused(self):
+        """Let a loop in lockstep stand, which would run as fast as it can beside the block."""
+        self._set_pause(True)
+        try:
+            yield
+        finally:
+            self._set_pause(False)
+
+    def _set_pause(self, on):
+        if self._pause.service_is_ready():  # a plant in lockstep alone has it
+            self._see_out(self._pause.call_async(SetBool.Request(data=on)))
 
     def _ended(self, command, printed):
         """Return the exit code of a command that prints into a file, answering all the while."""

@@ -3,9 +3,18 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """What the launch files have in common: their arguments, the three nodes, recorder and RViz."""
 
+from ament_index_python.packages import get_package_prefix, PackageNotFoundError
+from gms_flex_control.nodes.scheduling import LAUNCHED
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, ExecuteProcess, GroupAction
+from launch.actions import (
+    DeclareLaunchArgument,
+    ExecuteProcess,
+    GroupAction,
+    OpaqueFunction,
+    Shutdown,
+)
 from launch.conditions import IfCondition, UnlessCondition
+from launch.logging import get_logger
 from launch.substitutions import (
     Command,
     EqualsSubstitution,
@@ -23,6 +32,7 @@ RECORDED = ('joint_states', 'effort_controller/commands', 'reference',
             'cascade_controller/sticking')
 _FRAMES = [('/tf', 'tf'), ('/tf_static', 'tf_static')]  # absolute in tf2, whatever the namespace
 _SWITCH = ('true', 'false')
+_ENVIRONMENT = {LAUNCHED: 'true'}
 
 
 def config(name):
@@ -30,7 +40,7 @@ def config(name):
     return PathJoinSubstitution([FindPackageShare(PACKAGE), 'config', name])
 
 
-def arguments(*, bridge='', rviz='false', priority='0'):
+def arguments(*, bridge='', controller='controller.yaml', rviz='false', priority='0'):
     """
     Return the arguments that every launch file takes.
 
@@ -38,6 +48,8 @@ def arguments(*, bridge='', rviz='false', priority='0'):
     ----------
     bridge, rviz, priority : str or substitution
         Their defaults, where launch files differ.
+    controller : str
+        Likewise, a file of ``config``.
 
     Returns
     -------
@@ -47,7 +59,7 @@ def arguments(*, bridge='', rviz='false', priority='0'):
     return [
         DeclareLaunchArgument('robot', default_value=config('robot.yaml'),
                               description='Parameter file of the robot'),
-        DeclareLaunchArgument('controller', default_value=config('controller.yaml'),
+        DeclareLaunchArgument('controller', default_value=config(controller),
                               description='Parameter file of the controller'),
         DeclareLaunchArgument('trajectory', default_value=config('sinusoid.yaml'),
                               description='Parameter file of the trajectory'),
@@ -80,12 +92,15 @@ def description(declared, actions):
     """
     Return a launch file's description: its arguments, then its actions in their namespace.
 
+    Recorder, robot_state_publisher and RViz come first, each where it is asked for: nothing moves
+    yet when one of them cannot be started.
+
     Parameters
     ----------
     declared : list of DeclareLaunchArgument
         See `arguments`.
     actions : list of Action
-        See `closed_loop` and `helpers`.
+        See `closed_loop`.
 
     Returns
     -------
@@ -96,19 +111,21 @@ def description(declared, actions):
         *declared,
         GroupAction([PushRosNamespace(LaunchConfiguration('namespace')),
                      SetParameter('use_sim_time', LaunchConfiguration('use_sim_time')),
-                     *actions])])
+                     _state_publisher(), _rviz(), _recorder(), *actions])])
 
 
 def node(executable, *parameters, **options):
     """Return one of our nodes with the files of robot and controller, and what is its own."""
     files = [LaunchConfiguration('robot'), LaunchConfiguration('controller')]
     return Node(package=PACKAGE, executable=executable, output='screen',
-                parameters=[*files, *parameters], **options)
+                parameters=[*files, *parameters], additional_env=_ENVIRONMENT, **options)
 
 
 def closed_loop(controller=None, trajectory=None):
     """
     Return the robot, simulated or bridged, the controller and the trajectory.
+
+    The launch ends with any of them: the others leave zero torque.
 
     Parameters
     ----------
@@ -124,39 +141,55 @@ def closed_loop(controller=None, trajectory=None):
     pace = {name: LaunchConfiguration(name) for name in ('mode', 'realtime_priority')}
     simulated = EqualsSubstitution(bridge, '')
     return [
-        node('plant_node', pace, {'use_sim_time': False}, condition=IfCondition(simulated)),
-        node('plant_node', bridge, {'backend': 'bridge'}, condition=UnlessCondition(simulated)),
-        node('controller_node', {**pace, **(controller or {})}),
-        node('trajectory_node', LaunchConfiguration('trajectory'),
-             {**pace, **(trajectory or {})})]
+        _required('plant_node', pace, {'use_sim_time': False}, condition=IfCondition(simulated)),
+        _required('plant_node', bridge, {'backend': 'bridge'},
+                  condition=UnlessCondition(simulated)),
+        _required('controller_node', {**pace, **(controller or {})}),
+        _required('trajectory_node', LaunchConfiguration('trajectory'),
+                  {**pace, **(trajectory or {})})]
 
 
-def helpers():
-    """Return recorder, robot_state_publisher and RViz, each only where it is asked for."""
-    return [_recorder(), _state_publisher(), _rviz()]
+def _required(executable, *parameters, condition=None):
+    return node(executable, *parameters, condition=condition, on_exit=Shutdown())
 
 
 def _recorder():
     bag = LaunchConfiguration('record')
-    topics = [[LaunchConfiguration('namespace'), f'/{name}'] for name in RECORDED]
+    space = LaunchConfiguration('ros_namespace', default='')  # what all files around it pushed
+    topics = [[space, f'/{name}'] for name in RECORDED]
     return ExecuteProcess(
         cmd=[ExecutableInPackage('gms_flex', PACKAGE), 'record', '--topics', *topics,
              '--out', bag],
-        output='screen', condition=IfCondition(NotEqualsSubstitution(bag, '')))
+        output='screen', additional_env=_ENVIRONMENT,
+        condition=IfCondition(NotEqualsSubstitution(bag, '')))
+
+
+def _where_installed(helper, package):
+    """Return a node of a package that nobody needs to have, or a warning in its place."""
+    try:
+        get_package_prefix(package)
+        return helper
+    except (PackageNotFoundError, OSError):  # the latter: there is no ROS environment
+        sentence = (f'{package} is not installed, the launch goes on without: '
+                    f'sudo apt install ros-jazzy-{package.replace("_", "-")}')
+        return OpaqueFunction(function=lambda _: get_logger('launch').warning(sentence),
+                              condition=helper.condition)
 
 
 def _state_publisher():
     urdf = Command([ExecutableInPackage('gms_flex', PACKAGE), ' urdf --robot "',
                     LaunchConfiguration('robot'), '"'])
-    return Node(
+    publisher = Node(
         package='robot_state_publisher', executable='robot_state_publisher',
         parameters=[{'robot_description': ParameterValue(urdf, value_type=str),
                      'publish_frequency': 50.0}],  # at least as often as RViz draws [Hz]
         remappings=_FRAMES, condition=IfCondition(LaunchConfiguration('state_publisher')))
+    return _where_installed(publisher, 'robot_state_publisher')
 
 
 def _rviz():
-    return Node(
+    rviz = Node(
         package='rviz2', executable='rviz2', arguments=['-d', config('arm.rviz')],
         remappings=[*_FRAMES, ('/robot_description', 'robot_description')],
         condition=IfCondition(LaunchConfiguration('rviz')))
+    return _where_installed(rviz, 'rviz2')

@@ -3,25 +3,29 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """How each node process starts, spins and ends: zero torque on the wire, exit code 0."""
 
-from contextlib import suppress
+from contextlib import contextmanager
 from functools import partial
 import gc
+import os
 import re
 import signal
 import sys
 import threading
 
 from gms_flex_control.errors import GmsFlexError
-from gms_flex_control.nodes.scheduling import shorten_slices
+from gms_flex_control.nodes.scheduling import end_with_launch, shorten_slices
 from gms_flex_control.nodes.transport import avoid_shared_memory
 import rclpy
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.experimental import EventsExecutor
+from rclpy.logging import get_logger
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
 BAD_INPUT = 2
+_LONG_START = 3.0  # of which it is said that it takes long [s]
+_LONGEST_END = 2.0  # of a start that a signal cuts short [s]
 # without QoS events: their callbacks can deadlock the EventsExecutor
 NO_EVENTS = SubscriptionEventCallbacks(use_default_callbacks=False)
 
@@ -72,7 +76,15 @@ class Spinner:
         starting = self._executor is None and not self._stopped
         self._stopped = True
         if starting:  # there may be seconds of compiling ahead
+            # raised in a callback of a library, it is printed there, and the start goes on
+            sys.unraisablehook = lambda _: None
+            _after(_LONGEST_END, partial(os._exit, 0))
             raise KeyboardInterrupt
+
+    @property
+    def stopped(self):
+        """Return whether a signal has come."""
+        return self._stopped
 
     def add(self, node):
         """Take the node whose callbacks are run; its ``health``, if it has one, is told."""
@@ -134,19 +146,25 @@ def run_node(make_node, args=None):
     shorten_slices()
     avoid_shared_memory()
     spinner, node = Spinner(), None
+    end_with_launch()
     try:
-        with suppress(KeyboardInterrupt):
-            # own handlers: with rclpy's, a node cannot publish any more when SIGTERM came
-            rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+        # own handlers: with rclpy's, a node cannot publish any more when SIGTERM came
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+        with _patience_asked_for():
             node = make_node()
-            spinner.add(node)
-            gc.freeze()  # what start-up left is never searched again while the loop runs
-            node.run(spinner)
+        spinner.add(node)
+        gc.freeze()  # what start-up left is never searched again while the loop runs
+        node.run(spinner)
+    except KeyboardInterrupt:
+        pass
     except GmsFlexError as error:
         return _refuse(error)
-    except RuntimeError as error:  # rcl: a parameter file or argument it cannot read
+    except RuntimeError as error:
+        if node is None and spinner.stopped:
+            return 0
         if node is not None:
             raise
+        # rcl: a parameter file or argument it cannot read
         sentence = re.sub(r', at /\S+:\d+', '', str(error))  # leave out places in rcl's sources
         return _refuse(f'arguments or parameter file refused: {sentence}')
     finally:
@@ -156,6 +174,26 @@ def run_node(make_node, args=None):
         rclpy.try_shutdown()
         _handle_signals(signal.SIG_IGN)  # Python resets its own handlers before it ends
     return 0
+
+
+def _after(seconds, action):
+    timer = threading.Timer(seconds, action)
+    timer.daemon = True
+    timer.start()
+    return timer
+
+
+@contextmanager
+def _patience_asked_for():
+    """Say what takes so long, should the block do."""
+    timer = _after(_LONG_START, partial(
+        get_logger(os.path.basename(sys.argv[0])).info,
+        'still starting: the first start on a machine compiles the equations, which may take half '
+        'a minute; later ones do not'))
+    try:
+        yield
+    finally:
+        timer.cancel()
 
 
 def _refuse(error):

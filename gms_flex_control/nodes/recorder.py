@@ -12,6 +12,7 @@ import time
 from gms_flex_control.bags.metadata import qos_profile
 from gms_flex_control.bags.writer import BagWriter
 from gms_flex_control.errors import BagError
+from gms_flex_control.nodes.scheduling import end_with_launch
 import rclpy
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.experimental import EventsExecutor
@@ -204,6 +205,7 @@ def record(out, topics=None, *, duration=None, say=print):
     end = float('inf') if duration is None else time.monotonic() + duration
     stopped = threading.Event()
     previous = _stop_on_signals(stopped)
+    end_with_launch()
     try:
         with BagWriter(out) as writer:
             rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
@@ -218,7 +220,7 @@ def record(out, topics=None, *, duration=None, say=print):
 
 
 def _record(writer, topics, is_over, say):
-    node = rclpy.create_node(f'gms_flex_recorder_{time.time_ns() % 10**9}',
+    node = rclpy.create_node(f'_gms_flex_recorder_{time.time_ns() % 10**9}',
                              enable_rosout=False, start_parameter_services=False)
     executor = EventsExecutor()
     executor.add_node(node)
@@ -252,7 +254,7 @@ def _stop_on_signals(stopped):
 
 
 def _absolute(name):
-    return name if name.startswith('/') else f'/{name}'
+    return '/' + '/'.join(filter(None, name.split('/')))
 
 
 def _message_class(type_name):

@@ -61,10 +61,10 @@ class TopicLink:
         self._guardian, self._known_rivals = None, 0
         if values['bridge.guardian']:
             self._guardian = Guardian(
-                f'{node.get_name()}_guardian', *(publisher.topic_name if publisher else ''
-                                                 for publisher in (self._array_pub,
-                                                                   self._joint_pub)), names,
-                values['realtime_priority'])
+                f'_{node.get_name()}_guardian',
+                *(publisher.topic_name if publisher else ''
+                  for publisher in (self._array_pub, self._joint_pub)),
+                names, values['realtime_priority'])
 
     def _refuse_own_topics(self, values):
         taken = {self._node.resolve_topic_name(name): name

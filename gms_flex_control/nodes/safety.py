@@ -28,7 +28,7 @@ class Safety:
     ``~/enable``, ``~/disable``, ``~/reset``, ``~/emergency_stop`` and the topic of the button.
 
     They are a node of their own with an executor of its own: queued joint states and commands
-    delay none of them.
+    delay none of them. Without parameters it is hidden from 'ros2 param list', which would wait.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ class Safety:
     def __init__(self, node, robot, health, *, topic, hold_service=''):
         self._robot, self._health = robot, health
         self._node = rclpy.create_node(
-            f'{node.get_name()}_safety', namespace=node.get_namespace(), context=node.context,
+            f'_{node.get_name()}_safety', namespace=node.get_namespace(), context=node.context,
             use_global_arguments=False, enable_rosout=False, start_parameter_services=False)
         self._topic = node.resolve_topic_name(topic)
         group = ReentrantCallbackGroup()  # while one handler waits the others go on

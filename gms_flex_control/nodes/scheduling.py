@@ -8,8 +8,10 @@ from contextlib import suppress
 import ctypes
 import os
 import platform
+import signal
 
-_PR_SET_TIMERSLACK = 29
+LAUNCHED = 'GMS_FLEX_LAUNCHED'  # set in the environment of what our launch files start
+_PR_SET_PDEATHSIG, _PR_SET_TIMERSLACK = 1, 29
 _SCHED_SETATTR = {'x86_64': 314, 'aarch64': 274}  # numbers of the system call
 _SLICE = 100_000   # the shortest there is [ns]
 WAY_OUT = 'allow rtprio in /etc/security/limits.conf'  # where no priority is permitted
@@ -44,6 +46,17 @@ def tighten_timers():
     """Let sleeps of this thread end when asked, not within the usual 50 us (Linux)."""
     with suppress(OSError, AttributeError):
         ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
+
+
+def end_with_launch():
+    """
+    Let this process get SIGTERM when the launch that started it has ended (Linux).
+
+    A launch that fails half-way, or is killed, leaves what it has started without an end.
+    """
+    if LAUNCHED in os.environ:
+        with suppress(OSError, AttributeError):
+            ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
 
 
 def is_permitted(priority):

@@ -13,7 +13,7 @@ from gms_flex_control.hardware import limits as limiting
 from gms_flex_control.hardware.command_watch import CommandWatch
 from gms_flex_control.hardware.supervisor import Supervisor
 from gms_flex_control.nodes import messages, process, scheduling
-from gms_flex_control.nodes.health import ERROR, OK
+from gms_flex_control.nodes.health import ERROR, now, OK
 from gms_flex_control.nodes.inbox import Inbox
 from gms_flex_control.nodes.loop_timing import LateSamples, LoopTiming
 from gms_flex_control.nodes.messages import NANOSECONDS
@@ -25,10 +25,10 @@ import numpy as np
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import SetBool
 
 _REPEAT_PERIOD = 1.0     # an unanswered state is sent again in lockstep [s]
-_LATEST_START = 5        # samples the loop may be late before it gives up catching up
-_WARN_PERIOD = 5.0       # [s]
+_LATEST_START = 5        # samples the stamps may be off the clock before some are left out
 _RISE = round(0.1 * NANOSECONDS)  # in which torque rises after a silence
 
 
@@ -80,12 +80,13 @@ class SimulatedRobot(SupervisedRobot):
         self._supervisor, self._commands = Supervisor('no command yet'), CommandWatch()
         self._wanted = True      # whether commands enable torque
         self._passing = False    # whether the fault passes by itself
+        self._paused = False     # whether a robot in lockstep waits, whatever comes
         self._said = None
         self._lock = threading.RLock()
         self._command = (self._zero, None, 0)  # torque, stamp answered, when it came
         self._stamp = self._first = 0  # [ns]
         self._resumed = -_RISE   # stamp at which torque began to rise
-        self._ticks = self._missed = self._refused = 0
+        self._ticks = self._missed = self._refused = self._left_out = 0
         self._create_topics(values)
         node.get_logger().info(f"{robot.n_joints} joints, {values['rate']:g} Hz, {self._mode}")
 
@@ -98,6 +99,12 @@ class SimulatedRobot(SupervisedRobot):
             self._clock_pub = self._node.create_publisher(Clock, '/clock', qos)
             self._clock_period = round(NANOSECONDS / values['clock_rate'])
             self._next_clock = 0
+            self._node.create_service(SetBool, '~/pause', self._health.guard(self._on_pause))
+
+    def _on_pause(self, request, response):
+        self._paused = request.data
+        response.success, response.message = True, 'paused' if request.data else 'goes on'
+        return response
 
     def run(self, spinner):
         """Simulate until the duration is over or a signal comes."""
@@ -246,7 +253,8 @@ class SimulatedRobot(SupervisedRobot):
         return {
             'state': self._supervisor.state, 'reason': self._supervisor.reason,
             'samples': self._ticks, 'samples without a fresh command': self._missed,
-            'commands refused': self._refused, 'faults': self._supervisor.faults,
+            'samples left out': self._left_out, 'commands refused': self._refused,
+            'faults': self._supervisor.faults,
             'controller': self._commands.name if silence is not None else 'none yet',
             'silence of the controller [ms]': round((silence or 0) / 1e6, 1)}
 
@@ -276,7 +284,7 @@ class SimulatedRobot(SupervisedRobot):
 
     def _run_paced(self, spinner, background):
         scheduling.tighten_timers()
-        self._stamp = self._first = self._node.get_clock().now().nanoseconds
+        self._stamp = self._first = now(self._node).nanoseconds
         deadline = time.monotonic_ns()
         self._plant.measure()
         self._publish()
@@ -287,16 +295,32 @@ class SimulatedRobot(SupervisedRobot):
             late = time.monotonic_ns() - deadline
             if late < 0:
                 time.sleep(-late / NANOSECONDS)
-            elif late > _LATEST_START * self._period:
-                self._node.get_logger().warning(
-                    f'{late / 1e6:.1f} ms late: the machine is too busy for this rate',
-                    throttle_duration_sec=_WARN_PERIOD)
-                deadline += late
+            left_out = self._follow_clock()
+            if late > 0:
+                deadline += max(left_out, 0) * self._period
             self._watch()
             self._advance(self._acting() * min((self._stamp - self._resumed) / _RISE, 1.0))
         if self._missed:
             self._node.get_logger().info(
                 f'{self._missed} of {self._ticks} samples had no fresh command')
+
+    def _follow_clock(self):
+        """Let the stamp of the sample that ends now be near the clock; return samples left out."""
+        behind = now(self._node).nanoseconds - self._stamp - self._period
+        if abs(behind) <= _LATEST_START * self._period:
+            return 0
+        count = int(behind / self._period)
+        self._left_out += max(count, 0)
+        if count < 0:
+            self._command = (self._zero, None, 0)  # the next ones are older than it
+        self._stamp += count * self._period
+        self._first += count * self._period  # which counts samples for the timing
+        self._resumed += count * self._period
+        self._health.warn('clock', (
+            f'{behind / 1e6:.1f} ms late, {count} samples are left out: the machine is too busy '
+            'for this rate or stood still, or the clock was set' if behind > 0 else
+            f'the clock was set back by {-behind / 1e6:.1f} ms'))
+        return count
 
     # lockstep ------------------------------------------------------------------------------
 
@@ -307,6 +331,8 @@ class SimulatedRobot(SupervisedRobot):
         repeat = time.monotonic() + _REPEAT_PERIOD
         while spinner.goes_on():
             spinner.spin_once()
+            if self._paused:
+                continue
             torque, stamp, arrived = self._command
             if arrived and (stamp is None or stamp == self._stamp):
                 if self._is_last():  # answered too: a recording lacks nothing

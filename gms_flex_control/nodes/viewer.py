@@ -69,7 +69,7 @@ class LiveView:
         """Join the ROS graph and begin to listen."""
         avoid_shared_memory()
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-        name = f'gms_flex_view_{time.time_ns() % 10**9}'
+        name = f'_gms_flex_view_{time.time_ns() % 10**9}'
         # apart, so that an answer does not wait behind thousands of joint states
         self._node, self._asker = (
             rclpy.create_node(f'{name}{end}', enable_rosout=False, start_parameter_services=False)

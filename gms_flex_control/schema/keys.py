@@ -283,6 +283,8 @@ def identification_node_keys():
             default='trajectory'),
         Key(prefix + 'controller_node', 'string', 'name of the controller node',
             default='cascade_controller'),
+        Key(prefix + 'plant_node', 'string', 'name of the plant; in lockstep it pauses while '
+            'results are computed', default='plant'),
         Key(prefix + 'patience', 'double', 'for the other nodes to come', 's', 60.0, 0.1, 1e5),
         Key(prefix + 'silence', 'double', 'of states or commands that ends the experiment', 's',
             3.0, 0.1, 1e4))

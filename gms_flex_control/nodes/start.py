@@ -1,0 +1,54 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""The nodes as executables: quiet at Ctrl-C while they are imported, and --help."""
+
+from importlib import import_module
+import os
+import signal
+import sys
+
+from gms_flex_control.errors import GmsFlexError
+
+_HELP = """{summary}
+
+usage: ros2 run gms_flex_control {name} --ros-args --params-file ROBOT.yaml [ARGUMENT ...]
+
+The joints, and all else that this node needs to know, are parameters. Examples are in
+$(ros2 pkg prefix --share gms_flex_control)/config; every --params-file may add to those before,
+-p NAME:=VALUE sets one. 'ros2 param describe' tells what a parameter means once the node runs,
+'ros2 launch gms_flex_control closed_loop.launch.py --show-args' how to start all nodes at once."""
+
+
+def _start(name):
+    for number in (signal.SIGINT, signal.SIGTERM):  # `run_node` has handlers of its own later
+        signal.signal(number, lambda *_: os._exit(0))
+    try:
+        module = import_module(f'gms_flex_control.nodes.{name}')
+    except GmsFlexError as error:  # of what is not installed
+        print(f'{name}: {error}', file=sys.stderr)
+        return 2
+    if sys.argv[1:2] in (['-h'], ['--help']):
+        print(_HELP.format(name=name, summary=module.__doc__.strip()))
+        return 0
+    return module.main()
+
+
+def controller_node():
+    """Run controller_node; return its exit code."""
+    return _start('controller_node')
+
+
+def identification_node():
+    """Run identification_node; return its exit code."""
+    return _start('identification_node')
+
+
+def plant_node():
+    """Run plant_node; return its exit code."""
+    return _start('plant_node')
+
+
+def trajectory_node():
+    """Run trajectory_node; return its exit code."""
+    return _start('trajectory_node')
