@@ -508,9 +508,11 @@ def scales_of(motions, robot):
         torque = np.concatenate([one.command[:, j] for one in motions])
         twist = 0.0 if arm.rigid[j] else float(np.std(motor - link))  # an offset is no usual size
         spring = float(arm.stiffness[j] * twist) if twist > 0.0 else float(np.std(torque))
+        speed = max(float(np.sqrt(np.mean(rate ** 2))), 1e-6)
         found.append(Scales(
-            friction=float(robot.friction.forward.static[j]), torque=float(np.abs(torque).max()),
-            spring=spring, twist=twist, speed=max(float(np.sqrt(np.mean(rate ** 2))), 1e-6),
+            friction=float(np.mean([side.static[j] + side.viscous[j] * speed for side in (
+                robot.friction.forward, robot.friction.backward)])),
+            torque=float(np.abs(torque).max()), spring=spring, twist=twist, speed=speed,
             inertia=float(arm.motor_inertia[j]),
             link_inertia=float(arm.inertia[j] + arm.mass[j] * arm.com[j] ** 2),
             mass=float(arm.mass.sum()),
