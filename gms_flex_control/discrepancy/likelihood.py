@@ -443,6 +443,21 @@ class Likelihood:
         left = self._in_motion([one ** 2 for one in self.torque(model)])
         return np.sqrt(np.maximum(left - self.clean_torque() ** 2, 0.0))
 
+    def is_followed(self, model):
+        """
+        Return whether a null simulation of a model keeps to the recorded motion.
+
+        One that lacks more torque than the recording does, beyond what drives make, goes its own
+        way: it shows what a model does that is driven wild, not what noise does.
+        """
+        constants = self.constants(model.robot, model.x)
+        own = [whitening.torque_rows(unexplained(null_simulation(
+            motion, constants, np.random.default_rng(self._seed)), constants)) ** 2
+            for motion, whitening in zip(self.motions, self.whitenings, strict=True)]
+        most = np.maximum(self._in_motion([one ** 2 for one in self.torque(model)]),
+                          (LARGEST_NOISE * np.tile(self.coulomb, 2)) ** 2)
+        return bool(np.all(self._in_motion(own) <= most))  # not where it is not finite
+
     def clean_torque(self):
         """Return what null simulations leave in motion, torque noise too, rms (2 n,) [N m]."""
         return np.sqrt(self._in_motion([np.mean([whitening.torque_rows(

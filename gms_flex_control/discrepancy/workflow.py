@@ -15,7 +15,6 @@ from gms_flex_control.discrepancy.fitting import retuned
 from gms_flex_control.discrepancy.likelihood import Likelihood
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.nuisance import OfRecording, with_nuisances
-from gms_flex_control.discrepancy.null_simulation import null_simulation
 from gms_flex_control.discrepancy.result import (
     BAD_DATA,
     Behind,
@@ -183,14 +182,11 @@ def _again(likelihood, found, options, say):
 def _sound(likelihood, found):
     """Return a search with the likeliest set of effects with which the robot does not run away."""
     for state in (found.best, *sorted(found.tried, key=lambda state: -state.evidence)):
-        model = state.model
         try:
-            for motion in likelihood.motions:
-                null_simulation(motion, likelihood.constants(model.robot, model.x),
-                                np.random.default_rng(0))
+            if likelihood.is_followed(state.model):
+                return found._replace(best=state)
         except SimulationError:
             continue
-        return found._replace(best=state)
     return found
 
 
