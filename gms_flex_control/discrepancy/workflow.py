@@ -10,7 +10,13 @@ from gms_flex_control import blas
 from gms_flex_control.discrepancy import describe
 from gms_flex_control.discrepancy.data_faults import faults_of
 from gms_flex_control.discrepancy.evidence import credible, posterior
-from gms_flex_control.discrepancy.findings import findings_of, is_noisy, judged, predictive
+from gms_flex_control.discrepancy.findings import (
+    findings_of,
+    is_noisy,
+    judged,
+    predicting_subset,
+    predictive,
+)
 from gms_flex_control.discrepancy.fitting import retuned
 from gms_flex_control.discrepancy.likelihood import Likelihood
 from gms_flex_control.discrepancy.motion import motion_of
@@ -28,7 +34,12 @@ from gms_flex_control.discrepancy.result import (
 )
 from gms_flex_control.discrepancy.search import search
 from gms_flex_control.discrepancy.signature import signature_of
-from gms_flex_control.discrepancy.thresholds import CLEARLY, PLAUSIBLE, PRACTICAL_FLOOR
+from gms_flex_control.discrepancy.thresholds import (
+    BETTER,
+    CLEARLY,
+    PLAUSIBLE,
+    PRACTICAL_FLOOR,
+)
 from gms_flex_control.discrepancy.validation import energy_of, gap_of
 from gms_flex_control.errors import SimulationError
 import numpy as np
@@ -128,7 +139,7 @@ def _compared(motions, holdout, robot, options, say):
         findings = []  # what is unexplained is larger: effects only resemble some of it
     main = tuple(one for one in findings if one.main)
     named = {(one.effect, one.joint) for one in findings}
-    after = _best_predicting(likelihood, found, whole if left else found, measured)
+    after = _best_predicting(likelihood, found, whole if left else found, measured, gap)
     known, changes = len(robot.effects), list(zip(likelihood.nuisances, after.model.x.tolist(),
                                                   strict=True))
     stand_ins = tuple(spec for spec in after.model.robot.effects[known:]
@@ -236,12 +247,12 @@ def _left_over(likelihood, model, free, gap, measured=None):
     return None
 
 
-def _best_predicting(likelihood, found, whole, measured):
+def _best_predicting(likelihood, found, whole, measured, gap):
     """
     Return the State that predicts torque and free runs best on held-out data.
 
     That with the effects found, unless another is clearly better: with fewer, or with such as
-    only resemble what is missing.
+    only resemble what is missing. Where torque is left far beyond noise, any of them together.
     """
     known, best = len(likelihood.robot.effects), {}
     for state in sorted(found.tried, key=lambda state: -state.evidence):
@@ -249,6 +260,8 @@ def _best_predicting(likelihood, found, whole, measured):
     others = [state for state in (found.before, whole.best,
                                   *(best[size] for size in sorted(best)[:_SIZES]))
               if state is not found.best]
+    if np.any(gap.after ** 2 > BETTER * gap.floor ** 2):
+        others.append(predicting_subset(likelihood, whole, measured))
     energies = [energy_of(likelihood, state, measured) for state in others]
     if CLEARLY * min(energies) < energy_of(likelihood, found.best, measured):
         return others[int(np.argmin(energies))]
