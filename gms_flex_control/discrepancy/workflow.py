@@ -139,7 +139,8 @@ def _compared(motions, holdout, robot, options, say):
         findings = []  # what is unexplained is larger: effects only resemble some of it
     main = tuple(one for one in findings if one.main)
     named = {(one.effect, one.joint) for one in findings}
-    after = _best_predicting(likelihood, found, whole if left else found, measured, gap)
+    more = left is not None or np.any(gap.after ** 2 > BETTER * gap.floor ** 2)
+    after = _best_predicting(likelihood, found, whole if left else found, measured, more)
     known, changes = len(robot.effects), list(zip(likelihood.nuisances, after.model.x.tolist(),
                                                   strict=True))
     stand_ins = tuple(spec for spec in after.model.robot.effects[known:]
@@ -247,12 +248,12 @@ def _left_over(likelihood, model, free, gap, measured=None):
     return None
 
 
-def _best_predicting(likelihood, found, whole, measured, gap):
+def _best_predicting(likelihood, found, whole, measured, more):
     """
     Return the State that predicts torque and free runs best on held-out data.
 
     That with the effects found, unless another is clearly better: with fewer, or with such as
-    only resemble what is missing. Where torque is left far beyond noise, any of them together.
+    only resemble what is missing. Where there is ``more`` than noise left, any of them together.
     """
     known, best = len(likelihood.robot.effects), {}
     for state in sorted(found.tried, key=lambda state: -state.evidence):
@@ -260,7 +261,7 @@ def _best_predicting(likelihood, found, whole, measured, gap):
     others = [state for state in (found.before, whole.best,
                                   *(best[size] for size in sorted(best)[:_SIZES]))
               if state is not found.best]
-    if np.any(gap.after ** 2 > BETTER * gap.floor ** 2):
+    if more:
         others.append(predicting_subset(likelihood, whole, measured))
     energies = [energy_of(likelihood, state, measured) for state in others]
     if CLEARLY * min(energies) < energy_of(likelihood, found.best, measured):
