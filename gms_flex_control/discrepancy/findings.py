@@ -313,7 +313,9 @@ def _pruned(likelihood, found):
         if not weak:
             most = max((one.loss for one in worths), default=0.0)
             return found, sorted(worths, key=lambda one: (one.loss < TRIFLE * most, -one.weight))
-        worst = min(weak, key=lambda one: min(one.evidence, 2.0 * one.gain.nats))
+        # what has no evidence goes first: beside it others are told badly by few data
+        worst = min(weak, key=lambda one: (one.evidence > EVIDENCE, min(one.evidence,
+                                                                        2.0 * one.gain.nats)))
         found = _dropped(likelihood, found, worst.index)
 
 
