@@ -117,8 +117,8 @@ def _of_both_sides(count):
     Errors of the torsion, which the spring multiplies, are in both with opposite signs and not in
     their sum, which tells inertia and friction as well as torque is known.
     """
-    half = np.eye(count // 2)
-    return np.block([[half, half], [np.zeros_like(half), half]])
+    n = count // 2
+    return np.eye(count) + np.eye(count, k=n) * (np.arange(count) < n)[:, None]
 
 
 def _taper(samples, edge):
