@@ -212,14 +212,14 @@ def predicting_subset(likelihood, found, holdout=None):
         if other[0] >= energy:
             break
         energy, best = other
-    effects = found.best.model.robot.effects
-    for i in range(known, len(effects)):
-        if (effects[i].name, effects[i].joint) not in best.key(known):
-            other = with_only(found, likelihood, [k for k in range(known, len(effects)) if k == i or (
-                effects[k].name, effects[k].joint) in best.key(known)])
-            more = energy_of(likelihood, other, holdout)
-            if more < energy:
-                energy, best = more, other
+    names = [(spec.name, spec.joint) for spec in found.best.model.robot.effects]
+    for name in sorted(found.best.key(known) - best.key(known)):
+        wanted = best.key(known) | {name}
+        other = with_only(found, likelihood, [
+            i for i in range(known, len(names)) if names[i] in wanted])
+        more = energy_of(likelihood, other, holdout)
+        if more < energy:
+            energy, best = more, other
     return best
 
 
