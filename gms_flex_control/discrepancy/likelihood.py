@@ -30,6 +30,7 @@ from gms_flex_control.discrepancy.thresholds import LARGEST_NOISE, PRACTICAL_FLO
 from gms_flex_control.discrepancy.whitening import Whitening
 from gms_flex_control.effects.guess import Scales
 from gms_flex_control.effects.registry import find
+from gms_flex_control.errors import SimulationError
 from gms_flex_control.simulation import plant
 import numpy as np
 
@@ -451,9 +452,13 @@ class Likelihood:
         way: it shows what a model does that is driven wild, not what noise does.
         """
         constants = self.constants(model.robot, model.x)
-        own = [whitening.torque_rows(unexplained(null_simulation(
-            motion, constants, np.random.default_rng(self._seed)), constants)) ** 2
-            for motion, whitening in zip(self.motions, self.whitenings, strict=True)]
+        try:
+            runs = [null_simulation(motion, constants, np.random.default_rng(self._seed))
+                    for motion in self.motions]
+        except SimulationError:
+            return False
+        own = [whitening.torque_rows(unexplained(run, constants)) ** 2
+               for run, whitening in zip(runs, self.whitenings, strict=True)]
         most = np.maximum(self._in_motion([one ** 2 for one in self.torque(model)]),
                           (LARGEST_NOISE * np.tile(self.coulomb, 2)) ** 2)
         return bool(np.all(self._in_motion(own) <= most))  # not where it is not finite

@@ -41,7 +41,6 @@ from gms_flex_control.discrepancy.thresholds import (
     PRACTICAL_FLOOR,
 )
 from gms_flex_control.discrepancy.validation import energy_of, gap_of
-from gms_flex_control.errors import SimulationError
 import numpy as np
 
 _SIZES = 4            # of sets that may predict better than the one found
@@ -194,11 +193,8 @@ def _again(likelihood, found, options, say):
 def _sound(likelihood, found):
     """Return a search with the likeliest set of effects with which the robot does not run away."""
     for state in (found.best, *sorted(found.tried, key=lambda state: -state.evidence)):
-        try:
-            if likelihood.is_followed(state.model):
-                return found._replace(best=state)
-        except SimulationError:
-            continue
+        if likelihood.is_followed(state.model):
+            return found._replace(best=state)
     return found
 
 
