@@ -80,7 +80,7 @@ def test_a_rigid_axis_has_guesses_of_what_can_be_there():
     robot, motion = rigid_motion()
     found = looked_for(robot, motion)
     assert {'torque_gain', 'friction_asymmetry', 'end_stop', 'torque_ripple',
-            'load_friction', 'actuator_deadzone'} <= found
+            'load_friction', 'actuator_deadzone', 'friction_backlash'} <= found
     assert not found & {'backlash', 'spring_cubic', 'stiffness_error', 'gravity_tilt',
                         'tip_payload', 'supply_sag', 'motor_inertia_error'}
     motion = replace(motion, commanded=False)
@@ -123,7 +123,8 @@ def test_every_effect_is_looked_for_wherever_it_can_act(seed, plant_name):
     likelihood = likelihood_of(make_case('clean', seed, plant=plant_name, duration=5.0))
     asked = {(name, joint) for name, joint, _ in guesses_of(likelihood)}
     assert asked == {(name, place) for name in registry.names() for place in (
-        ['arm'] if registry.find(name).whole_arm else likelihood.robot.joints)}
+        ['arm'] if registry.find(name).whole_arm else likelihood.robot.joints)
+        if name != 'friction_backlash'}  # of joints without a spring only
     left_out = {(name, joint) for name, joint, _ in guesses_of(likelihood, ('backlash',))}
     assert left_out == {one for one in asked if one[0] != 'backlash'}
 

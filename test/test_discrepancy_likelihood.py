@@ -195,3 +195,11 @@ def test_torque_noise_that_is_told_is_that_of_the_rows(likelihood):
     gain = np.sum([np.sum(motion.through_filter(np.roll(impulse, k, axis=0))[:, 0] ** 2)
                    for k in range(motion.factor)])
     np.testing.assert_allclose(torque.std(axis=0), 0.01 * np.sqrt(gain), rtol=0.05)
+
+
+def test_a_simulation_that_goes_its_own_way_is_no_null_simulation(likelihood, robot):
+    """A drive that lags far behind the hold on the motion swings about it, ever wider."""
+    zero = np.zeros(len(likelihood.nuisances))
+    late = with_effect(robot, EffectSpec(name='actuator_lag', joint='joint1', values=(0.05,)))
+    assert likelihood.is_followed(as_believed(likelihood))
+    assert not likelihood.is_followed(likelihood.fitted(late, zero))

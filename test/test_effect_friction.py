@@ -47,10 +47,9 @@ HYSTERESIS = 0.02, 0.01   # force [N m], reach [rad]
 YIELDS = 0.01 * 10.0 ** (-0.5 * np.arange(4))
 
 
-def hysteresis_along(angle):
-    """Return the torque of friction_hysteresis along link angles (T,)."""
-    entry = table.build([EffectSpec(name='friction_hysteresis', joint='axis', values=HYSTERESIS)],
-                        ('axis',))
+def torque_along(name, values, angle):
+    """Return the torque that an effect on friction has along link angles (T,)."""
+    entry = table.build([EffectSpec(name=name, joint='axis', values=values)], ('axis',))
     memory, torque = np.zeros(table.MEMORY_SIZE), []
     for q in angle:
         signals = np.zeros((1, sig.WIDTH))
@@ -58,6 +57,35 @@ def hysteresis_along(angle):
         table.run_stage(int(Stage.FRICTION), signals, memory, 1e-3, entry)
         torque.append(signals[0, sig.FRICTION])
     return np.array(torque)
+
+
+def hysteresis_along(angle):
+    """Return the torque of friction_hysteresis along link angles (T,)."""
+    return torque_along('friction_hysteresis', HYSTERESIS, angle)
+
+
+def test_friction_behind_a_play_is_absent_until_the_play_is_crossed():
+    """Up it slips; back, it falls over its reach, is gone over the play, and rises again."""
+    force, gap, reach = 0.02, 0.003, 0.002
+    up, down = np.linspace(0.0, 0.02, 201), np.linspace(0.02, 0.0, 201)
+    torque = torque_along('friction_backlash', (force, gap, reach),
+                          3.0 + np.concatenate([up, down[1:]]))
+    np.testing.assert_allclose(torque[:201], force * np.clip((up - gap) / reach, 0.0, 1.0),
+                               atol=1e-12)
+    back = 0.02 - down
+    expected = np.where(back < reach, 1.0 - back / reach,
+                        -np.clip((back - reach - 2.0 * gap) / reach, 0.0, 1.0))
+    np.testing.assert_allclose(torque[200:], force * expected, atol=1e-12)
+
+
+def test_friction_behind_a_play_without_play_is_an_elasto_plastic_element():
+    """One of friction_hysteresis, whose four elements have a quarter of the force each."""
+    angle = np.cumsum(np.random.default_rng(0).normal(0.0, 4e-3, 500))
+    force, reach = HYSTERESIS
+    alone = sum(torque_along('friction_backlash', (force / 4, 0.0, part), angle)
+                for part in YIELDS)
+    np.testing.assert_allclose(alone, hysteresis_along(angle), atol=1e-12)
+    assert reach == YIELDS[0]
 
 
 def test_friction_hysteresis_follows_masing_from_its_four_yields():

@@ -53,6 +53,7 @@ EQUATIONS = {
         s[sig.Q_LINK] - p[0], 0.0)),
     'friction_asymmetry': ([0.2], sig.FRICTION, lambda s, p: s[sig.FRICTION] * (
         1 + p[0] * np.sign(s[sig.DQ_LINK]))),
+    'friction_backlash': ([0.02, 0.003, 0.01], sig.FRICTION, lambda s, p: s[sig.FRICTION]),
     'friction_hysteresis': ([0.02, 0.01], sig.FRICTION, lambda s, p: s[sig.FRICTION]),  # begins so
     'friction_drift': ([0.3, 50.0], sig.FRICTION, lambda s, p: s[sig.FRICTION] * (
         1 + p[0] * s[sig.TIME] / p[1])),

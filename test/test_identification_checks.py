@@ -419,3 +419,22 @@ def test_xl330_is_healthy_and_its_faults_are_found(motion, gain):
     assert {finding.kind for finding in check(recording, robot)} == expected
     found = check(replace(recording, tau_motor=-recording.tau_motor), robot)
     assert 'torque_sign' in {finding.kind for finding in found}
+
+
+def test_cogging_that_a_drive_works_against_does_not_reverse_its_torque():
+    """
+    A rotor turned past its teeth: it speeds up where the teeth pull and the drive holds back.
+
+    Torque and acceleration have opposite signs then, though the drive overcomes the friction.
+    """
+    inertia, friction, tooth, order, mean = 2e-3, 0.1, 0.06, 6.0, 2.0
+    like = pendulum()
+    time, pace = like.time, order * mean
+    acceleration = 0.3 * tooth / inertia * np.sin(pace * like.time)
+    angle = mean * time - acceleration / pace ** 2
+    torque = inertia * acceleration + friction - tooth * np.sin(pace * time)
+    assert np.corrcoef(torque, acceleration)[0, 1] < -0.99 and torque.min() > 0.0
+    recording = replace(like, q_link=angle[:, None], tau_motor=torque[:, None])
+    axis = rigid_axes(recording)
+    robot = replace(axis, arm=replace(axis.arm, inertia=[inertia]))
+    assert 'torque_sign' not in {one.kind for one in check(recording, robot)}

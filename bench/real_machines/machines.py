@@ -168,7 +168,7 @@ MACHINES = {machine.name: machine for machine in (
         name='arts_friction_damper', title='ARTS friction damper', folder='arts_friction_damper',
         import_map=HERE / 'maps' / 'arts_friction_damper.yaml', joint='damper',
         belief='arts_friction_damper.yaml', estimate='friction', unit='N', length=('mm', 1e3),
-        wide=40.0, known=('backlash',),
+        wide=40.0, known=('friction_backlash',),
         splits=(Split('sine at 30 lb, then earthquake at 36 lb',
                       (Piece('sine_0.25hz_1in_30lb.csv'),), (Piece('earthquake_36lb.csv'),)),
                 halves('sine_0.25hz_1in_30lb.csv', 14.0, name='halves of sine'))),

@@ -28,6 +28,7 @@ from gms_flex_control.discrepancy.result import Finding, Value
 from gms_flex_control.discrepancy.search import with_only
 from gms_flex_control.discrepancy.thresholds import (
     BETTER,
+    CLEARLY,
     EVIDENCE,
     LARGEST_NOISE,
     PLAUSIBLE,
@@ -48,7 +49,6 @@ from gms_flex_control.identification.result import CONFIDENT
 import numpy as np
 
 _ALIKE = 0.96         # of what an effect explains: another that explains so much is alike
-_WEAKEST = 3          # effects of least held-out gain: whether fewer predict better
 _RUNNERS = 6          # hypotheses tried in the place of a finding
 _OF_INERTIA = ('inertia', 'motor_inertia', 'gravity')
 
@@ -178,19 +178,49 @@ def predictive(likelihood, found, worths, holdout=None):
     Found, list of Worth
 
     """
-    known = len(likelihood.robot.effects)
     while len(worths) > 1:
-        effects, energies = found.best.model.robot.effects, {}
-        for one in sorted(worths, key=lambda one: one.gain.nats)[:_WEAKEST]:
-            less = with_only(found, likelihood, [i for i in range(known, len(effects))
-                                                 if i != one.index])
-            energies[one.index] = energy_of(likelihood, less, holdout)
-        worst = min(energies, key=energies.get)
-        now = energy_of(likelihood, found.best, holdout)
-        if BETTER * energies[worst] > now:
+        less = _without_each(likelihood, found, found.best, holdout)
+        worst = min(less, key=lambda i: less[i][0])
+        if CLEARLY * less[worst][0] > energy_of(likelihood, found.best, holdout):
             break
         found, worths = _pruned(likelihood, _dropped(likelihood, found, worst))
     return _alone(likelihood, found, worths, holdout)
+
+
+def _without_each(likelihood, found, state, holdout):
+    """Return what is left of a State without one effect: its index to energy and State."""
+    added = range(len(likelihood.robot.effects), len(state.model.robot.effects))
+    found, out = found._replace(best=state), {}
+    for i in added:
+        less = with_only(found, likelihood, [k for k in added if k != i])
+        out[i] = energy_of(likelihood, less, holdout), less
+    return out
+
+
+def predicting_subset(likelihood, found, holdout=None):
+    """
+    Return the State with those of the effects found that together predict held-out data best.
+
+    One effect after the other is left out, while that predicts better, and one of them at a time
+    taken back in. Arguments as of `predictive`.
+    """
+    known, best = len(likelihood.robot.effects), found.best
+    energy = energy_of(likelihood, best, holdout)
+    while len(best.model.robot.effects) > known:
+        other = min(_without_each(likelihood, found, best, holdout).values(),
+                    key=lambda one: one[0])
+        if other[0] >= energy:
+            break
+        energy, best = other
+    names = [(spec.name, spec.joint) for spec in found.best.model.robot.effects]
+    for name in sorted(found.best.key(known) - best.key(known)):
+        wanted = best.key(known) | {name}
+        other = with_only(found, likelihood, [
+            i for i in range(known, len(names)) if names[i] in wanted])
+        more = energy_of(likelihood, other, holdout)
+        if more < energy:
+            energy, best = more, other
+    return best
 
 
 def _alone(likelihood, found, worths, holdout):
@@ -283,7 +313,9 @@ def _pruned(likelihood, found):
         if not weak:
             most = max((one.loss for one in worths), default=0.0)
             return found, sorted(worths, key=lambda one: (one.loss < TRIFLE * most, -one.weight))
-        worst = min(weak, key=lambda one: min(one.evidence, 2.0 * one.gain.nats))
+        # what has no evidence goes first: beside it others are told badly by few data
+        worst = min(weak, key=lambda one: (one.evidence > EVIDENCE, min(one.evidence,
+                                                                        2.0 * one.gain.nats)))
         found = _dropped(likelihood, found, worst.index)
 
 

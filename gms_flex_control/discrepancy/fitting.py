@@ -15,6 +15,7 @@ _SWEEPS = 400                 # of descent by coordinates
 _SETTLED = 1e-10              # decrease of half the cost below which descent ends
 _RIDGE = 1e-10                # of the diagonal, where parameters are nearly one
 _STEP = 0.01                  # of a value, for its derivative
+_LEAST = 0.1                  # of its usual size: so large a value is for that, at least
 _ANGLES = {'phase': 0.02, 'direction': 0.02, 'order': 0.02}
 _REACH, _ANGLE_REACH = 60.0, 25.0  # largest change at once, in steps
 _SHRINK = (1.0, 0.3, 0.1)     # of a step that does not help
@@ -113,8 +114,7 @@ def numbers_of(likelihood, robot, first=None):
             if parameter.fixed:
                 continue
             angle, value = _ANGLES.get(parameter.name), spec.values[k]
-            usual = 0.1 if parameter.unit == '1' else 1e-6
-            step = angle or _STEP * max(abs(value), min(usual, typical[k] or usual))
+            step = angle or _STEP * max(abs(value), _LEAST * (typical[k] or 1.0))
             sd = typical[k] or (_PHASE_SD if parameter.unit == 'rad' and angle
                                 else max(abs(value), 1e-9))
             numbers.append(Number(i, k, step, (_ANGLE_REACH if angle else _REACH) * step,

@@ -31,6 +31,7 @@ from gms_flex_control.discrepancy.thresholds import LARGEST_NOISE, PRACTICAL_FLO
 from gms_flex_control.discrepancy.whitening import Whitening
 from gms_flex_control.effects.guess import Scales
 from gms_flex_control.effects.registry import find
+from gms_flex_control.errors import SimulationError
 from gms_flex_control.simulation import plant
 import numpy as np
 
@@ -460,6 +461,25 @@ class Likelihood:
         left = self._in_motion([one ** 2 for one in self.torque(model)])
         return np.sqrt(np.maximum(left - self.clean_torque() ** 2, 0.0))
 
+    def is_followed(self, model):
+        """
+        Return whether a null simulation of a model keeps to the recorded motion.
+
+        One that lacks more torque than the recording does, beyond what drives make, goes its own
+        way: it shows what a model does that is driven wild, not what noise does.
+        """
+        constants = self.constants(model.robot, model.x)
+        try:
+            runs = [null_simulation(motion, constants, np.random.default_rng(self._seed))
+                    for motion in self.motions]
+        except SimulationError:
+            return False
+        own = [whitening.torque_rows(unexplained(run, constants)) ** 2
+               for run, whitening in zip(runs, self.whitenings, strict=True)]
+        most = np.maximum(self._in_motion([one ** 2 for one in self.torque(model)]),
+                          (LARGEST_NOISE * np.tile(self.coulomb, 2)) ** 2)
+        return bool(np.all(self._in_motion(own) <= most))  # not where it is not finite
+
     def clean_torque(self):
         """Return what null simulations leave in motion, torque noise too, rms (2 n,) [N m]."""
         return np.sqrt(self._in_motion([np.mean([whitening.torque_rows(
@@ -531,9 +551,11 @@ def scales_of(motions, robot):
         torque = np.concatenate([one.command[:, j] for one in motions])
         twist = 0.0 if arm.rigid[j] else float(np.std(motor - link))  # an offset is no usual size
         spring = float(arm.stiffness[j] * twist) if twist > 0.0 else float(np.std(torque))
+        speed = max(float(np.sqrt(np.mean(rate ** 2))), 1e-6)
         found.append(Scales(
-            friction=float(robot.friction.forward.static[j]), torque=float(np.abs(torque).max()),
-            spring=spring, twist=twist, speed=max(float(np.sqrt(np.mean(rate ** 2))), 1e-6),
+            friction=float(np.mean([side.static[j] + side.viscous[j] * speed for side in (
+                robot.friction.forward, robot.friction.backward)])),
+            torque=float(np.abs(torque).max()), spring=spring, twist=twist, speed=speed,
             inertia=float(arm.motor_inertia[j]),
             link_inertia=float(arm.inertia[j] + arm.mass[j] * arm.com[j] ** 2),
             mass=float(arm.mass.sum()),

@@ -43,12 +43,14 @@ PLAUSIBLE = 2.0
 # Probability of the set of models that is reported.
 CREDIBLE = 0.95
 
-# Times by which squared held-out torque times squared free-run error must fall for fewer effects
-# to be preferred to those of most evidence: far beyond what chance does at the noise floor.
+# Times by which squared held-out torque times squared free-run error must fall for one effect to
+# take the place of several; squared torque over that of the noise floor from which any of the
+# effects found are tried together: far beyond what chance does at the noise floor.
 BETTER = 2.0
 
-# Times by which squared held-out torque times squared free-run error must be less for another
-# model to be written than the one with all effects found: 5 % rms of either.
+# Times by which squared held-out torque times squared free-run error must be less for an effect
+# to be removed, or another model to be written than the one with all effects found: 5 % rms of
+# either.
 CLEARLY = 1.1
 
 # Share of the evidence of a free function of one variable that an effect must have in its place

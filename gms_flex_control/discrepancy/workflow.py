@@ -10,12 +10,17 @@ from gms_flex_control import blas
 from gms_flex_control.discrepancy import describe
 from gms_flex_control.discrepancy.data_faults import faults_of
 from gms_flex_control.discrepancy.evidence import credible, posterior
-from gms_flex_control.discrepancy.findings import findings_of, is_noisy, judged, predictive
+from gms_flex_control.discrepancy.findings import (
+    findings_of,
+    is_noisy,
+    judged,
+    predicting_subset,
+    predictive,
+)
 from gms_flex_control.discrepancy.fitting import retuned
 from gms_flex_control.discrepancy.likelihood import Likelihood
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.nuisance import OfRecording, with_nuisances
-from gms_flex_control.discrepancy.null_simulation import null_simulation
 from gms_flex_control.discrepancy.result import (
     BAD_DATA,
     Behind,
@@ -29,9 +34,13 @@ from gms_flex_control.discrepancy.result import (
 )
 from gms_flex_control.discrepancy.search import search
 from gms_flex_control.discrepancy.signature import signature_of
-from gms_flex_control.discrepancy.thresholds import CLEARLY, PLAUSIBLE, PRACTICAL_FLOOR
+from gms_flex_control.discrepancy.thresholds import (
+    BETTER,
+    CLEARLY,
+    PLAUSIBLE,
+    PRACTICAL_FLOOR,
+)
 from gms_flex_control.discrepancy.validation import energy_of, gap_of
-from gms_flex_control.errors import SimulationError
 import numpy as np
 
 _SIZES = 4            # of sets that may predict better than the one found
@@ -129,7 +138,8 @@ def _compared(motions, holdout, robot, options, say):
         findings = []  # what is unexplained is larger: effects only resemble some of it
     main = tuple(one for one in findings if one.main)
     named = {(one.effect, one.joint) for one in findings}
-    after = _best_predicting(likelihood, found, whole if left else found, measured)
+    more = left is not None or np.any(gap.after ** 2 > BETTER * gap.floor ** 2)
+    after = _best_predicting(likelihood, found, whole if left else found, measured, more)
     known, changes = len(robot.effects), list(zip(likelihood.nuisances, after.model.x.tolist(),
                                                   strict=True))
     stand_ins = tuple(spec for spec in after.model.robot.effects[known:]
@@ -183,14 +193,8 @@ def _again(likelihood, found, options, say):
 def _sound(likelihood, found):
     """Return a search with the likeliest set of effects with which the robot does not run away."""
     for state in (found.best, *sorted(found.tried, key=lambda state: -state.evidence)):
-        model = state.model
-        try:
-            for motion in likelihood.motions:
-                null_simulation(motion, likelihood.constants(model.robot, model.x),
-                                np.random.default_rng(0))
-        except SimulationError:
-            continue
-        return found._replace(best=state)
+        if likelihood.is_followed(state.model):
+            return found._replace(best=state)
     return found
 
 
@@ -240,12 +244,12 @@ def _left_over(likelihood, model, free, gap, measured=None):
     return None
 
 
-def _best_predicting(likelihood, found, whole, measured):
+def _best_predicting(likelihood, found, whole, measured, more):
     """
     Return the State that predicts torque and free runs best on held-out data.
 
     That with the effects found, unless another is clearly better: with fewer, or with such as
-    only resemble what is missing.
+    only resemble what is missing. Where there is ``more`` than noise left, any of them together.
     """
     known, best = len(likelihood.robot.effects), {}
     for state in sorted(found.tried, key=lambda state: -state.evidence):
@@ -253,6 +257,8 @@ def _best_predicting(likelihood, found, whole, measured):
     others = [state for state in (found.before, whole.best,
                                   *(best[size] for size in sorted(best)[:_SIZES]))
               if state is not found.best]
+    if more:
+        others.append(predicting_subset(likelihood, whole, measured))
     energies = [energy_of(likelihood, state, measured) for state in others]
     if CLEARLY * min(energies) < energy_of(likelihood, found.best, measured):
         return others[int(np.argmin(energies))]

@@ -17,7 +17,7 @@ import numpy as np
 class Scales(NamedTuple):
     """What a recording and its model set as usual sizes on one joint."""
 
-    friction: float   # F_s [N m]
+    friction: float   # F_s and viscous friction at that speed, mean of both directions [N m]
     torque: float     # largest command [N m]
     spring: float     # standard deviation of the spring torque [N m]
     twist: float      # standard deviation of the twist [rad]; 0 where rigid

@@ -145,7 +145,15 @@ def _balance_sign(motion, tau, total, j):
     if known.as_is > _CLEAR and known.as_is > known.opposite + 0.3:
         return 1
     clear = known.opposite > _CLEAR and known.opposite > known.as_is + 0.3
-    return -1 if clear and loose.as_is < max(loose.opposite, 0.5) else 0
+    # a joint that is not driven by its torque takes no work from it in the end
+    driven = _work(tau, motion.dq_link[:, j]) > _CLEAR
+    return -1 if clear and not driven and loose.as_is < max(loose.opposite, 0.5) else 0
+
+
+def _work(tau, velocity):
+    """Return the work of a torque (S,) over that of its size, -1 to 1: friction takes work."""
+    power = tau * velocity
+    return float(np.sum(power) / max(np.sum(np.abs(power)), 1e-300))
 
 
 def _spring_sign(motion, j):

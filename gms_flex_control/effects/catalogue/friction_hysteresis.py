@@ -18,7 +18,7 @@ class FrictionHysteresis(Term):
     stage = Stage.FRICTION
     memory_size = 2 + _ELEMENTS  # angle before, whether there is one, torque over force of each
     evidence = 'time since reversal'
-    confusable = ('presliding_error',)
+    confusable = ('friction_backlash', 'presliding_error')
     tells = 'many reversals of several sizes, from small ones to beyond the reach'
     parameters = (
         Parameter('force', 'N m', 'torque of all elements once they yield', lower=0.0),
