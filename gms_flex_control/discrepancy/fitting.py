@@ -219,7 +219,7 @@ def limits(model, numbers, values, free, plausible=np.inf):
     return low, high
 
 
-def fit(likelihood, robot, x, columns, first=None, iterations=3, plausible=np.inf):
+def fit(likelihood, robot, x, columns, first=None, iterations=8, plausible=np.inf):
     """
     Move nuisance parameters and the numbers of effects to where a model is likeliest.
 
@@ -302,7 +302,7 @@ def retuned(likelihood, robot, x, plausible=np.inf, columns=None):
     return model, columns
 
 
-def refitted(likelihood, model, nuisances, iterations=3):
+def refitted(likelihood, model, nuisances, iterations=8):
     """
     Return a model with all its effects fitted together, and its columns anew.
 

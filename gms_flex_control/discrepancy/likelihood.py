@@ -18,6 +18,7 @@ from functools import lru_cache
 import os
 from typing import NamedTuple
 
+from gms_flex_control.discrepancy.motion import encoder_step
 from gms_flex_control.discrepancy.nuisance import (
     nuisances_of,
     of_recordings,
@@ -561,7 +562,10 @@ def scales_of(motions, robot):
             mass=float(arm.mass.sum()),
             lowest=float(link.min()), highest=float(link.max()), turned=float(np.ptp(motor)),
             duration=float(max(one.time[-1] - one.time[0] for one in motions)),
-            supply=min(float(one.supply.mean()) for one in motions)))
+            supply=min(float(one.supply.mean()) for one in motions),
+            count=max(encoder_step(one.readings[:, 0, j], one.noise[0, j]) for one in motions),
+            presliding=float(np.max(robot.friction.weight[j] * robot.friction.forward.coulomb[j]
+                                    / robot.friction.stiffness[j]))))
     return found
 
 

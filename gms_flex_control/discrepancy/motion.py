@@ -71,7 +71,7 @@ class Motion:
     unseen : tuple of UnseenLink
         Links without encoder: their readings and motion are computed, as believed.
     pushed : ndarray, shape (T, n), or None
-        Torque that held simulated links on their way from outside [N m]; see retrace.
+        Torque that held simulated links on their way from outside [N m]; see `null_simulation`.
 
     """
 

@@ -141,7 +141,7 @@ class _Search:
 
     def take(self, model):
         """Go on with a model, its effects fitted together."""
-        self.best = self._tried(*refitted(self._likelihood, model, self.nuisances, iterations=3))
+        self.best = self._tried(*refitted(self._likelihood, model, self.nuisances))
 
     def grow(self, most):
         """Add effects to the best sets while the evidence grows."""

@@ -31,6 +31,8 @@ class Scales(NamedTuple):
     supply: float = 0.0  # mean voltage of the supply [V]; 0 where it is not known
     fine_orders: tuple = ()  # of waves over the motor angle that stand out [1/rad]
     mass: float = 1.0  # of all links [kg]
+    count: float = 0.0  # of the coarsest encoder of the link [rad]; 0 where readings have no steps
+    presliding: float = np.inf  # displacement at which the softest block slips [rad]
 
     @property
     def rigid(self):

@@ -10,6 +10,8 @@ from gms_flex_control.effects.base import Change, Parameter
 from gms_flex_control.effects.guess import Guess
 import numpy as np
 
+_RESOLVED = 4  # counts of an encoder within which no block slips: fewer show no loop
+
 
 class PreslidingError(Change):
     """
@@ -31,7 +33,9 @@ class PreslidingError(Change):
 
     @classmethod
     def guesses(cls, scales):
-        """Return how it might be there, list of Guess."""
+        """Return how it might be there, list of Guess; not where counts hide presliding."""
+        if scales.count * _RESOLVED > scales.presliding:
+            return []
         return [Guess(((-0.3, 0.0),), lambda c: (max(-0.3 * c[0], -0.9), 0.0))]
 
     @classmethod
