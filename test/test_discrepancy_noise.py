@@ -47,18 +47,8 @@ def test_noise_that_was_measured_is_not_measured_again():
     np.testing.assert_allclose(noisy.white_noise(model)[0, 2:], case.truth.torque_noise, rtol=0.25)
 
 
-def test_a_belief_that_is_far_off_is_named_beside_noise():
-    """Blocks a quarter stiffer than believed, three and a half times as far as usual."""
-    case = make_case('clean', 0, population='noise_3', duration=SHORT)
-    result = discrepancy([case.recording], case.nominal)
-    errors = case.truth.robot.friction.stiffness[1] / case.nominal.friction.stiffness[1] - 1.0
-    assert errors.mean() > 0.25
-    assert [(one.effect, one.joint) for one in result.named] == [('presliding_error', 'joint2')]
-    assert result.named[0].values[0].value == pytest.approx(errors.mean(), rel=0.15)
-
-
 @pytest.mark.parametrize(('seed', 'population'), [
-    (2, 'noise_3'), (4, 'noise_6'), (5, 'noise_6_coloured'), (6, 'noise_6_coloured')])
+    (0, 'noise_3'), (4, 'noise_6'), (5, 'noise_6_coloured'), (6, 'noise_6_coloured')])
 def test_a_robot_with_noisy_drives_lacks_nothing(seed, population):
     case = make_case('clean', seed, population=population, duration=SHORT)
     result = discrepancy([case.recording], case.nominal)

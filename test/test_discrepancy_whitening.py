@@ -115,13 +115,3 @@ def test_a_floor_makes_all_below_it_small():
                               np.ones(noise.shape[1:], dtype=bool))
         whitening.scale[:] = 1.0
         assert whitening.rows_of(noise[6]).var() == pytest.approx(level, rel=0.1)
-
-
-def test_errors_of_the_torsion_are_not_in_the_rows_of_the_sum():
-    """Torque that both equations have with opposite signs shows in those of the motor alone."""
-    rng, period = np.random.default_rng(1), 4e-3
-    clean = rng.standard_normal((6, 2500, 2))
-    whitening = Whitening(clean, period, np.zeros(2), np.ones((2500, 2), dtype=bool))
-    torsion = np.cumsum(rng.standard_normal(2500))
-    rows = whitening.rows_of(np.stack([torsion, -torsion], axis=1))
-    assert np.abs(rows[:, 0]).max() < 1e-9 * np.abs(rows[:, 1]).max()

@@ -127,7 +127,8 @@ def test_of_a_robot_that_lacks_nothing_nothing_is_said(seed, plant):
     result, found, _ = outcome('clean', seed, plant=plant, duration=SHORT)
     assert (result.verdict, found, result.unexplained) == (COMPLETE, (), None), result.words
     assert result.robot.effects == ()
-    assert {one.effect for one in result.tried} | {'supply_sag'} == set(registry.names())
+    assert {one.effect for one in result.tried} | {'supply_sag', 'friction_backlash'} == set(
+        registry.names())
 
 
 def test_a_belief_that_is_a_quarter_off_is_named_with_its_value():
@@ -363,7 +364,7 @@ def test_more_noise_than_drives_have_is_unexplained(monkeypatch, rms, expected):
 def test_what_makes_a_model_worse_is_named_and_not_added(named, monkeypatch):
     """As told by prediction; the words say so."""
     monkeypatch.setattr(workflow, '_best_predicting',
-                        lambda likelihood, found, whole, measured: found.before)
+                        lambda likelihood, found, *_: found.before)
     case, _ = named
     result = discrepancy([case.recording], case.nominal, holdout=[case.held_out])
     true, = case.truth.effects

@@ -153,7 +153,7 @@ def test_pictures_are_drawn_of_any_names_and_of_nothing(tmp_path):
 def test_what_is_withheld_is_told_on_page_and_in_files(monkeypatch, tmp_path):
     """Beside the gap of the model that is written, which is that without the findings."""
     monkeypatch.setattr(workflow, '_best_predicting',
-                        lambda likelihood, found, whole, measured: found.before)
+                        lambda likelihood, found, *_: found.before)
     case = make_case('single', 4, effect='stiffness_error', duration=10.0)
     true, = case.truth.effects
     result = workflow.discrepancy([case.recording], case.nominal, holdout=[case.held_out])

@@ -60,9 +60,7 @@ class Whitening:
         power = uniform_filter1d(power.real, width, axis=0, mode='nearest') + 1j * \
             uniform_filter1d(power.imag, width, axis=0, mode='nearest')
         white = np.maximum(floor ** 2 * self._samples ** 2 / (2.0 * self._bins), 1e-30)
-        both = _of_both_sides(clean.shape[2])
-        self._roots = np.linalg.inv(np.linalg.cholesky(
-            both @ (power + np.diag(white)) @ both.T)) @ both
+        self._roots = np.linalg.inv(np.linalg.cholesky(power + np.diag(white)))
         self.time = self.row_period * np.arange(self._rows)
         self.settled = self._away_from_ends(self.time)
         self.row_time = self.row_period * self._octaves.time
@@ -108,17 +106,6 @@ class Whitening:
         padded[:-1] = self._spectra(residual)
         padded[round(TORQUE_BAND / HIGHEST * self._bins):] = 0.0
         return np.fft.irfft(padded, self._rows, axis=0) * self._rows / self._samples
-
-
-def _of_both_sides(count):
-    """
-    Return the matrix (C, C) that puts the sum of both equations in the place of each link's.
-
-    Errors of the torsion, which the spring multiplies, are in both with opposite signs and not in
-    their sum, which tells inertia and friction as well as torque is known.
-    """
-    n = count // 2
-    return np.eye(count) + np.eye(count, k=n) * (np.arange(count) < n)[:, None]
 
 
 def _taper(samples, edge):
