@@ -78,6 +78,7 @@ setup(
             'controller_node = gms_flex_control.nodes.controller_node:main',
             'gms_flex = gms_flex_control.cli.main:main',
             'identification_node = gms_flex_control.nodes.identification_node:main',
+            'loop_node = gms_flex_control.nodes.loop_node:main',
             'plant_node = gms_flex_control.nodes.plant_node:main',
             'trajectory_node = gms_flex_control.nodes.trajectory_node:main',
         ],

@@ -3,13 +3,13 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """A real robot behind topics of ros2_control or behind a device: threads, clocks and messages."""
 
-import threading
 import time
 
 from gms_flex_control.hardware.bridge import Bridge
 from gms_flex_control.hardware.merger import ReadingError
 from gms_flex_control.hardware.supervisor import Outcome
 from gms_flex_control.nodes import messages, process, scheduling
+from gms_flex_control.nodes.direct import Outlet
 from gms_flex_control.nodes.health import ERROR, OK
 from gms_flex_control.nodes.inbox import Inbox
 from gms_flex_control.nodes.loop_timing import LATE, NOTABLE
@@ -50,15 +50,14 @@ class BridgedRobot(SupervisedRobot):
         params = bridge_from_values(values, joints, motors)
         self._bridge = Bridge(params)
         self._supervisor, self._map = self._bridge.supervisor, params.joint_map
-        self._lock = threading.RLock()
+        self._lock = node.direct.lock
         self._steady = time.time_ns() - time.monotonic_ns()
         self._said = None
         self._sent = 0             # when efforts left last
         self._warned = {}          # kind of warning -> when
         self._counted, self._counted_at = {}, time.monotonic()
         self._writer = messages.JointStateWriter(joints, motors)
-        self._state_pub = node.create_publisher(JointState, 'joint_states',
-                                                process.publisher_qos('realtime'))
+        self._state_pub = Outlet(node, JointState, 'joint_states')
         self._ends = False
         link, boxes = DeviceLink if values['bridge.device'] else TopicLink, []
         self._link = link(node, self, values, self._map.command_names, boxes)

@@ -12,6 +12,7 @@ from gms_flex_control.effect_compensation.feedforward import CompensatingControl
 from gms_flex_control.effect_compensation.known import as_parameters, compensated
 from gms_flex_control.hardware.command_watch import SourceWatch
 from gms_flex_control.nodes import messages, process, references, scheduling
+from gms_flex_control.nodes.direct import Direct, Outlet
 from gms_flex_control.nodes.encoder_watch import EncoderWatch
 from gms_flex_control.nodes.health import Health, OK, WARN
 from gms_flex_control.nodes.inbox import Inbox
@@ -43,9 +44,10 @@ _PHASES = {
 class ControllerNode(Node):
     """Run the cascade controller on every joint state received."""
 
-    def __init__(self, **kwargs):
+    def __init__(self, direct=None, **kwargs):
         super().__init__('cascade_controller',
                          automatically_declare_parameters_from_overrides=True, **kwargs)
+        self.direct = direct or Direct()
         parameters = NodeParameters(self, lambda joints: (
             *robot_keys(joints), *controller_keys(joints), *controller_node_keys()))
         values, joints = parameters.values, parameters.joints
@@ -77,7 +79,8 @@ class ControllerNode(Node):
         self._counts = dict.fromkeys(('states answered', 'states refused', 'references refused',
                                       'observer begun anew', 'silences', 'two trajectories'), 0)
         self._longest = 0.0      # between two answers since the last report [s]
-        self.health = Health(self, self._figures, self._on_fault)
+        self.health = Health(self, self._figures, self._on_fault, self.direct.lock)
+        self._watched = self.health.guard(self._watch)
         self._warm_up()
         self._create_topics(values['mode'])
         parameters.watch(lambda new: controller_from_values(new, joints), self._use,
@@ -95,8 +98,7 @@ class ControllerNode(Node):
         self._state = JointState(name=list(self._robot.joints))
         self._blocks = messages.BlockWriter(n, blocks)
         depth = process.publisher_qos(mode)
-        self._command_pub = self.create_publisher(
-            Float64MultiArray, 'effort_controller/commands', depth)
+        self._command_pub = Outlet(self, Float64MultiArray, 'effort_controller/commands', mode)
         self._state_pub = self.create_publisher(JointState, '~/state', depth)
         self._blocks_pub = self.create_publisher(Float64MultiArray, '~/blocks', depth)
         self._sticking_pub = self.create_publisher(Float64MultiArray, '~/sticking', depth)
@@ -107,10 +109,13 @@ class ControllerNode(Node):
 
     def run(self, spinner):
         """Answer joint states until a signal comes."""
-        watch = self.health.guard(self._watch)
         while spinner.goes_on():
-            spinner.spin_for(self._patience())
-            watch()
+            self.attend(spinner)
+
+    def attend(self, spinner):
+        """Run callbacks until the joint states may have stopped, and look whether they have."""
+        spinner.spin_for(self._patience())
+        self._watched()
 
     def _warm_up(self):
         """Compile before the first state comes, with a motion from the robot to elsewhere."""

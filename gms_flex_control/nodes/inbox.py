@@ -48,10 +48,12 @@ class Inbox:
     """
     Subscription of a node whose handler is given the messages worth a look.
 
+    Those that nodes of the same process publish reach the handler directly.
+
     Parameters
     ----------
     node : rclpy.node.Node
-        Who subscribes; its ``health`` guards the handler.
+        Who subscribes; its ``health`` guards the handler, its ``direct`` is a Direct.
     kind : type
         JointState or Float64MultiArray.
     topic : str
@@ -68,6 +70,7 @@ class Inbox:
     def __init__(self, node, kind, topic, handler, mode='realtime', boxes=None):
         self._kind, self._handle = kind, node.health.guard(handler)
         self._health, self._topic = node.health, node.resolve_topic_name(topic)
+        node.direct.hearers[self._topic].append(self._handle)
         self._looks = []           # of accepted messages
         self._odd = _ODD_AT_ONCE   # that may still be looked into
         self._filled = time.monotonic()
@@ -78,7 +81,7 @@ class Inbox:
         self._boxes = [] if boxes is None else boxes
         self._boxes.append(self)
         self._subscription = node.create_subscription(
-            kind, topic, node.health.guard(self._empty), process.subscriber_qos(mode, DEPTH),
+            kind, topic, node.health.shield(self._empty), process.subscriber_qos(mode, DEPTH),
             raw=True, event_callbacks=process.NO_EVENTS)
 
     def _empty(self, first):

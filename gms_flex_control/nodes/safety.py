@@ -32,7 +32,7 @@ class Safety:
 
     Parameters
     ----------
-    node : rclpy.node.Node
+    node : PlantNode
         The plant, whose names they carry.
     robot : object
         SupervisedRobot with ``obstacle()``, ``enable(refusals)``, ``disable()`` and ``reset()``;
@@ -59,7 +59,7 @@ class Safety:
                               ('emergency_stop', self._stop), ('enable', self._enable)):
             self._node.create_service(Trigger, node.resolve_service_name(f'~/{name}'), handler,
                                       callback_group=group)
-        self._hold = None
+        self._hold, self._served = None, node.direct.services
         if hold_service:
             self._hold = self._node.create_client(
                 Trigger, node.resolve_service_name(hold_service), callback_group=group)
@@ -131,6 +131,9 @@ class Safety:
 
     async def _held(self):
         """Let the reference hold; return a sentence if it does not, else ''."""
+        if self._hold.service_name in self._served:
+            return self._refused(self._served[self._hold.service_name](
+                Trigger.Request(), Trigger.Response()))
         if self._asked is not None:
             return f'another request already waits for {self._hold.srv_name}'
         self._asked = self._hold.call_async(Trigger.Request()), time.monotonic() + _PATIENCE
@@ -138,10 +141,14 @@ class Safety:
         self._asked = None
         if held is None:
             return f'{self._hold.srv_name} did not answer in {_PATIENCE} s'
+        return self._refused(held)
+
+    def _refused(self, held):
         return '' if held.success else f'{self._hold.srv_name} refused: {held.message}'
 
     def _no_hold(self):
-        if self._hold is None or self._hold.service_is_ready():
+        if (self._hold is None or self._hold.service_name in self._served
+                or self._hold.service_is_ready()):
             return ''
         return (f'nobody serves {self._hold.srv_name}, which lets the reference begin where the '
                 "robot is; start trajectory_node or set bridge.hold_service to ''")

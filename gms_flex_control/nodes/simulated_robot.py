@@ -4,7 +4,6 @@
 """The simulated robot of a plant node: paced by the clock or stepped by its commands."""
 
 from functools import partial
-import threading
 import time
 
 from builtin_interfaces.msg import Time
@@ -13,6 +12,7 @@ from gms_flex_control.hardware import limits as limiting
 from gms_flex_control.hardware.command_watch import CommandWatch
 from gms_flex_control.hardware.supervisor import Supervisor
 from gms_flex_control.nodes import messages, process, scheduling
+from gms_flex_control.nodes.direct import Outlet
 from gms_flex_control.nodes.health import ERROR, OK
 from gms_flex_control.nodes.inbox import Inbox
 from gms_flex_control.nodes.loop_timing import LateSamples, LoopTiming
@@ -81,7 +81,7 @@ class SimulatedRobot(SupervisedRobot):
         self._wanted = True      # whether commands enable torque
         self._passing = False    # whether the fault passes by itself
         self._said = None
-        self._lock = threading.RLock()
+        self._lock = node.direct.lock
         self._command = (self._zero, None, 0)  # torque, stamp answered, when it came
         self._stamp = self._first = 0  # [ns]
         self._resumed = -_RISE   # stamp at which torque began to rise
@@ -90,18 +90,17 @@ class SimulatedRobot(SupervisedRobot):
         node.get_logger().info(f"{robot.n_joints} joints, {values['rate']:g} Hz, {self._mode}")
 
     def _create_topics(self, values):
-        qos = process.publisher_qos(self._mode)
-        self._state_pub = self._node.create_publisher(JointState, 'joint_states', qos)
+        self._state_pub = Outlet(self._node, JointState, 'joint_states', self._mode)
         Inbox(self._node, Float64MultiArray, 'effort_controller/commands', self._on_command,
               self._mode)
         if self._mode == 'lockstep':
-            self._clock_pub = self._node.create_publisher(Clock, '/clock', qos)
+            self._clock_pub = Outlet(self._node, Clock, '/clock', self._mode)
             self._clock_period = round(NANOSECONDS / values['clock_rate'])
             self._next_clock = 0
 
     def run(self, spinner):
         """Simulate until the duration is over or a signal comes."""
-        while self._state_pub.get_subscription_count() < self._listeners and spinner.goes_on():
+        while self._state_pub.count_hearers() < self._listeners and spinner.goes_on():
             spinner.spin_once(0.02)
         if self._mode == 'lockstep':
             self._run_lockstep(spinner)
@@ -279,7 +278,8 @@ class SimulatedRobot(SupervisedRobot):
         self._stamp = self._first = self._node.get_clock().now().nanoseconds
         deadline = time.monotonic_ns()
         self._plant.measure()
-        self._publish()
+        with self._lock:
+            self._publish()
         while spinner.goes_on() and not self._is_last():
             if background.error is not None:
                 raise background.error
@@ -292,8 +292,9 @@ class SimulatedRobot(SupervisedRobot):
                     f'{late / 1e6:.1f} ms late: the machine is too busy for this rate',
                     throttle_duration_sec=_WARN_PERIOD)
                 deadline += late
-            self._watch()
-            self._advance(self._acting() * min((self._stamp - self._resumed) / _RISE, 1.0))
+            with self._lock:
+                self._watch()
+                self._advance(self._acting() * min((self._stamp - self._resumed) / _RISE, 1.0))
         if self._missed:
             self._node.get_logger().info(
                 f'{self._missed} of {self._ticks} samples had no fresh command')
@@ -306,9 +307,9 @@ class SimulatedRobot(SupervisedRobot):
         self._publish()
         repeat = time.monotonic() + _REPEAT_PERIOD
         while spinner.goes_on():
-            spinner.spin_once()
-            torque, stamp, arrived = self._command
-            if arrived and (stamp is None or stamp == self._stamp):
+            spinner.spin_once(0.0 if self._is_answered() else 0.1)
+            if self._is_answered():
+                torque = self._command[0]
                 if self._is_last():  # answered too: a recording lacks nothing
                     break
                 self._command = (torque, None, 0)
@@ -318,6 +319,10 @@ class SimulatedRobot(SupervisedRobot):
             elif time.monotonic() > repeat:
                 self._publish()  # a node that has just come needs the state it is to answer
                 repeat = time.monotonic() + _REPEAT_PERIOD
+
+    def _is_answered(self):
+        _, stamp, arrived = self._command
+        return arrived and (stamp is None or stamp == self._stamp)
 
     def _publish_clock(self):
         if self._stamp >= self._next_clock:

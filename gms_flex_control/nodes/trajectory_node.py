@@ -9,6 +9,7 @@ import sys
 
 from gms_flex_control.errors import GmsFlexError, TrajectoryError
 from gms_flex_control.nodes import messages, process, refusal, scheduling
+from gms_flex_control.nodes.direct import Direct, Outlet
 from gms_flex_control.nodes.health import Health, OK
 from gms_flex_control.nodes.inbox import Inbox
 from gms_flex_control.nodes.messages import NANOSECONDS
@@ -38,9 +39,10 @@ def reference_names_keys(joints):
 class TrajectoryNode(Node):
     """Publish the reference for each joint state before that state comes."""
 
-    def __init__(self, **kwargs):
+    def __init__(self, direct=None, **kwargs):
         super().__init__('trajectory', automatically_declare_parameters_from_overrides=True,
                          **kwargs)
+        self.direct = direct or Direct()
         parameters = NodeParameters(self, reference_names_keys)
         values, self._joints = parameters.values, parameters.joints
         self._chosen = trajectory_from_values(values, self._joints)
@@ -53,15 +55,15 @@ class TrajectoryNode(Node):
         self._writer = messages.ReferenceWriter(
             len(self._joints), f'{self.get_fully_qualified_name()}#{os.getpid()}')
         self._counts = dict.fromkeys(('states followed', 'states refused', 'jumps of time'), 0)
-        self.health = Health(self, lambda: self._counts)
+        self.health = Health(self, lambda: self._counts, lock=self.direct.lock)
         guard = self.health.guard
-        self._reference_pub = self.create_publisher(Float64MultiArray, 'reference',
-                                                    process.publisher_qos(values['mode']))
+        self._reference_pub = Outlet(self, Float64MultiArray, 'reference', values['mode'])
         self._chosen.sample(0.0)  # compile before the first state comes
         Inbox(self, JointState, 'joint_states', self._on_joint_states, values['mode'])
         for name, handler in (('start', self._start), ('stop', self._stop),
                               ('reset', self._reset), ('release', self._release)):
             self.create_service(Trigger, f'~/{name}', guard(handler))
+            self.direct.services[self.resolve_service_name(f'~/{name}')] = guard(handler)
         parameters.watch(lambda new: (trajectory_from_values(new, self._joints), new),
                          self._choose, guard)
         self.get_logger().info(f"{values['trajectory.type']}, call ~/start to begin"
