@@ -97,11 +97,10 @@ class ControllerNode(Node):
         n, blocks = self._robot.friction.stiffness.shape
         self._state = JointState(name=list(self._robot.joints))
         self._blocks = messages.BlockWriter(n, blocks)
-        depth = process.publisher_qos(mode)
         self._command_pub = Outlet(self, Float64MultiArray, 'effort_controller/commands', mode)
-        self._state_pub = self.create_publisher(JointState, '~/state', depth)
-        self._blocks_pub = self.create_publisher(Float64MultiArray, '~/blocks', depth)
-        self._sticking_pub = self.create_publisher(Float64MultiArray, '~/sticking', depth)
+        self._state_pub = Outlet(self, JointState, '~/state', mode)
+        self._blocks_pub = Outlet(self, Float64MultiArray, '~/blocks', mode)
+        self._sticking_pub = Outlet(self, Float64MultiArray, '~/sticking', mode)
         boxes = []
         Inbox(self, Float64MultiArray, 'reference', self._on_reference, mode, boxes)
         Inbox(self, JointState, 'joint_states', self._on_joint_states, mode, boxes)
@@ -358,7 +357,7 @@ class ControllerNode(Node):
 
     def _publish_state(self, stamp):
         state, message = self._controller.state, self._state
-        if not any(publisher.get_subscription_count() for publisher in (
+        if not any(publisher.count_hearers() for publisher in (
                 self._state_pub, self._blocks_pub, self._sticking_pub)):
             return  # four messages a tick cost more than one
         messages.set_stamp(message.header.stamp, stamp)
@@ -371,7 +370,7 @@ class ControllerNode(Node):
         self._state_pub.publish(message)
         blocks = state.observer.blocks
         self._blocks_pub.publish(self._blocks.write(blocks.torque, stamp))
-        if self._sticking_pub.get_subscription_count():
+        if self._sticking_pub.count_hearers():
             self._sticking_pub.publish(self._blocks.write(blocks.sticking.astype(float), stamp))
 
     def finish(self):

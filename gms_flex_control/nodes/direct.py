@@ -12,6 +12,7 @@ from collections import defaultdict
 import threading
 
 from gms_flex_control.nodes import process
+from gms_flex_control.nodes.serialized import Serialized
 
 
 class Direct:
@@ -36,14 +37,14 @@ class Direct:
 
 class Outlet:
     """
-    Publisher of a topic that nodes of the same process may hear.
+    Publisher of one reused message, which nodes of the same process may hear.
 
     Parameters
     ----------
     node : rclpy.node.Node
         Who publishes; it has ``direct``, a Direct.
     kind : type
-        Of the messages.
+        Of the message: JointState or Float64MultiArray.
     topic : str
         Its name.
     mode : {'realtime', 'lockstep'}
@@ -54,17 +55,20 @@ class Outlet:
     def __init__(self, node, kind, topic, mode='realtime'):
         self._publisher = node.create_publisher(kind, topic, process.publisher_qos(mode))
         self._hearers = node.direct.hearers[self._publisher.topic_name]
+        self._serialized = None
 
     def publish(self, message):
-        """Publish a message, and give it to those who hear it here; they keep nothing of it."""
-        self._publisher.publish(message)
+        """Publish the message, and give it to those who hear it here; they keep nothing of it."""
+        if self._serialized is None:
+            self._serialized = Serialized(message)
+        self._publisher.publish(self._serialized.bytes())
         for hear in self._hearers:
             hear(message)
 
     def count_hearers(self):
-        """Return how many take the messages, here and elsewhere."""
+        """Return how many take the message, here and elsewhere."""
         return self._publisher.get_subscription_count() + len(self._hearers)
 
     def wait_for_all_acked(self, timeout):
-        """Wait until those who acknowledge have all messages, for ``timeout`` at most."""
+        """Wait until those who acknowledge have what was published, for ``timeout`` at most."""
         self._publisher.wait_for_all_acked(timeout)

@@ -10,8 +10,10 @@ from gms_flex_control.nodes.inbox import all_waiting, DEPTH
 from gms_flex_control.nodes.process import NO_EVENTS
 import rclpy
 from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.clock import Clock, ClockType
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.task import Future
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
@@ -63,10 +65,10 @@ class Safety:
         if hold_service:
             self._hold = self._node.create_client(
                 Trigger, node.resolve_service_name(hold_service), callback_group=group)
-        self._asked = None         # future of the hold service and when to give up
+        self._asked = None         # future of the hold service
         self._executor = SingleThreadedExecutor(context=node.context)
         self._executor.add_node(self._node)
-        self._over = threading.Event()
+        self._over = Future()
         self._thread = threading.Thread(target=self._spin, name='safety', daemon=True)
 
     def start(self):
@@ -75,18 +77,16 @@ class Safety:
 
     def end(self):
         """Serve no more."""
-        self._over.set()
+        self._over.set_result(None)
         if self._thread.is_alive():
             self._thread.join(timeout=1.0)
         self._executor.shutdown(timeout_sec=0.5)
         self._node.destroy_node()
 
     def _spin(self):
-        while not self._over.is_set() and self._node.context.ok():
+        while not self._over.done() and self._node.context.ok():
             try:
-                self._executor.spin_once(timeout_sec=0.05)
-                if self._asked and time.monotonic() > self._asked[1]:
-                    self._asked[0].cancel()
+                self._executor.spin_until_future_complete(self._over)
             except ExternalShutdownException:
                 return
             except Exception as error:  # noqa: B902  the emergency stop must be heard on
@@ -136,9 +136,12 @@ class Safety:
                 Trigger.Request(), Trigger.Response()))
         if self._asked is not None:
             return f'another request already waits for {self._hold.srv_name}'
-        self._asked = self._hold.call_async(Trigger.Request()), time.monotonic() + _PATIENCE
-        held = await self._asked[0]
+        self._asked = self._hold.call_async(Trigger.Request())
+        patience = self._node.create_timer(_PATIENCE, self._asked.cancel,
+                                           clock=Clock(clock_type=ClockType.STEADY_TIME))
+        held = await self._asked
         self._asked = None
+        self._node.destroy_timer(patience)
         if held is None:
             return f'{self._hold.srv_name} did not answer in {_PATIENCE} s'
         return self._refused(held)

@@ -26,6 +26,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
+_CALLBACKS_PERIOD = 1e-2  # between looks at callbacks where each state is answered at once [s]
 _REPEAT_PERIOD = 1.0     # an unanswered state is sent again in lockstep [s]
 _LATEST_START = 5        # samples the loop may be late before it gives up catching up
 _WARN_PERIOD = 5.0       # [s]
@@ -94,7 +95,9 @@ class SimulatedRobot(SupervisedRobot):
         Inbox(self._node, Float64MultiArray, 'effort_controller/commands', self._on_command,
               self._mode)
         if self._mode == 'lockstep':
-            self._clock_pub = Outlet(self._node, Clock, '/clock', self._mode)
+            self._clock_pub = self._node.create_publisher(
+                Clock, '/clock', process.publisher_qos(self._mode))
+            self._clocks = self._node.direct.hearers[self._clock_pub.topic_name]
             self._clock_period = round(NANOSECONDS / values['clock_rate'])
             self._next_clock = 0
 
@@ -136,6 +139,10 @@ class SimulatedRobot(SupervisedRobot):
 
     def _advance(self, torque):
         """Simulate one sample and publish what is measured at its end."""
+        self._simulate(torque)
+        self._end_sample()
+
+    def _simulate(self, torque):
         measured = self._plant.measured
         if not self._supervisor.active:
             torque = self._zero
@@ -151,6 +158,8 @@ class SimulatedRobot(SupervisedRobot):
             broken = limiting.violation(self._joints, measured, self._limits)
             if broken:
                 self.fail(broken)
+
+    def _end_sample(self):
         self._ticks += 1
         self._stamp += self._period
         self._publish()
@@ -251,6 +260,12 @@ class SimulatedRobot(SupervisedRobot):
 
     # realtime ------------------------------------------------------------------------------
 
+    def _simulate_acting(self):
+        """Simulate the sample that follows the last state."""
+        with self._lock:
+            self._watch()
+            self._simulate(self._acting() * min((self._stamp - self._resumed) / _RISE, 1.0))
+
     def _acting(self):
         """Return the torque for the sample that ends now; zero if the last command is stale."""
         torque, stamp, arrived = self._command
@@ -284,6 +299,9 @@ class SimulatedRobot(SupervisedRobot):
             if background.error is not None:
                 raise background.error
             deadline += self._period
+            ahead = self._command[1] == self._stamp  # answered at once, in this process
+            if ahead:
+                self._simulate_acting()
             late = time.monotonic_ns() - deadline
             if late < 0:
                 time.sleep(-late / NANOSECONDS)
@@ -292,9 +310,10 @@ class SimulatedRobot(SupervisedRobot):
                     f'{late / 1e6:.1f} ms late: the machine is too busy for this rate',
                     throttle_duration_sec=_WARN_PERIOD)
                 deadline += late
+            if not ahead:
+                self._simulate_acting()
             with self._lock:
-                self._watch()
-                self._advance(self._acting() * min((self._stamp - self._resumed) / _RISE, 1.0))
+                self._end_sample()
         if self._missed:
             self._node.get_logger().info(
                 f'{self._missed} of {self._ticks} samples had no fresh command')
@@ -305,9 +324,13 @@ class SimulatedRobot(SupervisedRobot):
         self._plant.measure()
         self._publish_clock()
         self._publish()
-        repeat = time.monotonic() + _REPEAT_PERIOD
+        repeat, callbacks = time.monotonic() + _REPEAT_PERIOD, 0.0
         while spinner.goes_on():
-            spinner.spin_once(0.0 if self._is_answered() else 0.1)
+            if not self._is_answered():
+                spinner.spin_once()
+            elif time.monotonic() > callbacks:  # answered at once, in this process
+                spinner.spin_once(0.0)
+                callbacks = time.monotonic() + _CALLBACKS_PERIOD
             if self._is_answered():
                 torque = self._command[0]
                 if self._is_last():  # answered too: a recording lacks nothing
@@ -327,7 +350,10 @@ class SimulatedRobot(SupervisedRobot):
     def _publish_clock(self):
         if self._stamp >= self._next_clock:
             sec, nanosec = divmod(self._stamp, NANOSECONDS)
-            self._clock_pub.publish(Clock(clock=Time(sec=sec, nanosec=nanosec)))
+            message = Clock(clock=Time(sec=sec, nanosec=nanosec))
+            self._clock_pub.publish(message)
+            for hear in self._clocks:
+                hear(message)
             self._next_clock = self._stamp + self._clock_period
 
     def finish(self):
