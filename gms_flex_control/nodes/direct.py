@@ -59,15 +59,20 @@ class Outlet:
 
     def publish(self, message):
         """Publish the message, and give it to those who hear it here; they keep nothing of it."""
-        if self._serialized is None:
-            self._serialized = Serialized(message)
-        self._publisher.publish(self._serialized.bytes())
+        if self.count_others():
+            if self._serialized is None:
+                self._serialized = Serialized(message)
+            self._publisher.publish(self._serialized.bytes())
         for hear in self._hearers:
             hear(message)
 
+    def count_others(self):
+        """Return how many other processes' subscriptions take the message."""
+        return self._publisher.get_subscription_count()
+
     def count_hearers(self):
         """Return how many take the message, here and elsewhere."""
-        return self._publisher.get_subscription_count() + len(self._hearers)
+        return self.count_others() + len(self._hearers)
 
     def wait_for_all_acked(self, timeout):
         """Wait until those who acknowledge have what was published, for ``timeout`` at most."""

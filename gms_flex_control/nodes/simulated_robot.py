@@ -26,7 +26,9 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-_CALLBACKS_PERIOD = 1e-2  # between looks at callbacks where each state is answered at once [s]
+# where each state of lockstep is answered at once, in this process:
+_CALLBACKS_PERIOD = 1e-2  # between looks at callbacks where nobody else listens [s]
+_SHORTEST_SAMPLE = 4e-4   # where somebody does: a recorder keeps up with that [s]
 _REPEAT_PERIOD = 1.0     # an unanswered state is sent again in lockstep [s]
 _LATEST_START = 5        # samples the loop may be late before it gives up catching up
 _WARN_PERIOD = 5.0       # [s]
@@ -324,13 +326,16 @@ class SimulatedRobot(SupervisedRobot):
         self._plant.measure()
         self._publish_clock()
         self._publish()
-        repeat, callbacks = time.monotonic() + _REPEAT_PERIOD, 0.0
+        repeat, due = time.monotonic() + _REPEAT_PERIOD, 0.0
         while spinner.goes_on():
             if not self._is_answered():
                 spinner.spin_once()
-            elif time.monotonic() > callbacks:  # answered at once, in this process
+            elif self._state_pub.count_others():  # answered at once, in this process
+                spinner.spin_once(max(due - time.monotonic(), 0.0))
+                due = time.monotonic() + _SHORTEST_SAMPLE
+            elif time.monotonic() > due:
                 spinner.spin_once(0.0)
-                callbacks = time.monotonic() + _CALLBACKS_PERIOD
+                due = time.monotonic() + _CALLBACKS_PERIOD
             if self._is_answered():
                 torque = self._command[0]
                 if self._is_last():  # answered too: a recording lacks nothing
