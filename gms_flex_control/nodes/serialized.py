@@ -26,7 +26,8 @@ class Serialized:
     Parameters
     ----------
     message : JointState or Float64MultiArray
-        Sequences of a JointState are equally long; numbers are ``array('d')``.
+        As it is published first. Sequences of a JointState are equally long; numbers are
+        ``array('d')``.
 
     """
 
