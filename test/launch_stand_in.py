@@ -47,9 +47,10 @@ def _condition(wanted):
 MODULES = {
     'launch': _kinds('LaunchDescription'),
     'launch.actions': _kinds('DeclareLaunchArgument', 'ExecuteProcess', 'GroupAction', 'Shutdown'),
-    'launch.conditions': {'IfCondition': _condition('true'),
-                          'UnlessCondition': _condition('false')},
+    'launch.conditions': {'IfCondition': _condition('true')},
     'launch.substitutions': {
+        'AndSubstitution': lambda left, right: Substitution(
+            lambda known: str(text(left, known) == text(right, known) == 'true').lower()),
         'Command': lambda parts: Substitution(lambda known: f'output of {text(parts, known)}'),
         'EqualsSubstitution': _compared(True),
         'NotEqualsSubstitution': _compared(False),

@@ -28,7 +28,7 @@ LOOP = ['plant_node', 'controller_node', 'trajectory_node']
 SHOWN = ['robot_state_publisher', 'rviz2']
 REAL = all(util.find_spec(name) for name in ('launch', 'launch_ros', 'rclpy'))
 needs_launch = pytest.mark.skipif(not REAL, reason='launch and launch_ros are not installed')
-COMMON = {'robot', 'controller', 'trajectory', 'bridge', 'mode', 'record', 'rviz',
+COMMON = {'robot', 'controller', 'trajectory', 'bridge', 'mode', 'composed', 'record', 'rviz',
           'state_publisher', 'namespace', 'use_sim_time', 'realtime_priority'}
 
 
@@ -72,6 +72,20 @@ def test_every_launch_file_takes_the_same_arguments_and_describes_them(name, mon
     ('identification', [*LOOP, 'identification_node'])])
 def test_a_launch_file_starts_these(name, processes, start):
     assert sorted(start(name)) == sorted(processes)
+
+
+@pytest.mark.parametrize('name', FILES)
+@pytest.mark.parametrize('bridge', ['', 'my_bridge.yaml'])
+def test_one_process_is_given_what_three_are(name, bridge, start):
+    three, one = (start(name, composed=composed, bridge=bridge, controller='gains.yaml')
+                  for composed in ('false', 'true'))
+    assert sorted(set(three) - set(one)) == sorted(LOOP)
+    loop = one['loop_node']
+    for node in LOOP:
+        assert set(three[node].files) <= set(loop.files)
+        assert three[node].parameters.items() - {('use_sim_time', 'False')} \
+            <= loop.parameters.items()
+    assert not bridge or loop.files[-1] == bridge
 
 
 @pytest.mark.parametrize('mode', COMPENSATIONS)

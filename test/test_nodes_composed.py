@@ -6,8 +6,8 @@
 from bridge_lab import ask, bridge_lab, move
 from gms_flex_control.bags.reader import read_recording
 from gms_flex_control.experiment.driven import TOPICS
-from gms_flex_control.experiment.processes import executable
 from gms_flex_control.experiment.plan import read_plan
+from gms_flex_control.experiment.processes import executable
 from gms_flex_control.experiment.simulated import simulate_to_bag
 from gms_flex_control.nodes import messages
 from gms_flex_control.nodes.serialized import Serialized
@@ -157,4 +157,4 @@ def test_a_reused_message_is_serialized_as_it_is_each_time():
         state.effort = messages.array('d', [float('inf'), float(rows)])
         reference.write(np.arange(2.0 * rows).reshape(rows, 2) - stamp, quantity, stamp)
         for one, message in zip(serialized, (state, reference.message), strict=True):
-            assert deserialize_message(one.bytes(), type(message)) == message
+            assert deserialize_message(one.data(), type(message)) == message

@@ -62,7 +62,7 @@ class Outlet:
         if self.count_others():
             if self._serialized is None:
                 self._serialized = Serialized(message)
-            self._publisher.publish(self._serialized.bytes())
+            self._publisher.publish(self._serialized.data())
         for hear in self._hearers:
             hear(message)
 

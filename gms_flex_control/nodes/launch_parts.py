@@ -5,8 +5,9 @@
 
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, ExecuteProcess, GroupAction
-from launch.conditions import IfCondition, UnlessCondition
+from launch.conditions import IfCondition
 from launch.substitutions import (
+    AndSubstitution,
     Command,
     EqualsSubstitution,
     LaunchConfiguration,
@@ -57,6 +58,9 @@ def arguments(*, bridge='', rviz='false', priority='0'):
         DeclareLaunchArgument('mode', default_value='realtime', choices=['realtime', 'lockstep'],
                               description='Pace of the simulation: the wall clock, or one step '
                                           'per command as fast as it goes'),
+        DeclareLaunchArgument('composed', default_value='false', choices=_SWITCH,
+                              description='Run plant or bridge, controller and trajectory in one '
+                                          'process, where no sample waits for DDS'),
         DeclareLaunchArgument('realtime_priority', default_value=priority,
                               description='Of controller, trajectory and simulation, 1 to 99 '
                                           'where it is permitted, 0 for none; a bridge has its '
@@ -118,17 +122,27 @@ def closed_loop(controller=None, trajectory=None):
     Returns
     -------
     list of Node
+        Three processes, or the one of ``loop_node``.
 
     """
     bridge = LaunchConfiguration('bridge')
     pace = {name: LaunchConfiguration(name) for name in ('mode', 'realtime_priority')}
-    simulated = EqualsSubstitution(bridge, '')
+    simulated, bridged = EqualsSubstitution(bridge, ''), NotEqualsSubstitution(bridge, '')
+    composed = LaunchConfiguration('composed')
+    apart = EqualsSubstitution(composed, 'false')
+    motion = LaunchConfiguration('trajectory')
+    own = {**pace, **(controller or {}), **(trajectory or {})}
     return [
-        node('plant_node', pace, {'use_sim_time': False}, condition=IfCondition(simulated)),
-        node('plant_node', bridge, {'backend': 'bridge'}, condition=UnlessCondition(simulated)),
-        node('controller_node', {**pace, **(controller or {})}),
-        node('trajectory_node', LaunchConfiguration('trajectory'),
-             {**pace, **(trajectory or {})})]
+        node('plant_node', pace, {'use_sim_time': False},
+             condition=IfCondition(AndSubstitution(apart, simulated))),
+        node('plant_node', bridge, {'backend': 'bridge'},
+             condition=IfCondition(AndSubstitution(apart, bridged))),
+        node('controller_node', {**pace, **(controller or {})}, condition=IfCondition(apart)),
+        node('trajectory_node', motion, {**pace, **(trajectory or {})},
+             condition=IfCondition(apart)),
+        node('loop_node', motion, own, condition=IfCondition(AndSubstitution(composed, simulated))),
+        node('loop_node', motion, own, bridge, {'backend': 'bridge'},
+             condition=IfCondition(AndSubstitution(composed, bridged)))]
 
 
 def helpers():

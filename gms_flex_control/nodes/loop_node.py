@@ -12,6 +12,7 @@ from gms_flex_control.nodes.direct import Direct
 from gms_flex_control.nodes.plant_node import PlantNode
 from gms_flex_control.nodes.trajectory_node import TrajectoryNode
 from gms_flex_control.nodes.transport import refuse_own_messages
+from rclpy.parameter import Parameter
 from rclpy.time import Time
 
 
@@ -36,7 +37,8 @@ class LoopNode:
         # reference
         self._controller = ControllerNode(direct)
         self._trajectory = TrajectoryNode(direct)
-        self._plant = PlantNode(direct)
+        self._plant = PlantNode(  # whose simulation makes the time that the others may take
+            direct, parameter_overrides=[Parameter('use_sim_time', value=False)])
         self.nodes = [self._plant, self._controller, self._trajectory]
         for node in self.nodes:
             if node.get_parameter('use_sim_time').value:

@@ -38,7 +38,7 @@ class Serialized:
             dimension for dimension in message.layout.dim if dimension.label.startswith(_STAMP)]
         self._lengths = None
 
-    def bytes(self):  # noqa: A003  what it is
+    def data(self):
         """Return the message as it is now (bytes)."""
         message = self._message
         numbers = [getattr(message, field) for field in self._fields]
