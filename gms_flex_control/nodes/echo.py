@@ -115,6 +115,7 @@ class Pacer(Node):
                 if (self._timing is None and self._begins is not None
                         and time.monotonic() > self._begins):
                     self._timing = LoopTiming(self._path, self._period, None)
+                    self.get_logger().info('measures')
                 set_stamp(self._message.header.stamp, time.time_ns())
                 if self._timing is not None:
                     self._timing.published()
