@@ -10,7 +10,7 @@ from gms_flex_control.experiment.plan import read_plan
 from gms_flex_control.experiment.processes import executable
 from gms_flex_control.experiment.simulated import simulate_to_bag
 from gms_flex_control.nodes import messages
-from gms_flex_control.nodes.serialized import Serialized
+from gms_flex_control.nodes.serialized import Deserialized, Serialized
 from node_harness import (
     array_message,
     COMMANDS,
@@ -28,7 +28,7 @@ from node_harness import (
 )
 import numpy as np
 import pytest
-from rclpy.serialization import deserialize_message
+from rclpy.serialization import deserialize_message, serialize_message
 from test_nodes_lockstep import assert_equal
 from test_nodes_loop import (  # noqa: F401  they hold here as well
     RATE,
@@ -158,3 +158,17 @@ def test_a_reused_message_is_serialized_as_it_is_each_time():
         reference.write(np.arange(2.0 * rows).reshape(rows, 2) - stamp, quantity, stamp)
         for one, message in zip(serialized, (state, reference.message), strict=True):
             assert deserialize_message(one.data(), type(message)) == message
+
+
+def test_joint_states_are_read_as_they_are_whatever_came_before():
+    read = Deserialized().message
+    for names, position, velocity, effort in (
+            ('ab', [1.0, 2.0], [3.0, 4.0], [5.0, 6.0]),
+            ('ab', [-0.0, 1e300], [3.0, 4.5], [7.0, 6.0]),
+            ('xb', [1.0, 2.0], [3.0, 4.0], [5.0, 6.0]), ('ab', [1.0, 2.0], [3.0, 4.0], []),
+            ('ab', [1.0, 2.0], [3.0], [5.0, 6.0, 7.0]), ('ab', [], [], []), ('', [], [], []),
+            ('ab', [1.0, 2.0], [3.0, 4.0], [5.0, 6.0])):
+        message = JointState(name=list(names), position=position, velocity=velocity, effort=effort)
+        for stamp in (0, 1_700_000_000_123_456_789):
+            messages.set_stamp(message.header.stamp, stamp)
+            assert read(serialize_message(message)) == message

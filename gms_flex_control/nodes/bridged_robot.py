@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """A real robot behind topics of ros2_control or behind a device: threads, clocks and messages."""
 
+import sys
 import time
 
 from gms_flex_control.hardware.bridge import Bridge
@@ -20,6 +21,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 _WATCH_PERIOD = 0.002      # how often the silence of both sides is measured [s]
+_MOST_PASSED = 3           # looks that are left out one after the other
+_SWITCH = 1e-3             # for so long a look may wait for a state that is handled [s]
 _ZERO_PERIOD = 10_000_000  # zero torque is repeated that often while there is none [ns]
 _WARN_PERIOD = 5_000_000_000  # [ns]
 
@@ -58,7 +61,7 @@ class BridgedRobot(SupervisedRobot):
         self._counted, self._counted_at = {}, time.monotonic()
         self._writer = messages.JointStateWriter(joints, motors)
         self._state_pub = Outlet(node, JointState, 'joint_states')
-        self._ends = False
+        self._ends, self._passed = False, 0
         link, boxes = DeviceLink if values['bridge.device'] else TopicLink, []
         self._link = link(node, self, values, self._map.command_names, boxes)
         Inbox(node, Float64MultiArray, 'effort_controller/commands', self._on_command,
@@ -177,7 +180,8 @@ class BridgedRobot(SupervisedRobot):
     def run(self, spinner):
         """Watch over both sides until a signal comes."""
         scheduling.tighten_timers()
-        look = self._health.guard(self._look)
+        sys.setswitchinterval(_SWITCH)
+        look = self._health.shield(self._look)
         with process.BackgroundSpin(spinner) as background, self._link:
             try:
                 while spinner.goes_on():
@@ -196,15 +200,25 @@ class BridgedRobot(SupervisedRobot):
             self._settle()
 
     def _look(self):
-        with self._lock:
-            now = self.now()
-            self._bridge.watch(now)
-            broken = self._health.fault or self._link.broken
-            if self._supervisor.active and broken:
-                self._bridge.fault(broken)
-            self._settle()
-            if not self._supervisor.active and now - self._sent >= _ZERO_PERIOD:
-                self._send()
+        """Look after both sides, unless a state or command is just being handled."""
+        self._passed += 1
+        if not self._lock.acquire(blocking=self._passed > _MOST_PASSED):
+            return
+        try:
+            self._passed = 0
+            self._look_now()
+        finally:
+            self._lock.release()
+
+    def _look_now(self):
+        now = self.now()
+        self._bridge.watch(now)
+        broken = self._health.fault or self._link.broken
+        if self._supervisor.active and broken:
+            self._bridge.fault(broken)
+        self._settle()
+        if not self._supervisor.active and now - self._sent >= _ZERO_PERIOD:
+            self._send()
 
     def finish(self):
         """Leave zero on the wire, and stay until those who acknowledge have it."""

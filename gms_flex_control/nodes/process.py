@@ -135,7 +135,7 @@ def run_node(make_node, args=None):
         0 after a signal, 2 if parameters or arguments were refused.
 
     """
-    sys.setswitchinterval(1e-4)  # a busy thread may delay the loop by this, not by 5 ms
+    sys.setswitchinterval(5e-4)  # a busy thread may delay the loop by this, not by 5 ms
     shorten_slices()
     avoid_shared_memory()
     spinner, node = Spinner(), None

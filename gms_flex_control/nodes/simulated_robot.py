@@ -4,6 +4,7 @@
 """The simulated robot of a plant node: paced by the clock or stepped by its commands."""
 
 from functools import partial
+import sys
 import time
 
 from builtin_interfaces.msg import Time
@@ -26,6 +27,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
+_SWITCH = 1e-4           # for so long a callback may delay a state that is due [s]
 # where each state of lockstep is answered at once, in this process:
 _CALLBACKS_PERIOD = 1e-2  # between looks at callbacks where nobody else listens [s]
 _SHORTEST_SAMPLE = 4e-4   # where somebody does: a recorder keeps up with that [s]
@@ -292,6 +294,7 @@ class SimulatedRobot(SupervisedRobot):
 
     def _run_paced(self, spinner, background):
         scheduling.tighten_timers()
+        sys.setswitchinterval(_SWITCH)
         self._stamp = self._first = self._node.get_clock().now().nanoseconds
         deadline = time.monotonic_ns()
         self._plant.measure()
