@@ -112,6 +112,7 @@ def run_loop(rate, duration, *, composed=False, **parameters):
             run.start_node('controller_node', [], parameters)
             run.start_node('trajectory_node', [], {**moves, **parameters})
             run.start_node('plant_node', [], {**plant, **parameters})
+        run.processes.wait_for_text(names[0], ['ACTIVE'], _START_BOUND)
         processor = run.processor(names, duration - 2.0 * _SETTLE)
         run.processes.wait(names[0], _START_BOUND)
         return json.loads(timing.read_text(encoding='utf-8')), processor

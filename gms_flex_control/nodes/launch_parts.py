@@ -140,7 +140,8 @@ def closed_loop(controller=None, trajectory=None):
         node('controller_node', {**pace, **(controller or {})}, condition=IfCondition(apart)),
         node('trajectory_node', motion, {**pace, **(trajectory or {})},
              condition=IfCondition(apart)),
-        node('loop_node', motion, own, condition=IfCondition(AndSubstitution(composed, simulated))),
+        node('loop_node', motion, own,
+             condition=IfCondition(AndSubstitution(composed, simulated))),
         node('loop_node', motion, own, bridge, {'backend': 'bridge'},
              condition=IfCondition(AndSubstitution(composed, bridged)))]
 
