@@ -31,6 +31,7 @@ import pytest
 from rclpy.serialization import deserialize_message, serialize_message
 from test_nodes_lockstep import assert_equal
 from test_nodes_loop import (  # noqa: F401  they hold here as well
+    listen,
     RATE,
     test_a_gain_changes_and_a_whole_number_is_taken_for_a_double,
     test_a_group_is_taken_whole_or_not_at_all,
@@ -69,12 +70,7 @@ def loop(tmp_path_factory):
     with Lab(tmp_path_factory.mktemp('loop')) as lab:
         lab.controller = lab.trajectory = lab.plant = lab.start(
             'loop_node', files=MOTION, rate=RATE, trajectory__autostart=True, silence_timeout=1.0)
-        lab.states = lab.listen(JointState, STATES)
-        lab.commands = lab.listen(Float64MultiArray, COMMANDS)
-        lab.references = lab.listen(Float64MultiArray, REFERENCE)
-        lab.errors = lab.listen(JointState, '/cascade_controller/state')
-        lab.blocks = lab.listen(Float64MultiArray, '/cascade_controller/blocks')
-        lab.until(lambda: len(lab.errors) > 20 and any(lab.commands[-1].data))
+        listen(lab)
         yield lab
         assert lab.plant.signal(TERM) == 0
         lab.until(lambda: not any(lab.commands[-1].data))

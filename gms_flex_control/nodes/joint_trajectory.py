@@ -8,7 +8,7 @@ from gms_flex_control.nodes.refusal import first_bad, LARGEST_STATE, order_of, R
 import numpy as np
 
 _ROWS = ('positions', 'velocities', 'accelerations')
-_MOST_POINTS = 10000
+_MOST_POINTS = 1000  # a loop in the same process waits while they are read
 _AT_REST = 1e-6  # the last velocity [rad/s]
 
 

@@ -243,13 +243,13 @@ class TrajectoryNode(Node):
     def _on_joint_trajectory(self, message):
         """Follow the points of a message from its stamp on, or at once; without any, stop."""
         try:
-            times, states = read_joint_trajectory(message, self._joints)
             if self._published is None or self.health.fault:
                 raise messages.RefusedError(self.health.fault or 'no joint state has come yet')
-            if len(times):
-                self._follow_points(times, states, messages.to_nanoseconds(message.header.stamp))
-            else:
+            if not message.points:
                 self._brake()
+                return
+            self._follow_points(*read_joint_trajectory(message, self._joints),
+                                messages.to_nanoseconds(message.header.stamp))
         except (messages.RefusedError, TrajectoryError) as error:
             self.health.warn('joint trajectory', f'joint trajectory refused: {error}')
 

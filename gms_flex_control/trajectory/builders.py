@@ -35,20 +35,20 @@ def hermite(begin, end, duration):
 
     Parameters
     ----------
-    begin, end : ndarray, shape (k, n_joints)
+    begin, end : ndarray, shape (..., k, n_joints)
         Value and time derivatives, 1 to 4 for k = 5, at both ends.
-    duration : float
+    duration : float or ndarray, shape (...)
         Time between them [s].
 
     Returns
     -------
-    ndarray, shape (2 k, n_joints)
+    ndarray, shape (..., 2 k, n_joints)
         Coefficients in powers of t / duration.
 
     """
-    order = len(begin)
-    scales = duration ** np.arange(order)[:, None]
-    return _hermite_inverse(order) @ np.vstack([begin * scales, end * scales])
+    order = begin.shape[-2]
+    scales = np.asarray(duration)[..., None, None] ** np.arange(order)[:, None]
+    return _hermite_inverse(order) @ np.concatenate([begin * scales, end * scales], axis=-2)
 
 
 def at_rest(q):
@@ -139,16 +139,14 @@ def through(times, states):
     if not (np.isfinite(durations) & (durations > 0.0)).all():
         raise TrajectoryError(f'times must rise from point to point, got {times.tolist()}')
     for k in range(1, DERIVATIVES):
-        polys = [hermite(begin[:k], end[:k], duration) for begin, end, duration in zip(
-            states[:-1], states[1:], durations, strict=True)]
+        polys = hermite(states[:-1, :k], states[1:, :k], durations)
+        rates = durations[:, None] ** -k
+        at_end = _derivative_at_one(k, 2 * k) @ polys * rates
+        at_begin = factorial(k) * polys[:, k] * rates
         found = np.zeros_like(states[:, k])
-        for i in range(1, len(times) - 1):
-            before, behind = polys[i - 1], polys[i]
-            found[i] = (_derivative_at_one(k, 2 * k) @ before / durations[i - 1] ** k
-                        + factorial(k) * behind[k] / durations[i] ** k) / 2.0
+        found[1:-1] = (at_end[:-1] + at_begin[1:]) / 2.0
         states[:, k] = np.where(np.isnan(states[:, k]), found, states[:, k])
-    polys = [hermite(begin, end, duration) for begin, end, duration in zip(
-        states[:-1], states[1:], durations, strict=True)]
+    polys = hermite(states[:-1], states[1:], durations)
     return polynomials(times, [*durations, 1.0], [*polys, constant(states[-1, 0])],
                        end=times[-1])
 
