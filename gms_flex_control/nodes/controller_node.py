@@ -22,6 +22,7 @@ from gms_flex_control.nodes.references import Handover, Reference, References
 from gms_flex_control.nodes.refusal import all_finite
 from gms_flex_control.schema.build import controller_from_values, robot_from_values
 from gms_flex_control.schema.keys import controller_keys, controller_node_keys, robot_keys
+from gms_flex_control.trajectory.segments import extrapolate
 import numpy as np
 from rclpy.duration import Duration
 from rclpy.node import Node
@@ -121,7 +122,7 @@ class ControllerNode(Node):
         away = np.ones((5, self._robot.n_joints))
         handover = Handover(1.0)
         handover.begin(0, self._controller.measured, away)
-        self._controller.tick(handover.applied(0, away), 0.0)
+        self._controller.tick(handover.applied(0, extrapolate(away, 0.0)), 0.0)
         self._controller.reset()
 
     def _use(self, gains):

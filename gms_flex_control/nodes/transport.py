@@ -17,8 +17,8 @@ import rclpy
 RANGE = 'ROS_AUTOMATIC_DISCOVERY_RANGE'
 _BUILT_IN = 'FASTDDS_BUILTIN_TRANSPORTS'
 _PROFILES = ('FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE')
-_LOCAL, _ANYWHERE = (Path(__file__).with_name(f'{name}.xml') for name in ('local_sockets',
-                                                                         'sockets'))
+_LOCAL = Path(__file__).with_name('local_sockets.xml')
+_ANYWHERE = Path(__file__).with_name('sockets.xml')
 _IGNORE_OWN = 'fastdds.ignore_local_endpoints'
 
 
