@@ -79,6 +79,7 @@ setup(
             'controller_node = gms_flex_control.nodes.start:controller_node',
             'gms_flex = gms_flex_control.cli.main:main',
             'identification_node = gms_flex_control.nodes.start:identification_node',
+            'loop_node = gms_flex_control.nodes.start:loop_node',
             'plant_node = gms_flex_control.nodes.start:plant_node',
             'trajectory_node = gms_flex_control.nodes.start:trajectory_node',
         ],

@@ -16,6 +16,11 @@ def add_parser(subparsers):
     parser.add_argument('--name', default='arm', help='of the robot (default: %(default)s)')
     parser.add_argument('--links-only', action='store_true',
                         help='leave out the motors: a rigid robot')
+    parser.add_argument('--limits', nargs='+', metavar='FILE',
+                        help='files with limits.<joint>, such as config/bridge.yaml')
+    parser.add_argument('--ros2-control', metavar='PLUGIN', default='',
+                        help='add a <ros2_control> block with this hardware interface, such as '
+                             'mock_components/GenericSystem')
     parser.set_defaults(run=run)
 
 
@@ -23,11 +28,13 @@ def run(args):
     """Write or print; return 0."""
     from gms_flex_control.files import write_text
     from gms_flex_control.resources import robot_file
-    from gms_flex_control.schema.files import load_robot
+    from gms_flex_control.schema.files import load_limits, load_robot
     from gms_flex_control.schema.urdf import robot_urdf
 
     robot = load_robot(args.robot or robot_file())
-    text = robot_urdf(robot, name=args.name, motors=not args.links_only)
+    limits = load_limits(args.limits, robot.joints) if args.limits else None
+    text = robot_urdf(robot, name=args.name, motors=not args.links_only, limits=limits,
+                      plugin=args.ros2_control)
     if args.out:
         write_text(args.out, text)
         print(f'{args.out}: {robot.n_joints} joints')
