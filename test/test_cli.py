@@ -107,7 +107,7 @@ def test_without_ros_the_extra_is_named(arguments, tmp_path, capsys, monkeypatch
     out = tmp_path / 'out'
     assert tool.main(arguments.format(dir=out).split()) == tool.BAD_INPUT
     printed, told = capsys.readouterr()
-    assert printed == '' and told.count('\n') == 1 and "'gms_flex_control[ros]'" in told
+    assert printed == '' and told.count('\n') == 1 and "'.[ros]'" in told
     assert not out.exists()
 
 

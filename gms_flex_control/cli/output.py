@@ -24,8 +24,8 @@ def import_ros(module='rclpy', hint=''):
         import_module('rclpy')
         return import_module(module)
     except ImportError as error:
-        raise ConfigError(f'ROS 2 for Python is needed ({error}); source a workspace, or install '
-                          f"the extra [ros]: pip install 'gms_flex_control[ros]'{hint}") from error
+        raise ConfigError(f'ROS 2 for Python is needed ({error}); source a workspace, or run '
+                          f"pip install '.[ros]' in the clone{hint}") from error
 
 
 def refuse_unwritable(out):

@@ -6,11 +6,14 @@ A robot as MuJoCo's XML (MJCF), in the elements that MuJoCo has for its parts.
 
 A flexible joint is two hinges, link and motor, with a fixed tendon as spring between them; a
 motor turns beside its link, as in Eq. (1). A friction block is a tendon on the link that yields
-at the block's level. A torque that is the same in both directions of motion is a weak joint
-spring with its rest far away: MuJoCo has no constant torque without an input of its own.
+at the Coulomb level. Passive DC motors, which have no input, add the rest: the Stribeck curve as
+LuGre friction with a Coulomb level of zero, viscous friction of one direction as braking that is
+clamped in the other, ripple as cogging. A constant torque is a weak joint spring with its rest
+far away: an actuator would add an input.
 """
 
 from dataclasses import dataclass, field
+from functools import partial
 import math
 import xml.etree.ElementTree as ElementTree
 
@@ -24,6 +27,8 @@ _LARGEST_PHASE = 1.0  # of the stiffest spring in a step: 2 is where semi-implic
 _FAR = 1e6           # where the spring of a constant torque rests, and a stop of one side ends
 _LEAST_MASS = 1e-9   # MuJoCo wants a mass where the robot file gives inertia alone [kg]
 _HARD = {'solreffriction': '0.001 1', 'solimpfriction': '0.99 0.999 1e-6'}  # dry friction
+_CLAMPS = {'forward': (-_FAR, 0.0), 'backward': (0.0, _FAR)}  # of torques against the motion
+_SIGNS = np.array([1.0, -1.0])  # forward, backward
 _FINER = 10.0 ** -0.5  # reach of an element of friction_hysteresis over that of the one before
 
 
@@ -31,9 +36,12 @@ _FINER = 10.0 ** -0.5  # reach of an element of friction_hysteresis over that of
 class _Joint:
     """What MuJoCo's elements of one joint say; filled by effects, [N m, rad, s]."""
 
-    viscous: float
-    elements: list             # of friction: (stiffness, level forward, level backward)
-    loss: tuple                # dry friction without stiffness: (forward, backward)
+    viscous: np.ndarray        # forward, backward
+    elements: list             # of friction: (stiffness, levels forward and backward)
+    loss: np.ndarray           # dry friction without stiffness: forward, backward
+    excess: np.ndarray         # static friction above Coulomb: forward, backward
+    stribeck: np.ndarray       # velocity: forward, backward
+    bristle: float             # stiffness of the excess
     stiffness: float           # of the spring
     damping: float
     cubic: float = 0.0
@@ -50,17 +58,20 @@ class _Joint:
     delay: float = 0.0
     stops: list = field(default_factory=list)    # (angle, stiffness)
     parallel: list = field(default_factory=list)  # beside the spring: (force, yield)
+    ripples: list = field(default_factory=list)  # (amplitude, order, phase)
 
 
 def _friction_asymmetry(joint, ratio):
-    joint.loss = joint.loss[0] * (1.0 + ratio), joint.loss[1] * (1.0 - ratio)
-    joint.elements = [(stiffness, forward * (1.0 + ratio), backward * (1.0 - ratio))
-                      for stiffness, forward, backward in joint.elements]
+    factors = np.array([1.0 + ratio, 1.0 - ratio])
+    joint.loss, joint.excess, joint.viscous = (
+        factors * value for value in (joint.loss, joint.excess, joint.viscous))
+    joint.elements = [(stiffness, factors * levels) for stiffness, levels in joint.elements]
 
 
 def _friction_hysteresis(joint, force, reach):
     for _ in range(4):
-        joint.elements.append((0.25 * force / reach, 0.25 * force, 0.25 * force))
+        if force and reach:
+            joint.elements.append((0.25 * force / reach, 0.25 * force * np.ones(2)))
         reach *= _FINER
 
 
@@ -101,6 +112,8 @@ EFFECTS = {
     'spring_damping': _add('damping'),
     'spring_hysteresis': lambda joint, *element: joint.parallel.append(element),
     'spring_offset': _spring_offset, 'torque_gain': _torque_gain,
+    'torque_ripple': lambda joint, *ripple: joint.ripples.append(ripple),
+    'viscous_asymmetry': lambda joint, slope: _add('viscous')(joint, slope * _SIGNS),
     'viscous_error': _add('viscous'),
 }
 # what MuJoCo cannot put behind the one before on the same joint
@@ -114,10 +127,10 @@ def _also_lacks(robot):
         names = [spec.name for spec in robot.effects if spec.joint == joint]
         for first, second in _CLASHES:
             if first in names and second in names[names.index(first) + 1:]:
-                yield second, f'{joint}, behind {first}'
-        steady = robot.friction.forward, robot.friction.backward
-        if 'friction_asymmetry' in names and any(side.viscous[j] for side in steady):
-            yield 'viscous_direction', joint
+                yield second, f'{joint} (behind {first})'
+        excess = robot.friction.forward.static[j] - robot.friction.forward.coulomb[j]
+        if 'friction_asymmetry' in names and excess > 0.0:
+            yield 'stribeck_direction', joint
 
 
 def mjcf(robot: RobotParams, without: tuple = (), timestep: float = TIMESTEP) -> str:
@@ -127,7 +140,7 @@ def mjcf(robot: RobotParams, without: tuple = (), timestep: float = TIMESTEP) ->
     Parameters
     ----------
     robot : RobotParams
-        Without a Stribeck curve and with effects among `EFFECTS`, see `target.export`.
+        With effects among `EFFECTS`, see `target.export`.
     without : tuple of str
         With ``presliding`` friction has no blocks: MuJoCo's dry friction takes their place.
     timestep : float
@@ -137,7 +150,7 @@ def mjcf(robot: RobotParams, without: tuple = (), timestep: float = TIMESTEP) ->
     -------
     str
         Hinges and actuators have the names of links and motors, in their order: first all
-        links, then the motors of flexible joints; one actuator per joint [N m].
+        links, then the motors of flexible joints; one input per joint [N m].
 
     Raises
     ------
@@ -158,6 +171,10 @@ def mjcf(robot: RobotParams, without: tuple = (), timestep: float = TIMESTEP) ->
         root, 'option', timestep=_text(timestep), gravity=_text(*robot.arm.gravity, 0.0),
         integrator='implicitfast')
     ElementTree.SubElement(option, 'flag', contact='disable')
+    classes = ElementTree.SubElement(root, 'default')
+    for name, clamp in _CLAMPS.items():
+        ElementTree.SubElement(ElementTree.SubElement(classes, 'default', {'class': name}),
+                               'general', forcerange=_text(*clamp))
     world = ElementTree.SubElement(root, 'worldbody')
     tendons = ElementTree.SubElement(root, 'tendon')
     actuators = ElementTree.SubElement(root, 'actuator')
@@ -166,6 +183,8 @@ def mjcf(robot: RobotParams, without: tuple = (), timestep: float = TIMESTEP) ->
         parent = _link(parent if robot.arm.kind == 'planar' else world, robot, j, joint)
         _frictions(tendons, robot.joints[j], joint)
         _actuator(actuators, robot, j, joint, timestep)
+    for j, joint in enumerate(joints):
+        _passive(actuators, robot, j, joint)
     for j in np.flatnonzero(~robot.arm.rigid):
         _motor(world, robot, j, joints[j])
         _springs(tendons, robot, j, joints[j])
@@ -173,20 +192,25 @@ def mjcf(robot: RobotParams, without: tuple = (), timestep: float = TIMESTEP) ->
     return ElementTree.tostring(root, encoding='unicode') + '\n'
 
 
-MUJOCO = Target(title='MuJoCo', write=mjcf, parts=('stribeck', 'viscous_direction'),
-                effects=tuple(EFFECTS), also_lacks=_also_lacks)
+def target(timestep: float = TIMESTEP) -> Target:
+    """Return MuJoCo as a `Target`, integrating with a step [s]."""
+    return Target(title='MuJoCo', write=partial(mjcf, timestep=timestep),
+                  parts=('attraction', 'stribeck_direction'), effects=tuple(EFFECTS),
+                  also_lacks=_also_lacks)
 
 
 def _joint(robot, j, dry):
     arm, friction = robot.arm, robot.friction
-    forward, backward = friction.forward, friction.backward
-    levels = np.array([forward.coulomb[j], backward.coulomb[j]])
-    elements = [] if dry else [
-        (stiffness, *(weight * levels)) for stiffness, weight in zip(
-            friction.stiffness[j], friction.weight[j], strict=True) if stiffness * weight > 0.0]
-    return _Joint(viscous=0.5 * (forward.viscous[j] + backward.viscous[j]), elements=elements,
-                  loss=tuple(levels) if dry else (0.0, 0.0), stiffness=arm.stiffness[j],
-                  damping=arm.damping[j])
+    coulomb, static, velocity, viscous = (
+        np.array([getattr(side, name)[j] for side in (friction.forward, friction.backward)])
+        for name in ('coulomb', 'static', 'velocity', 'viscous'))
+    blocks = [(stiffness, weight * coulomb) for stiffness, weight in zip(
+        friction.stiffness[j], friction.weight[j], strict=True) if stiffness * weight > 0.0]
+    bristle = (1.0 - coulomb.sum() / static.sum()) * sum(block[0] for block in blocks)
+    return _Joint(viscous=viscous, elements=[] if dry else blocks,
+                  loss=coulomb if dry else np.zeros(2), excess=static - coulomb,
+                  stribeck=velocity, bristle=bristle,
+                  stiffness=arm.stiffness[j], damping=arm.damping[j])
 
 
 def _require_short(robot, joints, timestep):
@@ -194,7 +218,7 @@ def _require_short(robot, joints, timestep):
     arm = robot.arm
     link = arm.inertia + arm.mass * arm.com ** 2 + np.where(arm.rigid, arm.motor_inertia, 0.0)
     for j, joint in enumerate(joints):
-        on_link = sum(element[0] for element in joint.elements) + sum(
+        on_link = joint.bristle + sum(element[0] for element in joint.elements) + sum(
             stop[1] for stop in joint.stops)
         spring = 0.0 if arm.rigid[j] else joint.stiffness + sum(
             force / reach for force, reach in joint.parallel)
@@ -213,11 +237,10 @@ def _link(parent, robot, j, joint):
     place = arm.length[j - 1] if j and arm.kind == 'planar' else 0.0
     body = ElementTree.SubElement(parent, 'body', name=f'{robot.joints[j]}_link',
                                   pos=_text(place, 0.0, 0.0), euler=_text(0.0, 0.0, arm.offset[j]))
-    mean = [0.5 * (level - other) for level, other in [joint.loss, *(
-        element[1:] for element in joint.elements)]]
-    hinge = _hinge(body, robot.joints[j], joint.viscous + rigid * joint.motor_viscous,
-                   0.5 * sum(joint.loss) + rigid * joint.motor_loss,
-                   joint.link_torque + rigid * joint.motor_torque - sum(mean), joint.drag)
+    bias = 0.5 * _SIGNS @ (joint.loss + sum(levels for _, levels in joint.elements))
+    hinge = _hinge(body, robot.joints[j], joint.viscous.min() + rigid * joint.motor_viscous,
+                   joint.loss.mean() + rigid * joint.motor_loss,
+                   joint.link_torque + rigid * joint.motor_torque - bias, joint.drag)
     if rigid:
         hinge.set('armature', _text(arm.motor_inertia[j]))
     ElementTree.SubElement(
@@ -254,9 +277,9 @@ def _hinge(body, name, viscous, loss, torque, drag=0.0):
 
 def _frictions(tendons, name, joint):
     """Add friction blocks and end stops of a link."""
-    for k, (stiffness, forward, backward) in enumerate(joint.elements, start=1):
+    for k, (stiffness, levels) in enumerate(joint.elements, start=1):
         _tendon(tendons, f'{name}_block{k}', {name: 1.0}, stiffness, springlength=_text(0.0),
-                springyield=_text(0.5 * (forward + backward) / stiffness))
+                springyield=_text(levels.mean() / stiffness))
     for k, (angle, stiffness) in enumerate(joint.stops, start=1):
         if angle and stiffness:
             free = (-_FAR, angle) if angle > 0.0 else (angle, _FAR)
@@ -295,6 +318,27 @@ def _actuator(actuators, robot, j, joint, timestep):
     if joint.delay:
         actuator.attrib.update(delay=_text(joint.delay), interp='linear',
                                nsample=str(math.ceil(joint.delay / timestep) + 2))
+
+
+def _passive(actuators, robot, j, joint):
+    """Add Stribeck curve, viscous friction of one direction and ripple of a joint."""
+    name = robot.joints[j]
+    if joint.excess.any():
+        _dc_motor(actuators, f'{name}_stribeck', name, lugre=_text(
+            joint.bristle, 0.0, 0.0, joint.excess.mean(), joint.stribeck.mean()))
+    beyond = joint.viscous - joint.viscous.min()
+    for way, viscous in zip(_CLAMPS, beyond, strict=True):
+        if viscous:
+            motor = _dc_motor(actuators, f'{name}_{way}', name, motorconst=math.sqrt(viscous))
+            motor.set('class', way)
+    for k, ripple in enumerate(joint.ripples, start=1):
+        _dc_motor(actuators, f'{name}_ripple{k}', robot.motors[j] or name, cogging=_text(*ripple))
+
+
+def _dc_motor(actuators, name, joint, motorconst=0.0, **attributes):
+    return ElementTree.SubElement(
+        actuators, 'dcmotor', name=name, joint=joint, input='none', resistance='1',
+        motorconst=_text(motorconst), **attributes)
 
 
 def _text(*numbers):

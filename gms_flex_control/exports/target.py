@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 from gms_flex_control.effects import registry
-from gms_flex_control.effects.base import Change
 from gms_flex_control.effects.table import with_changes
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.params.robot import RobotParams
@@ -16,18 +15,16 @@ import numpy as np
 
 # parts of the model that are no effects of the catalogue, and what is exported without them
 PARTS = {
-    'stribeck': 'static friction equals Coulomb friction',
-    'presliding': 'dry friction without the springs of its blocks',
-    'direction': 'mean friction of both directions of motion',
-    'viscous_direction': 'mean viscous friction of both directions of motion',
+    'stribeck': 'Coulomb friction at every speed',
+    'stribeck_direction': 'the mean of what both directions add to Coulomb friction',
+    'attraction': 'friction that follows its Stribeck curve at once',
+    'direction': 'the mean friction of both directions of motion',
+    'presliding': 'dry friction without the stiffness of its blocks',
     'spring': 'rigid joints',
-    'motor_inertia': 'links alone',
-    'gravity': 'no gravity',
+    'motor_inertia': 'the inertia of links alone',
+    'gravity': 'a horizontal plane',
 }
-
-
-_AVERAGED = {'direction': ('static', 'coulomb', 'velocity', 'viscous'),
-             'viscous_direction': ('viscous',)}
+_AT_ONCE = 1e6  # attraction of friction that follows its Stribeck curve [N m/s]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,9 +42,7 @@ class Target:
     parts : tuple of str
         Which of `PARTS` it cannot express.
     effects : tuple of str
-        Catalogue names that it can express beside changes of parameters.
-    lost_changes : tuple of str
-        Changes of parameters that it has not.
+        Catalogue names that it can express, beside those that change parameters.
     also_lacks : callable, optional
         Yields further (name, where) of a RobotParams that it cannot express.
 
@@ -57,7 +52,6 @@ class Target:
     write: Callable
     parts: tuple
     effects: tuple
-    lost_changes: tuple = ()
     also_lacks: Callable = lambda _robot: ()
 
 
@@ -92,64 +86,82 @@ def export(robot: RobotParams, target: Target, without: Iterable[str] = ()) -> s
             raise ConfigError(f'--without {name}: no such part or effect'
                               f'{did_you_mean(name, known)}')
     robot = replace(robot, effects=tuple(s for s in robot.effects if s.name not in without))
+    robot = simplified(with_changes(robot), without)
     lacking = {}
     for name, where in _lacks(robot, target):
         if name not in without:
             lacking.setdefault(name, []).append(where)
     if lacking:
-        told = ', '.join(f'{name} ({"; ".join(dict.fromkeys(places))})'
+        told = ', '.join(f'{name} of {" and ".join(dict.fromkeys(places))}'
                          for name, places in lacking.items())
         names = ' '.join(dict.fromkeys((*without, *lacking)))
-        raise ConfigError(f'{target.title} cannot express {told}; to leave it out add '
-                          f'--without {names}')
-    return target.write(simplified(with_changes(robot), without), without)
+        raise ConfigError(f'{target.title} cannot express {told}; to export the robot '
+                          f'without, add --without {names}')
+    return target.write(robot, without)
 
 
 def simplified(robot: RobotParams, without: Iterable[str]) -> RobotParams:
-    """Return a robot without the Stribeck curve or difference by direction named, if any."""
+    """Return a robot without the parts of its friction that are named in ``without``."""
     friction = robot.friction
-    averaged = _AVERAGED['direction' if 'direction' in without else 'viscous_direction']
-    if {'direction', 'viscous_direction'}.intersection(without):
-        mean = {name: 0.5 * (getattr(friction.forward, name) + getattr(friction.backward, name))
-                for name in averaged}
-        friction = replace(friction, forward=replace(friction.forward, **mean),
-                           backward=replace(friction.backward, **mean))
+    sides = friction.forward, friction.backward
+    if 'stribeck_direction' in without:
+        excess = _mean(sides, _excess)
+        velocity = _mean(sides, lambda side: side.velocity)
+        sides = [replace(side, static=side.coulomb + excess, velocity=velocity)
+                 for side in sides]
+    if 'direction' in without:
+        sides = 2 * [replace(sides[0], **{
+            name: _mean(sides, lambda side, name=name: getattr(side, name))
+            for name in ('static', 'coulomb', 'velocity', 'viscous')})]
     if 'stribeck' in without:
-        friction = replace(friction, **{
-            side: replace(getattr(friction, side), static=getattr(friction, side).coulomb)
-            for side in ('forward', 'backward')})
+        sides = [replace(side, static=side.coulomb) for side in sides]
+    friction = replace(friction, forward=sides[0], backward=sides[1])
+    if 'attraction' in without:
+        friction = replace(friction, attraction=np.full(robot.n_joints, _AT_ONCE))
     return replace(robot, friction=friction)
+
+
+def _mean(sides, value):
+    return 0.5 * (value(sides[0]) + value(sides[1]))
 
 
 def _lacks(robot, target):
     """Yield (name, where) of what a target cannot express of a robot, parts first."""
-    changed = with_changes(robot)
     for part in target.parts:
-        for joint, there in zip(robot.joints, _HAS[part](changed), strict=True):
+        for joint, there in zip(robot.joints, _HAS[part](robot), strict=True):
             if there:
                 yield part, joint
-    yield from target.also_lacks(changed)
+    yield from target.also_lacks(robot)
     for spec in robot.effects:
-        change = issubclass(registry.find(spec.name), Change)
-        if spec.name not in target.effects and (
-                not change or spec.name in target.lost_changes):
+        if spec.name not in target.effects:
             yield spec.name, spec.joint
 
 
-def _differ(robot, names):
-    """Return on which joints friction differs by direction in one of ``names``."""
-    both = robot.friction.forward, robot.friction.backward
-    return np.any([np.not_equal(*(getattr(side, name) for side in both)) for name in names],
-                  axis=0)
+def _differ(robot, values):
+    """Return on which joints one of ``values`` of a side differs by direction."""
+    sides = robot.friction.forward, robot.friction.backward
+    return np.any([~np.isclose(*(value(side) for side in sides), rtol=1e-9)
+                   for value in values], axis=0)
 
 
-# which joints of a robot have a part, sequence of bool
+def _excess(side):
+    return side.static - side.coulomb
+
+
+def _has_stribeck(robot):
+    return np.any([_excess(side) > 0.0 for side in (
+        robot.friction.forward, robot.friction.backward)], axis=0)
+
+
+# which joints of a robot have a part, (n_joints,) bool
 _HAS = {
-    'stribeck': lambda robot: np.any([side.static > side.coulomb for side in (
-        robot.friction.forward, robot.friction.backward)], axis=0),
+    'stribeck': _has_stribeck,
+    'stribeck_direction': lambda robot: _has_stribeck(robot) & _differ(
+        robot, (_excess, lambda side: side.velocity)),
+    'attraction': lambda robot: _has_stribeck(robot) & (robot.friction.attraction < _AT_ONCE),
     'presliding': lambda robot: np.ones(robot.n_joints, dtype=bool),
-    'direction': lambda robot: _differ(robot, _AVERAGED['direction']),
-    'viscous_direction': lambda robot: _differ(robot, _AVERAGED['viscous_direction']),
+    'direction': lambda robot: _differ(robot, (
+        _excess, lambda side: side.coulomb, lambda side: side.viscous)),
     'spring': lambda robot: ~robot.arm.rigid,
     'motor_inertia': lambda robot: robot.arm.motor_inertia > 0.0,
     'gravity': lambda robot: np.full(robot.n_joints, bool(np.any(robot.arm.gravity))),
