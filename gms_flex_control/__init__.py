@@ -7,5 +7,5 @@ import sys
 
 __version__ = '0.1.0'
 
-if sys.version_info < (3, 11):  # colcon installs without asking for it
+if sys.version_info < (3, 11):  # noqa: UP036  colcon does not ask
     sys.exit(f'gms_flex_control needs Python 3.11 or later, this is {sys.version.split()[0]}')

@@ -12,7 +12,6 @@ divided by that of the other.
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import lru_cache
-from typing import NamedTuple
 
 from gms_flex_control.benchmarks.mujoco_arm import available
 from gms_flex_control.benchmarks.timing import Measurement
@@ -41,14 +40,6 @@ _SIZES = sizes.MAIN | {
     'viscous_asymmetry': lambda _, k: {'slope': 0.5 * k.viscous}}
 
 
-class Ratios(NamedTuple):
-    """Free-run errors of an exported robot over ours."""
-
-    exported: float  # of the same model, Coulomb friction at every speed in both
-    coulomb: float   # of the whole model
-    lugre: float     # of the whole model, with the Stribeck curve as LuGre friction in MuJoCo
-
-
 def exportable() -> list[str]:
     """Return the effects that MuJoCo can express, sorted."""
     return [name for name in names() if name in EFFECTS or issubclass(find(name), Change)]
@@ -59,48 +50,52 @@ def measure(_robot, _gains, quick: bool = False) -> Iterator[Measurement]:
     if not available():
         return
     for name in exportable():
-        found = ratios(name, _QUICK if quick else _DURATION)
+        duration = _QUICK if quick else _DURATION
+        coulomb, lugre = (ratio(name, duration, without) for without in (COULOMB, LUGRE))
         yield Measurement(
-            suite='export', name=f'{name}: MuJoCo / our free run', value=found.exported, unit='',
-            target=TARGET, at_least=False,
-            note=f'of the whole model {found.lugre:.2f} with its Stribeck curve as LuGre, '
-                 f'{found.coulomb:.2f} without')
+            suite='export', name=f'{name}: MuJoCo / our free run', unit='', target=TARGET,
+            value=ratio(name, duration, COULOMB, COULOMB), at_least=False,
+            note=f'over our whole model: {lugre:.2f} with its Stribeck curve as LuGre, '
+                 f'{coulomb:.2f} without')
 
 
-def ratios(name: str, duration: float) -> Ratios:
+def ratio(name: str, duration: float, without: tuple, lacking: tuple = ()) -> float:
     """
-    Return how an exported robot with an effect moves in MuJoCo.
+    Return the free-run error of an exported robot in MuJoCo over ours.
 
     Parameters
     ----------
     name : str
-        The effect.
+        The effect that robot and models have.
     duration : float
         Of the recording [s].
+    without : tuple of str
+        What is left out for MuJoCo.
+    lacking : tuple of str
+        What is left out of our own model.
 
     Returns
     -------
-    Ratios
+    float
 
     """
     robot, recording = recorded(name, duration)
     motion = motion_of(recording, robot)
-    theirs = {without: rms(*mujoco_runs(motion, robot, export(robot, target(), without)))
-              for without in (COULOMB, LUGRE)}
-    whole, without_curve = (rms(*free_runs(motion, plant.constants_of(one))[1:]) for one in (
-        robot, simplified(with_changes(robot), COULOMB)))
-    return Ratios(theirs[COULOMB] / without_curve, theirs[COULOMB] / whole, theirs[LUGRE] / whole)
+    ours = plant.constants_of(simplified(with_changes(robot), lacking))
+    return (rms(mujoco_runs(motion, robot, export(robot, target(), without)))
+            / rms(free_runs(motion, ours)[1:]))
 
 
 @lru_cache(maxsize=1)
 def _bare(duration):
     """Return a Case without effects, and the sizes of its motion (Figures of each joint)."""
-    case = make_case('clean', _SEED, plant='soft', duration=duration)
+    case = make_case('clean', _SEED, plant='soft', motion='sinusoid', duration=duration)
     run = truth.simulate(case.truth.robot, case.nominal, case.gains, case.recording.reference,
                          period=case.recording.period)
     return case, sizes.figures_of(case.truth.robot, run, case.recording.period)
 
 
+@lru_cache(maxsize=1)
 def recorded(name: str, duration: float) -> tuple[RobotParams, Recording]:
     """Return a robot as believed, its effect known, and a recording of the true one."""
     case, figures = _bare(duration)
@@ -116,9 +111,13 @@ def recorded(name: str, duration: float) -> tuple[RobotParams, Recording]:
         tau_motor=unknown, command=run.command, friction_hat=run.friction_hat, source=name)
 
 
-def rms(*errors: np.ndarray) -> float:
-    """Return the root mean square of arrays together."""
-    return float(np.sqrt(np.mean([np.mean(error ** 2) for error in errors])))
+def rms(errors: tuple[np.ndarray, ...]) -> float:
+    """
+    Return the root mean square of arrays (S, H, n) together, the first run left out.
+
+    In our own first run effects that remember something begin with nothing.
+    """
+    return float(np.sqrt(np.mean([np.mean(error[1:] ** 2) for error in errors])))
 
 
 def mujoco_runs(motion: Motion, robot: RobotParams, mjcf: str) -> tuple[np.ndarray, np.ndarray]:

@@ -41,16 +41,17 @@ class _Verbs:
     def __init__(self, subparsers):
         self._subparsers, self.help = subparsers, {}
 
-    def add_parser(self, name, *, help, **options):  # noqa: A002  the name of argparse
-        self.help[name] = help
+    def add_parser(self, name, **options):
+        self.help[name] = options.pop('help')
         return self._subparsers.add_parser(name, **options)
 
 
 def build_parser():
     """Return the parser with all verbs."""
     parser = argparse.ArgumentParser(
-        prog='gms_flex', usage='gms_flex [-h] [--version] VERB ...', description='Simulate, record, analyse and compensate friction in '
-                                     'robots with flexible joints.',
+        prog='gms_flex', usage='gms_flex [-h] [--version] VERB ...',
+        description='Simulate, record, analyse and compensate friction in robots with flexible '
+                    'joints.',
         formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument('--version', action='version', version=__version__)
     subparsers = parser.add_subparsers(dest='verb', required=True, prog='gms_flex',

@@ -96,6 +96,11 @@ def _backlash(joint, half_gap):
     joint.rest = joint.rest[0] - half_gap, joint.rest[1] + half_gap
 
 
+def _spring_hysteresis(joint, force, reach):
+    if force and reach:
+        joint.parallel.append((force, reach))
+
+
 def _spring_offset(joint, offset):
     joint.rest = joint.rest[0] - offset, joint.rest[1] - offset
 
@@ -110,7 +115,7 @@ EFFECTS = {
     'motor_torque_bias': _add('motor_torque'), 'motor_viscous': _add('motor_viscous'),
     'quadratic_drag': _add('drag'), 'spring_cubic': _add('cubic'),
     'spring_damping': _add('damping'),
-    'spring_hysteresis': lambda joint, *element: joint.parallel.append(element),
+    'spring_hysteresis': _spring_hysteresis,
     'spring_offset': _spring_offset, 'torque_gain': _torque_gain,
     'torque_ripple': lambda joint, *ripple: joint.ripples.append(ripple),
     'viscous_asymmetry': lambda joint, slope: _add('viscous')(joint, slope * _SIGNS),
@@ -294,9 +299,8 @@ def _springs(tendons, robot, j, joint):
     _tendon(tendons, f'{robot.joints[j]}_spring', ends, *polynomial,
             springlength=_text(*joint.rest), damping=_text(joint.damping))
     for k, (force, reach) in enumerate(joint.parallel, start=1):
-        if force and reach:
-            _tendon(tendons, f'{robot.joints[j]}_hysteresis{k}', ends, force / reach,
-                    springlength=_text(0.0), springyield=_text(reach))
+        _tendon(tendons, f'{robot.joints[j]}_hysteresis{k}', ends, force / reach,
+                springlength=_text(0.0), springyield=_text(reach))
 
 
 def _tendon(tendons, name, coefficients, *stiffness, **attributes):
@@ -313,8 +317,9 @@ def _actuator(actuators, robot, j, joint, timestep):
     for attribute, limit in (('ctrlrange', joint.asked), ('forcerange', joint.given)):
         if limit < math.inf:
             actuator.set(attribute, _text(-limit, limit))
-    if joint.lag:
-        actuator.attrib.update(dyntype='filterexact', dynprm=_text(joint.lag))
+    lag = joint.lag - 0.5 * timestep  # MuJoCo holds the torque at the beginning of a step
+    if lag > 0.0:
+        actuator.attrib.update(dyntype='filterexact', dynprm=_text(lag))
     if joint.delay:
         actuator.attrib.update(delay=_text(joint.delay), interp='linear',
                                nsample=str(math.ceil(joint.delay / timestep) + 2))

@@ -6,7 +6,6 @@
 import csv
 import io
 
-from gms_flex_control.exports.target import Target
 from gms_flex_control.params.robot import RobotParams, WHOLE_ARM
 from gms_flex_control.schema.build import robot_values
 from gms_flex_control.schema.values import known_keys
