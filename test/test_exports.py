@@ -148,23 +148,26 @@ def test_inertia_and_gravity_in_mujoco_are_those_of_the_arm(robot, changes):
 
 @pytest.mark.parametrize('name', mujoco_export.exportable())
 def test_free_runs_in_mujoco_are_as_good_as_ours(name):
-    """Half a second from recorded states, the effect in both models; both with Coulomb levels."""
+    """Half a second from recorded states, at Coulomb levels; without the effect it is worse."""
     pytest.importorskip('mujoco', reason="MuJoCo is the extra 'bench'")
-    found = mujoco_export.ratio(name, 3.0, mujoco_export.COULOMB, mujoco_export.COULOMB)
+    coulomb = mujoco_export.COULOMB
+    found = mujoco_export.ratio(name, 3.0, coulomb, coulomb)
     assert 0.8 < found < mujoco_export.TARGET
+    if name != 'stribeck_error':  # nothing of which is at Coulomb levels
+        assert mujoco_export.ratio(name, 3.0, (*coulomb, name), coulomb) > mujoco_export.TARGET
 
 
 def test_a_stribeck_curve_as_lugre_is_nearer_to_the_whole_model():
     pytest.importorskip('mujoco', reason="MuJoCo is the extra 'bench'")
-    lugre, coulomb = (mujoco_export.ratio('stribeck_error', 3.0, without)
+    lugre, coulomb = (mujoco_export.ratio('stribeck_error', 4.0, without, motion='slow')
                       for without in (LUGRE, mujoco_export.COULOMB))
-    assert lugre < min(coulomb, mujoco_export.TARGET)
+    assert lugre < 0.8 * coulomb
 
 
 def test_the_bench_prints_a_ratio_for_every_effect(monkeypatch, capsys):
     monkeypatch.setattr(mujoco_export, 'available', lambda: True)
     monkeypatch.setattr(mujoco_export, 'ratio',
-                        lambda name, *_: 1.3 if name == 'backlash' else 1.1)
+                        lambda name, *_, **__: 1.3 if name == 'backlash' else 1.1)
     assert main(['bench', '--only', 'export', '--quick']) == 1
     lines = [line for line in capsys.readouterr().out.splitlines() if 'our free run' in line]
     assert [line.split()[1].rstrip(':') for line in lines] == mujoco_export.exportable()
