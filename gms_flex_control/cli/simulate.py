@@ -44,6 +44,7 @@ def run(args):
     """Simulate, write the bags and print the tracking errors; return 0."""
     from gms_flex_control.experiment.plan import read_plan
     from gms_flex_control.experiment.simulated import simulate_to_bag
+    from gms_flex_control.params.units import in_units
     from gms_flex_control.resources import controller_file, robot_file
     import numpy as np
 
@@ -65,8 +66,9 @@ def run(args):
                         'mse': np.mean(error ** 2, axis=0).tolist()})
         if not args.json:
             shown = '  '.join(f'{value:.3g}' for value in results[-1]['mse'])
+            square = in_units(plan.robot.arm, 'rad^2')
             print(f'{bag}: {plan.motion}, {plan.gains.compensation}, {plan.duration:g} s, '
-                  f'MSE per link [rad^2]  {shown}')
+                  f'MSE per link [{square}]  {shown}')
     if args.json:
         print(json.dumps(results, indent=2))
     return 0

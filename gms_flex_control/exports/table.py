@@ -7,6 +7,7 @@ import csv
 import io
 
 from gms_flex_control.params.robot import RobotParams, WHOLE_ARM
+from gms_flex_control.params.units import in_units
 from gms_flex_control.schema.build import robot_values
 from gms_flex_control.schema.values import known_keys
 
@@ -41,5 +42,5 @@ def table(robot: RobotParams) -> str:
         entries = enumerate(value) if isinstance(value, list) else ((None, value),)
         for k, entry in entries:
             writer.writerow([name if k is None else f'{name}[{k}]', joint, entry,
-                             key.unit, key.description])
+                             in_units(robot.arm, key.unit), key.description])
     return text.getvalue()
