@@ -65,7 +65,8 @@ EXAMPLES = {
     'faults': ['gms_flex faults --list', 'gms_flex faults --short --logs fault_logs'],
     'urdf': ['gms_flex urdf --robot robot.yaml --out arm.urdf',
              'gms_flex urdf --robot robot.yaml --links-only --out rigid.urdf'],
-    'view': ['gms_flex view my_bag --robot config/robot.yaml', 'gms_flex view live'],
+    'view': ['gms_flex view my_bag --robot config/robot.yaml',
+             'gms_flex view sinusoid_gms sinusoid_none', 'gms_flex view live'],
     'completion': ['eval "$(gms_flex completion bash)"',
                    'gms_flex completion fish > ~/.config/fish/completions/gms_flex.fish']}
 
