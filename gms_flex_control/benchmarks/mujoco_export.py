@@ -98,8 +98,7 @@ def ratio(name: str, duration: float, without: tuple, lacking: tuple = (),
 @lru_cache(maxsize=1)
 def _bare(duration, motion):
     """Return a Case without effects, and the sizes of its motion (Figures of each joint)."""
-    case = make_case('clean', _SEED, plant='soft', motion=motion,
-                     duration=duration)
+    case = make_case('clean', _SEED, plant='soft', motion=motion, duration=duration)
     run = truth.simulate(case.truth.robot, case.nominal, case.gains, case.recording.reference,
                          period=case.recording.period)
     return case, sizes.figures_of(case.truth.robot, run, case.recording.period)

@@ -3,6 +3,8 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """`gms_flex export`: the identified robot for other programs."""
 
+from gms_flex_control.cli.output import write_or_print
+
 TARGETS = ('mujoco', 'urdf', 'ros2_control', 'csv')
 
 
@@ -31,17 +33,12 @@ def add_parser(subparsers):
 
 def run(args):
     """Write or print; return 0."""
-    from gms_flex_control.files import write_text
     from gms_flex_control.resources import robot_file
     from gms_flex_control.schema.files import load_robot
 
     robot = load_robot(args.robot or robot_file())
     text = _text_of(robot, args)
-    if args.out:
-        write_text(args.out, text)
-        print(f'{args.out}: {robot.n_joints} joints')
-    else:
-        print(text, end='')
+    write_or_print(text, args.out, f'{robot.n_joints} joints')
     return 0
 
 

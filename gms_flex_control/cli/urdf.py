@@ -3,6 +3,8 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Write the robot as URDF."""
 
+from gms_flex_control.cli.output import write_or_print
+
 
 def add_parser(subparsers):
     """Add the verb to the command line."""
@@ -21,16 +23,11 @@ def add_parser(subparsers):
 
 def run(args):
     """Write or print; return 0."""
-    from gms_flex_control.files import write_text
     from gms_flex_control.resources import robot_file
     from gms_flex_control.schema.files import load_robot
     from gms_flex_control.schema.urdf import robot_urdf
 
     robot = load_robot(args.robot or robot_file())
     text = robot_urdf(robot, name=args.name, motors=not args.links_only)
-    if args.out:
-        write_text(args.out, text)
-        print(f'{args.out}: {robot.n_joints} joints')
-    else:
-        print(text, end='')
+    write_or_print(text, args.out, f'{robot.n_joints} joints')
     return 0

@@ -13,7 +13,7 @@ from gms_flex_control.params.robot import RobotParams
 from gms_flex_control.suggest import did_you_mean
 import numpy as np
 
-# parts of the model that are no effects of the catalogue, and what is exported without them
+# parts of the model that are no effects of the catalogue, and what is exported instead
 PARTS = {
     'stribeck': 'Coulomb friction at every speed',
     'stribeck_direction': 'the mean of what both directions add to Coulomb friction',
@@ -95,8 +95,9 @@ def export(robot: RobotParams, target: Target, without: Iterable[str] = ()) -> s
         told = ', '.join(f'{name} of {" and ".join(dict.fromkeys(places))}'
                          for name, places in lacking.items())
         names = ' '.join(dict.fromkeys((*without, *lacking)))
-        raise ConfigError(f'{target.title} cannot express {told}; to export the robot '
-                          f'without, add --without {names}')
+        instead = ', '.join(PARTS[name] for name in lacking if name in PARTS)
+        raise ConfigError(f'{target.title} cannot express {told}; add --without {names}'
+                          f'{f" to export {instead} instead" if instead else ""}')
     return target.write(robot, without)
 
 
