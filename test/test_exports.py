@@ -194,6 +194,12 @@ def test_what_mujoco_has_alone_is_refused_together(robot):
     both = with_effects(robot, backlash={'half_gap': 0.01}, spring_offset={'offset': 0.1})
     with pytest.raises(ConfigError, match=r'spring_offset of joint2 \(behind backlash\)'):
         export(both, mujoco.target(), LUGRE)
+    for order in ((0, 1), (1, 0)):  # a spring acts behind any play
+        effects = with_effects(robot, backlash={'half_gap': 0.01}, spring_hysteresis={
+            'force': 0.01, 'yield': 0.02}).effects
+        with pytest.raises(ConfigError, match='spring_hysteresis of joint2'):
+            export(replace(robot, effects=tuple(effects[k] for k in order)), mujoco.target(),
+                   LUGRE)
     first = replace(both, effects=both.effects[::-1])
     springs = ElementTree.fromstring(export(first, mujoco.target(), LUGRE)).iter('fixed')
     rests = {spring.get('name'): spring.get('springlength') for spring in springs}

@@ -17,6 +17,7 @@ from functools import partial
 import math
 import xml.etree.ElementTree as ElementTree
 
+from gms_flex_control.effects.registry import find
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.exports.target import Target
 from gms_flex_control.params.robot import RobotParams
@@ -76,10 +77,11 @@ def _friction_hysteresis(joint, force, reach):
 
 
 def _actuator_saturation(joint, limit):
+    before = limit / abs(joint.gain) if joint.gain else math.inf
     if joint.lag:
-        joint.given = min(joint.given, limit / abs(joint.gain))
+        joint.given = min(joint.given, before)
     else:
-        joint.asked = min(joint.asked, limit / abs(joint.gain))
+        joint.asked = min(joint.asked, before)
 
 
 def _add(name):
@@ -121,7 +123,7 @@ EFFECTS = {
     'viscous_asymmetry': lambda joint, slope: _add('viscous')(joint, slope * _SIGNS),
     'viscous_error': _add('viscous'),
 }
-# what MuJoCo cannot put behind the one before on the same joint
+# what MuJoCo cannot put behind the one before on the same joint: a spring acts behind any play
 _CLASHES = (('backlash', 'spring_offset'), ('backlash', 'spring_hysteresis'),
             ('actuator_lag', 'actuator_lag'))
 
@@ -129,7 +131,8 @@ _CLASHES = (('backlash', 'spring_offset'), ('backlash', 'spring_hysteresis'),
 def _also_lacks(robot):
     """Yield (name, where) of effects that MuJoCo has alone but not together on a joint."""
     for j, joint in enumerate(robot.joints):
-        names = [spec.name for spec in robot.effects if spec.joint == joint]
+        names = sorted((spec.name for spec in robot.effects if spec.joint == joint),
+                       key=lambda name: find(name).stage)
         for first, second in _CLASHES:
             if first in names and second in names[names.index(first) + 1:]:
                 yield second, f'{joint} (behind {first})'
