@@ -3,6 +3,8 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Write the robot as URDF."""
 
+from gms_flex_control.cli.output import write_or_print
+
 
 def add_parser(subparsers):
     """Add the verb to the command line."""
@@ -26,7 +28,6 @@ def add_parser(subparsers):
 
 def run(args):
     """Write or print; return 0."""
-    from gms_flex_control.files import write_text
     from gms_flex_control.resources import robot_file
     from gms_flex_control.schema.files import load_limits, load_robot
     from gms_flex_control.schema.urdf import robot_urdf
@@ -35,9 +36,5 @@ def run(args):
     limits = load_limits(args.limits, robot.joints) if args.limits else None
     text = robot_urdf(robot, name=args.name, motors=not args.links_only, limits=limits,
                       plugin=args.ros2_control)
-    if args.out:
-        write_text(args.out, text)
-        print(f'{args.out}: {robot.n_joints} joints')
-    else:
-        print(text, end='')
+    write_or_print(text, args.out, f'{robot.n_joints} joints')
     return 0
