@@ -64,7 +64,7 @@ setup(
             'ruff>=0.17,<0.18',
             'setuptools<80',  # colcon calls setup.py develop and install, since removed
         ],
-        'bench': ['mujoco>=3.2,<5'],
+        'bench': ['mujoco>=4,<5'],
         'dask': ['distributed>=2024.12'],
         'peers': ['pysindy>=2,<3'],
         'docs': ['myst-parser>=4,<6', 'sphinx>=8,<10', 'sphinx-mathjax-offline>=0.0.2,<1',
@@ -79,6 +79,7 @@ setup(
             'controller_node = gms_flex_control.nodes.start:controller_node',
             'gms_flex = gms_flex_control.cli.main:main',
             'identification_node = gms_flex_control.nodes.start:identification_node',
+            'loop_node = gms_flex_control.nodes.start:loop_node',
             'plant_node = gms_flex_control.nodes.start:plant_node',
             'trajectory_node = gms_flex_control.nodes.start:trajectory_node',
         ],

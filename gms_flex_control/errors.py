@@ -1,7 +1,10 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""The package's own errors: each message says what, where, the value and the way out."""
+"""The package's own errors and warnings: each says what, where, the value and the way out."""
+
+from contextlib import contextmanager
+import warnings
 
 
 class GmsFlexError(Exception):
@@ -42,3 +45,12 @@ class BatchError(GmsFlexError):
 
 class LostItemError(BatchError):
     """One item of a batch kills whatever works on it."""
+
+
+@contextmanager
+def own_warnings():
+    """Yield a list that collects warnings of this package; those of numpy and scipy are lost."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter('always')
+        warnings.simplefilter('ignore', RuntimeWarning)
+        yield caught

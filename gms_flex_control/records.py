@@ -9,6 +9,8 @@ pointer, knows every loop's length when it is compiled and counts no references.
 measurements: docs/decisions/0002-records-as-kernel-arguments.md.
 """
 
+from types import SimpleNamespace
+
 import numpy as np
 
 FLOAT = np.float64
@@ -53,6 +55,29 @@ def build(dtype, **values):
     for name, value in values.items():
         whole[name][0] = value
     return whole[0]
+
+
+def views(record):
+    """
+    Return the fields of a record as attributes that Python finds at once.
+
+    Looking up a field of a record takes microseconds, each time.
+
+    Parameters
+    ----------
+    record : numpy.record
+        Whose memory the fields share.
+
+    Returns
+    -------
+    types.SimpleNamespace
+        An ndarray for each field, and the same of each field that is a record.
+
+    """
+    fields = {name: getattr(record, name) for name in record.dtype.names}
+    return SimpleNamespace(**{
+        name: views(field) if isinstance(field, np.record) else field
+        for name, field in fields.items()})
 
 
 def boxed(record):

@@ -54,11 +54,13 @@ class Efforts(list):
 
 
 @contextmanager
-def bridge_lab(folder, *, robot=True, mapping=MAPPING, plant=None, **parameters):
+def bridge_lab(folder, *, robot=True, mapping=MAPPING, plant=None, composed=False,
+               **parameters):
     """
     Yield a Lab with robot, bridge, controller and trajectory running, torque not enabled.
 
-    ``plant`` is the command of the bridge, if it is not the installed one.
+    ``plant`` is the command of the bridge, if it is not the installed one; ``composed`` runs
+    all three nodes in one process.
     """
     mapping = write_parameters(Path(folder) / 'mapping.yaml', mapping)
     with Lab(Path(folder)) as lab:
@@ -68,10 +70,14 @@ def bridge_lab(folder, *, robot=True, mapping=MAPPING, plant=None, **parameters)
         lab.processes, lab.clients = [], {}
         if robot:
             start_robot(lab)
-        lab.plant = lab.start('plant_node', command=plant, files=lab.files, **lab.given)
-        lab.trajectory = lab.start('trajectory_node', files=[
-            *lab.files, CONFIG / 'sinusoid.yaml'], trajectory__joint1__amplitude=0.3,
-            trajectory__joint2__amplitude=0.3)
+        motion = {'files': [*lab.files, CONFIG / 'sinusoid.yaml'],
+                  'trajectory__joint1__amplitude': 0.3, 'trajectory__joint2__amplitude': 0.3}
+        if composed:
+            lab.plant = lab.trajectory = lab.controller = lab.start(
+                'loop_node', **motion, **lab.given)
+        else:
+            lab.plant = lab.start('plant_node', command=plant, files=lab.files, **lab.given)
+            lab.trajectory = lab.start('trajectory_node', **motion)
         lab.efforts, lab.reports = Efforts(), []
         lab.driven = Efforts()
         lab.node.create_subscription(JointState, robot_process.STATES, lab.driven.driven,
@@ -82,7 +88,8 @@ def bridge_lab(folder, *, robot=True, mapping=MAPPING, plant=None, **parameters)
         lab.node.create_subscription(DiagnosticArray, '/diagnostics', lambda message: [
             lab.reports.append(one) for one in message.status if one.name == 'plant'],
             QoSProfile(depth=100))
-        start_controller(lab)
+        if not composed:
+            start_controller(lab)
         try:
             yield lab
         finally:

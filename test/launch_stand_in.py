@@ -49,10 +49,11 @@ MODULES = {
     'launch': _kinds('LaunchDescription'),
     'launch.actions': _kinds('DeclareLaunchArgument', 'ExecuteProcess', 'GroupAction',
                              'OpaqueFunction', 'Shutdown'),
-    'launch.conditions': {'IfCondition': _condition('true'),
-                          'UnlessCondition': _condition('false')},
+    'launch.conditions': {'IfCondition': _condition('true')},
     'launch.logging': {'get_logger': logging.getLogger},
     'launch.substitutions': {
+        'AndSubstitution': lambda left, right: Substitution(
+            lambda known: str(text(left, known) == text(right, known) == 'true').lower()),
         'Command': lambda parts: Substitution(lambda known: f'output of {text(parts, known)}'),
         'EqualsSubstitution': _compared(True),
         'NotEqualsSubstitution': _compared(False),

@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """All verbs of the tool alike: help with examples, exit codes, JSON, colours, completion."""
 
+import ast
 import json
 import os
 from pathlib import Path
@@ -13,13 +14,18 @@ import signal
 import subprocess
 import sys
 import time
+import warnings
 
+from gms_flex_control.bags.source import BagWarning
 from gms_flex_control.cli import main as tool
+from gms_flex_control.effects import registry
+from gms_flex_control.errors import own_warnings
+import numpy as np
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 VERBS = [verb.replace('_', '-') for verb in tool.VERBS]
-WITHOUT_TABLE = {'urdf', 'completion', 'view'}
+WITHOUT_TABLE = {'urdf', 'completion', 'view', 'export'}
 BAGS = {'info', 'repair', 'analyse', 'identify', 'discrepancy', 'torsion'}
 NO_BAG = ROOT / 'test' / 'no_such_bag'
 # what is wrong with the input of a verb that takes no bag
@@ -32,7 +38,7 @@ WRONG = {
     'recover': '--seeds 0', 'hide': '--seeds x --out {dir}',
     'score': '--kind single --seeds x --out {dir}', 'faults': '--only nonsense',
     'urdf': '--robot {missing}', 'tune': '--robot {missing} --out {dir}', 'compare': '{missing}',
-    'view': '{missing}'}
+    'view': '{missing}', 'effects': 'backlsh', 'export': '--to mujoco --robot {missing}'}
 
 
 def sub_parser(verb):
@@ -107,8 +113,92 @@ def test_without_ros_the_extra_is_named(arguments, tmp_path, capsys, monkeypatch
     out = tmp_path / 'out'
     assert tool.main(arguments.format(dir=out).split()) == tool.BAD_INPUT
     printed, told = capsys.readouterr()
-    assert printed == '' and told.count('\n') == 1 and "'gms_flex_control[ros]'" in told
+    assert printed == '' and told.count('\n') == 1 and "'.[ros]'" in told
     assert not out.exists()
+
+
+def test_hints_install_from_the_clone():
+    """The name on the index is not ours."""
+    files = [path for folder, suffix in (('gms_flex_control', 'py'), ('docs', 'md'))
+             for path in sorted((ROOT / folder).rglob(f'*.{suffix}'))]
+    foreign = re.compile(r'pip install\W+gms_flex_control')
+    assert [path for path in files if foreign.search(path.read_text(encoding='utf-8'))] == []
+
+
+def test_the_bare_command_is_the_help_with_verbs_by_group(capsys):
+    assert tool.main([]) == tool.OK
+    printed, told = capsys.readouterr()
+    assert printed == tool.build_parser().format_help() and told == ''
+    _, *groups = printed.split('\nverbs ')
+    listed = [re.findall(r'^  ([a-z-]+) ', group, re.MULTILINE) for group in groups]
+    assert sorted(sum(listed, [])) == sorted(VERBS)
+    assert len(listed[0]) == 10 and 'identify' in listed[0]
+    assert groups[-1].startswith('for developers')
+    assert set(listed[-1]) == {'bench', 'recover', 'hide', 'score', 'faults'}
+
+
+@pytest.mark.parametrize(('typed', 'meant'), [
+    ('idenify', "'identify'"), ('chek-gains', "'check-gains'"), ('xyz', 'known: import-csv, ')])
+def test_a_misspelt_verb_is_told_the_nearest(typed, meant, capsys):
+    with pytest.raises(SystemExit) as ended:
+        tool.main([typed, 'bag'])
+    told = capsys.readouterr().err
+    assert ended.value.code == tool.BAD_INPUT
+    assert f'there is no verb {typed!r}; ' in told and meant in told
+
+
+def test_warnings_of_numpy_stay_away_and_ours_are_sentences(monkeypatch, capsys):
+    def warns(args):
+        np.log(np.zeros(2))
+        np.nanmean(np.full(2, np.nan))
+        np.polyfit([1.0, 1.0], [1.0, 2.0], 1)
+        warnings.warn('the bag has gaps', BagWarning, stacklevel=2)
+        worker = subprocess.run(
+            [sys.executable, '-c', 'import numpy; numpy.log(numpy.zeros(2))'],
+            capture_output=True, text=True, check=True)
+        print(worker.stderr, end='')
+        return 0
+
+    monkeypatch.setattr('gms_flex_control.cli.info.run', warns)
+    monkeypatch.setattr(sys, 'warnoptions', [])
+    monkeypatch.delenv('PYTHONWARNINGS', raising=False)
+    assert tool.main(['info', 'bag']) == tool.OK
+    assert capsys.readouterr() == ('', 'gms_flex info: warning: the bag has gaps\n')
+    assert 'PYTHONWARNINGS' not in os.environ
+
+
+def test_findings_collect_no_warning_of_numpy():
+    with own_warnings() as caught:
+        np.nanmean(np.full(2, np.nan))
+        warnings.warn('the bag has gaps', BagWarning, stacklevel=2)
+    assert [str(one.message) for one in caught] == ['the bag has gaps']
+
+
+def test_an_older_python_is_told_what_is_needed():
+    done = subprocess.run(
+        [sys.executable, '-c', "import sys; sys.version_info = (3, 10, 12, 'final', 0); "
+         "sys.version = '3.10.12 (main)'; import gms_flex_control"],
+        cwd=ROOT, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (
+        1, 'gms_flex_control needs Python 3.11 or later, this is 3.10.12\n')
+    ast.parse((ROOT / 'gms_flex_control' / '__init__.py').read_text(), feature_version=(3, 8))
+
+
+def test_every_effect_is_listed_with_its_parameters(capsys):
+    assert tool.main(['effects']) == tool.OK
+    text = capsys.readouterr().out
+    assert tool.main(['effects', '--json']) == tool.OK
+    found = {entry['name']: entry for entry in json.loads(capsys.readouterr().out)}
+    assert tuple(found) == registry.names()
+    for name, entry in found.items():
+        assert f'{name}: {entry["what"]}\n' in text
+        assert [one['key'].rpartition('.')[2] for one in entry['parameters']] == [
+            one.name for one in registry.find(name).parameters]
+    assert '    effects.<joint>.backlash.half_gap  [rad]  half width of the play\n' in text
+    assert found['tip_payload']['parameters'][0]['key'] == 'effects.arm.tip_payload.mass'
+    assert tool.main(['effects', 'backlash']) == tool.OK
+    assert capsys.readouterr().out.splitlines() == text.splitlines()[
+        text.splitlines().index('backlash: Play in the transmission'):][:2]
 
 
 def test_every_verb_is_among_those_tested_for_bad_input():

@@ -103,7 +103,8 @@ def first_joint_state(process, domain, monkeypatch, seconds=60.0):
 
 def test_the_workspace_has_executables_and_resources(prefix):
     executables = {path.name for path in (prefix / 'lib' / PACKAGE).iterdir()}
-    assert executables >= {'plant_node', 'controller_node', 'trajectory_node', 'gms_flex'}
+    assert executables >= {'plant_node', 'controller_node', 'trajectory_node', 'loop_node',
+                           'gms_flex'}
     share = prefix / 'share'
     assert (share / 'ament_index' / 'resource_index' / 'packages' / PACKAGE).is_file()
     for part in ('package.xml', 'config/robot.yaml', 'config/controller.yaml',

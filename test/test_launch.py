@@ -29,7 +29,7 @@ LOOP = ['plant_node', 'controller_node', 'trajectory_node']
 SHOWN = ['robot_state_publisher', 'rviz2']
 REAL = all(util.find_spec(name) for name in ('launch', 'launch_ros', 'rclpy'))
 needs_launch = pytest.mark.skipif(not REAL, reason='launch and launch_ros are not installed')
-COMMON = {'robot', 'controller', 'trajectory', 'bridge', 'mode', 'record', 'rviz',
+COMMON = {'robot', 'controller', 'trajectory', 'bridge', 'mode', 'composed', 'record', 'rviz',
           'state_publisher', 'namespace', 'use_sim_time', 'realtime_priority'}
 
 
@@ -86,6 +86,20 @@ def test_a_launch_file_starts_these(name, processes, start):
     assert sorted(start(name)) == sorted(processes)
 
 
+@pytest.mark.parametrize('name', FILES)
+@pytest.mark.parametrize('bridge', ['', 'my_bridge.yaml'])
+def test_one_process_is_given_what_three_are(name, bridge, start):
+    three, one = (start(name, composed=composed, bridge=bridge, controller='gains.yaml')
+                  for composed in ('false', 'true'))
+    assert sorted(set(three) - set(one)) == sorted(LOOP)
+    loop = one['loop_node']
+    for node in LOOP:
+        assert set(three[node].files) <= set(loop.files)
+        assert three[node].parameters.items() - {('use_sim_time', 'False')} \
+            <= loop.parameters.items()
+    assert not bridge or loop.files[-1] == bridge
+
+
 @pytest.mark.parametrize('mode', COMPENSATIONS)
 def test_the_demo_takes_every_compensation_of_the_controller(mode, start):
     assert start('demo', compensation=mode)['controller_node'].parameters['compensation'] == mode
@@ -117,6 +131,7 @@ def test_helpers_come_first_and_the_loop_ends_with_any_of_its_nodes(name, start)
     found = start(name, rviz='true', record='bag')
     assert sorted(list(found)[:3]) == sorted([*SHOWN, 'gms_flex'])
     assert all(found[node].ends_all for node in LOOP)
+    assert start(name, composed='true')['loop_node'].ends_all
 
 
 def test_frames_stay_in_their_namespace(start):
@@ -218,7 +233,8 @@ def fakes(tmp_path, monkeypatch):
     """Put packages into an ament prefix whose executables tell how they were started."""
     out = tmp_path / 'out'
     out.mkdir()
-    for package, names in {'gms_flex_control': [*LOOP, 'identification_node', 'gms_flex'],
+    own = [*LOOP, 'loop_node', 'identification_node', 'gms_flex']
+    for package, names in {'gms_flex_control': own,
                            **{name: [name] for name in SHOWN}}.items():
         register(package, tmp_path)
         folder = tmp_path / 'lib' / package
@@ -265,7 +281,11 @@ def really_started(out, name, **given):
 @pytest.mark.parametrize('name', FILES)
 def test_the_real_launch_starts_the_same(name, fakes, start):
     given = {'namespace': 'left', 'rviz': 'true', 'use_sim_time': 'true', 'record': 'bag'}
-    assert set(really_started(fakes, name, **given)) == set(start(name, **given))
+    for composed in ('false', 'true'):
+        given['composed'] = composed
+        assert set(really_started(fakes, name, **given)) == set(start(name, **given))
+        for path in fakes.iterdir():
+            path.unlink()
 
 
 @needs_launch

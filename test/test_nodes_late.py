@@ -16,6 +16,7 @@ from node_harness import (
     stamp_of,
     STATES,
 )
+import numpy as np
 import pytest
 
 DiagnosticArray = pytest.importorskip('diagnostic_msgs.msg').DiagnosticArray
@@ -66,11 +67,12 @@ def test_a_plant_whose_controller_answers_every_second_state_warns(tmp_path):
 
 
 @pytest.mark.flaky(reruns=2)  # other processes of the machine can delay real nodes
-def test_stamps_are_near_the_clock_again_after_a_stop(tmp_path):
-    """Whole periods are left out, and it is told how many."""
+@pytest.mark.parametrize('executable', ['plant_node', 'loop_node'])
+def test_stamps_are_near_the_clock_again_after_a_stop(executable, tmp_path):
+    """Whole periods are left out, and it is told how many; afterwards the pace is as before."""
     with Lab(tmp_path) as lab:
         states = lab.listen(JointState, STATES)
-        plant = lab.start('plant_node', rate=50.0)
+        plant = lab.start(executable, rate=50.0)
         lab.until(lambda: len(states) > 5)
         plant.process.send_signal(signal.SIGSTOP)
         time.sleep(1.0)
@@ -79,6 +81,8 @@ def test_stamps_are_near_the_clock_again_after_a_stop(tmp_path):
         begin = len(states)
         lags = [time.time_ns() - stamp_of(state) for state in lab.more(states, 20)]
         assert min(lags) < 0.2e9
+        stamps = [stamp_of(state) for state in lab.more(states, 50)]
+        assert np.all(np.diff(stamps) > 0) and stamps[-1] < time.time_ns() + PERIOD
         assert not any((stamp_of(state) - stamp_of(states[0])) % PERIOD for state in states)
         left_out = (stamp_of(states[begin]) - stamp_of(states[0])) // PERIOD - begin
         assert left_out > 30 and ' samples are left out' in plant.printed()

@@ -37,6 +37,16 @@ CONTROLLER, PLANT, TRAJECTORY = '/cascade_controller', '/plant', '/trajectory'
 KD = 'gains__joint1__kd_link'
 
 
+def listen(lab):
+    """Listen to a loop that moves, and wait until it does."""
+    lab.states = lab.listen(JointState, STATES)
+    lab.commands = lab.listen(Float64MultiArray, COMMANDS)
+    lab.references = lab.listen(Float64MultiArray, REFERENCE)
+    lab.errors = lab.listen(JointState, '/cascade_controller/state')
+    lab.blocks = lab.listen(Float64MultiArray, '/cascade_controller/blocks')
+    lab.until(lambda: len(lab.errors) > 20 and any(lab.commands[-1].data))
+
+
 @pytest.fixture(scope='module')
 def loop(tmp_path_factory):
     """Run the three nodes, moving along the sinusoid; yield a Lab that listens to them."""
@@ -45,12 +55,7 @@ def loop(tmp_path_factory):
         lab.controller = lab.start('controller_node', files=files)
         lab.trajectory = lab.start('trajectory_node', files=files, trajectory__autostart=True)
         lab.plant = lab.start('plant_node', files=files, rate=RATE)
-        lab.states = lab.listen(JointState, STATES)
-        lab.commands = lab.listen(Float64MultiArray, COMMANDS)
-        lab.references = lab.listen(Float64MultiArray, REFERENCE)
-        lab.errors = lab.listen(JointState, '/cascade_controller/state')
-        lab.blocks = lab.listen(Float64MultiArray, '/cascade_controller/blocks')
-        lab.until(lambda: len(lab.errors) > 20 and any(lab.commands[-1].data))
+        listen(lab)
         yield lab
 
 

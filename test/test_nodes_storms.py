@@ -6,6 +6,7 @@
 import os
 
 from bridge_lab import ask
+from gms_flex_control.nodes.direct import Direct
 from gms_flex_control.nodes.health import Health
 from gms_flex_control.nodes.inbox import Inbox
 from gms_flex_control.nodes.messages import EFFORT, ReferenceWriter
@@ -78,7 +79,7 @@ def test_what_waits_behind_a_burst_on_another_topic_is_looked_at_before_its_end(
     """An executor hands out the burst's events first; inboxes of a node do not wait for them."""
     heard, boxes = [], []
     node = rclpy.create_node('hearer', context=lab.node.context)
-    node.health = Health(node)
+    node.health, node.direct = Health(node), Direct()
     executor = EventsExecutor(context=lab.node.context)
     executor.add_node(node)
     for topic in ('burst', 'single'):

@@ -18,6 +18,7 @@ from node_harness import (
 )
 import numpy as np
 import pytest
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 PERIOD = 2_000_000  # [ns]
 SECOND = 500        # samples in it
@@ -129,6 +130,48 @@ def test_hold_brakes_and_start_goes_on_from_there(moving):
     rows.append(moving.steps(SECOND + 10))
     assert np.all(rows[-1][-5:, 1:] == 0.0)
     assert_smooth(np.concatenate(rows))
+
+
+def point(time, positions, **more):
+    """Return a point of a JointTrajectory at a time [s]."""
+    found = JointTrajectoryPoint(positions=positions, **more)
+    found.time_from_start.sec = int(time)
+    found.time_from_start.nanosec = round(1e9 * (time - int(time)))
+    return found
+
+
+def refusal(lab, names, *points):
+    """Publish a JointTrajectory; return what the node warns of in the end."""
+    before = lab.started.printed().count('refused')
+    lab.points.publish(JointTrajectory(joint_names=names, points=points))
+    lab.until(lambda: lab.started.printed().count('refused') > before)
+    return lab.started.printed().rpartition('refused: ')[2].splitlines()[0]
+
+
+def test_a_joint_trajectory_is_followed_smoothly_through_its_points(moving):
+    """Names in any order; from where the reference is, to rest at the last point."""
+    moving.points = moving.speak(JointTrajectory, '/trajectory/joint_trajectory')
+    moving.until(moving.points.get_subscription_count)
+    begin = moving.steps(20)
+    where = begin[-1, 0]
+    moving.points.publish(JointTrajectory(joint_names=['joint2', 'joint1'], points=[
+        point(0.0, list(where[::-1])), point(1.0, [0.1, 0.2]),
+        point(1.5, [0.2, 0.3], velocities=[0.1, 0.1]), point(3.0, [0.0, -0.1])]))
+    moving.until(lambda: 'follows 3 points' in moving.started.printed())
+    rows = np.concatenate([begin, moving.steps(3 * SECOND + 20)])
+    assert_smooth(rows)
+    first = int(np.flatnonzero(np.any(rows[:, 1] != 0.0, axis=1))[0]) - 1  # still at rest
+    for time, there in ((1.0, (0.2, 0.1)), (1.5, (0.3, 0.2)), (3.0, (-0.1, 0.0))):
+        np.testing.assert_allclose(rows[first + round(SECOND * time), 0], there, atol=1e-9)
+    np.testing.assert_allclose(rows[first + round(SECOND * 1.5), 1], 0.1, atol=1e-9)
+    assert np.all(rows[-1, 0] == [-0.1, 0.0]) and np.all(rows[-1, 1:] == 0.0)
+
+
+def test_a_joint_trajectory_that_makes_no_sense_is_refused_and_changes_nothing(moving):
+    moving.steps(5)
+    assert "lack 'joint2'" in refusal(moving, ['joint1'], point(1.0, [0.0]))
+    moving.steps(5)
+    assert np.all(moving.steps(20)[:, 1:] == 0.0)
 
 
 def test_reset_rests_where_the_robot_is(moving):

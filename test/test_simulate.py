@@ -65,7 +65,7 @@ def test_every_verb_is_listed_and_explains_itself(capsys):
 
 
 @pytest.mark.parametrize('arguments', [
-    [], ['simluate'], ['simulate'], ['simulate', '--out', 'x', '--duration', 'long'],
+    ['simluate'], ['simulate'], ['simulate', '--out', 'x', '--duration', 'long'],
     ['demo', '--modes', 'gsm'], ['demo', '--wings']])
 def test_wrong_arguments_exit_2(arguments, capsys):
     with pytest.raises(SystemExit) as end:
@@ -130,6 +130,22 @@ def test_a_polynomial_ends_by_itself(simulate, tmp_path):
                        'trajectory: {type: polynomial, move_time: 0.3, hold_time: 0.1}')
     assert simulate('--trajectory', short)[0] == 0
     assert len(read_recording(tmp_path / 'bag').time) == round(500 * (3 * 0.1 + 2 * 0.3))
+
+
+def test_an_identified_friction_completes_the_robot(simulate, tmp_path):
+    """Later files win, for plant and model; as with a single file that holds both."""
+    friction = parameters(tmp_path / 'friction.yaml', 'friction: {joint1: {forward: '
+                          '{static: 0.2, coulomb: 0.18}}}')
+    both = tmp_path / 'both.yaml'
+    both.write_text(ROBOT.read_text().replace('static: 0.10787', 'static: 0.2').replace(
+        'coulomb: 0.09393', 'coulomb: 0.18'))
+    found = [json.loads(simulate('--duration', 0.5, '--compensation', 'gms', '--json', *options,
+                                 out=tmp_path / name)[1])[0]['mse']
+             for name, options in {
+                 'paper': (), 'files': ('--robot', ROBOT, friction), 'one': ('--robot', both),
+                 'model': ('--model', ROBOT, friction), 'of_one': ('--model', both)}.items()]
+    paper, files, one, model, of_one = found
+    assert files == one != paper and model == of_one != paper
 
 
 def test_single_parameters_are_set_as_of_a_node(simulate, tmp_path):

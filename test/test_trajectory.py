@@ -90,6 +90,35 @@ def test_the_polynomial_goes_there_and_back_as_often_as_asked():
                                [[1.0, 0.6], [0.0, 0.0], [1.0, 0.6], [0.0, 0.0]], atol=1e-12)
 
 
+@pytest.mark.parametrize('given, degree', [(1, 1), (2, 3), (3, 5)])
+def test_the_way_through_samples_of_a_polynomial_is_that_polynomial(given, degree):
+    """Positions of a line, with velocities of a cubic, with accelerations of a quintic."""
+    truth = np.polynomial.Polynomial(np.random.default_rng(degree).normal(size=degree + 1))
+    times = np.array([0.0, 0.3, 0.5, 1.1, 1.4, 2.0])
+    rows = [truth.deriv(k)(times) if k else truth(times) for k in range(5)]
+    states = np.stack(rows, axis=1)[:, :, None]
+    states[1:-1, given:] = np.nan  # the ends are told whole
+    moments = np.linspace(0.0, 2.0, 77)[:-1]
+    found = builders.through(times, states).sample(moments)[:, :, 0]
+    for k in range(5):
+        np.testing.assert_allclose(found[:, k], truth.deriv(k)(moments) if k else truth(moments),
+                                   atol=1e-6)
+
+
+def test_open_derivatives_leave_no_jump_and_the_end_at_rest():
+    states = np.full((4, 5, 2), np.nan)
+    states[:, 0] = [[0.0, 1.0], [0.5, 1.0], [0.4, -2.0], [1.0, 0.0]]
+    way = builders.through([1.0, 1.2, 2.0, 3.0], states)
+    for time in (1.2, 2.0, 3.0):
+        np.testing.assert_allclose(way.sample(time - 1e-9), way.sample(time), atol=1e-3)
+    assert np.all(way.sample(4.0) == [[1.0, 0.0], *np.zeros((4, 2))])
+
+
+def test_times_that_do_not_rise_are_refused():
+    with pytest.raises(TrajectoryError, match='must rise from point to point'):
+        builders.through([0.0, 0.0], np.zeros((2, 5, 1)))
+
+
 def test_a_stroke_of_constant_velocity_covers_its_travel():
     """0.8 rad at 0.5 rad/s for the faster joint, half a second to each rest."""
     trajectory = MOTIONS['constant velocity']

@@ -64,6 +64,8 @@ def test_the_commands_print_what_the_tutorial_says(name, environment, here):
         assert is_as_told(printed, expected), (
             f'{command}\nprinted\n{printed}\ninstead of\n{expected}')
         assert int((here / f'code{k}').read_text()) in JUDGED, f'{command}\n{printed}'
+    if commands[-1][0].startswith('rm '):  # so that the page can be followed a second time
+        assert list(here.rglob('metadata.yaml')) == []
 
 
 @pytest.fixture

@@ -97,3 +97,28 @@ def test_the_tool_writes_what_it_prints(tmp_path, capsys):
     assert main(['urdf', '--name', 'paper', '--out', str(tmp_path / 'arm.urdf')]) == 0
     assert (tmp_path / 'arm.urdf').read_text() == printed
     assert main(['urdf', '--robot', str(tmp_path / 'none.yaml')]) == 2
+
+
+def test_limits_and_interfaces_stand_where_ros2_control_reads_them(capsys):
+    config = robot_file().parent
+    assert main(['urdf', '--robot', str(robot_file()), '--limits', str(config / 'bridge.yaml'),
+                 '--ros2-control', 'mock_components/GenericSystem']) == 0
+    root = ElementTree.fromstring(capsys.readouterr().out)
+    limits = {joint.get('name'): (joint.get('type'), joint.find('limit').attrib)
+              for joint in root.findall('joint')}
+    assert limits['joint1'] == ('revolute', {'effort': '0.5', 'velocity': '2.0', 'lower': '-1.2',
+                                             'upper': '1.2'})
+    assert limits['joint2_motor'] == ('continuous', {'effort': '0.5', 'velocity': '2.0'})
+    system = root.find('ros2_control')
+    assert system.findtext('hardware/plugin') == 'mock_components/GenericSystem'
+    takes = {joint.get('name'): [one.get('name') for one in joint.iter('command_interface')]
+             for joint in system.iter('joint')}
+    assert takes == {'joint1': [], 'joint2': [], 'joint1_motor': ['effort'],
+                     'joint2_motor': ['effort']}
+
+
+def test_a_rigid_robot_takes_efforts_at_its_links():
+    text = robot_urdf(robot(stiffness=[np.inf, np.inf]), plugin='some/System')
+    system = ElementTree.fromstring(text).find('ros2_control')
+    assert [joint.get('name') for joint in system.iter('joint')
+            if joint.find('command_interface') is not None] == ['joint1', 'joint2']

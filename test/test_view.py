@@ -181,6 +181,33 @@ def test_a_bag_without_blocks_takes_those_of_the_robot_file(tmp_path, robot):
         assert session['scene']['length'] == (0.35, 0.3)
 
 
+def test_other_bags_are_drawn_over_the_first_from_their_beginnings(tmp_path):
+    """Whenever they were recorded; where one has ended there is no line."""
+    first = write_bag(tmp_path / 'first')
+    later = write_bag(tmp_path / 'later', start=9_000_000_000)
+    view = open_bag(first, others=[later, later])
+    session, table = view.session(), view.plots(0.0, 1.0, 400)
+    assert session['over'] == 2 and 'pale lines: later, later' in session['notes']
+    columns = dict(zip(session['columns'], table, strict=True))
+    for number in (1, 2):
+        np.testing.assert_array_equal(columns[f'link.1@{number}'], columns['link.1'])
+        assert np.isnan(columns[f'command.0@{number}']).all()
+    longer, _ = view_of(recording(samples=10))
+    assert longer.session()['over'] == 0
+    view = BagView(recording(samples=20), unknown_scene(['joint1', 'joint2'], [True] * 2),
+                   over=[recording(samples=10)])
+    table = view.frames(0, 0)
+    column = table[view.session()['columns'].index('error.0@1')]
+    np.testing.assert_allclose(column[:10], 0.002, atol=1e-12)
+    assert np.isnan(column[10:]).all()
+
+
+def test_only_bags_are_drawn_over_each_other(capsys):
+    assert main(['view', 'live', 'bag']) == 2
+    assert capsys.readouterr().err == (
+        'gms_flex view: live bag: only bags are drawn over each other\n')
+
+
 def test_rows_are_put_together_by_stamp_whatever_comes_first():
     rows = Rows(2, 3)
     rows.put('reference', 1_000_000_000, [0.5, 0.6])

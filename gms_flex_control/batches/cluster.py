@@ -10,7 +10,7 @@ from gms_flex_control.batches.sources import fingerprint
 from gms_flex_control.errors import BatchError, LostItemError
 
 _PATIENCE = '10s'  # for the scheduler to answer
-MISSING = ("--scheduler needs Dask: pip install 'gms_flex_control[dask]', or leave it out for "
+MISSING = ("--scheduler needs Dask: pip install '.[dask]' in the clone, or leave it out for "
            'processes of this machine')
 
 

@@ -1,12 +1,18 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""The loop over three ROS 2 processes in real time: rate, round trip, losses, processor time."""
+"""
+The loop in real time beside its floor: rate, round trip, losses, processor time.
+
+The floor is an echo of two processes: joint states out, an array back, nothing computed. Figures
+of one run are to be compared with each other; every loop has an echo of its own right before it.
+"""
 
 from importlib.util import find_spec
 import json
 import os
 from pathlib import Path
+import sys
 import tempfile
 import time
 
@@ -17,23 +23,27 @@ from gms_flex_control.resources import share_path
 
 _START_BOUND, _SETTLE = 120.0, 1.0  # [s]
 _RATES = (500.0, 1000.0)
-_NODES = ('plant', 'controller', 'trajectory')
-# targets at 1 kHz on an idle machine of 2 cores
-_TARGETS = {'answered_in_time': (99.9, True), 'lost': (0, False),
-            'interval_error_p99_us': (100.0, False), 'round_trip_p99_us': (600.0, False),
-            'processor': (80.0, False)}
+_ECHO = [sys.executable, '-m', 'gms_flex_control.nodes.echo']
+_TOPICS = ('joint_states', 'effort_controller/commands', 'reference', 'cascade_controller/state',
+           'cascade_controller/blocks', 'cascade_controller/sticking')
+# targets at 1 kHz on an idle machine of 2 cores: loop, figure -> value and whether at least
+_TARGETS = {('three processes', 'round trip p99 / echo'): (1.5, False),
+            ('one process', 'answered in time'): (99.95, True),
+            ('one process', 'interval error p99 / echo'): (1.0, False),
+            ('one process', 'processor'): (45.0, False),
+            ('bridge in one process', 'round trip p99 / echo'): (1.2, False)}
 
 
 def measure(robot, gains, quick=False):
     """
-    Run the three nodes at 500 Hz and 1 kHz.
+    Run echo, three nodes, one process and bridge at 500 Hz and 1 kHz.
 
     Parameters
     ----------
     robot, gains : RobotParams, ControllerParams
         Not used: the nodes read the package's own files.
     quick : bool
-        3 s per rate instead of 15 s.
+        4 s per run instead of 15 s.
 
     Returns
     -------
@@ -43,15 +53,30 @@ def measure(robot, gains, quick=False):
     """
     if find_spec('rclpy') is None:
         return []
-    found = []
+    found, duration = [], 4.0 if quick else 15.0
     for rate in _RATES:
-        found += _measurements(rate, *run_loop(rate, 3.0 if quick else 15.0))
+        for name, run in _LOOPS.items():
+            found += _measurements(rate, name, run(rate, duration), run_echo(rate, duration))
     return found
 
 
-def run_loop(rate, duration):
+def run_echo(rate, duration):
+    """Run the echo; see `run_loop`."""
+    with _Run() as run:
+        run.start('echo', [*_ECHO, 'echo'])
+        return run.paced(rate, duration, ['echo', 'pacer'])
+
+
+def run_bridge(rate, duration):
+    """Run loop_node as a bridge to a robot that is the pacer of the echo; see `run_loop`."""
+    with _Run() as run:
+        run.start_node('loop_node', [_config('bridge.yaml')], {'realtime_priority': 0})
+        return run.paced(rate, duration, ['loop_node'], '/plant/enable')
+
+
+def run_loop(rate, duration, *, composed=False, **parameters):
     """
-    Run the nodes in real time.
+    Run the nodes with a simulated robot.
 
     Parameters
     ----------
@@ -59,42 +84,95 @@ def run_loop(rate, duration):
         Joint states per second [Hz].
     duration : float
         How long [s].
+    composed : bool
+        In one process, of which all topics are recorded.
+    **parameters
+        Of all nodes.
 
     Returns
     -------
     timing : dict
         What the plant measured, see nodes.loop_timing.
     processor : dict of str to float
-        Share of one core each node took while it ran [%].
+        Share of one core each process took while it ran [%].
 
     """
-    config = share_path() / 'config'
-    files = [config / 'robot.yaml', config / 'controller.yaml', config / 'sinusoid.yaml']
-    with tempfile.TemporaryDirectory() as folder:
-        timing = Path(folder) / 'timing.json'
-        with Processes(private_environment(), Path(folder)) as processes:
-            running = {
-                'controller': processes.start('controller', [
-                    *executable('controller_node'), *ros_arguments(files)]),
-                'trajectory': processes.start('trajectory', [
-                    *executable('trajectory_node'),
-                    *ros_arguments(files, {'trajectory.autostart': True})])}
-            for name in running:
-                processes.wait_for_text(name, ['[INFO]'], _START_BOUND)
-            running['plant'] = processes.start('plant', [
-                *executable('plant_node'), *ros_arguments(files, {
-                    'rate': rate, 'substeps': 10, 'duration': duration, 'timing_file': timing,
-                    'wait_for_subscribers': 2})])
-            processes.wait_for_text('plant', ['[INFO]'], _START_BOUND)
-            time.sleep(_SETTLE)  # measures the loop, not its start
-            begin = {name: cpu_time(process.pid) for name, process in running.items()}
-            time.sleep(duration - 2.0 * _SETTLE)
-            processor = {name: 100.0 * (cpu_time(process.pid) - begin[name])
-                         / (duration - 2.0 * _SETTLE) for name, process in running.items()}
-            processes.wait('plant', _START_BOUND)
-            processes.stop('trajectory')
-            processes.stop('controller')
+    moves = {'trajectory.autostart': True}
+    with _Run() as run:
+        timing = run.folder / 'timing.json'
+        plant = {'rate': rate, 'substeps': 10, 'duration': duration, 'timing_file': timing,
+                 'wait_for_subscribers': 2 + composed}
+        if composed:
+            names = ['loop_node']
+            run.start('recorder', [*executable('gms_flex'), 'record', '--topics', *_TOPICS,
+                                   '--out', str(run.folder / 'bag')])
+            run.start_node('loop_node', [], {**plant, **moves, **parameters})
+        else:
+            names = ['plant_node', 'controller_node', 'trajectory_node']
+            run.start_node('controller_node', [], parameters)
+            run.start_node('trajectory_node', [], {**moves, **parameters})
+            run.start_node('plant_node', [], {**plant, **parameters})
+        run.processes.wait_for_text(names[0], ['ACTIVE'], _START_BOUND)
+        processor = run.processor(names, duration - 2.0 * _SETTLE)
+        run.processes.wait(names[0], _START_BOUND)
         return json.loads(timing.read_text(encoding='utf-8')), processor
+
+
+_LOOPS = {
+    'three processes': run_loop,
+    'one process': lambda rate, duration: run_loop(rate, duration, composed=True),
+    'one process, state_every 10': lambda rate, duration: run_loop(
+        rate, duration, composed=True, state_every=10),
+    'bridge in one process': run_bridge}
+
+
+class _Run:
+    """Processes of one measurement in a domain and a folder of their own."""
+
+    def __enter__(self):
+        self._folder = tempfile.TemporaryDirectory()
+        self.folder, self._running = Path(self._folder.name), {}
+        self.processes = Processes(private_environment(), self.folder)
+        return self
+
+    def __exit__(self, *_):
+        for name, process in self._running.items():
+            if process.poll() is None:
+                self.processes.stop(name)
+        self.processes.__exit__()
+        self._folder.cleanup()
+
+    def start(self, name, command):
+        """Start a process."""
+        self._running[name] = self.processes.start(name, command)
+
+    def start_node(self, name, files, parameters):
+        """Start a node and wait until it is there."""
+        files = [_config(f'{file}.yaml') for file in ('robot', 'controller', 'sinusoid')] + files
+        self.start(name, [*executable(name), *ros_arguments(files, parameters)])
+        told = '[plant]' if name == 'loop_node' else '[INFO]'
+        self.processes.wait_for_text(name, [told], _START_BOUND)
+
+    def paced(self, rate, duration, names, *service):
+        """Run the pacer until it has measured; return its timing and the processor time."""
+        timing = self.folder / 'timing.json'
+        self.start('pacer', [*_ECHO, 'pacer', str(rate), str(duration), str(timing), *service])
+        self.processes.wait_for_text('pacer', ['measures'], _START_BOUND)
+        processor = self.processor(names, duration - 2.0 * _SETTLE)
+        self.processes.wait('pacer', _START_BOUND)
+        return json.loads(timing.read_text(encoding='utf-8')), processor
+
+    def processor(self, names, duration):
+        """Return the share of one core that processes take over some time [%]."""
+        time.sleep(_SETTLE)  # measures the loop, not its start
+        begin = {name: cpu_time(self._running[name].pid) for name in names}
+        time.sleep(duration)
+        return {name: 100.0 * (cpu_time(self._running[name].pid) - begin[name]) / duration
+                for name in names}
+
+
+def _config(name):
+    return share_path() / 'config' / name
 
 
 def cpu_time(pid):
@@ -103,22 +181,27 @@ def cpu_time(pid):
     return (int(fields[11]) + int(fields[12])) / os.sysconf('SC_CLK_TCK')
 
 
-def _measurements(rate, timing, processor):
-    """Return what one run measured; the targets hold at 1 kHz."""
-    def figure(name, key, value, unit, note=''):
-        target, at_least = _TARGETS.get(key, (None, True)) if rate == 1000.0 else (None, True)
-        return Measurement(suite='ros', name=f'{rate:g} Hz: {name}', value=value, unit=unit,
-                           target=target, at_least=at_least, note=note)
+def _measurements(rate, loop, ours, echo):
+    """Return what one loop and its echo measured; the targets hold at 1 kHz."""
+    (timing, processor), (floor, floor_processor) = ours, echo
 
-    shares = ', '.join(f'{name} {processor[name]:.0f}' for name in _NODES)
+    def figure(what, value, unit, note=''):
+        target, at_least = _TARGETS.get((loop, what), (None, True)) if rate == 1000.0 else (
+            None, True)
+        return Measurement(suite='ros', name=f'{rate:g} Hz, {loop}: {what}', value=value,
+                           unit=unit, target=target, at_least=at_least, note=note)
+
+    def beside(what, key):
+        return [figure(what, timing[key], 'us', f'echo {floor[key]:.0f}'),
+                figure(f'{what} / echo', timing[key] / floor[key], 'times')]
+
+    shares = ', '.join(f'{name} {share:.0f}' for name, share in processor.items())
     return [
-        figure('achieved rate', 'rate', timing['rate'], 'Hz'),
-        figure('answered in time', 'answered_in_time', 100.0 * timing['answered_in_time'], '%',
-               f"of {timing['samples']} samples"),
-        figure('never answered', 'lost', timing['lost'], 'samples'),
-        figure('interval error p99', 'interval_error_p99_us', timing['interval_error_p99_us'],
-               'us'),
-        figure('round trip median', 'round_trip_median_us', timing['round_trip_median_us'],
-               'us'),
-        figure('round trip p99', 'round_trip_p99_us', timing['round_trip_p99_us'], 'us'),
-        figure('processor, all nodes', 'processor', sum(processor.values()), '%', shares)]
+        figure('achieved rate', timing['rate'], 'Hz', f"echo {floor['rate']:.1f}"),
+        figure('answered in time', 100.0 * timing['answered_in_time'], '%',
+               f"of {timing['samples']} samples, echo {100.0 * floor['answered_in_time']:.2f}"),
+        *beside('interval error p99', 'interval_error_p99_us'),
+        *beside('round trip median', 'round_trip_median_us'),
+        *beside('round trip p99', 'round_trip_p99_us'),
+        figure('processor', sum(processor.values()), '%',
+               f'{shares}; echo {sum(floor_processor.values()):.0f}')]

@@ -19,6 +19,7 @@ SUITES = {
     'effects': ('effect_dispatch', 'measure'),
     'arguments': ('kernel_arguments', 'measure'),
     'batches': ('batches', 'measure'),
+    'export': ('mujoco_export', 'measure'),
 }
 # the others support decisions in docs/decisions
 DEFAULT = ('loop', 'step', 'tick', 'ros', 'fit', 'identify')

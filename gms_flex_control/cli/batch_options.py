@@ -11,7 +11,7 @@ def add_batch_options(parser, workers=2, what='processes of this machine (defaul
     parser.add_argument('--workers', type=int, default=workers, metavar='N', help=what)
     parser.add_argument('--scheduler', metavar='ADDRESS',
                         help='work on a running Dask cluster instead, such as '
-                             "tcp://host:8786 (pip install 'gms_flex_control[dask]')")
+                             "tcp://host:8786 (pip install '.[dask]')")
 
 
 def goes_on(args):

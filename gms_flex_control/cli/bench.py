@@ -8,7 +8,7 @@ import json
 import sys
 
 SUITES = ('loop', 'step', 'tick', 'ros', 'fit', 'identify', 'effects', 'arguments',
-          'batches')
+          'batches', 'export')
 
 
 def add_parser(subparsers):
@@ -18,13 +18,14 @@ def add_parser(subparsers):
         description='Measure speed: medians of interleaved repetitions. Compare figures of one '
                     'run only. MuJoCo is measured where the extra "bench" is installed. The '
                     'suites "effects", "arguments" and "batches" are those of docs/decisions '
-                    'and docs/scale.md and run only '
-                    'when asked for.')
+                    'and docs/scale.md, "export" compares free runs of the exported MJCF with our '
+                    'own, effect by effect (docs/export.md); these run only when asked for.')
     parser.add_argument('--quick', action='store_true', help='rough figures in a few seconds')
     parser.add_argument('--json', action='store_true', help='print JSON')
     parser.add_argument('--only', nargs='+', choices=SUITES, metavar='SUITE',
                         help=f'some of: {", ".join(SUITES)}')
-    parser.add_argument('--robot', metavar='FILE', help='default: the arm of the paper')
+    parser.add_argument('--robot', nargs='+', metavar='FILE',
+                        help='robot files, later ones winning; default: the arm of the paper')
     parser.add_argument('--controller', metavar='FILE', help='default: the gains of the paper')
     parser.set_defaults(run=run)
 
@@ -43,6 +44,6 @@ def run(args):
     else:
         print(suites.table(found))
         if not mujoco_arm.available():
-            print("\nMuJoCo is not installed; 'pip install gms_flex_control[bench]' adds it",
+            print("\nMuJoCo is not installed; pip install '.[bench]' in the clone adds it",
                   file=sys.stderr)
     return 1 if any(m.verdict == 'missed' for m in found) else 0

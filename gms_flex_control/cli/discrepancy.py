@@ -154,19 +154,20 @@ def printed(result, compared, values, args):
     from textwrap import fill
 
     from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE
+    from gms_flex_control.reports.discrepancy import units_of
     from gms_flex_control.reports.discrepancy_values import as_json
     from gms_flex_control.reports.model_comparison import comparison_text
 
-    out, bad = Path(args.out), result.verdict == BAD_DATA
+    out, bad, words = Path(args.out), result.verdict == BAD_DATA, units_of(result)(result.words)
     if args.json:
         print(as_json(values))
     else:
         stream = sys.stderr if bad else sys.stdout
-        print(fill(f'gms_flex discrepancy: {result.words}' if bad else result.words, _WIDTH),
+        print(fill(f'gms_flex discrepancy: {words}' if bad else words, _WIDTH),
               file=stream)
     if not args.json and not bad:
         if compared:
-            print(f'\n{comparison_text(compared, result.gap.joints)}')
+            print(units_of(result)(f'\n{comparison_text(compared, result.gap.joints)}'))
         print(f'\nmodel   {out / "robot.yaml"}\nreport  {out / "report.html"}\n'
               f'numbers {out / "report.json"}')
     return 2 if bad else int(result.verdict != COMPLETE)

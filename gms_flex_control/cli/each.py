@@ -256,11 +256,9 @@ def reason_or(function, item):
 
 
 def _with_warnings(function, item):
-    import warnings
-
     from gms_flex_control.blas import alone_in_one_thread
-    with alone_in_one_thread(), warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter('always')
+    from gms_flex_control.errors import own_warnings
+    with alone_in_one_thread(), own_warnings() as caught:
         values = function(item)
     told = [*(str(one.message) for one in caught), *values.get('warnings', ())]
     return values | {'warnings': list(dict.fromkeys(told))}

@@ -17,8 +17,8 @@ EXAMPLES = {
     'simulate': ['gms_flex simulate --out my_bag',
                  'gms_flex simulate --compensation none gms --trajectory sinusoid polynomial '
                  '--out bags',
-                 'gms_flex simulate --robot my_robot.yaml --set gains.joint1.kd_link=1.0 '
-                 '--out my_bag'],
+                 'gms_flex simulate --robot robot.yaml results/friction.yaml --set '
+                 'gains.joint1.kd_link=1.0 --out my_bag'],
     'record': ['gms_flex record --all --out my_bag',
                'gms_flex record --topics /joint_states /effort_controller/commands /reference '
                '--duration 60 --out my_bag'],
@@ -57,10 +57,16 @@ EXAMPLES = {
              'gms_flex hide --kind single double --seeds 0:5 --out hidden'],
     'score': ['gms_flex score --out quick',
               'gms_flex score --kind single --seeds 0:20 --no-peers --out singles'],
+    'effects': ['gms_flex effects', 'gms_flex effects backlash end_stop --json'],
+    'export': ['gms_flex export --to mujoco --robot robot.yaml friction.yaml --out arm.xml',
+               'gms_flex export --to mujoco --without attraction stribeck_direction '
+               '--out arm.xml',
+               'gms_flex export --to csv --robot results/robot.yaml --out parameters.csv'],
     'faults': ['gms_flex faults --list', 'gms_flex faults --short --logs fault_logs'],
     'urdf': ['gms_flex urdf --robot robot.yaml --out arm.urdf',
              'gms_flex urdf --robot robot.yaml --links-only --out rigid.urdf'],
-    'view': ['gms_flex view my_bag --robot config/robot.yaml', 'gms_flex view live'],
+    'view': ['gms_flex view my_bag --robot config/robot.yaml',
+             'gms_flex view sinusoid_gms sinusoid_none', 'gms_flex view live'],
     'completion': ['eval "$(gms_flex completion bash)"',
                    'gms_flex completion fish > ~/.config/fish/completions/gms_flex.fish']}
 

@@ -54,6 +54,7 @@ def run(args):
     import json
 
     from gms_flex_control.identification.output import report_json
+    from gms_flex_control.params.units import in_units
     from gms_flex_control.reports.identification_text import identification_text
 
     refuse_unwritable(args.out)
@@ -68,7 +69,8 @@ def run(args):
     if args.json:
         print(json.dumps(report_json(found), indent=2, allow_nan=False))
         return 0
-    print(f'{identification_text(found)}\n\nparameters {out / "friction.yaml"}\n'
+    text = in_units(found.robot.arm, identification_text(found))
+    print(f'{text}\n\nparameters {out / "friction.yaml"}\n'
           f'report     {out / "report.html"}\nnumbers    {out / "report.json"}')
     return 0
 

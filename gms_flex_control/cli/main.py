@@ -7,39 +7,84 @@
 import argparse
 from contextlib import contextmanager
 from importlib import import_module
+from itertools import chain
 import os
 import signal
 import sys
 from threading import current_thread, main_thread
 import traceback
+import warnings
 
 from gms_flex_control import __version__
 from gms_flex_control.cli.batch_options import goes_on
 from gms_flex_control.cli.completion import complete
 from gms_flex_control.cli.examples import add_examples
 from gms_flex_control.errors import GmsFlexError
+from gms_flex_control.suggest import did_you_mean
 
 OK, FINDING_SAYS_NO, BAD_INPUT = 0, 1, 2
 INTERRUPTED = 130  # as a shell reports SIGINT
 OWN_ERROR = 70  # EX_SOFTWARE of sysexits.h: never taken for a finding
-VERBS = ('demo', 'demo_identify', 'demo_discrepancy', 'simulate', 'record', 'info', 'repair',
-         'analyse', 'import_csv', 'check_gains', 'tune', 'compare', 'bench', 'torsion', 'identify',
-         'discrepancy', 'recover', 'hide', 'score', 'faults', 'view', 'urdf', 'completion')
+GROUPS = {
+    'for a robot and its recordings': (
+        'import_csv', 'info', 'view', 'identify', 'discrepancy', 'simulate', 'tune', 'compare',
+        'effects', 'export'),
+    'beside these': ('record', 'repair', 'analyse', 'torsion', 'check_gains', 'urdf', 'demo',
+                     'demo_identify', 'demo_discrepancy', 'completion'),
+    'for developers of this package': ('bench', 'recover', 'hide', 'score', 'faults')}
+VERBS = tuple(chain.from_iterable(GROUPS.values()))
+
+
+class _Verbs:
+    """Take the parsers of verbs, and keep their help for the groups."""
+
+    def __init__(self, subparsers):
+        self._subparsers, self.help = subparsers, {}
+
+    def add_parser(self, name, **options):
+        self.help[name] = options.pop('help')
+        return self._subparsers.add_parser(name, **options)
 
 
 def build_parser():
     """Return the parser with all verbs."""
     parser = argparse.ArgumentParser(
-        prog='gms_flex', description='Simulate, record, analyse and compensate friction in '
-                                     'robots with flexible joints.',
-        epilog='Exit codes: 0 done, 1 a finding says no, 2 bad input, 130 interrupted by Ctrl-C. '
-               'gms_flex VERB --help has examples.')
+        prog='gms_flex', usage='gms_flex [-h] [--version] VERB ...',
+        description='Simulate, record, analyse and compensate friction in robots with flexible '
+                    'joints.',
+        formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument('--version', action='version', version=__version__)
-    subparsers = parser.add_subparsers(dest='verb', required=True, metavar='VERB')
+    subparsers = parser.add_subparsers(dest='verb', required=True, prog='gms_flex',
+                                       help=argparse.SUPPRESS)
+    verbs = _Verbs(subparsers)
     for verb in VERBS:
-        import_module(f'gms_flex_control.cli.{verb}').add_parser(subparsers)
+        import_module(f'gms_flex_control.cli.{verb}').add_parser(verbs)
     add_examples(subparsers.choices)
+    parser.epilog = _listing(verbs.help)
     return parser
+
+
+def _listing(helps):
+    """Return the verbs by group with their help, and the exit codes."""
+    width = max(map(len, helps)) + 2
+    lines = []
+    for group, verbs in GROUPS.items():
+        names = [verb.replace('_', '-') for verb in verbs]
+        lines += [f'verbs {group}:', *(f'  {name:<{width}}{helps[name]}' for name in names), '']
+    return '\n'.join([*lines, 'gms_flex VERB --help has options and examples.',
+                      'Exit codes: 0 done, 1 a finding says no, 2 bad input, 130 interrupted by '
+                      'Ctrl-C.'])
+
+
+def parsed(parser, argv):
+    """Return the arguments; None after the help, which is what the bare command asks for."""
+    verbs = [verb.replace('_', '-') for verb in VERBS]
+    if not argv:
+        parser.print_help()
+        return None
+    if not argv[0].startswith('-') and argv[0] not in verbs:
+        parser.error(f'there is no verb {argv[0]!r}{did_you_mean(argv[0], verbs)}')
+    return parser.parse_args(argv)
 
 
 def main(argv=None):
@@ -61,12 +106,36 @@ def main(argv=None):
         try:
             parser = build_parser()
             complete(parser)
-            args = parser.parse_args(argv)
+            args = parsed(parser, sys.argv[1:] if argv is None else argv)
         except (KeyboardInterrupt, Exception):
             if seen:
                 return interrupted()
             raise
-        return run_verb(args, seen)
+        if args is None:
+            return OK
+        with plain_warnings(args.verb):
+            return run_verb(args, seen)
+
+
+@contextmanager
+def plain_warnings(verb):
+    """
+    Print warnings of this package as a sentence, and none of numpy and scipy.
+
+    Worker processes inherit it. ``-W`` and ``PYTHONWARNINGS`` show all as Python does.
+    """
+    if sys.warnoptions:
+        yield
+        return
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore', RuntimeWarning)
+        warnings.showwarning = lambda message, *_: print(
+            f'gms_flex {verb}: warning: {message}', file=sys.stderr)
+        os.environ['PYTHONWARNINGS'] = 'ignore::RuntimeWarning'
+        try:
+            yield
+        finally:
+            os.environ.pop('PYTHONWARNINGS', None)
 
 
 def run_verb(args, seen):

@@ -10,6 +10,7 @@ import sys
 from tempfile import TemporaryDirectory
 
 from gms_flex_control.errors import BagError, ConfigError
+from gms_flex_control.files import write_text
 
 
 def say(text):
@@ -24,8 +25,17 @@ def import_ros(module='rclpy', hint=''):
         import_module('rclpy')
         return import_module(module)
     except ImportError as error:
-        raise ConfigError(f'ROS 2 for Python is needed ({error}); source a workspace, or install '
-                          f"the extra [ros]: pip install 'gms_flex_control[ros]'{hint}") from error
+        raise ConfigError(f'ROS 2 for Python is needed ({error}); source a workspace, or run '
+                          f"pip install '.[ros]' in the clone{hint}") from error
+
+
+def write_or_print(text, out, told):
+    """Write a text to the file ``out`` and print its name with ``told``, or print it if None."""
+    if out:
+        write_text(out, text)
+        print(f'{out}: {told}')
+    else:
+        print(text, end='')
 
 
 def refuse_unwritable(out):

@@ -25,7 +25,8 @@ def add_parser(subparsers):
                     'truth, and how far the presliding curve is off. A killed run goes on when '
                     'started again with the same --out. Exit code 1 if what is asked of the '
                     'identification is missed.')
-    parser.add_argument('--robot', metavar='FILE', help='the truth; default: the arm of the paper')
+    parser.add_argument('--robot', nargs='+', metavar='FILE',
+                        help='the truth, later files winning; default: the arm of the paper')
     parser.add_argument('--controller', metavar='FILE', help='default: the gains of the paper')
     parser.add_argument('--plan', metavar='FILE',
                         help='default: config/identification.yaml')

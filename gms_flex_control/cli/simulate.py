@@ -19,9 +19,11 @@ def add_parser(subparsers):
                     'parameter files of the nodes and write the same bag they would. Several '
                     'trajectories or compensations make one bag each, in the folder --out, '
                     'named <trajectory>_<compensation>.')
-    parser.add_argument('--robot', metavar='FILE', help='default: the arm of the paper')
-    parser.add_argument('--model', metavar='FILE',
-                        help='robot file the controller believes in; default: --robot')
+    parser.add_argument('--robot', nargs='+', metavar='FILE',
+                        help='robot files, later ones winning, such as robot.yaml friction.yaml; '
+                             'default: the arm of the paper')
+    parser.add_argument('--model', nargs='+', metavar='FILE',
+                        help='robot files the controller believes in; default: --robot')
     parser.add_argument('--controller', metavar='FILE', help='default: the gains of the paper')
     parser.add_argument('--trajectory', nargs='+', default=['sinusoid'], metavar='FILE',
                         help='file with trajectory parameters, or the name of one of config/')
@@ -42,6 +44,7 @@ def run(args):
     """Simulate, write the bags and print the tracking errors; return 0."""
     from gms_flex_control.experiment.plan import read_plan
     from gms_flex_control.experiment.simulated import simulate_to_bag
+    from gms_flex_control.params.units import in_units
     from gms_flex_control.resources import controller_file, robot_file
     import numpy as np
 
@@ -50,7 +53,7 @@ def run(args):
     several = len(args.trajectory) * len(modes) > 1
     results = []
     for motion, mode in product(args.trajectory, modes):
-        files = [args.robot or robot_file(), args.controller or controller_file(),
+        files = [*(args.robot or [robot_file()]), args.controller or controller_file(),
                  trajectory_file(motion)]
         chosen = overrides | ({'compensation': mode} if mode else {})
         plan = read_plan(files, model=args.model, overrides=chosen, duration=args.duration)
@@ -63,8 +66,9 @@ def run(args):
                         'mse': np.mean(error ** 2, axis=0).tolist()})
         if not args.json:
             shown = '  '.join(f'{value:.3g}' for value in results[-1]['mse'])
+            square = in_units(plan.robot.arm, 'rad^2')
             print(f'{bag}: {plan.motion}, {plan.gains.compensation}, {plan.duration:g} s, '
-                  f'MSE per link [rad^2]  {shown}')
+                  f'MSE per link [{square}]  {shown}')
     if args.json:
         print(json.dumps(results, indent=2))
     return 0

@@ -3,6 +3,8 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Write the robot as URDF."""
 
+from gms_flex_control.cli.output import write_or_print
+
 
 def add_parser(subparsers):
     """Add the verb to the command line."""
@@ -16,21 +18,23 @@ def add_parser(subparsers):
     parser.add_argument('--name', default='arm', help='of the robot (default: %(default)s)')
     parser.add_argument('--links-only', action='store_true',
                         help='leave out the motors: a rigid robot')
+    parser.add_argument('--limits', nargs='+', metavar='FILE',
+                        help='files with limits.<joint>, such as config/bridge.yaml')
+    parser.add_argument('--ros2-control', metavar='PLUGIN', default='',
+                        help='add a <ros2_control> block with this hardware interface, such as '
+                             'mock_components/GenericSystem')
     parser.set_defaults(run=run)
 
 
 def run(args):
     """Write or print; return 0."""
-    from gms_flex_control.files import write_text
     from gms_flex_control.resources import robot_file
-    from gms_flex_control.schema.files import load_robot
+    from gms_flex_control.schema.files import load_limits, load_robot
     from gms_flex_control.schema.urdf import robot_urdf
 
     robot = load_robot(args.robot or robot_file())
-    text = robot_urdf(robot, name=args.name, motors=not args.links_only)
-    if args.out:
-        write_text(args.out, text)
-        print(f'{args.out}: {robot.n_joints} joints')
-    else:
-        print(text, end='')
+    limits = load_limits(args.limits, robot.joints) if args.limits else None
+    text = robot_urdf(robot, name=args.name, motors=not args.links_only, limits=limits,
+                      plugin=args.ros2_control)
+    write_or_print(text, args.out, f'{robot.n_joints} joints')
     return 0

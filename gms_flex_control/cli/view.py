@@ -25,7 +25,9 @@ def add_parser(subparsers):
                     'and friction blocks: a bag to play and scrub, or the running loop with '
                     'sliders for the gains of the controller. Everything comes from this one '
                     'process and stays on this machine. Ctrl-C ends it.')
-    parser.add_argument('what', metavar='BAG|live', help='a bag, or the word live (needs ROS)')
+    parser.add_argument('what', metavar='BAG|live', nargs='+',
+                        help='bags, the others drawn pale over the first, such as with and '
+                             'without compensation; or the word live (needs ROS)')
     parser.add_argument('--robot', nargs='+', metavar='FILE', help='robot file of the bag, and '
                         'others that complete it, such as friction.yaml; default: that of the '
                         'package where the joints have the same names')
@@ -82,7 +84,10 @@ def _interrupt(_number, _frame):
 
 def _view(args):
     """Return the bag or the running loop as a context."""
-    if args.what == 'live':
+    first, *others = args.what
+    if first == 'live':
+        if others:
+            raise ConfigError(f'live {others[0]}: only bags are drawn over each other')
         live_view = import_ros('gms_flex_control.nodes.viewer',
                                '; bags can be viewed without').LiveView
         space = f'/{args.namespace.strip("/")}' if args.namespace.strip('/') else ''
@@ -90,9 +95,10 @@ def _view(args):
     from gms_flex_control.resources import robot_file
     from gms_flex_control.schema.files import load_robot
     from gms_flex_control.view.bag import open_bag
-    say(f'reading {args.what}')
-    view = open_bag(args.what, load_robot(args.robot) if args.robot else None,
-                    default=load_robot(robot_file()), joints=args.joints, motors=args.motors)
+    say(f'reading {", ".join(args.what)}')
+    view = open_bag(first, load_robot(args.robot) if args.robot else None,
+                    default=load_robot(robot_file()), joints=args.joints, motors=args.motors,
+                    others=others)
     return nullcontext(view)
 
 

@@ -68,8 +68,8 @@ def read_plan(files, *, model=None, overrides=None, duration=None):
     ----------
     files : sequence of str or Path
         Robot, controller and trajectory parameters, later ones winning.
-    model : str or Path, optional
-        Robot file the controller believes in; default the true robot.
+    model : str, Path or sequence of them, optional
+        Robot files the controller believes in; default the true robot.
     overrides : dict of str to object, optional
         Single parameters, as ``-p name:=value`` of a node.
     duration : float, optional

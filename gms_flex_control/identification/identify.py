@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import time
 import warnings
 
+from gms_flex_control.errors import own_warnings
 from gms_flex_control.friction.stribeck import steady_friction
 from gms_flex_control.identification import default_method
 from gms_flex_control.identification import held_out as errors
@@ -99,8 +100,7 @@ def identify(takes, robot, *, holdouts=(), options=None, say=None, executor=None
 
     """
     begin, options, say = time.monotonic(), options or Options(), say or (lambda text: None)
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter('always')
+    with own_warnings() as caught:
         say('checking the data')
         whole = options.estimate == 'all'
         model = believed_model(robot, whole, options.force)

@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Files for machines: report.json, and friction.yaml for controller, plant and tools."""
 
+from functools import partial
 import json
 import math
 from textwrap import wrap
@@ -18,6 +19,7 @@ from gms_flex_control.identification.words import (
     standing,
 )
 from gms_flex_control.params.uncertainty import KINDS
+from gms_flex_control.params.units import in_units
 from gms_flex_control.schema.build import robot_values
 from gms_flex_control.schema.files import save_values
 import numpy as np
@@ -43,13 +45,14 @@ def report_json(identification):
         Of str, int, float, bool, None, list and dict; a number that is not finite is None.
 
     """
+    words = partial(in_units, identification.robot.arm)
     return _plain({
         'format': REPORT_FORMAT, 'version': __version__, 'method': identification.method,
         'sources': identification.sources, 'holdouts': identification.holdouts,
         'recorded': identification.recorded, 'duration': identification.duration,
         'period': identification.period, 'seconds': identification.seconds,
-        'warnings': identification.warnings,
-        'joints': [_joint(result) for result in identification.joints]})
+        'warnings': _plain(identification.warnings, words),
+        'joints': [_plain(_joint(result), words) for result in identification.joints]})
 
 
 def _joint(result):
@@ -62,11 +65,13 @@ def _joint(result):
         'held_out': result.held_out._asdict(), 'warnings': result.warnings}
 
 
-def _plain(value):
+def _plain(value, words=str):
     if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
+        return {key: _plain(item, words) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
+        return [_plain(item, words) for item in value]
+    if isinstance(value, str):
+        return words(value)
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, float) and not math.isfinite(value):

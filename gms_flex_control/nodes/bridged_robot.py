@@ -3,13 +3,14 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """A real robot behind topics of ros2_control or behind a device: threads, clocks and messages."""
 
-import threading
+import sys
 import time
 
 from gms_flex_control.hardware.bridge import Bridge
 from gms_flex_control.hardware.merger import ReadingError
 from gms_flex_control.hardware.supervisor import Outcome
 from gms_flex_control.nodes import messages, process, scheduling
+from gms_flex_control.nodes.direct import Outlet
 from gms_flex_control.nodes.health import ERROR, OK
 from gms_flex_control.nodes.inbox import Inbox
 from gms_flex_control.nodes.loop_timing import LATE, NOTABLE
@@ -20,6 +21,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 _WATCH_PERIOD = 0.002      # how often the silence of both sides is measured [s]
+_MOST_PASSED = 3           # looks that are left out one after the other
+_SWITCH = 1e-3             # for so long a look may wait for a state that is handled [s]
 _ZERO_PERIOD = 10_000_000  # zero torque is repeated that often while there is none [ns]
 _WARN_PERIOD = 5_000_000_000  # [ns]
 
@@ -50,16 +53,15 @@ class BridgedRobot(SupervisedRobot):
         params = bridge_from_values(values, joints, motors)
         self._bridge = Bridge(params)
         self._supervisor, self._map = self._bridge.supervisor, params.joint_map
-        self._lock = threading.RLock()
+        self._lock = node.direct.lock
         self._steady = time.time_ns() - time.monotonic_ns()
         self._said = None
         self._sent = 0             # when efforts left last
         self._warned = {}          # kind of warning -> when
         self._counted, self._counted_at = {}, time.monotonic()
         self._writer = messages.JointStateWriter(joints, motors)
-        self._state_pub = node.create_publisher(JointState, 'joint_states',
-                                                process.publisher_qos('realtime'))
-        self._ends = False
+        self._state_pub = Outlet(node, JointState, 'joint_states')
+        self._ends, self._passed = False, 0
         link, boxes = DeviceLink if values['bridge.device'] else TopicLink, []
         self._link = link(node, self, values, self._map.command_names, boxes)
         Inbox(node, Float64MultiArray, 'effort_controller/commands', self._on_command,
@@ -178,7 +180,8 @@ class BridgedRobot(SupervisedRobot):
     def run(self, spinner):
         """Watch over both sides until a signal comes."""
         scheduling.tighten_timers()
-        look = self._health.guard(self._look)
+        sys.setswitchinterval(_SWITCH)
+        look = self._health.shield(self._look)
         with process.BackgroundSpin(spinner) as background, self._link:
             try:
                 while spinner.goes_on():
@@ -197,15 +200,25 @@ class BridgedRobot(SupervisedRobot):
             self._settle()
 
     def _look(self):
-        with self._lock:
-            now = self.now()
-            self._bridge.watch(now)
-            broken = self._health.fault or self._link.broken
-            if self._supervisor.active and broken:
-                self._bridge.fault(broken)
-            self._settle()
-            if not self._supervisor.active and now - self._sent >= _ZERO_PERIOD:
-                self._send()
+        """Look after both sides, unless a state or command is just being handled."""
+        self._passed += 1
+        if not self._lock.acquire(blocking=self._passed > _MOST_PASSED):
+            return
+        try:
+            self._passed = 0
+            self._look_now()
+        finally:
+            self._lock.release()
+
+    def _look_now(self):
+        now = self.now()
+        self._bridge.watch(now)
+        broken = self._health.fault or self._link.broken
+        if self._supervisor.active and broken:
+            self._bridge.fault(broken)
+        self._settle()
+        if not self._supervisor.active and now - self._sent >= _ZERO_PERIOD:
+            self._send()
 
     def finish(self):
         """Leave zero on the wire, and stay until those who acknowledge have it."""

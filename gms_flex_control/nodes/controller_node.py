@@ -12,6 +12,7 @@ from gms_flex_control.effect_compensation.feedforward import CompensatingControl
 from gms_flex_control.effect_compensation.known import as_parameters, compensated
 from gms_flex_control.hardware.command_watch import SourceWatch
 from gms_flex_control.nodes import messages, process, references, scheduling
+from gms_flex_control.nodes.direct import Direct, Outlet
 from gms_flex_control.nodes.encoder_watch import EncoderWatch
 from gms_flex_control.nodes.health import Health, OK, WARN
 from gms_flex_control.nodes.inbox import Inbox
@@ -21,6 +22,7 @@ from gms_flex_control.nodes.references import Handover, Reference, References
 from gms_flex_control.nodes.refusal import all_finite
 from gms_flex_control.schema.build import controller_from_values, robot_from_values
 from gms_flex_control.schema.keys import controller_keys, controller_node_keys, robot_keys
+from gms_flex_control.trajectory.segments import extrapolate
 import numpy as np
 from rclpy.duration import Duration
 from rclpy.node import Node
@@ -43,9 +45,10 @@ _PHASES = {
 class ControllerNode(Node):
     """Run the cascade controller on every joint state received."""
 
-    def __init__(self, **kwargs):
+    def __init__(self, direct=None, **kwargs):
         super().__init__('cascade_controller',
                          automatically_declare_parameters_from_overrides=True, **kwargs)
+        self.direct = direct or Direct()
         parameters = NodeParameters(self, lambda joints: (
             *robot_keys(joints), *controller_keys(joints), *controller_node_keys()))
         values, joints = parameters.values, parameters.joints
@@ -77,7 +80,8 @@ class ControllerNode(Node):
         self._counts = dict.fromkeys(('states answered', 'states refused', 'references refused',
                                       'observer begun anew', 'silences', 'two trajectories'), 0)
         self._longest = 0.0      # between two answers since the last report [s]
-        self.health = Health(self, self._figures, self._on_fault)
+        self.health = Health(self, self._figures, self._on_fault, self.direct.lock)
+        self._watched = self.health.guard(self._watch)
         self._warm_up()
         self._create_topics(values['mode'])
         parameters.watch(lambda new: controller_from_values(new, joints), self._use,
@@ -94,12 +98,10 @@ class ControllerNode(Node):
         n, blocks = self._robot.friction.stiffness.shape
         self._state = JointState(name=list(self._robot.joints))
         self._blocks = messages.BlockWriter(n, blocks)
-        depth = process.publisher_qos(mode)
-        self._command_pub = self.create_publisher(
-            Float64MultiArray, 'effort_controller/commands', depth)
-        self._state_pub = self.create_publisher(JointState, '~/state', depth)
-        self._blocks_pub = self.create_publisher(Float64MultiArray, '~/blocks', depth)
-        self._sticking_pub = self.create_publisher(Float64MultiArray, '~/sticking', depth)
+        self._command_pub = Outlet(self, Float64MultiArray, 'effort_controller/commands', mode)
+        self._state_pub = Outlet(self, JointState, '~/state', mode)
+        self._blocks_pub = Outlet(self, Float64MultiArray, '~/blocks', mode)
+        self._sticking_pub = Outlet(self, Float64MultiArray, '~/sticking', mode)
         boxes = []
         Inbox(self, Float64MultiArray, 'reference', self._on_reference, mode, boxes)
         Inbox(self, JointState, 'joint_states', self._on_joint_states, mode, boxes)
@@ -107,17 +109,20 @@ class ControllerNode(Node):
 
     def run(self, spinner):
         """Answer joint states until a signal comes."""
-        watch = self.health.guard(self._watch)
         while spinner.goes_on():
-            spinner.spin_for(self._patience())
-            watch()
+            self.attend(spinner)
+
+    def attend(self, spinner):
+        """Run callbacks until the joint states may have stopped, and look whether they have."""
+        spinner.spin_for(self._patience())
+        self._watched()
 
     def _warm_up(self):
         """Compile before the first state comes, with a motion from the robot to elsewhere."""
         away = np.ones((5, self._robot.n_joints))
         handover = Handover(1.0)
         handover.begin(0, self._controller.measured, away)
-        self._controller.tick(handover.applied(0, away), 0.0)
+        self._controller.tick(handover.applied(0, extrapolate(away, 0.0)), 0.0)
         self._controller.reset()
 
     def _use(self, gains):
@@ -353,7 +358,7 @@ class ControllerNode(Node):
 
     def _publish_state(self, stamp):
         state, message = self._controller.state, self._state
-        if not any(publisher.get_subscription_count() for publisher in (
+        if not any(publisher.count_hearers() for publisher in (
                 self._state_pub, self._blocks_pub, self._sticking_pub)):
             return  # four messages a tick cost more than one
         messages.set_stamp(message.header.stamp, stamp)
@@ -366,7 +371,7 @@ class ControllerNode(Node):
         self._state_pub.publish(message)
         blocks = state.observer.blocks
         self._blocks_pub.publish(self._blocks.write(blocks.torque, stamp))
-        if self._sticking_pub.get_subscription_count():
+        if self._sticking_pub.count_hearers():
             self._sticking_pub.publish(self._blocks.write(blocks.sticking.astype(float), stamp))
 
     def finish(self):

@@ -4,7 +4,6 @@
 """Frozen encoders as the controller node sees them: what is measured, sent and given."""
 
 import math
-from types import SimpleNamespace
 
 from gms_flex_control.control.frozen_encoders import FrozenEncoders
 import numpy as np
@@ -26,7 +25,7 @@ class EncoderWatch:
         As believed.
     torque_limit : ndarray, shape (n_joints,)
         Largest torque that is sent [N m].
-    measured : numpy.record
+    measured : object
         Where each state is written.
 
     Attributes
@@ -42,9 +41,7 @@ class EncoderWatch:
 
     def __init__(self, robot, torque_limit, measured):
         self._judge = FrozenEncoders(robot, torque_limit)
-        # a field of a record takes Python more than a microsecond to look up
-        self._measured = SimpleNamespace(**{name: getattr(measured, name) for name in (
-            'q_link', 'dq_link', 'q_motor', 'dq_motor')})
+        self._measured = measured
         self._acting = np.zeros(robot.n_joints)
         self.frozen, self.began, self.count = '', False, 0
         self.use(torque_limit)

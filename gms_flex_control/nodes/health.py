@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """How a node is: what it says on /diagnostics, and the fault that an exception makes of it."""
 
+from contextlib import nullcontext
 from functools import wraps
 import time
 import traceback
@@ -36,6 +37,8 @@ class Health:
         Returns what to report as dict of str to object; called once per report.
     on_fault : callable, optional
         Called without arguments when a fault begins.
+    lock : context manager, optional
+        Held while a callback runs, see `guard`.
 
     Attributes
     ----------
@@ -44,15 +47,16 @@ class Health:
 
     """
 
-    def __init__(self, node, figures=dict, on_fault=lambda: None):
+    def __init__(self, node, figures=dict, on_fault=lambda: None, lock=None):
         self._node, self._figures, self._on_fault = node, figures, on_fault
+        self._lock = nullcontext() if lock is None else lock
         self.fault = ''
         self._state = (OK, 'starting')
         self._warned = {}    # kind of warning: when it was logged last [s]
         self._said, self._looks, self._mismatches = None, 0, ()
         self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
         # steady: the timers of ROS time stand still with /clock
-        self._timer = node.create_timer(_LOOK_PERIOD, self.guard(self._look),
+        self._timer = node.create_timer(_LOOK_PERIOD, self.shield(self._look),
                                         clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def tell(self, level, sentence):
@@ -101,6 +105,16 @@ class Health:
         self.fault = ''
 
     def guard(self, callback):
+        """Return ``callback`` such that it holds the lock, and as `shield` has it."""
+        shielded, lock = self.shield(callback), self._lock
+
+        @wraps(callback)
+        def guarded(*arguments):
+            with lock:
+                return shielded(*arguments)
+        return guarded
+
+    def shield(self, callback):
         """
         Return ``callback`` such that an exception ends in a fault, not in a dead executor.
 
@@ -109,7 +123,7 @@ class Health:
         name = callback.__name__.strip('_')
 
         @wraps(callback)
-        def guarded(*arguments):
+        def shielded(*arguments):
             try:
                 return callback(*arguments)
             except Exception as error:  # noqa: B902  whatever it is, torque must end
@@ -118,7 +132,7 @@ class Health:
             if hasattr(response, 'success'):
                 response.success, response.message = False, f'FAULT: {self.fault}'
             return response
-        return guarded
+        return shielded
 
     def _look(self):
         self._looks += 1

@@ -11,10 +11,12 @@ only so many times a second. An executor hands out messages in the order of thei
 before all others; so whatever comes, all topics of the node are looked at.
 """
 
+from functools import partial
 from itertools import chain
 import time
 
 from gms_flex_control.nodes import process
+from gms_flex_control.nodes.serialized import Deserialized
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
@@ -48,10 +50,12 @@ class Inbox:
     """
     Subscription of a node whose handler is given the messages worth a look.
 
+    Those that nodes of the same process publish reach the handler directly.
+
     Parameters
     ----------
     node : rclpy.node.Node
-        Who subscribes; its ``health`` guards the handler.
+        Who subscribes; its ``health`` guards the handler, its ``direct`` is a Direct.
     kind : type
         JointState or Float64MultiArray.
     topic : str
@@ -68,6 +72,7 @@ class Inbox:
     def __init__(self, node, kind, topic, handler, mode='realtime', boxes=None):
         self._kind, self._handle = kind, node.health.guard(handler)
         self._health, self._topic = node.health, node.resolve_topic_name(topic)
+        node.direct.hearers[self._topic].append(self._handle)
         self._looks = []           # of accepted messages
         self._odd = _ODD_AT_ONCE   # that may still be looked into
         self._filled = time.monotonic()
@@ -75,10 +80,12 @@ class Inbox:
             node.create_subscription(kind, topic, self._handle, process.subscriber_qos(mode),
                                      event_callbacks=process.NO_EVENTS)
             return
+        self._message_of = (Deserialized().message if kind is JointState else
+                            partial(deserialize_message, message_type=kind))
         self._boxes = [] if boxes is None else boxes
         self._boxes.append(self)
         self._subscription = node.create_subscription(
-            kind, topic, node.health.guard(self._empty), process.subscriber_qos(mode, DEPTH),
+            kind, topic, node.health.shield(self._empty), process.subscriber_qos(mode, DEPTH),
             raw=True, event_callbacks=process.NO_EVENTS)
 
     def _empty(self, first):
@@ -99,7 +106,7 @@ class Inbox:
             else:
                 self._look_into(data)
         for data in good[-_KEPT:]:
-            self._handle(deserialize_message(data, self._kind))
+            self._handle(self._message_of(data))
 
     def _look_into(self, data):
         """Give a message of a look not known to the handler, if there are not too many."""
@@ -114,6 +121,6 @@ class Inbox:
             if self._odd < 1.0:
                 return
         self._odd -= 1.0
-        if self._handle(deserialize_message(data, self._kind)):
+        if self._handle(self._message_of(data)):
             self._looks.append((len(data), data[_FIXED[self._kind]]))
             del self._looks[:-_MOST_LOOKS]

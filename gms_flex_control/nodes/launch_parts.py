@@ -13,9 +13,10 @@ from launch.actions import (
     OpaqueFunction,
     Shutdown,
 )
-from launch.conditions import IfCondition, UnlessCondition
+from launch.conditions import IfCondition
 from launch.logging import get_logger
 from launch.substitutions import (
+    AndSubstitution,
     Command,
     EqualsSubstitution,
     LaunchConfiguration,
@@ -69,6 +70,9 @@ def arguments(*, bridge='', controller='controller.yaml', rviz='false', priority
         DeclareLaunchArgument('mode', default_value='realtime', choices=['realtime', 'lockstep'],
                               description='Pace of the simulation: the wall clock, or one step '
                                           'per command as fast as it goes'),
+        DeclareLaunchArgument('composed', default_value='false', choices=_SWITCH,
+                              description='Run plant or bridge, controller and trajectory in one '
+                                          'process, where no sample waits for DDS'),
         DeclareLaunchArgument('realtime_priority', default_value=priority,
                               description='Of controller, trajectory and simulation, 1 to 99 '
                                           'where it is permitted, 0 for none; a bridge has its '
@@ -135,18 +139,29 @@ def closed_loop(controller=None, trajectory=None):
     Returns
     -------
     list of Node
+        Three processes, or the one of ``loop_node``.
 
     """
     bridge = LaunchConfiguration('bridge')
     pace = {name: LaunchConfiguration(name) for name in ('mode', 'realtime_priority')}
-    simulated = EqualsSubstitution(bridge, '')
+    simulated, bridged = EqualsSubstitution(bridge, ''), NotEqualsSubstitution(bridge, '')
+    composed = LaunchConfiguration('composed')
+    apart = EqualsSubstitution(composed, 'false')
+    motion = LaunchConfiguration('trajectory')
+    own = {**pace, **(controller or {}), **(trajectory or {})}
     return [
-        _required('plant_node', pace, {'use_sim_time': False}, condition=IfCondition(simulated)),
+        _required('plant_node', pace, {'use_sim_time': False},
+                  condition=IfCondition(AndSubstitution(apart, simulated))),
         _required('plant_node', bridge, {'backend': 'bridge'},
-                  condition=UnlessCondition(simulated)),
-        _required('controller_node', {**pace, **(controller or {})}),
-        _required('trajectory_node', LaunchConfiguration('trajectory'),
-                  {**pace, **(trajectory or {})})]
+                  condition=IfCondition(AndSubstitution(apart, bridged))),
+        _required('controller_node', {**pace, **(controller or {})},
+                  condition=IfCondition(apart)),
+        _required('trajectory_node', motion, {**pace, **(trajectory or {})},
+                  condition=IfCondition(apart)),
+        _required('loop_node', motion, own,
+                  condition=IfCondition(AndSubstitution(composed, simulated))),
+        _required('loop_node', motion, own, bridge, {'backend': 'bridge'},
+                  condition=IfCondition(AndSubstitution(composed, bridged)))]
 
 
 def _required(executable, *parameters, condition=None):

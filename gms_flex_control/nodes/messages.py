@@ -60,14 +60,14 @@ class JointStateReader:
 
     def read(self, message, measured):
         """
-        Write a JointState into the record ``measured`` (q_link, dq_link, q_motor, dq_motor).
+        Write a JointState into ``measured`` (q_link, dq_link, q_motor, dq_motor).
 
         Parameters
         ----------
         message : sensor_msgs.msg.JointState
             Names in any order, others among them.
-        measured : numpy.record
-            Of simulation.encoder.state_layout.
+        measured : object
+            Views of simulation.encoder.state_layout.
 
         Raises
         ------
@@ -130,7 +130,7 @@ class JointStateWriter:
 
         Parameters
         ----------
-        measured : numpy.record
+        measured : object
             What the encoders read.
         applied : ndarray, shape (n_joints,)
             Torque really applied in the sample that ends now [N m].

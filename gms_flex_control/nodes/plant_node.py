@@ -7,6 +7,7 @@ import sys
 
 from gms_flex_control.nodes import process, scheduling
 from gms_flex_control.nodes.bridged_robot import BridgedRobot
+from gms_flex_control.nodes.direct import Direct
 from gms_flex_control.nodes.health import Health
 from gms_flex_control.nodes.parameters import NodeParameters
 from gms_flex_control.nodes.safety import Safety
@@ -28,13 +29,14 @@ def _bridge_keys(joints):
 class PlantNode(Node):
     """Publish joint states and obey torque commands, as ros2_control's effort side does."""
 
-    def __init__(self, **kwargs):
+    def __init__(self, direct=None, **kwargs):
         super().__init__('plant', automatically_declare_parameters_from_overrides=True, **kwargs)
+        self.direct = direct or Direct()
         bridged = self.has_parameter('backend') and self.get_parameter('backend').value == 'bridge'
         parameters = NodeParameters(self, _bridge_keys if bridged else _simulator_keys)
         values = parameters.values
         self.health = Health(self, lambda: self._robot.figures(),
-                             lambda: self._robot.fail(self.health.fault))
+                             lambda: self._robot.fail(self.health.fault), self.direct.lock)
         self._robot = (BridgedRobot if bridged else SimulatedRobot)(
             self, values, parameters.joints, self.health)
         self._safety = Safety(

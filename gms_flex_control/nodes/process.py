@@ -60,7 +60,7 @@ def _handle_signals(handler):
 
 class Spinner:
     """
-    Runs the callbacks of one node until SIGINT or SIGTERM.
+    Runs the callbacks of the nodes of a process until SIGINT or SIGTERM.
 
     From the first spin on a signal raises nothing: it would hit a callback, which the executor
     reports as fatal, or the last zero, which a second signal from ros2 launch must not interrupt.
@@ -86,12 +86,13 @@ class Spinner:
         """Return whether a signal has come."""
         return self._stopped
 
-    def add(self, node):
-        """Take the node whose callbacks are run; its ``health``, if it has one, is told."""
-        health = getattr(node, 'health', None)
+    def add(self, *nodes):
+        """Take the nodes whose callbacks are run; ``health`` of the first, if any, is told."""
+        health = getattr(nodes[0], 'health', None)
         self._failed = health and health.failed
         self._executor = EventsExecutor()
-        self._executor.add_node(node)
+        for node in nodes:
+            self._executor.add_node(node)
 
     def goes_on(self):
         """Return whether the node is to go on."""
@@ -118,6 +119,10 @@ class Spinner:
                 raise
             self._failed(error, 'the executor')
 
+    def attend(self):
+        """Run callbacks for a while, and do what is to be done now and then."""
+        self.spin_for()
+
     def spin(self):
         """Run callbacks in this thread; the spin of EventsExecutor itself runs none."""
         while self.goes_on():
@@ -126,13 +131,13 @@ class Spinner:
 
 def run_node(make_node, args=None):
     """
-    Run one node until SIGINT or SIGTERM.
+    Run one node, or several as one, until SIGINT or SIGTERM.
 
     Parameters
     ----------
     make_node : callable
         Returns the node; it has ``run(spinner)``, which returns when ``spinner.goes_on()`` is
-        false, and ``finish()``, which publishes what must be last.
+        false, and ``finish()``, which publishes what must be last. Several have ``nodes``.
     args : list of str, optional
         Command line; default ``sys.argv``.
 
@@ -152,7 +157,7 @@ def run_node(make_node, args=None):
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         with _patience_asked_for():
             node = make_node()
-        spinner.add(node)
+        spinner.add(*getattr(node, 'nodes', [node]))
         gc.freeze()  # what start-up left is never searched again while the loop runs
         node.run(spinner)
     except KeyboardInterrupt:
@@ -218,7 +223,7 @@ class BackgroundSpin:
     def _spin(self):
         try:
             while rclpy.ok() and not self._stop.is_set():
-                self._spinner.spin_for()
+                self._spinner.attend()
         except Exception as error:  # noqa: B902  the first thread raises it again
             self.error = error
 

@@ -37,9 +37,9 @@ def _some(names):
     return ', '.join(name[:80] for name in names[:_NAMED]) + more
 
 
-def order_of(wanted, names):
+def order_of(wanted, names, what='joint states'):
     """
-    Return where each of the ``wanted`` joints stands among ``names``.
+    Return where each of the ``wanted`` joints stands among ``names`` of ``what``.
 
     Raises
     ------
@@ -51,10 +51,10 @@ def order_of(wanted, names):
     for name in wanted:
         count = names.count(name)
         if count == 0:
-            raise RefusedError(f'joint states lack {name!r} (have {_some(names)}); '
+            raise RefusedError(f'{what} lack {name!r} (have {_some(names)}); '
                                'check joints and motors in the robot file')
         if count > 1:
-            raise RefusedError(f'joint states name {name!r} more than once')
+            raise RefusedError(f'{what} name {name!r} more than once')
         order.append(names.index(name))
     return order
 

@@ -12,6 +12,7 @@ from gms_flex_control.hardware.device import DeviceError
 from gms_flex_control.nodes import messages
 from gms_flex_control.nodes.guardian import Guardian
 from gms_flex_control.nodes.inbox import Inbox
+from gms_flex_control.nodes.serialized import Serialized
 from rclpy.duration import Duration
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
@@ -57,7 +58,8 @@ class TopicLink:
             self._joint_pub = node.create_publisher(
                 JointState, values['bridge.joint_command_topic'], _NEWEST)
         self._publishers = list(filter(None, (self._array_pub, self._joint_pub)))
-        self._array, self._joint = Float64MultiArray(), JointState(name=list(names))
+        self._array = Float64MultiArray(data=[0.0] * len(names))
+        self._joint, self._serialized = JointState(name=list(names)), Serialized(self._array)
         self._guardian, self._known_rivals = None, 0
         if values['bridge.guardian']:
             self._guardian = Guardian(
@@ -91,7 +93,7 @@ class TopicLink:
         data = messages.array('d', efforts)
         if self._array_pub is not None:
             self._array.data = data
-            self._array_pub.publish(self._array)
+            self._array_pub.publish(self._serialized.data())
         if self._joint_pub is not None:
             self._joint.effort = data
             messages.set_stamp(self._joint.header.stamp, time.time_ns())

@@ -10,8 +10,10 @@ from gms_flex_control.nodes.inbox import all_waiting, DEPTH
 from gms_flex_control.nodes.process import NO_EVENTS
 import rclpy
 from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.clock import Clock, ClockType
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.task import Future
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
@@ -32,7 +34,7 @@ class Safety:
 
     Parameters
     ----------
-    node : rclpy.node.Node
+    node : PlantNode
         The plant, whose names they carry.
     robot : object
         SupervisedRobot with ``obstacle()``, ``enable(refusals)``, ``disable()`` and ``reset()``;
@@ -59,14 +61,14 @@ class Safety:
                               ('emergency_stop', self._stop), ('enable', self._enable)):
             self._node.create_service(Trigger, node.resolve_service_name(f'~/{name}'), handler,
                                       callback_group=group)
-        self._hold = None
+        self._hold, self._served = None, node.direct.services
         if hold_service:
             self._hold = self._node.create_client(
                 Trigger, node.resolve_service_name(hold_service), callback_group=group)
-        self._asked = None         # future of the hold service and when to give up
+        self._asked = None         # future of the hold service
         self._executor = SingleThreadedExecutor(context=node.context)
         self._executor.add_node(self._node)
-        self._over = threading.Event()
+        self._over = Future()
         self._thread = threading.Thread(target=self._spin, name='safety', daemon=True)
 
     def start(self):
@@ -75,18 +77,16 @@ class Safety:
 
     def end(self):
         """Serve no more."""
-        self._over.set()
+        self._over.set_result(None)
         if self._thread.is_alive():
             self._thread.join(timeout=1.0)
         self._executor.shutdown(timeout_sec=0.5)
         self._node.destroy_node()
 
     def _spin(self):
-        while not self._over.is_set() and self._node.context.ok():
+        while not self._over.done() and self._node.context.ok():
             try:
-                self._executor.spin_once(timeout_sec=0.05)
-                if self._asked and time.monotonic() > self._asked[1]:
-                    self._asked[0].cancel()
+                self._executor.spin_until_future_complete(self._over)
             except ExternalShutdownException:
                 return
             except Exception as error:  # noqa: B902  the emergency stop must be heard on
@@ -131,17 +131,27 @@ class Safety:
 
     async def _held(self):
         """Let the reference hold; return a sentence if it does not, else ''."""
+        if self._hold.service_name in self._served:
+            return self._refused(self._served[self._hold.service_name](
+                Trigger.Request(), Trigger.Response()))
         if self._asked is not None:
             return f'another request already waits for {self._hold.srv_name}'
-        self._asked = self._hold.call_async(Trigger.Request()), time.monotonic() + _PATIENCE
-        held = await self._asked[0]
+        self._asked = self._hold.call_async(Trigger.Request())
+        patience = self._node.create_timer(_PATIENCE, self._asked.cancel,
+                                           clock=Clock(clock_type=ClockType.STEADY_TIME))
+        held = await self._asked
         self._asked = None
+        self._node.destroy_timer(patience)
         if held is None:
             return f'{self._hold.srv_name} did not answer in {_PATIENCE} s'
+        return self._refused(held)
+
+    def _refused(self, held):
         return '' if held.success else f'{self._hold.srv_name} refused: {held.message}'
 
     def _no_hold(self):
-        if self._hold is None or self._hold.service_is_ready():
+        if (self._hold is None or self._hold.service_name in self._served
+                or self._hold.service_is_ready()):
             return ''
         return (f'nobody serves {self._hold.srv_name}, which lets the reference begin where the '
                 "robot is; start trajectory_node or set bridge.hold_service to ''")

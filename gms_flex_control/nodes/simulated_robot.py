@@ -4,7 +4,7 @@
 """The simulated robot of a plant node: paced by the clock or stepped by its commands."""
 
 from functools import partial
-import threading
+import sys
 import time
 
 from builtin_interfaces.msg import Time
@@ -13,6 +13,7 @@ from gms_flex_control.hardware import limits as limiting
 from gms_flex_control.hardware.command_watch import CommandWatch
 from gms_flex_control.hardware.supervisor import Supervisor
 from gms_flex_control.nodes import messages, process, scheduling
+from gms_flex_control.nodes.direct import Outlet
 from gms_flex_control.nodes.health import ERROR, now, OK
 from gms_flex_control.nodes.inbox import Inbox
 from gms_flex_control.nodes.loop_timing import LateSamples, LoopTiming
@@ -27,6 +28,10 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool
 
+_SWITCH = 1e-4           # for so long a callback may delay a state that is due [s]
+# where each state of lockstep is answered at once, in this process:
+_CALLBACKS_PERIOD = 1e-2  # between looks at callbacks where nobody else listens [s]
+_SHORTEST_SAMPLE = 4e-4   # where somebody does: a recorder keeps up with that [s]
 _REPEAT_PERIOD = 1.0     # an unanswered state is sent again in lockstep [s]
 _LATEST_START = 5        # samples the stamps may be off the clock before some are left out
 _RISE = round(0.1 * NANOSECONDS)  # in which torque rises after a silence
@@ -82,7 +87,7 @@ class SimulatedRobot(SupervisedRobot):
         self._passing = False    # whether the fault passes by itself
         self._paused = False     # whether a robot in lockstep waits, whatever comes
         self._said = None
-        self._lock = threading.RLock()
+        self._lock = node.direct.lock
         self._command = (self._zero, None, 0)  # torque, stamp answered, when it came
         self._stamp = self._first = 0  # [ns]
         self._resumed = -_RISE   # stamp at which torque began to rise
@@ -91,12 +96,13 @@ class SimulatedRobot(SupervisedRobot):
         node.get_logger().info(f"{robot.n_joints} joints, {values['rate']:g} Hz, {self._mode}")
 
     def _create_topics(self, values):
-        qos = process.publisher_qos(self._mode)
-        self._state_pub = self._node.create_publisher(JointState, 'joint_states', qos)
+        self._state_pub = Outlet(self._node, JointState, 'joint_states', self._mode)
         Inbox(self._node, Float64MultiArray, 'effort_controller/commands', self._on_command,
               self._mode)
         if self._mode == 'lockstep':
-            self._clock_pub = self._node.create_publisher(Clock, '/clock', qos)
+            self._clock_pub = self._node.create_publisher(
+                Clock, '/clock', process.publisher_qos(self._mode))
+            self._clocks = self._node.direct.hearers[self._clock_pub.topic_name]
             self._clock_period = round(NANOSECONDS / values['clock_rate'])
             self._next_clock = 0
             self._node.create_service(SetBool, '~/pause', self._health.guard(self._on_pause))
@@ -108,7 +114,7 @@ class SimulatedRobot(SupervisedRobot):
 
     def run(self, spinner):
         """Simulate until the duration is over or a signal comes."""
-        while self._state_pub.get_subscription_count() < self._listeners and spinner.goes_on():
+        while self._state_pub.count_hearers() < self._listeners and spinner.goes_on():
             spinner.spin_once(0.02)
         if self._mode == 'lockstep':
             self._run_lockstep(spinner)
@@ -144,6 +150,10 @@ class SimulatedRobot(SupervisedRobot):
 
     def _advance(self, torque):
         """Simulate one sample and publish what is measured at its end."""
+        self._simulate(torque)
+        self._end_sample()
+
+    def _simulate(self, torque):
         measured = self._plant.measured
         if not self._supervisor.active:
             torque = self._zero
@@ -159,6 +169,8 @@ class SimulatedRobot(SupervisedRobot):
             broken = limiting.violation(self._joints, measured, self._limits)
             if broken:
                 self.fail(broken)
+
+    def _end_sample(self):
         self._ticks += 1
         self._stamp += self._period
         self._publish()
@@ -260,6 +272,12 @@ class SimulatedRobot(SupervisedRobot):
 
     # realtime ------------------------------------------------------------------------------
 
+    def _simulate_acting(self):
+        """Simulate the sample that follows the last state."""
+        with self._lock:
+            self._watch()
+            self._simulate(self._acting() * min((self._stamp - self._resumed) / _RISE, 1.0))
+
     def _acting(self):
         """Return the torque for the sample that ends now; zero if the last command is stale."""
         torque, stamp, arrived = self._command
@@ -284,22 +302,31 @@ class SimulatedRobot(SupervisedRobot):
 
     def _run_paced(self, spinner, background):
         scheduling.tighten_timers()
+        sys.setswitchinterval(_SWITCH)
         self._stamp = self._first = now(self._node).nanoseconds
         deadline = time.monotonic_ns()
         self._plant.measure()
-        self._publish()
+        with self._lock:
+            self._publish()
         while spinner.goes_on() and not self._is_last():
             if background.error is not None:
                 raise background.error
             deadline += self._period
-            late = time.monotonic_ns() - deadline
-            if late < 0:
-                time.sleep(-late / NANOSECONDS)
-            left_out = self._follow_clock()
-            if late > 0:
-                deadline += max(left_out, 0) * self._period
-            self._watch()
-            self._advance(self._acting() * min((self._stamp - self._resumed) / _RISE, 1.0))
+            ahead = self._command[1] == self._stamp  # answered at once, in this process
+            if ahead:
+                self._simulate_acting()
+            early = deadline - time.monotonic_ns()
+            if early > 0:
+                time.sleep(early / NANOSECONDS)
+            with self._lock:
+                left_out = self._follow_clock()
+            if left_out > 0:  # no more than it is late: the clock may have been set
+                late = time.monotonic_ns() - deadline
+                deadline += min(left_out, late // self._period) * self._period
+            if not ahead:
+                self._simulate_acting()
+            with self._lock:
+                self._end_sample()
         if self._missed:
             self._node.get_logger().info(
                 f'{self._missed} of {self._ticks} samples had no fresh command')
@@ -328,13 +355,20 @@ class SimulatedRobot(SupervisedRobot):
         self._plant.measure()
         self._publish_clock()
         self._publish()
-        repeat = time.monotonic() + _REPEAT_PERIOD
+        repeat, due = time.monotonic() + _REPEAT_PERIOD, 0.0
         while spinner.goes_on():
-            spinner.spin_once()
+            if self._paused or not self._is_answered():
+                spinner.spin_once()
+            elif self._state_pub.count_others():  # answered at once, in this process
+                spinner.spin_once(max(due - time.monotonic(), 0.0))
+                due = time.monotonic() + _SHORTEST_SAMPLE
+            elif time.monotonic() > due:
+                spinner.spin_once(0.0)
+                due = time.monotonic() + _CALLBACKS_PERIOD
             if self._paused:
                 continue
-            torque, stamp, arrived = self._command
-            if arrived and (stamp is None or stamp == self._stamp):
+            if self._is_answered():
+                torque = self._command[0]
                 if self._is_last():  # answered too: a recording lacks nothing
                     break
                 self._command = (torque, None, 0)
@@ -345,10 +379,17 @@ class SimulatedRobot(SupervisedRobot):
                 self._publish()  # a node that has just come needs the state it is to answer
                 repeat = time.monotonic() + _REPEAT_PERIOD
 
+    def _is_answered(self):
+        _, stamp, arrived = self._command
+        return arrived and (stamp is None or stamp == self._stamp)
+
     def _publish_clock(self):
         if self._stamp >= self._next_clock:
             sec, nanosec = divmod(self._stamp, NANOSECONDS)
-            self._clock_pub.publish(Clock(clock=Time(sec=sec, nanosec=nanosec)))
+            message = Clock(clock=Time(sec=sec, nanosec=nanosec))
+            self._clock_pub.publish(message)
+            for hear in self._clocks:
+                hear(message)
             self._next_clock = self._stamp + self._clock_period
 
     def finish(self):

@@ -44,6 +44,11 @@ def identification_node():
     return _start('identification_node')
 
 
+def loop_node():
+    """Run loop_node; return its exit code."""
+    return _start('loop_node')
+
+
 def plant_node():
     """Run plant_node; return its exit code."""
     return _start('plant_node')

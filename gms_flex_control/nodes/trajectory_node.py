@@ -9,8 +9,10 @@ import sys
 
 from gms_flex_control.errors import GmsFlexError, TrajectoryError
 from gms_flex_control.nodes import messages, process, refusal, scheduling
+from gms_flex_control.nodes.direct import Direct, Outlet
 from gms_flex_control.nodes.health import Health, OK
 from gms_flex_control.nodes.inbox import Inbox
+from gms_flex_control.nodes.joint_trajectory import read_joint_trajectory
 from gms_flex_control.nodes.messages import NANOSECONDS
 from gms_flex_control.nodes.parameters import NodeParameters
 from gms_flex_control.schema.keys import robot_keys, trajectory_keys
@@ -21,12 +23,14 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectory
 
 _WARN_PERIOD = 5.0
 _STANDING = 1e-3    # slower than this counts as rest [rad/s]
 _CREEP = 0.1        # a single encoder count looks as fast as that to a reset [rad/s]
 _SAME_STAMP = 0.2  # a stamp within this part of the period was foreseen
 _LONGEST_DELAY = round(0.1 * NANOSECONDS)  # a state older than the last by less was overtaken
+_LONGEST_MOTION = 86400 * NANOSECONDS  # of a joint trajectory
 _LONGEST_PAUSE = 2 * NANOSECONDS  # of the joint states; the motion waits for longer ones
 
 
@@ -38,30 +42,34 @@ def reference_names_keys(joints):
 class TrajectoryNode(Node):
     """Publish the reference for each joint state before that state comes."""
 
-    def __init__(self, **kwargs):
+    def __init__(self, direct=None, **kwargs):
         super().__init__('trajectory', automatically_declare_parameters_from_overrides=True,
                          **kwargs)
+        self.direct = direct or Direct()
         parameters = NodeParameters(self, reference_names_keys)
         values, self._joints = parameters.values, parameters.joints
         self._chosen = trajectory_from_values(values, self._joints)
         self._values, self._lockstep = values, values['mode'] == 'lockstep'
         self._current = None      # Trajectory in the node's time, None before the first state
-        self._running = False
+        self._running = self._has_points = False  # has_points: of a JointTrajectory
         self._origin = self._last = self._published = None  # stamps [ns]
         self._names = self._order = None
         self._q_link, self._dq_link, self._origin_of_torque = np.zeros((3, len(self._joints)))
         self._writer = messages.ReferenceWriter(
             len(self._joints), f'{self.get_fully_qualified_name()}#{os.getpid()}')
         self._counts = dict.fromkeys(('states followed', 'states refused', 'jumps of time'), 0)
-        self.health = Health(self, lambda: self._counts)
+        self.health = Health(self, lambda: self._counts, lock=self.direct.lock)
         guard = self.health.guard
-        self._reference_pub = self.create_publisher(Float64MultiArray, 'reference',
-                                                    process.publisher_qos(values['mode']))
+        self._reference_pub = Outlet(self, Float64MultiArray, 'reference', values['mode'])
         self._chosen.sample(0.0)  # compile before the first state comes
         Inbox(self, JointState, 'joint_states', self._on_joint_states, values['mode'])
+        self.create_subscription(
+            JointTrajectory, '~/joint_trajectory', guard(self._on_joint_trajectory),
+            process.subscriber_qos('lockstep'), event_callbacks=process.NO_EVENTS)
         for name, handler in (('start', self._start), ('stop', self._stop),
                               ('reset', self._reset), ('release', self._release)):
             self.create_service(Trigger, f'~/{name}', guard(handler))
+            self.direct.services[self.resolve_service_name(f'~/{name}')] = guard(handler)
         parameters.watch(lambda new: (trajectory_from_values(new, self._joints), new),
                          self._choose, guard)
         self.get_logger().info(f"{values['trajectory.type']}, call ~/start to begin"
@@ -191,7 +199,7 @@ class TrajectoryNode(Node):
         self._origin_of_torque[:] = self._q_link
         self._current = builders.approach(state, trajectory, time,
                                           duration=self._values['trajectory.approach_time'])
-        self._running = True
+        self._running, self._has_points = True, False
 
     def _state(self, time):
         """Return the reference at ``time``, or the robot's motion if there is none to follow."""
@@ -223,13 +231,47 @@ class TrajectoryNode(Node):
 
     def _choose(self, judged):
         self._chosen, self._values = judged
-        if not self._running or self._published is None or self._now() > self._current.end:
+        if (not self._running or self._has_points or self._published is None
+                or self._now() > self._current.end):
             return
         try:
             self._go()
         except TrajectoryError as error:
             self.get_logger().warning(f'{error}; the reference comes to rest')
             self._brake()
+
+    def _on_joint_trajectory(self, message):
+        """Follow the points of a message from its stamp on, or at once; without any, stop."""
+        try:
+            if self._published is None or self.health.fault:
+                raise messages.RefusedError(self.health.fault or 'no joint state has come yet')
+            if not message.points:
+                self._brake()
+                return
+            self._follow_points(*read_joint_trajectory(message, self._joints),
+                                messages.to_nanoseconds(message.header.stamp))
+        except (messages.RefusedError, TrajectoryError) as error:
+            self.health.warn('joint trajectory', f'joint trajectory refused: {error}')
+
+    def _follow_points(self, times, states, stamp):
+        """Go from the reference of now through those points that are yet to come."""
+        begin = self._published
+        times = times + (stamp or begin)
+        ahead = times > begin
+        if not ahead.any():
+            raise messages.RefusedError(
+                f'it was over {(begin - int(times[-1])) / NANOSECONDS:.3g} s ago by the stamps '
+                'of the joint states')
+        if times[-1] - begin > _LONGEST_MOTION:
+            raise messages.RefusedError(
+                f'it ends in {(int(times[-1]) - begin) / NANOSECONDS:.3g} s by the stamps of the '
+                'joint states; is its stamp of another clock? Zero begins at once')
+        now = self._state(self._now())
+        times = np.array([begin, *times[ahead]])
+        self._current = builders.through((times - self._origin) / NANOSECONDS,
+                                         np.stack([now, *states[ahead]]))
+        self._running = self._has_points = True
+        self.get_logger().info(f'follows {ahead.sum()} points of a joint trajectory')
 
     def _reply(self, response, action, done):
         if self._published is None:

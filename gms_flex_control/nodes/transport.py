@@ -1,17 +1,25 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""Sockets instead of shared memory, so that a frozen process holds up no other."""
+"""
+What our processes ask of Fast DDS.
+
+Sockets instead of shared memory, so that a frozen process holds up no other; and nothing of what
+a process publishes itself, which reaches its own nodes directly.
+"""
 
 import os
 from pathlib import Path
 
+from gms_flex_control.errors import ConfigError
 import rclpy
 
 RANGE = 'ROS_AUTOMATIC_DISCOVERY_RANGE'
 _BUILT_IN = 'FASTDDS_BUILTIN_TRANSPORTS'
 _PROFILES = ('FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE')
 _LOCAL = Path(__file__).with_name('local_sockets.xml')
+_ANYWHERE = Path(__file__).with_name('sockets.xml')
+_IGNORE_OWN = 'fastdds.ignore_local_endpoints'
 
 
 def avoid_shared_memory():
@@ -23,12 +31,14 @@ def avoid_shared_memory():
     host UDP is as fast for messages of this size.
 
     For the range LOCALHOST rmw_fastrtps adds shared memory whatever Fast DDS is told; there the
-    same discovery is described in a profile instead. Other middleware, and an environment that
-    names transports or profiles, stay as they are.
+    same discovery is described in a profile instead. Other middleware, an environment that names
+    profiles, and transports that it names, stay as they are.
     """
     environment = os.environ
-    if (not rclpy.get_rmw_implementation_identifier().startswith('rmw_fastrtps')
-            or any(name in environment for name in (_BUILT_IN, *_PROFILES))):
+    if not _is_fast_dds() or any(name in environment for name in _PROFILES):
+        return
+    environment[_PROFILES[0]] = str(_ANYWHERE)
+    if _BUILT_IN in environment:
         return
     environment[_BUILT_IN] = 'UDPv4'
     only_local = environment.get('ROS_LOCALHOST_ONLY') == '1'
@@ -37,3 +47,28 @@ def avoid_shared_memory():
         environment.pop('ROS_LOCALHOST_ONLY', None)
         environment[RANGE] = 'SYSTEM_DEFAULT'
         environment[_PROFILES[0]] = str(_LOCAL)
+
+
+def refuse_own_messages():
+    """
+    Make sure that the nodes of this process do not hear each other through DDS as well.
+
+    Raises
+    ------
+    ConfigError
+        Where the middleware, or a profile of the user's, lets them.
+
+    """
+    if not _is_fast_dds():
+        raise ConfigError('loop_node needs RMW_IMPLEMENTATION=rmw_fastrtps_cpp, got '
+                          f'{rclpy.get_rmw_implementation_identifier()}; start plant_node, '
+                          'controller_node and trajectory_node instead')
+    profiles = next(os.environ[name] for name in _PROFILES if name in os.environ)
+    if _IGNORE_OWN not in Path(profiles).read_text(encoding='utf-8'):
+        raise ConfigError(f'loop_node needs the property {_IGNORE_OWN} (true) of the participant '
+                          f'in {profiles}; add it, or start plant_node, controller_node and '
+                          'trajectory_node instead')
+
+
+def _is_fast_dds():
+    return rclpy.get_rmw_implementation_identifier().startswith('rmw_fastrtps')

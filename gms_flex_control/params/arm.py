@@ -10,12 +10,13 @@ from gms_flex_control.params.checks import freeze_arrays, require_finite, requir
 import numpy as np
 
 KINDS = ('planar', 'decoupled')
+AXES = ('rotary', 'linear')
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ArmParams:
     """
-    Rigid-body and joint parameters of n revolute joints.
+    Rigid-body and joint parameters of n joints.
 
     Parameters
     ----------
@@ -36,6 +37,8 @@ class ArmParams:
     offset : ndarray, shape (n_joints,), optional
         Where a joint reads 0: angle of its link from the x axis, or in a chain from the link
         before it [rad]. Zeros by default.
+    axes : {'rotary', 'linear'}
+        What decoupled axes are; of linear ones m stands for rad, N for N m, kg for kg m^2.
 
     Raises
     ------
@@ -54,13 +57,18 @@ class ArmParams:
     damping: np.ndarray
     gravity: np.ndarray = 0.0
     offset: np.ndarray | None = None
+    axes: str = 'rotary'
 
     def __post_init__(self):
         if self.kind not in KINDS:
             raise ParameterError(f"arm.kind must be one of {', '.join(KINDS)}, got {self.kind!r}")
+        if self.axes not in AXES:
+            raise ParameterError(f"arm.axes must be one of {', '.join(AXES)}, got {self.axes!r}")
+        if self.axes == 'linear' and self.kind != 'decoupled':
+            raise ParameterError(f'arm.axes linear needs arm.kind decoupled, got {self.kind}')
         if self.offset is None:
             object.__setattr__(self, 'offset', np.zeros(np.shape(self.stiffness)))
-        freeze_arrays(self, skip=('kind',))
+        freeze_arrays(self, skip=('kind', 'axes'))
         if self.gravity.shape == ():
             object.__setattr__(self, 'gravity', np.array([0.0, -float(self.gravity)]))
         require_shape('gravity', self.gravity, (2,))

@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """The report of a discrepancy: what the model lacks, why, and how much closer it came."""
 
+from functools import partial
 from pathlib import Path
 
 from gms_flex_control.discrepancy.describe import (
@@ -15,6 +16,7 @@ from gms_flex_control.discrepancy.free_run import all_known, free_runs, HORIZON
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE, FOUND, UNEXPLAINED
 from gms_flex_control.effects.registry import find
+from gms_flex_control.params.units import in_units
 from gms_flex_control.reports.discrepancy_figures import (
     evidence_figure,
     gap_figure,
@@ -64,9 +66,14 @@ def write_discrepancy_report(result, folder, *, holdout=(), models=()):
     """
     folder = Path(folder)
     report = Report('What the model lacks', f'{TITLES[result.verdict]} - '
-                    + ', '.join(result.sources))
+                    + ', '.join(result.sources), units_of(result))
     pictures = add_discrepancy(report, result, folder, holdout=holdout, models=models)
     return [report.write(folder / 'report.html'), *pictures]
+
+
+def units_of(result):
+    """Return the function that puts a text into the units of the robot of a Discrepancy."""
+    return str if result.robot is None else partial(in_units, result.robot.arm)
 
 
 def add_discrepancy(report, result, folder, *, holdout=(), models=()):
@@ -90,7 +97,7 @@ def add_discrepancy(report, result, folder, *, holdout=(), models=()):
 
     def picture(figure, name):
         path = folder / name
-        save_figure(figure, path)
+        save_figure(figure, path, units_of(result))
         pictures.append(path)
         return path
 

@@ -10,6 +10,7 @@ from gms_flex_control.analysis.tracking import link_error
 from gms_flex_control.files import atomic_path
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 from matplotlib.ticker import AutoMinorLocator
 import numpy as np
 
@@ -112,7 +113,7 @@ def file_stem(text):
     return re.sub(r'[^A-Za-z0-9_-]+', '_', text)
 
 
-def save_figure(figure, path):
+def save_figure(figure, path, words=str):
     """
     Write a figure whole or not at all; the suffix chooses the format.
 
@@ -122,8 +123,12 @@ def save_figure(figure, path):
         What to write.
     path : str or Path
         For instance a .png or .pdf.
+    words : callable
+        Applied to labels and titles, such as one that changes units.
 
     """
+    for text in figure.findobj(Text):
+        text.set_text(words(text.get_text()))
     with atomic_path(path) as temporary:
         figure.savefig(temporary, dpi=150)
 

@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """The report of an identification: what can be trusted, shown in pictures and tables."""
 
+from functools import partial
 from pathlib import Path
 
 from gms_flex_control.identification.beside import known_presliding, known_steady, known_values
@@ -21,6 +22,7 @@ from gms_flex_control.identification.words import (
     standing,
     STANDINGS,
 )
+from gms_flex_control.params.units import in_units
 from gms_flex_control.reports.figures import file_stem, save_figure
 from gms_flex_control.reports.identification_figures import (
     DIRECTIONS,
@@ -63,9 +65,9 @@ def write_identification_report(identification, folder, *, beside=None):
         What was written, the page first.
 
     """
-    folder = Path(folder)
+    folder, words = Path(folder), partial(in_units, identification.robot.arm)
     pictures = list(_save_pictures(identification, folder, beside))
-    report = Report('Friction identification', data_sentence(identification))
+    report = Report('Friction identification', data_sentence(identification), words)
     _add_summary(report, identification)
     report.figure(pictures[0][0], pictures[0][1])
     for result in identification.joints:
@@ -80,8 +82,8 @@ def write_identification_report(identification, folder, *, beside=None):
 
 def _save_pictures(identification, folder, beside):
     """Yield path and caption of each picture written."""
-    path = folder / 'held_out.png'
-    save_figure(held_out_figure(identification.joints), path)
+    words, path = partial(in_units, identification.robot.arm), folder / 'held_out.png'
+    save_figure(held_out_figure(identification.joints), path, words)
     yield path, 'Errors on data that took no part in the fit'
     for i, result in enumerate(identification.joints):
         stem = file_stem(result.joint)
@@ -96,7 +98,7 @@ def _save_pictures(identification, folder, beside):
             figures.append(('sliding', sliding_figure(trace, result.joint), 'motion over time'))
         for name, figure, caption in figures:
             path = folder / f'{name}_{stem}.png'
-            save_figure(figure, path)
+            save_figure(figure, path, words)
             yield path, f'{result.joint}: {caption}'
 
 

@@ -63,12 +63,15 @@ class Report:
         Title of the page.
     subtitle : str
         One line under it.
+    words : callable
+        Applied to every text, such as one that changes units.
 
     """
 
-    def __init__(self, title, subtitle=''):
-        self._title = title
-        self._subtitle = subtitle
+    def __init__(self, title, subtitle='', words=str):
+        self._title = words(title)
+        self._subtitle = words(subtitle)
+        self._words = words
         self._blocks = []  # (kind, html)
         self._headings = []
         self._arrays = {}  # encoded array -> index, so that a shared time axis is stored once
@@ -78,21 +81,21 @@ class Report:
         """Add a heading of level 2 (listed at the top of the page) or 3."""
         anchor = f'h{len(self._blocks)}'
         if level == 2:
-            self._headings.append((anchor, text))
-        return self._add('heading', f'<h{level} id="{anchor}">{escape(text)}</h{level}>')
+            self._headings.append((anchor, self._words(text)))
+        return self._add('heading', f'<h{level} id="{anchor}">{self._told(text)}</h{level}>')
 
     def text(self, text):
         """Add a paragraph."""
-        return self._add('text', f'<p>{escape(text)}</p>')
+        return self._add('text', f'<p>{self._told(text)}</p>')
 
     def note(self, text, warning=False):
         """Add a paragraph that is set off; ``warning`` colours it."""
         kind = 'note warning' if warning else 'note'
-        return self._add('text', f'<p class="{kind}">{escape(text)}</p>')
+        return self._add('text', f'<p class="{kind}">{self._told(text)}</p>')
 
     def preformatted(self, text):
         """Add text whose lines and blanks are kept."""
-        return self._add('text', f'<pre>{escape(text)}</pre>')
+        return self._add('text', f'<pre>{self._told(text)}</pre>')
 
     def table(self, header, rows, caption=''):
         """
@@ -108,11 +111,12 @@ class Report:
             Line above the table.
 
         """
-        cells = [[str(cell) for cell in row] for row in rows]
+        cells = [[self._words(str(cell)) for cell in row] for row in rows]
+        header = [self._words(str(cell)) for cell in header]
         numeric = [all(_is_number(row[i]) for row in cells) for i in range(len(header))]
         lines = [_row('th', header, numeric)]
         lines += [_row('td', row, numeric) for row in cells]
-        caption = f'<p class="caption">{escape(caption)}</p>' if caption else ''
+        caption = f'<p class="caption">{self._told(caption)}</p>' if caption else ''
         return self._add('table', f'{caption}<div class="scroll"><table class="data">'
                          f'<thead>{lines[0]}</thead><tbody>{"".join(lines[1:])}</tbody>'
                          '</table></div>')
@@ -130,9 +134,9 @@ class Report:
 
         """
         data = png if isinstance(png, bytes) else Path(png).read_bytes()
-        return self._add('figure', f'<figure><img alt="{escape(caption)}" src="data:image/png;'
+        return self._add('figure', f'<figure><img alt="{self._told(caption)}" src="data:image/png;'
                          f'base64,{base64.b64encode(data).decode()}"><figcaption>'
-                         f'{escape(caption)}</figcaption></figure>')
+                         f'{self._told(caption)}</figcaption></figure>')
 
     def chart(self, title, x, series, x_label='time [s]', y_label='', group='time'):
         """
@@ -164,11 +168,12 @@ class Report:
             title += f' (extremes of every {2 * len(grid) / len(shown[0]):.0f} samples)'
         lines = []
         for i, (item, y) in enumerate(zip(series, shown[1], strict=True)):
-            lines.append({'label': item.label, 'y': self._store(y, '<f4'),
+            lines.append({'label': self._words(item.label), 'y': self._store(y, '<f4'),
                           'role': _role(item, i), 'dashed': item.dashed, 'hidden': item.hidden})
         self._charts.append({'x': self._store(shown[0], '<f8'), 'series': lines,
-                             'x_label': x_label, 'y_label': y_label, 'group': group})
-        return self._add('chart', _chart_html(len(self._charts) - 1, title))
+                             'x_label': self._words(x_label), 'y_label': self._words(y_label),
+                             'group': group})
+        return self._add('chart', _chart_html(len(self._charts) - 1, self._words(title)))
 
     def xy_chart(self, title, curves, x_label='', y_label='', *, log_x=False):
         """
@@ -196,7 +201,7 @@ class Report:
             x, y = _points(item, log_x)
             lows.append(x[np.isfinite(x)].min(initial=np.inf))
             highs.append(x[np.isfinite(x)].max(initial=-np.inf))
-            lines.append({'label': item.label, 'x': self._store(x, '<f8'),
+            lines.append({'label': self._words(item.label), 'x': self._store(x, '<f8'),
                           'y': self._store(y, '<f4'), 'role': _role(item, i),
                           'points': item.points, 'dashed': item.dashed, 'hidden': item.hidden})
         low, high = min(lows, default=np.inf), max(highs, default=-np.inf)
@@ -206,9 +211,9 @@ class Report:
         window = np.array([low - margin, high + margin])
         index = len(self._charts)
         self._charts.append({'x': self._store(window, '<f8'), 'series': lines, 'xy': True,
-                             'log_x': log_x, 'x_label': x_label, 'y_label': y_label,
-                             'group': f'xy {index}'})
-        return self._add('chart', _chart_html(index, title))
+                             'log_x': log_x, 'x_label': self._words(x_label),
+                             'y_label': self._words(y_label), 'group': f'xy {index}'})
+        return self._add('chart', _chart_html(index, self._words(title)))
 
     def html(self):
         """Return the whole page (str)."""
@@ -252,6 +257,9 @@ class Report:
             closes = kind in wrapper and (self._blocks[i + 1:i + 2] or [('',)])[0][0] != kind
             yield (f'<div class="{wrapper[kind]}">' if opens else '') + block + (
                 '</div>' if closes else '')
+
+    def _told(self, text):
+        return escape(self._words(text))
 
     def _store(self, values, dtype):
         data = base64.b64encode(np.ascontiguousarray(values, dtype=dtype).tobytes()).decode()

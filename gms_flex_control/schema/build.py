@@ -74,7 +74,7 @@ def robot_from_values(values):
     flat = complete(robot_keys(joints), values)
     _require_links(flat['arm.kind'], joints, values)
     motors = flat['motors'] or ('',) * len(joints)
-    arm = ArmParams(kind=flat['arm.kind'], gravity=flat['arm.gravity'],
+    arm = ArmParams(kind=flat['arm.kind'], gravity=flat['arm.gravity'], axes=flat['arm.axes'],
                     **{name: [flat[f'arm.{joint}.{name}'] for joint in joints] for name in _ARM})
     encoder = EncoderParams(**{name: flat[f'encoder.{name}']
                                for name in ('counts', 'noise', 'velocity_cutoff')})
@@ -199,6 +199,8 @@ def robot_values(robot):
                              f'{robot.arm.gravity}; describe a tilt as effects.arm.gravity_tilt')
     values = {'joints': list(robot.joints), 'motors': list(robot.motors),
               'arm.kind': robot.arm.kind, 'arm.gravity': -float(robot.arm.gravity[1]) + 0.0}
+    if robot.arm.axes != 'rotary':
+        values['arm.axes'] = robot.arm.axes
     for name in ('counts', 'noise', 'velocity_cutoff'):
         values[f'encoder.{name}'] = float(getattr(robot.encoder, name))
     for j, joint in enumerate(robot.joints):

@@ -9,6 +9,7 @@ from pathlib import Path
 from gms_flex_control.errors import ConfigError, ParameterError
 from gms_flex_control.files import read_yaml, write_text
 from gms_flex_control.schema import build
+from gms_flex_control.schema.bridge import limits_from_values
 from gms_flex_control.schema.values import known_keys
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
@@ -125,6 +126,29 @@ def load_robot(paths):
 
     """
     return _built(paths, build.robot_from_values)
+
+
+def load_limits(paths, joints):
+    """
+    Read the limits of joints from one or more parameter files, such as ``config/bridge.yaml``.
+
+    Parameters
+    ----------
+    paths : str, Path or sequence of them
+        Later ones win.
+    joints : sequence of str
+        Link names.
+
+    Returns
+    -------
+    Limits or None
+        None if nothing is limited.
+
+    """
+    def limits(values):
+        return limits_from_values({name: value for name, value in values.items()
+                                   if name.startswith('limits.')}, joints)
+    return _built(paths, limits)
 
 
 def load_controller(paths, robot):

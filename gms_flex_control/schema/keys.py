@@ -3,7 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Every parameter of every node: name, type, unit, range, default and what it means."""
 
-from gms_flex_control.params.arm import KINDS
+from gms_flex_control.params.arm import AXES, KINDS
 from gms_flex_control.params.gains import COMPENSATIONS
 from gms_flex_control.schema.bridge_keys import bridge_keys, PRIORITY, safety_keys
 from gms_flex_control.schema.key import Key, SMALLEST
@@ -59,6 +59,8 @@ def robot_keys(joints):
             default=()),
         Key('arm.kind', 'string', 'chain in a plane, or axes without effect on each other',
             default='planar', choices=KINDS),
+        Key('arm.axes', 'string', 'whether decoupled axes turn or slide', default='rotary',
+            choices=AXES),
         Key('arm.gravity', 'double', 'gravity along -y of the plane; 0 if it is horizontal',
             'm/s^2', 0.0),
         Key('encoder.counts', 'double', 'counts per revolution; 0 is ideal', '1', 0.0, 0.0),

@@ -5,6 +5,7 @@
 
 import xml.etree.ElementTree as ElementTree
 
+from gms_flex_control.hardware.limits import UNLIMITED
 import numpy as np
 
 BASE = 'base'
@@ -23,7 +24,7 @@ _WITH_MOTORS = """Link and motor of a flexible joint are joints of their own, as
 _WITHOUT_MOTORS = 'Motors and springs are left out; a joint stands for its link side.'
 
 
-def robot_urdf(robot, *, name='arm', motors=True):
+def robot_urdf(robot, *, name='arm', motors=True, limits=None, plugin=''):
     """
     Return a robot as URDF text.
 
@@ -35,11 +36,16 @@ def robot_urdf(robot, *, name='arm', motors=True):
         Of the robot.
     motors : bool
         Whether flexible joints get a joint of their own for the motor, beside the link's.
+    limits : Limits, optional
+        Of torque, velocity and range of each joint.
+    plugin : str
+        Hardware interface of a ``<ros2_control>`` block; '' for no block.
 
     Returns
     -------
     str
-        XML with one ``continuous`` joint per link and motor, about z, named as in the robot.
+        XML with one joint per link and motor, about z, named as in the robot: ``revolute`` where
+        its range is limited, else ``continuous``.
 
     """
     root = ElementTree.Element('robot', name=name)
@@ -56,6 +62,10 @@ def robot_urdf(robot, *, name='arm', motors=True):
         _add_link(root, robot, j, size)
         if motors and not robot.arm.rigid[j]:
             _add_motor(root, robot, j, size)
+    if limits is not None:
+        _limit(root, robot, limits)
+    if plugin:
+        _add_ros2_control(root, robot, name, motors, plugin)
     ElementTree.indent(root)
     return f'<?xml version="1.0"?>\n{ElementTree.tostring(root, encoding="unicode")}\n'
 
@@ -108,6 +118,34 @@ def _add_motor(root, robot, j, size):
     joint = _joint(root, motor, parent, f'{motor}_link', place, arm.offset[j])
     joint.append(ElementTree.Comment(
         f' spring to its link: {arm.stiffness[j]:g} N m/rad, {arm.damping[j]:g} N m s/rad '))
+
+
+def _limit(root, robot, limits):
+    """Limit all joints; a motor has no range of its own, its spring gives way."""
+    for joint in root.iter('joint'):
+        called = joint.get('name')
+        ranged = called in robot.joints
+        j = (robot.joints if ranged else robot.motors).index(called)
+        limit = {'effort': _text(limits.torque[j]), 'velocity': _text(limits.velocity[j])}
+        if ranged and max(-limits.lower[j], limits.upper[j]) < UNLIMITED:
+            joint.set('type', 'revolute')
+            limit |= {'lower': _text(limits.lower[j]), 'upper': _text(limits.upper[j])}
+        joint.insert(4, ElementTree.Element('limit', limit))
+
+
+def _add_ros2_control(root, robot, name, motors, plugin):
+    """Say which joints take efforts and what is measured of each, as ros2_control reads it."""
+    system = ElementTree.SubElement(root, 'ros2_control', name=name, type='system')
+    hardware = ElementTree.SubElement(system, 'hardware')
+    ElementTree.SubElement(hardware, 'plugin').text = plugin
+    driven = [motor if motors and motor else joint
+              for joint, motor in zip(robot.joints, robot.motors, strict=True)]
+    for called in dict.fromkeys([*robot.joints, *driven]):
+        joint = ElementTree.SubElement(system, 'joint', name=called)
+        if called in driven:
+            ElementTree.SubElement(joint, 'command_interface', name='effort')
+        for what in ('position', 'velocity', *(['effort'] if called in driven else [])):
+            ElementTree.SubElement(joint, 'state_interface', name=what)
 
 
 def _joint(root, name, parent, child, place, angle):

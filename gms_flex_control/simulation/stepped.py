@@ -6,7 +6,7 @@
 from gms_flex_control.compiled import compiled
 from gms_flex_control.control import cascade
 from gms_flex_control.effects import signals as sig
-from gms_flex_control.records import boxed
+from gms_flex_control.records import boxed, views
 from gms_flex_control.simulation import closed_loop, encoder, plant
 import numpy as np
 
@@ -60,9 +60,8 @@ class SteppedPlant:
         self._state = boxed(plant.init(robot, q_link))
         self._measured = boxed(encoder.init(robot.n_joints))
         self._noisy, self._rng = bool(robot.encoder.noise > 0), np.random.default_rng(seed)
-        self.state, self.measured = self._state[0], self._measured[0]
+        self.state, self.measured = self._state[0], views(self._measured[0])
         self.supply = self._work[0].signals[:, sig.SUPPLY]
-        # a field of a record takes Python a microsecond to look up
         self._normal, self._applied = self.measured.normal, self.state.applied
 
     @property
@@ -106,7 +105,7 @@ class SteppedController:
         self._model = model
         self._work = boxed(cascade.workspace(model.n_joints))
         self._measured = boxed(encoder.init(model.n_joints))
-        self.measured = self._measured[0]
+        self.measured = views(self._measured[0])
         self.use(gains)
         self.reset()
 
@@ -117,7 +116,7 @@ class SteppedController:
     def reset(self):
         """Forget the motion so far: observer and filters begin anew."""
         self._state = boxed(cascade.init(self._model))
-        self.state = self._state[0]
+        self.state = views(self._state[0])
         self._command = self.state.command
 
     def tick(self, reference, dt):

@@ -5,7 +5,7 @@
 
 from dataclasses import replace
 from functools import cache
-from math import factorial
+from math import factorial, perm
 
 from gms_flex_control.errors import TrajectoryError
 from gms_flex_control.trajectory.segments import COEFFICIENTS, DERIVATIVES, Trajectory
@@ -15,35 +15,40 @@ _ALREADY_THERE = 1e-8  # what rounding leaves of a state and its derivatives
 
 
 @cache
-def _hermite_inverse():
-    """Return the inverse of the conditions on value and derivatives 1 to 4 at x = 0 and 1."""
-    rows = np.zeros((2 * DERIVATIVES, COEFFICIENTS))
-    for k in range(DERIVATIVES):
+def _hermite_inverse(order):
+    """Return the inverse of the conditions on the first ``order`` rows at x = 0 and 1."""
+    rows = np.zeros((2 * order, 2 * order))
+    for k in range(order):
         rows[k, k] = factorial(k)
-        for power in range(k, COEFFICIENTS):
-            rows[DERIVATIVES + k, power] = factorial(power) / factorial(power - k)
+        rows[order + k] = _derivative_at_one(k, 2 * order)
     return np.linalg.inv(rows)
+
+
+def _derivative_at_one(k, count):
+    """Return what each of ``count`` powers of x adds to derivative k at x = 1."""
+    return np.array([perm(power, k) for power in range(count)], dtype=float)
 
 
 def hermite(begin, end, duration):
     """
-    Return the polynomial of degree 9 between two states.
+    Return the polynomial between two states, of degree 9 for states of five rows.
 
     Parameters
     ----------
-    begin, end : ndarray, shape (5, n_joints)
-        Value and time derivatives 1 to 4 at both ends.
-    duration : float
+    begin, end : ndarray, shape (..., k, n_joints)
+        Value and time derivatives, 1 to 4 for k = 5, at both ends.
+    duration : float or ndarray, shape (...)
         Time between them [s].
 
     Returns
     -------
-    ndarray, shape (10, n_joints)
+    ndarray, shape (..., 2 k, n_joints)
         Coefficients in powers of t / duration.
 
     """
-    scales = duration ** np.arange(DERIVATIVES)[:, None]
-    return _hermite_inverse() @ np.vstack([begin * scales, end * scales])
+    order = begin.shape[-2]
+    scales = np.asarray(duration)[..., None, None] ** np.arange(order)[:, None]
+    return _hermite_inverse(order) @ np.concatenate([begin * scales, end * scales], axis=-2)
 
 
 def at_rest(q):
@@ -104,6 +109,46 @@ def via_points(points, move_time, hold_time):
         polys += [hermite(at_rest(begin), at_rest(end), move_time), constant(end)]
         time += move_time + hold_time
     return polynomials(starts, scales, polys, end=time)
+
+
+def through(times, states):
+    """
+    Return the motion through states, of which derivatives may be left open.
+
+    Parameters
+    ----------
+    times : ndarray, shape (m,)
+        Of the states, rising [s].
+    states : ndarray, shape (m, 5, n_joints)
+        Value and time derivatives 1 to 4; NaN where a derivative is open.
+
+    Returns
+    -------
+    Trajectory
+        Continuous in all derivatives to the fourth, holds the last value at its end.
+
+    Notes
+    -----
+    An open derivative k is the mean of those that the polynomials of degree 2 k - 1 before and
+    behind have there; at both ends it is zero. Values sampled from a polynomial of low degree
+    with some of its derivatives give that polynomial back between the ends.
+
+    """
+    times, states = np.asarray(times, dtype=float), np.array(states, dtype=float)
+    durations = np.diff(times)
+    if not (np.isfinite(durations) & (durations > 0.0)).all():
+        raise TrajectoryError(f'times must rise from point to point, got {times.tolist()}')
+    for k in range(1, DERIVATIVES):
+        polys = hermite(states[:-1, :k], states[1:, :k], durations)
+        rates = durations[:, None] ** -k
+        at_end = _derivative_at_one(k, 2 * k) @ polys * rates
+        at_begin = factorial(k) * polys[:, k] * rates
+        found = np.zeros_like(states[:, k])
+        found[1:-1] = (at_end[:-1] + at_begin[1:]) / 2.0
+        states[:, k] = np.where(np.isnan(states[:, k]), found, states[:, k])
+    polys = hermite(states[:-1], states[1:], durations)
+    return polynomials(times, [*durations, 1.0], [*polys, constant(states[-1, 0])],
+                       end=times[-1])
 
 
 def polynomial(amplitude, move_time, hold_time, repeats=1):

@@ -150,6 +150,7 @@ def sample_all(times, start, scale, poly, envelope, amplitude, omega, phase, out
                     out[i, k, j] += binomial[k, r] * shape[r] * wave[k - r]
 
 
+@compiled
 def extrapolate(reference, delay):
     """
     Return a sampled reference moved in time by its Taylor series.

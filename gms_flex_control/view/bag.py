@@ -11,7 +11,7 @@ from gms_flex_control.bags.reader import joint_names, read_recording
 from gms_flex_control.bags.source import BagWarning
 from gms_flex_control.errors import BagError
 from gms_flex_control.reports.series import decimate
-from gms_flex_control.view.columns import column_names, columns_of, present
+from gms_flex_control.view.columns import beside, column_names, columns_of, present
 from gms_flex_control.view.friction import blocks_along
 from gms_flex_control.view.scene import extent, scene_of, unknown_scene
 import numpy as np
@@ -21,7 +21,7 @@ LEVELS = 24          # of skipping every second sample once more
 _MOST_POINTS = 8000  # of one line in an answer
 
 
-def open_bag(path, robot=None, *, default=None, joints=None, motors=None):
+def open_bag(path, robot=None, *, default=None, joints=None, motors=None, others=()):
     """
     Read a bag for viewing.
 
@@ -35,6 +35,8 @@ def open_bag(path, robot=None, *, default=None, joints=None, motors=None):
         Taken instead if its joints have the names of the bag's; the page says so.
     joints, motors : sequence of str, optional
         As `read_recording`.
+    others : sequence of str or Path
+        Further bags with the same joints, drawn over the first.
 
     Returns
     -------
@@ -53,6 +55,7 @@ def open_bag(path, robot=None, *, default=None, joints=None, motors=None):
             joints = robot.joints
             motors = motors or [name if name in there else '' for name in robot.motors]
         recording = read_recording(path, joints, motors)
+        over = [read_recording(other, recording.joints, motors) for other in others]
     notes = [str(item.message) for item in caught if issubclass(item.category, BagWarning)]
     if robot is not None and robot.n_joints != recording.n_joints:
         raise BagError(f'{path}: has {recording.n_joints} joints '
@@ -73,8 +76,10 @@ def open_bag(path, robot=None, *, default=None, joints=None, motors=None):
     if not scene.known:
         notes.append('lengths and friction are not known: links drawn alike; --robot FILE '
                      'names the robot file')
+    if others:
+        notes.append(f'pale lines: {", ".join(Path(other).resolve().name for other in others)}')
     return BagView(recording, scene, torque, sticking, origin=origin, notes=notes,
-                   title=Path(path).resolve().name)
+                   title=Path(path).resolve().name, over=over)
 
 
 class BagView:
@@ -95,19 +100,26 @@ class BagView:
         What somebody who looks at it should know.
     title : str
         Of the page.
+    over : sequence of Recording
+        Others of the same joints, drawn over it.
 
     """
 
     live = False
 
     def __init__(self, recording, scene, torque=None, sticking=None, *, origin='observer',
-                 notes=(), title=''):
+                 notes=(), title='', over=()):
         self._columns = columns_of(recording, torque, sticking)
         self._time = self._columns['time']
         self._period = recording.period
         self._scene, self._notes, self._title = scene, list(notes), title
         blocks = next((values.shape[2] for values in (sticking, torque) if values is not None), 0)
         self._names = column_names(recording.n_joints, blocks)
+        self._over = len(over)
+        for number, other in enumerate(over, start=1):
+            columns = beside(other, self._time, number)
+            self._columns |= columns
+            self._names += columns
         found = present(self._columns)
         self._summary = {
             'signals': found, 'blocks': {'count': blocks, 'origin': origin if blocks else ''},
@@ -124,7 +136,7 @@ class BagView:
         return {'mode': 'bag', 'title': self._title, 'notes': self._notes,
                 'scene': self._scene.as_dict(), 'columns': self._names, 'begin': 0.0,
                 'end': float(self._time[-1]), 'period': self._period, 'chunk': CHUNK,
-                'controller': '', **self._summary}
+                'controller': '', 'over': self._over, **self._summary}
 
     def frames(self, level, chunk):
         """

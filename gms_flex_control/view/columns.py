@@ -62,6 +62,29 @@ def columns_of(recording, torque=None, sticking=None):
     return columns
 
 
+def beside(recording, time, number):
+    """
+    Return the columns of another recording of the same joints, to be drawn over the first.
+
+    Parameters
+    ----------
+    recording : Recording
+        Of n joints; its first sample is put at 0.
+    time : ndarray, shape (T,)
+        Of the first recording, from its first sample [s].
+    number : int
+        Of the recording, from 1.
+
+    Returns
+    -------
+    dict of str to ndarray, shape (T,)
+        ``<signal>.<joint>@<number>``, NaN where the recording has ended.
+
+    """
+    return {f'{name}@{number}': np.interp(time, recording.time, values, right=np.nan)
+            for name, values in columns_of(recording).items() if name != 'time'}
+
+
 def present(columns):
     """
     Return which signals have a number anywhere.

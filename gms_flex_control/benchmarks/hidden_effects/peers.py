@@ -15,7 +15,7 @@ import numpy as np
 
 FORWARD, SPARSE = 'forward R^2', 'sparse regression'
 NO_PYSINDY = ('sparse regression is skipped: pysindy is not installed; '
-              "pip install 'gms_flex_control[peers]'")
+              "pip install '.[peers]'")
 _LEAST_R2 = 0.01        # that a further effect must explain
 _MOST = 8
 _THRESHOLD, _RIDGE = 0.1, 0.05  # of coefficients of columns scaled to unit length

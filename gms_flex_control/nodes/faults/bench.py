@@ -27,7 +27,7 @@ DISCOVERY = 'ROS_AUTOMATIC_DISCOVERY_RANGE'
 COMMANDS, STATES, REFERENCE = '/effort_controller/commands', '/joint_states', '/reference'
 DIAGNOSTICS = '/diagnostics'
 _WAIT = 0.02  # at most between two looks at a condition [s]
-_LOOP = ('plant_node', 'controller_node', 'trajectory_node')
+_LOOP = ('plant_node', 'controller_node', 'trajectory_node', 'loop_node')
 _QUEUE = 10000
 
 

@@ -37,8 +37,9 @@ class Plot {
   constructor(spec, session, group) {
     this.spec = spec;
     this.group = group;
-    this.lines = spec.lines.flatMap((line) => session.scene.joints.map((name, j) => ({
-      ...line, joint: j, column: `${line.signal}.${j}`, name})))
+    const bags = ['', ...Array.from({length: session.over || 0}, (_, k) => `@${k + 1}`)];
+    this.lines = spec.lines.flatMap((line) => session.scene.joints.flatMap((name, j) => bags.map(
+      (bag) => ({...line, joint: j, column: `${line.signal}.${j}${bag}`, name, pale: bag !== ''}))))
       .filter((line) => group.source.has(line.signal)
         && !(line.signal === 'twist' && session.scene.rigid[line.joint]));
     this.values = element('div', {class: 'values'});
@@ -49,7 +50,7 @@ class Plot {
         `[${spec.unit}]`)), this.values), this.box);
     this.cells = new Map();
     for (const line of spec.lines) {
-      const mine = this.lines.filter((one) => one.signal === line.signal);
+      const mine = this.lines.filter((one) => one.signal === line.signal && !one.pale);
       if (!mine.length) continue;
       const numbers = mine.map((one) => {
         const cell = element('output', {style: `--joint: var(${colour(one.joint)})`}, '–');
@@ -82,7 +83,7 @@ class Plot {
         key: 'time', scales: ['x', null]}},
       series: [{}, ...this.lines.map((line) => ({
         stroke: css(colour(line.joint)), width: line.dashed ? 1.3 : 1.6,
-        dash: line.dashed ? [5, 4] : undefined, points: {show: false},
+        dash: line.dashed ? [5, 4] : undefined, points: {show: false}, alpha: line.pale ? 0.4 : 1,
         show: this.group.shown[line.joint]}))],
     }, [[0, 1], ...this.lines.map(() => [null, null])], this.box);
     this.plot.over.append(this.playhead);

@@ -1,0 +1,169 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""What a target can express of a robot, and the refusal of what it cannot, by name."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+
+from gms_flex_control.effects import registry
+from gms_flex_control.effects.table import with_changes
+from gms_flex_control.errors import ConfigError
+from gms_flex_control.params.robot import RobotParams
+from gms_flex_control.suggest import did_you_mean
+import numpy as np
+
+# parts of the model that are no effects of the catalogue, and what is exported instead
+PARTS = {
+    'stribeck': 'Coulomb friction at every speed',
+    'stribeck_direction': 'the mean of what both directions add to Coulomb friction',
+    'attraction': 'friction that follows its Stribeck curve at once',
+    'direction': 'the mean friction of both directions of motion',
+    'presliding': 'dry friction without the stiffness of its blocks',
+    'spring': 'rigid joints',
+    'motor_inertia': 'the inertia of links alone',
+    'gravity': 'a horizontal plane',
+}
+_AT_ONCE = 1e6  # attraction of friction that follows its Stribeck curve [N m/s]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Target:
+    """
+    A program that reads robots.
+
+    Parameters
+    ----------
+    title : str
+        For messages.
+    write : callable
+        Returns the text of a RobotParams whose effects are among ``effects``, with the names
+        that were left out as second argument.
+    parts : tuple of str
+        Which of `PARTS` it cannot express.
+    effects : tuple of str
+        Catalogue names that it can express, beside those that change parameters.
+    also_lacks : callable, optional
+        Yields further (name, where) of a RobotParams that it cannot express.
+
+    """
+
+    title: str
+    write: Callable
+    parts: tuple
+    effects: tuple
+    also_lacks: Callable = lambda _robot: ()
+
+
+def export(robot: RobotParams, target: Target, without: Iterable[str] = ()) -> str:
+    """
+    Return a robot as text for a target.
+
+    Parameters
+    ----------
+    robot : RobotParams
+        With any effects.
+    target : Target
+        Who reads it.
+    without : iterable of str
+        Parts of the model (`PARTS`) and effects to leave out.
+
+    Returns
+    -------
+    str
+
+    Raises
+    ------
+    ConfigError
+        If a name in ``without`` is unknown, or the target cannot express something that is not
+        left out.
+
+    """
+    without = tuple(without)
+    for name in without:
+        known = (*PARTS, *registry.names())
+        if name not in known:
+            raise ConfigError(f'--without {name}: no such part or effect'
+                              f'{did_you_mean(name, known)}')
+    robot = replace(robot, effects=tuple(s for s in robot.effects if s.name not in without))
+    robot = simplified(with_changes(robot), without)
+    lacking = {}
+    for name, where in _lacks(robot, target):
+        if name not in without:
+            lacking.setdefault(name, []).append(where)
+    if lacking:
+        told = ', '.join(f'{name} of {" and ".join(dict.fromkeys(places))}'
+                         for name, places in lacking.items())
+        names = ' '.join(dict.fromkeys((*without, *lacking)))
+        instead = ', '.join(PARTS[name] for name in lacking if name in PARTS)
+        raise ConfigError(f'{target.title} cannot express {told}; add --without {names}'
+                          f'{f" to export {instead} instead" if instead else ""}')
+    return target.write(robot, without)
+
+
+def simplified(robot: RobotParams, without: Iterable[str]) -> RobotParams:
+    """Return a robot without the parts of its friction that are named in ``without``."""
+    friction = robot.friction
+    sides = friction.forward, friction.backward
+    if 'stribeck_direction' in without:
+        excess = _mean(sides, _excess)
+        velocity = _mean(sides, lambda side: side.velocity)
+        sides = [replace(side, static=side.coulomb + excess, velocity=velocity)
+                 for side in sides]
+    if 'direction' in without:
+        sides = 2 * [replace(sides[0], **{
+            name: _mean(sides, lambda side, name=name: getattr(side, name))
+            for name in ('static', 'coulomb', 'velocity', 'viscous')})]
+    if 'stribeck' in without:
+        sides = [replace(side, static=side.coulomb) for side in sides]
+    friction = replace(friction, forward=sides[0], backward=sides[1])
+    if 'attraction' in without:
+        friction = replace(friction, attraction=np.full(robot.n_joints, _AT_ONCE))
+    return replace(robot, friction=friction)
+
+
+def _mean(sides, value):
+    return 0.5 * (value(sides[0]) + value(sides[1]))
+
+
+def _lacks(robot, target):
+    """Yield (name, where) of what a target cannot express of a robot, parts first."""
+    for part in target.parts:
+        for joint, there in zip(robot.joints, _HAS[part](robot), strict=True):
+            if there:
+                yield part, joint
+    yield from target.also_lacks(robot)
+    for spec in robot.effects:
+        if spec.name not in target.effects:
+            yield spec.name, spec.joint
+
+
+def _differ(robot, values):
+    """Return on which joints one of ``values`` of a side differs by direction."""
+    sides = robot.friction.forward, robot.friction.backward
+    return np.any([~np.isclose(*(value(side) for side in sides), rtol=1e-9)
+                   for value in values], axis=0)
+
+
+def _excess(side):
+    return side.static - side.coulomb
+
+
+def _has_stribeck(robot):
+    return np.any([_excess(side) > 0.0 for side in (
+        robot.friction.forward, robot.friction.backward)], axis=0)
+
+
+# which joints of a robot have a part, (n_joints,) bool
+_HAS = {
+    'stribeck': _has_stribeck,
+    'stribeck_direction': lambda robot: _has_stribeck(robot) & _differ(
+        robot, (_excess, lambda side: side.velocity)),
+    'attraction': lambda robot: _has_stribeck(robot) & (robot.friction.attraction < _AT_ONCE),
+    'presliding': lambda robot: np.ones(robot.n_joints, dtype=bool),
+    'direction': lambda robot: _differ(robot, (
+        _excess, lambda side: side.coulomb, lambda side: side.viscous)),
+    'spring': lambda robot: ~robot.arm.rigid,
+    'motor_inertia': lambda robot: robot.arm.motor_inertia > 0.0,
+    'gravity': lambda robot: np.full(robot.n_joints, bool(np.any(robot.arm.gravity))),
+}

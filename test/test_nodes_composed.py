@@ -1,0 +1,170 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Plant or bridge, controller and trajectory in one process: as three, and to the last bit."""
+
+from bridge_lab import ask, bridge_lab, move
+from gms_flex_control.bags.reader import read_recording
+from gms_flex_control.experiment.driven import TOPICS
+from gms_flex_control.experiment.plan import read_plan
+from gms_flex_control.experiment.processes import executable
+from gms_flex_control.experiment.simulated import simulate_to_bag
+from gms_flex_control.nodes import messages
+from gms_flex_control.nodes.serialized import Deserialized, Serialized
+from node_harness import (
+    array_message,
+    COMMANDS,
+    CONFIG,
+    FILES,
+    Float64MultiArray,
+    JointState,
+    Lab,
+    REFERENCE,
+    stamp_of,
+    STATES,
+    TERM,
+    traceback_free,
+    Trigger,
+)
+import numpy as np
+import pytest
+from rclpy.serialization import deserialize_message, serialize_message
+from test_nodes_lockstep import assert_equal
+from test_nodes_loop import (  # noqa: F401  they hold here as well
+    listen,
+    RATE,
+    test_a_gain_changes_and_a_whole_number_is_taken_for_a_double,
+    test_a_group_is_taken_whole_or_not_at_all,
+    test_compensation_changes_while_it_moves,
+    test_controller_publishes_error_estimate_and_blocks,
+    test_effort_of_a_motor_is_the_torque_applied_in_the_sample_before,
+    test_joint_states_name_links_then_motors,
+    test_reference_and_command_carry_layout_stamp_and_source,
+)
+
+# other processes of the machine can delay real nodes beyond any bound
+pytestmark = pytest.mark.flaky(reruns=2)
+MOTION = [*FILES, CONFIG / 'sinusoid.yaml']
+
+
+def test_lockstep_in_one_process_is_the_simulation_to_the_last_bit(tmp_path):
+    with Lab(tmp_path) as lab:
+        recorder = lab.run([*executable('gms_flex'), 'record', '--topics', *TOPICS, '--out',
+                            str(tmp_path / 'driven')], 'recorder')
+        loop = lab.start('loop_node', files=MOTION, trajectory__autostart=True, mode='lockstep',
+                         rate=500.0, duration=3.0, wait_for_subscribers=3)
+        assert loop.wait() == 0
+        assert recorder.signal(TERM) == 0
+        assert traceback_free(loop, recorder)
+    plan = read_plan(MOTION, duration=3.0, overrides={'compensation': 'gms', 'rate': 500.0})
+    simulate_to_bag(plan, tmp_path / 'simulated')
+    driven, simulated = (read_recording(tmp_path / name, plan.robot.joints, plan.robot.motors)
+                         for name in ('driven', 'simulated'))
+    assert len(driven.time) == 1500 and np.ptp(driven.q_link[:, 0]) > 0.3  # it moved
+    assert_equal(driven, simulated)
+
+
+@pytest.fixture(scope='module')
+def loop(tmp_path_factory):
+    """Run the loop in one process, moving along the sinusoid; yield a Lab as test_nodes_loop."""
+    with Lab(tmp_path_factory.mktemp('loop')) as lab:
+        lab.controller = lab.trajectory = lab.plant = lab.start(
+            'loop_node', files=MOTION, rate=RATE, trajectory__autostart=True, silence_timeout=1.0)
+        listen(lab)
+        yield lab
+        assert lab.plant.signal(TERM) == 0
+        lab.until(lambda: not any(lab.commands[-1].data))
+        assert traceback_free(lab.plant)
+
+
+def test_each_state_is_answered_once_and_nothing_is_heard_twice(loop):
+    loop.more(loop.states, 100)
+    stamps = [stamp_of(command) for command in loop.commands
+              if any(command.data)]  # zero is sent again where the whole process stood still
+    assert len(set(stamps)) == len(stamps) > 100
+    assert 'at once' not in loop.plant.printed()  # two controllers, or two trajectories
+
+
+def test_names_topics_and_services_are_those_of_three_nodes(loop):
+    names = {'plant', '_plant_safety', 'cascade_controller', 'trajectory'}
+    assert names <= set(loop.node.get_node_names())
+    for name, topics in {
+            'plant': {STATES}, 'trajectory': {REFERENCE},
+            'cascade_controller': {COMMANDS, *(f'/cascade_controller/{what}' for what in (
+                'state', 'blocks', 'sticking'))}}.items():
+        assert topics <= {topic for topic, _ in
+                          loop.node.get_publisher_names_and_types_by_node(name, '/')}
+    for name, topics in {'plant': {COMMANDS}, 'trajectory': {STATES},
+                         'cascade_controller': {STATES, REFERENCE}}.items():
+        assert topics <= {topic for topic, _ in
+                          loop.node.get_subscriber_names_and_types_by_node(name, '/')}
+
+
+def test_services_act_on_the_motion(loop):
+    assert loop.call(Trigger, '/trajectory/stop').success
+    loop.until(lambda: not any(loop.references[-1].data[2:]))
+    assert loop.call(Trigger, '/trajectory/start').success
+    loop.until(lambda: any(loop.references[-1].data[2:]))
+
+
+def test_another_controller_is_noticed(loop):
+    """Commands of other processes come by DDS as before."""
+    other = loop.speak(Float64MultiArray, COMMANDS)
+
+    def told():
+        other.publish(array_message([0.0, 0.0], f'stamp:{stamp_of(loop.states[-1])}',
+                                    'source:/other'))
+        return '2 controllers command at once' in loop.plant.printed()
+    loop.until(told)
+    loop.until(lambda: any(loop.states[-1].effort[2:]))  # one is left: torque flows again
+
+
+def test_a_bridge_in_one_process_moves_a_robot_and_leaves_zero(tmp_path):
+    with bridge_lab(tmp_path, composed=True) as lab:
+        move(lab)
+        assert ask(lab, 'emergency_stop').success
+        lab.until(lambda: not any(lab.efforts.last))
+        move(lab)
+        assert lab.plant.signal(TERM) == 0
+        lab.until(lambda: not any(lab.efforts.last))
+        assert traceback_free(lab.plant)
+
+
+def test_a_profile_that_lets_nodes_hear_their_own_process_is_refused(tmp_path):
+    profile = tmp_path / 'profile.xml'
+    profile.write_text('<dds/>')
+    with Lab(tmp_path) as lab:
+        lab.environment['FASTRTPS_DEFAULT_PROFILES_FILE'] = str(profile)
+        loop = lab.start('loop_node', files=MOTION)
+        assert loop.wait() == 2
+        assert 'loop_node needs the property fastdds.ignore_local_endpoints' in loop.printed()
+
+
+def test_a_reused_message_is_serialized_as_it_is_each_time():
+    state = JointState(name=['a', 'b'], position=[1.0, 2.0], velocity=[3.0, 4.0],
+                       effort=[5.0, 6.0])
+    reference = messages.ReferenceWriter(2, '/somebody')
+    reference.write(np.zeros((5, 2)), 'motion', 0)
+    serialized = Serialized(state), Serialized(reference.message)
+    for stamp, rows, quantity in ((0, 5, 'motion'), (1_700_000_000_123_456_789, 5, 'motion'),
+                                  (12_000_000_007, 1, messages.EFFORT)):
+        messages.set_stamp(state.header.stamp, stamp)
+        state.position = messages.array('d', [stamp / 3.0, -0.0])
+        state.effort = messages.array('d', [float('inf'), float(rows)])
+        reference.write(np.arange(2.0 * rows).reshape(rows, 2) - stamp, quantity, stamp)
+        for one, message in zip(serialized, (state, reference.message), strict=True):
+            assert deserialize_message(one.data(), type(message)) == message
+
+
+def test_joint_states_are_read_as_they_are_whatever_came_before():
+    read = Deserialized().message
+    for names, position, velocity, effort in (
+            ('ab', [1.0, 2.0], [3.0, 4.0], [5.0, 6.0]),
+            ('ab', [-0.0, 1e300], [3.0, 4.5], [7.0, 6.0]),
+            ('xb', [1.0, 2.0], [3.0, 4.0], [5.0, 6.0]), ('ab', [1.0, 2.0], [3.0, 4.0], []),
+            ('ab', [1.0, 2.0], [3.0], [5.0, 6.0, 7.0]), ('ab', [], [], []), ('', [], [], []),
+            ('ab', [1.0, 2.0], [3.0, 4.0], [5.0, 6.0])):
+        message = JointState(name=list(names), position=position, velocity=velocity, effort=effort)
+        for stamp in (0, 1_700_000_000_123_456_789):
+            messages.set_stamp(message.header.stamp, stamp)
+            assert read(serialize_message(message)) == message
