@@ -105,7 +105,7 @@ def test_a_signal_at_any_moment_of_the_start_prints_no_traceback(tmp_path):
     """Also while modules are imported, and where a callback of a library swallows it."""
     with Lab(tmp_path) as lab:
         for k in range(9):
-            node = lab.start(f'{NODES[k % 3]}.{k}')
+            node = lab.start(f'{[*NODES, "loop_node"][k % 4]}.{k}')
             lab.until(lambda node=node: imports(node.process.pid))
             time.sleep(0.05 * k)
             assert node.signal(INT) == 0, node.printed()
@@ -127,7 +127,7 @@ def test_the_first_start_says_why_it_takes_long_and_can_be_ended(tmp_path):
         assert plant.signal(INT) == 0 and 'Traceback' not in plant.printed()
 
 
-@pytest.mark.parametrize('name', [*NODES, 'identification_node'])
+@pytest.mark.parametrize('name', [*NODES, 'loop_node', 'identification_node'])
 def test_help_says_what_a_node_is_and_how_it_is_started(tmp_path, name):
     with Lab(tmp_path) as lab:
         node = lab.run([*executable(name), '--help'], name)

@@ -358,7 +358,7 @@ def _text_of(file):
 
 def main(args=None):
     """Run the identification node; return its exit code."""
-    return process.run_node(IdentificationNode, args)
+    return process.run_node(IdentificationNode, args, hears_itself=True)  # its bag has ~/phase
 
 
 if __name__ == '__main__':

@@ -129,7 +129,7 @@ class Spinner:
             self.spin_for()
 
 
-def run_node(make_node, args=None):
+def run_node(make_node, args=None, *, hears_itself=False):
     """
     Run one node, or several as one, until SIGINT or SIGTERM.
 
@@ -140,6 +140,8 @@ def run_node(make_node, args=None):
         false, and ``finish()``, which publishes what must be last. Several have ``nodes``.
     args : list of str, optional
         Command line; default ``sys.argv``.
+    hears_itself : bool
+        Whether it subscribes to what it publishes itself.
 
     Returns
     -------
@@ -149,7 +151,7 @@ def run_node(make_node, args=None):
     """
     sys.setswitchinterval(5e-4)  # a busy thread may delay the loop by this, not by 5 ms
     shorten_slices()
-    avoid_shared_memory()
+    avoid_shared_memory(hears_itself)
     spinner, node = Spinner(), None
     end_with_launch()
     try:

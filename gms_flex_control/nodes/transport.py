@@ -5,7 +5,7 @@
 What our processes ask of Fast DDS.
 
 Sockets instead of shared memory, so that a frozen process holds up no other; and nothing of what
-a process publishes itself, which reaches its own nodes directly.
+a process publishes itself, which reaches its own nodes directly, unless the process asks for it.
 """
 
 import os
@@ -18,11 +18,12 @@ RANGE = 'ROS_AUTOMATIC_DISCOVERY_RANGE'
 _BUILT_IN = 'FASTDDS_BUILTIN_TRANSPORTS'
 _PROFILES = ('FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE')
 _LOCAL = Path(__file__).with_name('local_sockets.xml')
+_LOCAL_HEARD = Path(__file__).with_name('local_sockets_heard.xml')
 _ANYWHERE = Path(__file__).with_name('sockets.xml')
 _IGNORE_OWN = 'fastdds.ignore_local_endpoints'
 
 
-def avoid_shared_memory():
+def avoid_shared_memory(hears_itself=False):
     """
     Let the nodes of this process reach others by UDP only; call it before rclpy.init.
 
@@ -33,11 +34,18 @@ def avoid_shared_memory():
     For the range LOCALHOST rmw_fastrtps adds shared memory whatever Fast DDS is told; there the
     same discovery is described in a profile instead. Other middleware, an environment that names
     profiles, and transports that it names, stay as they are.
+
+    Parameters
+    ----------
+    hears_itself : bool
+        Whether this process subscribes to what it publishes itself, through DDS.
+
     """
     environment = os.environ
     if not _is_fast_dds() or any(name in environment for name in _PROFILES):
         return
-    environment[_PROFILES[0]] = str(_ANYWHERE)
+    if not hears_itself:
+        environment[_PROFILES[0]] = str(_ANYWHERE)
     if _BUILT_IN in environment:
         return
     environment[_BUILT_IN] = 'UDPv4'
@@ -46,7 +54,7 @@ def avoid_shared_memory():
             'ROS_STATIC_PEERS'):
         environment.pop('ROS_LOCALHOST_ONLY', None)
         environment[RANGE] = 'SYSTEM_DEFAULT'
-        environment[_PROFILES[0]] = str(_LOCAL)
+        environment[_PROFILES[0]] = str(_LOCAL_HEARD if hears_itself else _LOCAL)
 
 
 def refuse_own_messages():
