@@ -156,6 +156,6 @@ def test_a_scheduler_that_is_not_there_is_told(monkeypatch):
 
 def test_without_dask_the_way_out_is_told(monkeypatch):
     monkeypatch.setitem(sys.modules, 'distributed', None)
-    with pytest.raises(BatchError, match=r"pip install 'gms_flex_control\[dask\]'"):
+    with pytest.raises(BatchError, match=r"pip install '\.\[dask\]'"):
         with open_executor(scheduler='tcp://127.0.0.1:8786'):
             pass
