@@ -119,6 +119,7 @@ def test_another_controller_is_noticed(loop):
     loop.until(lambda: any(loop.states[-1].effort[2:]))  # one is left: torque flows again
 
 
+@pytest.mark.flaky(reruns=5)  # a machine that stands still for 30 ms stops the torque
 def test_a_bridge_in_one_process_moves_a_robot_and_leaves_zero(tmp_path):
     with bridge_lab(tmp_path, composed=True) as lab:
         move(lab)
