@@ -134,6 +134,16 @@ def torques_along(states, friction, command, time, period, constants, state, wor
 
 
 @compiled
+def spring_torques(states, command, time, period, constants, state, work, spring):
+    """Write the torques (T, n) of springs along a motion; arguments as of `torques_along`."""
+    for k in range(command.shape[0]):
+        plant.take_place(k, states, command[k], time[k], state, work)
+        plant.springs(state, period, constants, work)
+        for j in range(command.shape[1]):
+            spring[k, j] = work.signals[j, sig.SPRING]
+
+
+@compiled
 def sensor_errors(states, friction, command, time, period, constants, state, work, link, motor):
     """
     Write by how much the encoders of a model read too high along a motion, (T, n) each [rad].

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from gms_flex_control.discrepancy.describe import evidence_of
 from gms_flex_control.discrepancy.dictionary import may_join
-from gms_flex_control.discrepancy.evidence import posterior, state_of
+from gms_flex_control.discrepancy.evidence import posterior, State, state_of
 from gms_flex_control.discrepancy.fitting import (
     fit,
     is_at_limit,
@@ -41,8 +41,8 @@ from gms_flex_control.discrepancy.validation import (
     energy_of,
     Gain,
     gain_of,
+    held_out_torque,
     prediction_cost,
-    torque_rms,
 )
 from gms_flex_control.effects.registry import find
 from gms_flex_control.identification.result import CONFIDENT
@@ -337,7 +337,7 @@ def _tried_without(likelihood, found, spec):
     return (state for state in found.tried if (spec.name, spec.joint) not in state.key(known))
 
 
-def findings_of(likelihood, found, worths, measured):
+def findings_of(likelihood, found, worths, holdout=None):
     """
     Return a Finding for each Worth.
 
@@ -349,18 +349,20 @@ def findings_of(likelihood, found, worths, measured):
         The search's end.
     worths : list of Worth
         Its effects.
-    measured : Likelihood
-        Of the recordings on which residuals are told.
+    holdout : Likelihood, optional
+        Of other recordings; default the blocks of time that are left out in turn.
 
     Returns
     -------
     list of Finding
+        Those that matter, ``main``, make held-out residual torque less by what matters in practice.
 
     """
     known = len(likelihood.robot.effects)
     models = posterior(found.tried, known)
     whole = max(found.before.model.cost - found.best.model.cost, 1e-12)
-    after, out = torque_rms(measured, found.best.model), []
+    limit = np.maximum(PLAUSIBLE, np.abs(found.best.model.x) / likelihood.sd)
+    after, out = held_out_torque(likelihood, found.best, holdout), []
     for one in worths:
         spec = found.best.model.robot.effects[one.index]
         key = spec.name, spec.joint
@@ -369,7 +371,7 @@ def findings_of(likelihood, found, worths, measured):
         kind = find(spec.name)
         alike |= {name for name, _, share in others
                   if name in kind.confusable and share > kind.declared_from}
-        before = torque_rms(measured, one.less)
+        before = held_out_torque(likelihood, State(one.less, one.others, -np.inf), holdout, limit)
         better = np.sqrt(np.maximum(before ** 2 - after ** 2, 0.0)) / likelihood.coulomb
         out.append(Finding(
             effect=spec.name, joint=spec.joint, values=_values(likelihood, found, one.index),

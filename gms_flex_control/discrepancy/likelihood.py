@@ -232,6 +232,7 @@ class Likelihood:
         self.block, self.blocks = np.concatenate(blocks)[self._used], first_block
         self.channel = np.concatenate(channels)[self._used]
         self.part = np.concatenate(parts)[self._used]  # the octave, the highest first
+        self.recording = np.repeat(np.arange(len(used)), [len(one) for one in used])[self._used]
         self.count = np.bincount(self.group).astype(float)
         self._least = np.maximum(self.count - _LOW * np.sqrt(2.0 * self.count), 0.0)
         self.by_group = np.argsort(self.group, kind='stable')  # rows, group after group

@@ -27,6 +27,7 @@ import numpy as np
 ACTUATOR, SENSOR = int(Stage.ACTUATOR), int(Stage.SENSOR)
 _CORRECTIONS = 4      # of an unseen link's angle, where a spring is not linear
 _CLEARINGS = 3        # of a motion from errors of its encoders
+_OF_SLOPE = 2000      # moments that tell the slope of a spring
 _TOLD = 1e-3          # of the largest shift: with less, no stiffness is told by it
 _STIFFEST = 6.0       # times a spring's stiffness, at most
 _OF_BODIES = ('orientation', 'offset', 'moment', 'coupling', 'rigid_inertia', 'gravity')
@@ -65,6 +66,23 @@ def unexplained(motion, constants):
         both[0, :, link.joint] += both[1, :, link.joint]
         both[1, :, link.joint] = 0.0
     return np.concatenate(both, axis=1)
+
+
+def stiffness_along(motion, constants):
+    """
+    Return by how much spring torques change with the torsion along a motion, (n,) [N m/rad].
+
+    The slope of the regression line over some moments: that of a linear spring is its stiffness.
+    """
+    every = max(len(motion.time) // _OF_SLOPE, 1)
+    states, drive, time = (np.ascontiguousarray(one[::every]) for one in (
+        motion.states, motion.drive, motion.time))
+    torque = np.empty_like(drive)
+    equations.spring_torques(states, drive, time, motion.period * every, constants,
+                             fresh_state(constants), plant.workspace(len(motion.joints)), torque)
+    torsion = states[:, 3] - states[:, 0]
+    torsion = torsion - torsion.mean(axis=0)
+    return np.sum(torque * torsion, axis=0) / np.maximum(np.sum(torsion ** 2, axis=0), 1e-300)
 
 
 def motion_as_modelled(motion, constants, work, drive):

@@ -82,7 +82,7 @@ def search(likelihood, *, most=MOST, excluded=(), begin=None, say=lambda text: N
     """
     hunt = _Search(likelihood, excluded, begin, say)
     if begin is not None:
-        hunt.take(begin.best.model)
+        hunt.take_up(begin)
     improved = None
     for _ in range(_ROUNDS):
         before = hunt.best.evidence
@@ -142,6 +142,17 @@ class _Search:
     def take(self, model):
         """Go on with a model, its effects fitted together."""
         self.best = self._tried(*refitted(self._likelihood, model, self.nuisances))
+
+    def take_up(self, begin):
+        """Go on with the likeliest of the sets that another search found likeliest."""
+        self.take(begin.best.model)
+        rest = sorted((state for state in begin.tried
+                       if state.key(self._known) != begin.best.key(self._known)),
+                      key=lambda state: -state.evidence)[:_BEAM]
+        for state in rest:
+            best = self.best
+            self.take(state.model)
+            self.best = max(best, self.best, key=lambda one: one.evidence)
 
     def grow(self, most):
         """Add effects to the best sets while the evidence grows."""

@@ -184,6 +184,16 @@ def energy_of(likelihood, state, holdout=None):
     return float(np.sum((torque / likelihood.coulomb) ** 2) * free)
 
 
+def held_out_torque(likelihood, state, holdout=None, plausible=np.inf):
+    """
+    Return the residual torque of each joint in motion on held-out data, rms (n,) [N m].
+
+    Arguments as of `gap_of`; nuisance parameters of folds may go ``plausible`` standard
+    deviations.
+    """
+    return _torque(holdout or likelihood, _parts(likelihood, state, holdout, plausible))[0]
+
+
 def torque_rms(likelihood, model):
     """Return the residual torque of each joint in motion, rms (n,) [N m], of a Fitted."""
     return _torque(likelihood, _whole(likelihood, model))[0]

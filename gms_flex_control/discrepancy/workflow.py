@@ -131,10 +131,13 @@ def _compared(motions, holdout, robot, options, say):
     measured = (Likelihood(holdout, robot, options.seed, options.doubt, held_out=True)
                 if holdout else None)
     found, worths = predictive(likelihood, found, worths, measured)
-    findings = findings_of(likelihood, found, worths, measured or likelihood)
+    findings = findings_of(likelihood, found, worths, measured)
     gap, withheld = gap_of(likelihood, found.before, found.best, measured), None
     left = _left_over(likelihood, found.best.model, free, gap, measured)
-    if left is not None and (gap.energy_ratio >= 1.0 or not any(one.main for one in findings)):
+    if left is not None and (
+            not any(one.main for one in findings)
+            or CLEARLY * energy_of(likelihood, found.best, measured)
+            > energy_of(likelihood, found.before, measured)):
         findings = []  # what is unexplained is larger: effects only resemble some of it
     main = tuple(one for one in findings if one.main)
     named = {(one.effect, one.joint) for one in findings}
