@@ -11,7 +11,7 @@ before anything was measured.
 
 from typing import NamedTuple
 
-from gms_flex_control.discrepancy.fitting import numbers_of, prior_cost, prior_of
+from gms_flex_control.discrepancy.fitting import numbers_of, prior_cost, prior_of, telling
 from gms_flex_control.discrepancy.likelihood import Fitted
 from gms_flex_control.discrepancy.residuals import stiffness_along
 from gms_flex_control.discrepancy.thresholds import CREDIBLE
@@ -55,13 +55,14 @@ def state_of(likelihood, model, columns, hypotheses):
     numbers = numbers_of(likelihood, model.robot)
     precision, _, free = prior_of(likelihood, model.robot, numbers)
     weight = likelihood.weights(model.sums.groups)
-    scaled = columns[free] / np.sqrt(precision[free])[:, None]
+    scaled = telling(likelihood, model, columns)[free] / np.sqrt(precision[free])[:, None]
     gram = (scaled * weight) @ scaled.T
     _, occam = np.linalg.slogdet(np.eye(len(gram)) + gram)
     added = len(model.robot.effects) - len(likelihood.robot.effects)
     exact = likelihood.sums(model.rows, model.robot, model.x, exact=True)
     evidence = (-exact.cost - prior_cost(likelihood, model) - occam
-                + 2.0 * log_determinant(likelihood, model) - 2.0 * added * np.log(max(hypotheses, 2)))
+                + 2.0 * log_determinant(likelihood, model)
+                - 2.0 * added * np.log(max(hypotheses, 2)))
     return State(model, columns, float(evidence) if np.isfinite(evidence) else -np.inf)
 
 

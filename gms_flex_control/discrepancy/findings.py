@@ -20,6 +20,7 @@ from gms_flex_control.discrepancy.fitting import (
     numbers_of,
     prior_of,
     refitted,
+    telling,
     without,
 )
 from gms_flex_control.discrepancy.free_functions import FreeFunctions
@@ -114,7 +115,7 @@ def _beside(likelihood, model, less, others, change):
     precision, centred, _ = prior_of(likelihood, less.robot, numbers)
     kept = np.ones(len(others), dtype=bool)
     kept[:len(model.x)] = likelihood.resting(less.robot) | ~likelihood.resting(model.robot)
-    used = others[kept]
+    used = telling(likelihood, less, others)[kept]
     gram = (used * weight) @ used.T + np.diag((precision * centred)[kept])
     slope = used @ (weight * change)
     own = float(change @ (weight * change))
@@ -355,7 +356,7 @@ def findings_of(likelihood, found, worths, holdout=None):
     Returns
     -------
     list of Finding
-        Those that matter, ``main``, make held-out residual torque less by what matters in practice.
+        Those that matter, ``main``, lessen held-out residual torque by what matters in practice.
 
     """
     known = len(likelihood.robot.effects)
@@ -406,7 +407,7 @@ def _values(likelihood, found, index):
     numbers, weight = numbers_of(likelihood, model.robot), likelihood.weights(model.sums.groups)
     precision, _, free = prior_of(likelihood, model.robot, numbers)
     scale = 1.0 / np.sqrt(precision[free])
-    used = columns[free] * scale[:, None]
+    used = telling(likelihood, model, columns)[free] * scale[:, None]
     inverse = np.linalg.pinv((used * weight) @ used.T + np.eye(len(used)), hermitian=True)
     scatter = inverse @ (used * weight) @ likelihood.clean.T
     variance = np.zeros(len(free))

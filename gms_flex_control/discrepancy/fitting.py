@@ -21,6 +21,7 @@ _REACH, _ANGLE_REACH = 60.0, 25.0  # largest change at once, in steps
 _SHRINK = (1.0, 0.3, 0.1)     # of a step that does not help
 _ENOUGH = 0.05                # decrease of the cost below which a fit has ended
 _PHASE_SD = np.pi / np.sqrt(3.0)  # of a phase that nothing is known of
+_LEAST_TOLD = 0.3             # of the squares of a derivative, beside encoder noise
 _RETUNED = 3                  # times at most that derivatives are taken anew
 _AT_LIMIT = 0.01              # relative distance from a limit of the search
 
@@ -155,16 +156,14 @@ def is_at_limit(spec, robot):
 
 
 def effect_columns(likelihood, robot, x, rows, numbers):
-    """Return derivatives (V, R) of rows by parameters of effects, 0 in rows of mostly noise."""
+    """Return derivatives (V, R) of rows by parameters of effects."""
     values = values_of(robot, numbers)
 
     def column(i):
         at, step = values.copy(), numbers[i].step
         step = -step if at[i] + step > numbers[i].upper else step
         at[i] += step
-        spec, k = robot.effects[numbers[i].effect], numbers[i].parameter
-        return likelihood.telling(spec)[k] * (
-            likelihood.rows(at_values(robot, numbers, at), x) - rows) / step
+        return (likelihood.rows(at_values(robot, numbers, at), x) - rows) / step
     return likelihood.each(column, range(len(numbers))).reshape(len(numbers), len(rows))
 
 
@@ -199,11 +198,34 @@ def step_of(likelihood, model, columns, numbers, weight=None, plausible=np.inf):
     precision, centred, free = prior_of(likelihood, model.robot, numbers)
     weight = likelihood.weights(model.sums.groups) if weight is None else weight
     values = np.concatenate([model.x, values_of(model.robot, numbers)])
-    gram = (columns * weight) @ columns.T + np.diag(precision * centred)
+    gram = _cleared(likelihood, model, columns, numbers, weight) + np.diag(precision * centred)
     slope = (likelihood.slopes(columns, model, weight, numbers)
              - precision * centred * values)
     low, high = limits(model, numbers, values, free, plausible * likelihood.sd)
     return solve(gram, slope, low, high)
+
+
+def _cleared(likelihood, model, columns, numbers, weight):
+    """
+    Return the products (C, C) of columns, less what encoder noise makes of them on average.
+
+    At least `_LEAST_TOLD` of the products of any combination of columns is left.
+    """
+    noise = likelihood.noise_columns(model.robot, numbers)
+    added = 0.5 * (noise * (weight * model.sums.cleared[likelihood.group])) @ noise.T
+    whole = (columns * weight) @ columns.T
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(whole), 1e-300))
+    value, vector = np.linalg.eigh(whole * np.outer(scale, scale))
+    root = vector * np.sqrt(np.maximum(value, 1e-12))
+    back = (vector / np.sqrt(np.maximum(value, 1e-12))).T * scale
+    share, at = np.linalg.eigh(back @ added @ back.T)
+    most = root @ at / scale[:, None]
+    return whole - (most * np.clip(share, 0.0, 1.0 - _LEAST_TOLD)) @ most.T
+
+
+def telling(likelihood, model, columns):
+    """Return the columns (C, R) of a model, 0 in rows in which encoder noise hides them."""
+    return columns * likelihood.telling(model.robot, numbers_of(likelihood, model.robot))
 
 
 def limits(model, numbers, values, free, plausible=np.inf):

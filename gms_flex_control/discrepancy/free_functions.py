@@ -10,7 +10,7 @@ effect only resembles what is there.
 
 from typing import NamedTuple
 
-from gms_flex_control.discrepancy.fitting import numbers_of, prior_of, values_of
+from gms_flex_control.discrepancy.fitting import numbers_of, prior_of, telling, values_of
 from gms_flex_control.discrepancy.likelihood import BLOCK
 from gms_flex_control.discrepancy.signature import of_others, variables
 from gms_flex_control.discrepancy.thresholds import EVIDENCE, PRACTICAL
@@ -85,6 +85,7 @@ class FreeFunctions:
             Only functions of this joint.
 
         """
+        columns = telling(self._likelihood, model, columns)
         here = [one for one in self._all if joint in (None, 'arm', one.joint)]
         found = self._likelihood.pool.map(lambda one: self._gained(model, columns, one), here)
         return sorted(found, key=lambda one: -one.evidence)
@@ -147,7 +148,7 @@ class FreeFunctions:
 
     def left_in(self, model, columns, caution=1.0):
         """Return the free function that a model lacks, a Free, None where nothing matters."""
-        without = None
+        without, shown = None, telling(self._likelihood, model, columns)
         for free in self.ranked(model, columns)[:_TRIED]:
             if (free.evidence <= EVIDENCE
                     or free.torque <= _LEAST * self._likelihood.level_of(free.joint)):
@@ -155,8 +156,8 @@ class FreeFunctions:
             rows = next(one.rows for one in self._all
                         if one[:3] == (free.joint, free.equation, free.variable))
             if without is None:
-                without = self._predicted(model, columns, rows[:0])
-            gain = gain_over(self._predicted(model, columns, rows) - without)
+                without = self._predicted(model, shown, rows[:0])
+            gain = gain_over(self._predicted(model, shown, rows) - without)
             if gain._replace(sigmas=gain.sigmas / caution).is_real:
                 return free
         return None

@@ -312,9 +312,15 @@ class Likelihood:
         """Return how encoder noise shows in the rows by each parameter of an effect, or 0."""
         return self._by_effect.get((spec.name, spec.joint), np.zeros((1, len(spec.values), 1)))[0]
 
-    def telling(self, spec):
+    def telling_of(self, spec):
         """Return 1 in rows that tell each parameter of an effect, 0 in those of mostly noise."""
         return self._by_effect.get((spec.name, spec.joint), np.ones((2, len(spec.values), 1)))[1]
+
+    def telling(self, robot, numbers):
+        """Return 1 in rows that tell nuisance parameters and numbers, 0 in others (C, R)."""
+        of_numbers = [np.broadcast_to(self.telling_of(robot.effects[one.effect])[one.parameter],
+                                      self.group.shape) for one in numbers]
+        return np.concatenate([self._tells, np.reshape(of_numbers, (-1, len(self.group)))])
 
     def noise_along(self, robot, x):
         """Return how rows of two null simulations would differ for a model (R,)."""
@@ -361,16 +367,20 @@ class Likelihood:
 
     def slopes(self, columns, model, weight, numbers=()):
         """Return the downhill slopes of half the cost by nuisances and numbers (C,)."""
-        return (self.noise_slopes(model, weight, numbers) - columns @ (weight * model.rows))
+        return (self.noise_slopes(model, weight, numbers, 1.0) - columns @ (weight * model.rows))
 
-    def noise_slopes(self, model, weight, numbers=()):
-        """Return the part of `slopes` that encoder noise makes (C,)."""
+    def noise_slopes(self, model, weight, numbers=(), telling=None):
+        """Return what encoder noise adds to `slopes` (C,), in rows ``telling``, default all."""
         noise = 0.5 * weight * model.sums.cleared[self.group] * self.noise_along(
             model.robot, model.x)
-        specs = [(model.robot.effects[one.effect], one.parameter) for one in numbers]
-        by_number = [np.sum(self.noise_rows(spec)[k] * self.telling(spec)[k] * noise)
-                     for spec, k in specs]
-        return np.concatenate([(self._by_nuisance * self._tells) @ noise, by_number])
+        telling = self.telling(model.robot, numbers) if telling is None else telling
+        return (self.noise_columns(model.robot, numbers) * telling) @ noise
+
+    def noise_columns(self, robot, numbers):
+        """Return how encoder noise shows in derivatives by nuisances and numbers (C, R)."""
+        by_number = [np.broadcast_to(self.noise_rows(robot.effects[one.effect])[one.parameter],
+                                     self.group.shape) for one in numbers]
+        return np.concatenate([self._by_nuisance, np.reshape(by_number, (-1, len(self.group)))])
 
     def constants(self, robot, x):
         """Return the kernels' record of a robot with its nuisance parameters at ``x``."""
@@ -438,16 +448,12 @@ class Likelihood:
         return np.array(list(self.pool.map(function, jobs)))
 
     def columns(self, robot, x, rows):
-        """
-        Return derivatives of the rows by the nuisance parameters, shape (P, R).
-
-        They are 0 in groups in which encoder noise shows more than the parameter does.
-        """
+        """Return derivatives of the rows by the nuisance parameters, shape (P, R)."""
         def column(i):
             at = x.copy()
             at[i] += _STEP
             return (self.rows(robot, at) - rows) / _STEP
-        return self._tells * self.each(column, range(len(x))).reshape(len(x), len(rows))
+        return self.each(column, range(len(x))).reshape(len(x), len(rows))
 
     # --- torques -----------------------------------------------------------------------------
 
