@@ -213,7 +213,8 @@ def _cleared(likelihood, model, columns, numbers, weight):
     """
     noise = likelihood.noise_columns(model.robot, numbers)
     added = 0.5 * (noise * (weight * model.sums.cleared[likelihood.group])) @ noise.T
-    whole = (columns * weight) @ columns.T
+    shown = likelihood.known_noise(columns)
+    whole = (shown * weight) @ shown.T
     scale = 1.0 / np.sqrt(np.maximum(np.diag(whole), 1e-300))
     value, vector = np.linalg.eigh(whole * np.outer(scale, scale))
     root = vector * np.sqrt(np.maximum(value, 1e-12))

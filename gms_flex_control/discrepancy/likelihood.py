@@ -22,6 +22,7 @@ from gms_flex_control.discrepancy.motion import encoder_step
 from gms_flex_control.discrepancy.nuisance import (
     nuisances_of,
     of_recordings,
+    OF_SHAPE,
     OfRecording,
     PRIOR,
     tuned,
@@ -118,6 +119,7 @@ class Likelihood:
         self.nuisances = nuisances_of(plant.constants_of(robot), prior, stated) + (
             () if held_out else of_recordings(self.motions, robot))
         self.sd = np.array([one.sd for one in self.nuisances])
+        self._shapes = np.array([one.name in OF_SHAPE for one in self.nuisances], dtype=bool)
         friction = robot.friction
         self.coulomb = 0.5 * (friction.forward.coulomb + friction.backward.coulomb)
         self.pool = ThreadPoolExecutor(os.cpu_count() or 1)
@@ -367,7 +369,18 @@ class Likelihood:
 
     def slopes(self, columns, model, weight, numbers=()):
         """Return the downhill slopes of half the cost by nuisances and numbers (C,)."""
-        return (self.noise_slopes(model, weight, numbers, 1.0) - columns @ (weight * model.rows))
+        return (self.noise_slopes(model, weight, numbers, 1.0)
+                - self.known_noise(columns) @ (weight * model.rows))
+
+    def known_noise(self, columns):
+        """
+        Return columns (C, R), 0 in rows of mostly noise that is known to first order only.
+
+        That is where residuals are not linear in a nuisance parameter.
+        """
+        known = columns.copy()
+        known[:len(self._shapes)][self._shapes] *= self._tells[self._shapes]
+        return known
 
     def noise_slopes(self, model, weight, numbers=(), telling=None):
         """Return what encoder noise adds to `slopes` (C,), in rows ``telling``, default all."""
@@ -380,7 +393,8 @@ class Likelihood:
         """Return how encoder noise shows in derivatives by nuisances and numbers (C, R)."""
         by_number = [np.broadcast_to(self.noise_rows(robot.effects[one.effect])[one.parameter],
                                      self.group.shape) for one in numbers]
-        return np.concatenate([self._by_nuisance, np.reshape(by_number, (-1, len(self.group)))])
+        return self.known_noise(np.concatenate(
+            [self._by_nuisance, np.reshape(by_number, (-1, len(self.group)))]))
 
     def constants(self, robot, x):
         """Return the kernels' record of a robot with its nuisance parameters at ``x``."""
