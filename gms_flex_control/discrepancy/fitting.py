@@ -215,12 +215,13 @@ def _cleared(likelihood, model, columns, numbers, weight):
     added = 0.5 * (noise * (weight * model.sums.cleared[likelihood.group])) @ noise.T
     shown = likelihood.known_noise(columns)
     whole = (shown * weight) @ shown.T
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(whole), 1e-300))
+    size = np.sqrt(np.diag(whole))
+    scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0.0)
     value, vector = np.linalg.eigh(whole * np.outer(scale, scale))
-    root = vector * np.sqrt(np.maximum(value, 1e-12))
-    back = (vector / np.sqrt(np.maximum(value, 1e-12))).T * scale
+    root = np.sqrt(np.maximum(value, _SETTLED))
+    back = (vector / root).T * scale
     share, at = np.linalg.eigh(back @ added @ back.T)
-    most = root @ at / scale[:, None]
+    most = size[:, None] * vector * root @ at
     return whole - (most * np.clip(share, 0.0, 1.0 - _LEAST_TOLD)) @ most.T
 
 

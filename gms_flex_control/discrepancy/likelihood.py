@@ -119,6 +119,8 @@ class Likelihood:
         self.nuisances = nuisances_of(plant.constants_of(robot), prior, stated) + (
             () if held_out else of_recordings(self.motions, robot))
         self.sd = np.array([one.sd for one in self.nuisances])
+        self.of_recording = np.array([isinstance(one, OfRecording) for one in self.nuisances],
+                                     dtype=bool)
         self._shapes = np.array([one.name in OF_SHAPE for one in self.nuisances], dtype=bool)
         friction = robot.friction
         self.coulomb = 0.5 * (friction.forward.coulomb + friction.backward.coulomb)
@@ -140,7 +142,7 @@ class Likelihood:
         self._pair, self._null = runs[:2], (robot, x)
         if not self.held_out:  # at each nuisance parameter a little off, and as simulated
             self._null_residuals = list(self.pool.map(
-                lambda step: [self._residuals(run, robot, x + step) for run in self._pair],
+                lambda step: [self.residuals(run, robot, x + step) for run in self._pair],
                 (*(_STEP * np.eye(len(x))), np.zeros(len(x)))))
         self._whiten()
 
@@ -288,7 +290,7 @@ class Likelihood:
 
     def _along_nulls(self, robot, x):
         """Return the rows of a model along two null simulations of one motion, not one noise."""
-        return [self._rows_of(self._residuals(run, robot, x)) for run in self._pair]
+        return [self._rows_of(self.residuals(run, robot, x)) for run in self._pair]
 
     def learn_noise(self, spec, linear):
         """
@@ -416,10 +418,10 @@ class Likelihood:
 
     def rows(self, robot, x):
         """Return whitened residuals of a model (R,), less what every null simulation shows."""
-        return self._rows_of(self._residuals(self.motions, robot, x)) - self.usual
+        return self._rows_of(self.residuals(self.motions, robot, x)) - self.usual
 
-    def _residuals(self, motions, robot, x):
-        """Return residual torques per unit of commanded torque, (S, 2 n) each."""
+    def residuals(self, motions, robot, x):
+        """Return residual torques per unit of commanded torque, (S, 2 n) of each motion [N m]."""
         scale, acting = np.ones(2 * robot.n_joints), []
         motions = self.recorded(motions, x)
         for spec in robot.effects:
@@ -473,10 +475,8 @@ class Likelihood:
 
     def torque(self, model):
         """Return the residual torques of a model behind the low-pass, (S', 2 n) each [N m]."""
-        constants = self.constants(model.robot, model.x)
-        return [whitening.torque_rows(unexplained(motion, constants))
-                for motion, whitening in zip(self.recorded(self.motions, model.x),
-                                             self.whitenings, strict=True)]
+        return [whitening.torque_rows(residual) for residual, whitening in zip(
+            self.residuals(self.motions, model.robot, model.x), self.whitenings, strict=True)]
 
     def excess_torque(self, model):
         """Return what a model leaves in motion beyond null simulations, rms (2 n,) [N m]."""

@@ -241,10 +241,11 @@ def _torque(likelihood, parts, motions=None):
     n = likelihood.robot.n_joints
     squares, counts = np.zeros((2, n)), np.zeros((2, n))
     for robot, x, masks in parts:
-        constants = likelihood.constants(robot, x)
-        for m, (motion, mask) in enumerate(zip(motions or likelihood.recorded(
-                likelihood.motions, x), masks, strict=True)):
-            whitening, residual = likelihood.whitenings[m], unexplained(motion, constants)
+        if motions:  # simulated, none of which is particular
+            x = np.where(likelihood.of_recording, 0.0, x[:len(likelihood.nuisances)])
+        residuals = likelihood.residuals(motions or likelihood.motions, robot, x)
+        for m, (residual, mask) in enumerate(zip(residuals, masks, strict=True)):
+            whitening = likelihood.whitenings[m]
             if motions:
                 residual = residual + likelihood.torque_noise(m, np.random.default_rng(_SEED))
             rows = whitening.torque_rows(residual) ** 2
