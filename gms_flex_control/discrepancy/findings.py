@@ -202,26 +202,27 @@ def predicting_subset(likelihood, found, holdout=None):
     """
     Return the State with those of the effects found that together predict held-out data best.
 
-    One effect after the other is left out, while that predicts better, and one of them at a time
-    taken back in. Arguments as of `predictive`.
+    One effect after the other is left out of all, and one after the other added to none, while
+    that predicts better: the better end is taken. Arguments as of `predictive`.
     """
-    known, best = len(likelihood.robot.effects), found.best
-    energy = energy_of(likelihood, best, holdout)
-    while len(best.model.robot.effects) > known:
-        other = min(_without_each(likelihood, found, best, holdout).values(),
-                    key=lambda one: one[0])
-        if other[0] >= energy:
-            break
-        energy, best = other
-    names = [(spec.name, spec.joint) for spec in found.best.model.robot.effects]
-    for name in sorted(found.best.key(known) - best.key(known)):
-        wanted = best.key(known) | {name}
-        other = with_only(found, likelihood, [
-            i for i in range(known, len(names)) if names[i] in wanted])
-        more = energy_of(likelihood, other, holdout)
-        if more < energy:
-            energy, best = more, other
-    return best
+    added = range(len(likelihood.robot.effects), len(found.best.model.robot.effects))
+    energies = {}  # of subsets, with their States
+
+    def tried(subset):
+        if subset not in energies:
+            state = (found.best if len(subset) == len(added)
+                     else with_only(found, likelihood, sorted(subset)))
+            energies[subset] = energy_of(likelihood, state, holdout), state
+        return energies[subset][0]
+    for best in (frozenset(added), frozenset()):
+        every = bool(best)
+        while True:
+            ways = [best - {i} if every else best | {i} for i in (best if every else added)]
+            other = min(ways, key=tried, default=best)
+            if tried(other) >= tried(best):
+                break
+            best = other
+    return min(energies.values(), key=lambda one: one[0])[1]
 
 
 def _alone(likelihood, found, worths, holdout):
