@@ -23,7 +23,7 @@ NAMES = ('bag', 'reversed', 'held_out')
 def folder(tmp_path_factory):
     """Return a folder of two bags of a robot with backlash, and of one with reversed torque."""
     path = tmp_path_factory.mktemp('hidden') / 'case'
-    case = make_case('single', 3, effect='backlash', plant='soft', duration=20.0)
+    case = make_case('single', 3, effect='backlash', plant='soft', duration=12.0)
     write_case(case, path)
     write_recording(path / 'reversed', replace(
         case.recording, tau_motor=-case.recording.tau_motor, command=-case.recording.command),

@@ -3,14 +3,22 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """The evidence of models: closed forms where all is linear and normal, and what is credible."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 from discrepancy_runs import driven_motion
-from gms_flex_control.discrepancy.evidence import credible, posterior, State, state_of
-from gms_flex_control.discrepancy.likelihood import Fitted, Likelihood, Sums
+from gms_flex_control.discrepancy.evidence import (
+    credible,
+    log_determinant,
+    posterior,
+    State,
+    state_of,
+)
+from gms_flex_control.discrepancy.likelihood import Fitted, Likelihood, Sums, with_effect
 from gms_flex_control.discrepancy.null_simulation import null_simulation
 from gms_flex_control.discrepancy.search import search
 from gms_flex_control.effects.guess import Scales
+from gms_flex_control.params.robot import EffectSpec
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
@@ -30,6 +38,9 @@ class Linear:
 
     def weights(self, groups):
         return np.ones(len(self._offset))
+
+    def telling(self, robot, numbers):
+        return np.ones((2 + len(numbers), len(self._offset)))
 
     def sums(self, rows, robot, x, exact=False):
         return Sums(np.array([rows @ rows]), rows @ rows + np.sum((x / SD) ** 2),
@@ -74,6 +85,19 @@ def test_an_effect_has_the_odds_of_one_among_all_against_it():
     one = [state_of(given, with_one, columns, count).evidence for count in (2, 200)]
     assert one[0] - one[1] == pytest.approx(2.0 * np.log(100.0))
     assert few - one[1] == pytest.approx(2.0 * np.log(200.0))
+
+
+@pytest.mark.parametrize(('ratio', 'level'), [(-0.5, 9.0), (0.3, 9.0), (-0.5, 1.0)])
+def test_a_softer_spring_has_less_density_where_noise_is_not_of_encoders(robot, gains, ratio,
+                                                                         level):
+    """Each torsion counts log(1 + ratio), as far as its noise is beyond null simulations."""
+    likelihood = Likelihood([driven_motion(robot, gains, seed=1, duration=6.0)], robot)
+    spec = EffectSpec(name='stiffness_error', joint='joint2', values=(ratio,))
+    model = likelihood.fitted(with_effect(robot, spec), np.zeros(len(likelihood.sd)))
+    sums = model.sums._replace(groups=level * likelihood.count)
+    torsions = np.sum(likelihood.channel == 3)  # of two joints, link equations first
+    assert log_determinant(likelihood, replace(model, sums=sums)) == pytest.approx(
+        torsions * (1.0 - 1.0 / level) * np.log1p(ratio), rel=1e-3, abs=1e-9)
 
 
 def state(evidence, *effects):

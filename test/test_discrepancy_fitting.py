@@ -3,9 +3,14 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Least squares within bounds, and where a search ends."""
 
+from dataclasses import replace
+
+from discrepancy_runs import likelihood_of
 from gms_flex_control.discrepancy.dictionary import allowed
-from gms_flex_control.discrepancy.fitting import bounds_of, is_at_limit, solve
+from gms_flex_control.discrepancy.fitting import bounds_of, is_at_limit, refitted, solve
+from gms_flex_control.discrepancy.likelihood import with_effect
 from gms_flex_control.effects.guess import linear
+from gms_flex_control.hidden.cases import make_case
 from gms_flex_control.params.robot import EffectSpec
 import numpy as np
 import pytest
@@ -40,6 +45,27 @@ def test_bounded_least_squares_lives_with_columns_that_are_alike():
     x = solve(twice.T @ twice, twice.T @ b, -bound, bound)
     once = np.clip(a[:, 0] @ b / (a[:, 0] @ a[:, 0]), -0.2, 0.2)
     assert np.sum(x) == pytest.approx(once, abs=1e-9)
+
+
+def test_a_payload_and_the_inertias_it_resembles_do_not_pull_against_each_other():
+    """
+    Fits that begin with a third of the true mass and with twice as much end at one.
+
+    Encoder noise hides either in some octaves, in which they answer to the cost all the same.
+    """
+    case = make_case('single', 27, effect='tip_payload', duration=20.0)
+    likelihood, (true,), ends = likelihood_of(case), case.truth.effects, []
+    for factor in (1.0 / 3.0, 2.0):
+        model = likelihood.fitted(with_effect(case.nominal, replace(
+            true, values=(factor * true.values[0],))), np.zeros(len(likelihood.sd)))
+        for _ in range(3):
+            model, _ = refitted(likelihood, model, likelihood.columns(model.robot, model.x,
+                                                                      model.rows))
+        ends.append(model)
+    masses = [model.robot.effects[0].values[0] for model in ends]
+    assert masses[1] == pytest.approx(masses[0], rel=0.05)
+    assert masses[0] == pytest.approx(true.values[0], rel=0.2)
+    assert ends[1].cost == pytest.approx(ends[0].cost, abs=2.0)
 
 
 def test_friction_that_pushes_is_not_looked_for(robot):

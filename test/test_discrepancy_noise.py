@@ -48,9 +48,7 @@ def test_noise_that_was_measured_is_not_measured_again():
 
 
 @pytest.mark.parametrize(('seed', 'population'), [
-    (0, 'noise_3'), (4, 'noise_6'), (5, 'noise_6_coloured'),
-    pytest.param(6, 'noise_6_coloured', marks=pytest.mark.xfail(
-        strict=True, reason='a motor inertia is named that improves no held-out torque'))])
+    (0, 'noise_3'), (4, 'noise_6'), (5, 'noise_6_coloured'), (6, 'noise_6_coloured')])
 def test_a_robot_with_noisy_drives_lacks_nothing(seed, population):
     case = make_case('clean', seed, population=population, duration=SHORT)
     result = discrepancy([case.recording], case.nominal)

@@ -40,7 +40,7 @@ SERVO = """
       joint1:
         constant_link_torque: {bias: -0.0257}
 """
-MOTIONS = ('sin_sin', 'lift_and_drop', 'up_and_down', 'sin_time_square')
+MOTIONS = ('sin_sin', 'lift_and_drop')
 
 
 def axis_of_kr300(folder, name):
@@ -67,7 +67,7 @@ def test_flexibility_of_the_kr300_is_an_encoder_skew(tmp_path):
 
 def test_a_hobby_servo_gets_no_wrong_name(tmp_path):
     """
-    Eight short recordings, each too short for a block held out of its own.
+    Four short recordings, each too short for a block held out of its own.
 
     Its friction grows with the load, which nothing but load_friction may stand for; that it sticks
     at loads its model's blocks do not bear is not explained.

@@ -114,7 +114,7 @@ def test_a_clean_robot_is_complete_and_it_is_said_what_is_lost():
 
 @pytest.mark.parametrize(('effect', 'seed'), [('motor_coulomb', 8)])
 def test_an_effect_is_named_by_the_motors_alone(effect, seed):
-    case = make_case('single', seed, effect=effect, duration=20.0)
+    case = make_case('single', seed, effect=effect, duration=15.0)
     result = discrepancy([blind(case.recording)], case.nominal)
     assert result.verdict == FOUND, result.words
     true, first = case.truth.effects[0], result.findings[0]

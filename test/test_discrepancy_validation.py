@@ -106,6 +106,29 @@ def test_a_wrong_model_is_far_above_its_floor(case, likelihood):
     assert free_rms(likelihood, believed)[j] > 10.0 * free_rms(likelihood, true)[j]
 
 
+def test_a_smaller_torque_constant_makes_no_smaller_residuals(case, likelihood):
+    """Half the torque, inertia, friction and stiffness: the same robot by another unit."""
+    robot, half = case.nominal, 0.5
+    arm, friction = robot.arm, robot.friction
+    sides = {side: replace(one, static=half * one.static, coulomb=half * one.coulomb,
+                           viscous=half * one.viscous)
+             for side, one in (('forward', friction.forward), ('backward', friction.backward))}
+    smaller = replace(
+        robot, effects=tuple(EffectSpec(name='torque_gain', joint=joint, values=(half - 1.0,))
+                             for joint in robot.joints),
+        arm=replace(arm, **{name: half * getattr(arm, name) for name in (
+            'mass', 'inertia', 'motor_inertia', 'stiffness', 'damping')}),
+        friction=replace(friction, **sides, stiffness=half * friction.stiffness,
+                         attraction=half * friction.attraction))
+    x = np.zeros(len(likelihood.sd))
+    whole = torque_rms(likelihood, likelihood.fitted(robot, x))
+    # the motor equation counts per unit of commanded torque, the link equation has none
+    assert np.all(torque_rms(likelihood, likelihood.fitted(smaller, x)) > 0.5 * whole)
+    motor = [torques[:, 2:] for torques in likelihood.torque(likelihood.fitted(robot, x))]
+    other = [torques[:, 2:] for torques in likelihood.torque(likelihood.fitted(smaller, x))]
+    np.testing.assert_allclose(other, motor, atol=1e-6 * np.abs(motor).max())
+
+
 def test_free_runs_do_not_cross_holes():
     """A line through half a second that nobody saw is no motion."""
     case = make_case('clean', 3, duration=20.0)
@@ -200,7 +223,7 @@ def test_a_delay_and_a_lag_are_told_apart_in_a_closed_loop(seed, effect):
 
 def test_a_delay_is_told_from_a_lag_beside_which_inertia_would_be_smaller():
     """Errors of prediction are torques: with a lag, and 3 % less inertia, they are smaller."""
-    case = make_case('single', 49, motion='polynomial')
+    case = make_case('single', 49, motion='polynomial', duration=40.0)
     result = discrepancy([case.recording], case.nominal, holdout=[case.held_out])
     assert [(one.effect, one.joint) for one in result.named] == [('input_delay', 'joint1')] == [
         (one.name, one.joint) for one in case.truth.effects]

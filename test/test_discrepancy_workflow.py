@@ -26,7 +26,7 @@ from identified_axis import pendulum
 import numpy as np
 import pytest
 
-SHORT = 20.0          # of a recording [s]
+SHORT, LONG = 20.0, 40.0  # of a recording [s]
 # seed of some, one or two of each kind: sizes that labs meet, robots soft and stiff, either
 # joint; the bench of hidden robots asks for all
 CASES = {
@@ -58,7 +58,7 @@ FIXED = 'load', 'duration', 'nominal'  # what only sets the unit of another
 
 def outcome(kind, seed, **options):
     """Return what the workflow says of a case, all that was found in order, and the truth."""
-    case = make_case(kind, seed, **options)
+    case = make_case(kind, seed, **{'duration': LONG, **options})
     result = discrepancy([case.recording], case.nominal)
     return result, (*result.findings, *result.minor), case.truth
 
@@ -273,7 +273,7 @@ def test_a_wave_that_hardly_turns_is_none():
     An offset of the spring and a torque on the link together are the same; without those and all
     else that turns with the joint it is unexplained.
     """
-    case = make_case('deleted', 15)
+    case = make_case('deleted', 15, duration=LONG)
     hidden, = case.truth.effects
     same = ('motor_torque_bias', 'spring_offset', 'constant_link_torque')
     result = discrepancy([case.recording], case.nominal, Options(without=same[:1]))

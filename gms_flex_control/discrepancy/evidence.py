@@ -83,9 +83,11 @@ def log_determinant(likelihood, model):
         With its noise levels.
 
     """
+    beyond = 1.0 - likelihood.weights(model.sums.groups)
+    if not beyond.any():
+        return 0.0
     n, joints = likelihood.robot.n_joints, likelihood.robot.joints
     believed, out = likelihood.robot.arm.stiffness, 0.0
-    beyond = 1.0 - likelihood.weights(model.sums.groups)
     beyond = np.bincount(likelihood.recording * 2 * n + likelihood.channel, beyond,
                          2 * n * len(likelihood.motions)).reshape(-1, 2, n)[:, 1]
     seen = np.isfinite(believed) & [joint not in likelihood.unseen for joint in joints]

@@ -179,10 +179,13 @@ def predictive(likelihood, found, worths, holdout=None):
     Found, list of Worth
 
     """
-    while len(worths) > 1:
+    while worths:
+        energy = energy_of(likelihood, found.best, holdout)
+        if len(worths) == 1 and np.isfinite(energy):
+            break
         less = _without_each(likelihood, found, found.best, holdout)
         worst = min(less, key=lambda i: less[i][0])
-        if CLEARLY * less[worst][0] > energy_of(likelihood, found.best, holdout):
+        if CLEARLY * less[worst][0] > energy:
             break
         found, worths = _pruned(likelihood, _dropped(likelihood, found, worst))
     return _alone(likelihood, found, worths, holdout)
@@ -202,27 +205,24 @@ def predicting_subset(likelihood, found, holdout=None):
     """
     Return the State with those of the effects found that together predict held-out data best.
 
-    One effect after the other is left out of all, and one after the other added to none, while
-    that predicts better: the better end is taken. Arguments as of `predictive`.
+    One effect after the other is added to none, while that predicts better. Arguments as of
+    `predictive`.
     """
     added = range(len(likelihood.robot.effects), len(found.best.model.robot.effects))
-    energies = {}  # of subsets, with their States
 
     def tried(subset):
-        if subset not in energies:
-            state = (found.best if len(subset) == len(added)
-                     else with_only(found, likelihood, sorted(subset)))
-            energies[subset] = energy_of(likelihood, state, holdout), state
-        return energies[subset][0]
-    for best in (frozenset(added), frozenset()):
-        every = bool(best)
-        while True:
-            ways = [best - {i} if every else best | {i} for i in (best if every else added)]
-            other = min(ways, key=tried, default=best)
-            if tried(other) >= tried(best):
-                break
-            best = other
-    return min(energies.values(), key=lambda one: one[0])[1]
+        state = (found.best if len(subset) == len(added)
+                 else with_only(found, likelihood, sorted(subset)))
+        return energy_of(likelihood, state, holdout), state, subset
+    best = min(tried(()), tried(tuple(added)), key=lambda one: one[0])
+    last = tried(())
+    while len(last[2]) < len(added) - 1:
+        other = min((tried((*last[2], i)) for i in added if i not in last[2]),
+                    key=lambda one: one[0])
+        if other[0] >= last[0]:
+            break
+        last = other
+    return min(best, last, key=lambda one: one[0])[1]
 
 
 def _alone(likelihood, found, worths, holdout):

@@ -19,7 +19,8 @@ _LEAST = 0.1                  # of its usual size: so large a value is for that,
 _ANGLES = {'phase': 0.02, 'direction': 0.02, 'order': 0.02}
 _REACH, _ANGLE_REACH = 60.0, 25.0  # largest change at once, in steps
 _SHRINK = (1.0, 0.3, 0.1)     # of a step that does not help
-_ENOUGH = 0.05                # decrease of the cost below which a fit has ended
+_ENOUGH = 0.3                 # decrease of the cost below which a fit has ended
+_NEAR = 2.0                   # steps of a derivative within which it is kept
 _PHASE_SD = np.pi / np.sqrt(3.0)  # of a phase that nothing is known of
 _LEAST_TOLD = 0.3             # of the squares of a derivative, beside encoder noise
 _RETUNED = 3                  # times at most that derivatives are taken anew
@@ -273,9 +274,11 @@ def fit(likelihood, robot, x, columns, first=None, iterations=8, plausible=np.in
     x = np.where(likelihood.resting(robot), 0.0, x)
     x = np.clip(x, -plausible * likelihood.sd, plausible * likelihood.sd)
     model, known = likelihood.fitted(robot, x), len(columns) - len(x)
+    own = None
     for _ in range(iterations):
         numbers = numbers_of(likelihood, model.robot, first)
-        own = effect_columns(likelihood, model.robot, model.x, model.rows, numbers[known:])
+        if own is None:
+            own = effect_columns(likelihood, model.robot, model.x, model.rows, numbers[known:])
         step = step_of(likelihood, model, np.concatenate([columns, own]), numbers,
                        plausible=plausible)
         values = values_of(model.robot, numbers)
@@ -292,6 +295,9 @@ def fit(likelihood, robot, x, columns, first=None, iterations=8, plausible=np.in
         model = other
         if gain < _ENOUGH:
             break
+        moved = np.abs(values_of(model.robot, numbers) - values)[known:]
+        if np.any(moved > _NEAR * np.array([one.step for one in numbers[known:]])):
+            own = None
     return model
 
 

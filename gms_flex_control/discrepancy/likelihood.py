@@ -48,6 +48,7 @@ _LEAST_SCALE = 0.1     # of the torque that was commanded
 _FEWEST = 40           # rows of a group that tell a noise level
 _FAST_OCTAVES = 2      # highest ones: above 5 Hz
 _DRAWS = 4             # of unit noise
+_WILD = 4.0            # times the squared torque that the recording lacks: driven wild
 _LOW = 4.0             # standard deviations of chi square: sums below are no merit of a model
 _MOST_ADDED = 3.0      # times what encoders add to the null simulations: as of twice the inertia
 _OCTAVES_OF_NOISE = 3  # highest ones, in which the quietest tells the white part of noise
@@ -324,7 +325,8 @@ class Likelihood:
         """Return 1 in rows that tell nuisance parameters and numbers, 0 in others (C, R)."""
         of_numbers = [np.broadcast_to(self.telling_of(robot.effects[one.effect])[one.parameter],
                                       self.group.shape) for one in numbers]
-        return np.concatenate([self._tells, np.reshape(of_numbers, (-1, len(self.group)))])
+        return np.concatenate([
+            self._tells, np.reshape(of_numbers, (len(numbers), len(self.group)))])
 
     def noise_along(self, robot, x):
         """Return how rows of two null simulations would differ for a model (R,)."""
@@ -396,7 +398,7 @@ class Likelihood:
         by_number = [np.broadcast_to(self.noise_rows(robot.effects[one.effect])[one.parameter],
                                      self.group.shape) for one in numbers]
         return self.known_noise(np.concatenate(
-            [self._by_nuisance, np.reshape(by_number, (-1, len(self.group)))]))
+            [self._by_nuisance, np.reshape(by_number, (len(numbers), len(self.group)))]))
 
     def constants(self, robot, x):
         """Return the kernels' record of a robot with its nuisance parameters at ``x``."""
@@ -500,7 +502,7 @@ class Likelihood:
                for run, whitening in zip(runs, self.whitenings, strict=True)]
         most = np.maximum(self._in_motion([one ** 2 for one in self.torque(model)]),
                           (LARGEST_NOISE * np.tile(self.coulomb, 2)) ** 2)
-        return bool(np.all(self._in_motion(own) <= most))  # not where it is not finite
+        return bool(np.all(self._in_motion(own) <= _WILD * most))  # not where it is not finite
 
     def clean_torque(self):
         """Return what null simulations leave in motion, torque noise too, rms (2 n,) [N m]."""

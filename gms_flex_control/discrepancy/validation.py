@@ -175,9 +175,11 @@ def energy_of(likelihood, state, holdout=None):
     Return the squared residual torque of a State on held-out data times that of its free runs.
 
     In Coulomb frictions squared and in rad^2, the geometric mean of all runs: one that slips
-    decides nothing. Arguments as of `gap_of`.
+    decides nothing. Infinite of a model whose simulation runs away. Arguments as of `gap_of`.
     """
     measured = holdout or likelihood
+    if not measured.is_followed(state.model):
+        return np.inf
     runs = np.sum(_free_squares(measured, _whole(measured, state.model)), axis=1)
     free = np.exp(np.mean(np.log(np.maximum(runs, 1e-30)))) if len(runs) else 1.0
     torque, _ = _torque(measured, _parts(likelihood, state, holdout))

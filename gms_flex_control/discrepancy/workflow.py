@@ -134,11 +134,8 @@ def _compared(motions, holdout, robot, options, say):
     findings = findings_of(likelihood, found, worths, measured)
     gap, withheld = gap_of(likelihood, found.before, found.best, measured), None
     left = _left_over(likelihood, found.best.model, free, gap, measured)
-    if left is not None and (
-            not any(one.main for one in findings)
-            or CLEARLY * energy_of(likelihood, found.best, measured)
-            > energy_of(likelihood, found.before, measured)):
-        findings = []  # what is unexplained is larger: effects only resemble some of it
+    if left is not None and not (any(one.main for one in findings) and _explain_most(gap)):
+        findings = []  # they only resemble some of it
     main = tuple(one for one in findings if one.main)
     named = {(one.effect, one.joint) for one in findings}
     more = left is not None or np.any(gap.after ** 2 > BETTER * gap.floor ** 2)
@@ -245,6 +242,12 @@ def _left_over(likelihood, model, free, gap, measured=None):
     if measured is not None and is_noisy(measured, model):
         return signature_of(measured, model, share)
     return None
+
+
+def _explain_most(gap):
+    """Return whether effects explain more than they leave, and free runs are no worse."""
+    worse = np.nansum(gap.free_after ** 2) > CLEARLY * np.nansum(gap.free_before ** 2)
+    return gap.energy_ratio <= 0.5 and not worse
 
 
 def _best_predicting(likelihood, found, whole, measured, more):
