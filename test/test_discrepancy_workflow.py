@@ -225,7 +225,7 @@ def test_what_the_catalogue_lacks_is_unexplained(seed, name):
 @pytest.mark.parametrize('seed', [5])
 def test_what_changes_at_a_moment_is_no_drift(seed):
     """Friction that grows from one moment to the next resembles one that grows evenly."""
-    result, found, truth = outcome('outside', seed, effect='friction_step', duration=SHORT)
+    result, found, truth = outcome('outside', seed, effect='friction_step')
     assert (result.verdict, found) == (UNEXPLAINED, ()), result.words
 
 
@@ -254,7 +254,8 @@ def test_a_torque_of_another_joint_is_unexplained_and_says_so():
     case = make_case('clean', 3, duration=SHORT)
     extra = 0.1 * case.recording.q_link[:, [1, 1]] * np.array([1.0, 0.0])
     result = discrepancy([replace(case.recording, command=case.recording.command + extra,
-                                  tau_motor=case.recording.tau_motor + extra)], case.nominal)
+                                  tau_motor=case.recording.tau_motor + extra)], case.nominal,
+                         Options(most=4))
     assert result.verdict == UNEXPLAINED, result.words
     assert result.unexplained.joint == 'joint1'
     assert result.unexplained.variable == 'link angle of joint2'
