@@ -214,15 +214,14 @@ def predicting_subset(likelihood, found, holdout=None):
         state = (found.best if len(subset) == len(added)
                  else with_only(found, likelihood, sorted(subset)))
         return energy_of(likelihood, state, holdout), state, subset
-    best = min(tried(()), tried(tuple(added)), key=lambda one: one[0])
-    last = tried(())
+    last, every = tried(()), tried(tuple(added))
     while len(last[2]) < len(added) - 1:
         other = min((tried((*last[2], i)) for i in added if i not in last[2]),
                     key=lambda one: one[0])
         if other[0] >= last[0]:
             break
         last = other
-    return min(best, last, key=lambda one: one[0])[1]
+    return min(every, last, key=lambda one: one[0])[1]
 
 
 def _alone(likelihood, found, worths, holdout):

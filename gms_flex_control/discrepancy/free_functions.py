@@ -87,21 +87,26 @@ class FreeFunctions:
         """
         columns = telling(self._likelihood, model, columns)
         here = [one for one in self._all if joint in (None, 'arm', one.joint)]
-        found = self._likelihood.pool.map(lambda one: self._gained(model, columns, one), here)
+        before = self._cost(model, columns, np.zeros((0, columns.shape[1])))[0]
+        found = self._likelihood.pool.map(
+            lambda one: self._gained(model, columns, one, before), here)
         return sorted(found, key=lambda one: -one.evidence)
 
-    def _gained(self, model, columns, one):
-        """Return a function as a Free."""
-        likelihood, rows = self._likelihood, one.rows
+    def _cost(self, model, columns, rows):
+        """Return the least cost of a model with a function, its weights and those of rows."""
+        likelihood = self._likelihood
         step, sums = self._fitted(model, columns, rows)
         weight, mine = likelihood.weights(sums), step[:len(columns)]
-        cost = (likelihood.misfit(sums) + self._prior(model, mine)
-                - 2.0 * float(self._noise(model, weight) @ mine))
+        return (likelihood.misfit(sums) + self._prior(model, mine)
+                - 2.0 * float(self._noise(model, weight) @ mine)), step[len(columns):], weight
+
+    def _gained(self, model, columns, one, before):
+        """Return a function as a Free, of a model with a cost ``before``."""
+        likelihood, rows = self._likelihood, one.rows
+        cost, own, weight = self._cost(model, columns, rows)
         size = np.full(len(rows), 1.0 / likelihood.level_of(one.joint) ** 2)
         scaled = rows / np.sqrt(size)[:, None]
         _, occam = np.linalg.slogdet(np.eye(len(rows)) + (scaled * weight) @ scaled.T)
-        own = step[len(columns):]
-        before = likelihood.misfit(model.sums.groups) + self._prior(model, 0.0)
         gain = float(before - cost - np.sum(own ** 2 * size))
         return Free(gain - occam - 2.0 * np.log(len(self._all)), gain,
                     float(np.sqrt(max(own @ one.square @ own, 0.0))), *one[:3])
