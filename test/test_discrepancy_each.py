@@ -34,7 +34,7 @@ def folder(tmp_path_factory):
 def arguments(folder, out, *further):
     """Return the words of the verb."""
     return ['discrepancy', *(str(folder / name) for name in NAMES), '--each', '--robot',
-            str(folder / 'robot.yaml'), '--out', str(out), *further]
+            str(folder / 'robot.yaml'), '--max-effects', '1', '--out', str(out), *further]
 
 
 @pytest.fixture(scope='module')

@@ -10,7 +10,7 @@ from gms_flex_control.analysis.torsion import study
 from gms_flex_control.bags.experiment import write_recording
 from gms_flex_control.bags.reader import read_recording
 from gms_flex_control.discrepancy.result import FOUND, UNEXPLAINED
-from gms_flex_control.discrepancy.workflow import discrepancy
+from gms_flex_control.discrepancy.workflow import discrepancy, Options
 from gms_flex_control.schema.files import load_robot
 import pytest
 
@@ -77,6 +77,6 @@ def test_a_hobby_servo_gets_no_wrong_name(tmp_path):
     recordings = [import_csv(DATA / 'bam_xl330' / f'{motion}_kp{gain}.csv',
                              ROOT / 'config' / 'import_bam_xl330.yaml').recording
                   for gain in (400, 100) for motion in MOTIONS]
-    result = discrepancy(recordings, robot)
+    result = discrepancy(recordings, robot, Options(most=3))
     assert result.verdict in (FOUND, UNEXPLAINED)
     assert {one.effect for one in result.findings} <= {'load_friction'}
