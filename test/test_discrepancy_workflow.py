@@ -274,10 +274,10 @@ def test_a_wave_that_hardly_turns_is_none():
     case = make_case('deleted', 15, duration=LONG)
     hidden, = case.truth.effects
     same = ('motor_torque_bias', 'spring_offset', 'constant_link_torque')
-    result = discrepancy([case.recording], case.nominal, Options(without=same[:1]))
+    result = discrepancy([case.recording], case.nominal, Options(without=same[:1], most=3))
     assert hidden.name == same[0] and {one.effect for one in result.named} <= set(same[1:])
     waves = ('link_encoder_eccentricity', 'kinematic_error', 'friction_asymmetry', 'gravity_tilt')
-    result = discrepancy([case.recording], case.nominal, Options(without=(*same, *waves)))
+    result = discrepancy([case.recording], case.nominal, Options(without=(*same, *waves), most=3))
     assert result.verdict == UNEXPLAINED, result.words
     assert result.unexplained.variable == 'constant'
     assert result.unexplained.joint == hidden.joint
