@@ -39,7 +39,7 @@ class Linear:
     def weights(self, groups):
         return np.ones(len(self._offset))
 
-    def telling(self, robot, numbers):
+    def informative(self, robot, numbers):
         return np.ones((2 + len(numbers), len(self._offset)))
 
     def sums(self, rows, robot, x, exact=False):

@@ -13,11 +13,11 @@ from typing import NamedTuple
 
 from gms_flex_control.analysis.waves import standing_out
 from gms_flex_control.discrepancy.fitting import (
+    informative,
     limits,
     numbers_of,
     prior_of,
     solve,
-    telling,
     values_of,
 )
 from gms_flex_control.discrepancy.likelihood import with_effect
@@ -174,9 +174,9 @@ class Dictionary:
         added = np.zeros_like(self.columns)
         for column, row, (name, joint, values) in zip(self.columns, added, jobs, strict=True):
             spec, values = EffectSpec(name=name, joint=joint, values=values), np.asarray(values)
-            tells = likelihood.telling_of(spec)
-            column *= tells[np.argmax(values != 0.0)]
-            row += values @ (likelihood.noise_rows(spec) * tells)
+            shown = likelihood.informative_of(spec)
+            column *= shown[np.argmax(values != 0.0)]
+            row += values @ (likelihood.noise_rows(spec) * shown)
         learned = {one[:2] for one in linear}
         return added, ~np.array([(name, joint) in learned or _is_of_torque(name)
                                  for name, joint, _ in jobs], dtype=bool)
@@ -195,7 +195,7 @@ class Dictionary:
         free[:len(model.x)] &= np.abs(model.x) < _AT_BOUND * plausible * likelihood.sd
         weight = likelihood.weights(likelihood.count if even else model.sums.groups)
         root, pull = np.sqrt(weight), np.sqrt(precision * centred)
-        columns = telling(likelihood, model, columns)
+        columns = informative(likelihood, model, columns)
         # priors are rows of their own
         own = np.concatenate([columns * root, np.diag(pull)], axis=1)[free]
         rows = np.concatenate([model.rows * root, pull * values])
@@ -278,7 +278,7 @@ class _Normal:
 
     def __init__(self, likelihood, model, columns, plausible):
         self._likelihood, self._model = likelihood, model
-        self._columns = telling(likelihood, model, columns)[:, likelihood.by_group]
+        self._columns = informative(likelihood, model, columns)[:, likelihood.by_group]
         self._rows = model.rows[likelihood.by_group]
         numbers = numbers_of(likelihood, model.robot)
         precision, centred, free = prior_of(likelihood, model.robot, numbers)

@@ -11,7 +11,7 @@ before anything was measured.
 
 from typing import NamedTuple
 
-from gms_flex_control.discrepancy.fitting import numbers_of, prior_cost, prior_of, telling
+from gms_flex_control.discrepancy.fitting import informative, numbers_of, prior_cost, prior_of
 from gms_flex_control.discrepancy.likelihood import Fitted
 from gms_flex_control.discrepancy.residuals import stiffness_along
 from gms_flex_control.discrepancy.thresholds import CREDIBLE
@@ -55,7 +55,7 @@ def state_of(likelihood, model, columns, hypotheses):
     numbers = numbers_of(likelihood, model.robot)
     precision, _, free = prior_of(likelihood, model.robot, numbers)
     weight = likelihood.weights(model.sums.groups)
-    scaled = telling(likelihood, model, columns)[free] / np.sqrt(precision[free])[:, None]
+    scaled = informative(likelihood, model, columns)[free] / np.sqrt(precision[free])[:, None]
     gram = (scaled * weight) @ scaled.T
     _, occam = np.linalg.slogdet(np.eye(len(gram)) + gram)
     added = len(model.robot.effects) - len(likelihood.robot.effects)

@@ -16,11 +16,11 @@ from gms_flex_control.discrepancy.dictionary import may_join
 from gms_flex_control.discrepancy.evidence import posterior, State, state_of
 from gms_flex_control.discrepancy.fitting import (
     fit,
+    informative,
     is_at_limit,
     numbers_of,
     prior_of,
     refitted,
-    telling,
     without,
 )
 from gms_flex_control.discrepancy.free_functions import FreeFunctions
@@ -115,7 +115,7 @@ def _beside(likelihood, model, less, others, change):
     precision, centred, _ = prior_of(likelihood, less.robot, numbers)
     kept = np.ones(len(others), dtype=bool)
     kept[:len(model.x)] = likelihood.resting(less.robot) | ~likelihood.resting(model.robot)
-    used = telling(likelihood, less, others)[kept]
+    used = informative(likelihood, less, others)[kept]
     gram = (used * weight) @ used.T + np.diag((precision * centred)[kept])
     slope = used @ (weight * change)
     own = float(change @ (weight * change))
@@ -183,22 +183,19 @@ def predictive(likelihood, found, worths, holdout=None):
         energy = energy_of(likelihood, found.best, holdout)
         if len(worths) == 1 and np.isfinite(energy):
             break
-        less = _without_each(likelihood, found, found.best, holdout)
-        worst = min(less, key=lambda i: less[i][0])
-        if CLEARLY * less[worst][0] > energy:
+        without_each = _energies_without_each(likelihood, found, holdout)
+        worst = min(without_each, key=without_each.get)
+        if CLEARLY * without_each[worst] > energy:
             break
         found, worths = _pruned(likelihood, _dropped(likelihood, found, worst))
     return _alone(likelihood, found, worths, holdout)
 
 
-def _without_each(likelihood, found, state, holdout):
-    """Return what is left of a State without one effect: its index to energy and State."""
-    added = range(len(likelihood.robot.effects), len(state.model.robot.effects))
-    found, out = found._replace(best=state), {}
-    for i in added:
-        less = with_only(found, likelihood, [k for k in added if k != i])
-        out[i] = energy_of(likelihood, less, holdout), less
-    return out
+def _energies_without_each(likelihood, found, holdout):
+    """Return `energy_of` the search's end without one effect, dict by its index."""
+    added = range(len(likelihood.robot.effects), len(found.best.model.robot.effects))
+    return {i: energy_of(likelihood, with_only(
+        found, likelihood, [k for k in added if k != i]), holdout) for i in added}
 
 
 def predicting_subset(likelihood, found, holdout=None):
@@ -407,7 +404,7 @@ def _values(likelihood, found, index):
     numbers, weight = numbers_of(likelihood, model.robot), likelihood.weights(model.sums.groups)
     precision, _, free = prior_of(likelihood, model.robot, numbers)
     scale = 1.0 / np.sqrt(precision[free])
-    used = telling(likelihood, model, columns)[free] * scale[:, None]
+    used = informative(likelihood, model, columns)[free] * scale[:, None]
     inverse = np.linalg.pinv((used * weight) @ used.T + np.eye(len(used)), hermitian=True)
     scatter = inverse @ (used * weight) @ likelihood.clean.T
     variance = np.zeros(len(free))

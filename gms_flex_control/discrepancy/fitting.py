@@ -226,9 +226,9 @@ def _cleared(likelihood, model, columns, numbers, weight):
     return whole - (most * np.clip(share, 0.0, 1.0 - _LEAST_TOLD)) @ most.T
 
 
-def telling(likelihood, model, columns):
+def informative(likelihood, model, columns):
     """Return the columns (C, R) of a model, 0 in rows in which encoder noise hides them."""
-    return columns * likelihood.telling(model.robot, numbers_of(likelihood, model.robot))
+    return columns * likelihood.informative(model.robot, numbers_of(likelihood, model.robot))
 
 
 def limits(model, numbers, values, free, plausible=np.inf):

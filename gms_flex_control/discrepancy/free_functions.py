@@ -10,7 +10,7 @@ effect only resembles what is there.
 
 from typing import NamedTuple
 
-from gms_flex_control.discrepancy.fitting import numbers_of, prior_of, telling, values_of
+from gms_flex_control.discrepancy.fitting import informative, numbers_of, prior_of, values_of
 from gms_flex_control.discrepancy.likelihood import BLOCK
 from gms_flex_control.discrepancy.signature import of_others, variables
 from gms_flex_control.discrepancy.thresholds import EVIDENCE, PRACTICAL
@@ -85,7 +85,7 @@ class FreeFunctions:
             Only functions of this joint.
 
         """
-        columns = telling(self._likelihood, model, columns)
+        columns = informative(self._likelihood, model, columns)
         here = [one for one in self._all if joint in (None, 'arm', one.joint)]
         before = self._cost(model, columns, np.zeros((0, columns.shape[1])))[0]
         found = self._likelihood.pool.map(
@@ -153,7 +153,7 @@ class FreeFunctions:
 
     def left_in(self, model, columns, caution=1.0):
         """Return the free function that a model lacks, a Free, None where nothing matters."""
-        without, shown = None, telling(self._likelihood, model, columns)
+        without, shown = None, informative(self._likelihood, model, columns)
         for free in self.ranked(model, columns)[:_TRIED]:
             if (free.evidence <= EVIDENCE
                     or free.torque <= _LEAST * self._likelihood.level_of(free.joint)):

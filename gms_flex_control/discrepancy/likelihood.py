@@ -180,7 +180,7 @@ class Likelihood:
             return
         self._null_rows = [self._rows_of(run) for run in self._null_residuals[-1]]
         self._own = self._null_rows[0] - self._null_rows[1]
-        self._by_nuisance, self._tells = np.moveaxis(self.each(
+        self._by_nuisance, self._informative = np.moveaxis(self.each(
             lambda i: self._shown([self._rows_of(run) for run in self._null_residuals[i]], _STEP),
             range(len(self.nuisances))), 1, 0)
 
@@ -317,16 +317,17 @@ class Likelihood:
         """Return how encoder noise shows in the rows by each parameter of an effect, or 0."""
         return self._by_effect.get((spec.name, spec.joint), np.zeros((1, len(spec.values), 1)))[0]
 
-    def telling_of(self, spec):
-        """Return 1 in rows that tell each parameter of an effect, 0 in those of mostly noise."""
+    def informative_of(self, spec):
+        """Return 1 in rows that show each parameter of an effect, 0 in those of mostly noise."""
         return self._by_effect.get((spec.name, spec.joint), np.ones((2, len(spec.values), 1)))[1]
 
-    def telling(self, robot, numbers):
-        """Return 1 in rows that tell nuisance parameters and numbers, 0 in others (C, R)."""
-        of_numbers = [np.broadcast_to(self.telling_of(robot.effects[one.effect])[one.parameter],
-                                      self.group.shape) for one in numbers]
+    def informative(self, robot, numbers):
+        """Return `informative_of` of nuisance parameters and numbers (C, R)."""
+        of_numbers = [np.broadcast_to(
+            self.informative_of(robot.effects[one.effect])[one.parameter], self.group.shape)
+            for one in numbers]
         return np.concatenate([
-            self._tells, np.reshape(of_numbers, (len(numbers), len(self.group)))])
+            self._informative, np.reshape(of_numbers, (len(numbers), len(self.group)))])
 
     def noise_along(self, robot, x):
         """Return how rows of two null simulations would differ for a model (R,)."""
@@ -373,7 +374,7 @@ class Likelihood:
 
     def slopes(self, columns, model, weight, numbers=()):
         """Return the downhill slopes of half the cost by nuisances and numbers (C,)."""
-        return (self.noise_slopes(model, weight, numbers, 1.0)
+        return (self.noise_columns(model.robot, numbers) @ self._noise_cleared(model, weight)
                 - self.known_noise(columns) @ (weight * model.rows))
 
     def known_noise(self, columns):
@@ -383,15 +384,18 @@ class Likelihood:
         That is where residuals are not linear in a nuisance parameter.
         """
         known = columns.copy()
-        known[:len(self._shapes)][self._shapes] *= self._tells[self._shapes]
+        known[:len(self._shapes)][self._shapes] *= self._informative[self._shapes]
         return known
 
-    def noise_slopes(self, model, weight, numbers=(), telling=None):
-        """Return what encoder noise adds to `slopes` (C,), in rows ``telling``, default all."""
-        noise = 0.5 * weight * model.sums.cleared[self.group] * self.noise_along(
+    def noise_slopes(self, model, weight, numbers=()):
+        """Return what encoder noise adds to `slopes` (C,) in rows that are informative."""
+        return (self.noise_columns(model.robot, numbers) * self.informative(
+            model.robot, numbers)) @ self._noise_cleared(model, weight)
+
+    def _noise_cleared(self, model, weight):
+        """Return the noise (R,) that sums are cleared of, so weighted."""
+        return 0.5 * weight * model.sums.cleared[self.group] * self.noise_along(
             model.robot, model.x)
-        telling = self.telling(model.robot, numbers) if telling is None else telling
-        return (self.noise_columns(model.robot, numbers) * telling) @ noise
 
     def noise_columns(self, robot, numbers):
         """Return how encoder noise shows in derivatives by nuisances and numbers (C, R)."""
