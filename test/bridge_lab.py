@@ -41,8 +41,8 @@ class Efforts(list):
 
     @property
     def last(self):
-        """Return the efforts that hold now."""
-        return self[-1][1]
+        """Return the efforts that hold now: zero before the first."""
+        return self[-1][1] if self else [0.0]
 
     def first_zero_after(self, begin):
         """Return when torque ended for good after ``begin`` (None while it flows)."""
@@ -145,7 +145,7 @@ def move(lab, condition=lambda: True, tries=10):
     """
     for _ in range(tries):
         assert ask(lab, 'reset').success
-        lab.until(lambda: max(map(abs, lab.states[-1].velocity)) < 0.05)
+        lab.until(lambda: lab.states and max(map(abs, lab.states[-1].velocity)) < 0.05)
         enable(lab)
         del lab.reports[:]
         assert ask(lab, '/trajectory/start').success
