@@ -13,6 +13,7 @@ how well a mere delay between the two encoders does, is what this analysis tells
 from dataclasses import dataclass, replace
 
 from gms_flex_control.dynamics.chain import matrices
+from gms_flex_control.effects.catalogue.spring_offset import SpringOffset
 from gms_flex_control.errors import BagError, ParameterError
 from gms_flex_control.friction.stribeck import steady_friction
 from gms_flex_control.params.arm import ArmParams
@@ -171,7 +172,7 @@ def study(recording, joint, stiffness, motor_inertia=0.0):
     robot = first_model(joint, stiffness, motor_inertia, fit, recording.source)
     torque_model = motor_torque(robot, velocity, acceleration)
     load = torque - motor_inertia * acceleration  # what the spring carries, Eq. (1), motor
-    zero = EffectSpec(name='spring_offset', joint=joint,
+    zero = EffectSpec(name=SpringOffset.name, joint=joint,
                       values=(float(load.mean() / stiffness - torsion.mean()),))
     return TorsionStudy(
         joint=joint, source=recording.source, time=time[edge], velocity=velocity,

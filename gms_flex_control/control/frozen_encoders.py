@@ -18,6 +18,7 @@ gives the same number again and again, so there has to be a second witness:
 
 import math
 
+from gms_flex_control.effects.registry import find
 import numpy as np
 
 STANDING = 0.03      # the same number for longer is looked at; between two states, silence [s]
@@ -188,8 +189,8 @@ def torque_thresholds(robot, torque_limit):
     arm, friction = robot.arm, robot.friction
     static = np.maximum(friction.forward.static, friction.backward.static)
     for spec in robot.effects:
-        if spec.name == 'motor_coulomb':
-            static = static + spec.values[0] * (np.array(robot.joints) == spec.joint)
+        static = static + find(spec.name).holding_torque(spec.values) * (
+            np.array(robot.joints) == spec.joint)
     return np.maximum.reduce([arm.stiffness * _given_way(robot), _HALF * torque_limit,
                               _FRICTION * static])
 

@@ -23,7 +23,7 @@ from gms_flex_control.discrepancy.fitting import (
 from gms_flex_control.discrepancy.likelihood import with_effect
 from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.effects.base import Change, Stage, Term
-from gms_flex_control.effects.catalogue.torque_ripple import HIGHEST_GUESSED
+from gms_flex_control.effects.guess import HIGHEST_ORDER
 from gms_flex_control.effects.registry import find, names
 from gms_flex_control.params.robot import EffectSpec, WHOLE_ARM
 import numpy as np
@@ -52,7 +52,7 @@ def fine_orders(likelihood, model):
         at = j if model.robot.arm.rigid[j] else n + j
         found.append(tuple(standing_out(
             [one.states[:, 3, j] for one in likelihood.motions], [rows[:, at] for rows in left],
-            [one.states[:, 4, j] for one in likelihood.motions], HIGHEST_GUESSED)))
+            [one.states[:, 4, j] for one in likelihood.motions], HIGHEST_ORDER)))
     return found
 
 
@@ -79,9 +79,9 @@ def guesses_of(likelihood, excluded=(), fine=None, only=None):
     """
     robot, found = likelihood.robot, []
     commanded = all(motion.commanded for motion in likelihood.motions)
-    for name in names():
+    for name in sorted(set(names()).difference(excluded)):
         kind = find(name)
-        if (name in excluded or kind.needs_commands and not commanded
+        if (kind.needs_commands and not commanded
                 or kind.needs_planar and robot.arm.kind != 'planar'):
             continue
         for at, joint in enumerate([WHOLE_ARM] if kind.whole_arm else robot.joints):

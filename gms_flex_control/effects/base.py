@@ -77,6 +77,9 @@ class Effect(ABC):
     needs_planar = False      # requires links that carry each other
     of_recording = False      # an error of the recording, not of the robot
     needs_supply = False      # requires a recorded voltage of the supply
+    fed_forward = False       # a torque that follows smoothly from what a controller measures
+    acts_along_motion = True  # what was measured is enough to compute it
+    estimated_with_arm = False  # identification finds it anew with the arm
 
     @classmethod
     @abstractmethod
@@ -163,6 +166,33 @@ class Effect(ABC):
 
         """
         return 1.0
+
+    @classmethod
+    def in_friction(cls, steady, direction, values):
+        """
+        Return the friction parameters of one direction with the effect in them.
+
+        Parameters
+        ----------
+        steady : StribeckParams
+            Of one direction of motion.
+        direction : float
+            1 forward, -1 backward.
+        values : list of ndarray, shape (n_joints,)
+            Of each of ``parameters``, zero at joints without the effect.
+
+        Returns
+        -------
+        StribeckParams, or None
+            None where these parameters cannot express it.
+
+        """
+        return None
+
+    @classmethod
+    def holding_torque(cls, values):
+        """Return the friction torque [N m] that it adds where a motor stands still."""
+        return 0.0
 
     @classmethod
     def search_bounds(cls, joint_index, robot):

@@ -13,6 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+HIGHEST_ORDER = 48.0  # of waves over the motor angle that are guessed; data show finer ones
+
 
 class Scales(NamedTuple):
     """What a recording and its model set as usual sizes on one joint."""

@@ -1,28 +1,48 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""The catalogue of effects: one module per effect, found by its file name."""
+"""
+All effects: one module each in the catalogue, found by its file name, and those of other packages.
+
+A package offers its class in the group ``gms_flex_control.effects``, for example in setup.py::
+
+    entry_points={'gms_flex_control.effects': ['my_effect = my_package.my_effect:MyEffect']}
+"""
 
 from functools import cache
-from importlib import import_module
+from importlib import import_module, metadata
 import pkgutil
 
 from gms_flex_control.effects import catalogue
-from gms_flex_control.effects.base import Effect
+from gms_flex_control.effects.base import Change, Effect, Term
 from gms_flex_control.errors import ParameterError
 from gms_flex_control.suggest import did_you_mean
 
+GROUP = 'gms_flex_control.effects'
+
 
 @cache
-def names():
+def _in_catalogue():
+    """Return the names of the catalogue's modules, frozenset of str; nothing is imported."""
+    return frozenset(module.name for module in pkgutil.iter_modules(catalogue.__path__))
+
+
+@cache
+def _offered():
+    """Return the effects that other packages offer, dict of str to EntryPoint."""
+    return {entry.name: entry for entry in metadata.entry_points(group=GROUP)}
+
+
+@cache
+def names() -> tuple[str, ...]:
     """Return the names of all effects, sorted; nothing is imported for it."""
-    return tuple(sorted(module.name for module in pkgutil.iter_modules(catalogue.__path__)))
+    return tuple(sorted(_in_catalogue().union(_offered())))
 
 
 @cache
-def find(name):
+def find(name: str) -> type[Effect]:
     """
-    Return the effect class of a catalogue name.
+    Return the class of an effect.
 
     Parameters
     ----------
@@ -37,13 +57,33 @@ def find(name):
     Raises
     ------
     ParameterError
-        If the catalogue has no such effect; the sentence names the nearest.
+        If there is no such effect; the sentence names the nearest. If a package offers one that
+        cannot be loaded, is no effect or has a name that is taken.
 
     """
     if name not in names():
         raise ParameterError(
             f'effect {name!r} is not in the catalogue{did_you_mean(name, names())}')
+    if name in _offered():
+        return _loaded(_offered()[name])
     module = import_module(f'{catalogue.__name__}.{name}')
     return next(entry for entry in vars(module).values()
                 if isinstance(entry, type) and issubclass(entry, Effect)
                 and getattr(entry, 'name', None) == name)
+
+
+def _loaded(entry):
+    """Return the class that an EntryPoint offers."""
+    where = f'effect {entry.name!r}, offered as {entry.value!r} in the entry points {GROUP},'
+    if entry.name in _in_catalogue():
+        raise ParameterError(f'{where} has the name of one of the catalogue; rename it')
+    try:
+        kind = entry.load()
+    except Exception as error:  # whatever the module of somebody else raises
+        raise ParameterError(f'{where} cannot be loaded ({type(error).__name__}: {error}); '
+                             'mend or uninstall that package') from error
+    if not (isinstance(kind, type) and issubclass(kind, (Term, Change))):
+        raise ParameterError(f'{where} is no subclass of {Term.__module__}.Term or Change')
+    if kind.name != entry.name:
+        raise ParameterError(f'{where} calls itself {kind.name!r}; both names must agree')
+    return kind

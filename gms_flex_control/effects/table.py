@@ -11,7 +11,7 @@ from dataclasses import replace
 
 from gms_flex_control import records
 from gms_flex_control.compiled import call_effect, compiled
-from gms_flex_control.effects.base import Change, Stage
+from gms_flex_control.effects.base import Change, Effect, Stage
 from gms_flex_control.effects.registry import find
 from gms_flex_control.effects.signals import WIDTH
 from gms_flex_control.errors import ParameterError
@@ -56,6 +56,27 @@ def with_changes(robot):
         joint = 0 if kind.whole_arm else robot.joints.index(spec.joint)
         robot = kind.change(robot, joint, spec.values)
     return robot
+
+
+def is_friction(kind):
+    """Return whether parameters of the friction model express an effect as well."""
+    return kind.in_friction.__func__ is not Effect.in_friction.__func__
+
+
+def with_friction(robot):
+    """Return a robot with all effects in its friction parameters that these can express."""
+    friction, left = robot.friction, []
+    for spec in robot.effects:
+        kind = find(spec.name)
+        if not is_friction(kind):
+            left.append(spec)
+            continue
+        at = np.arange(robot.n_joints) == robot.joints.index(spec.joint)
+        values = [at * value for value in spec.values]
+        friction = replace(friction, **{
+            side: kind.in_friction(getattr(friction, side), direction, values)
+            for side, direction in (('forward', 1.0), ('backward', -1.0))})
+    return replace(robot, friction=friction, effects=tuple(left))
 
 
 def build(effects, joints):

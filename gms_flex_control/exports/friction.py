@@ -3,13 +3,13 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Targets that have viscous and Coulomb friction only: URDF, and ROS parameters as UR has them."""
 
-from dataclasses import replace
 import io
 
+from gms_flex_control.effects.catalogue.viscous_error import ViscousError
+from gms_flex_control.effects.table import with_friction
 from gms_flex_control.exports.target import Target
 from gms_flex_control.params.robot import RobotParams
 from gms_flex_control.schema.urdf import robot_urdf
-import numpy as np
 from ruamel.yaml import YAML
 
 _DRY = ('presliding', 'stribeck', 'direction')
@@ -19,25 +19,14 @@ _HEADER = """\
 """
 
 
-def _with_viscous_errors(robot):
-    """Return a robot whose viscous friction holds its effects ``viscous_error``."""
-    slope = np.zeros(robot.n_joints)
-    for spec in robot.effects:
-        slope[robot.joints.index(spec.joint)] += spec.values[0]
-    friction = robot.friction
-    return replace(robot, effects=(), friction=replace(friction, **{
-        name: replace(side, viscous=side.viscous + slope) for name, side in (
-            ('forward', friction.forward), ('backward', friction.backward))}))
-
-
 def urdf(robot: RobotParams, without: tuple = ()) -> str:
     """Return a robot of rigid joints as URDF, friction as ``<dynamics>`` [N m, N m s/rad]."""
-    return robot_urdf(_with_viscous_errors(robot), motors=False)
+    return robot_urdf(with_friction(robot), motors=False)
 
 
 def ros2_control(robot: RobotParams, without: tuple = ()) -> str:
     """Return a ROS parameter file of viscous and Coulomb friction, one list over joints each."""
-    robot = _with_viscous_errors(robot)
+    robot = with_friction(robot)
     lists = {name: [float(f'{value:.9g}') for value in getattr(robot.friction.forward, name)]
              for name in ('viscous', 'coulomb')}
     yaml, text = YAML(), io.StringIO()
@@ -47,7 +36,7 @@ def ros2_control(robot: RobotParams, without: tuple = ()) -> str:
     return _HEADER + text.getvalue()
 
 
-URDF = Target(title='URDF', write=urdf, effects=('viscous_error',),
+URDF = Target(title='URDF', write=urdf, effects=(ViscousError.name,),
               parts=('spring', 'motor_inertia', 'gravity', *_DRY))
-ROS2_CONTROL = Target(title='ros2_control', write=ros2_control, effects=('viscous_error',),
+ROS2_CONTROL = Target(title='ros2_control', write=ros2_control, effects=(ViscousError.name,),
                       parts=_DRY)

@@ -12,6 +12,7 @@ through the predictor, as further torques, and folded back into the arm.
 from dataclasses import replace
 from typing import NamedTuple
 
+from gms_flex_control.effects.catalogue.constant_link_torque import ConstantLinkTorque
 from gms_flex_control.identification.axis_ripple import fit_axis_with_ripple
 from gms_flex_control.identification.chain_fit import (
     base_regressors,
@@ -29,7 +30,7 @@ from gms_flex_control.identification.rigid_body import (
 from gms_flex_control.params.robot import EffectSpec
 import numpy as np
 
-CONSTANT = 'constant_link_torque'  # the effect
+CONSTANT = ConstantLinkTorque.name
 _LIGHT = 0.05       # of the torque: inertia that cannot be told is set to what takes this share
 _ERRORS, _PART = 5.0, 0.1  # of the regression, and of the number: unit of a correction
 

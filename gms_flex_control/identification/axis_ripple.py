@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 from gms_flex_control.analysis.signals import derivative_window, smoothed
 from gms_flex_control.analysis.waves import standing_out
+from gms_flex_control.effects.catalogue.torque_ripple import TorqueRipple
 from gms_flex_control.identification.held_out import model_friction
 from gms_flex_control.identification.rigid_body import fit_axis
 from gms_flex_control.identification.steady import friction_torque
@@ -19,7 +20,7 @@ from gms_flex_control.params.robot import EffectSpec
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-NAME = 'torque_ripple'  # the effect
+NAME = TorqueRipple.name
 _FEWEST = 6.0      # waves in the range of angles: with fewer it may be gravity or friction
 _MUCH = 0.1        # of the squares of what is left: a ripple below is not worth a word
 _WORTH = 0.97      # of the error on data held out: a ripple that helps less is not there

@@ -29,8 +29,6 @@ _TWIST, _SPRING, _LINK, _MOTOR = (int(stage) for stage in (
 _ON_LINK = (Stage.TWIST, Stage.SPRING, Stage.LINK, Stage.MOTOR)
 _WINDOW = 0.05        # of the rates and accelerations that effects look at [s]
 _CLEARINGS = 3        # of a motion from errors of its encoders
-_NOT_ALONG = ('base_flexibility',)  # needs torques that only a simulation has
-_ESTIMATED = ('constant_link_torque',)  # found anew where the arm is estimated as well
 
 
 def believed_model(robot, whole=False, force=False):
@@ -73,10 +71,10 @@ def believed_model(robot, whole=False, force=False):
 def _reason(robot, spec, whole):
     """Return why an effect cannot be respected, '' if it can."""
     kind, name = find(spec.name), f'effects.{spec.joint}.{spec.name}'
-    if whole and spec.name not in _ESTIMATED:
+    if whole and not kind.estimated_with_arm:
         return (f'{name}: --estimate all finds the arm without effects; take it out of the robot '
                 'file, or leave --estimate away')
-    if spec.name in _NOT_ALONG:
+    if not kind.acts_along_motion:
         return f'{name}: what was measured does not tell it apart; take it out of the robot file'
     if issubclass(kind, Change):
         changed = kind.change(robot, 0 if kind.whole_arm else robot.joints.index(spec.joint),

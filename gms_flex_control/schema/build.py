@@ -6,6 +6,7 @@
 from contextlib import contextmanager
 
 from gms_flex_control.effects import registry
+from gms_flex_control.effects.catalogue.gravity_tilt import GravityTilt
 from gms_flex_control.errors import ConfigError, ParameterError
 from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.params.encoder import EncoderParams
@@ -195,8 +196,9 @@ def robot_values(robot):
 
     """
     if robot.arm.gravity[0] != 0.0:
-        raise ParameterError(f'a robot file states gravity along -y only, got '
-                             f'{robot.arm.gravity}; describe a tilt as effects.arm.gravity_tilt')
+        raise ParameterError('a robot file states gravity along -y only, got '
+                             f'{robot.arm.gravity}; describe a tilt as '
+                             f'effects.arm.{GravityTilt.name}')
     values = {'joints': list(robot.joints), 'motors': list(robot.motors),
               'arm.kind': robot.arm.kind, 'arm.gravity': -float(robot.arm.gravity[1]) + 0.0}
     if robot.arm.axes != 'rotary':

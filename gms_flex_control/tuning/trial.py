@@ -7,6 +7,7 @@ from dataclasses import replace
 import math
 from typing import NamedTuple
 
+from gms_flex_control.effects.catalogue.input_delay import InputDelay
 from gms_flex_control.params.robot import EffectSpec
 from gms_flex_control.simulation import closed_loop
 from gms_flex_control.trajectory import builders
@@ -64,7 +65,7 @@ def with_delay(robot, delay):
     """Return a robot whose motors get every torque later by ``delay`` [s]."""
     if delay <= 0.0:
         return robot
-    late = tuple(EffectSpec(name='input_delay', joint=joint, values=(float(delay),))
+    late = tuple(EffectSpec(name=InputDelay.name, joint=joint, values=(float(delay),))
                  for joint in robot.joints)
     return replace(robot, effects=(*robot.effects, *late))
 

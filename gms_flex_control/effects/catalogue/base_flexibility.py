@@ -26,6 +26,7 @@ class BaseFlexibility(Term):
     confusable = ()
     tells = 'short pulses of torque with the arm at rest'
     needs_link_encoder = True
+    acts_along_motion = False  # needs torques that only a simulation has
     parameters = (
         Parameter('frequency', 'Hz', 'natural frequency w / 2 pi', lower=0.0),
         Parameter('inertia', 'kg m^2', 'inertia of the base about the joint', lower=0.0),

@@ -18,6 +18,8 @@ class ConstantLinkTorque(Term):
     confusable = ('spring_offset', 'friction_asymmetry')
     declared_from = 0.3       # levels that differ by direction are nearly a constant torque
     tells = 'motion both ways over the whole range, with rests between'
+    fed_forward = True
+    estimated_with_arm = True
     parameters = (
         Parameter('bias', 'N m', 'torque'),
     )

@@ -4,9 +4,12 @@
 
 """Friction stronger one way than the other."""
 
+from dataclasses import replace
+
 from gms_flex_control.effects.base import Parameter, Stage, Term
 from gms_flex_control.effects.guess import linear
 from gms_flex_control.effects.signals import DQ_LINK, FRICTION
+import numpy as np
 
 
 class FrictionAsymmetry(Term):
@@ -37,6 +40,13 @@ class FrictionAsymmetry(Term):
         """Return what is looked for, two lists: as much more one way as less the other."""
         lower, upper = super().search_bounds(joint_index, robot)
         return lower, [-lower[0], *upper[1:]]
+
+    @classmethod
+    def in_friction(cls, steady, direction, values):
+        """Return the friction parameters of one direction with the effect in them."""
+        factor = np.maximum(1.0 + direction * values[0], 0.05)  # levels stay above zero
+        return replace(steady, static=steady.static * factor, coulomb=steady.coulomb * factor,
+                       viscous=steady.viscous * factor)
 
     @staticmethod
     def apply(s, p, memory, dt):

@@ -20,6 +20,7 @@ class FrictionHysteresis(Term):
     evidence = 'time since reversal'
     confusable = ('friction_backlash', 'presliding_error')
     tells = 'many reversals of several sizes, from small ones to beyond the reach'
+    fed_forward = True
     parameters = (
         Parameter('force', 'N m', 'torque of all elements once they yield', lower=0.0),
         Parameter('reach', 'rad', 'largest displacement at which one yields', lower=0.0),

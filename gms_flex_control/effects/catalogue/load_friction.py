@@ -21,6 +21,7 @@ class LoadFriction(Term):
     evidence = 'torsion'
     confusable = ()
     tells = 'the same motion under another load'
+    fed_forward = True
     parameters = (
         Parameter('ratio', '1', 'relative growth at the load', lower=0.0, relative=True),
         Parameter('load', 'N m', 'torque at which it is reached', lower=0.0, fixed=True),

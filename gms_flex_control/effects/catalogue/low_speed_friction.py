@@ -22,6 +22,7 @@ class LowSpeedFriction(Term):
     evidence = 'link rate'
     confusable = ('stribeck_error',)
     tells = 'slow motion at many constant speeds'
+    fed_forward = True
     parameters = (
         Parameter('ratio', '1', 'relative change as the speed nears zero', relative=True),
         Parameter('velocity', 'rad/s', 'speed over which it decays', lower=0.0),

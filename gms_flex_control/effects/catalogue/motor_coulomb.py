@@ -31,6 +31,11 @@ class MotorCoulomb(Term):
         """Return usual sizes of its parameters, tuple of float or None."""
         return (0.3 * scales.friction,)
 
+    @classmethod
+    def holding_torque(cls, values):
+        """Return the friction torque [N m] that it adds where a motor stands still."""
+        return values[0]
+
     @staticmethod
     def apply(s, p, memory, dt):
         """Change the signals of one joint."""

@@ -17,6 +17,7 @@ class MotorTorqueBias(Term):
     evidence = 'motor rate'
     confusable = ()
     tells = 'a recording with another load, or with the link held'
+    fed_forward = True
     parameters = (
         Parameter('bias', 'N m', 'torque'),
     )

@@ -17,6 +17,7 @@ class MotorViscous(Term):
     evidence = 'motor rate'
     confusable = ()
     tells = 'fast motion of the motor with the link taken off'
+    fed_forward = True
     parameters = (
         Parameter('viscous', 'N m s/rad', 'viscous coefficient', lower=0.0),
     )

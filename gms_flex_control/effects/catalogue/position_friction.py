@@ -19,6 +19,7 @@ class PositionFriction(Term):
     evidence = 'link angle'
     confusable = ()
     tells = 'slow motion both ways over the whole range'
+    fed_forward = True
     parameters = (
         Parameter('ratio', '1', 'relative variation', relative=True),
         Parameter('order', '1', 'periods per revolution', lower=0.0),

@@ -17,6 +17,7 @@ class QuadraticDrag(Term):
     evidence = 'link rate'
     confusable = ('viscous_error',)
     tells = 'faster motion, over a range of speeds of 1 to 5'
+    fed_forward = True
     parameters = (
         Parameter('drag', 'N m s^2/rad^2', 'coefficient', lower=0.0),
     )

@@ -5,11 +5,9 @@
 """Ripple of motor or gear, periodic in the motor angle."""
 
 from gms_flex_control.effects.base import Parameter, Stage, Term
-from gms_flex_control.effects.guess import orders, waves
+from gms_flex_control.effects.guess import HIGHEST_ORDER, orders, waves
 from gms_flex_control.effects.signals import MOTOR_TORQUE, Q_MOTOR
 import numpy as np
-
-HIGHEST_GUESSED = 48.0  # order; finer waves are told by the data
 
 
 class TorqueRipple(Term):
@@ -21,6 +19,7 @@ class TorqueRipple(Term):
     evidence = 'motor angle'
     confusable = ('kinematic_error',)
     tells = 'the same path under another load'
+    fed_forward = True
     parameters = (
         Parameter('amplitude', 'N m', 'amplitude', lower=0.0),
         Parameter('order', '1', 'periods per revolution', lower=0.0),
@@ -31,7 +30,7 @@ class TorqueRipple(Term):
     def guesses(cls, scales):
         """Return how it might be there, list of Guess."""
         return waves(0.05 * scales.friction,
-                     (*orders(scales.turned, HIGHEST_GUESSED, 2.0), *scales.fine_orders))
+                     (*orders(scales.turned, HIGHEST_ORDER, 2.0), *scales.fine_orders))
 
     @classmethod
     def typical(cls, scales):

@@ -3,9 +3,12 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Viscous friction that differs by direction."""
 
+from dataclasses import replace
+
 from gms_flex_control.effects.base import Parameter, Stage, Term
 from gms_flex_control.effects.guess import linear
 from gms_flex_control.effects.signals import DQ_LINK, FRICTION
+import numpy as np
 
 
 class ViscousAsymmetry(Term):
@@ -30,6 +33,12 @@ class ViscousAsymmetry(Term):
     def typical(cls, scales):
         """Return usual sizes of its parameters, tuple of float or None."""
         return (0.2 * scales.friction / scales.speed,)
+
+    @classmethod
+    def in_friction(cls, steady, direction, values):
+        """Return the friction parameters of one direction with the effect in them."""
+        return replace(steady, viscous=np.maximum(
+            steady.viscous + direction * values[0], 0.0))
 
     @staticmethod
     def apply(s, p, memory, dt):

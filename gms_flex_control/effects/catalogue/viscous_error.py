@@ -4,9 +4,12 @@
 
 """Slope of the friction over velocity other than believed."""
 
+from dataclasses import replace
+
 from gms_flex_control.effects.base import Parameter, Stage, Term
 from gms_flex_control.effects.guess import linear
 from gms_flex_control.effects.signals import DQ_LINK, FRICTION
+import numpy as np
 
 
 class ViscousError(Term):
@@ -37,6 +40,11 @@ class ViscousError(Term):
         """Return what is looked for, two lists: all of it may be gone either way."""
         steady = robot.friction.forward, robot.friction.backward
         return [-max(float(one.viscous[joint_index]) for one in steady)], [cls.parameters[0].upper]
+
+    @classmethod
+    def in_friction(cls, steady, direction, values):
+        """Return the friction parameters of one direction with the effect in them."""
+        return replace(steady, viscous=np.maximum(steady.viscous + values[0], 0.0))
 
     @staticmethod
     def apply(s, p, memory, dt):
