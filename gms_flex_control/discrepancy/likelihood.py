@@ -44,7 +44,7 @@ _MEASURED_BY = 6       # of these: by which residuals are whitened
 _STEP = 0.01           # relative change of a nuisance parameter, for its derivative
 _MEDIAN = 0.4549       # of the square of a standard normal number
 _ALL_NOISE = 0.3       # of the squares of a derivative: noise shows more than the model does
-_LEAST_SCALE = 0.1     # of the torque that was commanded
+_LEAST_SCALE, _MOST_SCALE = 0.1, 2.0  # of the torque that was commanded: drives give no more
 _FEWEST = 40           # rows of a group that tell a noise level
 _FAST_OCTAVES = 2      # highest ones: above 5 Hz
 _DRAWS = 4             # of unit noise
@@ -443,7 +443,7 @@ class Likelihood:
             if factor != 1.0:
                 j = robot.joints.index(spec.joint)
                 driven = not robot.arm.rigid[j] and spec.joint not in self.unseen
-                scale[j + robot.n_joints * driven] *= max(factor, _LEAST_SCALE)
+                scale[j + robot.n_joints * driven] *= np.clip(factor, _LEAST_SCALE, _MOST_SCALE)
         if len(acting) < len(robot.effects):
             robot = replace(robot, effects=tuple(acting))
         constants = self.constants(robot, x)
