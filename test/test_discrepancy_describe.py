@@ -11,12 +11,11 @@ from gms_flex_control.discrepancy.describe import (
     evidence_of,
     first_of,
     of_noise,
-    of_withheld,
     torque_scale,
 )
 from gms_flex_control.discrepancy.findings import Worth
 from gms_flex_control.discrepancy.likelihood import Likelihood
-from gms_flex_control.discrepancy.result import Gap, Noise
+from gms_flex_control.discrepancy.result import Noise
 from gms_flex_control.discrepancy.signature import signature_of
 from gms_flex_control.discrepancy.validation import Gain
 from gms_flex_control.discrepancy.workflow import _known_off
@@ -35,19 +34,6 @@ def test_torques_are_told_in_units_that_suit(size, said):
 def test_of_many_texts_the_first_are_said():
     assert first_of(['one', 'two.'], 2) == 'one. two.'
     assert first_of(['one', 'two', 'three'], 1) == 'one. (2 more in the report.)'
-
-
-def gap(torque=0.5, free=0.5):
-    """Return a Gap by its ratios of squares."""
-    zero = np.zeros(1)
-    return Gap(joints=('j',), before=zero, retuned=zero, after=zero, floor=zero, free_floor=zero,
-               rest_before=zero, rest_after=zero, energy_ratio=torque, free_before=np.ones(1),
-               free_after=np.sqrt([free]))
-
-
-def test_why_effects_are_withheld_is_told():
-    said = of_withheld(gap(torque=0.64, free=1.21))
-    assert 'free-run errors would be 1.1 times as large, residual torque 0.8 times.' in said
 
 
 def test_noise_is_told_by_drive_and_colour():

@@ -9,7 +9,6 @@ import warnings
 
 from discrepancy_runs import recorded
 from gms_flex_control.discrepancy import workflow
-from gms_flex_control.discrepancy.describe import of_withheld
 from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE, FOUND, UNEXPLAINED
 from gms_flex_control.discrepancy.workflow import discrepancy, Options
 from gms_flex_control.effects import registry
@@ -359,19 +358,17 @@ def test_more_noise_than_drives_have_is_unexplained(monkeypatch, rms, expected):
     assert (left == 1.0) is expected
 
 
-def test_what_makes_a_model_worse_is_named_and_not_added(named, monkeypatch):
-    """As told by prediction; the words say so."""
+def test_what_makes_a_model_worse_is_no_finding(named, monkeypatch):
+    """It is listed apart, in the words too, and changes no verdict."""
     monkeypatch.setattr(workflow, '_best_predicting',
                         lambda likelihood, found, *_: found.before)
     case, _ = named
     result = discrepancy([case.recording], case.nominal, holdout=[case.held_out])
     true, = case.truth.effects
-    assert result.verdict == FOUND
-    assert [(one.effect, one.joint) for one in result.findings] == [(true.name, true.joint)]
-    assert of_withheld(result.withheld) in result.words
-    assert result.robot.effects == ()
+    assert result.verdict == COMPLETE and not result.findings and result.robot.effects == ()
+    assert [one.key for one in result.minor] == [(true.name, true.joint)]
+    assert (f'the model predicts better without: {true.name} of {true.joint}.') in result.words
     np.testing.assert_allclose(result.gap.after, result.gap.retuned, rtol=1e-3)
-    np.testing.assert_allclose(result.gap.free_after, result.gap.free_before, rtol=1e-3)
 
 
 @pytest.mark.parametrize(('what', 'told'), [

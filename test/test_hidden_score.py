@@ -296,7 +296,7 @@ def test_a_job_asks_the_workflow_without_telling_it_the_truth(workflow):
         verdict='effects_found', gap=SimpleNamespace(
             retuned=np.array([1.0, 2.0]), after=[1.0, 1.0], floor=[0.5, np.nan],
             free_before=[1.0, 1.0], free_after=np.array([0.5, 0.5])),
-        withheld=None, named=(finding,),
+        named=(finding,),
         models=(Credible((('backlash', 'joint2'),), 0.99),),
         noise=(Noise('joint1', 'motor', 0.003, 0.001, 'white'),))
     found = try_job(Job('deleted', 1, duration=8.0), with_peers=False)

@@ -5,10 +5,7 @@
 
 from types import SimpleNamespace
 
-from gms_flex_control.discrepancy import workflow
 from gms_flex_control.discrepancy.result import Gap, Value
-from gms_flex_control.hidden.cases import make_case
-from gms_flex_control.reports.discrepancy import write_discrepancy_report
 from gms_flex_control.reports.discrepancy_figures import (
     evidence_figure,
     gap_figure,
@@ -18,8 +15,6 @@ from gms_flex_control.reports.discrepancy_figures import (
 from gms_flex_control.reports.discrepancy_values import (
     over_values,
     plain,
-    report_values,
-    write_robot,
 )
 from gms_flex_control.reports.discrepancy_views import (
     bin_edges,
@@ -148,19 +143,3 @@ def test_pictures_are_drawn_of_any_names_and_of_nothing(tmp_path):
                          ('map', maps_figure([empty], '$_<b>'))):
         save_figure(figure, tmp_path / f'{name}.png')
         assert (tmp_path / f'{name}.png').stat().st_size > 5000
-
-
-def test_what_is_withheld_is_told_on_page_and_in_files(monkeypatch, tmp_path):
-    """Beside the gap of the model that is written, which is that without the findings."""
-    monkeypatch.setattr(workflow, '_best_predicting',
-                        lambda likelihood, found, *_: found.before)
-    case = make_case('single', 4, effect='stiffness_error', duration=10.0)
-    true, = case.truth.effects
-    result = workflow.discrepancy([case.recording], case.nominal, holdout=[case.held_out])
-    write_robot(result, tmp_path / 'robot.yaml')
-    assert 'lacks some of what is named here' in ' '.join(
-        (tmp_path / 'robot.yaml').read_text().replace('#', ' ').split())
-    told = report_values(result)
-    assert told['withheld']['after'][true.joint] < told['gap']['after'][true.joint]
-    page = write_discrepancy_report(result, tmp_path, holdout=[case.held_out])[0].read_text()
-    assert 'The model that is written lacks some of what is named here' in page

@@ -128,7 +128,7 @@ def line_of(outcome):
     truth = outcome['truth']
     hidden = ', '.join(f'{one["effect"]} of {one["joint"]}' for one in truth['effects'])
     hidden = hidden or (truth['outsider'] or {}).get('name', 'nothing')
-    named = ', '.join(f'{one["effect"]} of {one["joint"]}{"" if one["main"] else " (small)"}'
+    named = ', '.join(f'{one["effect"]} of {one["joint"]}{"" if one["main"] else " (minor)"}'
                       for one in outcome['findings'][:3])
     return (f'{truth["kind"]} {truth["seed"]} {truth["plant"]} {truth["population"]}: {hidden} -> '
             f'{outcome["verdict"]}{": " if named else ""}{named} ({outcome["seconds"]:.1f} s)')

@@ -96,19 +96,6 @@ def of_noise(noise):
     return f'{where}: {per_sample}{scale.text(noise.rms)} {scale.unit} rms up to 8 Hz, {colour}'
 
 
-def of_withheld(gap):
-    """Return a sentence on effects that make prediction worse, by their Gap."""
-    return ('The model that is written lacks some of what is named here, since it predicts better '
-            f'without: with all of it free-run errors would be {free_ratio(gap):.3g} times as '
-            f'large, residual torque {np.sqrt(gap.energy_ratio):.3g} times.')
-
-
-def free_ratio(gap):
-    """Return free-run errors of a Gap after over before, NaN where there are none."""
-    before, after = (float(np.sum(one ** 2)) for one in (gap.free_before, gap.free_after))
-    return float(np.sqrt(after / before)) if before > 0.0 else np.nan
-
-
 def paragraph(result, unseen=(), known_off=None):
     """
     Return one paragraph on a Discrepancy.
@@ -134,8 +121,6 @@ def paragraph(result, unseen=(), known_off=None):
         names_of = ' and '.join(f'{one.name} of {one.joint}' for one in result.stand_ins)
         parts.append(f'The model that is written has {names_of} in its place: it predicts better '
                      'so, but they only resemble what is missing.')
-    if result.withheld:
-        parts.append(of_withheld(result.withheld))
     parts += [_gap(result), *_noise(result)]
     if result.recordings:
         parts.append(f'Unlike in the first recording: {"; ".join(result.recordings)}.')
@@ -165,15 +150,19 @@ def _verdict(result):
                 yield (f'{one.effect} of {one.joint} is indistinguishable here from '
                        f'{" or ".join(one.confusable_with)}; discriminating experiment: '
                        f'{one.tells_apart}.')
-    beside = [*result.findings[_IN_FULL:], *result.minor]
+    added = {(spec.name, spec.joint) for spec in result.robot.effects}
+    beside = [*result.findings[_IN_FULL:], *(one for one in result.minor if one.key in added)]
     if beside:
         yield f'Smaller than what matters in practice: {_briefly(beside)}.'
+    without = [one for one in result.minor if one.key not in added]
+    if without:
+        yield ('The recordings speak for these as well, but the model predicts better without: '
+               f'{_briefly(without)}.')
 
 
 def _remainder(result):
     """Yield sentences on how much is explained, and what remains."""
-    gap = result.withheld or result.gap
-    left = result.unexplained
+    gap, left = result.gap, result.unexplained
     if result.verdict == FOUND and left is not None and left.share > _REMAINS:
         sure = min(one.probability for one in result.findings)
         yield (f'That explains {100.0 * (1.0 - gap.energy_ratio):.0f} % of what is missing '
@@ -192,8 +181,7 @@ def _gap(result):
         f'{torque.text(floor)})'
         for joint, before, after, floor in zip(gap.joints, gap.retuned, gap.after, gap.floor,
                                                strict=True))
-    where = 'Without it, on' if result.withheld else 'On'
-    text = f'{where} held-out data the residual torque in motion is {torques}'
+    text = f'On held-out data the residual torque in motion is {torques}'
     if np.isnan(gap.free_after).any():
         return f'{text}; no free run was possible.'
     runs = ', '.join(

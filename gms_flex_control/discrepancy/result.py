@@ -77,6 +77,11 @@ class Finding:
     rms_after: np.ndarray
 
     @property
+    def key(self):
+        """Return (effect, joint)."""
+        return self.effect, self.joint
+
+    @property
     def parameters(self):
         """Return the values by name, dict of str to float."""
         return {value.name: value.value for value in self.values}
@@ -93,7 +98,7 @@ class Gap:
         Names.
     before, retuned, after, floor : ndarray, shape (n,)
         Residual torque in motion, rms [N m]: of the model as given, with known parameters
-        re-tuned, with the effects found unless they are withheld, and of a null simulation.
+        re-tuned, with the effects found, and of a null simulation.
     rest_before, rest_after : ndarray, shape (n,)
         Likewise while the link stands, re-tuned and with the effects found, which decides
         nothing; NaN where it never stands.
@@ -176,7 +181,8 @@ class Discrepancy:
     verdict : str
         'complete', 'effects_found', 'unexplained' or 'bad_data'.
     findings, minor : tuple of Finding
-        Effects that matter, the largest first, and small ones, which change no verdict.
+        Effects that matter, the largest first; then those that change no verdict: small ones,
+        and ones that ``robot`` lacks since it predicts better without.
     stand_ins : tuple of EffectSpec
         Effects in ``robot`` that only resemble what is missing: prediction is better with them,
         but a free function of one variable explains more.
@@ -188,11 +194,8 @@ class Discrepancy:
         What is left, where it matters.
     gap : Gap or None
         None where the data are bad.
-    withheld : Gap or None
-        What the gap would be with all findings, where ``robot`` has others since it predicts
-        better: they are named all the same; ``gap`` is that of ``robot``.
     robot : RobotParams or None
-        With known parameters re-tuned and all findings, unless they are withheld.
+        With known parameters re-tuned, all findings, and what else improves prediction.
     retuned : tuple of (str, str, float)
         Known parameter, joint and relative change.
     recordings : tuple of str
@@ -220,7 +223,6 @@ class Discrepancy:
     noise: tuple = ()
     unexplained: Signature | None = None
     gap: Gap | None = None
-    withheld: Gap | None = None
     robot: object = None
     retuned: tuple = ()
     recordings: tuple = ()

@@ -132,29 +132,28 @@ def _compared(motions, holdout, robot, options, say):
                 if holdout else None)
     found, worths = predictive(likelihood, found, worths, measured)
     findings = findings_of(likelihood, found, worths, measured)
-    gap, withheld = gap_of(likelihood, found.before, found.best, measured), None
+    gap = gap_of(likelihood, found.before, found.best, measured)
     left = _left_over(likelihood, found.best.model, free, gap, measured)
     if left is not None and not (any(one.main for one in findings) and _explain_most(gap)):
         findings = []  # they only resemble some of it
-    main = tuple(one for one in findings if one.main)
-    named = {(one.effect, one.joint) for one in findings}
     more = left is not None or np.any(gap.after ** 2 > BETTER * gap.floor ** 2)
     after = _best_predicting(likelihood, found, whole if left else found, measured, more)
     known, changes = len(robot.effects), list(zip(likelihood.nuisances, after.model.x.tolist(),
                                                   strict=True))
+    if after is not found.best:
+        gap = gap_of(likelihood, found.before, after, measured)
+    main = tuple(one for one in findings if one.main and one.key in after.key(known))
+    named = {one.key for one in findings}
     stand_ins = tuple(spec for spec in after.model.robot.effects[known:]
                       if (spec.name, spec.joint) not in named)
-    if after is not found.best:
-        withheld = gap if {(one.effect, one.joint) for one in main} - after.key(known) else None
-        gap = gap_of(likelihood, found.before, after, measured)
     noise = noise_of(likelihood, found.best.model)
     result = Discrepancy(
         verdict=FOUND if main else UNEXPLAINED if left else COMPLETE,
-        findings=main, minor=tuple(one for one in findings if not one.main),
+        findings=main, minor=tuple(one for one in findings if one not in main),
         models=tuple(Credible(tuple(sorted(names)), mass) for names, mass in credible(
             posterior(found.tried, known))),
         stand_ins=stand_ins, noise=noise if left is None else (), unexplained=left, gap=gap,
-        withheld=withheld, tried=_tried(found),
+        tried=_tried(found),
         retuned=tuple((one.name, robot.joints[one.joint] if one.joint >= 0 else 'arm', value)
                       for one, value in changes if not isinstance(one, OfRecording)),
         recordings=tuple(one.words(robot.joints, value) for one, value in changes

@@ -9,7 +9,6 @@ from pathlib import Path
 from gms_flex_control.discrepancy.describe import (
     capitalised,
     of_noise,
-    of_withheld,
     torque_scale,
 )
 from gms_flex_control.discrepancy.free_run import all_known, free_runs, HORIZON
@@ -104,7 +103,7 @@ def add_discrepancy(report, result, folder, *, holdout=(), models=()):
     _add_summary(report, result)
     if result.behind is not None:
         along = Along(result.behind.likelihood)
-        report.figure(picture(gap_figure(result.gap, bool(result.withheld)), 'gap.png'),
+        report.figure(picture(gap_figure(result.gap), 'gap.png'),
                       'The gap on data held out')
         _add_rest_and_noise(report, result)
         _add_findings(report, result, along, picture)
@@ -168,9 +167,6 @@ def _add_findings(report, result, along, picture):
         for own, model in zip(sets, result.models, strict=True)],
         'The credible set: the fewest models that hold 95 % of the probability'
         + (f'. All of them have {_names(common)}; beside these:' if common else ''))
-    if result.withheld:
-        report.note(f'{of_withheld(result.withheld)} The gap above and the closed loop are those '
-                    'without it; maps and free runs below show what it would do.', warning=True)
     for i, finding in enumerate(findings[:MOST_PICTURES]):
         report.heading(f'{finding.effect} of {finding.joint}', level=3)
         report.text(_summary_of(finding.effect))

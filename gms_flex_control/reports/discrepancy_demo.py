@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 from gms_flex_control import __version__
 from gms_flex_control.analysis.table4 import align
 from gms_flex_control.analysis.tracking import link_error, link_rms
-from gms_flex_control.discrepancy.describe import of_withheld
 from gms_flex_control.discrepancy.result import Discrepancy
 from gms_flex_control.effect_compensation.known import compensated
 from gms_flex_control.hidden.written import described
@@ -116,8 +115,6 @@ def revealed(outcome):
     else:
         sentence += 'not named'
     sentence += ', and the gap shrank.' if outcome.shrank else ', and the gap did not shrink.'
-    if outcome.result.withheld:
-        sentence += f' {of_withheld(outcome.result.withheld)}'
     if not compensated(truth['effect']):
         sentence += ' No controller can compensate it: tracking is as before.'
     return sentence

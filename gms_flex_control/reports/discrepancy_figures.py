@@ -18,7 +18,7 @@ GIVEN, BEFORE, AFTER, FLOOR = '0.65', COLOURS[1], COLOURS[0], '0.35'
 OWN = COLOURS[2]
 
 
-def gap_figure(gap, withheld=False):
+def gap_figure(gap):
     """
     Return the gap between model and measurement on data held out, joint by joint.
 
@@ -26,8 +26,6 @@ def gap_figure(gap, withheld=False):
     ----------
     gap : Gap
         Of n joints.
-    withheld : bool
-        Whether the effects found are not in the model.
 
     Returns
     -------
@@ -36,16 +34,15 @@ def gap_figure(gap, withheld=False):
 
     """
     figure, panels = side_by_side(2, height=1.6 + 0.75 * len(gap.joints))
-    after = 'the effects found withheld' if withheld else 'with the effects found'
     torque = torque_scale(gap.before)
     angle = angle_scale(gap.free_before)
     _bars(panels[0], gap.joints, torque, (
         ('as given', gap.before, GIVEN), ('known parameters re-tuned', gap.retuned, BEFORE),
-        (after, gap.after, AFTER),
+        ('with the effects found', gap.after, AFTER),
         ('noise floor', gap.floor, FLOOR)))
     _bars(panels[1], gap.joints, angle, (
         ('known parameters re-tuned', gap.free_before, BEFORE),
-        (after, gap.free_after, AFTER),
+        ('with the effects found', gap.free_after, AFTER),
         ('noise floor', gap.free_floor, FLOOR)))
     finished(figure, panels, 'Between model and measurement, on data held out')
     panels[0].set_xlabel(f'residual torque in motion, rms [{torque.unit}]')

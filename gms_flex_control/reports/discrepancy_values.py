@@ -8,7 +8,7 @@ import math
 from textwrap import wrap
 
 from gms_flex_control import __version__
-from gms_flex_control.discrepancy.describe import named, of_withheld
+from gms_flex_control.discrepancy.describe import named
 from gms_flex_control.files import write_text
 from gms_flex_control.reports.discrepancy_views import over_of
 from gms_flex_control.schema.files import save_robot
@@ -55,7 +55,6 @@ def report_values(result, *, holdout=(), models=()):
                       for one in result.stand_ins],
         'noise': [one._asdict() for one in result.noise],
         'unexplained': result.unexplained._asdict() if result.unexplained else None,
-        'withheld': gap_values(result.withheld) if result.withheld else None,
         'gap': gap_values(result.gap) if result.gap is not None else None,
         'recordings': list(result.recordings),
         'retuned': [{'parameter': name, 'joint': joint, 'change': change}
@@ -123,8 +122,8 @@ def over_bags_values(result):
     Returns
     -------
     dict
-        ``verdict``, ``words``, ``effects`` that matter and ``minor`` ones as text, ``withheld``
-        whether they would make the model worse, ``unexplained`` in a sentence, ``estimates`` of
+        ``verdict``, ``words``, ``effects`` that matter and ``minor`` ones as text,
+        ``unexplained`` in a sentence, ``estimates`` of
         their parameters, ``gap`` by joint, and ``reason``: the faults of bad data, else None.
 
     """
@@ -134,7 +133,6 @@ def over_bags_values(result):
         'verdict': result.verdict, 'words': result.words,
         **{name: [f'{one.effect} of {one.joint}' for one in found] for name, found in (
             ('effects', result.findings), ('minor', result.minor))},
-        'withheld': result.withheld is not None,
         'unexplained': result.unexplained and result.unexplained.sentence,
         'estimates': [_estimate(finding, value) for finding in result.named
                       for value in finding.values],
@@ -198,8 +196,6 @@ def _comment(result):
                               ('Small effects', result.minor)):
         if findings:
             lines.append(f'{heading}: ' + '; '.join(named(one) for one in findings) + '.')
-    if result.withheld:
-        lines.append(of_withheld(result.withheld))
     changes = [f'{name} of {joint} {100.0 * change:+.2f} %'
                for name, joint, change in result.retuned if abs(change) >= _LEAST]
     if changes:

@@ -64,7 +64,7 @@ def _missing(likelihood, model):
 
 
 def as_found(result):
-    """Return the robot with all findings of a Discrepancy, also those that are withheld."""
+    """Return the robot with all effects that a Discrepancy found evidence for."""
     after = result.behind.after
     return with_nuisances(after.robot, result.behind.likelihood.nuisances, after.x)
 

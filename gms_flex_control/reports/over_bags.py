@@ -103,8 +103,7 @@ def _findings(good):
     if not good:
         return ''
     lines = [[bag, values['verdict'], ', '.join(
-        [*values['effects'], *(f'{one} (small)' for one in values['minor']),
-         *(['withheld'] if values['withheld'] else [])]) or '-']
+        [*values['effects'], *(f'{one} (minor)' for one in values['minor'])]) or '-']
         for bag, values in list(good.items())[:_LINES]]
     more = f'\nand {len(good) - _LINES} more, see summary.csv' if len(good) > _LINES else ''
     return align(['bag', 'verdict', 'effects'], lines) + more

@@ -214,9 +214,6 @@ def _use(outcomes):
                percent=False),
         Figure('free run made worse', share(value > MADE_WORSE for value in free), 0.0, False,
                len(free)),
-        Figure('named, but withheld from the model', share(
-            bool(one.get('withheld')) for one in outcomes if one['findings']), None, False,
-               sum(bool(one['findings']) for one in outcomes)),
         Figure('median time of a case [s]', median(seconds), 10.0, False, len(seconds),
                percent=False),
         Figure('largest memory [MB]', max((one['megabytes'] for one in outcomes), default=None),

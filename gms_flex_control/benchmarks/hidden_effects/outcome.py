@@ -74,7 +74,6 @@ def ask_workflow(case, without):
                 'seconds': time.perf_counter() - begin}, None
     seconds = time.perf_counter() - begin
     return {'verdict': result.verdict, 'seconds': seconds, 'gap': gap_of(result.gap),
-            'withheld': gap_of(result.withheld),
             'findings': [{
                 'effect': one.effect, 'joint': one.joint, 'main': bool(one.main),
                 'score': float(one.score), 'probability': float(one.probability),
