@@ -9,7 +9,7 @@ from gms_flex_control.analysis.copies import tracking_of_copies
 from gms_flex_control.analysis.tracking import link_rms
 from gms_flex_control.cli.demo import plan_of
 from gms_flex_control.experiment.believed import mixed_error
-from gms_flex_control.experiment.simulated import simulate, to_recording
+from gms_flex_control.experiment.simulated import simulate
 import numpy as np
 import pytest
 
@@ -22,7 +22,7 @@ def plan():
 
 def test_copies_without_a_difference_track_alike(plan):
     errors = tracking_of_copies(plan, plan.robot, count=2, spread=0.0)
-    alone = link_rms(to_recording(simulate(replace(plan, model=plan.robot)), plan, 'alone'))
+    alone = link_rms(simulate(replace(plan, model=plan.robot), 'alone'))
     np.testing.assert_allclose(errors, [alone, alone], rtol=1e-12)
 
 

@@ -15,7 +15,7 @@ from gms_flex_control.comparison import held_out, study, words
 from gms_flex_control.comparison.along import along, predicted
 from gms_flex_control.comparison.contestants import Condition, conditions, CONTESTANTS, plant_of
 from gms_flex_control.experiment.plan import read_plan
-from gms_flex_control.experiment.simulated import simulate, simulate_to_bag, to_recording
+from gms_flex_control.experiment.simulated import run_plan, simulate, simulate_to_bag, to_recording
 from gms_flex_control.params.encoder import EncoderParams
 from gms_flex_control.params.gains import COMPENSATIONS
 from gms_flex_control.resources import controller_file, robot_file, share_path
@@ -146,7 +146,7 @@ def plan():
 def test_the_friction_along_a_recording_is_the_one_that_acted(plan):
     """Ideal encoders: measured, and replayed with the true parameters, against the truth."""
     ideal = replace(plan, robot=replace(plan.robot, encoder=EncoderParams()))
-    run = simulate(ideal)
+    run = run_plan(ideal)
     found = along(to_recording(run, ideal), ideal.robot)
     piece, inner = found.pieces[0], slice(50, -50)
     true = held_out.low_pass(run.friction, piece.window)
@@ -159,7 +159,7 @@ def test_the_friction_along_a_recording_is_the_one_that_acted(plan):
 def test_fitted_models_tell_held_out_friction_in_the_order_of_what_they_know(plan):
     """Friction believed 0.7 of what it is; nothing tells all of it, GMS nearly none is left."""
     model = model_with_error(plan.robot, friction=0.7)
-    found = along(to_recording(simulate(plan), plan), model)
+    found = along(simulate(plan), model)
     masks = held_out.split(found.pieces, 0.5)
     fits = {mode: held_out.fit(found, plan.gains, mode, masks)
             for mode in ('stribeck', 'gms_desired')}
@@ -181,7 +181,7 @@ def test_a_fit_begins_at_the_friction_of_the_file(arm):
 
 
 def test_without_a_reference_what_needs_one_is_left_out(plan):
-    found = along(to_recording(simulate(plan), plan), plan.robot)._replace(has_reference=False)
+    found = along(simulate(plan), plan.robot)._replace(has_reference=False)
     assert held_out.modes_to_fit(False) == ['stribeck', 'lugre', 'gms_paper']
     fits = dict.fromkeys(held_out.modes_to_fit(False), np.zeros((10, 2)))
     said = {one.mode: one for one in held_out.compare_along(found, plan.gains, 0.5, fits)}

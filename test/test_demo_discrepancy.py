@@ -87,7 +87,7 @@ def test_nodes_that_know_the_effect_agree_with_one_process(outcome, belief):
         overrides={'rate': 500.0, 'compensation': 'gms'})
     run, recording = simulate(plan), read_recording(folder / 'bags' / belief)
     samples = len(run.time)
-    assert np.abs(recording.q_link[:samples] - run.measured[:, 0]).max() < 1e-9
+    assert np.abs(recording.q_link[:samples] - run.q_link).max() < 1e-9
     assert np.abs(recording.command[:samples] - run.command).max() < 1e-9
 
 

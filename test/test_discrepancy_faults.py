@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from gms_flex_control.discrepancy.data_faults import faults_of
 from gms_flex_control.discrepancy.result import BAD_DATA, UNEXPLAINED
-from gms_flex_control.discrepancy.workflow import discrepancy, Options
+from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
 from gms_flex_control.effects.registry import names
 from gms_flex_control.errors import BagError
 from gms_flex_control.hidden.cases import make_case
@@ -158,7 +158,7 @@ TOLD = {'torque clipped': (clipped, 'clipped'), 'samples repeated': (repeated, '
 
 @pytest.mark.parametrize('name', REFUSED)
 def test_a_fault_of_the_data_ends_the_run_with_its_name(case, name):
-    result = discrepancy([REFUSED[name](case.recording)], case.nominal)
+    result = find_discrepancy([REFUSED[name](case.recording)], case.nominal)
     assert result.verdict == BAD_DATA
     assert result.findings == () and result.unexplained is None and result.gap is None
     assert result.faults and result.faults[0] in result.words
@@ -169,11 +169,11 @@ def test_a_fault_of_the_data_ends_the_run_with_its_name(case, name):
 
 def test_a_channel_the_equations_need_is_asked_for(case):
     with pytest.raises(BagError, match="the motor angle of 'joint1' is missing"):
-        discrepancy([scaled('q_motor', np.nan)(case.recording)], case.nominal)
+        find_discrepancy([scaled('q_motor', np.nan)(case.recording)], case.nominal)
 
 
 def test_a_fault_of_the_recording_held_out_counts_too(case):
-    result = discrepancy([case.recording], case.nominal,
+    result = find_discrepancy([case.recording], case.nominal,
                          holdout=[clock_jump(case.recording)])
     assert result.verdict == BAD_DATA and 'clock' in result.words
 
@@ -187,13 +187,13 @@ def test_a_fault_with_which_one_can_go_on_is_told(case, name):
 
 
 def test_one_goes_on_with_faults_that_are_told(case):
-    result = discrepancy([clipped(case.recording)], case.nominal, Options(most=0))
+    result = find_discrepancy([clipped(case.recording)], case.nominal, Options(most=0))
     assert result.verdict != BAD_DATA and 'clipped' in result.words
 
 
 def test_a_command_is_all_that_was_asked_for_clipped_or_not(case):
     """Where no effort was recorded it is the torque, and is not called missing either."""
-    result = discrepancy([commanded(clipped)(case.recording)], case.nominal, Options(most=0))
+    result = find_discrepancy([commanded(clipped)(case.recording)], case.nominal, Options(most=0))
     assert result.faults == () and result.verdict != BAD_DATA
 
 
@@ -202,7 +202,7 @@ def test_a_command_is_all_that_was_asked_for_clipped_or_not(case):
 def test_commands_are_looked_over_beside_efforts(case, change):
     """The equations take them, so right efforts do not help."""
     wrong = replace(case.recording, command=change(case.recording.command))
-    result = discrepancy([wrong], case.nominal)
+    result = find_discrepancy([wrong], case.nominal)
     assert result.verdict == BAD_DATA and 'of its torque commands' in result.words
 
 
@@ -211,12 +211,12 @@ def test_joints_are_known_by_name_whatever_their_order(case):
     recording = case.recording
     turned = recording.of_joints(recording.joints[::-1])
     assert turned.joints == ('joint2', 'joint1')
-    told = [discrepancy([one], case.nominal, Options(most=0)) for one in (recording, turned)]
+    told = [find_discrepancy([one], case.nominal, Options(most=0)) for one in (recording, turned)]
     assert told[0].words == told[1].words and told[0].verdict != BAD_DATA
-    alone = discrepancy([recording.of_joints(['joint2'])], case.nominal)
+    alone = find_discrepancy([recording.of_joints(['joint2'])], case.nominal)
     assert alone.verdict == BAD_DATA and "no joint 'joint1'" in alone.words
     with pytest.raises(BagError, match="no joint 'joint1'"):
-        discrepancy([recording.of_joints(['joint2'])], case.nominal, Options(force=True))
+        find_discrepancy([recording.of_joints(['joint2'])], case.nominal, Options(force=True))
 
 
 @pytest.mark.parametrize(('change', 'word'), [
@@ -226,13 +226,13 @@ def test_faults_of_time_are_told_where_links_are_not_seen(case, change, word):
     """Nothing is computed along such a time, though link angles would have to be."""
     blind = replace(case.recording, q_link=np.nan * case.recording.q_link,
                     dq_link=np.nan * case.recording.dq_link)
-    result = discrepancy([change(blind)], case.nominal)
+    result = find_discrepancy([change(blind)], case.nominal)
     assert result.verdict == BAD_DATA and word in result.words
 
 
 def test_with_no_effect_to_look_for_it_is_said_that_something_is_left():
     case = make_case('single', 0, plant='soft', duration=20.0)
-    result = discrepancy([case.recording], case.nominal, Options(without=names()))
+    result = find_discrepancy([case.recording], case.nominal, Options(without=names()))
     assert result.verdict == UNEXPLAINED and result.tried == ()
 
 
@@ -243,7 +243,7 @@ def test_torque_that_was_recorded_late_is_named(case, late):
         return np.concatenate([np.repeat(torque[:1], late, axis=0), torque[:-late]])
     shifted = replace(case.recording, command=later(case.recording.command),
                       tau_motor=later(case.recording.tau_motor))
-    result = discrepancy([shifted], case.nominal)
+    result = find_discrepancy([shifted], case.nominal)
     first = result.findings[0]
     assert (first.effect, first.joint) == ('recording_delay', 'arm'), result.words
     assert first.values[0].value == pytest.approx(-2e-3 * late, rel=0.1)
@@ -251,10 +251,10 @@ def test_torque_that_was_recorded_late_is_named(case, late):
 
 def test_who_insists_is_answered(case):
     """With ``force`` the faults are listed and the run goes on."""
-    result = discrepancy([slipped(case.recording)], case.nominal, Options(force=True, most=1))
+    result = find_discrepancy([slipped(case.recording)], case.nominal, Options(force=True, most=1))
     assert result.verdict != BAD_DATA and result.faults and result.gap is not None
 
 
 def test_a_healthy_recording_has_no_fault(case):
-    result = discrepancy([case.recording], case.nominal, Options(most=0))
+    result = find_discrepancy([case.recording], case.nominal, Options(most=0))
     assert result.faults == () and result.verdict != BAD_DATA

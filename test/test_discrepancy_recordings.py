@@ -10,7 +10,7 @@ from gms_flex_control.analysis.torsion import study
 from gms_flex_control.bags.experiment import write_recording
 from gms_flex_control.bags.reader import read_recording
 from gms_flex_control.discrepancy.result import FOUND, UNEXPLAINED
-from gms_flex_control.discrepancy.workflow import discrepancy, Options
+from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
 from gms_flex_control.schema.files import load_robot
 import pytest
 
@@ -58,7 +58,7 @@ def test_flexibility_of_the_kr300_is_an_encoder_skew(tmp_path):
     """
     first, second = (axis_of_kr300(tmp_path, name) for name in ('rec_A', 'rec_B'))
     robot = study(first, 'axis1', 4.58e6).robot
-    result = discrepancy([first], robot, holdout=[second])
+    result = find_discrepancy([first], robot, holdout=[second])
     assert result.verdict == FOUND
     main = result.findings[0]
     assert main.effect == 'encoder_skew' and -0.0035 < main.parameters['delay'] < -0.002
@@ -77,6 +77,6 @@ def test_a_hobby_servo_gets_no_wrong_name(tmp_path):
     recordings = [import_csv(DATA / 'bam_xl330' / f'{motion}_kp{gain}.csv',
                              ROOT / 'config' / 'import_bam_xl330.yaml').recording
                   for gain in (400, 100) for motion in MOTIONS]
-    result = discrepancy(recordings, robot, Options(most=3))
+    result = find_discrepancy(recordings, robot, Options(most=3))
     assert result.verdict in (FOUND, UNEXPLAINED)
     assert {one.effect for one in result.findings} <= {'load_friction'}

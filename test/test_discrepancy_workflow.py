@@ -10,7 +10,7 @@ import warnings
 from discrepancy_runs import recorded
 from gms_flex_control.discrepancy import workflow
 from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE, FOUND, UNEXPLAINED
-from gms_flex_control.discrepancy.workflow import discrepancy, Options
+from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
 from gms_flex_control.effects import registry
 from gms_flex_control.errors import BagError, SimulationError
 from gms_flex_control.hidden.cases import make_case
@@ -55,7 +55,7 @@ FIXED = 'load', 'duration', 'nominal'  # what only sets the unit of another
 def outcome(kind, seed, **options):
     """Return what the workflow says of a case, all that was found in order, and the truth."""
     case = make_case(kind, seed, **{'duration': LONG, **options})
-    result = discrepancy([case.recording], case.nominal)
+    result = find_discrepancy([case.recording], case.nominal)
     return result, (*result.findings, *result.minor), case.truth
 
 
@@ -78,7 +78,7 @@ def largest_error(name, parameter, true):
 def named():
     """Return a case with a quarter of a stiffness missing, and what is said of it."""
     case = make_case('single', 4, effect='stiffness_error', duration=SHORT)
-    return case, discrepancy([case.recording], case.nominal)
+    return case, find_discrepancy([case.recording], case.nominal)
 
 
 @pytest.mark.parametrize(('kind', 'seed'), [('clean', 6), ('single', 25)])
@@ -132,7 +132,7 @@ def test_a_belief_that_is_a_quarter_off_is_named_with_its_value():
     case = make_case('clean', 5, duration=SHORT)
     arm = case.nominal.arm
     soft = replace(case.nominal, arm=replace(arm, stiffness=arm.stiffness * [0.8, 1.0]))
-    result = discrepancy([case.recording], soft)
+    result = find_discrepancy([case.recording], soft)
     assert [(one.effect, one.joint) for one in result.findings] == [
         ('stiffness_error', 'joint1')], result.words
     true = case.truth.robot.arm.stiffness[0] / soft.arm.stiffness[0] - 1.0
@@ -144,7 +144,7 @@ def test_a_belief_that_is_two_percent_off_is_not_named():
     case = make_case('clean', 5, duration=SHORT)
     arm = case.truth.robot.arm
     near = replace(case.nominal, arm=replace(case.nominal.arm, stiffness=1.02 * arm.stiffness))
-    result = discrepancy([case.recording], near)
+    result = find_discrepancy([case.recording], near)
     assert (result.verdict, result.named) == (COMPLETE, ()), result.words
     told = {joint: change for name, joint, change in result.retuned if name == 'stiffness'}
     assert all(change == pytest.approx(-0.02, abs=0.01) for change in told.values())
@@ -172,7 +172,7 @@ def test_noise_is_told_though_nothing_was_hidden_in_it(named):
 
 def test_the_same_seed_says_the_same(named):
     case, result = named
-    again = discrepancy([case.recording], case.nominal)
+    again = find_discrepancy([case.recording], case.nominal)
     assert again.words == result.words
     np.testing.assert_array_equal(again.gap.after, result.gap.after)
 
@@ -197,7 +197,7 @@ def test_odd_input_ends_as_a_sentence_or_a_verdict(change):
         with warnings.catch_warnings():
             warnings.simplefilter('error')
             try:
-                result = discrepancy([recording], believed, Options(force=force, most=2))
+                result = find_discrepancy([recording], believed, Options(force=force, most=2))
             except (BagError, SimulationError) as error:
                 assert str(error).startswith(recording.source) and len(str(error)) > 40
             else:
@@ -229,7 +229,7 @@ def test_a_known_effect_whose_value_is_wrong_is_told():
     case = make_case('single', 1, duration=10.0)
     hidden, = case.truth.effects
     halved = replace(hidden, values=(0.5 * hidden.values[0],))
-    result = discrepancy([case.recording], replace(case.nominal, effects=(halved,)))
+    result = find_discrepancy([case.recording], replace(case.nominal, effects=(halved,)))
     assert f'{hidden.name} of {hidden.joint}, which the model has already' in result.words
 
 
@@ -238,7 +238,7 @@ def test_a_hole_in_an_angle_is_left_out():
     case = make_case('single', 1, duration=10.0)
     q_link = case.recording.q_link.copy()
     q_link[1000:1200, 0] = np.nan
-    result = discrepancy([replace(case.recording, q_link=q_link)], case.nominal)
+    result = find_discrepancy([replace(case.recording, q_link=q_link)], case.nominal)
     hidden, = case.truth.effects
     assert [one.effect for one in result.findings] == [hidden.name], result.words
     assert result.findings[0].values[0].value == pytest.approx(hidden.values[0], rel=0.02)
@@ -249,7 +249,7 @@ def test_a_torque_of_another_joint_is_unexplained_and_says_so():
     """As of a spring or a cable from the one to the other."""
     case = make_case('clean', 3, duration=SHORT)
     extra = 0.1 * case.recording.q_link[:, [1, 1]] * np.array([1.0, 0.0])
-    result = discrepancy([replace(case.recording, command=case.recording.command + extra,
+    result = find_discrepancy([replace(case.recording, command=case.recording.command + extra,
                                   tau_motor=case.recording.tau_motor + extra)], case.nominal,
                          Options(most=2))
     assert result.verdict == UNEXPLAINED, result.words
@@ -273,10 +273,11 @@ def test_a_wave_that_hardly_turns_is_none():
     case = make_case('deleted', 15, duration=LONG)
     hidden, = case.truth.effects
     same = ('motor_torque_bias', 'spring_offset', 'constant_link_torque')
-    result = discrepancy([case.recording], case.nominal, Options(without=same[:1], most=3))
+    result = find_discrepancy([case.recording], case.nominal, Options(without=same[:1], most=3))
     assert hidden.name == same[0] and {one.effect for one in result.named} <= set(same[1:])
     waves = ('link_encoder_eccentricity', 'kinematic_error', 'friction_asymmetry', 'gravity_tilt')
-    result = discrepancy([case.recording], case.nominal, Options(without=(*same, *waves), most=3))
+    result = find_discrepancy([case.recording], case.nominal,
+                              Options(without=(*same, *waves), most=3))
     assert result.verdict == UNEXPLAINED, result.words
     assert result.unexplained.variable == 'constant'
     assert result.unexplained.joint == hidden.joint
@@ -287,7 +288,7 @@ def test_a_ripple_finer_than_any_guess_is_found():
     take = pendulum(pace=0.2)
     model = identify([(take, ())], rigid_axes(take), options=Identify(
         estimate='all', blocks=(1,))).robot
-    result = discrepancy([pendulum(pace=0.2, ripple=(0.02, 157.0, 0.6), seed=1)], model)
+    result = find_discrepancy([pendulum(pace=0.2, ripple=(0.02, 157.0, 0.6), seed=1)], model)
     assert result.verdict in (FOUND, COMPLETE)
     values = {value.name: value.value for value in result.findings[0].values}
     assert result.findings[0].effect == 'torque_ripple'
@@ -327,7 +328,7 @@ def test_torque_constant_and_inertia_are_told_by_the_spring():
         EffectSpec(name=name, joint='joint1', values=(value,)) for name, value in hidden.items())),
         nominal, gains, reference, seed=1)
     q_link, _, q_motor, _ = np.moveaxis(motion.measured, 1, 0)
-    result = discrepancy([recorded(robot, time, q_link, q_motor, motion.command, reference)],
+    result = find_discrepancy([recorded(robot, time, q_link, q_motor, motion.command, reference)],
                          nominal)
     assert {one.effect: one.joint for one in result.named} == dict.fromkeys(hidden, 'joint1')
     for one in result.named:
@@ -363,7 +364,7 @@ def test_what_makes_a_model_worse_is_no_finding(named, monkeypatch):
     monkeypatch.setattr(workflow, '_best_predicting',
                         lambda likelihood, found, *_: found.before)
     case, _ = named
-    result = discrepancy([case.recording], case.nominal, holdout=[case.held_out])
+    result = find_discrepancy([case.recording], case.nominal, holdout=[case.held_out])
     true, = case.truth.effects
     assert result.verdict == COMPLETE and not result.findings and result.robot.effects == ()
     assert [one.key for one in result.minor] == [(true.name, true.joint)]
@@ -383,7 +384,7 @@ def test_what_differs_between_recordings_is_no_effect(what, told):
     else:
         other = replace(other, command=other.command + [0.0, 0.02],
                         tau_motor=other.tau_motor + [0.0, 0.02])
-    result = discrepancy([case.recording, other], case.nominal)
+    result = find_discrepancy([case.recording, other], case.nominal)
     assert result.verdict == COMPLETE and not result.named
     (sentence,) = result.recordings
     number = float(sentence.split(' joint')[1].split()[1])

@@ -273,13 +273,13 @@ def workflow(monkeypatch):
     module = ModuleType('gms_flex_control.discrepancy.workflow')
     module.asked = []
 
-    def discrepancy(recordings, robot, options, *, holdout):
+    def find_discrepancy(recordings, robot, options, *, holdout):
         assert len(holdout) == 1
         module.asked.append((recordings, robot, options))
         if isinstance(module.result, Exception):
             raise module.result
         return module.result
-    module.discrepancy = discrepancy
+    module.find_discrepancy = find_discrepancy
     module.Options = lambda **given: SimpleNamespace(**{'without': (), **given})
     monkeypatch.setitem(sys.modules, module.__name__, module)
     return module

@@ -15,7 +15,7 @@ from gms_flex_control.errors import GmsFlexError, IdentificationError
 from gms_flex_control.experiment.identification_plan import read_identification_plan
 from gms_flex_control.experiment.identification_simulated import simulate_identification
 from gms_flex_control.experiment.plan import read_plan
-from gms_flex_control.experiment.simulated import simulate, to_recording
+from gms_flex_control.experiment.simulated import simulate
 from gms_flex_control.hidden.cases import make_case
 from gms_flex_control.identification.checks import check, require
 from gms_flex_control.identification.equations import filtered, rigid_torque
@@ -80,7 +80,7 @@ def healthy(name):
     motion, overrides = HEALTHY[name]
     plan = read_plan([ROOT / 'config' / f'{stem}.yaml' for stem in (
         'robot', 'controller', motion)], overrides=overrides)
-    return to_recording(simulate(plan), plan, name), plan.robot
+    return simulate(plan, name), plan.robot
 
 
 def taken(recording, rows, time=None):

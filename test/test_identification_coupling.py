@@ -6,7 +6,7 @@
 from functools import cache
 
 from gms_flex_control.experiment.plan import read_plan
-from gms_flex_control.experiment.simulated import simulate, to_recording
+from gms_flex_control.experiment.simulated import simulate
 from gms_flex_control.identification.coordinates import Coordinates
 from gms_flex_control.identification.coupling import coupling_sentences
 from gms_flex_control.identification.default_method import held_out
@@ -24,7 +24,7 @@ def data(kind):
     files = [ROOT / 'config' / f'{stem}.yaml' for stem in ('robot', 'controller', 'sinusoid')]
     plan = read_plan(files, overrides=UNLIKE | {'arm.kind': kind, 'duration': 30.0})
     axes = read_plan(files, overrides=UNLIKE | {'arm.kind': 'decoupled'}).robot
-    return axes, Data([(to_recording(simulate(plan), plan, kind), ())], (), believed_model(axes))
+    return axes, Data([(simulate(plan, kind), ())], (), believed_model(axes))
 
 
 def theta(robot, j):

@@ -15,7 +15,7 @@ from bench.real_machines.motion import (
     residual_torque,
     rms,
 )
-from gms_flex_control.discrepancy.workflow import discrepancy, Options
+from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
 from gms_flex_control.errors import GmsFlexError
 from gms_flex_control.identification.identify import identify
 from gms_flex_control.identification.identify import Options as IdentifyOptions
@@ -130,10 +130,10 @@ def identified(machine, recordings):
 def asked(fitted, held_out, robot):
     """Return what discrepancy answers; where it refuses the data, in spite of that as well."""
     try:
-        result = discrepancy(fitted, robot, holdout=held_out)
+        result = find_discrepancy(fitted, robot, holdout=held_out)
         verdict, words = result.verdict, result.words
         if result.robot is None:
-            result = discrepancy(fitted, robot, Options(force=True), holdout=held_out)
+            result = find_discrepancy(fitted, robot, Options(force=True), holdout=held_out)
             verdict, words = f'{verdict}, forced: {result.verdict}', f'{words} {result.words}'
     except Exception as error:  # noqa: B902  a crash is a result of this bench
         return {'verdict': CRASHED, 'words': f'{type(error).__name__}: {error}'}

@@ -12,7 +12,7 @@ over robots that differ by less than anyone could know says what to expect.
 from dataclasses import replace
 
 from gms_flex_control.analysis.tracking import link_rms
-from gms_flex_control.experiment.simulated import simulate, to_recording
+from gms_flex_control.experiment.simulated import simulate
 import numpy as np
 
 
@@ -45,5 +45,5 @@ def tracking_of_copies(plan, model, count=16, spread=1e-3, seed=0):
         robot = replace(plan.robot, friction=replace(
             friction, stiffness=factor * friction.stiffness))
         own = replace(plan, robot=robot, model=model)
-        errors.append(link_rms(to_recording(simulate(own), own, 'copy')))
+        errors.append(link_rms(simulate(own, 'copy')))
     return np.array(errors)

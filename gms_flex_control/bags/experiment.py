@@ -3,17 +3,21 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Write a recording as the bag that the nodes' own topics would have made."""
 
+from collections.abc import Sequence
+
 from gms_flex_control.bags.cdr import JOINT_STATE, MULTI_ARRAY, pack_joint_states
 from gms_flex_control.bags.messages import pack_command, pack_reference, pack_supply
 from gms_flex_control.bags.names import MOTOR_SUFFIX
 from gms_flex_control.bags.phases import pack_phase, PHASE_TOPIC
 from gms_flex_control.bags.topics import Topics
 from gms_flex_control.bags.writer import BagWriter
+from gms_flex_control.recording import Recording
 import numpy as np
 
 
-def write_recording(path, recording, motors=None, *, topics=None, start=0, source='gms_flex',
-                    custom=None, phases=()):
+def write_recording(path, recording: Recording, motors: Sequence[str] | None = None, *,
+                    topics: Topics | None = None, start: int = 0, source: str = 'gms_flex',
+                    custom: dict | None = None, phases: Sequence = ()) -> None:
     """
     Write a recording as a bag, whole or not at all.
 

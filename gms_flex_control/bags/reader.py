@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Read a bag as a recording: states, and what was asked and estimated at each of them."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from gms_flex_control.bags.names import names_of
@@ -23,7 +24,8 @@ class Aside(NamedTuple):
     messages: list   # of bytes
 
 
-def read_recording(path, joints=None, motors=None, *, topics=None):
+def read_recording(path, joints: Sequence[str] | None = None, motors: Sequence[str] | None = None,
+                   *, topics: Topics | None = None) -> Recording:
     """
     Read one experiment from a bag of `ros2 bag record` or of this package.
 

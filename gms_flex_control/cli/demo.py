@@ -116,11 +116,11 @@ def warm_up(plan):
 def simulate_all(plans, out):
     """Simulate every combination with the exact model; its bags stand beside the others."""
     from gms_flex_control.analysis.tracking import Run
-    from gms_flex_control.experiment.simulated import simulate_to_bag, to_recording
+    from gms_flex_control.experiment.simulated import simulate_to_bag
     runs = []
     for (motion, mode), plan in plans.items():
         bag = out / 'bags' / 'exact_model' / f'{motion}_{mode}'
-        runs.append(Run(motion, mode, to_recording(simulate_to_bag(plan, bag), plan, str(bag))))
+        runs.append(Run(motion, mode, simulate_to_bag(plan, bag)))
     say(f'simulated the same {len(runs)} with the exact model in this process')
     return runs
 

@@ -121,11 +121,12 @@ def warm_up(files):
 def find(recording, believed, gains, path):
     """Ask the workflow about a recording; write the model found; return the Discrepancy."""
     from gms_flex_control.discrepancy.closed_loop import with_closed_loop
-    from gms_flex_control.discrepancy.workflow import discrepancy
+    from gms_flex_control.discrepancy.workflow import find_discrepancy
     from gms_flex_control.reports.discrepancy_values import write_robot
     from gms_flex_control.schema.files import load_robot
 
-    result = discrepancy([recording], load_robot(believed), say=lambda text: say(f'  {text} ...'))
+    result = find_discrepancy([recording], load_robot(believed),
+                              say=lambda text: say(f'  {text} ...'))
     result = with_closed_loop(result, [recording], gains)
     if result.robot is not None:
         write_robot(result, path)

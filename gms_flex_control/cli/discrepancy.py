@@ -94,11 +94,11 @@ def answered(args):
 
 def searched(takes, robot, options, holdout, args):
     """Return the Discrepancy; raise BagError where forced data leave no number to go on with."""
-    from gms_flex_control.discrepancy.workflow import discrepancy
+    from gms_flex_control.discrepancy.workflow import find_discrepancy
     from gms_flex_control.errors import BagError
     import numpy as np
     try:
-        return discrepancy(takes, robot, options, holdout=holdout, say=progress(args))
+        return find_discrepancy(takes, robot, options, holdout=holdout, say=progress(args))
     except (np.linalg.LinAlgError, ValueError) as error:
         if not args.force:
             raise

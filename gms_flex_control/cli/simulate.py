@@ -60,7 +60,7 @@ def run(args):
         name = f'{Path(motion).stem}_{plan.gains.compensation}'
         bag = Path(args.out) / name if several else Path(args.out)
         outcome = simulate_to_bag(plan, bag)
-        error = outcome.measured[:, 0] - outcome.reference[:, 0]
+        error = outcome.q_link - outcome.reference[:, 0]
         results.append({'bag': str(bag), 'trajectory': plan.motion,
                         'compensation': plan.gains.compensation, 'duration': plan.duration,
                         'mse': np.mean(error ** 2, axis=0).tolist()})

@@ -191,7 +191,7 @@ def with_closed_loop(result, recordings, gains):
     Parameters
     ----------
     result : Discrepancy
-        From `workflow.discrepancy`.
+        From `workflow.find_discrepancy`.
     recordings : sequence of Recording
         Those held out, or else those that were fitted.
     gains : ControllerParams

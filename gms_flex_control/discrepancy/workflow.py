@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """From recordings and a model to what the model lacks: check, measure noise, search, validate."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 import time
 
@@ -41,6 +42,8 @@ from gms_flex_control.discrepancy.thresholds import (
     PRACTICAL_FLOOR,
 )
 from gms_flex_control.discrepancy.validation import energy_of, gap_of
+from gms_flex_control.params.robot import RobotParams
+from gms_flex_control.recording import Recording
 import numpy as np
 
 _SIZES = 4            # of sets that may predict better than the one found
@@ -74,7 +77,10 @@ class Options:
     doubt: float = 1.0
 
 
-def discrepancy(recordings, robot, options=None, *, holdout=(), say=lambda text: None):
+def find_discrepancy(
+        recordings: Sequence[Recording], robot: RobotParams, options: Options | None = None, *,
+        holdout: Sequence[Recording] = (),
+        say: Callable[[str], object] = lambda text: None) -> Discrepancy:
     """
     Find what a model lacks.
 

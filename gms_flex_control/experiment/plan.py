@@ -60,7 +60,8 @@ class Plan:
     q_link: np.ndarray
 
 
-def read_plan(files, *, model=None, overrides=None, duration=None):
+def read_plan(files, *, model=None, overrides: dict | None = None,
+              duration: float | None = None) -> Plan:
     """
     Read an experiment from the files the nodes would get.
 

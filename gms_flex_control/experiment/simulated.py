@@ -6,12 +6,14 @@
 from gms_flex_control.bags.experiment import write_recording
 from gms_flex_control.effect_compensation import loop
 from gms_flex_control.errors import SimulationError
+from gms_flex_control.experiment.plan import Plan
 from gms_flex_control.recording import Recording
 from gms_flex_control.simulation import closed_loop
+from gms_flex_control.simulation.closed_loop import Run
 import numpy as np
 
 
-def simulate(plan):
+def simulate(plan: Plan, source: str = 'simulation') -> Recording:
     """
     Simulate a plan.
 
@@ -19,11 +21,13 @@ def simulate(plan):
     ----------
     plan : Plan
         The experiment.
+    source : str
+        For messages and titles.
 
     Returns
     -------
-    Run
-        See simulation.closed_loop.
+    Recording
+        What was measured, commanded and estimated.
 
     Raises
     ------
@@ -31,6 +35,11 @@ def simulate(plan):
         If it diverges; the sentence says when.
 
     """
+    return to_recording(run_plan(plan), plan, source)
+
+
+def run_plan(plan: Plan) -> Run:
+    """Return the Run of a plan, true states included; arguments and errors as of `simulate`."""
     run = _run(plan)
     sound = np.isfinite(run.true).all(axis=(1, 2)) & np.isfinite(run.command).all(axis=1)
     if not sound.all():
@@ -51,14 +60,14 @@ def _run(plan):
     return loop.run(plan.robot, plan.model, plan.gains, plan.trajectory.sample(time), **timing)
 
 
-def to_recording(run, plan, source='simulation'):
+def to_recording(run: Run, plan: Plan, source: str = 'simulation') -> Recording:
     """
     Return a simulated run as a Recording: what was measured, commanded and estimated.
 
     Parameters
     ----------
     run : Run
-        From `simulate`.
+        From `run_plan`.
     plan : Plan
         It was made from.
     source : str
@@ -78,7 +87,7 @@ def to_recording(run, plan, source='simulation'):
         friction_hat=run.friction_hat, source=source)
 
 
-def simulate_to_bag(plan, path):
+def simulate_to_bag(plan: Plan, path) -> Recording:
     """
     Simulate a plan and write its bag, whole or not at all.
 
@@ -91,7 +100,7 @@ def simulate_to_bag(plan, path):
 
     Returns
     -------
-    Run
+    Recording
 
     Raises
     ------
@@ -99,9 +108,9 @@ def simulate_to_bag(plan, path):
         If ``path`` exists or cannot be written.
 
     """
-    run = simulate(plan)
-    write_recording(path, to_recording(run, plan, str(path)), plan.robot.motors,
+    recording = simulate(plan, str(path))
+    write_recording(path, recording, plan.robot.motors,
                     source='/cascade_controller', custom={
                         'trajectory': plan.motion, 'compensation': plan.gains.compensation,
                         'period_ns': str(plan.period_ns)})
-    return run
+    return recording

@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """From recordings to friction parameters, their intervals and errors: the whole way."""
 
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 import time
@@ -35,6 +36,7 @@ from gms_flex_control.identification.stretches import (
 )
 from gms_flex_control.identification.uncertainty import curve_of, draw, estimates_of, spread_of
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
+from gms_flex_control.params.robot import RobotParams
 import numpy as np
 
 _SAME_PERIOD = 0.01   # relative difference of sample periods of recordings fitted together
@@ -69,18 +71,20 @@ class Options:
     seed: int = 0
 
 
-def identify(takes, robot, *, holdouts=(), options=None, say=None, executor=None):
+def identify(takes: Sequence, robot: RobotParams, *, holdouts: Sequence = (),
+             options: Options | None = None, say: Callable[[str], object] | None = None,
+             executor=None) -> Identification:
     """
     Identify the friction of a robot.
 
     Parameters
     ----------
-    takes : sequence of (Recording, sequence of Phase)
-        What was recorded, and what the experiment was doing (empty if not known).
+    takes : sequence of Recording or (Recording, sequence of Phase)
+        What was recorded, and what the experiment was doing if that is known.
     robot : RobotParams
         The robot as described; its inertia, stiffness and gravity are relied on, its friction
         is not.
-    holdouts : sequence of (Recording, sequence of Phase)
+    holdouts : sequence of Recording or (Recording, sequence of Phase)
         Recordings to predict only; by default blocks of time are held out.
     options : Options, optional
         How.
@@ -100,6 +104,8 @@ def identify(takes, robot, *, holdouts=(), options=None, say=None, executor=None
 
     """
     begin, options, say = time.monotonic(), options or Options(), say or (lambda text: None)
+    takes, holdouts = ([one if isinstance(one, tuple) else (one, ()) for one in several]
+                       for several in (takes, holdouts))
     with own_warnings() as caught:
         say('checking the data')
         whole = options.estimate == 'all'

@@ -8,6 +8,8 @@ from pathlib import Path
 
 from gms_flex_control.errors import ConfigError, ParameterError
 from gms_flex_control.files import read_yaml, write_text
+from gms_flex_control.params.gains import ControllerParams
+from gms_flex_control.params.robot import RobotParams
 from gms_flex_control.schema import build
 from gms_flex_control.schema.bridge import limits_from_values
 from gms_flex_control.schema.values import known_keys
@@ -106,7 +108,7 @@ def located(error, paths, places):
     return type(error)(f'{place}: {message}')
 
 
-def load_robot(paths):
+def load_robot(paths) -> RobotParams:
     """
     Read the robot from one or more parameter files, later ones winning.
 
@@ -151,7 +153,7 @@ def load_limits(paths, joints):
     return _built(paths, limits)
 
 
-def load_controller(paths, robot):
+def load_controller(paths, robot: RobotParams) -> ControllerParams:
     """
     Read the controller's gains for the joints of ``robot``.
 
@@ -179,7 +181,7 @@ def load_controller(paths, robot):
     return _built(paths, make)
 
 
-def save_robot(robot, path, *, comment=''):
+def save_robot(robot: RobotParams, path, *, comment: str = '') -> None:
     """
     Write a robot as a ROS parameter file that nodes and tools read back as it is.
 

@@ -63,11 +63,11 @@ def ask_workflow(case, without):
 
     As plain values (dict), and its Discrepancy, None where it failed.
     """
-    from gms_flex_control.discrepancy.workflow import discrepancy, Options
+    from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
     options = Options(without=without) if without else Options()
     begin = time.perf_counter()
     try:
-        result = discrepancy([case.recording], case.nominal, options, holdout=[case.held_out])
+        result = find_discrepancy([case.recording], case.nominal, options, holdout=[case.held_out])
     except _FAILURES as error:
         return {'error': f'{type(error).__name__}: {error}', 'verdict': 'error', 'findings': [],
                 'models': [], 'noise': [], 'gap': None,
