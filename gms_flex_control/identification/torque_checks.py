@@ -29,7 +29,6 @@ SCALE_SLIGHT = 50.0         # likewise where friction is nearly all: little torq
 _NEARLY_ALL = 0.9           # of the variance
 _CLEAR = 0.5                # of the variance a fit must explain to be believed
 _EXACT = 0.95               # a fit as good as this is no delay between encoders
-_SMALL = 0.25               # share of samples, those of the smallest torque
 _UNEXPLAINED = 0.2          # less than this is no fit at all
 
 
@@ -208,8 +207,8 @@ def _spring_scale(signals, robot, motion, j):
 
 
 def _fits_where_small(tau, ddq_motor, twist, stiffness):
-    """Return whether torque (T,) is what twist and stiffness make at its smallest samples."""
-    small = np.abs(tau) <= np.quantile(np.abs(tau), _SMALL)
+    """Return whether torque (T,) is what the spring makes where it is no more than that ever."""
+    small = np.abs(tau) <= stiffness * np.abs(twist - np.median(twist)).max()
     if small.sum() < FEWEST:
         return False
     free = [np.ones(int(small.sum())), ddq_motor[small]]
