@@ -15,7 +15,7 @@ from gms_flex_control.discrepancy.describe import (
 )
 from gms_flex_control.discrepancy.findings import Worth
 from gms_flex_control.discrepancy.likelihood import Likelihood
-from gms_flex_control.discrepancy.result import Noise
+from gms_flex_control.discrepancy.result import Noise, Signature
 from gms_flex_control.discrepancy.signature import signature_of
 from gms_flex_control.discrepancy.validation import Gain
 from gms_flex_control.discrepancy.workflow import _known_off
@@ -41,6 +41,15 @@ def test_noise_is_told_by_drive_and_colour():
     assert said == 'drive of j: 12.3 mN m per sample, 4 mN m rms up to 8 Hz, white'
     assert of_noise(Noise('j', 'link', 0.0, 4000.0, 'slow')) == (
         'link of j: 4 kN m rms up to 8 Hz, mostly slow')
+
+
+@pytest.mark.parametrize(('variable', 'joint', 'expected'), [
+    ('time', 'j', True), ('time times the direction of motion', 'j', True),
+    ('time', 'other', False), ('torsion', 'j', False), ('', 'j', False)])
+def test_an_effect_of_the_variable_that_is_left_has_another_shape(variable, joint, expected):
+    """Friction that steps up leaves a function of time beside a drift, which it is none."""
+    left = Signature(0.2, 'link', 'j', variable, 'Something is left.')
+    assert left.is_of(SimpleNamespace(effect='friction_drift', joint=joint)) == expected
 
 
 def test_an_effect_that_changes_nothing_that_is_fitted_is_none():

@@ -6,6 +6,7 @@
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from gms_flex_control.effects.registry import find
 import numpy as np
 
 COMPLETE, FOUND, UNEXPLAINED, BAD_DATA = 'complete', 'effects_found', 'unexplained', 'bad_data'
@@ -142,8 +143,16 @@ class Signature(NamedTuple):
     share: float       # of what known parameters cannot explain
     equation: str      # 'link' or 'motor'
     joint: str
-    variable: str      # what it depends on most
+    variable: str      # what it depends on most; '' where on none alone
     sentence: str
+
+    def is_of(self, finding):
+        """
+        Return whether it depends on what a Finding of the joint depends on.
+
+        The finding then has another shape than what is there, which it only resembles.
+        """
+        return finding.joint == self.joint and find(finding.effect).evidence in self.variable
 
 
 class Tried(NamedTuple):

@@ -109,4 +109,5 @@ def signature_of(likelihood, model, share, free=None):
         text += f', {100 * shares[variable]:.0f} % of it a function of {variable}'
     else:
         text += ', which follows none of position, speed, torsion, torque or time alone'
+        variable = ''
     return Signature(float(share), equation, joints[j], variable, text + '.')

@@ -140,8 +140,10 @@ def _compared(motions, holdout, robot, options, say):
     findings = findings_of(likelihood, found, worths, measured)
     gap = gap_of(likelihood, found.before, found.best, measured)
     left = _left_over(likelihood, found.best.model, free, gap, measured)
-    if left is not None and not (any(one.main for one in findings) and _explain_most(gap)):
-        findings = []  # they only resemble some of it
+    if left is not None:
+        findings = [one for one in findings if not left.is_of(one)]
+        if not (any(one.main for one in findings) and _explain_most(gap)):
+            findings = []  # they only resemble some of it
     more = left is not None or np.any(gap.after ** 2 > BETTER * gap.floor ** 2)
     after = _best_predicting(likelihood, found, whole if left else found, measured, more)
     known, changes = len(robot.effects), list(zip(likelihood.nuisances, after.model.x.tolist(),
