@@ -55,7 +55,7 @@ def outcome(kind, seed, most=2, **options):
     """
     Return what the workflow says of a case, all that was found in order, and the truth.
 
-    Where one effect or none is right a second would be wrong, and is what ``most`` leaves room for.
+    ``most`` leaves room for a second where one effect, or none, is right.
     """
     case = make_case(kind, seed, **{'duration': LONG, **options})
     result = discrepancy([case.recording], case.nominal, Options(most=most))
