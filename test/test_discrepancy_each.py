@@ -12,11 +12,13 @@ from gms_flex_control.cli.discrepancy_each import ask_bag, items_of
 from gms_flex_control.cli.each import reason_or
 from gms_flex_control.cli.hide import write_case
 from gms_flex_control.cli.main import build_parser, main
+from gms_flex_control.effects import registry
 from gms_flex_control.hidden.cases import make_case
 from loopback_cluster import cluster
 import pytest
 
 NAMES = ('bag', 'reversed', 'held_out')
+LOOKED_FOR = {'backlash', 'coulomb_error', 'spring_cubic', 'stiffness_error', 'torque_ripple'}
 
 
 @pytest.fixture(scope='module')
@@ -34,7 +36,8 @@ def folder(tmp_path_factory):
 def arguments(folder, out, *further):
     """Return the words of the verb."""
     return ['discrepancy', *(str(folder / name) for name in NAMES), '--each', '--robot',
-            str(folder / 'robot.yaml'), '--max-effects', '1', '--out', str(out), *further]
+            str(folder / 'robot.yaml'), '--max-effects', '1', '--without',
+            *sorted(set(registry.names()) - LOOKED_FOR), '--out', str(out), *further]
 
 
 @pytest.fixture(scope='module')

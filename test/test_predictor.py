@@ -91,7 +91,8 @@ class Case:
             np.ascontiguousarray(angle), np.zeros(self.n) if rate is None else rate,
             self.torque, self.extra, theta[len(theta) - self.n_extra:], PERIOD,
             chain.constants_of(self.arm), self.friction(free), carried, directions,
-            self.gains(), np.full(self.n, half), self.state(), plant.workspace(self.n), predicted, innovation, jacobian)
+            self.gains(), np.full(self.n, half), self.state(), plant.workspace(self.n),
+            predicted, innovation, jacobian)
         return predicted, innovation, jacobian
 
     def state(self):
