@@ -22,6 +22,14 @@ def test_flake8():
     assert result == 0, f'{len(errors)} style errors:\n' + '\n'.join(errors)
 
 
+@pytest.mark.linter
+@pytest.mark.skipif(RUFF is None, reason='ruff is not installed')
+def test_ruff_has_looked_at_all():
+    done = subprocess.run([RUFF, 'check', '--no-cache', Path(__file__).parents[1]],
+                          capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
 BAD = """import sys
 import os
 list = [x for x in (1, 2)]
