@@ -26,7 +26,7 @@ demo-discrepancy: .venv/.with-ros  ## Hide an effect, find it and drive with it 
 	@$(BIN)/gms_flex demo-discrepancy --out demo_discrepancy_output
 
 test: lint  ## Run the linters, the tests and a colcon build
-	@$(BIN)/python -m pytest -n 2 --dist loadfile test
+	@$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder test
 
 lint: .venv/.with-test  ## Run ruff (the ament linters run among the tests)
 	@$(BIN)/ruff check .

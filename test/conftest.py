@@ -1,9 +1,10 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""Fixtures shared by the tests of the physics core, and which cores a test may use."""
+"""Fixtures shared by many tests, which cores a test may use, and which files come first."""
 
 from dataclasses import replace
+from itertools import accumulate
 import os
 from pathlib import Path
 import signal
@@ -11,6 +12,7 @@ import signal
 from devtools import Browser, BrowserError, chromium
 from gms_flex_control.params.encoder import EncoderParams
 from gms_flex_control.schema.files import load_controller, load_robot
+import numpy as np
 import pytest
 
 CONFIG = Path(__file__).parents[1] / 'config'
@@ -37,6 +39,34 @@ def pytest_runtest_setup(item):
     own = CORES[int(worker.removeprefix('gw')) % len(CORES)]
     nodes = item.get_closest_marker('flaky') or any(word in item.path.stem for word in NODES)
     os.sched_setaffinity(0, CORES if nodes else [own])
+
+
+# files that take longest and about how long [s]; nothing but the order depends on it
+WITH_NODES = {
+    'controller': 20,  # compiles what the nodes run
+    'faults': 150, 'nodes_identification': 85, 'demo_discrepancy': 60, 'tutorials': 55,
+    'nodes_lockstep': 35, 'nodes_bridge': 30, 'nodes_signals': 25, 'demo': 15, 'nodes_files': 15,
+    'demo_identify': 12, 'nodes_composed': 12, 'sros2': 12}
+WITHOUT_NODES = {
+    'discrepancy_workflow': 230, 'discrepancy_validation': 60, 'discrepancy_recordings': 50,
+    'discrepancy_noise': 50, 'cli_identify': 45, 'discrepancy_unseen_links': 35,
+    'discrepancy_each': 30, 'identify_each': 30, 'cli_discrepancy': 30, 'predictor': 25,
+    'comparison': 20, 'identification_checks': 20, 'recovery': 15,
+    'identification_replicates': 15, 'identify': 15, 'identification_arm': 15, 'bench_real': 15,
+    'effect_compensation': 15, 'discrepancy_motion': 15, 'cli': 12, 'reports_identification': 12,
+    'tuning': 12, 'hidden_score': 11, 'effects': 10}
+
+
+def pytest_collection_modifyitems(items):
+    """
+    Begin the longest files first, those with real nodes and others in turn.
+
+    No process is left waiting for the other at the end, and nodes seldom run beside nodes.
+    """
+    begin = {}
+    for files in (WITH_NODES, WITHOUT_NODES):
+        begin.update(zip(files, accumulate(files.values(), initial=0), strict=False))
+    items.sort(key=lambda item: begin.get(item.path.stem.removeprefix('test_'), np.inf))
 
 
 @pytest.fixture(scope='session')

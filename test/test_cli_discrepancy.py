@@ -13,6 +13,7 @@ from gms_flex_control.cli.main import main
 from gms_flex_control.experiment.processes import executable
 from gms_flex_control.hidden.cases import make_case
 from gms_flex_control.schema.files import load_robot
+from identified_axis import part as part_of
 import pytest
 
 DURATION = 20.0
@@ -142,9 +143,9 @@ def run(folder, *arguments, robot=None):
 
 @pytest.fixture
 def reversed_torque(case, tmp_path):
-    """Return a bag with the torque the wrong way round."""
-    wrong = replace(case.recording, tau_motor=-case.recording.tau_motor,
-                    command=-case.recording.command)
+    """Return a bag of 6 s with the torque the wrong way round."""
+    recording, _ = part_of((case.recording, ()), 0.0, 6.0)
+    wrong = replace(recording, tau_motor=-recording.tau_motor, command=-recording.command)
     write_recording(tmp_path / 'bag', wrong, case.nominal.motors)
     return tmp_path / 'bag'
 

@@ -174,7 +174,7 @@ def test_a_channel_the_equations_need_is_asked_for(case):
 
 def test_a_fault_of_the_recording_held_out_counts_too(case):
     result = find_discrepancy([case.recording], case.nominal,
-                         holdout=[clock_jump(case.recording)])
+                              holdout=[clock_jump(case.recording)])
     assert result.verdict == BAD_DATA and 'clock' in result.words
 
 

@@ -10,7 +10,7 @@ from discrepancy_runs import FRICTIONLESS
 from gms_flex_control.discrepancy.motion import make_motion, mean_held, standing
 from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.discrepancy.result import COMPLETE, FOUND
-from gms_flex_control.discrepancy.workflow import find_discrepancy
+from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
 from gms_flex_control.hidden.plants import draw_belief, draw_robot
 from gms_flex_control.params.robot import EffectSpec
 from gms_flex_control.recording import Recording
@@ -96,7 +96,7 @@ def tones(time):
 
 
 @pytest.mark.parametrize(('plant_kind', 'effects'), [
-    ('stiff', ()), ('soft', ()),
+    ('soft', ()),
     ('stiff', (EffectSpec(name='motor_coulomb', joint='joint2', values=(0.02,)),))])
 def test_uneven_samples_with_true_stamps_are_no_effect(plant_kind, effects):
     """Torque changes where it was stamped, up to a fifth of a sample beside an even grid."""
@@ -104,7 +104,7 @@ def test_uneven_samples_with_true_stamps_are_no_effect(plant_kind, effects):
     robot, _ = draw_robot(rng, plant_kind)
     nominal = draw_belief(rng, robot)
     recording = uneven_recording(replace(robot, effects=effects), tones, 3)
-    result = find_discrepancy([recording], nominal)
+    result = find_discrepancy([recording], nominal, Options(most=2))
     assert result.verdict == (FOUND if effects else COMPLETE), result.words
     assert [(one.effect, one.joint) for one in result.named] == [
         (spec.name, spec.joint) for spec in effects]

@@ -9,7 +9,7 @@ from discrepancy_runs import likelihood_of, retuned_of
 from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.discrepancy.result import COMPLETE, FOUND
 from gms_flex_control.discrepancy.thresholds import PRACTICAL
-from gms_flex_control.discrepancy.workflow import find_discrepancy
+from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
 from gms_flex_control.hidden.cases import make_case
 from gms_flex_control.params.robot import EffectSpec
 import numpy as np
@@ -51,7 +51,7 @@ def test_noise_that_was_measured_is_not_measured_again():
     (0, 'noise_3'), (4, 'noise_6'), (5, 'noise_6_coloured'), (6, 'noise_6_coloured')])
 def test_a_robot_with_noisy_drives_lacks_nothing(seed, population):
     case = make_case('clean', seed, population=population, duration=SHORT)
-    result = find_discrepancy([case.recording], case.nominal)
+    result = find_discrepancy([case.recording], case.nominal, Options(most=2))
     assert (result.verdict, result.named) == (COMPLETE, ()), result.words
     told = {one.joint: one for one in result.noise if one.equation == 'motor'}
     assert set(told) == set(case.nominal.joints)
@@ -66,7 +66,7 @@ def test_a_robot_with_noisy_drives_lacks_nothing(seed, population):
                                               (9, 'torque_ripple')])
 def test_an_effect_is_named_beside_noise(seed, effect):
     case = make_case('single', seed, effect=effect, population='noise_6', duration=SHORT)
-    result = find_discrepancy([case.recording], case.nominal)
+    result = find_discrepancy([case.recording], case.nominal, Options(most=2))
     true, = case.truth.effects
     first = result.named[0]
     assert (first.effect, first.joint) == (true.name, true.joint)
@@ -93,5 +93,5 @@ def test_two_gains_that_make_torques_small_are_not_named():
     left[:, n:] /= 0.5  # of the motors, which the drives turn
     np.testing.assert_allclose(likelihood.rows(weak, zero),
                                likelihood.rows_of_torque([left]) - likelihood.usual, atol=1e-9)
-    result = find_discrepancy([case.recording], case.nominal)
+    result = find_discrepancy([case.recording], case.nominal, Options(most=2))
     assert result.named == (), result.words

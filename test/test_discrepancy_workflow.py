@@ -26,16 +26,14 @@ import numpy as np
 import pytest
 
 SHORT, LONG = 20.0, 40.0  # of a recording [s]
-# seed of some, one or two of each kind: sizes that labs meet, robots soft and stiff, either
-# joint; the bench of hidden robots asks for all
+# seed of some, one of each kind: sizes that labs meet, robots soft and stiff, either joint; the
+# bench of hidden robots asks for all, other tests name backlash and ripple
 CASES = {
     'actuator_deadzone': 13,
-    'backlash': 0,
     'encoder_skew': 35,
     'gravity_tilt': 26,
     'motor_torque_bias': 15,
     'spring_cubic': 1,
-    'torque_ripple': 9,
 }
 ANGLES = ('phase', 'direction')
 # largest error of a parameter, relative; absolute in rad, in periods per revolution and in shares
@@ -52,10 +50,14 @@ WIDER = {'base_flexibility.inertia': 0.15, 'base_flexibility.damping': 0.3,
 FIXED = 'load', 'duration', 'nominal'  # what only sets the unit of another
 
 
-def outcome(kind, seed, **options):
-    """Return what the workflow says of a case, all that was found in order, and the truth."""
+def outcome(kind, seed, most=2, **options):
+    """
+    Return what the workflow says of a case, all that was found in order, and the truth.
+
+    ``most`` leaves room for a second where one effect, or none, is right.
+    """
     case = make_case(kind, seed, **{'duration': LONG, **options})
-    result = find_discrepancy([case.recording], case.nominal)
+    result = find_discrepancy([case.recording], case.nominal, Options(most=most))
     return result, (*result.findings, *result.minor), case.truth
 
 
@@ -193,14 +195,19 @@ def test_odd_input_ends_as_a_sentence_or_a_verdict(change):
         believed = replace(believed, arm=replace(
             arm, mass=arm.mass / 5.0, inertia=arm.inertia / 5.0,
             motor_inertia=arm.motor_inertia / 5.0))
+    refused = False
     for force in (False, True):
+        if force and not refused:
+            return  # the same would be done again
         with warnings.catch_warnings():
             warnings.simplefilter('error')
             try:
                 result = find_discrepancy([recording], believed, Options(force=force, most=2))
             except (BagError, SimulationError) as error:
+                refused = True
                 assert str(error).startswith(recording.source) and len(str(error)) > 40
             else:
+                refused = result.verdict == BAD_DATA
                 assert result.verdict in (COMPLETE, FOUND, UNEXPLAINED, BAD_DATA)
                 assert result.words and 'nan' not in result.words.lower()
                 if change == 'light' and result.verdict != BAD_DATA:
@@ -251,7 +258,7 @@ def test_a_torque_of_another_joint_is_unexplained_and_says_so():
     extra = 0.1 * case.recording.q_link[:, [1, 1]] * np.array([1.0, 0.0])
     result = find_discrepancy([replace(case.recording, command=case.recording.command + extra,
                                   tau_motor=case.recording.tau_motor + extra)], case.nominal,
-                         Options(most=2))
+                         Options(most=1))
     assert result.verdict == UNEXPLAINED, result.words
     assert result.unexplained.joint == 'joint1'
     assert result.unexplained.variable == 'link angle of joint2'
@@ -259,7 +266,7 @@ def test_a_torque_of_another_joint_is_unexplained_and_says_so():
 
 def test_effects_that_cancel_each_other_are_not_named():
     """Cogging that slides: four effects, each of three times the torque missed, resemble it."""
-    result, found, _ = outcome('outside', 6)
+    result, found, _ = outcome('outside', 6, most=4)
     assert (result.verdict, found) == (UNEXPLAINED, ()), result.words
 
 
@@ -273,11 +280,11 @@ def test_a_wave_that_hardly_turns_is_none():
     case = make_case('deleted', 15, duration=LONG)
     hidden, = case.truth.effects
     same = ('motor_torque_bias', 'spring_offset', 'constant_link_torque')
-    result = find_discrepancy([case.recording], case.nominal, Options(without=same[:1], most=3))
+    result = find_discrepancy([case.recording], case.nominal, Options(without=same[:1], most=2))
     assert hidden.name == same[0] and {one.effect for one in result.named} <= set(same[1:])
     waves = ('link_encoder_eccentricity', 'kinematic_error', 'friction_asymmetry', 'gravity_tilt')
     result = find_discrepancy([case.recording], case.nominal,
-                              Options(without=(*same, *waves), most=3))
+                              Options(without=(*same, *waves), most=2))
     assert result.verdict == UNEXPLAINED, result.words
     assert result.unexplained.variable == 'constant'
     assert result.unexplained.joint == hidden.joint
@@ -299,7 +306,7 @@ def test_a_ripple_finer_than_any_guess_is_found():
 
 @pytest.mark.parametrize('seed', [2])
 def test_two_effects_are_both_named(seed):
-    result, found, truth = outcome('double', seed, duration=30.0)
+    result, found, truth = outcome('double', seed, most=3, duration=30.0)
     assert result.verdict == FOUND
     named = {(one.effect, one.joint) for one in found[:2]}
     assert named == {(spec.name, spec.joint) for spec in truth.effects}, result.words
@@ -329,7 +336,7 @@ def test_torque_constant_and_inertia_are_told_by_the_spring():
         nominal, gains, reference, seed=1)
     q_link, _, q_motor, _ = np.moveaxis(motion.measured, 1, 0)
     result = find_discrepancy([recorded(robot, time, q_link, q_motor, motion.command, reference)],
-                         nominal)
+                              nominal)
     assert {one.effect: one.joint for one in result.named} == dict.fromkeys(hidden, 'joint1')
     for one in result.named:
         assert one.values[0].value == pytest.approx(hidden[one.effect], abs=DOUBT)
@@ -368,26 +375,22 @@ def test_what_makes_a_model_worse_is_no_finding(named, monkeypatch):
     true, = case.truth.effects
     assert result.verdict == COMPLETE and not result.findings and result.robot.effects == ()
     assert [one.key for one in result.minor] == [(true.name, true.joint)]
-    assert (f'the model predicts better without: {true.name} of {true.joint}.') in result.words
+    assert f'the model predicts better without: {true.name} of {true.joint}.' in result.words
     np.testing.assert_allclose(result.gap.after, result.gap.retuned, rtol=1e-3)
 
 
-@pytest.mark.parametrize(('what', 'told'), [
-    ('zero', 'zero of the link encoder of joint1 +2 mrad'),
-    ('torque', 'torque of joint2 +0.02 N m')])
-def test_what_differs_between_recordings_is_no_effect(what, told):
-    """An encoder that lost its zero, or a drive with a new offset, is said of its recording."""
+def test_what_differs_between_recordings_is_no_effect():
+    """A zero that an encoder lost and a new offset of a drive are said of their recording."""
     case = make_case('clean', 0, duration=SHORT)
-    other = case.held_out
-    if what == 'zero':
-        other = replace(other, q_link=other.q_link + [2e-3, 0.0])
-    else:
-        other = replace(other, command=other.command + [0.0, 0.02],
-                        tau_motor=other.tau_motor + [0.0, 0.02])
-    result = find_discrepancy([case.recording, other], case.nominal)
+    other = replace(case.held_out, q_link=case.held_out.q_link + [2e-3, 0.0],
+                    command=case.held_out.command + [0.0, 0.02],
+                    tau_motor=case.held_out.tau_motor + [0.0, 0.02])
+    result = find_discrepancy([case.recording, other], case.nominal, Options(most=1))
     assert result.verdict == COMPLETE and not result.named
-    (sentence,) = result.recordings
-    number = float(sentence.split(' joint')[1].split()[1])
-    assert sentence.startswith(told.split(' +')[0]) and sentence.endswith('in recording 2')
-    assert number == pytest.approx(float(told.split('+')[1].split()[0]), rel=0.1)
-    assert sentence in result.words
+    told = {sentence.split(' joint')[0]: sentence for sentence in result.recordings}
+    assert set(told) == {'zero of the link encoder of', 'torque of'}
+    for what, joint, expected in (('zero of the link encoder of', 'joint1', 2.0),
+                                  ('torque of', 'joint2', 0.02)):
+        said, value = told[what].split(f'{what} ')[1].split()[:2]
+        assert said == joint and float(value) == pytest.approx(expected, rel=0.1)
+        assert told[what].endswith('in recording 2') and told[what] in result.words

@@ -23,12 +23,14 @@ scheduling = pytest.importorskip('gms_flex_control.nodes.scheduling')
 # how far beyond its limit a time may be on a shared machine; other times are not asserted
 SAFETY = {'clocks': 2.0, 'dead-controller': 2.0, 'silence': 2.0, 'two-controllers': 2.0,
           'two-trajectories': 2.0, 'frozen-encoders': 2.0, 'emergency-stop': 2.0}
-# the first two stops are without a storm, which on a crowded machine delays the others
-TRIES = {'emergency-stop': 2}
+# each kind once: frozen and killed, states that stop and that come again, either node; and two
+# stops without a storm, which on a crowded machine delays the others
+TRIES = {'emergency-stop': 2, 'dead-controller': 2, 'silence': 2, 'exceptions': 2}
 TORQUE = 'N m'
 
 
-@pytest.mark.parametrize('name', table.FAULTS)
+@pytest.mark.parametrize('name', [
+    name for name in table.FAULTS if name != 'mismatch'])  # which the verb tries
 def test_a_fault_never_moves_the_arm(name, tmp_path):
     fault = table.FAULTS[name]
     tries = TRIES.get(name, fault.tries[0])
@@ -42,24 +44,24 @@ def test_a_fault_never_moves_the_arm(name, tmp_path):
 
 BAD_NODES = {
     # never notices that the states have stopped
-    'silence': ('ControllerNode._watch = lambda self: None', 'no zero was commanded'),
+    'silence': (1, 'ControllerNode._watch = lambda self: None', 'no zero was commanded'),
     # never notices that angles stay the same
-    'frozen-encoders': ('from gms_flex_control.nodes.encoder_watch import EncoderWatch; '
-                        "EncoderWatch.look = lambda *_: ''", 'the controller says'),
+    'frozen-encoders': (1, 'from gms_flex_control.nodes.encoder_watch import EncoderWatch; '
+                           "EncoderWatch.look = lambda *_: ''", 'the controller says'),
     # takes any number for a joint state
-    'numbers': ('messages.JointStateReader._refuse_bad = lambda *_: None', 'counts 0')}
+    'numbers': (2, 'messages.JointStateReader._refuse_bad = lambda *_: None', 'counts 0')}
 
 
 @pytest.mark.parametrize('name', BAD_NODES)
 def test_a_node_that_lacks_a_guard_fails_its_row(name, tmp_path, monkeypatch):
-    spoilt, complaint = BAD_NODES[name]
+    tries, spoilt, complaint = BAD_NODES[name]
     sound = bench.executable
     code = ('from gms_flex_control.nodes import messages; '
             'from gms_flex_control.nodes.controller_node import ControllerNode, main; '
             f'{spoilt}; main()')
     monkeypatch.setattr(bench, 'executable', lambda node: (
         [sys.executable, '-c', code] if node == 'controller_node' else sound(node)))
-    row = table.try_fault(table.FAULTS[name], 2, tmp_path)
+    row = table.try_fault(table.FAULTS[name], tries, tmp_path)
     assert row.verdict == table.FAILED
     assert any(complaint in problem for problem in row.problems), row.problems
 

@@ -4,7 +4,12 @@
 """The style check of the ROS 2 core packages, with the plugins it has there."""
 
 from importlib.metadata import PackageNotFoundError, version
+import json
+from pathlib import Path
+import re
+import subprocess
 
+from linted import RUFF, sources
 import pytest
 
 main = pytest.importorskip('ament_flake8.main')
@@ -13,8 +18,51 @@ main = pytest.importorskip('ament_flake8.main')
 @pytest.mark.flake8
 @pytest.mark.linter
 def test_flake8():
-    result, errors = main.main_with_errors(argv=[])
+    result, errors = main.main_with_errors(argv=sources())
     assert result == 0, f'{len(errors)} style errors:\n' + '\n'.join(errors)
+
+
+@pytest.mark.linter
+@pytest.mark.skipif(RUFF is None, reason='ruff is not installed')
+def test_ruff_has_looked_at_all():
+    done = subprocess.run([RUFF, 'check', '--no-cache', Path(__file__).parents[1]],
+                          capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+BAD = """import sys
+import os
+list = [x for x in (1, 2)]
+def Loud( a ):
+    b = "1"
+    def c():
+        'no.'
+    if a == None:
+        return {k: k for k in a},   {True: 1}
+
+    return set([1, 2])
+print( sys.path) ; print(os.path)
+""" + f'{"x" * 99} = 1'
+
+
+@pytest.mark.linter
+@pytest.mark.skipif(RUFF is None, reason='ruff is not installed')
+def test_ruff_sees_what_flake8_and_its_plugins_see(tmp_path):
+    """
+    In the same lines, of the same families of rules; so it may look in flake8's place.
+
+    The order of imports ruff tells of the first one.
+    """
+    (tmp_path / 'bad.py').write_text(BAD)
+    _, errors = main.main_with_errors(argv=[str(tmp_path / 'bad.py')])
+    told = subprocess.run([RUFF, 'check', '--output-format', 'json', '--no-cache', '--config',
+                           Path(__file__).parents[1] / 'ruff.toml', 'bad.py'], cwd=tmp_path,
+                          capture_output=True, text=True, check=False).stdout
+    seen = {(one['location']['row'], one['code'][0]) for one in json.loads(told)}
+    asked = {(1 if family == 'I' else int(line), family) for line, family in re.findall(
+        r'bad\.py:(\d+):\d+: ([A-Z])', '\n'.join(errors))}
+    assert {family for _, family in asked} == set('ACDEFIQW')
+    assert asked <= seen
 
 
 @pytest.mark.linter

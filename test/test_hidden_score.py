@@ -309,7 +309,7 @@ def test_a_job_asks_the_workflow_without_telling_it_the_truth(workflow):
 
 
 @pytest.mark.parametrize(('job', 'told'), [
-    (Job('single', 2, 'paper_sinusoid'), False),
+    (Job('single', 2, 'paper_sinusoid', duration=20.0), False),
     (Job('single', 2, plant='soft', duration=8.0), True)])
 def test_what_is_missed_is_told_beside_what_the_truth_gains(monkeypatch, job, told):
     """Damping that one motion hardly shows and another does, where nothing may be added."""

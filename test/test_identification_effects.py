@@ -19,7 +19,7 @@ import pytest
 STRONG = {
     'constant_link_torque': (0.03,), 'quadratic_drag': (0.05,), 'spring_offset': (0.02,),
     'spring_cubic': (60.0,), 'backlash': (0.02,),
-    'spring_hysteresis': (0.02, 0.005), 'stiffness_error': (0.2,),  'stiffness_drift': (0.3, 60.0)}
+    'spring_hysteresis': (0.02, 0.005), 'stiffness_error': (0.2,), 'stiffness_drift': (0.3, 60.0)}
 
 
 def specs(*names):

@@ -88,10 +88,11 @@ class Case:
         planar = range(self.n) if self.arm.kind == 'planar' else [self.joint]
         carried = np.array([self.joint, *(j for j in planar if j != self.joint)])
         predictor.predict(
-            angle, np.zeros(self.n) if rate is None else rate, self.torque, self.extra,
-            theta[len(theta) - self.n_extra:], PERIOD, chain.constants_of(self.arm),
-            self.friction(free), carried, directions, self.gains(), np.full(self.n, half),
-            self.state(), plant.workspace(self.n), predicted, innovation, jacobian)
+            np.ascontiguousarray(angle), np.zeros(self.n) if rate is None else rate,
+            self.torque, self.extra, theta[len(theta) - self.n_extra:], PERIOD,
+            chain.constants_of(self.arm), self.friction(free), carried, directions,
+            self.gains(), np.full(self.n, half), self.state(), plant.workspace(self.n),
+            predicted, innovation, jacobian)
         return predicted, innovation, jacobian
 
     def state(self):
@@ -250,8 +251,9 @@ def simulated_freely(case, angle, first, stride, horizon):
     starts = (len(angle) - 1 - horizon - first) // stride + 1
     predicted = np.empty((starts, horizon, case.n))
     predictor.simulate_freely(
-        angle, np.zeros(case.n), case.torque, case.extra, theta[len(theta) - case.n_extra:],
-        PERIOD, chain.constants_of(case.arm), case.friction(), case.joint, case.gains(),
+        np.ascontiguousarray(angle), np.zeros(case.n), case.torque, case.extra,
+        theta[len(theta) - case.n_extra:], PERIOD, chain.constants_of(case.arm),
+        case.friction(), case.joint, case.gains(),
         np.zeros(case.n), first, stride, horizon, case.state(), case.state(),
         plant.workspace(case.n), predicted)
     return predicted

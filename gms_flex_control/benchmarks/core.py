@@ -138,7 +138,7 @@ def measure_step(robot, gains, quick=False):
     for effects in (0, 3, 10):
         robot_k = with_effects(robot, effects)
         cases[effects] = _substeps(robot_k, command, count)
-    steps = {name: count for name in cases}
+    steps = dict.fromkeys(cases, count)
     if mujoco_arm.available():
         arm = mujoco_arm.MujocoArm(robot, PERIOD / SUBSTEPS)
         steps['mujoco'] = max(count // 10, 100)

@@ -209,7 +209,7 @@ def make_motion(joints, time, period, readings, command, supply, commanded, sour
     The readings of links that are ``unseen`` are computed, in place. Without a ``factor`` the
     equations are formed every `WORKING_PERIOD`.
     """
-    n = len(joints)
+    n, time = len(joints), np.array(time)  # kernels are compiled anew for a read-only one
     command = np.ascontiguousarray(command)
     bend, held = second_difference(readings, period), held_triangle(command)
     for link in unseen:

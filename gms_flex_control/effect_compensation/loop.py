@@ -52,7 +52,8 @@ def run(robot, model, gains, reference, *, period_ns=2_000_000, substeps=20, see
     plant = SteppedPlant(robot, period=period, substeps=substeps, seed=seed, q_link=q_link,
                          begin=begin)
     controller = CompensatingController(gains, model)
-    reference = np.ascontiguousarray(reference, dtype=float)
+    # a copy: the controller is compiled anew for a read-only reference
+    reference = np.array(reference, dtype=float, order='C')
     prepare(plant)
     angles, torques = np.empty((samples, 8, n)), np.empty((samples, 4, n))
     plant.measure()

@@ -96,7 +96,8 @@ def strange_record(disturbance):
 
 def under_cascade(robot, model, gains, reference, period, scene, angles, torques):
     """Run a Scene under the cascade controller; fills ``angles`` and ``torques``."""
-    loop.run(reference, period, round(period / STEP), *scene, cascade.init(model),
+    # a copy: the loop is compiled anew for a read-only reference
+    loop.run(reference.copy(), period, round(period / STEP), *scene, cascade.init(model),
              cascade.constants_of(gains, model), cascade.workspace(robot.n_joints), angles,
              torques)
 

@@ -139,9 +139,9 @@ def free_run_error(objective, bundle, theta, chosen):
         predicted = np.empty((starts, horizon, n))
         blocks = gms.state_layout(n, MOST_BLOCKS)
         predictor.simulate_freely(
-            stretch.angle, np.ascontiguousarray(stretch.rate[0]), stretch.torque, extra,
-            theta[len(theta) - extra.shape[1]:], bundle.period, links, objective.friction(theta),
-            joint, bundle.observer_gains(), bundle.half, first,
+            np.ascontiguousarray(stretch.angle), np.ascontiguousarray(stretch.rate[0]),
+            stretch.torque, extra, theta[len(theta) - extra.shape[1]:], bundle.period, links,
+            objective.friction(theta), joint, bundle.observer_gains(), bundle.half, first,
             stride, horizon, records.build(blocks), records.build(blocks), plant.workspace(n),
             predicted)
         for start in range(starts):

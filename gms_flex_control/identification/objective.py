@@ -175,15 +175,19 @@ class Objective:
         self._alone = self._carried[:1]
 
     def predict(self, stretch, theta, directions, sharpness):
-        """Return predicted angles, innovations (T, n) and jacobian (T, P) of a stretch."""
+        """
+        Return predicted angles, innovations (T, n) and jacobian (T, P) of a stretch.
+
+        Contiguous arrays only go into the kernel, which is compiled anew for any other layout.
+        """
         bundle, n = self._bundle, stretch.angle.shape[1]
         extra = self.extra(stretch)
         samples, width = len(stretch.angle), directions.shape[1]
         predicted, innovation = np.empty((2, samples, n))
         jacobian = np.empty((samples, width))
         predictor.predict(
-            stretch.angle, np.ascontiguousarray(stretch.rate[0]), stretch.torque, extra,
-            theta[len(theta) - extra.shape[1]:], bundle.period, self._links,
+            np.ascontiguousarray(stretch.angle), np.ascontiguousarray(stretch.rate[0]),
+            stretch.torque, extra, theta[len(theta) - extra.shape[1]:], bundle.period, self._links,
             self.friction(theta), self._carried if width else self._alone,
             np.ascontiguousarray(directions),
             bundle.observer_gains(sharpness), bundle.half,
@@ -194,7 +198,8 @@ class Objective:
     def extra(self, stretch):
         """Return the further torques per unit of their coefficients, shape (T, R)."""
         make = self._bundle.extras[self.joint]
-        return np.zeros((len(stretch.angle), 0)) if make is None else make(stretch)
+        return (np.zeros((len(stretch.angle), 0)) if make is None else
+                np.ascontiguousarray(make(stretch)))
 
     def friction(self, theta):
         """Return the constants of all joints, ``theta`` those of this one."""
