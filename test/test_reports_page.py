@@ -50,13 +50,23 @@ class Page(HTMLParser):
                 for dtype, text in json.loads(self.data)['arrays']]
 
 
+def answer(**changed):
+    """Return an answer, named by someone hostile."""
+    return Answer(EVIL, (EVIL, 'after', 'noise floor'), (
+        number('error [mrad]', 0.0102, 0.00312, 0.001), number(EVIL, None, 0.2, np.nan)),
+        command('view', 'my bag'))._replace(**changed)
+
+
 def small_report():
     """Return a report with every kind of block, named by someone hostile."""
     t = np.arange(500) * 2e-3
-    return (Report(EVIL, subtitle=EVIL).heading(EVIL).text(EVIL).note(EVIL, warning=True)
+    figure = error_figure((), 'none')
+    figure.suptitle(EVIL)
+    return (Report(EVIL, answer(), EVIL)
+            .chart(EVIL, t, [Series(EVIL, np.sin(t)), Series('b', np.cos(t))], y_label=EVIL)
+            .heading(EVIL).text(EVIL).note(EVIL, warning=True)
             .preformatted(EVIL).table([EVIL, 'n'], [[EVIL, '1.5'], ['x', '-']], caption=EVIL)
-            .figure(b'\x89PNG', caption=EVIL).heading('second')
-            .chart(EVIL, t, [Series(EVIL, np.sin(t)), Series('b', np.cos(t))], y_label=EVIL))
+            .figure(figure, caption=EVIL).heading('second'))
 
 
 def test_every_text_is_escaped_wherever_it_is_put():

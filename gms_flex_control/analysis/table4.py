@@ -52,12 +52,24 @@ class Table4:
             joint.joint for run in self.runs if run.trajectory == trajectory
             for joint in run.joints))
 
-    def mse(self, trajectory, compensation, joint):
-        """Return the MSE [rad^2], averaged over repeats; NaN if there is no such run."""
-        values = [entry.mse for run in self.runs
+    @property
+    def best(self):
+        """Return the compensation with the least error of the worst link; none if it is alone."""
+        modes = [mode for mode in self.compensations if mode != WITHOUT] or [WITHOUT]
+        return min(modes, key=lambda mode: max(
+            (entry.mse for run in self.runs if run.compensation == mode
+             for entry in run.joints if math.isfinite(entry.mse)), default=math.inf))
+
+    def figure(self, name, trajectory, compensation, joint):
+        """Return a figure of `JointTracking`, averaged over repeats; NaN if there is no run."""
+        values = [getattr(entry, name) for run in self.runs
                   if (run.trajectory, run.compensation) == (trajectory, compensation)
                   for entry in run.joints if entry.joint == joint]
         return float(np.mean(values)) if values else math.nan
+
+    def mse(self, trajectory, compensation, joint):
+        """Return the MSE [rad^2], averaged over repeats; NaN if there is no such run."""
+        return self.figure('mse', trajectory, compensation, joint)
 
     def ratio(self, trajectory, compensation, joint):
         """Return MSE without compensation / MSE with ``compensation``; NaN if one lacks."""

@@ -6,6 +6,7 @@
 import json
 from pathlib import Path
 
+from gms_flex_control.cli.output import conclude
 from gms_flex_control.params.gains import COMPENSATIONS
 
 UNLABELLED = 'unlabelled'
@@ -34,7 +35,7 @@ def run(args):
     from gms_flex_control.analysis.tracking import Run
     from gms_flex_control.bags.reader import read_recording
     from gms_flex_control.errors import BagError
-    from gms_flex_control.reports.tracking import write_tracking_report
+    from gms_flex_control.reports.tracking import tracking_answer, write_tracking_report
 
     if args.label and len(args.label) != len(args.bags):
         raise BagError(f'--label was given {len(args.label)} times for {len(args.bags)} bags; '
@@ -46,7 +47,8 @@ def run(args):
     if args.json:
         print(json.dumps(table.as_dict(), indent=2, allow_nan=False))
     else:
-        print(f'{table.text()}\n\nreport: {Path(args.out) / "report.html"}')
+        print(table.text())
+        conclude(tracking_answer(table), {'report': Path(args.out) / 'report.html'})
     return 0
 
 

@@ -38,6 +38,27 @@ def write_or_print(text, out, told):
         print(text, end='')
 
 
+def conclude(answer, files, words=str):
+    """
+    Print where results are and, at last, the answer.
+
+    Parameters
+    ----------
+    answer : Answer
+        Of the verb.
+    files : dict of str to Path
+        What each holds.
+    words : callable
+        Applied to the answer, such as one that changes units.
+
+    """
+    from gms_flex_control.reports.answer import answer_text
+
+    width = max(map(len, files))
+    lines = [f'{name:<{width}}  {path}' for name, path in files.items()]
+    print('\n'.join(['', *lines, '', answer_text(answer, words)]))
+
+
 def refuse_unwritable(out):
     """Raise ConfigError if nothing could be written in the folder ``out``, which is not made."""
     there = Path(out).absolute()

@@ -5,6 +5,7 @@
 
 from functools import cache
 from importlib import import_module
+import inspect
 import pkgutil
 
 from gms_flex_control.effects import catalogue
@@ -17,6 +18,11 @@ from gms_flex_control.suggest import did_you_mean
 def names():
     """Return the names of all effects, sorted; nothing is imported for it."""
     return tuple(sorted(module.name for module in pkgutil.iter_modules(catalogue.__path__)))
+
+
+def in_words(name):
+    """Return what an effect of the catalogue is, such as 'Play in the transmission'."""
+    return inspect.getdoc(inspect.getmodule(find(name))).splitlines()[0].rstrip('.')
 
 
 @cache

@@ -200,7 +200,9 @@
 
   function fit(chart) {
     const {width, height} = size(chart);
-    if (!chart.plot || (chart.plot.width === width && chart.plot.height === height)) return;
+    if (!width) return;  /* folded: drawn when it is first seen */
+    if (!chart.plot) draw(chart);
+    if (chart.plot.width === width && chart.plot.height === height) return;
     chart.plot.setSize({width, height});
     refresh(chart);
   }
@@ -223,7 +225,7 @@
   }
 
   function refresh(chart) {
-    if (chart.pending) return;
+    if (chart.pending || !chart.plot) return;
     chart.pending = requestAnimationFrame(() => {
       chart.pending = 0;
       chart.plot.setData(view(chart, chart.min, chart.max), false);
@@ -364,10 +366,19 @@
     const members = group(chart);
     chart.min = Math.min(...members.map((c) => c.first));
     chart.max = Math.max(...members.map((c) => c.last));
-    draw(chart);
+    fit(chart);
   });
   addEventListener('resize', () => charts.forEach(fit));  /* large ones are as high as it allows */
   addEventListener('scroll', () => charts.forEach((c) => { c.armed = false; }), {passive: true});
-  matchMedia('(prefers-color-scheme: dark)').addEventListener('change', () => charts.forEach(draw));
+  matchMedia('(prefers-color-scheme: dark)').addEventListener(
+    'change', () => charts.filter((c) => c.plot).forEach(draw));
+  /* paper shows everything */
+  const details = document.querySelector('details');
+  let folded = false;
+  addEventListener('beforeprint', () => {
+    folded = details && !details.open;
+    if (folded) { details.open = true; charts.forEach(fit); }
+  });
+  addEventListener('afterprint', () => { if (folded) details.open = false; });
   document.documentElement.dataset.charts = charts.length;
 })();

@@ -1,0 +1,62 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""What a page begins with and a verb ends with: a sentence, three numbers, what to run next."""
+
+import shlex
+from textwrap import fill
+from typing import NamedTuple
+
+from gms_flex_control.analysis.table4 import align
+import numpy as np
+
+_WIDTH = 96
+_FIXED, _ARROW = '\u00a0', '→'  # a blank at which no line breaks
+
+
+class Number(NamedTuple):
+    """One measured quantity, as text; '-' where it is not known."""
+
+    name: str     # with its unit, 'error of joint1 [mrad]'
+    before: str   # without what the answer is about
+    after: str    # with it
+    floor: str    # what is left where nothing is wrong, as by noise
+
+
+class Answer(NamedTuple):
+    """The answer of a page or a verb."""
+
+    sentence: str
+    columns: tuple   # titles of the three columns of numbers
+    numbers: tuple   # of Number, three
+    command: str     # to be run next
+
+    @property
+    def header(self):
+        """Return the column titles of the table of numbers."""
+        return ('', *self.columns)
+
+
+def number(name, before, after, floor, scale=1e3, digits=3):
+    """Return a Number of values in SI units, by default in thousandths; None is not known."""
+    return Number(name, *(
+        '-' if value is None or not np.isfinite(value) else f'{scale * value:.{digits}g}'
+        for value in (before, after, floor)))
+
+
+def answer_text(answer, words=str):
+    """Return an Answer as lines of text for a terminal; ``words`` as of `page.Report`."""
+    sentence = fill(unbroken(words(answer.sentence)), _WIDTH).replace(_FIXED, ' ').replace(
+        _ARROW, '->')
+    rows = [[words(cell) for cell in one] for one in answer.numbers]
+    return f'{sentence}\n\n{align(answer.header, rows)}\n\nnext: {answer.command}'
+
+
+def unbroken(text):
+    """Return a text whose arrows stay with the words on both sides of them."""
+    return text.replace(' -> ', f'{_FIXED}{_ARROW}{_FIXED}')
+
+
+def command(verb, *words):
+    """Return a command line of gms_flex that a shell takes as it is."""
+    return shlex.join(['gms_flex', verb, *map(str, words)])
