@@ -13,6 +13,7 @@ import warnings
 from devtools import chromium
 from gms_flex_control.identification.result import Interval
 from gms_flex_control.identification.steady import FrictionMap
+from gms_flex_control.reports.answer import Answer
 from gms_flex_control.reports.identification import write_identification_report
 from gms_flex_control.reports.identification_figures import loops_figure, map_figure
 from gms_flex_control.reports.identification_text import identification_text
@@ -23,6 +24,7 @@ from identified import ERRORS, identification
 import numpy as np
 import pytest
 
+ANSWER = Answer('In words.', (), (), 'gms_flex')
 EVIL = '<b>$_/../\\x'
 
 
@@ -177,7 +179,7 @@ def test_an_unknown_interval_is_not_made_up():
     (Curve('c', [-1, 0], [0, 1]), {'log_x': True}, 'has no point to draw')])
 def test_a_curve_that_cannot_be_drawn_is_refused(curve, options, match):
     with pytest.raises(ValueError, match=match):
-        Report('r').xy_chart('t', [curve], **options)
+        Report('r', ANSWER).xy_chart('t', [curve], **options)
 
 
 def test_a_browser_draws_loops_and_clouds(tmp_path):
@@ -185,7 +187,7 @@ def test_a_browser_draws_loops_and_clouds(tmp_path):
     if browser is None:
         pytest.skip('no chromium on this machine; the page itself is checked by the other tests')
     angle = np.linspace(0.0, 6.0, 50)
-    path = Report('r').xy_chart('loop', [
+    path = Report('r', ANSWER).xy_chart('loop', [
         Curve('line', np.sin(angle), np.cos(angle)),
         Curve('cloud', np.cos(angle), np.sin(angle), points=True)]).xy_chart(
         'log', [Curve('line', 10.0 ** angle, angle)], log_x=True).write(tmp_path / 'report.html')

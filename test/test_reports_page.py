@@ -12,6 +12,8 @@ import re
 import subprocess
 
 from devtools import chromium
+from gms_flex_control.reports.answer import Answer, answer_text, command, number
+from gms_flex_control.reports.figures import COLOURS, finished, stacked_panels
 from gms_flex_control.reports.page import Report, Series
 from gms_flex_control.reports.series import decimate, merge_grids
 import numpy as np
@@ -60,8 +62,10 @@ def answer(**changed):
 def small_report():
     """Return a report with every kind of block, named by someone hostile."""
     t = np.arange(500) * 2e-3
-    figure = error_figure((), 'none')
-    figure.suptitle(EVIL)
+    figure, (panel,) = stacked_panels(1)
+    panel.plot(t, np.sin(t), color=COLOURS[1], label=EVIL)
+    panel.plot(t, np.cos(t), 'k--')
+    finished(figure, [panel], EVIL)
     return (Report(EVIL, answer(), EVIL)
             .chart(EVIL, t, [Series(EVIL, np.sin(t)), Series('b', np.cos(t))], y_label=EVIL)
             .heading(EVIL).text(EVIL).note(EVIL, warning=True)
@@ -91,7 +95,7 @@ def test_embedded_arrays_equal_the_data():
 
 def test_a_shared_time_axis_is_stored_once():
     t = np.arange(100.0)
-    report = Report('r').chart('a', t, [Series('s', t ** 2)]).chart('b', t, [Series('s', t ** 3)])
+    report = Report('r', answer()).chart('a', t, [Series('s', t ** 2)]).chart('b', t, [Series('s', t ** 3)])
     assert len(Page(report.html()).arrays()) == 3
 
 
@@ -100,12 +104,34 @@ def test_the_page_reaches_for_nothing_outside_itself():
     assert all(url.startswith(('data:', '#')) for url in Page(html).urls)
     assert "default-src 'none'" in html
     own = html.replace('https://github.com/leeoniya/uPlot', '')  # uPlot's own banner comment
-    assert not re.search(r'https?://|@import|url\(', own)
+    assert not re.search(r'https?://|@import|url\((?!#)', own)
 
 
-def test_neighbouring_charts_share_a_grid_and_headings_a_table_of_contents():
+def test_a_page_begins_with_the_answer_and_the_rest_folds():
+    """A sentence, one picture, numbers with their floor, a command; then closed details."""
     html = small_report().html()
-    assert html.count('class="charts"') == 1 and html.count('<nav>') == 1
+    answered, folded = html.partition('</main>')[::2]
+    parts = ('class="sentence"', 'class="charts"', 'noise floor', 'gms_flex view &#x27;my bag&#x27;')
+    assert sorted(map(answered.index, parts)) == [answered.index(part) for part in parts]
+    assert re.search('10.2</td>.*3.12</td>.*>1</td>.*>-</td>.*>200</td>.*>-</td>', answered)
+    assert folded.index('<details><summary>') < folded.index('<nav>') < folded.index('<pre>')
+    assert '<details' not in Report('r', answer()).html()
+
+
+def test_arrows_stay_with_their_words_and_the_terminal_has_its_own():
+    words = ' '.join(f'{k} -> {k + 1}' for k in range(100, 160))
+    assert '100\u00a0→\u00a0101' in Report('r', answer(sentence=words)).html()
+    lines = answer_text(answer(sentence=words)).splitlines()
+    assert all(re.fullmatch(r'(\d+ -> \d+ ?)+', line) for line in lines[:lines.index('')])
+    assert lines[-1] == "next: gms_flex view 'my bag'" and lines[-4].split()[1:] == [
+        '[mrad]', '10.2', '3.12', '1']
+
+
+def test_a_picture_has_the_colours_of_the_page():
+    html = small_report().html()
+    drawn = re.search('<figure.*?</figure>', html, re.DOTALL).group()
+    assert 'stroke: var(--c1)' in drawn and 'stroke: var(--ink)' in drawn
+    assert not re.search('#[0-9a-f]{6}', drawn.replace('#0', ''))
 
 
 def test_writing_is_whole_or_not_at_all(tmp_path):
@@ -121,7 +147,7 @@ def test_writing_is_whole_or_not_at_all(tmp_path):
     ([0, 1], [0, 0], 'pink', "role 'pink' is none of")])
 def test_a_chart_that_cannot_be_drawn_is_refused(x, y, role, match):
     with pytest.raises(ValueError, match=match):
-        Report('r').chart('c', x, [Series('s', y, role=role)])
+        Report('r', answer()).chart('c', x, [Series('s', y, role=role)])
 
 
 def test_series_on_different_stamps_meet_on_their_union():
@@ -182,7 +208,7 @@ def crowded(browser, tmp_path):
     """Open a report with two charts of eight curves with long names each; return the browser."""
     t = np.arange(500) * 2e-3
     lines = [Series(f'disturbance observer number {k}', np.sin(t + k)) for k in range(8)]
-    page = Report('crowded').chart('one', t, lines, y_label='rad').chart(
+    page = Report('crowded', answer()).chart('one', t, lines, y_label='rad').chart(
         'two', t, [*lines[1:], Series('longer_than_a_telephone_is_wide_' * 3, t)])
     browser.errors.clear()
 

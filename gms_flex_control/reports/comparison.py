@@ -6,10 +6,57 @@
 from gms_flex_control.comparison import study, words
 from gms_flex_control.comparison.contestants import Condition, conditions, CONTESTANTS, NOMINAL
 from gms_flex_control.experiment.believed import FRICTION, MASS, STIFFNESS
+from gms_flex_control.reports.answer import Answer, command, number
 from gms_flex_control.reports.page import Curve, Report, Series
 import numpy as np
 
 _MIXED = 'friction, K and M off together'
+
+
+def plant_answer(rows, outcomes, files=()):
+    """
+    Return which compensation errs least, on the plant as believed and on others.
+
+    Parameters
+    ----------
+    rows : list of Row
+        From study.table.
+    outcomes : dict of str to dict
+        Of the cells by their keys.
+    files : sequence of str
+        Of the robot, if not the arm of the paper.
+
+    Returns
+    -------
+    Answer
+
+    """
+    floor = study.floor_of(outcomes)
+    left = study.error_of(floor)
+    rest = None if left is None else max(floor['polynomial']['hold'])
+    best = min(rows, key=lambda row: _least(row.errors[NOMINAL]))
+    none = next(row for row in rows if row.mode == 'none')
+    sides = [(words.middle(row.drawn), row.hold and max(row.hold)) for row in (none, best)]
+    steadiest = min(rows, key=lambda row: _least(words.middle(row.drawn)))
+    also = ('' if not best.drawn else ', also where robots are drawn at random' if steadiest is best
+            else f'; of robots drawn at random {steadiest.name} errs least')
+    worst = [max(row.errors.values(), key=_least) for row in (none, best)]
+    numbers = (
+        number('error, plant as believed [mrad]', none.errors[NOMINAL], best.errors[NOMINAL], left),
+        number('error, robots drawn [mrad]', *(side[0] for side in sides), left) if best.drawn else
+        number('error, one thing different [mrad]', *worst, left),
+        number('motion at rest [mrad]', *(side[1] for side in sides), rest))
+    robot = ('--robot', *files) if files else ()
+    return Answer(
+        f'{best.name} follows the motions best{also}; without friction there would be '
+        f'{words.milli(left)} mrad, the noise floor, from encoders and the controller itself.',
+        ('none', best.name, 'noise floor'), numbers,
+        command('simulate', *robot, '--compensation', 'none', best.mode, '--out', 'bags'))
+
+
+def _least(error):
+    """Return an error for comparison: one that was lost is the largest."""
+    return np.inf if error is None else error
 
 
 def plant_page(rows, outcomes, setting, source):
@@ -24,18 +71,23 @@ def plant_page(rows, outcomes, setting, source):
         Of the cells by their keys.
     setting : Setting
         Of the comparison.
-    source : str
-        The robot files, '' for the arm of the paper.
+    source : sequence of str
+        The robot files, none for the arm of the paper.
 
     Returns
     -------
     Report
 
     """
-    robot = setting.robot
-    page = Report('Friction compensations compared',
-                  f'{source or "the arm of the paper"}, {setting.rate:g} Hz, sinusoid and '
-                  f'polynomial of {setting.amplitude[0]:g} rad, simulated')
+    robot, answer = setting.robot, plant_answer(rows, outcomes, source)
+    page = Report('Friction compensations compared', answer,
+                  f'{", ".join(source) or "the arm of the paper"}, {setting.rate:g} Hz, sinusoid '
+                  f'and polynomial of {setting.amplitude[0]:g} rad, simulated')
+    best = next(row.mode for row in rows if row.name == answer.columns[1])
+    traces = list(_traces(setting, _named(NOMINAL), {'none', best}))
+    for motion, joint, series, time in traces[-1:]:
+        page.chart(f'{motion}, {joint}: link angle - reference', time, series,
+                   y_label='error [mrad]')
     page.heading('All in one table').table(
         words.header(rows), [words.cells_of(row) for row in rows])
     page.text(' '.join(words.NOTE.split()) + '.')
@@ -56,12 +108,12 @@ def plant_page(rows, outcomes, setting, source):
         page.heading('Robots drawn at random').xy_chart(
             'error of all drawn robots, the best first', [_ranked(row) for row in rows],
             'share of robots', 'rms error [mrad]', log_x=False)
-    for condition, title in ((_named(NOMINAL), 'Error over time, plant as believed'),
-                             (mixed(), f'Error over time, {_MIXED}')):
+    for title, shown in (('Error over time, plant as believed', traces),
+                         (f'Error over time, {_MIXED}', _traces(setting, mixed()))):
         page.heading(title)
-        for motion, joint, series, time in _traces(setting, condition):
+        for motion, joint, series, time in shown:
             page.chart(f'{motion}, {joint}', time, series, y_label='error [mrad]',
-                       group=f'{motion} {condition.name}')
+                       group=f'{motion} {title}')
     page.note(f'{_MIXED}: friction {1 / FRICTION:.3g}, K {1 / STIFFNESS:.3g} and M '
               f'{1 / MASS:.3g} times what the controller believes, as in docs/model.md.')
     return page

@@ -12,6 +12,7 @@ from gms_flex_control.discrepancy.describe import (
     capitalised,
     of_noise,
     of_withheld,
+    Scale,
     torque_scale,
     value_words,
 )
@@ -47,6 +48,7 @@ TITLES = {COMPLETE: 'Nothing is missing', FOUND: 'Effects the model lacks',
 COLUMNS = (WITHOUT, WITH, 'noise floor')
 MOST_PICTURES = 8     # findings with a picture and a chart of their own
 _AT_FLOOR = 1.3       # error over floor that counts as the floor itself
+_SCALES = {'rad': angle_scale, 'N m': torque_scale}
 _CHANGED = 0.02       # share of an error that is worth a word
 _POINTS = 12_000      # of one line over time
 _CLOUD = 3_000        # points of a cloud
@@ -122,10 +124,13 @@ def _values(result):
     """Return the values of the finding that matters most as Numbers; noise makes its interval."""
     if not result.named:
         return []
-    first = result.named[0]
-    return [Number(f'{value.name} of {first.effect}, {first.joint}'
-                   + ('' if value.unit == '1' else f' [{value.unit}]'), '-', f'{value.value:.3g}',
-                   f'{0.5 * (value.high - value.low):.2g}') for value in first.values]
+    first, numbers = result.named[0], []
+    for value in first.values:
+        scale = _SCALES.get(value.unit, lambda _, unit=value.unit: Scale(unit, 1.0))(value.value)
+        numbers.append(Number(
+            f'{value.name} of {first.effect}' + ('' if scale.unit == '1' else f' [{scale.unit}]'),
+            '-', *map(scale.text, (value.value, 0.5 * (value.high - value.low)))))
+    return numbers
 
 
 def _sentence(result):
@@ -139,26 +144,25 @@ def _sentence(result):
         + (f'; indistinguishable here from {", ".join(one.confusable_with)})'
            if one.confusable_with else ')') for one in result.findings)
     gap = result.gap
-    errors = [_change(*figures) for figures in (
+    changes = [_change(*figures) for figures in (
         ('the residual torque', gap.retuned, gap.after, gap.floor),
         ('the error of free runs', gap.free_before, gap.free_after, gap.free_floor))]
-    return (f'The model lacks {effects}: with it, on data held out, {errors[0]} and {errors[1]}; '
-            'encoders and torque noise alone would leave the noise floor.')
+    at_floor = [name for name, _, there in changes if there]
+    where = {0: '. The noise floor is', 1: f', {"".join(at_floor)} to about the noise floor,',
+             2: ', both to about the noise floor,'}[len(at_floor)]
+    return (f'The model lacks {effects}: with it, on data held out, '
+            f'{" and ".join(change for _, change, _ in changes)}{where} '
+            f'{"which is " if at_floor else ""}what encoders and torque noise alone would leave.')
 
 
 def _change(name, without, found, floor):
-    """Return in words how an error of all joints changes, and whether it is at its floor."""
+    """Return an error's name, how it changes in words, and whether it shrinks to its floor."""
     before, after, least = (float(np.sqrt(np.nansum(one ** 2))) for one in (without, found, floor))
     share = 1.0 - after / before if before > 0.0 else 0.0
     if abs(share) < _CHANGED:
-        return f'{name} stays as it was'
-    where = ' to about the noise floor' if share > 0.0 and after <= _AT_FLOOR * least else ''
-    return f'{name} {"shrinks" if share > 0.0 else "grows"} by {100.0 * abs(share):.0f} %{where}'
-
-
-def units_of(result):
-    """Return the function that puts a text into the units of the robot of a Discrepancy."""
-    return str if result.robot is None else partial(in_units, result.robot.arm)
+        return name, f'{name} stays as it is', False
+    return (name, f'{name} {"shrinks" if share > 0.0 else "grows"} by {100.0 * abs(share):.0f} %',
+            share > 0.0 and after <= _AT_FLOOR * least)
 
 
 def add_discrepancy(report, result, folder, *, holdout=(), models=(), opened=False):

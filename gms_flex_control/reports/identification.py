@@ -11,6 +11,7 @@ from gms_flex_control.identification.words import (
     data_sentence,
     floor_shares,
     joint_sentences,
+    hull,
     NOT_IDENTIFIABLE,
     notes,
     number,
@@ -23,6 +24,8 @@ from gms_flex_control.identification.words import (
     STANDINGS,
 )
 from gms_flex_control.params.units import in_units
+from gms_flex_control.reports.answer import Answer, command
+from gms_flex_control.reports.answer import number as measured
 from gms_flex_control.reports.figures import file_stem, save_figure
 from gms_flex_control.reports.identification_figures import (
     DIRECTIONS,
@@ -41,12 +44,13 @@ import numpy as np
 MOST_TRACES = 6          # of one joint on the page
 _TRACE_POINTS = 20_000   # of one line of a trace; longer ones are written as extremes
 _CLOUD = 4_000           # points of a cloud
+_KNOWN = ('well known', 'roughly known')
 _SYMBOLS = {'static': 'F_s', 'coulomb': 'F_c', 'velocity': 'v_s', 'viscous': 'σ_2',
             'attraction': 'C', 'motor_inertia': 'J'}
 _BLOCK_SYMBOLS = {'stiffness': 'k', 'weight': 'α'}
 
 
-def write_identification_report(identification, folder, *, beside=None):
+def write_identification_report(identification, folder, *, beside=None, robot=()):
     """
     Write report.html and the PNGs.
 
@@ -58,6 +62,8 @@ def write_identification_report(identification, folder, *, beside=None):
         Made if need be; files of the same names are replaced.
     beside : RobotParams, optional
         Friction known otherwise, such as that of a simulated plant: drawn and tabled as true.
+    robot : sequence of str or Path
+        Files of the robot that was believed.
 
     Returns
     -------
@@ -66,40 +72,92 @@ def write_identification_report(identification, folder, *, beside=None):
 
     """
     folder, words = Path(folder), partial(in_units, identification.robot.arm)
-    pictures = list(_save_pictures(identification, folder, beside))
-    report = Report('Friction identification', data_sentence(identification), words)
+    report = Report('Friction identification', identification_answer(identification, folder, robot),
+                    data_sentence(identification), words)
+    worst = _worst(identification)
+    _add_map(report, worst, _known_curves(worst, beside)[0])
     _add_summary(report, identification)
-    report.figure(pictures[0][0], pictures[0][1])
     for result in identification.joints:
-        _add_joint(report, result, identification, beside)
-    paper = [(path, caption) for path, caption in pictures
-             if path.name.startswith(('map_', 'presliding_'))]
-    report.heading("Pictures (as the paper's Figs. 3 and 4)")
-    for path, caption in paper:
-        report.figure(path, caption)
-    return [report.write(folder / 'report.html'), *(path for path, _ in pictures)]
+        _add_joint(report, result, identification, beside, opened=result is worst)
+    return [report.write(folder / 'report.html'), *_save_pictures(identification, folder, beside)]
+
+
+def identification_answer(identification, folder, robot=()):
+    """
+    Return how far the friction that was identified predicts, of the worst joint.
+
+    Parameters
+    ----------
+    identification : Identification
+        What to show.
+    folder : str or Path
+        Of the results, with friction.yaml.
+    robot : sequence of str or Path
+        Files of the robot that was believed.
+
+    Returns
+    -------
+    Answer
+
+    """
+    worst, folder = _worst(identification), Path(folder)
+    errors, joint = worst.held_out, worst.joint
+    numbers = [
+        measured(f'torque error of {joint} [% of the drive torque]', errors.coulomb_viscous,
+                 errors.relative, np.fmax(*floor_shares(errors)), scale=100.0),
+        measured(f'error of free runs of {joint} [mrad]', errors.free_run_coulomb_viscous,
+                 errors.free_run_rms, errors.innovation_rms)]
+    known = next((one for one in worst.estimates if standing(one) in _KNOWN), None)
+    if known is not None:
+        low, high = hull(known)
+        numbers.append(measured(f'{short_name(known.name, joint)} of {joint} [{known.unit}]', None,
+                                known.value, 0.5 * (high - low), scale=1.0))
+    return Answer(_sentence(identification, worst),
+                  ('Coulomb + viscous', 'identified', 'noise floor'), tuple(numbers), command(
+                      'discrepancy', *identification.sources, '--robot', *robot,
+                      folder / 'friction.yaml', '--out', folder / 'gap'))
+
+
+def _worst(identification):
+    """Return the joint whose torque is predicted worst."""
+    return max(identification.joints, key=lambda result: np.nan_to_num(result.held_out.relative))
+
+
+def _sentence(identification, worst):
+    errors = worst.held_out
+    standings = [standing(one) for result in identification.joints for one in result.estimates]
+    lost = standings.count(NOT_IDENTIFIABLE)
+    known = (f'{len(standings) - lost} of {len(standings)} parameters are identified'
+             if lost else f'all {len(standings)} parameters are identified')
+    if not np.isfinite(errors.relative):
+        return f'{known.capitalize()}, but nothing checks them: there is no held-out error.'
+    simple = ('no better than Coulomb + viscous friction alone' if errors.relative
+              >= errors.coulomb_viscous else 'Coulomb + viscous friction alone to '
+              + percent(errors.coulomb_viscous))
+    return (f'On motion that took no part in the fit, the friction found predicts the torque of '
+            f'{worst.joint}, the worst, to {percent(errors.relative)}, {simple}; {known}. The noise '
+            'floor is what the readings alone, or the same motion repeated, would leave.')
 
 
 def _save_pictures(identification, folder, beside):
-    """Yield path and caption of each picture written."""
+    """Yield the path of each picture for print, written."""
     words, path = partial(in_units, identification.robot.arm), folder / 'held_out.png'
     save_figure(held_out_figure(identification.joints), path, words)
-    yield path, 'Errors on data that took no part in the fit'
+    yield path
     for i, result in enumerate(identification.joints):
         stem = file_stem(result.joint)
         clash = any(file_stem(other.joint) == stem for other in identification.joints[:i])
         stem = f'{stem}_{i + 1}' if clash else stem
         steady, curve = _known_curves(result, beside)
-        figures = [('map', map_figure(result, steady), 'friction over velocity'),
-                   ('presliding', loops_figure(result, curve), 'presliding'),
-                   ('residual', residual_figure(result), 'residual')]
+        figures = {'map': map_figure(result, steady), 'presliding': loops_figure(result, curve),
+                   'residual': residual_figure(result)}
         if result.traces:
             trace = max(result.traces, key=lambda trace: np.ptp(trace.velocity))
-            figures.append(('sliding', sliding_figure(trace, result.joint), 'motion over time'))
-        for name, figure, caption in figures:
+            figures['sliding'] = sliding_figure(trace, result.joint)
+        for name, figure in figures.items():
             path = folder / f'{name}_{stem}.png'
             save_figure(figure, path, words)
-            yield path, f'{result.joint}: {caption}'
+            yield path
 
 
 def _known_curves(result, beside):
@@ -119,18 +177,15 @@ def _add_summary(report, identification):
     for result in identification.joints:
         counts = [sum(standing(estimate) == kind for estimate in result.estimates)
                   for kind in STANDINGS]
-        rows.append((result.joint, percent(result.held_out.relative),
-                     percent(result.held_out.coulomb_viscous), *counts))
-    report.table(('joint', 'error', 'Coulomb + viscous', *STANDINGS), rows,
-                 'Held-out torque error relative to the drive torque, with Coulomb + viscous '
-                 'friction alone beside it; how many parameters are how well known')
+        rows.append((result.joint, *counts))
+    report.table(('joint', *STANDINGS), rows, 'How many parameters are how well known')
     for result in identification.joints:
         report.heading(result.joint, level=3)
         for text, warning in joint_sentences(result):
             (report.note(text, warning=True) if warning else report.text(text))
 
 
-def _add_joint(report, result, identification, beside):
+def _add_joint(report, result, identification, beside, *, opened):
     steady, curve = _known_curves(result, beside)
     known = known_values(beside, identification.robot, result.joint) if beside else None
     report.heading(result.joint)
@@ -138,7 +193,10 @@ def _add_joint(report, result, identification, beside):
         'the spring between motor and link.' if result.side == 'spring' else
         'the motor torque, with the motor inertia part of the link.'))
     _add_parameters(report, result, known)
-    _add_map(report, result, steady)
+    report.heading(f'{result.joint}: friction over velocity (Fig. 3)', level=3)
+    if not opened:
+        _add_map(report, result, steady)
+    _add_map(report, result, steady, log=True)
     _add_presliding(report, result, curve)
     _add_motion(report, result)
     _add_errors(report, result)
@@ -179,29 +237,25 @@ def _symbol(name):
     return _SYMBOLS.get(leaf, '')
 
 
-def _add_map(report, result, known):
-    measured, fit = result.friction_map, result.steady_velocity
-    over, log = [], []
+def _add_map(report, result, known, log=False):
+    """Add friction over velocity, or that against the motion over the logarithm of speed."""
+    measured, fit, curves = result.friction_map, result.steady_velocity, []
     for i, (sign, name, _) in enumerate(DIRECTIONS):
-        way = sign * measured.velocity > 0.0
+        way, turn = sign * measured.velocity > 0.0, sign if log else 1.0
         for steady, label, role in ((True, f'{name}, steady', f'c{i}'),
                                     (False, f'{name}, not steady', 'c6')):
             rows = _thinned(np.flatnonzero(way & (measured.steady == steady)))
-            point = measured.velocity[rows], measured.torque[rows]
-            over.append(Curve(label, *point, role, points=True))
-            log.append(Curve(label, sign * point[0], sign * point[1], role, points=True))
+            curves.append(Curve(label, turn * measured.velocity[rows],
+                                turn * measured.torque[rows], role, points=True))
         rows = sign * fit > 0.0
-        for torque, label, dashed in ((result.steady_torque, f'{name}, fitted', False),
-                                      (known, f'{name}, true', True)):
-            if torque is not None:
-                role = 'reference' if dashed else f'c{i + 3}'
-                over.append(Curve(label, fit[rows], torque[rows], role, dashed=dashed))
-                log.append(Curve(label, sign * fit[rows], sign * torque[rows], role,
-                                 dashed=dashed))
-    report.heading(f'{result.joint}: friction over velocity (Fig. 3)', level=3)
-    _curves(report, 'over velocity', over, 'velocity [rad/s]', 'friction torque [N m]')
-    _curves(report, 'over the logarithm of speed', log, 'speed [rad/s]',
-            'torque against the motion [N m]', log_x=True)
+        curves += [Curve(f'{name}, {kind}', turn * fit[rows], turn * torque[rows], role,
+                         dashed=torque is known)
+                   for kind, torque, role in (('fitted', result.steady_torque, f'c{i + 3}'),
+                                              ('true', known, 'reference'))
+                   if torque is not None]
+    title, labels = ((': against the motion', ('speed [rad/s]', 'friction torque [N m]')) if log
+                     else (': friction', ('velocity [rad/s]', 'friction torque [N m]')))
+    _curves(report, result.joint + title, curves, *labels, log_x=log)
 
 
 def _add_presliding(report, result, known):
