@@ -34,6 +34,8 @@ def run(args):
 
 def _entry(kind):
     """Return what is printed of an effect class, dict."""
+    from gms_flex_control.effects import registry
+
     place = 'arm' if kind.whole_arm else '<joint>'
     return {'name': kind.name, 'what': registry.in_words(kind.name),
             'parameters': [{'key': f'effects.{place}.{kind.name}.{one.name}', 'unit': one.unit,

@@ -18,7 +18,7 @@ from gms_flex_control.tuning.linear_loop import Timing
 from gms_flex_control.tuning.trial import MOTIONS, try_gains
 import numpy as np
 
-
+# what is left of the error where there is (next to) none to compensate
 FLOOR = Condition('without friction', 'without friction', friction=1e-6)
 
 

@@ -37,7 +37,7 @@ class Answer(NamedTuple):
         return ('', *self.columns)
 
 
-def number(name, before, after, floor, scale=1e3, digits=3):
+def measured(name, before, after, floor, scale=1e3, digits=3):
     """Return a Number of values in SI units, by default in thousandths; None is not known."""
     return Number(name, *(
         '-' if value is None or not np.isfinite(value) else f'{scale * value:.{digits}g}'

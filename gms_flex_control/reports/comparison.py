@@ -6,7 +6,7 @@
 from gms_flex_control.comparison import study, words
 from gms_flex_control.comparison.contestants import Condition, conditions, CONTESTANTS, NOMINAL
 from gms_flex_control.experiment.believed import FRICTION, MASS, STIFFNESS
-from gms_flex_control.reports.answer import Answer, command, number
+from gms_flex_control.reports.answer import Answer, command, measured
 from gms_flex_control.reports.page import Curve, Report, Series
 import numpy as np
 
@@ -38,19 +38,20 @@ def plant_answer(rows, outcomes, files=()):
     none = next(row for row in rows if row.mode == 'none')
     sides = [(words.middle(row.drawn), row.hold and max(row.hold)) for row in (none, best)]
     steadiest = min(rows, key=lambda row: _least(words.middle(row.drawn)))
-    also = ('' if not best.drawn else ', also where robots are drawn at random' if steadiest is best
-            else f'; of robots drawn at random {steadiest.name} errs least')
+    also = ('' if not best.drawn else ', robots drawn at random as well' if steadiest is best
+            else f', robots drawn at random {steadiest.name}')
     worst = [max(row.errors.values(), key=_least) for row in (none, best)]
     numbers = (
-        number('error, plant as believed [mrad]', none.errors[NOMINAL], best.errors[NOMINAL], left),
-        number('error, robots drawn [mrad]', *(side[0] for side in sides), left) if best.drawn else
-        number('error, one thing different [mrad]', *worst, left),
-        number('motion at rest [mrad]', *(side[1] for side in sides), rest))
+        measured('error, plant as believed [mrad]', none.errors[NOMINAL], best.errors[NOMINAL],
+                 left),
+        measured('error, robots drawn [mrad]', *(side[0] for side in sides), left) if best.drawn else
+        measured('error, one thing different [mrad]', *worst, left),
+        measured('motion at rest [mrad]', *(side[1] for side in sides), rest))
     robot = ('--robot', *files) if files else ()
     return Answer(
-        f'{best.name} follows the motions best{also}; without friction there would be '
-        f'{words.milli(left)} mrad, the noise floor, from encoders and the controller itself.',
-        ('none', best.name, 'noise floor'), numbers,
+        f'The plant as believed follows best with {best.name}{also}; the floor is what is left '
+        'where there is no friction at all, by encoders and the controller itself.',
+        ('none', best.name, 'floor'), numbers,
         command('simulate', *robot, '--compensation', 'none', best.mode, '--out', 'bags'))
 
 
@@ -83,11 +84,10 @@ def plant_page(rows, outcomes, setting, source):
     page = Report('Friction compensations compared', answer,
                   f'{", ".join(source) or "the arm of the paper"}, {setting.rate:g} Hz, sinusoid '
                   f'and polynomial of {setting.amplitude[0]:g} rad, simulated')
-    best = next(row.mode for row in rows if row.name == answer.columns[1])
-    traces = list(_traces(setting, _named(NOMINAL), {'none', best}))
-    for motion, joint, series, time in traces[-1:]:
-        page.chart(f'{motion}, {joint}: link angle - reference', time, series,
-                   y_label='error [mrad]')
+    *traces, (motion, joint, series, time) = _traces(setting, _named(NOMINAL))
+    page.chart(f'{motion}, {joint}: link angle - reference', time, [
+        one._replace(hidden=one.label not in ('none', answer.columns[1])) for one in series],
+        y_label='error [mrad]')
     page.heading('All in one table').table(
         words.header(rows), [words.cells_of(row) for row in rows])
     page.text(' '.join(words.NOTE.split()) + '.')
@@ -155,7 +155,42 @@ def _traces(setting, condition):
             yield motion, joint, series, runs['none'].time
 
 
-def bag_page(predictions, found, joints, source, share):
+def bag_answer(predictions, joints, source, files=()):
+    """
+    Return which compensation tells the friction torque of the rest of a bag best.
+
+    Parameters
+    ----------
+    predictions : list of Prediction
+        From held_out.compare_along.
+    joints : sequence of str
+        Link names.
+    source : str
+        The bag.
+    files : sequence of str
+        Of the robot, if not the arm of the paper.
+
+    Returns
+    -------
+    Answer
+
+    """
+    none = next(one for one in predictions if one.mode == 'none')
+    best = min((one for one in predictions if one.error is not None and not one.remark),
+               key=lambda one: np.sum(np.square(one.error)))
+    share = np.sqrt([np.sum(np.square(one)) / np.sum(np.square(of)) for one, of in (
+        (best.error, none.error), (best.fitted, none.fitted))])
+    rows = [measured('left of the friction torque [%]', 1.0, *share, scale=100.0)] + [
+        measured(f'error of {joint} [mN m]', *figures) for joint, *figures in zip(
+            joints, none.error, best.error, best.fitted, strict=True)]
+    return Answer(
+        f'{best.name} predicts the friction torque of the rest of the recording best and leaves '
+        f'{100.0 * share[0]:.3g} % of it; the floor is what the same model leaves of the part '
+        'that it was fitted to.', ('none', best.name, 'floor'), tuple(rows[:3]), command(
+            'identify', source, *(('--robot', *files) if files else ()), '--out', 'friction'))
+
+
+def bag_page(predictions, found, joints, source, share, files=()):
     """
     Return the page of a comparison along a bag.
 
@@ -171,19 +206,34 @@ def bag_page(predictions, found, joints, source, share):
         The bag.
     share : float
         Of it that was fitted.
+    files : sequence of str
+        Of the robot, if not the arm of the paper.
 
     Returns
     -------
     Report
 
     """
-    page = Report('Friction torque along a recording', f'{source}: the first {100 * share:.0f} % '
-                  'fitted, the rest judged')
+    answer = bag_answer(predictions, joints, source, files)
+    page = Report('Friction torque along a recording', answer, f'{source}: the first '
+                  f'{100 * share:.0f} % fitted, the rest judged')
+    (title, time, lines, _), *others = _torques(predictions, found, joints)
+    page.chart(f'{title}: friction torque', time, [
+        one._replace(hidden=one.label not in ('measured', answer.columns[1])) for one in lines],
+        y_label='friction torque [N m]')
     page.heading('Errors').table(*words.bag_rows(predictions, joints),
                                  caption='rms error of the friction torque [mN m]')
     page.text('Measured is what the link equation lacks, behind the same low-pass as the '
               'predictions. One that sees the torque, or adapts to it, predicts nothing.')
-    page.heading('Torque over time')
+    if others:
+        page.heading('Torque over time')
+    for title, time, lines, group in others:
+        page.chart(title, time, lines, y_label='friction torque [N m]', group=group)
+    return page
+
+
+def _torques(predictions, found, joints):
+    """Yield title, time, Series of measurement and predictions, and group of each chart."""
     for k, piece in enumerate(found.pieces):
         name = f', piece {k + 1}' if len(found.pieces) > 1 else ''
         for j, joint in enumerate(joints):
@@ -191,6 +241,4 @@ def bag_page(predictions, found, joints, source, share):
             lines += [Series(one.name, one.torque[k][:, j], role=_role(one.mode),
                              hidden=one.mode in ('stribeck', 'disturbance_observer'))
                       for one in predictions if one.torque and one.mode != 'none']
-            page.chart(f'{joint}{name}', piece.time, lines, y_label='friction torque [N m]',
-                       group=f'piece {k}')
-    return page
+            yield f'{joint}{name}', piece.time, lines, f'piece {k}'

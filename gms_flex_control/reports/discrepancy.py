@@ -165,6 +165,11 @@ def _change(name, without, found, floor):
             share > 0.0 and after <= _AT_FLOOR * least)
 
 
+def units_of(result):
+    """Return the function that puts a text into the units of the robot of a Discrepancy."""
+    return str if result.robot is None else partial(in_units, result.robot.arm)
+
+
 def add_discrepancy(report, result, folder, *, holdout=(), models=(), opened=False):
     """
     Add everything about a discrepancy to a page, its picture first, and write the PNGs.

@@ -31,8 +31,9 @@ _OF_PAGE = {colour.lower(): f'var(--c{i})' for i, colour in enumerate(COLOURS)} 
     **dict.fromkeys(('#4d4d4d', '#595959', '#8c8c8c', '#999999', '#a6a6a6'), 'var(--muted)')}
 _SVG = {'svg.fonttype': 'none', 'svg.hashsalt': 'gms_flex'}  # text stays text; the same each time
 # of an SVG file, what one in a page need not have: names of no use, blanks, its own style
-_IN_PAGE = (('<metadata>.*?</metadata>|<defs><style.*?</defs>', ''), (r'<g id="[\w.]+?_\d+">', '<g>'),
-            (' xmlns(:xlink)?="[^"]*"', ''), ('xlink:href', 'href'), (r'>\s+<', '><'), (r'\s+', ' '))
+_IN_PAGE = (('<metadata>.*?</metadata>|<defs><style.*?</defs>', ''),
+            (r'<g id="[\w.]+?_\d+">', '<g>'), (' xmlns(:xlink)?="[^"]*"', ''),
+            ('xlink:href', 'href'), (r'>\s+<', '><'), (r'\s+', ' '))
 WIDTH = 7.0  # inch
 MAX_SAMPLES = 20_000
 

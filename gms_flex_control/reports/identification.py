@@ -10,8 +10,8 @@ from gms_flex_control.identification.beside import known_presliding, known_stead
 from gms_flex_control.identification.words import (
     data_sentence,
     floor_shares,
-    joint_sentences,
     hull,
+    joint_sentences,
     NOT_IDENTIFIABLE,
     notes,
     number,
@@ -24,8 +24,7 @@ from gms_flex_control.identification.words import (
     STANDINGS,
 )
 from gms_flex_control.params.units import in_units
-from gms_flex_control.reports.answer import Answer, command
-from gms_flex_control.reports.answer import number as measured
+from gms_flex_control.reports.answer import Answer, command, measured
 from gms_flex_control.reports.figures import file_stem, save_figure
 from gms_flex_control.reports.identification_figures import (
     DIRECTIONS,
@@ -72,8 +71,8 @@ def write_identification_report(identification, folder, *, beside=None, robot=()
 
     """
     folder, words = Path(folder), partial(in_units, identification.robot.arm)
-    report = Report('Friction identification', identification_answer(identification, folder, robot),
-                    data_sentence(identification), words)
+    answer = identification_answer(identification, folder, robot)
+    report = Report('Friction identification', answer, data_sentence(identification), words)
     worst = _worst(identification)
     _add_map(report, worst, _known_curves(worst, beside)[0])
     _add_summary(report, identification)
@@ -135,8 +134,8 @@ def _sentence(identification, worst):
               >= errors.coulomb_viscous else 'Coulomb + viscous friction alone to '
               + percent(errors.coulomb_viscous))
     return (f'On motion that took no part in the fit, the friction found predicts the torque of '
-            f'{worst.joint}, the worst, to {percent(errors.relative)}, {simple}; {known}. The noise '
-            'floor is what the readings alone, or the same motion repeated, would leave.')
+            f'{worst.joint}, the worst, to {percent(errors.relative)}, {simple}; {known}. The '
+            'noise floor is what the readings alone, or the same motion repeated, would leave.')
 
 
 def _save_pictures(identification, folder, beside):

@@ -6,6 +6,7 @@
 from pathlib import Path
 
 from gms_flex_control.analysis.torsion import rms
+from gms_flex_control.reports.answer import Answer, command
 from gms_flex_control.reports.figures import COLOURS, finished, save_figure, stacked_panels
 from gms_flex_control.reports.page import Report, Series
 import numpy as np
@@ -60,6 +61,37 @@ def verdict(study):
     return ' '.join(lines) or 'The given spring explains the torsion better than a delay does.'
 
 
+def torsion_answer(study, folder):
+    """
+    Return what the torsion shows, and how well spring and delay explain it.
+
+    Parameters
+    ----------
+    study : TorsionStudy
+        What to show.
+    folder : str or Path
+        Of the results, with robot.yaml.
+
+    Returns
+    -------
+    Answer
+
+    """
+    spring, delay, _, free = (one.rms_error for one in study.explanations)
+    measured, left = study.torque_error
+    return Answer(
+        f'{verdict(study)} The floor is what spring and delay together leave, both free.',
+        ('measured', 'explained', 'floor'), (
+            measured('torsion left by the given spring [mdeg]', *np.degrees(
+                (rms(study.torsion), spring, free))),
+            measured('torsion left by a delay [mdeg]', *np.degrees(
+                (rms(study.torsion), delay, free))),
+            measured('motor torque left by inertia and friction [N m]', measured, left, None,
+                   scale=1.0)),
+        command('discrepancy', study.source, '--robot', Path(folder) / 'robot.yaml', '--out',
+                Path(folder) / 'gap'))
+
+
 def write_torsion_report(study, folder):
     """
     Write report.html, torque.png and torsion.png.
@@ -80,24 +112,23 @@ def write_torsion_report(study, folder):
     folder = Path(folder)
     save_figure(_torque_figure(study), folder / 'torque.png')
     save_figure(_torsion_figure(study), folder / 'torsion.png')
-    report = Report(f'Torsion of {study.joint}',
+    report = Report(f'Torsion of {study.joint}', torsion_answer(study, folder),
                     f'{study.source}: flexible joint of a decoupled axis, measured and modelled')
-    report.note(verdict(study)).preformatted(text(study))
     group = f'torsion {study.source}'
+    report.chart(
+        'torsion: motor - link, without its mean', study.time, [
+            Series('measured', _mdeg(study.torsion), role='c0'),
+            Series('spring torque / stiffness', _mdeg(study.torsion_model), role='reference',
+                   dashed=True),
+            Series('delay between the encoders', _mdeg(_delayed(study)), role='c2')],
+        y_label='torsion [mdeg]', group=group)
     report.heading('Motor torque').chart(
         'torque', study.time, [
             Series('measured', study.torque, role='c0'),
             Series('inertia and friction', study.torque_model, role='reference', dashed=True),
             Series('error', study.torque - study.torque_model, role='c1', hidden=True)],
         y_label='torque [N m]', group=group)
-    report.heading('Torsion').chart(
-        'motor − link, without its mean', study.time, [
-            Series('measured', _mdeg(study.torsion), role='c0'),
-            Series('spring torque / stiffness', _mdeg(study.torsion_model), role='reference',
-                   dashed=True),
-            Series('delay between the encoders', _mdeg(_delayed(study)), role='c2')],
-        y_label='torsion [mdeg]', group=group)
-    report.table(*explanation_rows(study), caption='What explains the torsion')
+    report.heading('In numbers').preformatted(text(study))
     return report.write(folder / 'report.html')
 
 

@@ -11,7 +11,7 @@ import re
 from gms_flex_control.analysis.table4 import WITHOUT
 from gms_flex_control.analysis.tracking import link_error, table4
 from gms_flex_control.files import write_text
-from gms_flex_control.reports.answer import Answer, command, number
+from gms_flex_control.reports.answer import Answer, command, measured
 from gms_flex_control.reports.figures import (
     compensation_index,
     compensation_name,
@@ -55,11 +55,9 @@ def write_tracking_report(runs, folder, friction_true=None, title='Tracking repo
     everything = table.as_dict() | {
         name.replace(' ', '_'): other.as_dict() for name, other in others.items()}
     write_text(folder / 'table4.json', json.dumps(everything, indent=2, allow_nan=False) + '\n')
-    pictures = _save_pictures(runs, folder)
     _save_pictures(runs, folder)
     report = Report(title, tracking_answer(table), subtitle or (
-        f'{len(runs)} recording{"s" if len(runs) != 1 else ""}: link angle against reference, with '
-        'and without friction compensation'))
+        f'{len(runs)} recording{"s" if len(runs) != 1 else ""}: link angle against reference'))
     hardest = next(iter(_hardest(table)), None)
     _add_error_charts(report, runs, lambda place: place == hardest)
     add_table4(report, table)
@@ -93,7 +91,7 @@ def tracking_answer(table):
             for trajectory, joint in places]
     rows += [(f'largest error of {joint}, {trajectory} [mrad]', 'max_error', trajectory, joint)
              for trajectory, joint in places]
-    numbers = [number(name, *(table.figure(figure, trajectory, mode, joint)
+    numbers = [measured(name, *(table.figure(figure, trajectory, mode, joint)
                               for mode in (WITHOUT, best)),
                       table.figure('floor', trajectory, best, joint))
                for name, figure, trajectory, joint in rows[:3]]
@@ -110,8 +108,8 @@ def tracking_answer(table):
 def _sentence(table, best, trajectory, joint):
     own, without, floor = (1e3 * table.figure(name, trajectory, mode, joint) for name, mode in (
         ('rms', best), ('rms', WITHOUT), ('floor', best)))
-    text = (f'{compensation_name(best).capitalize()}, no link strays more than {own:.3g} mrad (rms) '
-            'from its reference')
+    text = (f'{compensation_name(best).capitalize()}, no link strays more than {own:.3g} mrad '
+            '(rms) from its reference')
     if best != WITHOUT and math.isfinite(without):
         text += f'; {joint}, which is the hardest, strays {without:.3g} mrad without'
     return (f'{text}. The noise floor, {floor:.2g} mrad, is what the steps of the encoder alone '
