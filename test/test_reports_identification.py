@@ -11,9 +11,9 @@ import subprocess
 import warnings
 
 from devtools import chromium
+from gms_flex_control.answer import Answer
 from gms_flex_control.identification.result import Interval
 from gms_flex_control.identification.steady import FrictionMap
-from gms_flex_control.reports.answer import Answer
 from gms_flex_control.reports.identification import write_identification_report
 from gms_flex_control.reports.identification_figures import loops_figure, map_figure
 from gms_flex_control.reports.identification_text import identification_text

@@ -35,7 +35,7 @@ def run(args):
     from gms_flex_control.analysis.tracking import Run
     from gms_flex_control.bags.reader import read_recording
     from gms_flex_control.errors import BagError
-    from gms_flex_control.reports.tracking import tracking_answer, write_tracking_report
+    from gms_flex_control.reports.tracking import write_tracking_report
 
     if args.label and len(args.label) != len(args.bags):
         raise BagError(f'--label was given {len(args.label)} times for {len(args.bags)} bags; '
@@ -48,7 +48,7 @@ def run(args):
         print(json.dumps(table.as_dict(), indent=2, allow_nan=False))
     else:
         print(table.text())
-        conclude(tracking_answer(table), {'report': Path(args.out) / 'report.html'})
+        conclude(table.answer(), {'report': Path(args.out) / 'report.html'})
     return 0
 
 

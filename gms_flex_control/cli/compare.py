@@ -112,7 +112,7 @@ def settle(args, is_plant):
 def on_plant(args, files):
     """Return table, plain values, page and Answer of the comparison in simulation."""
     from gms_flex_control.comparison import study, words
-    from gms_flex_control.reports.comparison import plant_answer, plant_page
+    from gms_flex_control.reports.comparison import plant_page
     from gms_flex_control.resources import controller_file, robot_file
     from gms_flex_control.schema.files import load_controller, load_robot
     import numpy as np
@@ -127,7 +127,7 @@ def on_plant(args, files):
     values = {'rate': args.rate, 'amplitude': args.amplitude, 'draws': args.draws,
               'seed': args.seed, 'rows': [row._asdict() for row in rows], 'cells': outcomes}
     return (words.text(rows), values, plant_page(rows, outcomes, setting, files),
-            plant_answer(rows, outcomes, files))
+            words.plant_answer(rows, outcomes, files))
 
 
 def along_bag(args):
@@ -135,7 +135,7 @@ def along_bag(args):
     from gms_flex_control.batches.sources import content_of
     from gms_flex_control.cli.identify import motors_in
     from gms_flex_control.comparison import held_out, words
-    from gms_flex_control.reports.comparison import bag_answer, bag_page
+    from gms_flex_control.reports.comparison import bag_page
     from gms_flex_control.resources import controller_file, robot_file
     from gms_flex_control.schema.files import load_controller, load_robot
 
@@ -155,7 +155,7 @@ def along_bag(args):
         for one in predictions]}
     return (words.bag_text(predictions, found, robot.joints), values,
             bag_page(predictions, found, robot.joints, bag, args.fit, args.robot or ()),
-            bag_answer(predictions, robot.joints, bag, args.robot or ()))
+            words.bag_answer(predictions, robot.joints, bag, args.robot or ()))
 
 
 def finished(args, function, items, robot, gains, asked, label):

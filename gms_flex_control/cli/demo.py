@@ -130,11 +130,11 @@ def report_all(driven, exact, out):
     """Write table4.json, report.html and PNGs; return the tables as text, and the Answer."""
     from gms_flex_control.analysis.table4 import align
     from gms_flex_control.analysis.tracking import table4
-    from gms_flex_control.reports.tracking import tracking_answer, write_tracking_report
+    from gms_flex_control.reports.tracking import write_tracking_report
     say('writing the report')
     table = write_tracking_report(
         driven, out, title="The paper's experiment, section 6", beside={'exact model': exact},
         subtitle='Three ROS 2 nodes in lockstep; the controller believes friction x 0.85, '
                  'stiffness x 1.05, masses x 0.93')
     return (f'Model error: friction x 0.85, stiffness x 1.05, masses x 0.93\n{table.text()}\n\n'
-            f'Exact model\n{align(*table4(exact).rows())}'), tracking_answer(table)
+            f'Exact model\n{align(*table4(exact).rows())}'), table.answer()

@@ -73,7 +73,7 @@ def run(args):
 
 def answer_of(values, out):
     """Return how the robot tracks with the friction identified, of the worst three links."""
-    from gms_flex_control.reports.answer import Answer, command, measured
+    from gms_flex_control.answer import Answer, command, measured
 
     rows = [(f'error of link {j + 1}, {motion} [mrad]', *(
         of['copies'][name][j] for name in ('believed', 'identified', 'true')))
@@ -81,8 +81,8 @@ def answer_of(values, out):
     rows = sorted(rows, key=lambda row: row[3] / row[2])[:3]
     name, before, after, floor = rows[0]
     return Answer(
-        f'With the friction identified tracking errors are at most {after / floor:.3g} times those '
-        f'with the true friction, which are the floor; with what was believed they were '
+        f'With the friction identified tracking errors are at most {after / floor:.3g} times '
+        f'those with the true friction, which are the floor; with what was believed they were '
         f'{before / floor:.3g} times as large there ({name.partition(" [")[0]}; medians of 16 '
         'robots).', ('believed', 'identified', 'true friction'),
         tuple(measured(*row) for row in rows), command(

@@ -8,9 +8,12 @@ from pathlib import Path
 import shutil
 import sys
 from tempfile import TemporaryDirectory
+from textwrap import fill
 
 from gms_flex_control.errors import BagError, ConfigError
 from gms_flex_control.files import write_text
+
+_WIDTH = 96  # of what is printed as sentences
 
 
 def say(text):
@@ -52,11 +55,20 @@ def conclude(answer, files, words=str):
         Applied to the answer, such as one that changes units.
 
     """
-    from gms_flex_control.reports.answer import answer_text
-
     width = max(map(len, files))
     lines = [f'{name:<{width}}  {path}' for name, path in files.items()]
     print('\n'.join(['', *lines, '', answer_text(answer, words)]))
+
+
+def answer_text(answer, words=str):
+    """Return an Answer as lines of text, in which no arrow stands at an end."""
+    from gms_flex_control.analysis.table4 import align
+    from gms_flex_control.answer import unbroken
+
+    sentence = fill(unbroken(words(answer.sentence)), _WIDTH)
+    rows = [[words(cell) for cell in one] for one in answer.numbers]
+    return '\n\n'.join([sentence.replace('\u00a0→\u00a0', ' -> '), *(
+        [align(answer.header, rows)] if rows else []), f'next: {answer.command}'])
 
 
 def refuse_unwritable(out):

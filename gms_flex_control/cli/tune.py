@@ -69,7 +69,6 @@ def run(args):
     import json
 
     from gms_flex_control.files import write_text
-    from gms_flex_control.reports.tuning_figure import tuning_answer
     from gms_flex_control.tuning import words
 
     robot, base, demands = asked(args)
@@ -90,7 +89,7 @@ def run(args):
         print(json.dumps(values, indent=2))
     else:
         written = {} if proposal.unmet else {'gains': Path(args.out) / 'controller.yaml'}
-        conclude(tuning_answer(proposal, trials, robot, demands, args.robot or (), args.out),
+        conclude(words.answer_of(proposal, trials, robot, demands, args.robot or (), args.out),
                  written | {'numbers': Path(args.out) / 'tuning.json'})
     found = values.get('verify', {'lost': [], 'unstable': []})
     return int(bool(proposal.unmet or found['lost'] or found['unstable']))

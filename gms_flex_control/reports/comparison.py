@@ -6,58 +6,10 @@
 from gms_flex_control.comparison import study, words
 from gms_flex_control.comparison.contestants import Condition, conditions, CONTESTANTS, NOMINAL
 from gms_flex_control.experiment.believed import FRICTION, MASS, STIFFNESS
-from gms_flex_control.reports.answer import Answer, command, measured
 from gms_flex_control.reports.page import Curve, Report, Series
 import numpy as np
 
 _MIXED = 'friction, K and M off together'
-
-
-def plant_answer(rows, outcomes, files=()):
-    """
-    Return which compensation errs least, on the plant as believed and on others.
-
-    Parameters
-    ----------
-    rows : list of Row
-        From study.table.
-    outcomes : dict of str to dict
-        Of the cells by their keys.
-    files : sequence of str
-        Of the robot, if not the arm of the paper.
-
-    Returns
-    -------
-    Answer
-
-    """
-    floor = study.floor_of(outcomes)
-    left = study.error_of(floor)
-    rest = None if left is None else max(floor['polynomial']['hold'])
-    best = min(rows, key=lambda row: _least(row.errors[NOMINAL]))
-    none = next(row for row in rows if row.mode == 'none')
-    sides = [(words.middle(row.drawn), row.hold and max(row.hold)) for row in (none, best)]
-    steadiest = min(rows, key=lambda row: _least(words.middle(row.drawn)))
-    also = ('' if not best.drawn else ', robots drawn at random as well' if steadiest is best
-            else f', robots drawn at random {steadiest.name}')
-    worst = [max(row.errors.values(), key=_least) for row in (none, best)]
-    numbers = (
-        measured('error, plant as believed [mrad]', none.errors[NOMINAL], best.errors[NOMINAL],
-                 left),
-        measured('error, robots drawn [mrad]', *(side[0] for side in sides), left) if best.drawn else
-        measured('error, one thing different [mrad]', *worst, left),
-        measured('motion at rest [mrad]', *(side[1] for side in sides), rest))
-    robot = ('--robot', *files) if files else ()
-    return Answer(
-        f'The plant as believed follows best with {best.name}{also}; the floor is what is left '
-        'where there is no friction at all, by encoders and the controller itself.',
-        ('none', best.name, 'floor'), numbers,
-        command('simulate', *robot, '--compensation', 'none', best.mode, '--out', 'bags'))
-
-
-def _least(error):
-    """Return an error for comparison: one that was lost is the largest."""
-    return np.inf if error is None else error
 
 
 def plant_page(rows, outcomes, setting, source):
@@ -80,7 +32,7 @@ def plant_page(rows, outcomes, setting, source):
     Report
 
     """
-    robot, answer = setting.robot, plant_answer(rows, outcomes, source)
+    robot, answer = setting.robot, words.plant_answer(rows, outcomes, source)
     page = Report('Friction compensations compared', answer,
                   f'{", ".join(source) or "the arm of the paper"}, {setting.rate:g} Hz, sinusoid '
                   f'and polynomial of {setting.amplitude[0]:g} rad, simulated')
@@ -155,41 +107,6 @@ def _traces(setting, condition):
             yield motion, joint, series, runs['none'].time
 
 
-def bag_answer(predictions, joints, source, files=()):
-    """
-    Return which compensation tells the friction torque of the rest of a bag best.
-
-    Parameters
-    ----------
-    predictions : list of Prediction
-        From held_out.compare_along.
-    joints : sequence of str
-        Link names.
-    source : str
-        The bag.
-    files : sequence of str
-        Of the robot, if not the arm of the paper.
-
-    Returns
-    -------
-    Answer
-
-    """
-    none = next(one for one in predictions if one.mode == 'none')
-    best = min((one for one in predictions if one.error is not None and not one.remark),
-               key=lambda one: np.sum(np.square(one.error)))
-    share = np.sqrt([np.sum(np.square(one)) / np.sum(np.square(of)) for one, of in (
-        (best.error, none.error), (best.fitted, none.fitted))])
-    rows = [measured('left of the friction torque [%]', 1.0, *share, scale=100.0)] + [
-        measured(f'error of {joint} [mN m]', *figures) for joint, *figures in zip(
-            joints, none.error, best.error, best.fitted, strict=True)]
-    return Answer(
-        f'{best.name} predicts the friction torque of the rest of the recording best and leaves '
-        f'{100.0 * share[0]:.3g} % of it; the floor is what the same model leaves of the part '
-        'that it was fitted to.', ('none', best.name, 'floor'), tuple(rows[:3]), command(
-            'identify', source, *(('--robot', *files) if files else ()), '--out', 'friction'))
-
-
 def bag_page(predictions, found, joints, source, share, files=()):
     """
     Return the page of a comparison along a bag.
@@ -214,7 +131,7 @@ def bag_page(predictions, found, joints, source, share, files=()):
     Report
 
     """
-    answer = bag_answer(predictions, joints, source, files)
+    answer = words.bag_answer(predictions, joints, source, files)
     page = Report('Friction torque along a recording', answer, f'{source}: the first '
                   f'{100 * share:.0f} % fitted, the rest judged')
     (title, time, lines, _), *others = _torques(predictions, found, joints)

@@ -7,6 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
+from gms_flex_control.answer import Answer, command, Number
 from gms_flex_control.discrepancy.describe import (
     angle_scale,
     capitalised,
@@ -21,7 +22,6 @@ from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE, FOUND, UNEXPLAINED
 from gms_flex_control.effects.registry import in_words
 from gms_flex_control.params.units import in_units
-from gms_flex_control.reports.answer import Answer, command, Number
 from gms_flex_control.reports.discrepancy_figures import (
     evidence_figure,
     gap_figure,

@@ -6,6 +6,7 @@
 from functools import partial
 from pathlib import Path
 
+from gms_flex_control.answer import Answer, command, measured
 from gms_flex_control.identification.beside import known_presliding, known_steady, known_values
 from gms_flex_control.identification.words import (
     data_sentence,
@@ -24,7 +25,6 @@ from gms_flex_control.identification.words import (
     STANDINGS,
 )
 from gms_flex_control.params.units import in_units
-from gms_flex_control.reports.answer import Answer, command, measured
 from gms_flex_control.reports.figures import file_stem, save_figure
 from gms_flex_control.reports.identification_figures import (
     DIRECTIONS,

@@ -16,8 +16,8 @@ import json
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from gms_flex_control.answer import unbroken
 from gms_flex_control.files import write_text
-from gms_flex_control.reports.answer import unbroken
 from gms_flex_control.reports.figures import svg
 from gms_flex_control.reports.series import decimate, merge_grids
 import numpy as np

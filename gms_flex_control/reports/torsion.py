@@ -6,7 +6,7 @@
 from pathlib import Path
 
 from gms_flex_control.analysis.torsion import rms
-from gms_flex_control.reports.answer import Answer, command
+from gms_flex_control.answer import Answer, command
 from gms_flex_control.reports.figures import COLOURS, finished, save_figure, stacked_panels
 from gms_flex_control.reports.page import Report, Series
 import numpy as np

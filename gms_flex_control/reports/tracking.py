@@ -4,14 +4,11 @@
 """Table 4 with its pictures and interactive charts, as files in one folder."""
 
 import json
-import math
 from pathlib import Path
 import re
 
-from gms_flex_control.analysis.table4 import WITHOUT
 from gms_flex_control.analysis.tracking import link_error, table4
 from gms_flex_control.files import write_text
-from gms_flex_control.reports.answer import Answer, command, measured
 from gms_flex_control.reports.figures import (
     compensation_index,
     compensation_name,
@@ -56,9 +53,9 @@ def write_tracking_report(runs, folder, friction_true=None, title='Tracking repo
         name.replace(' ', '_'): other.as_dict() for name, other in others.items()}
     write_text(folder / 'table4.json', json.dumps(everything, indent=2, allow_nan=False) + '\n')
     _save_pictures(runs, folder)
-    report = Report(title, tracking_answer(table), subtitle or (
+    report = Report(title, table.answer(), subtitle or (
         f'{len(runs)} recording{"s" if len(runs) != 1 else ""}: link angle against reference'))
-    hardest = next(iter(_hardest(table)), None)
+    hardest = next(iter(table.hardest), None)
     _add_error_charts(report, runs, lambda place: place == hardest)
     add_table4(report, table)
     for name, other in others.items():
@@ -70,58 +67,6 @@ def write_tracking_report(runs, folder, friction_true=None, title='Tracking repo
         add_run(report, run, (friction_true or {}).get(i))
     report.write(folder / 'report.html')
     return table
-
-
-def tracking_answer(table):
-    """
-    Return how much closer the links follow with the best compensation.
-
-    Parameters
-    ----------
-    table : Table4
-        Of one robot.
-
-    Returns
-    -------
-    Answer
-
-    """
-    best, places = table.best, _hardest(table)
-    rows = [(f'rms error of {joint}, {trajectory} [mrad]', 'rms', trajectory, joint)
-            for trajectory, joint in places]
-    rows += [(f'largest error of {joint}, {trajectory} [mrad]', 'max_error', trajectory, joint)
-             for trajectory, joint in places]
-    numbers = [measured(name, *(table.figure(figure, trajectory, mode, joint)
-                              for mode in (WITHOUT, best)),
-                      table.figure('floor', trajectory, best, joint))
-               for name, figure, trajectory, joint in rows[:3]]
-    if not places:
-        return Answer('The recordings hold no reference, so there is no error to tell.',
-                      (), (), command('info', table.runs[0].source))
-    trajectory, joint = places[0]
-    used = [run.source for run in table.runs
-            if run.trajectory == trajectory and run.compensation in (WITHOUT, best)]
-    return Answer(_sentence(table, best, trajectory, joint), ('without', best, 'noise floor'),
-                  tuple(numbers), command('view', *dict.fromkeys(used)))
-
-
-def _sentence(table, best, trajectory, joint):
-    own, without, floor = (1e3 * table.figure(name, trajectory, mode, joint) for name, mode in (
-        ('rms', best), ('rms', WITHOUT), ('floor', best)))
-    text = (f'{compensation_name(best).capitalize()}, no link strays more than {own:.3g} mrad '
-            '(rms) from its reference')
-    if best != WITHOUT and math.isfinite(without):
-        text += f'; {joint}, which is the hardest, strays {without:.3g} mrad without'
-    return (f'{text}. The noise floor, {floor:.2g} mrad, is what the steps of the encoder alone '
-            'make of a reading.')
-
-
-def _hardest(table):
-    """Return (trajectory, joint) of all errors with the best compensation, the largest first."""
-    found = {(trajectory, joint): table.mse(trajectory, table.best, joint)
-             for trajectory in table.trajectories for joint in table.joints(trajectory)}
-    return sorted((place for place, mse in found.items() if math.isfinite(mse)),
-                  key=lambda place: -found[place])
 
 
 def add_table4(report, table):

@@ -1,17 +1,12 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""What a page begins with and a verb ends with: a sentence, three numbers, what to run next."""
+"""What a verb ends with and its page begins with: a sentence, three numbers, a command."""
 
 import shlex
-from textwrap import fill
 from typing import NamedTuple
 
-from gms_flex_control.analysis.table4 import align
 import numpy as np
-
-_WIDTH = 96
-_FIXED, _ARROW = '\u00a0', '→'  # a blank at which no line breaks
 
 
 class Number(NamedTuple):
@@ -44,17 +39,9 @@ def measured(name, before, after, floor, scale=1e3, digits=3):
         for value in (before, after, floor)))
 
 
-def answer_text(answer, words=str):
-    """Return an Answer as lines of text for a terminal; ``words`` as of `page.Report`."""
-    sentence = fill(unbroken(words(answer.sentence)), _WIDTH).replace(_FIXED, ' ').replace(
-        _ARROW, '->')
-    rows = [[words(cell) for cell in one] for one in answer.numbers]
-    return f'{sentence}\n\n{align(answer.header, rows)}\n\nnext: {answer.command}'
-
-
 def unbroken(text):
     """Return a text whose arrows stay with the words on both sides of them."""
-    return text.replace(' -> ', f'{_FIXED}{_ARROW}{_FIXED}')
+    return text.replace(' -> ', '\u00a0→\u00a0')
 
 
 def command(verb, *words):
