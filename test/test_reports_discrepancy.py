@@ -6,6 +6,16 @@
 from types import SimpleNamespace
 
 from gms_flex_control.discrepancy import workflow
+from gms_flex_control.discrepancy.residual_views import (
+    bin_edges,
+    binned,
+    Evidence,
+    follows,
+    further,
+    Map,
+    maps_of,
+    over_all,
+)
 from gms_flex_control.discrepancy.result import Gap, Value
 from gms_flex_control.hidden.cases import make_case
 from gms_flex_control.reports.discrepancy import write_discrepancy_report
@@ -20,16 +30,6 @@ from gms_flex_control.reports.discrepancy_values import (
     plain,
     report_values,
     write_robot,
-)
-from gms_flex_control.reports.discrepancy_views import (
-    bin_edges,
-    binned,
-    Evidence,
-    follows,
-    further,
-    Map,
-    maps_of,
-    over_all,
 )
 from gms_flex_control.reports.figures import save_figure
 import numpy as np

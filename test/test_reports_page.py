@@ -70,7 +70,7 @@ def small_report():
     return (Report(EVIL, answer(), EVIL)
             .chart(EVIL, t, [Series(EVIL, np.sin(t)), Series('b', np.cos(t))], y_label=EVIL)
             .heading(EVIL).text(EVIL).note(EVIL, warning=True)
-            .preformatted(EVIL).table([EVIL, 'n'], [[EVIL, '1.5'], ['x', '-']], caption=EVIL)
+            .table([EVIL, 'n'], [[EVIL, '1.5'], ['x', '-']], caption=EVIL)
             .figure(figure, caption=EVIL).heading('second'))
 
 
@@ -116,7 +116,7 @@ def test_a_page_begins_with_the_answer_and_the_rest_folds():
     parts = ('class="sentence"', 'class="charts"', 'noise floor', 'gms_flex view')
     assert sorted(map(answered.index, parts)) == [answered.index(part) for part in parts]
     assert re.search('10.2</td>.*3.12</td>.*>1</td>.*>-</td>.*>200</td>.*>-</td>', answered)
-    assert folded.index('<details><summary>') < folded.index('<nav>') < folded.index('<pre>')
+    assert folded.index('<details><summary>') < folded.index('<nav>') < folded.index('<figure')
     assert '<details' not in Report('r', answer()).html()
 
 

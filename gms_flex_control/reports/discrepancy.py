@@ -19,6 +19,13 @@ from gms_flex_control.discrepancy.describe import (
 )
 from gms_flex_control.discrepancy.free_run import all_known, free_runs, HORIZON
 from gms_flex_control.discrepancy.motion import motion_of
+from gms_flex_control.discrepancy.residual_views import (
+    Along,
+    evidence_of,
+    maps_of,
+    over_all,
+    residuals_of,
+)
 from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE, FOUND, UNEXPLAINED
 from gms_flex_control.effects.registry import in_words
 from gms_flex_control.params.units import in_units
@@ -29,13 +36,6 @@ from gms_flex_control.reports.discrepancy_figures import (
     over_figure,
     WITH,
     WITHOUT,
-)
-from gms_flex_control.reports.discrepancy_views import (
-    Along,
-    evidence_of,
-    maps_of,
-    over_all,
-    residuals_of,
 )
 from gms_flex_control.reports.figures import file_stem, save_figure
 from gms_flex_control.reports.model_comparison import comparison_rows
@@ -83,21 +83,7 @@ def write_discrepancy_report(result, folder, *, holdout=(), models=()):
 
 
 def discrepancy_answer(result, folder):
-    """
-    Return what the model lacks, and how far what was found brings it to the noise floor.
-
-    Parameters
-    ----------
-    result : Discrepancy
-        What was found.
-    folder : str or Path
-        Of the results, with robot.yaml.
-
-    Returns
-    -------
-    Answer
-
-    """
+    """Return what the model lacks and how much closer it came (Answer); robot.yaml in a folder."""
     if result.gap is None:
         return Answer(result.faults[0] if result.faults else result.words, (), (),
                       command('info', *result.sources))

@@ -17,7 +17,6 @@ from gms_flex_control.identification.words import (
     notes,
     number,
     percent,
-    quantity,
     short_label,
     short_name,
     span,
@@ -28,14 +27,12 @@ from gms_flex_control.params.units import in_units
 from gms_flex_control.reports.figures import file_stem, save_figure
 from gms_flex_control.reports.identification_figures import (
     DIRECTIONS,
-    held_out_figure,
     loops_figure,
     map_figure,
     MOST_LOOPS,
-    residual_figure,
     residuals,
-    sliding_figure,
 )
+from gms_flex_control.reports.identification_text import held_out_rows
 from gms_flex_control.reports.page import Curve, Report, Series
 from gms_flex_control.reports.series import decimate
 import numpy as np
@@ -82,23 +79,7 @@ def write_identification_report(identification, folder, *, beside=None, robot=()
 
 
 def identification_answer(identification, folder, robot=()):
-    """
-    Return how far the friction that was identified predicts, of the worst joint.
-
-    Parameters
-    ----------
-    identification : Identification
-        What to show.
-    folder : str or Path
-        Of the results, with friction.yaml.
-    robot : sequence of str or Path
-        Files of the robot that was believed.
-
-    Returns
-    -------
-    Answer
-
-    """
+    """Return how far the friction found predicts (Answer); ``robot`` files were believed."""
     worst, folder = _worst(identification), Path(folder)
     errors, joint = worst.held_out, worst.joint
     numbers = [
@@ -140,20 +121,14 @@ def _sentence(identification, worst):
 
 def _save_pictures(identification, folder, beside):
     """Yield the path of each picture for print, written."""
-    words, path = partial(in_units, identification.robot.arm), folder / 'held_out.png'
-    save_figure(held_out_figure(identification.joints), path, words)
-    yield path
+    words = partial(in_units, identification.robot.arm)
     for i, result in enumerate(identification.joints):
         stem = file_stem(result.joint)
         clash = any(file_stem(other.joint) == stem for other in identification.joints[:i])
         stem = f'{stem}_{i + 1}' if clash else stem
         steady, curve = _known_curves(result, beside)
-        figures = {'map': map_figure(result, steady), 'presliding': loops_figure(result, curve),
-                   'residual': residual_figure(result)}
-        if result.traces:
-            trace = max(result.traces, key=lambda trace: np.ptp(trace.velocity))
-            figures['sliding'] = sliding_figure(trace, result.joint)
-        for name, figure in figures.items():
+        for name, figure in (('map', map_figure(result, steady)),
+                             ('presliding', loops_figure(result, curve))):
             path = folder / f'{name}_{stem}.png'
             save_figure(figure, path, words)
             yield path
@@ -178,6 +153,10 @@ def _add_summary(report, identification):
                   for kind in STANDINGS]
         rows.append((result.joint, *counts))
     report.table(('joint', *STANDINGS), rows, 'How many parameters are how well known')
+    report.table(*held_out_rows(identification.joints),
+                 'Errors on data that took no part in the fit. Torque: of the rms of the drive '
+                 'torque; C+v: Coulomb + viscous alone; noise: that of the readings; repeat: '
+                 'of equal motions. Free run: rms of the angle')
     for result in identification.joints:
         report.heading(result.joint, level=3)
         for text, warning in joint_sentences(result):
@@ -198,7 +177,6 @@ def _add_joint(report, result, identification, beside, *, opened):
     _add_map(report, result, steady, log=True)
     _add_presliding(report, result, curve)
     _add_motion(report, result)
-    _add_errors(report, result)
     _add_candidates(report, result)
 
 
@@ -315,23 +293,6 @@ def _add_motion(report, result):
         clouds.append(Curve(name, velocity[rows], residual[rows], role, points=True))
     _curves(report, 'residual over velocity', clouds, 'velocity [rad/s]',
             'measured − model [N m]')
-
-
-def _add_errors(report, result):
-    errors = result.held_out
-    noise, repeat = floor_shares(errors)
-    report.heading(f'{result.joint}: errors on held-out data', level=3)
-    simple = errors.coulomb_viscous / errors.relative if errors.relative else np.nan
-    report.table(('', 'torque error', 'of the drive torque', 'free-run error'), [
-        ('identified model', quantity(errors.torque_rms, 'N m'), percent(errors.relative),
-         quantity(1e3 * errors.free_run_rms, 'mrad')),
-        ('Coulomb + viscous alone', quantity(simple * errors.torque_rms, 'N m'),
-         percent(errors.coulomb_viscous),
-         quantity(1e3 * errors.free_run_coulomb_viscous, 'mrad')),
-        ('same motion repeated', quantity(errors.repeatability, 'N m'), percent(repeat), '-'),
-        ('measurement noise alone', quantity(errors.noise_floor, 'N m'), percent(noise), '-')],
-        f'rms; free run over {number(errors.horizon)} s; one-step prediction of the angle '
-        f'{number(1e3 * errors.innovation_rms)} mrad')
 
 
 def _add_candidates(report, result):

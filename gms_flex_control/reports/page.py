@@ -100,10 +100,6 @@ class Report:
         kind = 'note warning' if warning else 'note'
         return self._add('text', f'<p class="{kind}">{self._told(text)}</p>')
 
-    def preformatted(self, text):
-        """Add text whose lines and blanks are kept."""
-        return self._add('text', f'<pre>{self._told(text)}</pre>')
-
     def table(self, header, rows, caption=''):
         """
         Add a table.

@@ -1,13 +1,12 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""A torsion study as text, pictures and an interactive page."""
+"""A torsion study as text and as a page."""
 
 from pathlib import Path
 
 from gms_flex_control.analysis.torsion import rms
 from gms_flex_control.answer import Answer, command
-from gms_flex_control.reports.figures import COLOURS, finished, save_figure, stacked_panels
 from gms_flex_control.reports.page import Report, Series
 import numpy as np
 
@@ -62,21 +61,7 @@ def verdict(study):
 
 
 def torsion_answer(study, folder):
-    """
-    Return what the torsion shows, and how well spring and delay explain it.
-
-    Parameters
-    ----------
-    study : TorsionStudy
-        What to show.
-    folder : str or Path
-        Of the results, with robot.yaml.
-
-    Returns
-    -------
-    Answer
-
-    """
+    """Return what the torsion shows, robot.yaml of the study being in ``folder`` (Answer)."""
     spring, delay, _, free = (one.rms_error for one in study.explanations)
     measured, left = study.torque_error
     return Answer(
@@ -94,7 +79,7 @@ def torsion_answer(study, folder):
 
 def write_torsion_report(study, folder):
     """
-    Write report.html, torque.png and torsion.png.
+    Write report.html.
 
     Parameters
     ----------
@@ -110,8 +95,6 @@ def write_torsion_report(study, folder):
 
     """
     folder = Path(folder)
-    save_figure(_torque_figure(study), folder / 'torque.png')
-    save_figure(_torsion_figure(study), folder / 'torsion.png')
     report = Report(f'Torsion of {study.joint}', torsion_answer(study, folder),
                     f'{study.source}: flexible joint of a decoupled axis, measured and modelled')
     group = f'torsion {study.source}'
@@ -128,7 +111,7 @@ def write_torsion_report(study, folder):
             Series('inertia and friction', study.torque_model, role='reference', dashed=True),
             Series('error', study.torque - study.torque_model, role='c1', hidden=True)],
         y_label='torque [N m]', group=group)
-    report.heading('In numbers').preformatted(text(study))
+    report.table(*explanation_rows(study), caption='What explains the torsion')
     return report.write(folder / 'report.html')
 
 
@@ -138,33 +121,3 @@ def _mdeg(values):
 
 def _delayed(study):
     return study.explanations[1].delay * (study.velocity - study.velocity.mean())
-
-
-def _torque_figure(study):
-    figure, (above, below) = stacked_panels(2)
-    above.plot(study.time, study.torque, color=COLOURS[0], label='measured')
-    above.plot(study.time, study.torque_model, 'k--', linewidth=1.0,
-               label='inertia and friction')
-    above.set_ylabel('torque [N m]')
-    above.legend(loc='upper right', ncols=2)
-    below.plot(study.time, study.torque - study.torque_model, color=COLOURS[1])
-    below.set_ylabel('error [N m]')
-    return finished(figure, [above, below], f'{study.joint}: motor torque')
-
-
-def _torsion_figure(study):
-    figure, (above, below) = stacked_panels(2)
-    above.plot(study.time, _mdeg(study.torsion), color=COLOURS[0], label='measured')
-    above.plot(study.time, _mdeg(study.torsion_model), 'k--', linewidth=1.0,
-               label='spring torque / stiffness')
-    above.plot(study.time, _mdeg(_delayed(study)), ':', color=COLOURS[2],
-               label='delay between the encoders')
-    above.legend(loc='lower center', bbox_to_anchor=(0.5, 1.0), ncols=3)
-    above.set_ylabel('torsion [mdeg]')
-    below.plot(study.time, _mdeg(study.torsion - study.torsion_model), color=COLOURS[1],
-               label='left by the spring')
-    below.plot(study.time, _mdeg(study.torsion - _delayed(study)), color=COLOURS[2],
-               label='left by the delay')
-    below.legend(loc='upper right', ncols=2)
-    below.set_ylabel('error [mdeg]')
-    return finished(figure, [above, below], f'{study.joint}: torsion')

@@ -74,9 +74,9 @@ def answer_of(proposal, trials, robot, demands, files, folder):
                       numbers, command('tune', '--help'))
     again = ('--robot', *files) if files else ()
     return Answer(
-        f'With these gains and compensation {mode} the links follow within {numbers[0].after} mrad '
-        '(rms) in simulation, and the loop keeps the margins asked for; the noise floor is what '
-        'encoder noise alone shakes the links by.', columns, numbers, command(
+        f'With these gains and compensation {mode} the links follow within {numbers[0].after} '
+        'mrad (rms) in simulation, and the loop keeps the margins asked for; the noise floor is '
+        'what encoder noise alone shakes the links by.', columns, numbers, command(
             'simulate', *again, '--controller', Path(folder) / 'controller.yaml', '--out',
             Path(folder) / 'trial'))
 
