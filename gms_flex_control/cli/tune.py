@@ -254,4 +254,3 @@ def write(args, robot, proposal, demands):
     save_values(words.controller_values(proposal.gains, robot.joints), out / 'controller.yaml',
                 comment=comment)
     save_figure(tuning_figure(robot, proposal.gains, demands.timing), out / 'tuning.png')
-

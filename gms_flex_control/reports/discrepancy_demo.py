@@ -139,9 +139,9 @@ def demo_answer(outcome):
     numbers = [] if gap is None else [kind[0] for kind in gap_numbers(gap)]
     numbers.append(measured(f'tracking error of {joints[worst]} [mrad]', *(
         tracking[belief][worst] for belief in BELIEFS)))
+    bags = (outcome.recordings[belief].source for belief in ('believed', 'found'))
     return Answer(f'{revealed(outcome)} The noise floor is what encoders and torque noise alone '
-                  'would leave.', COLUMNS, tuple(numbers), command(
-        'view', *(outcome.recordings[belief].source for belief in ('believed', 'found'))))
+                  'would leave.', COLUMNS, tuple(numbers), command('view', *bags))
 
 
 def _worst(outcome):

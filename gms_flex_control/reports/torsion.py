@@ -6,7 +6,7 @@
 from pathlib import Path
 
 from gms_flex_control.analysis.torsion import rms
-from gms_flex_control.answer import Answer, command
+from gms_flex_control.answer import Answer, command, measured
 from gms_flex_control.reports.page import Report, Series
 import numpy as np
 
@@ -62,17 +62,12 @@ def verdict(study):
 
 def torsion_answer(study, folder):
     """Return what the torsion shows, robot.yaml of the study being in ``folder`` (Answer)."""
-    spring, delay, _, free = (one.rms_error for one in study.explanations)
-    measured, left = study.torque_error
+    *told, free = study.explanations
     return Answer(
         f'{verdict(study)} The floor is what spring and delay together leave, both free.',
-        ('measured', 'explained', 'floor'), (
-            measured('torsion left by the given spring [mdeg]', *np.degrees(
-                (rms(study.torsion), spring, free))),
-            measured('torsion left by a delay [mdeg]', *np.degrees(
-                (rms(study.torsion), delay, free))),
-            measured('motor torque left by inertia and friction [N m]', measured, left, None,
-                   scale=1.0)),
+        ('measured', 'left', 'floor'), tuple(
+            measured(f'{one.name} [mdeg]', *np.degrees((rms(study.torsion), one.rms_error,
+                                                        free.rms_error))) for one in told),
         command('discrepancy', study.source, '--robot', Path(folder) / 'robot.yaml', '--out',
                 Path(folder) / 'gap'))
 
