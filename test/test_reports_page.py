@@ -245,3 +245,26 @@ def test_charts_fit_after_the_window_was_another_size(crowded):
     page.until("document.querySelector('.u-over').getBoundingClientRect().height > 300")
     page.click('[data-act=large]')
     page.until("document.querySelector('.u-over').getBoundingClientRect().height < 250")
+
+
+def test_details_are_drawn_when_they_open_and_paper_shows_them(browser, tmp_path):
+    """On a telephone in the dark, with a table that is wider than it."""
+    t = np.arange(500) * 2e-3
+    figure, (panel,) = stacked_panels(1)
+    panel.plot(t, np.sin(t), color=COLOURS[1], linewidth=1.3)
+    page = Report('r', answer(sentence='s')).chart('first', t, [Series('a', t)]).heading('h').chart(
+        'second', t, [Series('a', t)]).table(['wide'] * 30, [['cell'] * 30]).figure(figure, 'c')
+    browser.errors.clear()
+    browser.screen(400, 860, dark=True)
+    browser.visit(page.write(tmp_path / 'report.html').as_uri())
+    drawn = "document.querySelectorAll('.u-legend').length"
+    browser.until(f'{drawn} === 1')
+    browser.ask("dispatchEvent(new Event('beforeprint'))")
+    assert browser.ask(f"{drawn} === 2 && document.querySelector('details').open")
+    assert browser.ask('document.documentElement.scrollWidth') == 400
+    assert 'rgb(255, 138, 61)' in browser.ask(  # --c1 of report.css in the dark
+        "Array.from(document.querySelectorAll('figure path'), "
+        '(one) => getComputedStyle(one).stroke)')
+    browser.ask("dispatchEvent(new Event('afterprint'))")
+    assert not browser.ask("document.querySelector('details').open")
+    assert browser.errors == []

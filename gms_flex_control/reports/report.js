@@ -199,8 +199,8 @@
                             height: Math.round(parseFloat(getComputedStyle(chart.box).minHeight))});
 
   function fit(chart) {
+    if (chart.root.closest('details:not([open])')) return;  /* drawn when it is first seen */
     const {width, height} = size(chart);
-    if (!width) return;  /* folded: drawn when it is first seen */
     if (!chart.plot) draw(chart);
     if (chart.plot.width === width && chart.plot.height === height) return;
     chart.plot.setSize({width, height});
@@ -376,6 +376,7 @@
   /* paper shows everything */
   const details = document.querySelector('details');
   let folded = false;
+  details?.addEventListener('toggle', () => charts.forEach(fit));
   addEventListener('beforeprint', () => {
     folded = details && !details.open;
     if (folded) { details.open = true; charts.forEach(fit); }
