@@ -252,8 +252,9 @@ def test_details_are_drawn_when_they_open_and_paper_shows_them(browser, tmp_path
     t = np.arange(500) * 2e-3
     figure, (panel,) = stacked_panels(1)
     panel.plot(t, np.sin(t), color=COLOURS[1], linewidth=1.3)
-    page = Report('r', answer(sentence='s')).chart('first', t, [Series('a', t)]).heading('h').chart(
-        'second', t, [Series('a', t)]).table(['wide'] * 30, [['cell'] * 30]).figure(figure, 'c')
+    page = (Report('r', answer(sentence='s')).chart('first', t, [Series('a', t)]).heading('h')
+            .chart('second', t, [Series('a', t)]).table(['wide'] * 30, [['cell'] * 30])
+            .figure(figure, 'c'))
     browser.errors.clear()
     browser.screen(400, 860, dark=True)
     browser.visit(page.write(tmp_path / 'report.html').as_uri())

@@ -55,11 +55,11 @@ class Table4:
 
     @property
     def best(self):
-        """Return the compensation with the least error of the worst link; none if it is alone."""
+        """Return the compensation with the least error of all links; none if it is alone."""
         modes = [mode for mode in self.compensations if mode != WITHOUT] or [WITHOUT]
-        return min(modes, key=lambda mode: max(
-            (entry.mse for run in self.runs if run.compensation == mode
-             for entry in run.joints if math.isfinite(entry.mse)), default=math.inf))
+        errors = {mode: [entry.mse for run in self.runs if run.compensation == mode
+                         for entry in run.joints if math.isfinite(entry.mse)] for mode in modes}
+        return min(modes, key=lambda mode: np.mean(errors[mode] or [np.inf]))
 
     @property
     def hardest(self):

@@ -94,8 +94,8 @@ def plant_answer(rows, outcomes, files=()):
     best = min(rows, key=lambda row: _least(row.errors[NOMINAL]))
     none = next(row for row in rows if row.mode == 'none')
     steadiest = min(rows, key=lambda row: _least(middle(row.drawn)))
-    also = ('' if not best.drawn else ', robots drawn at random as well' if steadiest is best
-            else f', robots drawn at random {steadiest.name}')
+    also = ('' if not best.drawn else ' and on robots drawn at random' if steadiest is best
+            else f', on robots drawn at random that of "{steadiest.name}"')
     worst = [max(row.errors.values(), key=_least) for row in (none, best)]
     numbers = (
         measured('error, plant as believed [mrad]', none.errors[NOMINAL], best.errors[NOMINAL],
@@ -106,8 +106,8 @@ def plant_answer(rows, outcomes, files=()):
                  rest))
     robot = ('--robot', *files) if files else ()
     return Answer(
-        f'The plant as believed follows best with {best.name}{also}; the floor is what is left '
-        'where there is no friction at all, by encoders and the controller itself.',
+        f'On the plant as believed the error of "{best.name}" is the least{also}; the floor is '
+        'what encoders and the controller itself leave where there is no friction at all.',
         ('none', best.name, 'floor'), numbers,
         command('simulate', *robot, '--compensation', 'none', best.mode, '--out', 'bags'))
 
@@ -128,7 +128,7 @@ def bag_answer(predictions, joints, source, files=()):
         measured(f'error of {joint} [mN m]', *figures) for joint, *figures in zip(
             joints, none.error, best.error, best.fitted, strict=True)]
     return Answer(
-        f'{best.name} predicts the friction torque of the rest of the recording best and leaves '
+        f'"{best.name}" predicts the friction torque of the rest of the recording best and leaves '
         f'{100.0 * share[0]:.3g} % of it; the floor is what the same model leaves of the part '
         'that it was fitted to.', ('none', best.name, 'floor'), tuple(rows[:3]), command(
             'identify', source, *(('--robot', *files) if files else ()), '--out', 'friction'))

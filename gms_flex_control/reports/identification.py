@@ -230,9 +230,10 @@ def _add_map(report, result, known, log=False):
                    for kind, torque, role in (('fitted', result.steady_torque, f'c{i + 3}'),
                                               ('true', known, 'reference'))
                    if torque is not None]
-    title, labels = ((': against the motion', ('speed [rad/s]', 'friction torque [N m]')) if log
-                     else (': friction', ('velocity [rad/s]', 'friction torque [N m]')))
-    _curves(report, result.joint + title, curves, *labels, log_x=log)
+    title, x = (('friction against the motion', 'speed') if log else
+                ('friction over velocity, measured and fitted', 'velocity'))
+    _curves(report, f'{result.joint}: {title}', curves, f'{x} [rad/s]', 'friction torque [N m]',
+            log_x=log)
 
 
 def _add_presliding(report, result, known):

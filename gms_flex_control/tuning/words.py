@@ -70,8 +70,9 @@ def answer_of(proposal, trials, robot, demands, files, folder):
                  scale=1.0),)
     columns = 'none', mode, 'noise floor, or least asked'
     if proposal.unmet:
-        return Answer(f'No gains meet what is asked: {"; ".join(proposal.unmet)}.', columns,
-                      numbers, command('tune', '--help'))
+        return Answer(f'These gains do not meet what is asked, as told {len(proposal.unmet)} '
+                      f'time{"s" * (len(proposal.unmet) > 1)} above (NOT MET).', columns, numbers,
+                      command('tune', '--help'))
     again = ('--robot', *files) if files else ()
     return Answer(
         f'With these gains and compensation {mode} the links follow within {numbers[0].after} '
