@@ -121,7 +121,7 @@ def _values(result):
 
 def _sentence(result):
     if not result.findings:
-        return (f'Something is missing that no effect of the catalogue explains: '
+        return ('Something is missing that no effect of the catalogue explains: '
                 f'{result.unexplained.sentence}' if result.unexplained is not None else
                 'Nothing that matters is missing: on data held out the model errs by no more than '
                 'the noise floor, which is what encoders and torque noise alone would make.')
@@ -132,19 +132,22 @@ def _sentence(result):
     gap = result.gap
     changes = [_change(*figures) for figures in (
         ('the residual torque', gap.retuned, gap.after, gap.floor),
-        ('the error of free runs', gap.free_before, gap.free_after, gap.free_floor))]
+        ('the error of free runs', gap.free_before, gap.free_after, gap.free_floor))
+        if np.nansum(figures[1]) > 0.0]
     at_floor = [name for name, _, there in changes if there]
-    where = {0: '. The noise floor is', 1: f', {"".join(at_floor)} to about the noise floor,',
-             2: ', both to about the noise floor,'}[len(at_floor)]
-    return (f'The model lacks {effects}: with it, on data held out, '
-            f'{" and ".join(change for _, change, _ in changes)}{where} '
-            f'{"which is " if at_floor else ""}what encoders and torque noise alone would leave.')
+    which = 'both' if len(at_floor) == 2 else ''.join(at_floor)
+    where = f', {which} to about the noise floor, which' if at_floor else '. The noise floor'
+    found = ('what is written of them' if result.withheld else
+             'it' if len(result.findings) == 1 else 'them')
+    return (f'The model lacks {effects}: with {found}, on data held out, '
+            f'{" and ".join(change for _, change, _ in changes)}{where} is what encoders and '
+            'torque noise alone would leave.')
 
 
 def _change(name, without, found, floor):
     """Return an error's name, how it changes in words, and whether it shrinks to its floor."""
     before, after, least = (float(np.sqrt(np.nansum(one ** 2))) for one in (without, found, floor))
-    share = 1.0 - after / before if before > 0.0 else 0.0
+    share = 1.0 - after / before
     if abs(share) < _CHANGED:
         return name, f'{name} stays as it is', False
     return (name, f'{name} {"shrinks" if share > 0.0 else "grows"} by {100.0 * abs(share):.0f} %',
@@ -189,11 +192,12 @@ def add_discrepancy(report, result, folder, *, holdout=(), models=(), opened=Fal
     evidence = [evidence_of(along, result.behind.after, finding)
                 for finding in result.named[:MOST_PICTURES]]
     runs = _free_runs(result.behind, holdout)
-    first = None if opened else evidence[0] if evidence else int(np.nanargmax(
-        np.append(result.gap.free_after, 0.0)) % len(along.joints))
+    first = None  # what stands open: how an effect shows, or the free runs of a joint
     if evidence and not opened:
-        _add_evidence_chart(report, evidence[0])
+        first = evidence[0]
+        _add_evidence_chart(report, first)
     elif not opened:
+        first = int(np.argmax(np.nan_to_num(result.gap.free_after)))
         _add_free_run(report, runs, first)
     _add_summary(report, result)
     report.figure(picture(gap_figure(result.gap, bool(result.withheld)), 'gap.png'),

@@ -254,7 +254,8 @@ class Report:
         answer, first = self._answer, self._first_heading()
         return [f'<main><p class="sentence">{self._told(answer.sentence)}</p>',
                 *_grouped(self._blocks[:first]),
-                self._table(answer.header, answer.numbers, 'data numbers'),
+                self._table(answer.header, answer.numbers, 'data numbers') if answer.numbers
+                else '',
                 f'<p class="next">Next: <code>{escape(answer.command)}</code></p></main>']
 
     def _details(self):
