@@ -122,7 +122,7 @@ def revealed(outcome):
     if outcome.result.withheld:
         sentence += f' {of_withheld(outcome.result.withheld)}'
     if not compensated(truth['effect']):
-        sentence += ' No controller can compensate it: tracking is as before.'
+        sentence += ' No controller can compensate it: tracking stays as it is.'
     return sentence
 
 
