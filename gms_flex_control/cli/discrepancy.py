@@ -163,8 +163,8 @@ def printed(result, compared, values, args):
         print(as_json(values))
     else:
         stream = sys.stderr if bad else sys.stdout
-        print(fill(f'gms_flex discrepancy: {words}' if bad else words, _WIDTH),
-              file=stream)
+        print(fill(f'gms_flex discrepancy: {words}' if bad else words, _WIDTH,
+                   break_on_hyphens=False), file=stream)
     if not args.json and not bad:
         if compared:
             print(units_of(result)(f'\n{comparison_text(compared, result.gap.joints)}'))

@@ -65,7 +65,7 @@ def answer_text(answer, words=str):
     from gms_flex_control.analysis.table4 import align
     from gms_flex_control.answer import unbroken
 
-    sentence = fill(unbroken(words(answer.sentence)), _WIDTH)
+    sentence = fill(unbroken(words(answer.sentence)), _WIDTH, break_on_hyphens=False)
     rows = [[words(cell) for cell in one] for one in answer.numbers]
     return '\n\n'.join([sentence.replace('\u00a0→\u00a0', ' -> '), *(
         [align(answer.header, rows)] if rows else []), f'next: {answer.command}'])
