@@ -104,7 +104,7 @@ def fit(out, bag, experiment):
     truth = load_robot(robot_file())
     write_friction(found, out / 'friction.yaml')
     write_report_json(found, out / 'report.json')
-    write_identification_report(found, out, beside=truth)
+    write_identification_report(found, out, beside=truth, robot=[out / 'believed_robot.yaml'])
     return identification_text(found, beside=truth)
 
 

@@ -28,7 +28,8 @@ NAMES = {'none': 'without compensation', 'gms_paper': "with the paper's observer
 _OF_PAGE = {colour.lower(): f'var(--c{i})' for i, colour in enumerate(COLOURS)} | {
     '#000000': 'var(--ink)', '#ffffff': 'none', '#e6e6e6': 'var(--grid)',
     **dict.fromkeys(('#d9d9d9', '#cccccc'), 'var(--rule)'),
-    **dict.fromkeys(('#4d4d4d', '#595959', '#8c8c8c', '#999999', '#a6a6a6'), 'var(--muted)')}
+    **dict.fromkeys(('#4d4d4d', '#595959'), 'var(--ink)'),
+    **dict.fromkeys(('#8c8c8c', '#999999'), 'var(--muted)')}
 _SVG = {'svg.fonttype': 'none', 'svg.hashsalt': 'gms_flex'}  # text stays text; the same each time
 # of an SVG file, what one in a page need not have: names of no use, blanks, its own style
 _IN_PAGE = (('<metadata>.*?</metadata>|<defs><style.*?</defs>', ''),

@@ -86,16 +86,22 @@ def identification_answer(identification, folder, robot=()):
         measured(f'torque error of {joint} [% of the drive torque]', errors.coulomb_viscous,
                  errors.relative, np.fmax(*floor_shares(errors)), scale=100.0),
         measured(f'error of free runs of {joint} [mrad]', errors.free_run_coulomb_viscous,
-                 errors.free_run_rms, errors.innovation_rms)]
+                 errors.free_run_rms, _reading(identification.robot.encoder, errors))]
     known = next((one for one in worst.estimates if standing(one) in _KNOWN), None)
     if known is not None:
         low, high = hull(known)
         numbers.append(measured(f'{short_name(known.name, joint)} of {joint} [{known.unit}]', None,
                                 known.value, 0.5 * (high - low), scale=1.0))
+    files = robot or (('robot.yaml',) if identification.described else ())
     return Answer(_sentence(identification, worst),
                   ('Coulomb + viscous', 'identified', 'noise floor'), tuple(numbers), command(
-                      'discrepancy', *identification.sources, '--robot', *robot,
+                      'discrepancy', *identification.sources, '--robot', *files,
                       folder / 'friction.yaml', '--out', folder / 'gap'))
+
+
+def _reading(encoder, errors):
+    """Return the rms error of a reading by the encoder's steps; unknown, one sample ahead [rad]."""
+    return 2.0 * np.pi / encoder.counts / np.sqrt(12.0) if encoder.counts else errors.innovation_rms
 
 
 def _worst(identification):

@@ -14,6 +14,7 @@ from importlib.resources import files
 from itertools import groupby
 import json
 from pathlib import Path
+import re
 from typing import Any, NamedTuple
 
 from gms_flex_control.answer import unbroken
@@ -26,6 +27,7 @@ ROLES = ('reference', 'c0', 'c1', 'c2', 'c3', 'c4', 'c5', 'c6')
 MAX_POINTS = 200_000  # per series; longer ones are written as extremes per bucket
 MAX_CURVE = 20_000    # per curve; of longer ones every so many points are written
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
+_OPTION, _WHOLE = re.compile(r'--[\w-]+'), r'<span>\g<0></span>'  # does not break at its '-'
 HINT = ('Drag to pan, wheel or shift-drag to zoom, double-click to reset; click a name in the '
         'legend to hide it. Charts of one group move together.')
 
@@ -256,7 +258,8 @@ class Report:
                 *_grouped(self._blocks[:first]),
                 self._table(answer.header, answer.numbers, 'data numbers') if answer.numbers
                 else '',
-                f'<p class="next">Next: <code>{escape(answer.command)}</code></p></main>']
+                f'<p class="next">Next: <code>{_OPTION.sub(_WHOLE, escape(answer.command))}</code>'
+                '</p></main>']
 
     def _details(self):
         """Return what folds, with its table of contents; nothing without a heading."""
