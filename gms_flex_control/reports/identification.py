@@ -100,8 +100,9 @@ def identification_answer(identification, folder, robot=()):
 
 
 def _reading(encoder, errors):
-    """Return the rms error of a reading by the encoder's steps; unknown, one sample ahead [rad]."""
-    return 2.0 * np.pi / encoder.counts / np.sqrt(12.0) if encoder.counts else errors.innovation_rms
+    """Return what encoder steps make of a reading, if unknown the error a sample ahead [rad]."""
+    known = encoder.counts > 0.0
+    return 2.0 * np.pi / encoder.counts / np.sqrt(12.0) if known else errors.innovation_rms
 
 
 def _worst(identification):
