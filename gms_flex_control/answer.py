@@ -23,27 +23,27 @@ class Answer(NamedTuple):
 
     sentence: str
     columns: tuple   # titles of the three columns of numbers
-    numbers: tuple   # of Number, three
+    numbers: tuple   # of Number, three; none where nothing could be measured
     command: str     # to be run next
 
     @property
-    def header(self):
+    def header(self) -> tuple:
         """Return the column titles of the table of numbers."""
         return ('', *self.columns)
 
 
-def measured(name, before, after, floor, scale=1e3, digits=3):
+def measured(name: str, before, after, floor, scale: float = 1e3) -> Number:
     """Return a Number of values in SI units, by default in thousandths; None is not known."""
     return Number(name, *(
-        '-' if value is None or not np.isfinite(value) else f'{scale * value:.{digits}g}'
+        '-' if value is None or not np.isfinite(value) else f'{scale * value:.3g}'
         for value in (before, after, floor)))
 
 
-def unbroken(text):
+def unbroken(text: str) -> str:
     """Return a text whose arrows stay with the words on both sides of them."""
     return text.replace(' -> ', '\u00a0→\u00a0')
 
 
-def command(verb, *words):
+def command(verb: str, *words) -> str:
     """Return a command line of gms_flex that a shell takes as it is."""
     return shlex.join(['gms_flex', verb, *map(str, words)])

@@ -69,7 +69,7 @@ class Table4:
         return sorted((place for place, mse in found.items() if math.isfinite(mse)),
                       key=lambda place: -found[place])
 
-    def answer(self):
+    def answer(self) -> Answer:
         """Return how much closer the links follow with the best compensation (Answer)."""
         best, places = self.best, self.hardest
         if not places:

@@ -41,7 +41,7 @@ def write_or_print(text, out, told):
         print(text, end='')
 
 
-def conclude(answer, files, words=str):
+def conclude(answer, files, words=str) -> None:
     """
     Print where results are and, at last, the answer.
 
@@ -60,7 +60,7 @@ def conclude(answer, files, words=str):
     print('\n'.join(['', *lines, '', answer_text(answer, words)]))
 
 
-def answer_text(answer, words=str):
+def answer_text(answer, words=str) -> str:
     """Return an Answer as lines of text, in which no arrow stands at an end."""
     from gms_flex_control.analysis.table4 import align
     from gms_flex_control.answer import unbroken

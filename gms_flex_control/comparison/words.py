@@ -86,7 +86,7 @@ def bag_text(predictions, found, joints):
             f'[mN m]; the measured one is {size}')
 
 
-def plant_answer(rows, outcomes, files=()):
+def plant_answer(rows, outcomes, files=()) -> Answer:
     """Return which compensation errs least in simulation (Answer); ``files`` of the robot."""
     floor = study.floor_of(outcomes)
     left = study.error_of(floor)
@@ -117,7 +117,7 @@ def _least(error):
     return np.inf if error is None else error
 
 
-def bag_answer(predictions, joints, source, files=()):
+def bag_answer(predictions, joints, source, files=()) -> Answer:
     """Return which compensation predicts the rest of a bag best (Answer)."""
     none = next(one for one in predictions if one.mode == 'none')
     best = min((one for one in predictions if one.error is not None and not one.remark),

@@ -20,7 +20,7 @@ def names():
     return tuple(sorted(module.name for module in pkgutil.iter_modules(catalogue.__path__)))
 
 
-def in_words(name):
+def in_words(name: str) -> str:
     """Return what an effect of the catalogue is, such as 'Play in the transmission'."""
     return inspect.getdoc(inspect.getmodule(find(name))).splitlines()[0].rstrip('.')
 

@@ -82,7 +82,7 @@ def write_discrepancy_report(result, folder, *, holdout=(), models=()):
     return [report.write(folder / 'report.html'), *pictures]
 
 
-def discrepancy_answer(result, folder):
+def discrepancy_answer(result, folder) -> Answer:
     """Return what the model lacks and how much closer it came (Answer); robot.yaml in a folder."""
     if result.gap is None:
         return Answer(result.faults[0] if result.faults else result.words, (), (),

@@ -131,7 +131,7 @@ def outcome_text(outcome):
     return align(*outcome_rows(outcome))
 
 
-def demo_answer(outcome):
+def demo_answer(outcome) -> Answer:
     """Return whether what was hidden was found, and what that changes (Answer)."""
     tracking, gap = outcome.tracking, outcome.result.gap
     joints = outcome.hidden.robot.joints

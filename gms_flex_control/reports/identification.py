@@ -78,7 +78,7 @@ def write_identification_report(identification, folder, *, beside=None, robot=()
     return [report.write(folder / 'report.html'), *_save_pictures(identification, folder, beside)]
 
 
-def identification_answer(identification, folder, robot=()):
+def identification_answer(identification, folder, robot=()) -> Answer:
     """Return how far the friction found predicts (Answer); ``robot`` files were believed."""
     worst, folder = _worst(identification), Path(folder)
     errors, joint = worst.held_out, worst.joint

@@ -96,7 +96,7 @@ def discrepancy_text(found, rows):
     return '\n\n'.join(filter(None, parts))
 
 
-def over_bags_answer(found, rows, bags):
+def over_bags_answer(found, rows, bags) -> Answer:
     """Return what differs most from bag to bag, and which to look at first (Answer)."""
     good = _good(found)
     told = sorted((row for row in rows if row.mean and row.standard_deviation > 0.0),

@@ -60,7 +60,7 @@ def verdict(study):
     return ' '.join(lines) or 'The given spring explains the torsion better than a delay does.'
 
 
-def torsion_answer(study, folder):
+def torsion_answer(study, folder) -> Answer:
     """Return what the torsion shows, robot.yaml of the study being in ``folder`` (Answer)."""
     *told, free = study.explanations
     return Answer(

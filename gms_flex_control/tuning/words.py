@@ -55,7 +55,7 @@ def loop_lines(judgement, robot, timing):
             f'while every block sticks, oscillations {ringing}']
 
 
-def answer_of(proposal, trials, robot, demands, files, folder):
+def answer_of(proposal, trials, robot, demands, files, folder) -> Answer:
     """Return what error to expect of a Proposal, and its margin (Answer)."""
     mode, judgement, count = list(trials)[-1], proposal.judgement, robot.n_joints
     rms, peak = ([np.sqrt(_worse(trials[name], 'mse', count)) for name in ('none', mode)],
