@@ -15,9 +15,10 @@ from mcap.writer import CompressionType, Writer
 
 ROOT = Path(__file__).resolve().parents[1]
 BAG = ROOT / 'examples' / 'arm_with_play'
+SUBSTEPS = 400  # per joint state: steps of 10 us, so that integration delays nothing
 PLAY = """    effects:
       joint2:
-        backlash: {half_gap: 0.004}  # rad
+        backlash: {half_gap: 0.012}  # rad
 """
 
 
@@ -27,7 +28,7 @@ def simulate(folder):
     real = folder / 'real.yaml'
     real.write_text(believed.read_text(encoding='utf-8') + PLAY, encoding='utf-8')
     code = main(['simulate', '--robot', str(real), '--model', str(believed), '--set',
-                 'rate=250.0', '--compensation', 'gms', '--duration', '12',
+                 'rate=250.0', f'substeps={SUBSTEPS}', '--compensation', 'gms', '--duration', '12',
                  '--out', str(folder / BAG.name)])
     if code:
         sys.exit(code)

@@ -70,10 +70,10 @@ class Scribe:
         """Note a command that was given at ``begun`` [s] and what it printed."""
         self.lines.append(f'{begun:6.1f} s  $ {command}')
         printed = printed.rstrip().splitlines()
-        for line in printed[:MOST_LINES]:
-            self.lines.append(f'          {line.rstrip()}'.rstrip())
-        if len(printed) > MOST_LINES:
-            self.lines.append(f'          ... ({len(printed) - MOST_LINES} more lines)')
+        if len(printed) > MOST_LINES:  # the answer comes last
+            half = MOST_LINES // 2
+            printed[half:-half] = [f'... ({len(printed) - MOST_LINES} more lines)']
+        self.lines += [f'          {line.rstrip()}'.rstrip() for line in printed]
 
     def run(self, command, folder, environment):
         """Give a command that must succeed."""

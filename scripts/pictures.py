@@ -31,7 +31,7 @@ WIDTH = 1285  # of the report's picture [px]
 PART = """(() => {
   const from = [...document.querySelectorAll('h2')].find(
     (one) => one.textContent === 'Robots drawn at random').getBoundingClientRect().top - 12;
-  const chart = document.querySelectorAll('.chart')[2].getBoundingClientRect();
+  const chart = document.querySelectorAll('details .chart')[2].getBoundingClientRect();
   return [from + scrollY, chart.bottom + 10 - from];
 })()"""
 
@@ -120,7 +120,8 @@ def taken(source, picture):
             Browser(Path(folder) / 'profile') as browser:
         browser.screen(WIDTH, 900)
         browser.visit(source.resolve().as_uri())
-        browser.until('document.querySelectorAll(".chart .u-legend").length > 2')
+        browser.ask('document.querySelector("details").open = true')
+        browser.until('document.querySelectorAll("details .chart .u-legend").length > 2')
         top, height = browser.ask(PART)
         clip = {'x': 0, 'y': top, 'width': WIDTH, 'height': height, 'scale': 1}
         shot = browser.call('Page.captureScreenshot', format='png', clip=clip,

@@ -102,10 +102,19 @@ def test_the_model_written_has_the_effect_and_loads(case, folder, report):
         case.nominal.arm.motor_inertia[j] * (1.0 + knob['change']))
 
 
-def test_the_terminal_has_one_paragraph_and_no_progress(outcome, report):
-    words = outcome.stdout.split('\n\n')[0]
+def test_the_terminal_ends_with_the_answer_and_shows_no_progress(case, outcome, report):
+    words, *_, answer, numbers, last = outcome.stdout.rstrip().split('\n\n')
     assert ' '.join(words.split()) == report['words']
-    assert max(map(len, words.splitlines())) < 99
+    assert max(map(len, [*words.splitlines(), *answer.splitlines()])) < 99
+    joint, gap = case.truth.effects[0].joint, report['gap']
+    assert f'lacks backlash of {joint}' in answer and 'torque noise alone would leave' in answer
+    for row, figures in zip(numbers.splitlines()[2:4], (
+            ('retuned', 'after', 'floor'), ('free_before', 'free_after', 'free_floor')),
+            strict=True):
+        assert f'of {joint} ' in row
+        assert [float(cell) for cell in row.split()[-3:]] == pytest.approx(
+            [1e3 * gap[name][joint] for name in figures], rel=0.006)  # three digits
+    assert last.startswith('next: gms_flex identify ')
     assert outcome.stderr == ''
 
 
@@ -125,6 +134,8 @@ def test_page_and_pictures_are_written(case, folder, report):
                  'What was tried', 'simulated - measured', 'motor_inertia', 'Models compared',
                  'Recording: '):
         assert part in page, part
+    answer = page.partition('</main>')[0]
+    assert f'lacks backlash of {joint}' in answer and answer.count('class="chart"') == 1
     assert 'src="http' not in page and 'href="http' not in page
     assert {one['variable'] for one in report['dependences']} == {
         'time [s]', 'link angle [rad]', 'motor angle [rad]', 'link rate [rad/s]',

@@ -135,6 +135,12 @@ def test_compare_prints_the_table_and_writes_a_page_that_stands_alone(
     assert main(args) == 0
     out = capsys.readouterr().out
     assert 'GMS, better' in out and (tmp_path / 'outcomes.jsonl').read_text() == lines
+    *_, numbers, last = out.rstrip().split('\n\n')
+    none, gms, floor = map(float, numbers.splitlines()[2].split()[-3:])
+    assert [none, gms] == pytest.approx([1e3 * errors[mode]['nominal'] for mode in (
+        'none', 'gms')], rel=0.006)
+    # without friction there is less error than with what nobody compensates
+    assert 0.0 < floor < 0.1 * none and last.startswith('next: gms_flex simulate')
 
 
 @pytest.fixture(scope='module')

@@ -95,7 +95,7 @@ def test_page_text_and_pictures_tell_it_and_the_truth_comes_last(outcome):
     folder, printed = outcome
     page = (folder / 'report.html').read_text(encoding='utf-8')
     places = [page.index(f'">{heading}</h2>') for heading in (
-        'Before and after', 'In words', 'What was found', 'What was hidden')]
+        'Without and with the effects', 'In words', 'What was found', 'What was hidden')]
     assert places == sorted(places)
     assert 'named rightly, and the gap shrank' in page and 'named rightly' in printed
     assert 'tracking error [mrad]' in printed

@@ -16,9 +16,9 @@ import pytest
 PACKAGE = 'gms_flex_control'
 ROOT = Path(gms_flex_control.__file__).parent
 # each may import those before it, and itself; one that does not exist yet does no harm
-LAYERS = ['errors', 'files', 'batches', 'suggest', 'resources', 'blas', 'compiled', 'records',
-          'recording', 'params', 'friction', 'effects', 'dynamics', 'trajectory', 'control',
-          'hardware', 'schema', 'exports', 'simulation', 'effect_compensation', 'bags',
+LAYERS = ['errors', 'files', 'batches', 'suggest', 'answer', 'resources', 'blas', 'compiled',
+          'records', 'recording', 'params', 'friction', 'effects', 'dynamics', 'trajectory',
+          'control', 'hardware', 'schema', 'exports', 'simulation', 'effect_compensation', 'bags',
           'experiment', 'analysis', 'identification', 'discrepancy', 'hidden', 'tuning',
           'comparison', 'reports', 'benchmarks', 'view', 'nodes', 'cli']
 ROS = re.compile(r'rclpy|rcl_interfaces|ament_index_python|launch(_ros)?|\w+_(msgs|srvs)')

@@ -5,6 +5,16 @@
 
 from types import SimpleNamespace
 
+from gms_flex_control.discrepancy.residual_views import (
+    bin_edges,
+    binned,
+    Evidence,
+    follows,
+    further,
+    Map,
+    maps_of,
+    over_all,
+)
 from gms_flex_control.discrepancy.result import Gap, Value
 from gms_flex_control.reports.discrepancy_figures import (
     evidence_figure,
@@ -15,16 +25,6 @@ from gms_flex_control.reports.discrepancy_figures import (
 from gms_flex_control.reports.discrepancy_values import (
     over_values,
     plain,
-)
-from gms_flex_control.reports.discrepancy_views import (
-    bin_edges,
-    binned,
-    Evidence,
-    follows,
-    further,
-    Map,
-    maps_of,
-    over_all,
 )
 from gms_flex_control.reports.figures import save_figure
 import numpy as np

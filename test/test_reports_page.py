@@ -12,6 +12,9 @@ import re
 import subprocess
 
 from devtools import chromium
+from gms_flex_control.answer import Answer, command, measured
+from gms_flex_control.cli.output import answer_text
+from gms_flex_control.reports.figures import COLOURS, finished, stacked_panels
 from gms_flex_control.reports.page import Report, Series
 from gms_flex_control.reports.series import decimate, merge_grids
 import numpy as np
@@ -50,13 +53,25 @@ class Page(HTMLParser):
                 for dtype, text in json.loads(self.data)['arrays']]
 
 
+def answer(**changed):
+    """Return an answer, named by someone hostile."""
+    return Answer(EVIL, (EVIL, 'after', 'noise floor'), (
+        measured('error [mrad]', 0.0102, 0.00312, 0.001), measured(EVIL, None, 0.2, np.nan)),
+        command('view', 'my bag'))._replace(**changed)
+
+
 def small_report():
     """Return a report with every kind of block, named by someone hostile."""
     t = np.arange(500) * 2e-3
-    return (Report(EVIL, subtitle=EVIL).heading(EVIL).text(EVIL).note(EVIL, warning=True)
-            .preformatted(EVIL).table([EVIL, 'n'], [[EVIL, '1.5'], ['x', '-']], caption=EVIL)
-            .figure(b'\x89PNG', caption=EVIL).heading('second')
-            .chart(EVIL, t, [Series(EVIL, np.sin(t)), Series('b', np.cos(t))], y_label=EVIL))
+    figure, (panel,) = stacked_panels(1)
+    panel.plot(t, np.sin(t), color=COLOURS[1], label=EVIL)
+    panel.plot(t, np.cos(t), 'k--')
+    finished(figure, [panel], EVIL)
+    return (Report(EVIL, answer(), EVIL)
+            .chart(EVIL, t, [Series(EVIL, np.sin(t)), Series('b', np.cos(t))], y_label=EVIL)
+            .heading(EVIL).text(EVIL).note(EVIL, warning=True)
+            .table([EVIL, 'n'], [[EVIL, '1.5'], ['x', '-']], caption=EVIL)
+            .figure(figure, caption=EVIL).heading('second'))
 
 
 def test_every_text_is_escaped_wherever_it_is_put():
@@ -81,7 +96,8 @@ def test_embedded_arrays_equal_the_data():
 
 def test_a_shared_time_axis_is_stored_once():
     t = np.arange(100.0)
-    report = Report('r').chart('a', t, [Series('s', t ** 2)]).chart('b', t, [Series('s', t ** 3)])
+    report = Report('r', answer()).chart('a', t, [Series('s', t ** 2)]).chart(
+        'b', t, [Series('s', t ** 3)])
     assert len(Page(report.html()).arrays()) == 3
 
 
@@ -90,12 +106,34 @@ def test_the_page_reaches_for_nothing_outside_itself():
     assert all(url.startswith(('data:', '#')) for url in Page(html).urls)
     assert "default-src 'none'" in html
     own = html.replace('https://github.com/leeoniya/uPlot', '')  # uPlot's own banner comment
-    assert not re.search(r'https?://|@import|url\(', own)
+    assert not re.search(r'https?://|@import|url\((?!#)', own)
 
 
-def test_neighbouring_charts_share_a_grid_and_headings_a_table_of_contents():
+def test_a_page_begins_with_the_answer_and_the_rest_folds():
+    """A sentence, one picture, numbers with their floor, a command; then closed details."""
     html = small_report().html()
-    assert html.count('class="charts"') == 1 and html.count('<nav>') == 1
+    answered, folded = html.partition('</main>')[::2]
+    parts = ('class="sentence"', 'class="charts"', 'noise floor', 'gms_flex view')
+    assert sorted(map(answered.index, parts)) == [answered.index(part) for part in parts]
+    assert re.search('10.2</td>.*3.12</td>.*>1</td>.*>-</td>.*>200</td>.*>-</td>', answered)
+    assert folded.index('<details><summary>') < folded.index('<nav>') < folded.index('<figure')
+    assert '<details' not in Report('r', answer()).html()
+
+
+def test_arrows_stay_with_their_words_and_the_terminal_has_its_own():
+    words = ' '.join(f'{k} -> {k + 1}' for k in range(100, 160))
+    assert '100\u00a0→\u00a0101' in Report('r', answer(sentence=words)).html()
+    lines = answer_text(answer(sentence=words)).splitlines()
+    assert all(re.fullmatch(r'(\d+ -> \d+ ?)+', line) for line in lines[:lines.index('')])
+    assert lines[-1] == "next: gms_flex view 'my bag'" and lines[-4].split()[1:] == [
+        '[mrad]', '10.2', '3.12', '1']
+
+
+def test_a_picture_has_the_colours_of_the_page():
+    html = small_report().html()
+    drawn = re.search('<figure.*?</figure>', html, re.DOTALL).group()
+    assert 'stroke: var(--c1)' in drawn and 'stroke: var(--ink)' in drawn
+    assert not re.search('#[0-9a-f]{6}', drawn.replace('#0', ''))
 
 
 def test_writing_is_whole_or_not_at_all(tmp_path):
@@ -111,7 +149,7 @@ def test_writing_is_whole_or_not_at_all(tmp_path):
     ([0, 1], [0, 0], 'pink', "role 'pink' is none of")])
 def test_a_chart_that_cannot_be_drawn_is_refused(x, y, role, match):
     with pytest.raises(ValueError, match=match):
-        Report('r').chart('c', x, [Series('s', y, role=role)])
+        Report('r', answer()).chart('c', x, [Series('s', y, role=role)])
 
 
 def test_series_on_different_stamps_meet_on_their_union():
@@ -172,7 +210,7 @@ def crowded(browser, tmp_path):
     """Open a report with two charts of eight curves with long names each; return the browser."""
     t = np.arange(500) * 2e-3
     lines = [Series(f'disturbance observer number {k}', np.sin(t + k)) for k in range(8)]
-    page = Report('crowded').chart('one', t, lines, y_label='rad').chart(
+    page = Report('crowded', answer()).chart('one', t, lines, y_label='rad').chart(
         'two', t, [*lines[1:], Series('longer_than_a_telephone_is_wide_' * 3, t)])
     browser.errors.clear()
 
@@ -207,3 +245,27 @@ def test_charts_fit_after_the_window_was_another_size(crowded):
     page.until("document.querySelector('.u-over').getBoundingClientRect().height > 300")
     page.click('[data-act=large]')
     page.until("document.querySelector('.u-over').getBoundingClientRect().height < 250")
+
+
+def test_details_are_drawn_when_they_open_and_paper_shows_them(browser, tmp_path):
+    """On a telephone in the dark, with a table that is wider than it."""
+    t = np.arange(500) * 2e-3
+    figure, (panel,) = stacked_panels(1)
+    panel.plot(t, np.sin(t), color=COLOURS[1], linewidth=1.3)
+    page = (Report('r', answer(sentence='s')).chart('first', t, [Series('a', t)]).heading('h')
+            .chart('second', t, [Series('a', t)]).table(['wide'] * 30, [['cell'] * 30])
+            .figure(figure, 'c'))
+    browser.errors.clear()
+    browser.screen(400, 860, dark=True)
+    browser.visit(page.write(tmp_path / 'report.html').as_uri())
+    drawn = "document.querySelectorAll('.u-legend').length"
+    browser.until(f'{drawn} === 1')
+    browser.ask("dispatchEvent(new Event('beforeprint'))")
+    assert browser.ask(f"{drawn} === 2 && document.querySelector('details').open")
+    assert browser.ask('document.documentElement.scrollWidth') == 400
+    assert 'rgb(255, 138, 61)' in browser.ask(  # --c1 of report.css in the dark
+        "Array.from(document.querySelectorAll('figure path'), "
+        '(one) => getComputedStyle(one).stroke)')
+    browser.ask("dispatchEvent(new Event('afterprint'))")
+    assert not browser.ask("document.querySelector('details').open")
+    assert browser.errors == []

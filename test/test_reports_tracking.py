@@ -41,7 +41,9 @@ def test_table_page_and_pictures_are_written(tmp_path):
     width, height = struct.unpack('>II', data[16:24])
     assert width > 900 and height > 500
     html = (tmp_path / 'out' / 'report.html').read_text()
-    assert html.count('class="chart"') == 2 + 2 * 2 * 3  # friction was not recorded
+    assert html.count('class="chart"') == 2 + 2 * 2 * 2  # errors, angle, torque: no evidence twice
+    answered = html.partition('<details>')[0]
+    assert answered.count('class="chart"') == 1 and '<td class=number>100</td>' in answered
     assert '<b>$_' not in html
 
 

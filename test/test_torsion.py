@@ -111,7 +111,7 @@ def test_the_command_prints_numbers_and_writes_a_report(tmp_path, capsys):
     for part in ('rms measured', 'rms error', 'relative error', 'delay [ms]', 'report.html'):
         assert part in out
     assert sorted(p.name for p in (tmp_path / 'out').iterdir()) == [
-        'report.html', 'robot.yaml', 'torque.png', 'torsion.png']
+        'report.html', 'robot.yaml']
     robot = load_robot(tmp_path / 'out' / 'robot.yaml')
     assert (robot.arm.kind, robot.arm.stiffness[0]) == ('decoupled', K)
     assert robot.arm.inertia[0] + robot.arm.motor_inertia[0] == pytest.approx(M + J, rel=0.02)

@@ -6,6 +6,7 @@
 from dataclasses import dataclass
 import math
 
+from gms_flex_control.answer import Answer, command, measured
 import numpy as np
 
 # Table 4 as printed [rad^2], link 1 and link 2
@@ -52,12 +53,55 @@ class Table4:
             joint.joint for run in self.runs if run.trajectory == trajectory
             for joint in run.joints))
 
-    def mse(self, trajectory, compensation, joint):
-        """Return the MSE [rad^2], averaged over repeats; NaN if there is no such run."""
-        values = [entry.mse for run in self.runs
+    @property
+    def best(self):
+        """Return the compensation with the least error of all links; none if it is alone."""
+        modes = [mode for mode in self.compensations if mode != WITHOUT] or [WITHOUT]
+        errors = {mode: [entry.mse for run in self.runs if run.compensation == mode
+                         for entry in run.joints if math.isfinite(entry.mse)] for mode in modes}
+        return min(modes, key=lambda mode: np.mean(errors[mode] or [np.inf]))
+
+    @property
+    def hardest(self):
+        """Return (trajectory, joint) of all errors with the best one, the largest first."""
+        found = {(trajectory, joint): self.mse(trajectory, self.best, joint)
+                 for trajectory in self.trajectories for joint in self.joints(trajectory)}
+        return sorted((place for place, mse in found.items() if math.isfinite(mse)),
+                      key=lambda place: -found[place])
+
+    def answer(self) -> Answer:
+        """Return how much closer the links follow with the best compensation (Answer)."""
+        best, places = self.best, self.hardest
+        if not places:
+            return Answer('The recordings hold no reference, so there is no error to tell.',
+                          (), (), command('info', self.runs[0].source))
+        rows = [(name, label, *place) for name, label in (
+            ('rms', 'rms error'), ('max_error', 'largest error')) for place in places]
+        numbers = [measured(f'{label} of {joint}, {trajectory} [mrad]', *(
+            self.figure(*figure, joint) for figure in (
+                (name, trajectory, WITHOUT), (name, trajectory, best),
+                ('floor', trajectory, best)))) for name, label, trajectory, joint in rows[:3]]
+        sources = dict.fromkeys(run.source for run in self.runs
+                                if run.trajectory == places[0][0]
+                                and run.compensation in (WITHOUT, best))
+        with_it = 'Without compensation' if best == WITHOUT else f'With compensation {best}'
+        first = numbers[0]
+        beside = f', without it {first.before} mrad' if '-' not in (best, first.before) else ''
+        return Answer(f'{with_it} the links follow within {first.after} mrad (rms){beside}; the '
+                      'noise floor is what the steps of the encoder alone make of a reading.',
+                      ('without', best, 'noise floor'), tuple(numbers),
+                      command('view', *sources))
+
+    def figure(self, name, trajectory, compensation, joint):
+        """Return a figure of `JointTracking`, averaged over repeats; NaN if there is no run."""
+        values = [getattr(entry, name) for run in self.runs
                   if (run.trajectory, run.compensation) == (trajectory, compensation)
                   for entry in run.joints if entry.joint == joint]
         return float(np.mean(values)) if values else math.nan
+
+    def mse(self, trajectory, compensation, joint):
+        """Return the MSE [rad^2], averaged over repeats; NaN if there is no such run."""
+        return self.figure('mse', trajectory, compensation, joint)
 
     def ratio(self, trajectory, compensation, joint):
         """Return MSE without compensation / MSE with ``compensation``; NaN if one lacks."""

@@ -11,6 +11,7 @@ MSE without / MSE with compensation on the same robot and trajectory.
 
 from typing import NamedTuple
 
+from gms_flex_control.analysis.signals import quantum
 from gms_flex_control.analysis.table4 import Table4
 from gms_flex_control.recording import Recording
 import numpy as np
@@ -34,6 +35,7 @@ class JointTracking(NamedTuple):
     joint: str
     mse: float          # mean of (q_link - reference)^2 [rad^2]
     rms: float          # [rad]
+    floor: float        # rms error that the encoder's steps alone make of a reading [rad]
     max_error: float    # largest absolute error [rad]
     hold_peak_to_peak: float  # largest of all holds [rad]
     hold_start: float   # stamp at which the judged part of that hold begins [s]
@@ -159,6 +161,7 @@ def _track_joint(recording, error, i):
     peak, start, duration = _worst_hold(recording, i)
     return JointTracking(
         recording.joints[i], mse, float(np.sqrt(mse)),
+        quantum(recording.q_link[:, i]) / np.sqrt(12.0),  # rounding is uniform within a step
         float(np.max(np.abs(valid))) if valid.size else np.nan,
         peak, start, duration, _rms_torque(recording, i), int(valid.size))
 

@@ -6,6 +6,7 @@
 import json
 from pathlib import Path
 
+from gms_flex_control.cli.output import conclude
 from gms_flex_control.params.gains import COMPENSATIONS
 
 UNLABELLED = 'unlabelled'
@@ -46,7 +47,8 @@ def run(args):
     if args.json:
         print(json.dumps(table.as_dict(), indent=2, allow_nan=False))
     else:
-        print(f'{table.text()}\n\nreport: {Path(args.out) / "report.html"}')
+        print(table.text())
+        conclude(table.answer(), {'report': Path(args.out) / 'report.html'})
     return 0
 
 

@@ -6,7 +6,7 @@
 from pathlib import Path
 
 from gms_flex_control.cli.batch_options import add_batch_options
-from gms_flex_control.cli.output import refuse_unwritable
+from gms_flex_control.cli.output import conclude, refuse_unwritable
 
 # options of one way to compare alone, and their values where none was given
 OF_A_PLANT = {'draws': 50, 'rate': 500.0, 'amplitude': 1.0, 'seed': 0}
@@ -59,12 +59,14 @@ def run(args):
     files = plant_files(args)
     settle(args, files is not None)
     refuse_unwritable(args.out)
-    shown, values, page = along_bag(args) if files is None else on_plant(args, files)
+    shown, values, page, answer = along_bag(args) if files is None else on_plant(args, files)
     write_text(Path(args.out) / 'comparison.json',
                json.dumps(values, indent=2, allow_nan=False) + '\n')
     page.write(Path(args.out) / 'report.html')
-    print(json.dumps(values, indent=2) if args.json
-          else f"{shown}\n\n{Path(args.out) / 'report.html'}")
+    print(json.dumps(values, indent=2) if args.json else shown)
+    if not args.json:
+        conclude(answer, {'report': Path(args.out) / 'report.html',
+                          'numbers': Path(args.out) / 'comparison.json'})
     return 0
 
 
@@ -108,7 +110,7 @@ def settle(args, is_plant):
 
 
 def on_plant(args, files):
-    """Return table, plain values and page of the comparison in simulation."""
+    """Return table, plain values, page and Answer of the comparison in simulation."""
     from gms_flex_control.comparison import study, words
     from gms_flex_control.reports.comparison import plant_page
     from gms_flex_control.resources import controller_file, robot_file
@@ -124,11 +126,12 @@ def on_plant(args, files):
     rows = study.table(outcomes, setting)
     values = {'rate': args.rate, 'amplitude': args.amplitude, 'draws': args.draws,
               'seed': args.seed, 'rows': [row._asdict() for row in rows], 'cells': outcomes}
-    return words.text(rows), values, plant_page(rows, outcomes, setting, ', '.join(files))
+    return (words.text(rows), values, plant_page(rows, outcomes, setting, files),
+            words.plant_answer(rows, outcomes, files))
 
 
 def along_bag(args):
-    """Return table, plain values and page of the comparison along a bag."""
+    """Return table, plain values, page and Answer of the comparison along a bag."""
     from gms_flex_control.batches.sources import content_of
     from gms_flex_control.cli.identify import motors_in
     from gms_flex_control.comparison import held_out, words
@@ -151,7 +154,8 @@ def along_bag(args):
         {name: getattr(one, name) for name in ('mode', 'name', 'error', 'fitted', 'remark')}
         for one in predictions]}
     return (words.bag_text(predictions, found, robot.joints), values,
-            bag_page(predictions, found, robot.joints, bag, args.fit))
+            bag_page(predictions, found, robot.joints, bag, args.fit, args.robot or ()),
+            words.bag_answer(predictions, robot.joints, bag, args.robot or ()))
 
 
 def finished(args, function, items, robot, gains, asked, label):

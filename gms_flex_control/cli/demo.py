@@ -7,7 +7,7 @@ from itertools import product
 from pathlib import Path
 import time
 
-from gms_flex_control.cli.output import import_ros, prepare, refuse_foreign, say
+from gms_flex_control.cli.output import conclude, import_ros, prepare, refuse_foreign, say
 
 MOTIONS = ('sinusoid', 'polynomial')
 MODES = ('none', 'gms_paper', 'gms')
@@ -49,12 +49,13 @@ def run(args):
     prepare(out, MARKER)
     driven = drive_all(plans, out)
     exact = simulate_all(plans, out)
-    table = report_all(driven, exact, out)
+    text, answer = report_all(driven, exact, out)
     if args.json:
         print((out / 'table4.json').read_text(encoding='utf-8'), end='')
         return 0
-    print(f'{table}\n\nreport   {out / "report.html"}\nnumbers  {out / "table4.json"}\n'
-          f'bags     {out / "bags"}\ndone in {time.monotonic() - begin:.0f} s')
+    print(f'{text}\n\ndone in {time.monotonic() - begin:.0f} s')
+    conclude(answer, {'report': out / 'report.html', 'numbers': out / 'table4.json',
+                      'bags': out / 'bags'})
     return 0
 
 
@@ -126,7 +127,7 @@ def simulate_all(plans, out):
 
 
 def report_all(driven, exact, out):
-    """Write table4.json, report.html and PNGs; return the tables as text."""
+    """Write table4.json, report.html and PNGs; return the tables as text, and the Answer."""
     from gms_flex_control.analysis.table4 import align
     from gms_flex_control.analysis.tracking import table4
     from gms_flex_control.reports.tracking import write_tracking_report
@@ -136,4 +137,4 @@ def report_all(driven, exact, out):
         subtitle='Three ROS 2 nodes in lockstep; the controller believes friction x 0.85, '
                  'stiffness x 1.05, masses x 0.93')
     return (f'Model error: friction x 0.85, stiffness x 1.05, masses x 0.93\n{table.text()}\n\n'
-            f'Exact model\n{align(*table4(exact).rows())}')
+            f'Exact model\n{align(*table4(exact).rows())}'), table.answer()

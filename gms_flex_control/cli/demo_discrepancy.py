@@ -6,7 +6,7 @@
 from pathlib import Path
 import time
 
-from gms_flex_control.cli.output import import_ros, prepare, refuse_foreign, say
+from gms_flex_control.cli.output import conclude, import_ros, prepare, refuse_foreign, say
 
 RATE = 500.0  # joint states per second [Hz]
 MARKER = '.gms_flex_demo_discrepancy'
@@ -38,7 +38,11 @@ def add_parser(subparsers):
 
 def run(args):
     """Hide, drive, find, drive again and report; return 0 if the name is right, the gap less."""
-    from gms_flex_control.reports.discrepancy_demo import outcome_text, write_demo_report
+    from gms_flex_control.reports.discrepancy_demo import (
+        demo_answer,
+        outcome_text,
+        write_demo_report,
+    )
 
     begin, out = time.monotonic(), Path(args.out)
     refuse_foreign(out, MARKER, 'demo-discrepancy')
@@ -51,9 +55,10 @@ def run(args):
     if args.json:
         print((out / 'report.json').read_text(encoding='utf-8'), end='')
     else:
-        print(f'{outcome_text(outcome)}\n\nreport   {out / "report.html"}\n'
-              f'numbers  {out / "report.json"}\nmodel    {out / "robot.yaml"}\n'
-              f'bags     {out / "bags"}\ndone in {time.monotonic() - begin:.0f} s')
+        print(f'{outcome_text(outcome)}\n\ndone in {time.monotonic() - begin:.0f} s')
+        conclude(demo_answer(outcome), {
+            'report': out / 'report.html', 'numbers': out / 'report.json',
+            'model': out / 'robot.yaml', 'bags': out / 'bags'})
     return int(not (outcome.named and outcome.shrank))
 
 

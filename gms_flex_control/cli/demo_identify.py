@@ -8,7 +8,7 @@ from pathlib import Path
 import time
 from typing import NamedTuple
 
-from gms_flex_control.cli.output import import_ros, prepare, refuse_foreign, say
+from gms_flex_control.cli.output import conclude, import_ros, prepare, refuse_foreign, say
 
 RATE = 500.0  # joint states per second [Hz]
 BELIEVED_FRICTION = 0.8  # of the true one, before identification
@@ -60,11 +60,34 @@ def run(args):
     if args.json:
         print(json.dumps({'bag': str(bag), 'tracking': values, 'allowed': ALLOWED}, indent=2))
         return verdict
-    made = [path for path in (bag, out / 'report.html', out / 'friction.yaml', out / 'log')
-            if path.exists()]
-    print('\n'.join(['', *lines, '', *map(str, made),
-                     f'done in {time.monotonic() - begin:.0f} s']))
+    print('\n'.join(['', *lines, '', f'done in {time.monotonic() - begin:.0f} s']))
+    made = {'bag': bag, 'report': out / 'report.html', 'parameters': out / 'friction.yaml',
+            'log': out / 'log'}
+    made = {name: path for name, path in made.items() if path.exists()}
+    if values:
+        conclude(answer_of(values, out), made)
+    else:
+        print('\n'.join(map(str, made.values())))
     return verdict
+
+
+def answer_of(values, out):
+    """Return how the robot tracks with the friction identified, of the worst three links."""
+    from gms_flex_control.answer import Answer, command, measured
+
+    rows = [(f'error of link {j + 1}, {motion} [mrad]', *(
+        of['copies'][name][j] for name in ('believed', 'identified', 'true')))
+        for motion, of in values.items() for j in range(len(of['true']))]
+    rows = sorted(rows, key=lambda row: row[3] / row[2])[:3]
+    name, before, after, floor = rows[0]
+    return Answer(
+        f'With the friction identified tracking errors are at most {after / floor:.3g} times '
+        f'those with the true friction, which are the floor; with what was believed they were '
+        f'{before / floor:.3g} times as large there ({name.partition(" [")[0]}; medians of 16 '
+        'robots).', ('believed', 'identified', 'true friction'),
+        tuple(measured(*row) for row in rows), command(
+            'view', *(out / 'tracking' / f'{MOTIONS[0]}_{name}' for name in (
+                'believed', 'identified'))))
 
 
 def fit(out, bag, experiment):
@@ -81,7 +104,7 @@ def fit(out, bag, experiment):
     truth = load_robot(robot_file())
     write_friction(found, out / 'friction.yaml')
     write_report_json(found, out / 'report.json')
-    write_identification_report(found, out, beside=truth)
+    write_identification_report(found, out, beside=truth, robot=[out / 'believed_robot.yaml'])
     return identification_text(found, beside=truth)
 
 

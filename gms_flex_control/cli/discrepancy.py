@@ -6,7 +6,7 @@
 from pathlib import Path
 
 from gms_flex_control.cli.batch_options import add_batch_options
-from gms_flex_control.cli.output import say
+from gms_flex_control.cli.output import conclude, say
 
 _WIDTH = 96
 _MADE = ('robot.yaml', 'gap.png', 'evidence_*.png', 'map_*.png', 'over_*.png')  # not by every run
@@ -154,7 +154,7 @@ def printed(result, compared, values, args):
     from textwrap import fill
 
     from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE
-    from gms_flex_control.reports.discrepancy import units_of
+    from gms_flex_control.reports.discrepancy import discrepancy_answer, units_of
     from gms_flex_control.reports.discrepancy_values import as_json
     from gms_flex_control.reports.model_comparison import comparison_text
 
@@ -163,13 +163,14 @@ def printed(result, compared, values, args):
         print(as_json(values))
     else:
         stream = sys.stderr if bad else sys.stdout
-        print(fill(f'gms_flex discrepancy: {words}' if bad else words, _WIDTH),
-              file=stream)
+        print(fill(f'gms_flex discrepancy: {words}' if bad else words, _WIDTH,
+                   break_on_hyphens=False), file=stream)
     if not args.json and not bad:
         if compared:
             print(units_of(result)(f'\n{comparison_text(compared, result.gap.joints)}'))
-        print(f'\nmodel   {out / "robot.yaml"}\nreport  {out / "report.html"}\n'
-              f'numbers {out / "report.json"}')
+        conclude(discrepancy_answer(result, out), {
+            'model': out / 'robot.yaml', 'report': out / 'report.html',
+            'numbers': out / 'report.json'}, units_of(result))
     return 2 if bad else int(result.verdict != COMPLETE)
 
 

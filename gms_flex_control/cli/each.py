@@ -12,6 +12,7 @@ import shutil
 from typing import NamedTuple
 from uuid import uuid4
 
+from gms_flex_control.cli.output import conclude
 from gms_flex_control.files import write_text
 
 MARK = '.gms_flex_each'  # in a folder of results: what they are the results of
@@ -281,7 +282,12 @@ def write_summary(args, found, text):
     import json
 
     from gms_flex_control.identification.over_bags import over_bags
-    from gms_flex_control.reports.over_bags import bags_csv, spread_csv, summary
+    from gms_flex_control.reports.over_bags import (
+        bags_csv,
+        over_bags_answer,
+        spread_csv,
+        summary,
+    )
 
     rows = over_bags({name: values for name, values in found.items()
                       if values['reason'] is None})
@@ -290,5 +296,8 @@ def write_summary(args, found, text):
     write_text(out / 'summary.csv', bags_csv(found))
     write_text(out / 'spread.csv', spread_csv(rows))
     write_text(out / 'summary.json', as_json + '\n')
-    print(as_json if args.json else f'{text(found, rows)}\n\neach bag  {out}/BAG/report.html\n'
-          f'all bags  {out / "summary.json"}, summary.csv, spread.csv')
+    print(as_json if args.json else text(found, rows))
+    if not args.json:
+        conclude(over_bags_answer(found, rows, args.bags), {
+            'each bag': out / 'BAG' / 'report.html',
+            'all bags': f'{out / "summary.json"}, summary.csv, spread.csv'})

@@ -3,7 +3,6 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """`gms_flex effects`: the catalogue of effects with their parameters."""
 
-import inspect
 import json
 
 
@@ -35,9 +34,10 @@ def run(args):
 
 def _entry(kind):
     """Return what is printed of an effect class, dict."""
+    from gms_flex_control.effects import registry
+
     place = 'arm' if kind.whole_arm else '<joint>'
-    return {'name': kind.name,
-            'what': inspect.getdoc(inspect.getmodule(kind)).splitlines()[0].rstrip('.'),
+    return {'name': kind.name, 'what': registry.in_words(kind.name),
             'parameters': [{'key': f'effects.{place}.{kind.name}.{one.name}', 'unit': one.unit,
                             'meaning': one.description, 'lower': _number(one.lower),
                             'upper': _number(one.upper)} for one in kind.parameters]}

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from gms_flex_control.cli.batch_options import add_batch_options, executor_if_asked
-from gms_flex_control.cli.output import refuse_unwritable, say
+from gms_flex_control.cli.output import conclude, refuse_unwritable, say
 
 
 def add_parser(subparsers):
@@ -51,10 +51,12 @@ def add_parser(subparsers):
 
 def run(args):
     """Identify, write and print; return 0, with --each 1 if a bag could not be identified."""
+    from functools import partial
     import json
 
     from gms_flex_control.identification.output import report_json
     from gms_flex_control.params.units import in_units
+    from gms_flex_control.reports.identification import identification_answer
     from gms_flex_control.reports.identification_text import identification_text
 
     refuse_unwritable(args.out)
@@ -65,13 +67,15 @@ def run(args):
     with executor_if_asked(args) as executor:
         found = identified(args.bags, args.holdout, robot, options, args.robot is not None,
                            say=quiet if args.json else say, executor=executor)
-    write_results(found, out)
+    write_results(found, out, args.robot or ())
     if args.json:
         print(json.dumps(report_json(found), indent=2, allow_nan=False))
         return 0
-    text = in_units(found.robot.arm, identification_text(found))
-    print(f'{text}\n\nparameters {out / "friction.yaml"}\n'
-          f'report     {out / "report.html"}\nnumbers    {out / "report.json"}')
+    words = partial(in_units, found.robot.arm)
+    print(words(identification_text(found)))
+    conclude(identification_answer(found, out, args.robot or ()), {
+        'parameters': out / 'friction.yaml', 'report': out / 'report.html',
+        'numbers': out / 'report.json'}, words)
     return 0
 
 
@@ -84,13 +88,13 @@ def identified(bags, holdouts, robot, options, described, **further):
     return replace(found, described=described)
 
 
-def write_results(found, out):
-    """Write all files of an Identification into the folder ``out``."""
+def write_results(found, out, robot=()):
+    """Write all files of an Identification of a robot file into the folder ``out``."""
     from gms_flex_control.identification.output import write_friction, write_report_json
     from gms_flex_control.reports.identification import write_identification_report
     write_friction(found, out / 'friction.yaml')
     write_report_json(found, out / 'report.json')
-    write_identification_report(found, out)
+    write_identification_report(found, out, robot=robot)
 
 
 def options_of(args):

@@ -8,9 +8,12 @@ from pathlib import Path
 import shutil
 import sys
 from tempfile import TemporaryDirectory
+from textwrap import fill
 
 from gms_flex_control.errors import BagError, ConfigError
 from gms_flex_control.files import write_text
+
+_WIDTH = 96  # of what is printed as sentences
 
 
 def say(text):
@@ -36,6 +39,36 @@ def write_or_print(text, out, told):
         print(f'{out}: {told}')
     else:
         print(text, end='')
+
+
+def conclude(answer, files, words=str) -> None:
+    """
+    Print where results are and, at last, the answer.
+
+    Parameters
+    ----------
+    answer : Answer
+        Of the verb.
+    files : dict of str to Path
+        What each holds.
+    words : callable
+        Applied to the answer, such as one that changes units.
+
+    """
+    width = max(map(len, files))
+    lines = [f'{name:<{width}}  {path}' for name, path in files.items()]
+    print('\n'.join(['', *lines, '', answer_text(answer, words)]))
+
+
+def answer_text(answer, words=str) -> str:
+    """Return an Answer as lines of text, in which no arrow stands at an end."""
+    from gms_flex_control.analysis.table4 import align
+    from gms_flex_control.answer import unbroken
+
+    sentence = fill(unbroken(words(answer.sentence)), _WIDTH, break_on_hyphens=False)
+    rows = [[words(cell) for cell in one] for one in answer.numbers]
+    return '\n\n'.join([sentence.replace('\u00a0→\u00a0', ' -> '), *(
+        [align(answer.header, rows)] if rows else []), f'next: {answer.command}'])
 
 
 def refuse_unwritable(out):

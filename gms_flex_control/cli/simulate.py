@@ -7,6 +7,7 @@ from itertools import product
 import json
 from pathlib import Path
 
+from gms_flex_control.answer import command
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.params.gains import COMPENSATIONS
 
@@ -71,6 +72,10 @@ def run(args):
                   f'MSE per link [{square}]  {shown}')
     if args.json:
         print(json.dumps(results, indent=2))
+        return 0
+    bags = [one['bag'] for one in results]
+    again = ('analyse', *bags, '--out', Path(args.out) / 'results') if several else ('view', *bags)
+    print(f'\nnext: {command(*again)}')
     return 0
 
 

@@ -8,6 +8,8 @@ import json
 import math
 from pathlib import Path
 
+from gms_flex_control.cli.output import conclude
+
 
 def add_parser(subparsers):
     """Add the verb to the tool's parser."""
@@ -33,7 +35,7 @@ def run(args):
     """Print the study, write the report if asked to, and return the exit code."""
     from gms_flex_control.analysis.torsion import study
     from gms_flex_control.bags.reader import read_recording
-    from gms_flex_control.reports.torsion import text, write_torsion_report
+    from gms_flex_control.reports.torsion import text, torsion_answer, write_torsion_report
     from gms_flex_control.schema.files import save_robot
 
     found = study(read_recording(args.bag), args.joint, args.stiffness, args.motor_inertia)
@@ -43,7 +45,7 @@ def run(args):
         robot = Path(args.out) / 'robot.yaml'
         save_robot(found.robot, robot, comment=comment(found))
         if not args.json:
-            print(f'\nreport: {page}\nrobot:  {robot}')
+            conclude(torsion_answer(found, args.out), {'report': page, 'robot': robot})
     return 0
 
 

@@ -6,7 +6,7 @@
 from pathlib import Path
 
 from gms_flex_control.cli.batch_options import add_batch_options
-from gms_flex_control.cli.output import refuse_unwritable
+from gms_flex_control.cli.output import conclude, refuse_unwritable
 
 _MOST_AT_LIMIT = 0.02  # share of a motion that may be spent at the torque limit
 # what a simulated figure depends on
@@ -87,6 +87,10 @@ def run(args):
     write_text(Path(args.out) / 'tuning.json', json.dumps(values, indent=2) + '\n')
     if args.json:
         print(json.dumps(values, indent=2))
+    else:
+        written = {} if proposal.unmet else {'gains': Path(args.out) / 'controller.yaml'}
+        conclude(words.answer_of(proposal, trials, robot, demands, args.robot or (), args.out),
+                 written | {'numbers': Path(args.out) / 'tuning.json'})
     found = values.get('verify', {'lost': [], 'unstable': []})
     return int(bool(proposal.unmet or found['lost'] or found['unstable']))
 
@@ -250,5 +254,3 @@ def write(args, robot, proposal, demands):
     save_values(words.controller_values(proposal.gains, robot.joints), out / 'controller.yaml',
                 comment=comment)
     save_figure(tuning_figure(robot, proposal.gains, demands.timing), out / 'tuning.png')
-    if not args.json:
-        print(f"\n{out / 'controller.yaml'}: load it as --params-file of the controller node")

@@ -6,6 +6,7 @@
 from typing import NamedTuple
 
 from gms_flex_control.comparison.contestants import (
+    Condition,
     conditions,
     CONTESTANTS,
     DRAWN,
@@ -16,6 +17,9 @@ from gms_flex_control.comparison.contestants import (
 from gms_flex_control.tuning.linear_loop import Timing
 from gms_flex_control.tuning.trial import MOTIONS, try_gains
 import numpy as np
+
+# what is left of the error where there is (next to) none to compensate
+FLOOR = Condition('without friction', 'without friction', friction=1e-6)
 
 
 class Setting(NamedTuple):
@@ -38,9 +42,15 @@ class Cell(NamedTuple):
 
 
 def cells(setting):
-    """Return the cells of a comparison by their keys (dict of str to Cell)."""
+    """Return the cells of a comparison, that of its floor at last, by their keys (dict)."""
     return {f'{mode} | {condition.name}': Cell(setting, mode, condition)
-            for condition in conditions(setting.draws) for mode in CONTESTANTS}
+            for condition in conditions(setting.draws) for mode in CONTESTANTS} | {
+        FLOOR.name: Cell(setting, 'none', FLOOR)}
+
+
+def floor_of(outcomes):
+    """Return the Trial, a dict, of each motion of a plant without friction: what is left then."""
+    return outcomes[FLOOR.name]
 
 
 def runs_of(cell):

@@ -1,9 +1,12 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""A comparison as one table for the terminal."""
+"""A comparison as one table for the terminal, and its answer."""
 
 from gms_flex_control.analysis.table4 import align
+from gms_flex_control.answer import Answer, command, measured
+from gms_flex_control.comparison import study
+from gms_flex_control.comparison.contestants import NOMINAL
 import numpy as np
 
 _GROUPS = {'friction': 'F+-30%', 'K': 'K+-20%', 'M': 'M+-30%', '4096 counts': '4k', '16384 counts':
@@ -81,3 +84,51 @@ def bag_text(predictions, found, joints):
                      for joint, value in zip(joints, rms, strict=True))
     return (f'{align(*bag_rows(predictions, joints))}\nrms error of the predicted friction torque '
             f'[mN m]; the measured one is {size}')
+
+
+def plant_answer(rows, outcomes, files=()) -> Answer:
+    """Return which compensation errs least in simulation (Answer); ``files`` of the robot."""
+    floor = study.floor_of(outcomes)
+    left = study.error_of(floor)
+    rest = None if left is None else max(floor['polynomial']['hold'])
+    best = min(rows, key=lambda row: _least(row.errors[NOMINAL]))
+    none = next(row for row in rows if row.mode == 'none')
+    steadiest = min(rows, key=lambda row: _least(middle(row.drawn)))
+    also = ('' if not best.drawn else ' and on robots drawn at random' if steadiest is best
+            else f', on robots drawn at random that of "{steadiest.name}"')
+    worst = [max(row.errors.values(), key=_least) for row in (none, best)]
+    numbers = (
+        measured('error, plant as believed [mrad]', none.errors[NOMINAL], best.errors[NOMINAL],
+                 left),
+        measured('error, robots drawn [mrad]', *(middle(row.drawn) for row in (none, best)), left)
+        if best.drawn else measured('error, one thing different [mrad]', *worst, left),
+        measured('motion at rest [mrad]', *(row.hold and max(row.hold) for row in (none, best)),
+                 rest))
+    robot = ('--robot', *files) if files else ()
+    return Answer(
+        f'On the plant as believed the error of "{best.name}" is the least{also}; the floor is '
+        'what encoders and the controller itself leave where there is no friction at all.',
+        ('none', best.name, 'floor'), numbers,
+        command('simulate', *robot, '--compensation', 'none', best.mode, '--out', 'bags'))
+
+
+def _least(error):
+    """Return an error for comparison: one that was lost is the largest."""
+    return np.inf if error is None else error
+
+
+def bag_answer(predictions, joints, source, files=()) -> Answer:
+    """Return which compensation predicts the rest of a bag best (Answer)."""
+    none = next(one for one in predictions if one.mode == 'none')
+    best = min((one for one in predictions if one.error is not None and not one.remark),
+               key=lambda one: np.sum(np.square(one.error)))
+    share = np.sqrt([np.sum(np.square(one)) / np.sum(np.square(of)) for one, of in (
+        (best.error, none.error), (best.fitted, none.fitted))])
+    rows = [measured('left of the friction torque [%]', 1.0, *share, scale=100.0)] + [
+        measured(f'error of {joint} [mN m]', *figures) for joint, *figures in zip(
+            joints, none.error, best.error, best.fitted, strict=True)]
+    return Answer(
+        f'"{best.name}" predicts the friction torque of the rest of the recording best and leaves '
+        f'{100.0 * share[0]:.3g} % of it; the floor is what the same model leaves of the part '
+        'that it was fitted to.', ('none', best.name, 'floor'), tuple(rows[:3]), command(
+            'identify', source, *(('--robot', *files) if files else ()), '--out', 'friction'))

@@ -6,7 +6,7 @@
 from typing import NamedTuple
 
 from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE, FOUND
-from gms_flex_control.effects.registry import find, names
+from gms_flex_control.effects.registry import find, in_words, names
 import numpy as np
 
 _IN_FULL = 5          # findings that are named in full
@@ -82,8 +82,8 @@ def value_words(finding):
 
 def named(finding):
     """Return a finding in few words."""
-    summary = (find(finding.effect).__doc__ or '').strip().splitlines()[0]
-    return f'{finding.effect} of {finding.joint} ({value_words(finding)}; {summary.rstrip(".")})'
+    return (f'{finding.effect} of {finding.joint} ({value_words(finding)}; '
+            f'{in_words(finding.effect)})')
 
 
 def of_noise(noise):

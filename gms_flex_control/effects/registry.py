@@ -11,6 +11,7 @@ A package offers its class in the group ``gms_flex_control.effects``, for exampl
 
 from functools import cache
 from importlib import import_module, metadata
+import inspect
 import pkgutil
 
 from gms_flex_control.effects import catalogue
@@ -37,6 +38,11 @@ def _offered():
 def names() -> tuple[str, ...]:
     """Return the names of all effects, sorted; nothing is imported for it."""
     return tuple(sorted(_in_catalogue().union(_offered())))
+
+
+def in_words(name: str) -> str:
+    """Return what an effect of the catalogue is, such as 'Play in the transmission'."""
+    return inspect.getdoc(inspect.getmodule(find(name))).splitlines()[0].rstrip('.')
 
 
 @cache

@@ -24,18 +24,22 @@ def plant_page(rows, outcomes, setting, source):
         Of the cells by their keys.
     setting : Setting
         Of the comparison.
-    source : str
-        The robot files, '' for the arm of the paper.
+    source : sequence of str
+        The robot files, none for the arm of the paper.
 
     Returns
     -------
     Report
 
     """
-    robot = setting.robot
-    page = Report('Friction compensations compared',
-                  f'{source or "the arm of the paper"}, {setting.rate:g} Hz, sinusoid and '
-                  f'polynomial of {setting.amplitude[0]:g} rad, simulated')
+    robot, answer = setting.robot, words.plant_answer(rows, outcomes, source)
+    page = Report('Friction compensations compared', answer,
+                  f'{", ".join(source) or "the arm of the paper"}, {setting.rate:g} Hz, sinusoid '
+                  f'and polynomial of {setting.amplitude[0]:g} rad, simulated')
+    *traces, (motion, joint, series, time) = _traces(setting, _named(NOMINAL))
+    page.chart(f'{motion}, {joint}: link angle - reference', time, [
+        one._replace(hidden=one.label not in ('none', answer.columns[1])) for one in series],
+        y_label='error [mrad]')
     page.heading('All in one table').table(
         words.header(rows), [words.cells_of(row) for row in rows])
     page.text(' '.join(words.NOTE.split()) + '.')
@@ -56,12 +60,12 @@ def plant_page(rows, outcomes, setting, source):
         page.heading('Robots drawn at random').xy_chart(
             'error of all drawn robots, the best first', [_ranked(row) for row in rows],
             'share of robots', 'rms error [mrad]', log_x=False)
-    for condition, title in ((_named(NOMINAL), 'Error over time, plant as believed'),
-                             (mixed(), f'Error over time, {_MIXED}')):
+    for title, shown in (('Error over time, plant as believed', traces),
+                         (f'Error over time, {_MIXED}', _traces(setting, mixed()))):
         page.heading(title)
-        for motion, joint, series, time in _traces(setting, condition):
+        for motion, joint, series, time in shown:
             page.chart(f'{motion}, {joint}', time, series, y_label='error [mrad]',
-                       group=f'{motion} {condition.name}')
+                       group=f'{motion} {title}')
     page.note(f'{_MIXED}: friction {1 / FRICTION:.3g}, K {1 / STIFFNESS:.3g} and M '
               f'{1 / MASS:.3g} times what the controller believes, as in docs/model.md.')
     return page
@@ -103,7 +107,7 @@ def _traces(setting, condition):
             yield motion, joint, series, runs['none'].time
 
 
-def bag_page(predictions, found, joints, source, share):
+def bag_page(predictions, found, joints, source, share, files=()):
     """
     Return the page of a comparison along a bag.
 
@@ -119,19 +123,34 @@ def bag_page(predictions, found, joints, source, share):
         The bag.
     share : float
         Of it that was fitted.
+    files : sequence of str
+        Of the robot, if not the arm of the paper.
 
     Returns
     -------
     Report
 
     """
-    page = Report('Friction torque along a recording', f'{source}: the first {100 * share:.0f} % '
-                  'fitted, the rest judged')
+    answer = words.bag_answer(predictions, joints, source, files)
+    page = Report('Friction torque along a recording', answer, f'{source}: the first '
+                  f'{100 * share:.0f} % fitted, the rest judged')
+    (title, time, lines, _), *others = _torques(predictions, found, joints)
+    page.chart(f'{title}: friction torque', time, [
+        one._replace(hidden=one.label not in ('measured', answer.columns[1])) for one in lines],
+        y_label='friction torque [N m]')
     page.heading('Errors').table(*words.bag_rows(predictions, joints),
                                  caption='rms error of the friction torque [mN m]')
     page.text('Measured is what the link equation lacks, behind the same low-pass as the '
               'predictions. One that sees the torque, or adapts to it, predicts nothing.')
-    page.heading('Torque over time')
+    if others:
+        page.heading('Torque over time')
+    for title, time, lines, group in others:
+        page.chart(title, time, lines, y_label='friction torque [N m]', group=group)
+    return page
+
+
+def _torques(predictions, found, joints):
+    """Yield title, time, Series of measurement and predictions, and group of each chart."""
     for k, piece in enumerate(found.pieces):
         name = f', piece {k + 1}' if len(found.pieces) > 1 else ''
         for j, joint in enumerate(joints):
@@ -139,6 +158,4 @@ def bag_page(predictions, found, joints, source, share):
             lines += [Series(one.name, one.torque[k][:, j], role=_role(one.mode),
                              hidden=one.mode in ('stribeck', 'disturbance_observer'))
                       for one in predictions if one.torque and one.mode != 'none']
-            page.chart(f'{joint}{name}', piece.time, lines, y_label='friction torque [N m]',
-                       group=f'piece {k}')
-    return page
+            yield f'{joint}{name}', piece.time, lines, f'piece {k}'

@@ -5,29 +5,36 @@
 
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
+from gms_flex_control.answer import Answer, command, Number
 from gms_flex_control.discrepancy.describe import (
+    angle_scale,
     capitalised,
     of_noise,
+    Scale,
     torque_scale,
+    value_words,
 )
 from gms_flex_control.discrepancy.free_run import all_known, free_runs, HORIZON
 from gms_flex_control.discrepancy.motion import motion_of
+from gms_flex_control.discrepancy.residual_views import (
+    Along,
+    evidence_of,
+    maps_of,
+    over_all,
+    residuals_of,
+)
 from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE, FOUND, UNEXPLAINED
-from gms_flex_control.effects.registry import find
+from gms_flex_control.effects.registry import in_words
 from gms_flex_control.params.units import in_units
 from gms_flex_control.reports.discrepancy_figures import (
     evidence_figure,
     gap_figure,
     maps_figure,
     over_figure,
-)
-from gms_flex_control.reports.discrepancy_views import (
-    Along,
-    evidence_of,
-    maps_of,
-    over_all,
-    residuals_of,
+    WITH,
+    WITHOUT,
 )
 from gms_flex_control.reports.figures import file_stem, save_figure
 from gms_flex_control.reports.model_comparison import comparison_rows
@@ -37,7 +44,11 @@ import numpy as np
 TITLES = {COMPLETE: 'Nothing is missing', FOUND: 'Effects the model lacks',
           UNEXPLAINED: 'Something is missing that has no name here',
           BAD_DATA: 'The data are at fault'}
+COLUMNS = (WITHOUT, WITH, 'noise floor')
 MOST_PICTURES = 8     # findings with a picture and a chart of their own
+_AT_FLOOR = 1.3       # error over floor that counts as the floor itself
+_SCALES = {'rad': angle_scale, 'N m': torque_scale}
+_CHANGED = 0.02       # share of an error that is worth a word
 _POINTS = 12_000      # of one line over time
 _CLOUD = 3_000        # points of a cloud
 
@@ -64,10 +75,81 @@ def write_discrepancy_report(result, folder, *, holdout=(), models=()):
 
     """
     folder = Path(folder)
-    report = Report('What the model lacks', f'{TITLES[result.verdict]} - '
-                    + ', '.join(result.sources), units_of(result))
+    report = Report(TITLES[result.verdict], discrepancy_answer(result, folder),
+                    ', '.join(result.sources), units_of(result))
     pictures = add_discrepancy(report, result, folder, holdout=holdout, models=models)
     return [report.write(folder / 'report.html'), *pictures]
+
+
+def discrepancy_answer(result, folder) -> Answer:
+    """Return what the model lacks and how much closer it came (Answer); robot.yaml in a folder."""
+    if result.gap is None:
+        return Answer(result.faults[0] if result.faults else result.words, (), (),
+                      command('info', *result.sources))
+    torque, angle = gap_numbers(result.gap)
+    numbers = [torque[0], angle[0], *_values(result), *torque[1:], *angle[1:]]
+    return Answer(_sentence(result), COLUMNS, tuple(numbers[:3]), command(
+        'identify', *result.sources, '--robot', Path(folder) / 'robot.yaml', '--out',
+        Path(folder) / 'friction'))
+
+
+def gap_numbers(gap):
+    """Return Numbers of residual torque and of free-run error, the largest change first."""
+    torque, angle = torque_scale(gap.retuned), angle_scale(gap.free_before)
+    return tuple([
+        Number(f'{name} of {gap.joints[j]} [{scale.unit}]', *(
+            scale.text(values[j]) for values in (without, found, floor)))
+        for j in np.argsort(-np.nan_to_num(without - found), kind='stable')]
+        for name, scale, without, found, floor in (
+            ('residual torque', torque, gap.retuned, gap.after, gap.floor),
+            ('error of free runs', angle, gap.free_before, gap.free_after, gap.free_floor)))
+
+
+def _values(result):
+    """Return the values of the finding that matters most as Numbers; noise makes its interval."""
+    if not result.named:
+        return []
+    first, numbers = result.named[0], []
+    for value in first.values:
+        scale = _SCALES.get(value.unit, lambda _, unit=value.unit: Scale(unit, 1.0))(value.value)
+        numbers.append(Number(
+            f'{value.name} of {first.effect}' + ('' if scale.unit == '1' else f' [{scale.unit}]'),
+            '-', *map(scale.text, (value.value, 0.5 * (value.high - value.low)))))
+    return numbers
+
+
+def _sentence(result):
+    if not result.findings:
+        return ('Something is missing that no effect of the catalogue explains: '
+                f'{result.unexplained.sentence}' if result.unexplained is not None else
+                'Nothing that matters is missing: on data held out the model errs by no more than '
+                'the noise floor, which is what encoders and torque noise alone would make.')
+    effects = ' and '.join(
+        f'{one.effect} of {one.joint} ({value_words(one)}'
+        + (f'; indistinguishable here from {", ".join(one.confusable_with)})'
+           if one.confusable_with else ')') for one in result.findings)
+    gap = result.gap
+    changes = [_change(*figures) for figures in (
+        ('the residual torque', gap.retuned, gap.after, gap.floor),
+        ('the error of free runs', gap.free_before, gap.free_after, gap.free_floor))
+        if np.nansum(figures[1]) > 0.0]
+    at_floor = [name for name, _, there in changes if there]
+    which = 'both' if len(at_floor) == 2 else ''.join(at_floor)
+    where = f', {which} to about the noise floor, which' if at_floor else '. The noise floor'
+    found = 'it' if len(result.findings) == 1 else 'them'
+    return (f'The model lacks {effects}: with {found}, on data held out, '
+            f'{" and ".join(change for _, change, _ in changes)}{where} is what encoders and '
+            'torque noise alone would leave.')
+
+
+def _change(name, without, found, floor):
+    """Return an error's name, how it changes in words, and whether it shrinks to its floor."""
+    before, after, least = (float(np.sqrt(np.nansum(one ** 2))) for one in (without, found, floor))
+    share = 1.0 - after / before
+    if abs(share) < _CHANGED:
+        return name, f'{name} stays as it is', False
+    return (name, f'{name} {"shrinks" if share > 0.0 else "grows"} by {100.0 * abs(share):.0f} %',
+            share > 0.0 and after <= _AT_FLOOR * least)
 
 
 def units_of(result):
@@ -75,9 +157,9 @@ def units_of(result):
     return str if result.robot is None else partial(in_units, result.robot.arm)
 
 
-def add_discrepancy(report, result, folder, *, holdout=(), models=()):
+def add_discrepancy(report, result, folder, *, holdout=(), models=(), opened=False):
     """
-    Add everything about a discrepancy to a page and write the PNGs.
+    Add everything about a discrepancy to a page, its picture first, and write the PNGs.
 
     Parameters
     ----------
@@ -85,6 +167,8 @@ def add_discrepancy(report, result, folder, *, holdout=(), models=()):
         The page.
     result, folder, holdout, models
         As of `write_discrepancy_report`.
+    opened : bool
+        Whether the page has its picture, so that all of this folds.
 
     Returns
     -------
@@ -95,23 +179,34 @@ def add_discrepancy(report, result, folder, *, holdout=(), models=()):
     pictures = []
 
     def picture(figure, name):
-        path = folder / name
-        save_figure(figure, path, units_of(result))
-        pictures.append(path)
-        return path
+        save_figure(figure, folder / name, units_of(result))
+        pictures.append(folder / name)
+        return figure
 
+    if result.behind is None:
+        _add_summary(report, result)
+        return pictures
+    along = Along(result.behind.likelihood)
+    evidence = [evidence_of(along, result.behind.after, finding)
+                for finding in result.named[:MOST_PICTURES]]
+    runs = _free_runs(result.behind, holdout)
+    first = None  # what stands open: how an effect shows, or the free runs of a joint
+    if evidence and not opened:
+        first = evidence[0]
+        _add_evidence_chart(report, first)
+    elif not opened:
+        first = int(np.argmax(np.nan_to_num(result.gap.free_after)))
+        _add_free_run(report, runs, first)
     _add_summary(report, result)
-    if result.behind is not None:
-        along = Along(result.behind.likelihood)
-        report.figure(picture(gap_figure(result.gap), 'gap.png'),
-                      'The gap on data held out')
-        _add_rest_and_noise(report, result)
-        _add_findings(report, result, along, picture)
-        _add_left(report, result)
-        _add_residuals(report, along, result.behind, picture)
-        _add_free_runs(report, result.behind, holdout)
-        _add_closed_loop(report, result.gap.closed_loop)
-        _add_tables(report, result, models)
+    report.figure(picture(gap_figure(result.gap), 'gap.png'),
+                  'The gap on data held out')
+    _add_rest_and_noise(report, result)
+    _add_findings(report, result, evidence, picture, first)
+    _add_left(report, result)
+    _add_residuals(report, along, result.behind, picture)
+    _add_free_runs(report, runs, first)
+    _add_closed_loop(report, result.gap.closed_loop)
+    _add_tables(report, result, models)
     return pictures
 
 
@@ -124,10 +219,10 @@ def _add_summary(report, result):
     if result.gap is not None:
         report.heading('The gap')
         report.text('Each bar is what a model leaves on data that took no part in its fit. '
-                    'Re-tuned means that only parameters the model has already were moved, as far '
-                    'as their priors make plausible. The noise floor is a null simulation: a run '
-                    'of the final model itself, read through encoders like those of the '
-                    'recording, with its torque noise.')
+                    'Without effects, on all of this page, the parameters the model has already '
+                    'are re-tuned, as far as their priors make plausible. The noise floor is a '
+                    'null simulation: a run of the final model itself, read through encoders like '
+                    'those of the recording, with its torque noise.')
 
 
 def _add_rest_and_noise(report, result):
@@ -135,7 +230,7 @@ def _add_rest_and_noise(report, result):
     if np.isfinite(gap.rest_after).any():
         scale = torque_scale([gap.rest_before, gap.rest_after])
         report.table(
-            ('joint', f're-tuned [{scale.unit}]', f'with the effects found [{scale.unit}]'),
+            ('joint', *(f'{name} [{scale.unit}]' for name in (WITHOUT, WITH))),
             [(joint, scale.text(before), scale.text(after)) for joint, before, after in zip(
                 gap.joints, gap.rest_before, gap.rest_after, strict=True)],
             'Residual torque while links stand, rms: friction at rest is anything up to '
@@ -147,7 +242,7 @@ def _add_rest_and_noise(report, result):
                      'Beyond what encoders make; the likelihood takes it into account')
 
 
-def _add_findings(report, result, along, picture):
+def _add_findings(report, result, evidence, picture, first):
     findings = result.named
     report.heading('What was found')
     if findings:
@@ -167,19 +262,18 @@ def _add_findings(report, result, along, picture):
         for own, model in zip(sets, result.models, strict=True)],
         'The credible set: the fewest models that hold 95 % of the probability'
         + (f'. All of them have {_names(common)}; beside these:' if common else ''))
-    for i, finding in enumerate(findings[:MOST_PICTURES]):
+    for i, (finding, shown) in enumerate(zip(findings, evidence, strict=False)):
         report.heading(f'{finding.effect} of {finding.joint}', level=3)
-        report.text(_summary_of(finding.effect))
+        report.text(f'{in_words(finding.effect)}.')
         report.text(capitalised(finding.evidence))
         if finding.confusable_with:
             report.note(f'Indistinguishable in these data from '
                         f'{", ".join(finding.confusable_with)}. Discriminating experiment: '
                         f'{finding.tells_apart}.', warning=True)
-        evidence = evidence_of(along, result.behind.after, finding)
         stem = file_stem(f'{finding.effect}_{finding.joint}')
-        report.figure(picture(evidence_figure(evidence), f'evidence_{i + 1}_{stem}.png'),
-                      f'{finding.effect} of {finding.joint}: over {evidence.x_label}')
-        _add_evidence_chart(report, evidence)
+        picture(evidence_figure(shown), f'evidence_{i + 1}_{stem}.png')
+        if shown is not first:
+            _add_evidence_chart(report, shown)
 
 
 def _names(effects):
@@ -196,11 +290,6 @@ def _finding_row(finding, scale):
             ', '.join(finding.confusable_with))
 
 
-def _summary_of(effect):
-    lines = (find(effect).__doc__ or '').strip().splitlines()
-    return lines[0] if lines else ''
-
-
 def _add_evidence_chart(report, evidence):
     step, scale = max(1, len(evidence.x) // _CLOUD), torque_scale(evidence.y)
     size = scale.factor
@@ -208,14 +297,11 @@ def _add_evidence_chart(report, evidence):
                     points=True)]
     for curve, role, name in ((evidence.before, 'c1', 'without it'),
                               (evidence.after, 'c0', 'with it')):
-        curves += [Curve(name, curve.x, size * curve.mean, role)]
-        curves += [Curve(f'{name}, 95 % {side}', curve.x,
-                         size * (curve.mean + sign * curve.half), role, dashed=True, hidden=True)
-                   for sign, side in ((-1.0, 'low'), (1.0, 'high'))]
+        curves.append(Curve(name, curve.x, size * curve.mean, role))
     curves.append(Curve('the effect itself', evidence.own.x, size * evidence.own.mean, 'c2',
                         dashed=True))
-    report.xy_chart(f'torque {evidence.title}', curves, evidence.x_label,
-                    f'torque [{scale.unit}]')
+    report.xy_chart(f'{evidence.effect} of {evidence.joint}: torque {evidence.title}', curves,
+                    evidence.x_label, f'torque [{scale.unit}]')
 
 
 def _add_left(report, result):
@@ -244,26 +330,36 @@ def _add_residuals(report, along, behind, picture):
             report.figure(picture(over_figure(own), f'over_{name}_{equation}.png'),
                           f'{joint}: missing in the {equation} equation, over each variable')
     report.table(
-        ('joint', 'equation', 'variable', 'before', 'after', 'by chance',
-         'bins off zero: before', 'after', 'by chance'),
+        ('joint', 'equation', 'variable', WITHOUT, WITH, 'by chance',
+         f'bins off zero: {WITHOUT}', WITH, 'by chance'),
         [(one.joint, one.equation, one.variable,
           *(f'{100.0 * share:.0f} %' for share in (*one.shares, *one.off_zero)))
          for one in sorted(over, key=lambda one: -one.shares[0])],
-        'Share of the residual that is a function of one variable alone: known parameters '
-        're-tuned, with the effects found, and in a null simulation, which shows what is chance; '
-        'and the share of bins whose 95 % band leaves zero out')
+        'Share of the residual that is a function of one variable alone, also in a null '
+        'simulation, which shows what is chance; and the share of bins whose 95 % band leaves '
+        'zero out')
     first = along.likelihood.whitenings[0]
     time, split = first.time[first.settled], first.settled.sum()
     scale = torque_scale(before[:split])
     for j, joint in enumerate(along.joints):
         for equation, column in along.channels(j):
             report.chart(f'{joint}: missing in the {equation} equation', time, [
-                Series('before', scale.factor * before[:split, column], role='c1'),
-                Series('after', scale.factor * after[:split, column], role='c0')],
+                Series(WITHOUT, scale.factor * before[:split, column], role='c1'),
+                Series(WITH, scale.factor * after[:split, column], role='c0')],
                 y_label=f'torque [{scale.unit}]')
 
 
-def _add_free_runs(report, behind, holdout):
+class _FreeRuns(NamedTuple):
+    """Simulated less measured link angles of free runs, one after another."""
+
+    motion: object
+    time: np.ndarray    # (T,) [s]
+    without: np.ndarray  # (T, n) [rad], NaN before each start
+    found: np.ndarray
+
+
+def _free_runs(behind, holdout):
+    """Return the free runs of the first recording held out, else fitted."""
     likelihood = behind.likelihood
     motion = motion_of(holdout[0], likelihood.robot) if holdout else likelihood.motions[0]
     (starts, measured, before), (_, _, after) = (
@@ -272,25 +368,28 @@ def _add_free_runs(report, behind, holdout):
     time = (starts[:, None] - motion.fine_time[0]
             + motion.fine_period * np.arange(measured.shape[1]))
 
-    def line(values):  # NaN lifts the pen before each start
-        kept = np.array(values[:, ::step], dtype=float)
+    def error(values):  # NaN lifts the pen before each start
+        kept = np.array(values - measured)[:, ::step]
         kept[:, -1] = np.nan
-        return kept.ravel()
-    time = time[:, ::step].ravel()
-    report.heading('Measured and simulated motion')
+        return kept.reshape(-1, measured.shape[2])
+    return _FreeRuns(motion, time[:, ::step].ravel(), error(before), error(after))
+
+
+def _add_free_runs(report, runs, left_out):
+    report.heading('Simulated less measured motion')
     report.text(f'From the measured state, every {HORIZON:g} s anew, each model runs on freely '
-                'under the recorded torque alone; nothing corrects it'
-                + (f'. Recording: {motion.source}.' if holdout or len(likelihood.motions) > 1
-                   else '.'))
-    for j, joint in enumerate(motion.joints):
-        report.chart(f'{joint}: link angle', time, [
-            Series('measured', measured[:, ::step, j].ravel(), role='reference'),
-            Series('before', line(before[:, :, j]), role='c1'),
-            Series('after', line(after[:, :, j]), role='c0')], y_label='angle [rad]')
-        report.chart(f'{joint}: simulated - measured', time, [
-            Series(name, 1e3 * line(values[:, :, j] - measured[:, :, j]), role=role)
-            for name, values, role in (('before', before, 'c1'), ('after', after, 'c0'))],
-            y_label='angle [mrad]')
+                'under the recorded torque alone; nothing corrects it. Recording: '
+                f'{runs.motion.source}.')
+    for j in range(len(runs.motion.joints)):
+        if j is not left_out:
+            _add_free_run(report, runs, j)
+
+
+def _add_free_run(report, runs, j):
+    report.chart(f'{runs.motion.joints[j]}: free runs, simulated - measured', runs.time, [
+        Series(name, 1e3 * values[:, j], role=role) for name, values, role in (
+            (WITHOUT, runs.without, 'c1'), (WITH, runs.found, 'c0'))],
+        y_label='angle [mrad]', group='free runs')
 
 
 def _simulated(likelihood, motion, model):
@@ -315,8 +414,7 @@ def _add_closed_loop(report, again):
                 'the model as given, as it did on the robot. The noise floor is by what two '
                 'runs of the final model differ that differ in encoder noise alone.')
     report.table(
-        ('joint', 'as given [mrad]', 're-tuned [mrad]', 'with the effects [mrad]',
-         'noise floor [mrad]'),
+        ('joint', *(f'{name} [mrad]' for name in ('as given', *COLUMNS))),
         [(joint, *(f'{1e3 * value[j]:.3g}' for value in (
             again.before, again.retuned, again.after, again.floor)))
          for j, joint in enumerate(again.joints)],
@@ -324,8 +422,8 @@ def _add_closed_loop(report, again):
     for j, joint in enumerate(again.joints):
         report.chart(f'{joint}: closed loop, simulated - measured', again.time, [
             Series(name, 1e3 * (course[:, j] - again.measured[:, j]), role=role)
-            for name, course, role in (('before', again.course_before, 'c1'),
-                                       ('after', again.course_after, 'c0'))],
+            for name, course, role in ((WITHOUT, again.course_before, 'c1'),
+                                       (WITH, again.course_after, 'c0'))],
             y_label='angle [mrad]')
 
 

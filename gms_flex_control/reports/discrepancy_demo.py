@@ -9,10 +9,12 @@ from typing import Any, NamedTuple
 from gms_flex_control import __version__
 from gms_flex_control.analysis.table4 import align
 from gms_flex_control.analysis.tracking import link_error, link_rms
+from gms_flex_control.answer import Answer, command, measured
 from gms_flex_control.discrepancy.result import Discrepancy
 from gms_flex_control.effect_compensation.known import compensated
 from gms_flex_control.hidden.written import described
-from gms_flex_control.reports.discrepancy import add_discrepancy
+from gms_flex_control.reports.discrepancy import add_discrepancy, gap_numbers
+from gms_flex_control.reports.discrepancy_figures import WITH, WITHOUT
 from gms_flex_control.reports.discrepancy_values import plain, report_values, write_report_values
 from gms_flex_control.reports.figures import (
     COLOURS,
@@ -24,7 +26,8 @@ from gms_flex_control.reports.figures import (
 from gms_flex_control.reports.page import Report, Series
 import numpy as np
 
-BELIEFS = {'believed': 'before', 'found': 'with what was found', 'true': 'true model'}
+BELIEFS = {'believed': WITHOUT, 'found': WITH, 'true': 'true model'}
+COLUMNS = (WITHOUT, WITH, 'noise floor, or true model')
 _COLOURS = dict(zip(BELIEFS, (COLOURS[1], COLOURS[0], '0.35'), strict=True))
 _ROLES = dict(zip(BELIEFS, ('c1', 'c0', 'reference'), strict=True))
 
@@ -93,7 +96,7 @@ def outcome_rows(outcome):
     tracking = outcome.tracking
     rows += _rows([('tracking error [mrad]', *(tracking[belief] for belief in BELIEFS))],
                   outcome.hidden.robot.joints)
-    return ('rms', 'joint', 'before', 'after', 'noise floor / true model'), rows
+    return ('rms', 'joint', *COLUMNS), rows
 
 
 def _rows(kinds, joints):
@@ -116,14 +119,32 @@ def revealed(outcome):
         sentence += 'not named'
     sentence += ', and the gap shrank.' if outcome.shrank else ', and the gap did not shrink.'
     if not compensated(truth['effect']):
-        sentence += ' No controller can compensate it: tracking is as before.'
+        sentence += ' No controller can compensate it: tracking stays as it is.'
     return sentence
 
 
 def outcome_text(outcome):
     """Return the summary for a terminal."""
-    header, rows = outcome_rows(outcome)
-    return f'{align(header, rows)}\n\n{revealed(outcome)}'
+    return align(*outcome_rows(outcome))
+
+
+def demo_answer(outcome) -> Answer:
+    """Return whether what was hidden was found, and what that changes (Answer)."""
+    tracking, gap = outcome.tracking, outcome.result.gap
+    joints = outcome.hidden.robot.joints
+    worst = _worst(outcome)
+    numbers = [] if gap is None else [kind[0] for kind in gap_numbers(gap)]
+    numbers.append(measured(f'tracking error of {joints[worst]} [mrad]', *(
+        tracking[belief][worst] for belief in BELIEFS)))
+    bags = (outcome.recordings[belief].source for belief in ('believed', 'found'))
+    return Answer(f'{revealed(outcome)} The noise floor is what encoders and torque noise alone '
+                  'would leave.', COLUMNS, tuple(numbers), command('view', *bags))
+
+
+def _worst(outcome):
+    """Return the index of the link that what was found helps most."""
+    tracking = outcome.tracking
+    return int(np.argmax(tracking['believed'] - tracking['found']))
 
 
 def write_demo_report(outcome, folder):
@@ -139,20 +160,23 @@ def write_demo_report(outcome, folder):
 
     """
     folder = Path(folder)
-    report = Report('What does the model lack? A demonstration',
+    report = Report('What does the model lack? A demonstration', demo_answer(outcome),
                     'Three ROS 2 nodes in lockstep; the plant has something in it that the tool, '
                     'given a bag and the robot file believed in, does not know')
-    report.heading('Before and after')
-    report.text('The arm was driven through a motion by a controller that believed the robot '
-                'file, every parameter 1 to 3 % off. What the workflow found in the bag was '
-                'added to the model, if it helps; the controller then drove the same motion '
-                'believing that, and once more believing the truth. The upper rows are measured '
-                'on blocks of the bag that no fit has seen, before: known parameters re-tuned.')
-    report.table(*outcome_rows(outcome))
     save_figure(tracking_figure(outcome), folder / 'tracking.png')
-    report.figure(folder / 'tracking.png', 'How the links follow, by what the controller believes')
-    _add_errors(report, outcome)
-    add_discrepancy(report, outcome.result, folder)
+    worst = _worst(outcome)
+    _add_error(report, outcome, worst)
+    report.heading('Without and with the effects')
+    report.text('The arm was driven through a motion by a controller that believed the robot '
+                'file, every parameter 1 to 3 % off: without effects. What the workflow found in '
+                'the bag was added to the model, if it helps; the controller then drove the same '
+                'motion believing that, and once more believing the truth. The upper rows are '
+                'measured on blocks of the bag that no fit has seen.')
+    report.table(*outcome_rows(outcome))
+    for j in range(len(outcome.hidden.robot.joints)):
+        if j != worst:
+            _add_error(report, outcome, j)
+    add_discrepancy(report, outcome.result, folder, opened=True)
     _add_truth(report, outcome)
     write_report_values(outcome_values(outcome), folder / 'report.json')
     report.write(folder / 'report.html')
@@ -175,18 +199,17 @@ def tracking_figure(outcome):
     return finished(figure, panels, 'Tracking error, by the model that the controller believes')
 
 
-def _add_errors(report, outcome):
+def _add_error(report, outcome, j):
     recordings = outcome.recordings
-    for j, joint in enumerate(outcome.hidden.robot.joints):
-        report.chart(f'{joint}: tracking error', recordings['believed'].time, [
-            Series(BELIEFS[belief], 1e3 * link_error(recording)[:, j], x=recording.time,
-                   role=_ROLES[belief]) for belief, recording in recordings.items()],
-            y_label='angle [mrad]')
+    report.chart(f'{outcome.hidden.robot.joints[j]}: tracking error, by what the controller '
+                 'believes', recordings['believed'].time, [
+                     Series(BELIEFS[belief], 1e3 * link_error(recording)[:, j], x=recording.time,
+                            role=_ROLES[belief]) for belief, recording in recordings.items()],
+                 y_label='angle [mrad]')
 
 
 def _add_truth(report, outcome):
     report.heading('What was hidden')
-    report.note(revealed(outcome), warning=not (outcome.named and outcome.shrank))
     truth = described(outcome.hidden.effect)['parameters']
     found = {value.name: value for value in outcome.first.values} if outcome.named else {}
     report.table(

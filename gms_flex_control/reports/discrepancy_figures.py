@@ -16,6 +16,7 @@ _CLEAR = 0.99         # of what is drawn there: the farthest bins are cut
 # one colour for one model in every picture and chart
 GIVEN, BEFORE, AFTER, FLOOR = '0.65', COLOURS[1], COLOURS[0], '0.35'
 OWN = COLOURS[2]
+WITHOUT, WITH = 'without effects', 'with effects'
 
 
 def gap_figure(gap):
@@ -37,12 +38,12 @@ def gap_figure(gap):
     torque = torque_scale(gap.before)
     angle = angle_scale(gap.free_before)
     _bars(panels[0], gap.joints, torque, (
-        ('as given', gap.before, GIVEN), ('known parameters re-tuned', gap.retuned, BEFORE),
-        ('with the effects found', gap.after, AFTER),
+        ('as given', gap.before, GIVEN), (WITHOUT, gap.retuned, BEFORE),
+        (WITH, gap.after, AFTER),
         ('noise floor', gap.floor, FLOOR)))
     _bars(panels[1], gap.joints, angle, (
-        ('known parameters re-tuned', gap.free_before, BEFORE),
-        ('with the effects found', gap.free_after, AFTER),
+        (WITHOUT, gap.free_before, BEFORE),
+        (WITH, gap.free_after, AFTER),
         ('noise floor', gap.free_floor, FLOOR)))
     finished(figure, panels, 'Between model and measurement, on data held out')
     panels[0].set_xlabel(f'residual torque in motion, rms [{torque.unit}]')
@@ -150,8 +151,8 @@ def maps_figure(maps, joint):
         lower.set_xlabel(one.x_label, fontsize=8)
     figure.colorbar(drawn, ax=panels, location='bottom', shrink=0.6, aspect=40).ax.tick_params(
         labelsize=8)
-    figure.suptitle(f'{joint}: missing torque [{scale.unit}]\nknown parameters re-tuned (above), '
-                    'with the effects found (below)', fontsize=10, parse_math=False)
+    figure.suptitle(f'{joint}: missing torque [{scale.unit}]\n{WITHOUT} (above), {WITH} (below)',
+                    fontsize=10, parse_math=False)
     return figure
 
 
@@ -190,8 +191,6 @@ def over_figure(found):
             panel.fill_between(curve.x, low, high, color=colour, alpha=0.3, linewidth=0)
             panel.plot(curve.x, scale.factor * curve.mean, color=colour, linewidth=1.0)
         panel.set_xlabel(one.variable, fontsize=8, labelpad=1)
-        panel.set_title('{:.0f} % -> {:.0f} %'.format(*(100.0 * s for s in one.shares[:2])),
-                        fontsize=8, pad=3)
         panel.tick_params(labelsize=7)
         panel.locator_params(axis='x', nbins=5)
         panel.ticklabel_format(axis='x', scilimits=(-2, 4), useMathText=True)
@@ -202,8 +201,8 @@ def over_figure(found):
     for panel in panels[:, 0]:
         panel.set_ylabel(f'[{scale.unit}]', fontsize=8)
     figure.suptitle(f'{found[0].joint}: torque missing in the {found[0].equation} equation, means '
-                    'with 95 % bands,\nknown parameters re-tuned (orange), with the effects found '
-                    '(blue); share that is a function of each', fontsize=10, parse_math=False)
+                    f'with 95 % bands,\n{WITHOUT} (orange), {WITH} (blue)', fontsize=10,
+                    parse_math=False)
     figure.subplots_adjust(left=0.07, right=0.985, bottom=0.16 / rows, top=1.0 - 0.8 / (
         2.0 * rows + 0.9), hspace=0.62, wspace=0.08)
     return figure

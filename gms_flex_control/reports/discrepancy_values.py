@@ -9,8 +9,8 @@ from textwrap import wrap
 
 from gms_flex_control import __version__
 from gms_flex_control.discrepancy.describe import named
+from gms_flex_control.discrepancy.residual_views import over_of
 from gms_flex_control.files import write_text
-from gms_flex_control.reports.discrepancy_views import over_of
 from gms_flex_control.schema.files import save_robot
 import numpy as np
 

@@ -3,11 +3,13 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Pictures like the paper's Figs. 6 to 10, for print: matplotlib without a display."""
 
+from io import StringIO
 import re
 
 from gms_flex_control.analysis.table4 import PAPER_WITHOUT
 from gms_flex_control.analysis.tracking import link_error
 from gms_flex_control.files import atomic_path
+from matplotlib import rc_context
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Text
@@ -22,6 +24,17 @@ NAMES = {'none': 'without compensation', 'gms_paper': "with the paper's observer
          'lugre': 'with a LuGre model', 'gms_desired': 'with GMS of the desired motion',
          'gms_adaptive': 'with adaptive GMS',
          'disturbance_observer': 'with a disturbance observer'}
+# what a page draws these in, light or dark: variables of report.css
+_OF_PAGE = {colour.lower(): f'var(--c{i})' for i, colour in enumerate(COLOURS)} | {
+    '#000000': 'var(--ink)', '#ffffff': 'none', '#e6e6e6': 'var(--grid)',
+    **dict.fromkeys(('#d9d9d9', '#cccccc'), 'var(--rule)'),
+    **dict.fromkeys(('#4d4d4d', '#595959'), 'var(--ink)'),
+    **dict.fromkeys(('#8c8c8c', '#999999'), 'var(--muted)')}
+_SVG = {'svg.fonttype': 'none', 'svg.hashsalt': 'gms_flex'}  # text stays text; the same each time
+# of an SVG file, what one in a page need not have: names of no use, blanks, its own style
+_IN_PAGE = (('<metadata>.*?</metadata>|<defs><style.*?</defs>', ''),
+            (r'<g id="[\w.]+?_\d+">', '<g>'), (' xmlns(:xlink)?="[^"]*"', ''),
+            ('xlink:href', 'href'), (r'>\s+<', '><'), (r'\s+', ' '))
 WIDTH = 7.0  # inch
 MAX_SAMPLES = 20_000
 
@@ -131,6 +144,35 @@ def save_figure(figure, path, words=str):
         text.set_text(words(text.get_text()))
     with atomic_path(path) as temporary:
         figure.savefig(temporary, dpi=150)
+
+
+def svg(figure, words=str):
+    """
+    Return a figure as an SVG element whose colours are those of the page around it.
+
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+        What to draw; its clouds of points are best rasterised.
+    words : callable
+        As of `save_figure`.
+
+    Returns
+    -------
+    str
+        HTML.
+
+    """
+    for text in figure.findobj(Text):
+        text.set_text(words(text.get_text()))
+    file = StringIO()
+    with rc_context(_SVG):
+        figure.savefig(file, format='svg', metadata={'Date': None})
+    element = file.getvalue().partition('<svg')[2]
+    for pattern, by in _IN_PAGE:
+        element = re.sub(pattern, by, element, flags=re.DOTALL)
+    return '<svg' + re.sub('#[0-9a-f]{6}\\b', lambda found: _OF_PAGE.get(
+        found.group(), found.group()), element)
 
 
 def stacked_panels(count):

@@ -6,16 +6,17 @@
 from functools import partial
 from pathlib import Path
 
+from gms_flex_control.answer import Answer, command, measured
 from gms_flex_control.identification.beside import known_presliding, known_steady, known_values
 from gms_flex_control.identification.words import (
     data_sentence,
     floor_shares,
+    hull,
     joint_sentences,
     NOT_IDENTIFIABLE,
     notes,
     number,
     percent,
-    quantity,
     short_label,
     short_name,
     span,
@@ -26,14 +27,12 @@ from gms_flex_control.params.units import in_units
 from gms_flex_control.reports.figures import file_stem, save_figure
 from gms_flex_control.reports.identification_figures import (
     DIRECTIONS,
-    held_out_figure,
     loops_figure,
     map_figure,
     MOST_LOOPS,
-    residual_figure,
     residuals,
-    sliding_figure,
 )
+from gms_flex_control.reports.identification_text import held_out_rows
 from gms_flex_control.reports.page import Curve, Report, Series
 from gms_flex_control.reports.series import decimate
 import numpy as np
@@ -41,12 +40,13 @@ import numpy as np
 MOST_TRACES = 6          # of one joint on the page
 _TRACE_POINTS = 20_000   # of one line of a trace; longer ones are written as extremes
 _CLOUD = 4_000           # points of a cloud
+_KNOWN = ('well known', 'roughly known')
 _SYMBOLS = {'static': 'F_s', 'coulomb': 'F_c', 'velocity': 'v_s', 'viscous': 'σ_2',
             'attraction': 'C', 'motor_inertia': 'J'}
 _BLOCK_SYMBOLS = {'stiffness': 'k', 'weight': 'α'}
 
 
-def write_identification_report(identification, folder, *, beside=None):
+def write_identification_report(identification, folder, *, beside=None, robot=()):
     """
     Write report.html and the PNGs.
 
@@ -58,6 +58,8 @@ def write_identification_report(identification, folder, *, beside=None):
         Made if need be; files of the same names are replaced.
     beside : RobotParams, optional
         Friction known otherwise, such as that of a simulated plant: drawn and tabled as true.
+    robot : sequence of str or Path
+        Files of the robot that was believed.
 
     Returns
     -------
@@ -66,40 +68,77 @@ def write_identification_report(identification, folder, *, beside=None):
 
     """
     folder, words = Path(folder), partial(in_units, identification.robot.arm)
-    pictures = list(_save_pictures(identification, folder, beside))
-    report = Report('Friction identification', data_sentence(identification), words)
+    answer = identification_answer(identification, folder, robot)
+    report = Report('Friction identification', answer, data_sentence(identification), words)
+    worst = _worst(identification)
+    _add_map(report, worst, _known_curves(worst, beside)[0])
     _add_summary(report, identification)
-    report.figure(pictures[0][0], pictures[0][1])
     for result in identification.joints:
-        _add_joint(report, result, identification, beside)
-    paper = [(path, caption) for path, caption in pictures
-             if path.name.startswith(('map_', 'presliding_'))]
-    report.heading("Pictures (as the paper's Figs. 3 and 4)")
-    for path, caption in paper:
-        report.figure(path, caption)
-    return [report.write(folder / 'report.html'), *(path for path, _ in pictures)]
+        _add_joint(report, result, identification, beside, opened=result is worst)
+    return [report.write(folder / 'report.html'), *_save_pictures(identification, folder, beside)]
+
+
+def identification_answer(identification, folder, robot=()) -> Answer:
+    """Return how far the friction found predicts (Answer); ``robot`` files were believed."""
+    worst, folder = _worst(identification), Path(folder)
+    errors, joint = worst.held_out, worst.joint
+    numbers = [
+        measured(f'torque error of {joint} [% of the drive torque]', errors.coulomb_viscous,
+                 errors.relative, np.fmax(*floor_shares(errors)), scale=100.0),
+        measured(f'error of free runs of {joint} [mrad]', errors.free_run_coulomb_viscous,
+                 errors.free_run_rms, _reading(identification.robot.encoder, errors))]
+    known = next((one for one in worst.estimates if standing(one) in _KNOWN), None)
+    if known is not None:
+        low, high = hull(known)
+        numbers.append(measured(f'{short_name(known.name, joint)} of {joint} [{known.unit}]', None,
+                                known.value, 0.5 * (high - low), scale=1.0))
+    files = robot or (('robot.yaml',) if identification.described else ())
+    return Answer(_sentence(identification, worst),
+                  ('Coulomb + viscous', 'identified', 'noise floor'), tuple(numbers), command(
+                      'discrepancy', *identification.sources, '--robot', *files,
+                      folder / 'friction.yaml', '--out', folder / 'gap'))
+
+
+def _reading(encoder, errors):
+    """Return what encoder steps make of a reading, if unknown the error a sample ahead [rad]."""
+    known = encoder.counts > 0.0
+    return 2.0 * np.pi / encoder.counts / np.sqrt(12.0) if known else errors.innovation_rms
+
+
+def _worst(identification):
+    """Return the joint whose torque is predicted worst."""
+    return max(identification.joints, key=lambda result: np.nan_to_num(result.held_out.relative))
+
+
+def _sentence(identification, worst):
+    errors = worst.held_out
+    standings = [standing(one) for result in identification.joints for one in result.estimates]
+    lost = standings.count(NOT_IDENTIFIABLE)
+    known = (f'{len(standings) - lost} of {len(standings)} parameters are identified'
+             if lost else f'all {len(standings)} parameters are identified')
+    if not np.isfinite(errors.relative):
+        return f'{known.capitalize()}, but nothing checks them: there is no held-out error.'
+    simple = ('no better than Coulomb + viscous friction alone' if errors.relative
+              >= errors.coulomb_viscous else 'Coulomb + viscous friction alone to '
+              + percent(errors.coulomb_viscous))
+    return (f'On motion that took no part in the fit, the friction found predicts the torque of '
+            f'{worst.joint}, the worst, to {percent(errors.relative)}, {simple}; {known}. The '
+            'noise floor is what the readings alone, or the same motion repeated, would leave.')
 
 
 def _save_pictures(identification, folder, beside):
-    """Yield path and caption of each picture written."""
-    words, path = partial(in_units, identification.robot.arm), folder / 'held_out.png'
-    save_figure(held_out_figure(identification.joints), path, words)
-    yield path, 'Errors on data that took no part in the fit'
+    """Yield the path of each picture for print, written."""
+    words = partial(in_units, identification.robot.arm)
     for i, result in enumerate(identification.joints):
         stem = file_stem(result.joint)
         clash = any(file_stem(other.joint) == stem for other in identification.joints[:i])
         stem = f'{stem}_{i + 1}' if clash else stem
         steady, curve = _known_curves(result, beside)
-        figures = [('map', map_figure(result, steady), 'friction over velocity'),
-                   ('presliding', loops_figure(result, curve), 'presliding'),
-                   ('residual', residual_figure(result), 'residual')]
-        if result.traces:
-            trace = max(result.traces, key=lambda trace: np.ptp(trace.velocity))
-            figures.append(('sliding', sliding_figure(trace, result.joint), 'motion over time'))
-        for name, figure, caption in figures:
+        for name, figure in (('map', map_figure(result, steady)),
+                             ('presliding', loops_figure(result, curve))):
             path = folder / f'{name}_{stem}.png'
             save_figure(figure, path, words)
-            yield path, f'{result.joint}: {caption}'
+            yield path
 
 
 def _known_curves(result, beside):
@@ -119,18 +158,19 @@ def _add_summary(report, identification):
     for result in identification.joints:
         counts = [sum(standing(estimate) == kind for estimate in result.estimates)
                   for kind in STANDINGS]
-        rows.append((result.joint, percent(result.held_out.relative),
-                     percent(result.held_out.coulomb_viscous), *counts))
-    report.table(('joint', 'error', 'Coulomb + viscous', *STANDINGS), rows,
-                 'Held-out torque error relative to the drive torque, with Coulomb + viscous '
-                 'friction alone beside it; how many parameters are how well known')
+        rows.append((result.joint, *counts))
+    report.table(('joint', *STANDINGS), rows, 'How many parameters are how well known')
+    report.table(*held_out_rows(identification.joints),
+                 'Errors on data that took no part in the fit. Torque: of the rms of the drive '
+                 'torque; C+v: Coulomb + viscous alone; noise: that of the readings; repeat: '
+                 'of equal motions. Free run: rms of the angle')
     for result in identification.joints:
         report.heading(result.joint, level=3)
         for text, warning in joint_sentences(result):
             (report.note(text, warning=True) if warning else report.text(text))
 
 
-def _add_joint(report, result, identification, beside):
+def _add_joint(report, result, identification, beside, *, opened):
     steady, curve = _known_curves(result, beside)
     known = known_values(beside, identification.robot, result.joint) if beside else None
     report.heading(result.joint)
@@ -138,10 +178,12 @@ def _add_joint(report, result, identification, beside):
         'the spring between motor and link.' if result.side == 'spring' else
         'the motor torque, with the motor inertia part of the link.'))
     _add_parameters(report, result, known)
-    _add_map(report, result, steady)
+    report.heading(f'{result.joint}: friction over velocity (Fig. 3)', level=3)
+    if not opened:
+        _add_map(report, result, steady)
+    _add_map(report, result, steady, log=True)
     _add_presliding(report, result, curve)
     _add_motion(report, result)
-    _add_errors(report, result)
     _add_candidates(report, result)
 
 
@@ -179,29 +221,26 @@ def _symbol(name):
     return _SYMBOLS.get(leaf, '')
 
 
-def _add_map(report, result, known):
-    measured, fit = result.friction_map, result.steady_velocity
-    over, log = [], []
+def _add_map(report, result, known, log=False):
+    """Add friction over velocity, or that against the motion over the logarithm of speed."""
+    measured, fit, curves = result.friction_map, result.steady_velocity, []
     for i, (sign, name, _) in enumerate(DIRECTIONS):
-        way = sign * measured.velocity > 0.0
+        way, turn = sign * measured.velocity > 0.0, sign if log else 1.0
         for steady, label, role in ((True, f'{name}, steady', f'c{i}'),
                                     (False, f'{name}, not steady', 'c6')):
             rows = _thinned(np.flatnonzero(way & (measured.steady == steady)))
-            point = measured.velocity[rows], measured.torque[rows]
-            over.append(Curve(label, *point, role, points=True))
-            log.append(Curve(label, sign * point[0], sign * point[1], role, points=True))
+            curves.append(Curve(label, turn * measured.velocity[rows],
+                                turn * measured.torque[rows], role, points=True))
         rows = sign * fit > 0.0
-        for torque, label, dashed in ((result.steady_torque, f'{name}, fitted', False),
-                                      (known, f'{name}, true', True)):
-            if torque is not None:
-                role = 'reference' if dashed else f'c{i + 3}'
-                over.append(Curve(label, fit[rows], torque[rows], role, dashed=dashed))
-                log.append(Curve(label, sign * fit[rows], sign * torque[rows], role,
-                                 dashed=dashed))
-    report.heading(f'{result.joint}: friction over velocity (Fig. 3)', level=3)
-    _curves(report, 'over velocity', over, 'velocity [rad/s]', 'friction torque [N m]')
-    _curves(report, 'over the logarithm of speed', log, 'speed [rad/s]',
-            'torque against the motion [N m]', log_x=True)
+        curves += [Curve(f'{name}, {kind}', turn * fit[rows], turn * torque[rows], role,
+                         dashed=torque is known)
+                   for kind, torque, role in (('fitted', result.steady_torque, f'c{i + 3}'),
+                                              ('true', known, 'reference'))
+                   if torque is not None]
+    title, x = (('friction against the motion', 'speed') if log else
+                ('friction over velocity, measured and fitted', 'velocity'))
+    _curves(report, f'{result.joint}: {title}', curves, f'{x} [rad/s]', 'friction torque [N m]',
+            log_x=log)
 
 
 def _add_presliding(report, result, known):
@@ -262,23 +301,6 @@ def _add_motion(report, result):
         clouds.append(Curve(name, velocity[rows], residual[rows], role, points=True))
     _curves(report, 'residual over velocity', clouds, 'velocity [rad/s]',
             'measured − model [N m]')
-
-
-def _add_errors(report, result):
-    errors = result.held_out
-    noise, repeat = floor_shares(errors)
-    report.heading(f'{result.joint}: errors on held-out data', level=3)
-    simple = errors.coulomb_viscous / errors.relative if errors.relative else np.nan
-    report.table(('', 'torque error', 'of the drive torque', 'free-run error'), [
-        ('identified model', quantity(errors.torque_rms, 'N m'), percent(errors.relative),
-         quantity(1e3 * errors.free_run_rms, 'mrad')),
-        ('Coulomb + viscous alone', quantity(simple * errors.torque_rms, 'N m'),
-         percent(errors.coulomb_viscous),
-         quantity(1e3 * errors.free_run_coulomb_viscous, 'mrad')),
-        ('same motion repeated', quantity(errors.repeatability, 'N m'), percent(repeat), '-'),
-        ('measurement noise alone', quantity(errors.noise_floor, 'N m'), percent(noise), '-')],
-        f'rms; free run over {number(errors.horizon)} s; one-step prediction of the angle '
-        f'{number(1e3 * errors.innovation_rms)} mrad')
 
 
 def _add_candidates(report, result):

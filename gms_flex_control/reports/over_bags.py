@@ -7,10 +7,12 @@ from collections import Counter
 import csv
 import io
 import math
+from pathlib import Path
 from textwrap import fill
 
 from gms_flex_control import __version__
 from gms_flex_control.analysis.table4 import align
+from gms_flex_control.answer import Answer, command, measured
 from gms_flex_control.identification.over_bags import is_told
 from gms_flex_control.identification.words import number, percent
 
@@ -92,6 +94,26 @@ def discrepancy_text(found, rows):
         parts += [_parameters(rows, good), _differing(rows), _outliers(rows)]
     parts += [_findings(good), _reasons(found, 'BAD DATA')]
     return '\n\n'.join(filter(None, parts))
+
+
+def over_bags_answer(found, rows, bags) -> Answer:
+    """Return what differs most from bag to bag, and which to look at first (Answer)."""
+    good = _good(found)
+    told = sorted((row for row in rows if row.mean and row.standard_deviation > 0.0),
+                  key=lambda row: -row.standard_deviation / abs(row.mean))[:3]
+    sentence = f'{len(good)} of {len(found)} bags have an answer'
+    if told:
+        first = told[0]
+        sentence += (f'; {first.name.removeprefix("friction.")} differs most from bag to bag, by '
+                     f'{_share(first)} % of its mean (one standard deviation), where the floor is '
+                     'what the intervals of single bags foresee')
+    counts = Counter(bag for row in rows for bag in row.outliers)
+    odd = next((name for name in (*found, *dict(counts.most_common()))
+                if name not in good or name in counts), None)
+    return Answer(f'{sentence}.', ('mean', 'std over bags', 'floor'), tuple(
+        measured(f'{row.name.removeprefix("friction.")} [{row.unit}]', row.mean,
+                 row.standard_deviation, row.foreseen, scale=1.0) for row in told), command(
+        'info', next((bag for bag in bags if Path(bag).name == odd), bags[0])))
 
 
 def _good(found):

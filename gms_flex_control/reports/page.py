@@ -11,11 +11,15 @@ pan, zoom, cursors shared by a group of charts, and min/max decimation.
 import base64
 from html import escape
 from importlib.resources import files
+from itertools import groupby
 import json
 from pathlib import Path
+import re
 from typing import Any, NamedTuple
 
+from gms_flex_control.answer import unbroken
 from gms_flex_control.files import write_text
+from gms_flex_control.reports.figures import svg
 from gms_flex_control.reports.series import decimate, merge_grids
 import numpy as np
 
@@ -23,6 +27,7 @@ ROLES = ('reference', 'c0', 'c1', 'c2', 'c3', 'c4', 'c5', 'c6')
 MAX_POINTS = 200_000  # per series; longer ones are written as extremes per bucket
 MAX_CURVE = 20_000    # per curve; of longer ones every so many points are written
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
+_OPTION, _WHOLE = re.compile(r'--[\w-]+'), r'<span>\g<0></span>'  # does not break at its '-'
 HINT = ('Drag to pan, wheel or shift-drag to zoom, double-click to reset; click a name in the '
         'legend to hide it. Charts of one group move together.')
 
@@ -54,22 +59,26 @@ class Report:
     """
     Collect blocks in order and write them as one file.
 
-    Every method but ``html`` and ``write`` returns the report, so that calls chain. All
-    text is escaped here: pass it as it is.
+    What is added before the first heading is the picture of the answer, and open; the first
+    heading and all after it fold under 'Details'. Every method but ``html`` and ``write``
+    returns the report, so that calls chain. All text is escaped here: pass it as it is.
 
     Parameters
     ----------
     title : str
         Title of the page.
+    answer : Answer
+        What the page begins with.
     subtitle : str
-        One line under it.
+        One line under the title.
     words : callable
         Applied to every text, such as one that changes units.
 
     """
 
-    def __init__(self, title, subtitle='', words=str):
+    def __init__(self, title, answer, subtitle='', words=str):
         self._title = words(title)
+        self._answer = answer
         self._subtitle = words(subtitle)
         self._words = words
         self._blocks = []  # (kind, html)
@@ -93,10 +102,6 @@ class Report:
         kind = 'note warning' if warning else 'note'
         return self._add('text', f'<p class="{kind}">{self._told(text)}</p>')
 
-    def preformatted(self, text):
-        """Add text whose lines and blanks are kept."""
-        return self._add('text', f'<pre>{self._told(text)}</pre>')
-
     def table(self, header, rows, caption=''):
         """
         Add a table.
@@ -111,32 +116,32 @@ class Report:
             Line above the table.
 
         """
-        cells = [[self._words(str(cell)) for cell in row] for row in rows]
-        header = [self._words(str(cell)) for cell in header]
-        numeric = [all(_is_number(row[i]) for row in cells) for i in range(len(header))]
-        lines = [_row('th', header, numeric)]
-        lines += [_row('td', row, numeric) for row in cells]
         caption = f'<p class="caption">{self._told(caption)}</p>' if caption else ''
-        return self._add('table', f'{caption}<div class="scroll"><table class="data">'
-                         f'<thead>{lines[0]}</thead><tbody>{"".join(lines[1:])}</tbody>'
-                         '</table></div>')
+        return self._add('table', caption + self._table(header, rows, 'data'))
 
-    def figure(self, png, caption=''):
+    def _table(self, header, rows, kind):
+        cells = [[self._told(str(cell)) for cell in row] for row in rows]
+        header = [self._told(str(cell)) for cell in header]
+        numeric = [all(_is_number(row[i]) for row in cells) for i in range(len(header))]
+        lines = [_row('th', header, numeric), *(_row('td', row, numeric) for row in cells)]
+        return (f'<div class="scroll"><table class="{kind}"><thead>{lines[0]}</thead>'
+                f'<tbody>{"".join(lines[1:])}</tbody></table></div>')
+
+    def figure(self, figure, caption=''):
         """
-        Add a picture.
+        Add a picture, drawn in the colours of the page.
 
         Parameters
         ----------
-        png : bytes or path
-            A PNG, embedded in the file.
+        figure : matplotlib.figure.Figure
+            Embedded as SVG.
         caption : str
             Line under it, also its text for those who cannot see it.
 
         """
-        data = png if isinstance(png, bytes) else Path(png).read_bytes()
-        return self._add('figure', f'<figure><img alt="{self._told(caption)}" src="data:image/png;'
-                         f'base64,{base64.b64encode(data).decode()}"><figcaption>'
-                         f'{self._told(caption)}</figcaption></figure>')
+        told = self._told(caption)
+        return self._add('figure', f'<figure role="img" aria-label="{told}">'
+                         f'{svg(figure, self._words)}<figcaption>{told}</figcaption></figure>')
 
     def chart(self, title, x, series, x_label='time [s]', y_label='', group='time'):
         """
@@ -220,8 +225,6 @@ class Report:
         folder = files('gms_flex_control.reports')
         style = (folder / 'vendor' / 'uPlot.min.css').read_text('utf-8') + (
             folder / 'report.css').read_text('utf-8')
-        nav = ''.join(f'<a href="#{anchor}">{escape(text)}</a>'
-                      for anchor, text in self._headings)
         parts = [
             '<!DOCTYPE html><html lang="en"><head><meta charset="utf-8">',
             f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">',
@@ -229,8 +232,7 @@ class Report:
             f'<title>{escape(self._title)}</title><style>{style}</style></head><body>',
             f'<h1>{escape(self._title)}</h1>',
             f'<p class="subtitle">{escape(self._subtitle)}</p>' if self._subtitle else '',
-            f'<nav>{nav}</nav>' if len(self._headings) > 1 else '',
-            f'<p class="hint">{HINT}</p>' if self._charts else '', *self._body()]
+            *self._opening(), *self._details()]
         return '\n'.join([*parts, *self._scripts(folder), '</body></html>\n'])
 
     def write(self, path):
@@ -249,17 +251,33 @@ class Report:
                 *(f'<script>{(folder / name).read_text("utf-8")}</script>'
                   for name in ('vendor/uPlot.iife.min.js', 'report.js'))]
 
-    def _body(self):
-        """Yield the blocks, neighbouring charts and figures set side by side."""
-        wrapper = {'chart': 'charts', 'figure': 'figures'}
-        for i, (kind, block) in enumerate(self._blocks):
-            opens = kind in wrapper and (i == 0 or self._blocks[i - 1][0] != kind)
-            closes = kind in wrapper and (self._blocks[i + 1:i + 2] or [('',)])[0][0] != kind
-            yield (f'<div class="{wrapper[kind]}">' if opens else '') + block + (
-                '</div>' if closes else '')
+    def _opening(self):
+        """Return the answer: sentence, picture, numbers, and what to run next."""
+        answer, first = self._answer, self._first_heading()
+        return [f'<main><p class="sentence">{self._told(answer.sentence)}</p>',
+                *_grouped(self._blocks[:first]),
+                self._table(answer.header, answer.numbers, 'data numbers') if answer.numbers
+                else '',
+                f'<p class="next">Next: <code>{_OPTION.sub(_WHOLE, escape(answer.command))}</code>'
+                '</p></main>']
+
+    def _details(self):
+        """Return what folds, with its table of contents; nothing without a heading."""
+        folded = self._blocks[self._first_heading():]
+        if not folded:
+            return []
+        links = ''.join(f'<a href="#{anchor}">{escape(text)}</a>'
+                        for anchor, text in self._headings)
+        return ['<details><summary>Details</summary>', f'<nav>{links}</nav>',
+                f'<p class="hint">{HINT}</p>' if self._charts else '', *_grouped(folded),
+                '</details>']
+
+    def _first_heading(self):
+        kinds = [kind for kind, _ in self._blocks]
+        return kinds.index('heading') if 'heading' in kinds else len(kinds)
 
     def _told(self, text):
-        return escape(self._words(text))
+        return escape(unbroken(self._words(text)))
 
     def _store(self, values, dtype):
         data = base64.b64encode(np.ascontiguousarray(values, dtype=dtype).tobytes()).decode()
@@ -268,6 +286,14 @@ class Report:
     def _add(self, kind, block):
         self._blocks.append((kind, block))
         return self
+
+
+def _grouped(blocks):
+    """Yield blocks, neighbouring charts and figures set side by side."""
+    wrapper = {'chart': 'charts', 'figure': 'figures'}
+    for kind, group in groupby(blocks, lambda block: block[0]):
+        inner = ''.join(block for _, block in group)
+        yield f'<div class="{wrapper[kind]}">{inner}</div>' if kind in wrapper else inner
 
 
 def _role(item, i):
@@ -302,7 +328,7 @@ def _chart_html(index, title):
 
 def _row(tag, cells, numeric):
     return '<tr>' + ''.join(
-        f'<{tag}{" class=number" if right else ""}>{escape(str(cell))}</{tag}>'
+        f'<{tag}{" class=number" if right else ""}>{cell}</{tag}>'
         for cell, right in zip(cells, numeric, strict=True)) + '</tr>'
 
 

@@ -199,8 +199,10 @@
                             height: Math.round(parseFloat(getComputedStyle(chart.box).minHeight))});
 
   function fit(chart) {
+    if (chart.root.closest('details:not([open])')) return;  /* drawn when it is first seen */
     const {width, height} = size(chart);
-    if (!chart.plot || (chart.plot.width === width && chart.plot.height === height)) return;
+    if (!chart.plot) draw(chart);
+    if (chart.plot.width === width && chart.plot.height === height) return;
     chart.plot.setSize({width, height});
     refresh(chart);
   }
@@ -223,7 +225,7 @@
   }
 
   function refresh(chart) {
-    if (chart.pending) return;
+    if (chart.pending || !chart.plot) return;
     chart.pending = requestAnimationFrame(() => {
       chart.pending = 0;
       chart.plot.setData(view(chart, chart.min, chart.max), false);
@@ -350,6 +352,7 @@
     root.querySelector('[data-act=reset]').addEventListener('click', () => reset(chart));
     root.querySelector('[data-act=large]').addEventListener('click', (e) => {
       e.target.setAttribute('aria-pressed', root.classList.toggle('large'));
+      fit(chart);  /* where only its height is another one, nothing else tells */
     });
     root.querySelector('[data-act=box]').addEventListener('click', () => {
       const on = document.body.classList.toggle('box');
@@ -364,10 +367,20 @@
     const members = group(chart);
     chart.min = Math.min(...members.map((c) => c.first));
     chart.max = Math.max(...members.map((c) => c.last));
-    draw(chart);
+    fit(chart);
   });
   addEventListener('resize', () => charts.forEach(fit));  /* large ones are as high as it allows */
   addEventListener('scroll', () => charts.forEach((c) => { c.armed = false; }), {passive: true});
-  matchMedia('(prefers-color-scheme: dark)').addEventListener('change', () => charts.forEach(draw));
+  matchMedia('(prefers-color-scheme: dark)').addEventListener(
+    'change', () => charts.filter((c) => c.plot).forEach(draw));
+  /* paper shows everything */
+  const details = document.querySelector('details');
+  let folded = false;
+  details?.addEventListener('toggle', () => charts.forEach(fit));
+  addEventListener('beforeprint', () => {
+    folded = details && !details.open;
+    if (folded) { details.open = true; charts.forEach(fit); }
+  });
+  addEventListener('afterprint', () => { if (folded) details.open = false; });
   document.documentElement.dataset.charts = charts.length;
 })();

@@ -1,12 +1,12 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""A torsion study as text, pictures and an interactive page."""
+"""A torsion study as text and as a page."""
 
 from pathlib import Path
 
 from gms_flex_control.analysis.torsion import rms
-from gms_flex_control.reports.figures import COLOURS, finished, save_figure, stacked_panels
+from gms_flex_control.answer import Answer, command, measured
 from gms_flex_control.reports.page import Report, Series
 import numpy as np
 
@@ -60,9 +60,21 @@ def verdict(study):
     return ' '.join(lines) or 'The given spring explains the torsion better than a delay does.'
 
 
+def torsion_answer(study, folder) -> Answer:
+    """Return what the torsion shows, robot.yaml of the study being in ``folder`` (Answer)."""
+    *told, free = study.explanations
+    return Answer(
+        f'{verdict(study)} The floor is what spring and delay together leave, both free.',
+        ('measured', 'left', 'floor'), tuple(
+            measured(f'{one.name} [mdeg]', *np.degrees((rms(study.torsion), one.rms_error,
+                                                        free.rms_error))) for one in told),
+        command('discrepancy', study.source, '--robot', Path(folder) / 'robot.yaml', '--out',
+                Path(folder) / 'gap'))
+
+
 def write_torsion_report(study, folder):
     """
-    Write report.html, torque.png and torsion.png.
+    Write report.html.
 
     Parameters
     ----------
@@ -78,25 +90,22 @@ def write_torsion_report(study, folder):
 
     """
     folder = Path(folder)
-    save_figure(_torque_figure(study), folder / 'torque.png')
-    save_figure(_torsion_figure(study), folder / 'torsion.png')
-    report = Report(f'Torsion of {study.joint}',
+    report = Report(f'Torsion of {study.joint}', torsion_answer(study, folder),
                     f'{study.source}: flexible joint of a decoupled axis, measured and modelled')
-    report.note(verdict(study)).preformatted(text(study))
     group = f'torsion {study.source}'
+    report.chart(
+        'torsion: motor - link, without its mean', study.time, [
+            Series('measured', _mdeg(study.torsion), role='c0'),
+            Series('spring torque / stiffness', _mdeg(study.torsion_model), role='reference',
+                   dashed=True),
+            Series('delay between the encoders', _mdeg(_delayed(study)), role='c2')],
+        y_label='torsion [mdeg]', group=group)
     report.heading('Motor torque').chart(
         'torque', study.time, [
             Series('measured', study.torque, role='c0'),
             Series('inertia and friction', study.torque_model, role='reference', dashed=True),
             Series('error', study.torque - study.torque_model, role='c1', hidden=True)],
         y_label='torque [N m]', group=group)
-    report.heading('Torsion').chart(
-        'motor − link, without its mean', study.time, [
-            Series('measured', _mdeg(study.torsion), role='c0'),
-            Series('spring torque / stiffness', _mdeg(study.torsion_model), role='reference',
-                   dashed=True),
-            Series('delay between the encoders', _mdeg(_delayed(study)), role='c2')],
-        y_label='torsion [mdeg]', group=group)
     report.table(*explanation_rows(study), caption='What explains the torsion')
     return report.write(folder / 'report.html')
 
@@ -107,33 +116,3 @@ def _mdeg(values):
 
 def _delayed(study):
     return study.explanations[1].delay * (study.velocity - study.velocity.mean())
-
-
-def _torque_figure(study):
-    figure, (above, below) = stacked_panels(2)
-    above.plot(study.time, study.torque, color=COLOURS[0], label='measured')
-    above.plot(study.time, study.torque_model, 'k--', linewidth=1.0,
-               label='inertia and friction')
-    above.set_ylabel('torque [N m]')
-    above.legend(loc='upper right', ncols=2)
-    below.plot(study.time, study.torque - study.torque_model, color=COLOURS[1])
-    below.set_ylabel('error [N m]')
-    return finished(figure, [above, below], f'{study.joint}: motor torque')
-
-
-def _torsion_figure(study):
-    figure, (above, below) = stacked_panels(2)
-    above.plot(study.time, _mdeg(study.torsion), color=COLOURS[0], label='measured')
-    above.plot(study.time, _mdeg(study.torsion_model), 'k--', linewidth=1.0,
-               label='spring torque / stiffness')
-    above.plot(study.time, _mdeg(_delayed(study)), ':', color=COLOURS[2],
-               label='delay between the encoders')
-    above.legend(loc='lower center', bbox_to_anchor=(0.5, 1.0), ncols=3)
-    above.set_ylabel('torsion [mdeg]')
-    below.plot(study.time, _mdeg(study.torsion - study.torsion_model), color=COLOURS[1],
-               label='left by the spring')
-    below.plot(study.time, _mdeg(study.torsion - _delayed(study)), color=COLOURS[2],
-               label='left by the delay')
-    below.legend(loc='upper right', ncols=2)
-    below.set_ylabel('error [mdeg]')
-    return finished(figure, [above, below], f'{study.joint}: torsion')

@@ -52,20 +52,19 @@ def write_tracking_report(runs, folder, friction_true=None, title='Tracking repo
     everything = table.as_dict() | {
         name.replace(' ', '_'): other.as_dict() for name, other in others.items()}
     write_text(folder / 'table4.json', json.dumps(everything, indent=2, allow_nan=False) + '\n')
-    pictures = _save_pictures(runs, folder)
-    report = Report(title, subtitle or f'{len(runs)} recording{"s" if len(runs) != 1 else ""}: '
-                    'link angle against reference, with and without friction compensation')
+    _save_pictures(runs, folder)
+    report = Report(title, table.answer(), subtitle or (
+        f'{len(runs)} recording{"s" if len(runs) != 1 else ""}: link angle against reference'))
+    hardest = next(iter(table.hardest), None)
+    _add_error_charts(report, runs, lambda place: place == hardest)
     add_table4(report, table)
     for name, other in others.items():
         report.heading(f'The same with the {name}', level=3)
         report.table(*other.rows())
-    _add_error_charts(report, runs)
+    report.heading('Position errors')
+    _add_error_charts(report, runs, lambda place: place != hardest)
     for i, run in enumerate(runs):
         add_run(report, run, (friction_true or {}).get(i))
-    if pictures:
-        report.heading("Pictures (as the paper's Figs. 6 to 10)")
-    for path, caption in pictures:
-        report.figure(path, caption)
     report.write(folder / 'report.html')
     return table
 
@@ -121,8 +120,6 @@ def _joint_charts(recording, i, friction_true):
         Series('link', recording.q_link[:, i], role='c0'),
         Series('motor', recording.q_motor[:, i], role='c4', hidden=True),
         Series('reference', recording.reference[:, 0, i], role='reference', dashed=True)]
-    yield 'error', 'mrad', [Series('link − reference', 1e3 * link_error(recording)[:, i],
-                                   role='c1')]
     yield 'torsion', 'mrad', [
         Series('motor − link', 1e3 * (recording.q_motor - recording.q_link)[:, i], role='c4')]
     yield 'torque', 'N m', [
@@ -134,18 +131,19 @@ def _joint_charts(recording, i, friction_true):
         Series('true', truth, role='reference', dashed=True)]
 
 
-def _add_error_charts(report, runs):
-    """Overlay the errors of every trajectory that was run more than one way."""
+def _add_error_charts(report, runs, wanted):
+    """Overlay the errors of all runs of each (trajectory, joint) that is wanted."""
     drawn = [run for run in runs if np.isfinite(link_error(run.recording)).any()]
-    if drawn:
-        report.heading('Position errors')
     for trajectory in dict.fromkeys(run.trajectory for run in drawn):
         chosen = [run for run in drawn if run.trajectory == trajectory]
         for joint in dict.fromkeys(name for run in chosen for name in run.recording.joints):
+            if not wanted((trajectory, joint)):
+                continue
             series = [_error_series(run, joint) for run in chosen
                       if joint in run.recording.joints]
-            report.chart(f'{trajectory_name(trajectory)}, {joint}', series[0].x, series,
-                         y_label='error [mrad]', group=f'errors {trajectory}')
+            report.chart(f'{trajectory_name(trajectory)}, {joint}: link angle - reference',
+                         series[0].x, series, y_label='error [mrad]',
+                         group=f'errors {trajectory}')
 
 
 def _error_series(run, joint):
@@ -156,26 +154,22 @@ def _error_series(run, joint):
 
 
 def _save_pictures(runs, folder):
-    """Return (path, caption) of the pictures written."""
+    """Write the pictures for print."""
     drawn = [run for run in runs if np.isfinite(link_error(run.recording)).any()]
-    pictures = []
+    taken = set()
     for run in drawn:
-        path = _free(folder, f'tracking_{run.trajectory}_{run.compensation}', pictures)
-        save_figure(tracking_figure(run), path)
-        pictures.append((path, run_name(run)))
+        save_figure(tracking_figure(run),
+                    _free(folder, f'tracking_{run.trajectory}_{run.compensation}', taken))
     for trajectory in dict.fromkeys(run.trajectory for run in drawn):
-        path = _free(folder, f'errors_{trajectory}', pictures)
-        save_figure(error_figure(drawn, trajectory), path)
-        pictures.append((path, f'{trajectory_name(trajectory)}: position errors'))
-    return pictures
+        save_figure(error_figure(drawn, trajectory), _free(folder, f'errors_{trajectory}', taken))
 
 
-def _free(folder, stem, pictures):
-    """Return a path safe as a file name and not used by a picture before it."""
+def _free(folder, stem, taken):
+    """Return a path safe as a file name and not taken, and take it."""
     stem = re.sub(r'[^A-Za-z0-9._-]+', '_', stem).strip('_')
-    taken = {path for path, _ in pictures}
     path, count = folder / f'{stem}.png', 1
     while path in taken:
         count += 1
         path = folder / f'{stem}_{count}.png'
+    taken.add(path)
     return path

@@ -4,10 +4,13 @@
 """A proposal as tables, as plain values for JSON, and as the controller's file."""
 
 import math
+from pathlib import Path
 
 from gms_flex_control.analysis.table4 import align
+from gms_flex_control.answer import Answer, command, measured
 from gms_flex_control.tuning.propose import link_bandwidth
 from gms_flex_control.tuning.trial import MOTIONS
+import numpy as np
 
 _GAINS = ('kd_link', 'lambda_link', 'kd_motor', 'lambda_motor', 'observer_gain', 'sign_slope',
           'filter_bandwidth', 'torque_limit')
@@ -50,6 +53,39 @@ def loop_lines(judgement, robot, timing):
     return [f'further delay until unstable, all joints: {delay} (already there: '
             f'{1e3 * timing.delay:.3g} ms, and the hold of {1e3 * timing.period:.3g} ms)',
             f'while every block sticks, oscillations {ringing}']
+
+
+def answer_of(proposal, trials, robot, demands, files, folder) -> Answer:
+    """Return what error to expect of a Proposal, and its margin (Answer)."""
+    mode, judgement, count = list(trials)[-1], proposal.judgement, robot.n_joints
+    rms, peak = ([np.sqrt(_worse(trials[name], 'mse', count)) for name in ('none', mode)],
+                 [_worse(trials[name], 'peak', count) for name in ('none', mode)])
+    worst = int(np.argmax(rms[1]))
+    phase = min(one.phase for one in judgement.joints)
+    numbers = tuple(
+        measured(f'{label} of {robot.joints[worst]} [mrad]', *(one[worst] for one in error),
+                 judgement.jitter.angle[worst])
+        for label, error in (('rms error', rms), ('largest error', peak))) + (
+        measured('phase margin [deg]', None, math.degrees(phase), math.degrees(demands.phase),
+                 scale=1.0),)
+    columns = 'none', mode, 'noise floor, or least asked'
+    if proposal.unmet:
+        return Answer(f'These gains do not meet what is asked, as told {len(proposal.unmet)} '
+                      f'time{"s" * (len(proposal.unmet) > 1)} above (NOT MET).', columns, numbers,
+                      command('tune', '--help'))
+    again = ('--robot', *files) if files else ()
+    return Answer(
+        f'With these gains and compensation {mode} the links follow within {numbers[0].after} '
+        'mrad (rms) in simulation, and the loop keeps the margins asked for; the noise floor is '
+        'what encoder noise alone shakes the links by.', columns, numbers, command(
+            'simulate', *again, '--controller', Path(folder) / 'controller.yaml', '--out',
+            Path(folder) / 'trial'))
+
+
+def _worse(trials, figure, count):
+    """Return a figure of each joint, of the worse motion; infinite where one was lost."""
+    return np.max([[np.inf] * count if one.lost else getattr(one, figure)
+                   for one in trials.values()], axis=0)
 
 
 def expected_lines(trials, judgement, robot):
