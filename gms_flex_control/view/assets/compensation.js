@@ -4,7 +4,6 @@ import {colour, element, fixed} from './numbers.js';
 
 const LONGEST = 5;     // of the error shown [s]
 const SETTLING = 0.5;  // after a switch, not counted [s]
-const SHORTEST = 1;    // of an error that is kept for comparison [s]
 
 /* Three digits at most, and no exponent. */
 const large = (value) => fixed(value, value < 9.995 ? 2 : value < 99.95 ? 1 : 0);
@@ -47,7 +46,10 @@ export class Compensation {
   }
 
   hold(value) {
-    if (value !== this.value) this.since = NaN;
+    if (value !== this.value) {
+      this.since = NaN;
+      for (const [now] of this.cells) now.textContent = '–';
+    }
     this.value = this.select.value = value;
     if (value !== 'none') this.other = value;
     this.switch[1].textContent = this.other;
@@ -67,7 +69,7 @@ export class Compensation {
     if (!(this.since <= source.end + SETTLING)) this.since = source.end + SETTLING;
     const begin = Math.max(this.since, source.end - LONGEST);
     const errors = this.cells.map((_, j) => source.rms(`error.${j}`, begin));
-    if (source.end - this.since >= SHORTEST) {
+    if (errors.some(Number.isFinite)) {
       this.kept.delete(this.value);  // the last of the map is the one of now
       this.kept.set(this.value, errors);
     }
