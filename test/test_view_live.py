@@ -56,7 +56,8 @@ def ask(lab, path, what=None):
         connection.request('GET', path)
     else:
         connection.request('GET', '/')
-        token = re.search(r'name="token" content="([^"]+)"', connection.getresponse().read().decode())
+        page = connection.getresponse().read().decode()
+        token = re.search(r'name="token" content="([^"]+)"', page)
         connection.request('POST', path, json.dumps(what), {'X-Token': token.group(1)})
     answer = connection.getresponse()
     result = answer.status, json.loads(answer.read())
@@ -140,16 +141,16 @@ def test_of_a_loop_of_2_khz_no_more_rows_come_than_can_be_seen(lab):
 
 def test_state_and_late_share_are_those_of_the_plant_in_the_namespace(lab):
     def report(sample):
-        status = [diagnostics.DiagnosticStatus(
-            name=name, hardware_id=f'/{name}', values=[
-                diagnostics.KeyValue(key=key, value=value) for key, value in (
-                    ('state', state), ('reason', 'joint1 moves at 3 rad/s'),
-                    ('states out', str(sample)), ('states without a fresh command',
-                                                  str(sample // 4)))])
-            for name, state in (('left/plant', 'FAULT'), ('plant', 'ACTIVE'))]
-        message = diagnostics.DiagnosticArray(status=status)
+        message = diagnostics.DiagnosticArray(status=[status(sample, 'left/plant', 'FAULT'),
+                                                      status(sample, 'plant', 'ACTIVE')])
         message.header.stamp.sec = sample // 100
         lab.reports.publish(message)
+
+    def status(sample, name, state):
+        values = {'state': state, 'reason': 'joint1 moves at 3 rad/s', 'states out': str(sample),
+                  'states without a fresh command': str(sample // 4)}
+        return diagnostics.DiagnosticStatus(name=name, hardware_id=f'/{name}', values=[
+            diagnostics.KeyValue(key=key, value=value) for key, value in values.items()])
 
     samples = iter(range(100, 100_000, 100))
     robot = event_of(lab, lambda event: report(next(samples)) or (

@@ -20,7 +20,8 @@ from gms_flex_control.benchmarks.timing import Measurement
 _RATE = 1000.0  # [Hz]
 _BROWSERS = ('chromium', 'chromium-browser', 'google-chrome', 'google-chrome-stable')
 _FLAGS = ('--headless', '--no-sandbox', '--disable-gpu', '--no-first-run', '--disable-sync',
-          '--disable-background-networking', '--disable-component-update', '--window-size=1280,860')
+          '--disable-background-networking', '--disable-component-update',
+          '--window-size=1280,860')
 _START_BOUND = 60.0  # [s]
 # what the page may add to the late samples of one process, on an idle machine of 2 cores [%]
 _MOST_ADDED = 1.0
@@ -73,20 +74,18 @@ def measure(robot, gains, quick=False):
 
 
 def _measurements(loop, runs):
-    late, found = {}, []
+    late, found, name = {}, [], f'{_RATE:g} Hz, {loop}'
+    figure = partial(Measurement, suite='view', unit='%')
     for page, results in runs.items():
         shares = [100.0 * (1.0 - timing['answered_in_time']) for timing, _ in results]
         late[page] = median(shares)
-        figure = partial(Measurement, suite='view')
-        name = f'{_RATE:g} Hz, {loop}, page {page}'
         processor = {process: median(taken[process] for _, taken in results)
                      for process in results[0][1]}
         found += [
-            figure(name=f'{name}: late', value=late[page], unit='%',
+            figure(name=f'{name}, page {page}: late', value=late[page],
                    note=', '.join(f'{share:.2f}' for share in shares)),
-            figure(name=f'{name}: processor', value=sum(processor.values()), unit='%', note=', '.join(
-                f'{process} {share:.0f}' for process, share in processor.items()))]
+            figure(name=f'{name}, page {page}: processor', value=sum(processor.values()),
+                   note=', '.join(f'{one} {share:.0f}' for one, share in processor.items()))]
     target = _MOST_ADDED if loop == 'one process' else None
-    return [*found, Measurement(suite='view', name=f'{_RATE:g} Hz, {loop}: late, added by the page',
-                                value=late['open'] - late['closed'], unit='%', target=target,
-                                at_least=False)]
+    return [*found, figure(name=f'{name}: late, added by the page', target=target,
+                           value=late['open'] - late['closed'], at_least=False)]

@@ -94,8 +94,9 @@ class LoopListener:
             self._rows.restarted = False
             self._feed.begin_anew()
         rows = () if self._rows is None else self._rows.take(now)
-        self._feed.add(rows, {'state': self._missing(now, there), 'robot': self._robot.as_dict(now),
-                              'controller': self._complaint if there else ''})
+        self._feed.add(rows, {
+            'state': self._missing(now, there), 'robot': self._robot.as_dict(now),
+            'controller': self._complaint if there else ''})
 
     def _missing(self, now, there):
         """Return what is missing in a sentence, '' if nothing is."""

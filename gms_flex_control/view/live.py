@@ -74,7 +74,7 @@ class Rows:
             self._waiting[stamp] = now, row
 
     def wants(self, stamp):
-        """Return whether a joint state of a stamp [ns] begins a row: no repetition, none between."""
+        """Return whether a joint state of a stamp [ns] begins a row: none again or between."""
         if self._newest is None:
             return True
         ahead = stamp - self._newest

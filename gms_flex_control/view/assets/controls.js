@@ -59,6 +59,9 @@ export class Controls {
 
   /* What the server says of the robot, null where it is not known, and of the controller. */
   show(robot, complaint) {
+    const all = JSON.stringify([robot, complaint]);
+    if (all === this.all) return;
+    this.all = all;
     const state = robot ? robot.state : 'unknown';
     const reason = robot ? robot.reason : 'no plant_node reports on /diagnostics';
     this.place.dataset.state = this.state.textContent = state;

@@ -10,8 +10,8 @@ import {ask, BagSource, LiveSource} from './sources.js';
 import {Transport} from './transport.js';
 
 /* what is drawn takes the processor from the loop that is watched */
-const LIVE = 66;         // between frames of the running loop [ms]
-const REDRAW = 250;      // of its plots [ms]
+const LIVE = 66;         // between frames of the running loop's arm [ms]
+const REDRAW = 250;      // of its numbers and plots [ms]
 const CALM = 300;        // of everything, for those who asked for less motion [ms]
 const RETRY = 1000;      // [ms]
 const at = (id) => document.getElementById(id);
@@ -88,14 +88,17 @@ class View {
     else this.plots.zoom(this.transport.time, factor);
   }
 
-  /* Draw the moment; a `settled` one is also told in words. */
-  show(settled = false) {
+  /* Draw the moment, the `whole` of it or the arm; a `settled` one is also told in words. */
+  show(settled = false, whole = true) {
     const {transport, source, plots} = this, {time} = transport;
-    transport.show();
     const frame = source.frame(time);
     if (frame) {
       if (this.live) this.arm.makeRoom(frame);
       this.arm.show(frame, time, (past) => (past >= source.begin ? source.frame(past) : null));
+    }
+    if (!whole) return;
+    transport.show();
+    if (frame) {
       this.table.show(frame);
       if (this.bars) this.bars.show(frame);
       plots.point(frame, time);
@@ -141,7 +144,7 @@ class View {
     this.before = now;
     if (this.transport.advance(seconds)) {
       this.follow(now);
-      this.show();
+      this.show(false, !this.live || this.drawn === now);
       document.documentElement.dataset.frames = ++this.frames;
     }
   }
