@@ -34,7 +34,7 @@ _PASS_PERIOD = 0.06  # of passing on what has come [s]
 
 
 class ViewError(GmsFlexError):
-    """The controller does not answer."""
+    """A node of the loop does not answer."""
 
 
 class LiveView:
