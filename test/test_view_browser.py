@@ -224,11 +224,6 @@ def check_gains(browser, lab):
     browser.until(f'document.querySelector({row!r} + " .answer").textContent === "set to 39.54"')
 
 
-def said(browser, name):
-    """Return the text of a part of the bar on top."""
-    return browser.ask(f'document.querySelector("#robot {name}").textContent')
-
-
 def check_requests(browser):
     """Stop in an emergency, be told the way on, take it; stop the motion and start it anew."""
     def request(name, state, reason='', answer=''):
@@ -242,6 +237,7 @@ def check_requests(browser):
     request('emergency_stop', 'FAULT', 'emergency stop by service')
     request('enable', 'FAULT', answer='reset first')
     assert browser.ask('document.querySelector("#robot .next").id') == 'ask-reset'
+    browser.until('document.querySelector("#compensation .large").textContent === "–"')
     request('reset', 'ZERO', 'not enabled yet')
     request('enable', 'ACTIVE', 'enabled')
     request('stop', 'ACTIVE', answer='comes to rest')

@@ -46,10 +46,7 @@ export class Compensation {
   }
 
   hold(value) {
-    if (value !== this.value) {
-      this.since = NaN;
-      for (const [now] of this.cells) now.textContent = '–';
-    }
+    if (value !== this.value) this.begin();
     this.value = this.select.value = value;
     if (value !== 'none') this.other = value;
     this.switch[1].textContent = this.other;
@@ -62,6 +59,12 @@ export class Compensation {
   say(accepted, text) {
     this.root.classList.toggle('refused', !accepted);
     this.answer.textContent = accepted ? '' : text;
+  }
+
+  /* Count errors anew: another compensation is on, or no torque flows. */
+  begin() {
+    this.since = NaN;
+    for (const [now] of this.cells) now.textContent = '–';
   }
 
   /* Show the error that a source of rows has had of late. */

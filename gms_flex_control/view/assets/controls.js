@@ -57,6 +57,9 @@ export class Controls {
     if (success) this.timer = setTimeout(() => this.say(true, ''), SHOWN);
   }
 
+  /* Whether torque flows, as far as is known. */
+  get torque() { return !NEXT[this.state.textContent]; }
+
   /* What the server says of the robot, null where it is not known, and of the controller. */
   show(robot, complaint) {
     const all = JSON.stringify([robot, complaint]);

@@ -125,8 +125,12 @@ export class Gains {
         ...roots)));
   }
 
-  /* Show the error that the present compensation leaves. */
-  show(source) { if (this.compensation) this.compensation.show(source); }
+  /* Show the error that the present compensation leaves; none without torque. */
+  show(source, torque) {
+    if (!this.compensation) return;
+    if (torque) this.compensation.show(source);
+    else this.compensation.begin();
+  }
 
   /* Another tool may have set something, or the controller may have come or gone. */
   async look() {

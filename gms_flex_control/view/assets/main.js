@@ -116,7 +116,7 @@ class View {
       if (!transport.playing || now - this.drawn < REDRAW) return;
       this.drawn = now;
       plots.show(Math.max(source.begin, source.end - transport.window), source.end, false);
-      this.gains.show(source);
+      this.gains.show(source, this.controls.torque);
       if (['link', 'motor', 'reference', 'command', 'friction', 'block', 'stick'].map(
         (signal) => source.has(signal)).join() !== this.built) this.build();
     } else if (transport.playing && (transport.time > plots.max || transport.time < plots.min)) {
