@@ -67,7 +67,7 @@ def picture_live(browser, folder):
         lab.start('trajectory_node', files=files, mode='lockstep', trajectory__autostart=True)
         lab.start('plant_node', files=files, mode='lockstep', rate=500.0)
         lab.until(lambda: 'http://' in view.printed())
-        browser.screen(1280, 1240, scale=SCALE)
+        browser.screen(1280, 960, scale=SCALE)
         browser.visit(view.printed().split()[0])
         browser.until(f'Number(document.documentElement.dataset.time) > {LIVE} && '
                       f'!!document.querySelector({GAIN!r})')

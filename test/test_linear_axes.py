@@ -15,6 +15,7 @@ from gms_flex_control.reports.figures import save_figure
 from gms_flex_control.reports.identification import write_identification_report
 from gms_flex_control.reports.identification_text import identification_text
 from gms_flex_control.schema.files import load_robot, save_robot
+from gms_flex_control.view.scene import scene_of
 from identified import identification
 from matplotlib.figure import Figure
 import pytest
@@ -63,6 +64,11 @@ def test_pictures_have_mm_and_n(robot, tmp_path):
     panel.set_ylabel('angle [mrad]')
     save_figure(figure, tmp_path / 'one.png', lambda text: in_units(linear(robot).arm, text))
     assert panel.get_ylabel() == 'angle [mm]'
+
+
+def test_the_page_of_view_has_mm_and_n(robot):
+    assert scene_of(linear(robot)).units == {'rad': 'm', 'mrad': 'mm', 'N m': 'N'}
+    assert scene_of(robot).units['mrad'] == 'mrad'
 
 
 def test_the_tool_states_them(robot, tmp_path, capsys):

@@ -187,6 +187,9 @@ def test_the_running_loop_is_shown_and_its_gains_are_set_through_ros(browser, tm
         browser.until(f'{TIME} > {before}')
         assert len(angles(browser)) == 2
         check_gains(browser, lab)
+        check_requests(browser)
+        check_compensation(browser, lab)
+        check_frames(browser)
         assert view.signal(harness.INT) == 0
         assert 'Traceback' not in view.printed()
         browser.until('document.getElementById("state").textContent.includes("has ended")')
@@ -219,3 +222,48 @@ def check_gains(browser, lab):
     browser.ask(f'document.querySelector({row!r} + " input[type=range]").focus()')
     browser.press('ArrowLeft')
     browser.until(f'document.querySelector({row!r} + " .answer").textContent === "set to 39.54"')
+
+
+def check_requests(browser):
+    """Stop in an emergency, be told the way on, take it; stop the motion and start it anew."""
+    def request(name, state, reason='', answer=''):
+        browser.click(f'#ask-{name}')
+        browser.until(f'document.getElementById("robot-state").textContent === {state!r}')
+        browser.until(f'document.getElementById("robot-reason").textContent.includes({reason!r})')
+        browser.until(f'document.querySelector("#robot .answer").textContent.includes({answer!r})')
+
+    browser.until('document.getElementById("robot-state").textContent === "ACTIVE"')
+    browser.until('/^[0-9.]+ % late$/.test(document.getElementById("robot-late").textContent)')
+    request('emergency_stop', 'FAULT', 'emergency stop by service')
+    request('enable', 'FAULT', answer='reset first')
+    assert browser.ask('document.querySelector("#robot .next").id') == 'ask-reset'
+    browser.until('document.querySelector("#compensation .large").textContent === "–"')
+    request('reset', 'ZERO', 'not enabled yet')
+    request('enable', 'ACTIVE', 'enabled')
+    request('stop', 'ACTIVE', answer='comes to rest')
+    request('start', 'ACTIVE', answer='sinusoid begins')
+
+
+def check_compensation(browser, lab):
+    """Switch it off and on; the error is there in large type, that of before beside it."""
+    known = ('Array.from(document.querySelectorAll("#compensation .large"), '
+             '(one) => Number(one.textContent)).every((one) => one > 0)')
+    browser.until(known)
+    for button, mode, before in ((1, 'none', 'gms'), (2, 'gms', 'none')):
+        assert lab.get(CONTROLLER, 'compensation') == before
+        browser.click(f'.switch button:nth-child({button})')
+        lab.until(lambda mode=mode: lab.get(CONTROLLER, 'compensation') == mode)
+        browser.until(f'document.querySelectorAll(".switch button")[{button - 1}].ariaPressed '
+                      '=== "true"')
+        browser.until(known)
+        browser.until('Array.from(document.querySelectorAll("#compensation .errors small"))'
+                      f'.every((one) => one.textContent.startsWith("{before}: "))')
+
+
+def check_frames(browser):
+    """However fast the machine, no more frames are drawn than the eye needs."""
+    look = '[performance.now(), Number(document.documentElement.dataset.frames)]'
+    begin, first = browser.ask(look)
+    browser.until(f'Number(document.documentElement.dataset.frames) > {first + 10}')
+    end, last = browser.ask(look)
+    assert (last - first) <= (end - begin) / 60.0 + 1.0

@@ -4,10 +4,13 @@
 """`gms_flex view live` without a browser: a robot of somebody else, in a namespace."""
 
 import base64
+from concurrent.futures import ThreadPoolExecutor
 import http.client
 import json
+import re
 import sys
 
+from gms_flex_control.view.live import SPACING
 from node_harness import (
     array_message,
     Float64MultiArray,
@@ -15,9 +18,12 @@ from node_harness import (
     JointState,
     Lab,
     TERM,
+    Trigger,
 )
 import numpy as np
 import pytest
+
+diagnostics = pytest.importorskip('diagnostic_msgs.msg')
 
 # other processes of the machine can delay real nodes beyond any bound
 pytestmark = pytest.mark.flaky(reruns=2)
@@ -35,17 +41,24 @@ def lab(tmp_path_factory):
         lab.states = lab.speak(JointState, '/left/joint_states')
         lab.commands = lab.speak(Float64MultiArray, '/left/effort_controller/commands')
         lab.references = lab.speak(Float64MultiArray, '/left/reference')
+        lab.reports = lab.speak(diagnostics.DiagnosticArray, '/diagnostics')
         lab.stamp = 0
         lab.until(lambda: 'http://' in lab.view.printed())
         lab.until(lambda: all(one.get_subscription_count() for one in (
-            lab.states, lab.commands, lab.references)))
+            lab.states, lab.commands, lab.references, lab.reports)))
         yield lab
 
 
-def ask(lab, path):
-    """Return status and JSON of one request."""
+def ask(lab, path, what=None):
+    """Return status and JSON of one request; ``what`` is asked for with the page's token."""
     connection = http.client.HTTPConnection(lab.view.printed().split('/')[2], timeout=30)
-    connection.request('GET', path)
+    if what is None:
+        connection.request('GET', path)
+    else:
+        connection.request('GET', '/')
+        page = connection.getresponse().read().decode()
+        token = re.search(r'name="token" content="([^"]+)"', page)
+        connection.request('POST', path, json.dumps(what), {'X-Token': token.group(1)})
     answer = connection.getresponse()
     result = answer.status, json.loads(answer.read())
     connection.close()
@@ -70,8 +83,8 @@ def known(lab):
     return (session := ask(lab, '/api/session')[1])['scene'] and session
 
 
-def rows_of(lab, session):
-    """Return the first rows of the stream by column name."""
+def event_of(lab, condition):
+    """Return the first event of the stream that meets a condition, moving meanwhile."""
     connection = http.client.HTTPConnection(lab.view.printed().split('/')[2], timeout=30)
     connection.request('GET', '/api/live')
     answer = connection.getresponse()
@@ -79,12 +92,18 @@ def rows_of(lab, session):
     while True:
         move(lab)
         line = answer.readline()
-        if line.startswith(b'data: ') and (event := json.loads(line[6:])).get('rows'):
-            assert event['version'] == session['version']
+        if line.startswith(b'data: ') and condition(event := json.loads(line[6:])):
             connection.close()
-            names = session['columns']
-            data = np.frombuffer(base64.b64decode(event['rows'])).reshape(-1, len(names))
-            return dict(zip(names, data.T, strict=True))
+            return event
+
+
+def rows_of(lab, session):
+    """Return the first rows of the stream by column name."""
+    event = event_of(lab, lambda event: event.get('rows'))
+    assert event['version'] == session['version']
+    names = session['columns']
+    data = np.frombuffer(base64.b64decode(event['rows'])).reshape(-1, len(names))
+    return dict(zip(names, data.T, strict=True))
 
 
 def test_joints_of_another_robot_are_told_by_name_and_drawn_alike(lab):
@@ -108,6 +127,58 @@ def test_what_belongs_together_is_in_one_row(lab):
     assert np.isnan(rows['twist.1']).all()
     assert {tuple(row) for row in np.stack([rows[f'command.{j}'][whole] for j in range(3)], 1)
             } == {(1.0, 2.0, 3.0)}
+
+
+def test_of_a_loop_of_2_khz_no_more_rows_come_than_can_be_seen(lab):
+    session = lab.until(lambda: known(lab))
+    for _ in range(80):
+        lab.stamp += 500_000 - PERIOD  # and move adds PERIOD
+        move(lab)
+    times = rows_of(lab, session)['time']
+    assert len(times) >= 10
+    assert np.diff(times).min() > 0.99e-9 * SPACING
+
+
+def test_state_and_late_share_are_those_of_the_plant_in_the_namespace(lab):
+    def report(sample):
+        message = diagnostics.DiagnosticArray(status=[status(sample, 'left/plant', 'FAULT'),
+                                                      status(sample, 'plant', 'ACTIVE')])
+        message.header.stamp.sec = sample // 100
+        lab.reports.publish(message)
+
+    def status(sample, name, state):
+        values = {'state': state, 'reason': 'joint1 moves at 3 rad/s', 'states out': str(sample),
+                  'states without a fresh command': str(sample // 4)}
+        return diagnostics.DiagnosticStatus(name=name, hardware_id=f'/{name}', values=[
+            diagnostics.KeyValue(key=key, value=value) for key, value in values.items()])
+
+    samples = iter(range(100, 100_000, 100))
+    robot = event_of(lab, lambda event: report(next(samples)) or (
+        event['robot'] and event['robot']['rate']))['robot']
+    assert robot == {'state': 'FAULT', 'reason': 'joint1 moves at 3 rad/s', 'rate': 100.0,
+                     'late': 0.25}
+
+
+def test_requests_reach_the_services_of_the_namespace(lab):
+    def stop(_, response):
+        response.success, response.message = True, 'FAULT: emergency stop by service'
+        return response
+    lab.node.create_service(Trigger, '/left/plant/emergency_stop', stop)
+    with ThreadPoolExecutor(1) as pool:  # this thread answers
+        asked = lab.until(lambda: answered(lab, pool, 'emergency_stop'))
+    assert asked == (200, {'success': True, 'message': 'FAULT: emergency stop by service'})
+    status, answer = ask(lab, '/api/call', {'name': 'start'})
+    assert status == 503 and answer['reason'] == (
+        '/left/trajectory/start does not answer: is trajectory_node running?')
+    status, answer = ask(lab, '/api/call', {'name': 'reboot'})
+    assert status == 503 and answer['reason'].startswith('reboot cannot be asked for here, only')
+
+
+def answered(lab, pool, name):
+    """Return status and answer of a request once the service is known, None before."""
+    future = pool.submit(ask, lab, '/api/call', {'name': name})
+    lab.until(future.done)
+    return future.result() if future.result()[0] == 200 else None
 
 
 def test_without_a_controller_gains_are_a_sentence_and_the_end_is_clean(lab):

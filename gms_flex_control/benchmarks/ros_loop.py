@@ -8,6 +8,7 @@ The floor is an echo of two processes: joint states out, an array back, nothing 
 of one run are to be compared with each other; every loop has an echo of its own right before it.
 """
 
+from contextlib import suppress
 from importlib.util import find_spec
 import json
 import os
@@ -62,19 +63,19 @@ def measure(robot, gains, quick=False):
 
 def run_echo(rate, duration):
     """Run the echo; see `run_loop`."""
-    with _Run() as run:
+    with Run() as run:
         run.start('echo', [*_ECHO, 'echo'])
         return run.paced(rate, duration, ['echo', 'pacer'])
 
 
 def run_bridge(rate, duration):
     """Run loop_node as a bridge to a robot that is the pacer of the echo; see `run_loop`."""
-    with _Run() as run:
+    with Run() as run:
         run.start_node('loop_node', [_config('bridge.yaml')], {'realtime_priority': 0})
         return run.paced(rate, duration, ['loop_node'], '/plant/enable')
 
 
-def run_loop(rate, duration, *, composed=False, **parameters):
+def run_loop(rate, duration, *, composed=False, beside=None, **parameters):
     """
     Run the nodes with a simulated robot.
 
@@ -86,6 +87,9 @@ def run_loop(rate, duration, *, composed=False, **parameters):
         How long [s].
     composed : bool
         In one process, of which all topics are recorded.
+    beside : callable, optional
+        Starts further processes of the Run before the loop, of which one hears the joint states;
+        returns their names.
     **parameters
         Of all nodes.
 
@@ -98,10 +102,11 @@ def run_loop(rate, duration, *, composed=False, **parameters):
 
     """
     moves = {'trajectory.autostart': True}
-    with _Run() as run:
+    with Run() as run:
         timing = run.folder / 'timing.json'
         plant = {'rate': rate, 'substeps': 10, 'duration': duration, 'timing_file': timing,
-                 'wait_for_subscribers': 2 + composed}
+                 'wait_for_subscribers': 2 + composed + (beside is not None)}
+        others = [] if beside is None else beside(run)
         if composed:
             names = ['loop_node']
             run.start('recorder', [*executable('gms_flex'), 'record', '--topics', *_TOPICS,
@@ -113,7 +118,7 @@ def run_loop(rate, duration, *, composed=False, **parameters):
             run.start_node('trajectory_node', [], {**moves, **parameters})
             run.start_node('plant_node', [], {**plant, **parameters})
         run.processes.wait_for_text(names[0], ['ACTIVE'], _START_BOUND)
-        processor = run.processor(names, duration - 2.0 * _SETTLE)
+        processor = run.processor([*names, *others], duration - 2.0 * _SETTLE)
         run.processes.wait(names[0], _START_BOUND)
         return json.loads(timing.read_text(encoding='utf-8')), processor
 
@@ -126,7 +131,7 @@ _LOOPS = {
     'bridge in one process': run_bridge}
 
 
-class _Run:
+class Run:
     """Processes of one measurement in a domain and a folder of their own."""
 
     def __enter__(self):
@@ -176,9 +181,18 @@ def _config(name):
 
 
 def cpu_time(pid):
-    """Return the processor time of a process so far [s] (Linux)."""
-    fields = Path(f'/proc/{pid}/stat').read_text(encoding='utf-8').rpartition(')')[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf('SC_CLK_TCK')
+    """Return the processor time of a process and of those it has started, so far [s] (Linux)."""
+    started, taken = {}, {}
+    for stat in Path('/proc').glob('[0-9]*/stat'):
+        with suppress(OSError):  # it has just ended
+            fields = stat.read_text(encoding='utf-8').rpartition(')')[2].split()
+            number = int(stat.parent.name)
+            taken[number] = (int(fields[11]) + int(fields[12])) / os.sysconf('SC_CLK_TCK')
+            started.setdefault(int(fields[1]), []).append(number)
+    family = [pid]
+    for one in family:
+        family += started.get(one, [])
+    return sum(taken.get(one, 0.0) for one in family)
 
 
 def _measurements(rate, loop, ours, echo):

@@ -14,6 +14,7 @@ SUITES = {
     'step': ('core', 'measure_step'),
     'tick': ('core', 'measure_tick'),
     'ros': ('ros_loop', 'measure'),
+    'view': ('view_live', 'measure'),
     'fit': ('identification', 'measure_fit'),
     'identify': ('identified_bag', 'measure'),
     'effects': ('effect_dispatch', 'measure'),

@@ -7,7 +7,7 @@ from dataclasses import asdict
 import json
 import sys
 
-SUITES = ('loop', 'step', 'tick', 'ros', 'fit', 'identify', 'effects', 'arguments',
+SUITES = ('loop', 'step', 'tick', 'ros', 'view', 'fit', 'identify', 'effects', 'arguments',
           'batches', 'export')
 
 
@@ -19,7 +19,8 @@ def add_parser(subparsers):
                     'run only. MuJoCo is measured where the extra "bench" is installed. The '
                     'suites "effects", "arguments" and "batches" are those of docs/decisions '
                     'and docs/scale.md, "export" compares free runs of the exported MJCF with our '
-                    'own, effect by effect (docs/export.md); these run only when asked for.')
+                    'own, effect by effect (docs/export.md), "view" the late samples of the loop '
+                    'with and without the page of view live; these run only when asked for.')
     parser.add_argument('--quick', action='store_true', help='rough figures in a few seconds')
     parser.add_argument('--json', action='store_true', help='print JSON')
     parser.add_argument('--only', nargs='+', choices=SUITES, metavar='SUITE',

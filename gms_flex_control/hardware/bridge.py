@@ -287,6 +287,10 @@ class Bridge:
         self._silent_for = sentence if sentence.startswith(_NO_COMMAND) else ''
         return bool(sentence) and self.fault(sentence)
 
+    def looked(self, now):
+        """Return how long ago it was looked after both sides [ns]."""
+        return now - self._watched
+
     def _silent_robot(self, now):
         if self._arrived is None:
             return f"no joint states from {', '.join(self.params.sources)} yet"

@@ -4,6 +4,7 @@
 """What a robot may do, whatever the controller says: torque, rate, velocity, range and twist."""
 
 from dataclasses import dataclass, fields
+from functools import cached_property
 
 from gms_flex_control.errors import ParameterError
 from gms_flex_control.params.checks import freeze_arrays
@@ -63,6 +64,14 @@ class Limits:
         if not (self.lower < self.upper).all():
             raise ParameterError(f'limits: lower {self.lower} must be below upper {self.upper}; '
                                  'were they swapped?')
+
+    @cached_property
+    def within(self):
+        """Return least and most (4 n_joints,) of link angles, both sides' velocities, twists."""
+        fastest = self.velocity + self.velocity_margin
+        least = self.lower - self.position_margin, -fastest, -fastest, -self.twist
+        most = self.upper + self.position_margin, fastest, fastest, self.twist
+        return np.concatenate(least), np.concatenate(most)
 
     def missing(self):
         """Return names of the limits that some joint lacks and no real robot may lack."""
@@ -138,6 +147,10 @@ def violation(names, measured, limits):
 
     """
     q, twist = measured.q_link, measured.q_motor - measured.q_link
+    seen = np.concatenate((q, measured.dq_link, measured.dq_motor, twist))
+    least, most = limits.within
+    if not ((seen < least) | (seen > most)).any():  # as nearly always, on the way of a command
+        return ''
     above = q > limits.upper + limits.position_margin
     below = q < limits.lower - limits.position_margin
     if (above | below).any():

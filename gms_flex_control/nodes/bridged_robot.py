@@ -21,6 +21,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 _WATCH_PERIOD = 0.002      # how often the silence of both sides is measured [s]
+_JUST = 2_000_000          # a look so soon after another one would only hold up the loop [ns]
 _MOST_PASSED = 3           # looks that are left out one after the other
 _SWITCH = 1e-3             # for so long a look may wait for a state that is handled [s]
 _ZERO_PERIOD = 10_000_000  # zero torque is repeated that often while there is none [ns]
@@ -200,9 +201,12 @@ class BridgedRobot(SupervisedRobot):
             self._settle()
 
     def _look(self):
-        """Look after both sides, unless a state or command is just being handled."""
+        """Look after both sides, unless a state or command is just being handled, or has been."""
         self._passed += 1
-        if not self._lock.acquire(blocking=self._passed > _MOST_PASSED):
+        due = self._passed > _MOST_PASSED
+        if not due and self._bridge.looked(self.now()) < _JUST:  # by a command, that is
+            return
+        if not self._lock.acquire(blocking=due):
             return
         try:
             self._passed = 0

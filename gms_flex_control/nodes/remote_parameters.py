@@ -1,7 +1,7 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""Another node's parameters, asked for from threads that do not spin."""
+"""Another node's parameters and Trigger services, called from threads that do not spin."""
 
 from functools import partial
 import math
@@ -15,6 +15,7 @@ from rcl_interfaces.srv import (
     SetParameters,
 )
 from rclpy.parameter import Parameter, parameter_value_to_python
+from std_srvs.srv import Trigger
 
 _BOUND = 3.0  # of waiting for an answer [s]
 _SERVICES = {ListParameters: 'list_parameters', GetParameters: 'get_parameters',
@@ -102,22 +103,50 @@ class RemoteParameters:
                 'value': parameter_value_to_python(now.values[0]) if now.values else None}
 
     def _call(self, kind, request):
-        """Return the response of the node, None if there is none in time."""
-        done, answers = threading.Event(), []
+        return _answer(self._clients[kind], request, self._do)
 
-        def finish(future):
-            answers.append(future.result())
+
+class RemoteTriggers:
+    """
+    Clients of Trigger services.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Which calls.
+    services : sequence of str
+        Their full names.
+    do : callable
+        As of RemoteParameters.
+
+    """
+
+    def __init__(self, node, services, do):
+        self._do = do
+        self._clients = {name: node.create_client(Trigger, name) for name in services}
+
+    def call(self, name):
+        """Return ``success`` and ``message`` of a service, as a dict; None without an answer."""
+        answer = _answer(self._clients[name], Trigger.Request(), self._do)
+        return answer and {'success': answer.success, 'message': answer.message}
+
+
+def _answer(client, request, do):
+    """Return the response to a request, None if there is none in time."""
+    done, answers = threading.Event(), []
+
+    def finish(future):
+        answers.append(future.result())
+        done.set()
+
+    def begin():
+        if client.service_is_ready():
+            client.call_async(request).add_done_callback(finish)
+        else:
             done.set()
-
-        def begin():
-            client = self._clients[kind]
-            if client.service_is_ready():
-                client.call_async(request).add_done_callback(finish)
-            else:
-                done.set()
-        self._do(begin)
-        done.wait(_BOUND)
-        return answers[0] if answers else None
+    do(begin)
+    done.wait(_BOUND)
+    return answers[0] if answers else None
 
 
 def _described(name, value, descriptor):

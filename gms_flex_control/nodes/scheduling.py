@@ -9,11 +9,13 @@ import ctypes
 import os
 import platform
 import signal
+import threading
 
 LAUNCHED = 'GMS_FLEX_LAUNCHED'  # set in the environment of what our launch files start
 _PR_SET_PDEATHSIG, _PR_SET_TIMERSLACK = 1, 29
 _SCHED_SETATTR = {'x86_64': 314, 'aarch64': 274}  # numbers of the system call
 _SLICE = 100_000   # the shortest there is [ns]
+_NICE = 10
 WAY_OUT = 'allow rtprio in /etc/security/limits.conf'  # where no priority is permitted
 
 
@@ -46,6 +48,12 @@ def tighten_timers():
     """Let sleeps of this thread end when asked, not within the usual 50 us (Linux)."""
     with suppress(OSError, AttributeError):
         ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
+
+
+def give_way():
+    """Let this thread run where the loop leaves time, as one of nice 10 (Linux)."""
+    with suppress(OSError):
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICE)
 
 
 def end_with_launch():

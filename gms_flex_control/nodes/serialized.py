@@ -102,6 +102,20 @@ class Deserialized:
         return self._message
 
 
+def stamp_in(data, kind):
+    """
+    Return the stamp [ns] in the bytes of a JointState or Float64MultiArray, None without one.
+
+    It is read without the rest; only bytes of the other byte order make a wrong one.
+    """
+    if kind is JointState:
+        sec, nanosec = _TIME.unpack_from(data, _TIME_AT)
+        return sec * 1_000_000_000 + nanosec
+    begin = data.find(_STAMP.encode())
+    digits = data[begin + len(_STAMP):data.find(b'\0', begin)] if begin >= 0 else b''
+    return int(digits) if digits.isdigit() else None
+
+
 def _places(end, count, sequences):
     """Return where (slices) the last sequences of ``count`` doubles stand that end at ``end``."""
     size = 8 * count

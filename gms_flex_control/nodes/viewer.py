@@ -9,33 +9,32 @@ import math
 import threading
 import time
 
-from gms_flex_control.bags.names import link_names, MOTOR_SUFFIX
 from gms_flex_control.errors import GmsFlexError
-from gms_flex_control.nodes import messages, process
-from gms_flex_control.nodes.remote_parameters import RemoteParameters
+from gms_flex_control.nodes.loop_listener import LoopListener
+from gms_flex_control.nodes.remote_parameters import RemoteParameters, RemoteTriggers
+from gms_flex_control.nodes.scheduling import give_way
 from gms_flex_control.nodes.transport import avoid_shared_memory
 from gms_flex_control.schema.build import robot_from_values
 from gms_flex_control.schema.keys import robot_keys
-from gms_flex_control.view.live import Feed, Rows
-from gms_flex_control.view.scene import scene_of, unknown_scene
+from gms_flex_control.view.live import Feed
 import rclpy
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
-from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
 
 CONTROLLER = '/cascade_controller'
 _TUNABLE = ('compensation', 'gains')
+# what the page may ask for -> the service that does it, below the namespace
+_REQUESTS = {'start': 'trajectory/start', 'stop': 'trajectory/stop', 'enable': 'plant/enable',
+             'disable': 'plant/disable', 'reset': 'plant/reset',
+             'emergency_stop': 'plant/emergency_stop'}
 _ASK_PERIOD = 1.0    # of looking for the controller, and asking for its robot [s]
-_SPIN = 0.02         # longest wait for a message [s]
-_PASS_PERIOD = 0.03  # of passing on what has come [s]
-_SILENCE = 1.0       # of the joint states, before it is said [s]
-_DEPTH = 200
+_SPIN = 0.02         # longest wait for an answer [s]
+_PASS_PERIOD = 0.06  # of passing on what has come [s]
 
 
 class ViewError(GmsFlexError):
-    """The controller does not answer."""
+    """A node of the loop does not answer."""
 
 
 class LiveView:
@@ -55,11 +54,9 @@ class LiveView:
 
     def __init__(self, namespace='', controller=CONTROLLER):
         self._space, self._controller = namespace.rstrip('/'), controller
-        self._scene = self._rows = self._names = None
-        self._links, self._motors, self._blocks = (), (), 0
         self._known = False      # whether the controller has told its robot
         self._there = False      # whether it answers
-        self._asked, self._heard = -math.inf, None
+        self._asked = -math.inf
         self._feed, self._todo, self._told = Feed(), deque(), deque()
         self._stop = threading.Event()
         self._threads = [threading.Thread(target=run, name=run.__name__, daemon=True)
@@ -70,12 +67,14 @@ class LiveView:
         avoid_shared_memory()
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         name = f'_gms_flex_view_{time.time_ns() % 10**9}'
-        # apart, so that an answer does not wait behind thousands of joint states
+        # apart: of the first one messages are taken, only the second one is spun
         self._node, self._asker = (
             rclpy.create_node(f'{name}{end}', enable_rosout=False, start_parameter_services=False)
             for end in ('', '_parameters'))
         self._remote = RemoteParameters(self._asker, self._controller, self._todo.append)
-        self._subscribe()
+        self._services = RemoteTriggers(self._asker, [
+            f'{self._space}/{service}' for service in _REQUESTS.values()], self._todo.append)
+        self._listener = LoopListener(self._node, self._space, self._controller, self._feed)
         for thread in self._threads:
             thread.start()
         return self
@@ -89,31 +88,18 @@ class LiveView:
         self._asker.destroy_node()
         rclpy.try_shutdown()
 
-    def _subscribe(self):
-        arrays = {f'{self._space}/effort_controller/commands': self._on_command,
-                  f'{self._space}/reference': self._on_reference,
-                  f'{self._controller}/blocks': self._on_blocks,
-                  f'{self._controller}/sticking': self._on_sticking}
-        kinds = [(JointState, f'{self._space}/joint_states', self._on_joint_states),
-                 (JointState, f'{self._controller}/state', self._on_state),
-                 *((Float64MultiArray, topic, callback) for topic, callback in arrays.items())]
-        for kind, topic, callback in kinds:
-            self._node.create_subscription(
-                kind, topic, callback, process.subscriber_qos('realtime', _DEPTH),
-                event_callbacks=process.NO_EVENTS)
-
     def _listen(self):
         """Take messages in, and pass them on some at a time."""
-        due = 0.0
-        for _ in self._spinning(self._node):
-            now = time.monotonic()
-            if now >= due:
-                due = now + _PASS_PERIOD
-                self._pass_on(now)
+        give_way()
+        while not self._stop.wait(_PASS_PERIOD):
+            while self._told:
+                self._meet(self._told.popleft())
+            self._listener.take_all()
+            self._listener.pass_on(self._there)
 
     def _ask(self):
         """Call services, and look whether the controller is there."""
-        for _ in self._spinning(self._asker):
+        for _ in self._spinning():
             while self._todo:
                 self._todo.popleft()()
             now = time.monotonic()
@@ -123,10 +109,10 @@ class LiveView:
                 if self._there and not (was and self._known):  # it may have another robot now
                     self._remote.ask_all(self._told.append)
 
-    def _spinning(self, node):
-        """Yield between the callbacks of a node until the end."""
+    def _spinning(self):
+        """Yield between the answers of services until the end."""
         executor = EventsExecutor()
-        executor.add_node(node)
+        executor.add_node(self._asker)
         try:
             while rclpy.ok() and not self._stop.is_set():
                 executor.spin_once(timeout_sec=_SPIN)
@@ -135,24 +121,6 @@ class LiveView:
             pass
         finally:
             executor.shutdown()
-
-    def _pass_on(self, now):
-        while self._told:
-            self._meet(self._told.popleft())
-        if self._rows is None:
-            self._feed.add((), self._state(now))
-            return
-        if self._rows.restarted:
-            self._rows.restarted = False
-            self._feed.begin_anew()
-        self._feed.add(self._rows.take(now), self._state(now))
-
-    def _state(self, now):
-        if self._heard is None:
-            return f'no joint states on {self._space}/joint_states yet: is plant_node running?'
-        if now - self._heard > _SILENCE:
-            return f'no joint states for {int(now - self._heard)} s'
-        return '' if self._there else f'{self._controller} is not there'
 
     def _meet(self, values):
         """Take the robot that the controller believes in from its parameters."""
@@ -164,67 +132,16 @@ class LiveView:
         except GmsFlexError:
             return  # a controller of somebody else
         self._known = True
-        self._links, self._motors, self._names = robot.joints, robot.motors, None
-        scene, blocks = scene_of(robot), robot.friction.stiffness.shape[1]
-        if (scene, blocks) != (self._scene, self._blocks):
-            self._begin(scene, blocks)
-
-    def _begin(self, scene, blocks):
-        self._scene, self._blocks = scene, blocks
-        self._rows = Rows(scene.n_joints, blocks)
-        self._names = None
-        self._feed.begin_anew()
-
-    def _on_joint_states(self, message):
-        self._heard = time.monotonic()
-        names = list(message.name)
-        if self._rows is None:
-            links = link_names(names)
-            self._links = tuple(links)
-            self._motors = tuple(name + MOTOR_SUFFIX if name + MOTOR_SUFFIX in names else ''
-                                 for name in links)
-            self._begin(unknown_scene(links, self._motors), 0)
-        if names != self._names:
-            self._names = names
-            self._order = [[names.index(name) if name in names else None for name in side]
-                           for side in (self._links, self._motors)]
-        link, motor = ([message.position[k] if k is not None and k < len(message.position)
-                        else math.nan for k in side] for side in self._order)
-        self._rows.put_state(messages.to_nanoseconds(message.header.stamp), self._heard,
-                             link, motor)
-
-    def _put(self, signal, message):
-        if self._rows is not None:
-            self._rows.put(signal, messages.read_stamp(message), message.data)
-
-    def _on_command(self, message):
-        self._put('command', message)
-
-    def _on_reference(self, message):
-        dims = message.layout.dim
-        if not dims or dims[0].label != messages.EFFORT:
-            self._put('reference', message)
-
-    def _on_state(self, message):
-        if self._rows is not None and tuple(message.name) == tuple(self._links):
-            stamp = messages.to_nanoseconds(message.header.stamp)
-            self._rows.put('error', stamp, message.position)
-            self._rows.put('friction', stamp, message.effort)
-
-    def _on_blocks(self, message):
-        self._put('block', message)
-
-    def _on_sticking(self, message):
-        self._put('stick', message)
+        self._listener.meet(robot)
 
     def session(self):
         """Return what the page has to know before it draws, as a dict for JSON."""
-        version, scene = self._feed.version, self._scene
+        version, scene = self._feed.version, self._listener.scene
         title = 'running loop' + (f' in {self._space}' if self._space else '')
         return {'mode': 'live', 'title': title, 'notes': [], 'version': version,
                 'controller': self._controller, 'scene': scene and scene.as_dict(),
-                'columns': self._rows.names if scene else [],
-                'blocks': {'count': self._blocks, 'origin': 'observer'}}
+                'columns': self._listener.columns,
+                'blocks': {'count': self._listener.blocks, 'origin': 'observer'}}
 
     def since(self, number, wait):
         """As `gms_flex_control.view.live.Feed.since`."""
@@ -267,6 +184,36 @@ class LiveView:
         if name.split('.')[0] not in _TUNABLE:
             raise ViewError(f'{name[:80]} cannot be set here, only gains and compensation')
         return self._answered(self._remote.change(name, value))
+
+    def call(self, name):
+        """
+        Ask plant or trajectory for something.
+
+        Parameters
+        ----------
+        name : str
+            ``start`` or ``stop`` (of the motion), ``enable``, ``disable`` or ``reset`` (of the
+            torque), or ``emergency_stop``.
+
+        Returns
+        -------
+        dict
+            ``success`` (bool) and ``message`` (str), as the node answers.
+
+        Raises
+        ------
+        ViewError
+            If it does not answer in time, or there is no such request.
+
+        """
+        if name not in _REQUESTS:
+            raise ViewError(f'{name[:80]} cannot be asked for here, only {", ".join(_REQUESTS)}')
+        service = f'{self._space}/{_REQUESTS[name]}'
+        answer = self._services.call(service)
+        if answer is None:
+            node = _REQUESTS[name].split('/')[0]
+            raise ViewError(f'{service} does not answer: is {node}_node running?')
+        return answer
 
     def _answered(self, result):
         if result is None:

@@ -11,12 +11,13 @@ from gms_flex_control.view.columns import column_names, PER_JOINT
 import numpy as np
 
 WAIT = 0.08          # a row waits so long for what belongs to it [s]
-KEPT = 60_000        # rows that a page which opens late still gets
+KEPT = 15_000        # rows that a page which opens late still gets
+SPACING = 4_000_000  # of rows: what lies between is left out, nobody would see it [ns]
 _MOST_WAITING = 2000
 _MOST_AT_ONCE = 4000  # rows of one event
 _REACH = 20_000_000   # a reference further away is none [ns]
 _DERIVATIVES = 4       # of a reference, the angle among them
-_JUMP = 1.0           # stamps that go back or ahead by more are another run [s]
+_JUMP = 1_000_000_000  # stamps that go back or ahead by more are another run [ns]
 
 
 class Rows:
@@ -27,12 +28,14 @@ class Rows:
     ----------
     n, blocks : int
         Joints, and friction blocks of each.
+    spacing : int
+        Joint states closer than that to the row before make none [ns].
 
     """
 
-    def __init__(self, n, blocks):
+    def __init__(self, n, blocks, spacing=1):
         self.names = column_names(n, blocks)
-        self._n, self._blocks = n, blocks
+        self._n, self._blocks, self._spacing = n, blocks, spacing
         self._place = {'block': 1 + len(PER_JOINT) * n}
         self._place |= {signal: 1 + PER_JOINT.index(signal) * n for signal in PER_JOINT}
         self._place['stick'] = self._place['block'] + n * blocks
@@ -55,12 +58,11 @@ class Rows:
             Angles [rad], NaN where there is none.
 
         """
-        ahead = 0.0 if self._newest is None else (stamp - self._newest) * 1e-9
-        if abs(ahead) > _JUMP:
+        if not self.wants(stamp):
+            return
+        if self._newest is not None and abs(stamp - self._newest) > _JUMP:
             self._waiting.clear()
             self._origin, self.restarted = None, True
-        elif self._newest is not None and ahead <= 0.0:
-            return  # sent again, or overtaken
         if self._origin is None:
             self._origin = stamp
         self._newest = stamp
@@ -70,6 +72,22 @@ class Rows:
         self._write(row, 'motor', motor)
         if len(self._waiting) < _MOST_WAITING:
             self._waiting[stamp] = now, row
+
+    def wants(self, stamp):
+        """Return whether a joint state of a stamp [ns] begins a row: none again or between."""
+        if self._newest is None:
+            return True
+        ahead = stamp - self._newest
+        return ahead >= self._spacing or ahead < -_JUMP
+
+    def wants_more(self, signal, stamp):
+        """Return whether values of a signal, of a stamp [ns] or None, may belong to a row."""
+        if stamp is None:
+            return True
+        if signal != 'reference':
+            return stamp in self._waiting
+        last = self._references[-1][0] if self._references else None
+        return last is None or not 0 <= stamp - last < self._spacing
 
     def put(self, signal, stamp, values):
         """
@@ -85,11 +103,10 @@ class Rows:
             One per joint or block; of a reference its derivatives may follow.
 
         """
-        if signal == 'reference':  # stamped ahead of the state it is for
-            self._references.append((self._newest if stamp is None else stamp, list(values)))
-            return
         stamp = self._newest if stamp is None else stamp
-        if stamp in self._waiting:
+        if signal == 'reference' and stamp is not None:  # stamped ahead of the state it is for
+            self._references.append((stamp, list(values)))
+        elif stamp in self._waiting:
             self._write(self._waiting[stamp][1], signal, values)
 
     def _write(self, row, signal, values):
@@ -140,7 +157,7 @@ class Feed:
     def __init__(self):
         self._condition = threading.Condition()
         self._rows, self._count = deque(maxlen=KEPT), 0
-        self.version, self._state = 0, ''
+        self.version, self._state = 0, None
 
     def begin_anew(self):
         """Forget all rows: names or meaning of the columns have changed."""
@@ -150,7 +167,7 @@ class Feed:
             self._condition.notify_all()
 
     def add(self, rows, state):
-        """Add rows (T, columns), and say in a sentence what is missing ('' for nothing)."""
+        """Add rows (T, columns), and say how the loop is, as a dict for JSON."""
         with self._condition:
             changed = state != self._state
             self._rows.extend(rows)
@@ -176,8 +193,8 @@ class Feed:
             For the next call.
         version : int
             Grows when the columns change.
-        state : str
-            What is missing.
+        state : dict
+            How the loop is.
         rows : ndarray, shape (T, columns)
 
         """

@@ -3,12 +3,14 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """What the page has to know of a robot to draw it."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 
+from gms_flex_control.params.units import in_units
 import numpy as np
 
 _SHOWN = 2000      # samples whose poses tell how much room the arm needs
 _LENGTH = 0.3      # of links of which nothing is known [m]
+_UNITS = ('rad', 'mrad', 'N m')
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,6 +34,8 @@ class Scene:
         Torque at which each block of each joint breaks away at rest [N m]; empty if unknown.
     known : bool
         Whether the lengths are the robot's own.
+    units : dict of str to str
+        What is shown for rad, mrad and N m: others of linear axes.
 
     """
 
@@ -43,6 +47,7 @@ class Scene:
     stiffness: tuple
     limits: tuple = ()
     known: bool = True
+    units: dict = field(default_factory=lambda: {unit: unit for unit in _UNITS})
 
     @property
     def n_joints(self):
@@ -70,7 +75,8 @@ def scene_of(robot):
         joints=tuple(robot.joints), kind=arm.kind, length=tuple(length.tolist()),
         offset=tuple(arm.offset.tolist()), rigid=tuple(arm.rigid.tolist()),
         stiffness=tuple(np.where(arm.rigid, 0.0, arm.stiffness).tolist()),
-        limits=tuple(map(tuple, (friction.weight * static[:, None]).tolist())))
+        limits=tuple(map(tuple, (friction.weight * static[:, None]).tolist())),
+        units={unit: in_units(arm, unit) for unit in _UNITS})
 
 
 def unknown_scene(joints, flexible):

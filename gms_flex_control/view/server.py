@@ -27,7 +27,8 @@ _TYPES = {'html': 'text/html; charset=utf-8', 'css': 'text/css; charset=utf-8',
           'js': 'text/javascript; charset=utf-8', 'svg': 'image/svg+xml',
           'json': 'application/json', 'bin': 'application/octet-stream'}
 _OWN = ('index.html', 'view.css', 'icon.svg', 'main.js', 'sources.js', 'arm.js', 'shapes.js',
-        'charts.js', 'blocks.js', 'gains.js', 'transport.js', 'numbers.js')
+        'charts.js', 'blocks.js', 'controls.js', 'compensation.js', 'gains.js', 'transport.js',
+        'numbers.js')
 _SHARED = {'report.css': 'report.css', 'uPlot.css': 'vendor/uPlot.min.css',
            'uPlot.js': 'vendor/uPlot.iife.min.js'}
 
@@ -66,8 +67,8 @@ class ViewServer(ThreadingHTTPServer):
     ----------
     view : object
         ``live`` (bool) and ``session()``; a bag has ``frames(level, chunk)`` and
-        ``plots(begin, end, points)``, a live one ``since(number, wait)``, ``parameters()`` and
-        ``set_parameter(name, value)``.
+        ``plots(begin, end, points)``, a live one ``since(number, wait)``, ``parameters()``,
+        ``set_parameter(name, value)`` and ``call(name)``.
     host : str
         Address to listen on.
     port : int
@@ -179,11 +180,12 @@ class _Handler(BaseHTTPRequestHandler):
         refusal = self.server.access.refusal_of_change(self.headers)
         if refusal:
             self._refuse(HTTPStatus.FORBIDDEN, refusal)
-        elif path != '/api/parameters' or not self.server.view.live:
-            self._refuse(HTTPStatus.NOT_FOUND, f'nothing can be set at {path[:200]}')
+        elif path == '/api/parameters' and self.server.view.live:
+            self._send_json(self.server.view.set_parameter(*_change(body)))
+        elif path == '/api/call' and self.server.view.live:
+            self._send_json(self.server.view.call(_request(body)))
         else:
-            name, value = _change(body)
-            self._send_json(self.server.view.set_parameter(name, value))
+            self._refuse(HTTPStatus.NOT_FOUND, f'nothing can be set at {path[:200]}')
 
     def _stream(self):
         """Send what comes in as server-sent events until the page or the server goes."""
@@ -191,7 +193,7 @@ class _Handler(BaseHTTPRequestHandler):
         number = 0
         while not self.server.stopped.is_set():
             number, version, state, rows = self.server.view.since(number, _HEARTBEAT)
-            event = {'version': version, 'state': state}
+            event = {'version': version, **(state or {'state': ''})}
             if len(rows):
                 event['rows'] = base64.b64encode(
                     np.ascontiguousarray(rows, dtype='<f8').tobytes()).decode()
@@ -256,13 +258,26 @@ def _size(text):
     return int(text)
 
 
+def _fields(body, what, *names):
+    """Return fields of a JSON object."""
+    try:
+        given = json.loads(body)
+        return [given[name] for name in names]
+    except (ValueError, TypeError, KeyError, RecursionError):
+        raise _BadRequest(f'{what} is JSON with {" and ".join(names)}') from None
+
+
+def _request(body):
+    """Return the name of what is asked for."""
+    name, = _fields(body, 'a request', 'name')
+    if not isinstance(name, str):
+        raise _BadRequest('a request has a text for its name')
+    return name
+
+
 def _change(body):
     """Return name and value of a parameter to be set."""
-    try:
-        change = json.loads(body)
-        name, value = change['name'], change['value']
-    except (ValueError, TypeError, KeyError, RecursionError):
-        raise _BadRequest('a change is JSON with name and value') from None
+    name, value = _fields(body, 'a change', 'name', 'value')
     if not isinstance(name, str) or isinstance(value, bool) or not isinstance(
             value, (int, float, str)):
         raise _BadRequest('a change has a name and a number or text')

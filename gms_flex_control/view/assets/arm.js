@@ -209,7 +209,8 @@ const COLUMNS = [['link', 'link', 'rad', 1, 4], ['error', 'error', 'mrad', 1e3, 
 export class JointTable {
   constructor(table, session, has) {
     this.columns = COLUMNS.filter(([signal]) => has(signal) || signal === 'link');
-    const head = [['joint', ''], ...this.columns.map(([, title, unit]) => [title, unit])];
+    const {units} = session.scene;
+    const head = [['joint', ''], ...this.columns.map(([, title, unit]) => [title, units[unit]])];
     const body = element('tbody');
     this.cells = session.scene.joints.map((name, j) => {
       const row = element('tr', {}, element('th', {scope: 'row'}, element('span', {
@@ -236,10 +237,11 @@ export class JointTable {
 
 /* The same as a sentence, for those who do not see it. */
 export function sentence(session, frame, time) {
-  const joints = session.scene.joints.map((name, j) => {
+  const {joints: names, units} = session.scene;
+  const joints = names.map((name, j) => {
     const error = frame(`error.${j}`);
-    return `${name} at ${format(frame(`link.${j}`), 3)} rad`
-      + (Number.isFinite(error) ? `, error ${fixed(1e3 * error, 2)} mrad` : '');
+    return `${name} at ${format(frame(`link.${j}`), 3)} ${units.rad}`
+      + (Number.isFinite(error) ? `, error ${fixed(1e3 * error, 2)} ${units.mrad}` : '');
   });
   return `${time.toFixed(3)} s: ${joints.join('; ')}`;
 }

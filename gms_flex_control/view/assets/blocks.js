@@ -102,12 +102,15 @@ export class BlockStrip {
       for (let i = 0; i < count; i++) {
         const values = table.column(`stick.${j}.${i}`);
         const top = j * (count * LANE + BETWEEN) + i * LANE;
-        for (let k = 0; k <= last; k++) {
+        for (let k = 0, next; k <= last; k = next) {
+          next = k + 1;
           if (!Number.isFinite(values[k])) continue;
-          sum += values[k];
-          known++;
-          const from = x[k], to = Math.max(k < last ? x[k + 1] : from, from + 1 / ratio);
-          if (to < 0 || from > width) continue;
+          while (next <= last && values[next] === values[k]) next++;  // one stretch of the same
+          sum += values[k] * (next - k);
+          known += next - k;
+          const from = Math.max(x[k], 0);
+          const to = Math.min(Math.max(x[Math.min(next, last)], x[k] + 1 / ratio), width);
+          if (to <= from) continue;
           pen.globalAlpha = values[k] ? 0.9 : 0;
           pen.fillStyle = sticks;
           pen.fillRect(from, top + LANE / 2 - 1, to - from, 1.6);

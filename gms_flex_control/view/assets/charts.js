@@ -37,6 +37,7 @@ class Plot {
   constructor(spec, session, group) {
     this.spec = spec;
     this.group = group;
+    const unit = session.scene.units[spec.unit];
     const bags = ['', ...Array.from({length: session.over || 0}, (_, k) => `@${k + 1}`)];
     this.lines = spec.lines.flatMap((line) => session.scene.joints.flatMap((name, j) => bags.map(
       (bag) => ({...line, joint: j, column: `${line.signal}.${j}${bag}`, name, pale: bag !== ''}))))
@@ -45,9 +46,9 @@ class Plot {
     this.values = element('div', {class: 'values'});
     this.box = element('div', {class: 'plot'});
     this.root = element('section', {class: 'chart', id: `plot-${spec.id}`,
-                                    'aria-label': `${spec.title} in ${spec.unit} over time`},
+                                    'aria-label': `${spec.title} in ${unit} over time`},
       element('header', {}, element('h2', {}, spec.title, ' ', element('small', {},
-        `[${spec.unit}]`)), this.values), this.box);
+        `[${unit}]`)), this.values), this.box);
     this.cells = new Map();
     for (const line of spec.lines) {
       const mine = this.lines.filter((one) => one.signal === line.signal && !one.pale);

@@ -1,12 +1,12 @@
 /* Copyright 2026 The gms_flex_control authors
    Licensed under the Apache License, Version 2.0; see the LICENSE file. */
+import {Compensation} from './compensation.js';
 import {clamp, element, format} from './numbers.js';
-import {ask} from './sources.js';
+import {ask, send} from './sources.js';
 
 const STEPS = 400;      // of a slider
 const SPAN = 10;        // a slider reaches this many times the value, up and down
 const LOOK = 3000;      // others may set gains as well [ms]
-const token = () => document.querySelector('meta[name=token]').content;
 
 const plain = (value) => String(Number(value.toPrecision(4)));
 
@@ -74,38 +74,12 @@ class Gain {
   }
 }
 
-/* The friction compensation: one of a few words. */
-class Choice {
-  constructor(parameter, panel) {
-    Object.assign(this, parameter);
-    this.first = parameter.value;
-    this.panel = panel;
-    this.select = element('select', {id: `gain-${this.name}`},
-      ...this.choices.map((one) => element('option', {value: one}, one)));
-    this.select.disabled = !panel.maySet;
-    this.answer = element('p', {class: 'answer', role: 'status'});
-    this.root = element('div', {class: 'gain choice', 'data-name': this.name},
-      element('label', {for: `gain-${this.name}`}, this.name), this.select, this.answer);
-    this.select.addEventListener('change', () => panel.send(this, this.select.value));
-    this.hold(this.first);
-  }
-
-  hold(value) {
-    this.value = this.select.value = value;
-    this.root.classList.toggle('changed', value !== this.first);
-    this.panel.changed();
-  }
-
-  say(accepted, text) {
-    this.root.classList.toggle('refused', !accepted);
-    this.answer.textContent = text;
-  }
-}
-
 /* Gains of the running controller, set through ROS. */
 export class Gains {
-  constructor(card, session) {
+  constructor(card, compensation, session) {
     this.card = card;
+    this.place = compensation;
+    this.session = session;
     this.maySet = session.may_set;
     this.controller = session.controller;
     this.items = [];
@@ -137,15 +111,25 @@ export class Gains {
 
   build(found) {
     const groups = new Map();
-    this.items = found.filter((one) => typeof one.value === 'number' || one.choices.length)
-      .map((one) => (one.choices.length ? new Choice(one, this) : new Gain(one, this)));
-    for (const item of this.items) {
-      const group = item.name.split('.').slice(1, -1).join('.');
-      groups.set(group, [...(groups.get(group) || []), item.root]);
-    }
+    this.items = [];
+    for (const one of found)
+      if (one.choices.length)
+        this.items.push(this.compensation = new Compensation(one, this, this.place, this.session));
+      else if (typeof one.value === 'number') {
+        const item = new Gain(one, this), group = item.name.split('.').slice(1, -1).join('.');
+        this.items.push(item);
+        groups.set(group, [...(groups.get(group) || []), item.root]);
+      }
     this.body.replaceChildren(...[...groups].sort(([a], [b]) => (a > b) - (a < b)).map(
-      ([name, roots], k) => (name ? element('details', {open: k < 2}, element('summary', {}, name),
-        ...roots) : element('div', {}, ...roots))));
+      ([name, roots], k) => element('details', {open: k < 2}, element('summary', {}, name),
+        ...roots)));
+  }
+
+  /* Show the error that the present compensation leaves; none without torque. */
+  show(source, torque) {
+    if (!this.compensation) return;
+    if (torque) this.compensation.show(source);
+    else this.compensation.begin();
   }
 
   /* Another tool may have set something, or the controller may have come or gone. */
@@ -168,9 +152,7 @@ export class Gains {
     this.sending = true;
     item.root.classList.add('pending');
     try {
-      const answer = await (await ask('/api/parameters', {
-        method: 'POST', headers: {'X-Token': token(), 'Content-Type': 'application/json'},
-        body: JSON.stringify({name: item.name, value})})).json();
+      const answer = await send('/api/parameters', {name: item.name, value});
       item.say(answer.accepted, answer.accepted ? `set to ${
         typeof answer.value === 'number' ? format(answer.value) : answer.value}`
         : `refused: ${answer.reason}`);

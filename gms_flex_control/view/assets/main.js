@@ -3,12 +3,15 @@
 import {Arm, JointTable, sentence} from './arm.js';
 import {BlockBars, BlockStrip} from './blocks.js';
 import {Plots} from './charts.js';
+import {Controls} from './controls.js';
 import {Gains} from './gains.js';
 import {calm, element} from './numbers.js';
 import {ask, BagSource, LiveSource} from './sources.js';
 import {Transport} from './transport.js';
 
-const REDRAW = 100;      // of live plots [ms]
+/* what is drawn takes the processor from the loop that is watched */
+const LIVE = 66;         // between frames of the running loop's arm [ms]
+const REDRAW = 250;      // of its numbers and plots [ms]
 const CALM = 300;        // of everything, for those who asked for less motion [ms]
 const RETRY = 1000;      // [ms]
 const at = (id) => document.getElementById(id);
@@ -36,11 +39,16 @@ class View {
     this.arm = new Arm(at('arm'), at('keys-arm'), session,
       (signal) => this.live || this.source.has(signal));
     this.build();
-    if (this.live) this.gains = new Gains(at('gains'), session);
+    if (this.live) {
+      this.controls = new Controls(at('robot'), session);
+      this.source.reported = (robot, complaint) => this.controls.show(robot, complaint);
+      this.gains = new Gains(at('gains'), at('compensation'), session);
+    }
+    at('middle').hidden = !this.live;
     this.before = performance.now();
-    this.drawn = 0;
+    this.drawn = this.frames = 0;
     this.paced();
-    requestAnimationFrame((now) => this.tick(now));
+    this.next();
   }
 
   tell(text) { if (at('state').textContent !== text) at('state').textContent = text; }
@@ -80,14 +88,17 @@ class View {
     else this.plots.zoom(this.transport.time, factor);
   }
 
-  /* Draw the moment; a `settled` one is also told in words. */
-  show(settled = false) {
+  /* Draw the moment, the `whole` of it or the arm; a `settled` one is also told in words. */
+  show(settled = false, whole = true) {
     const {transport, source, plots} = this, {time} = transport;
-    transport.show();
     const frame = source.frame(time);
     if (frame) {
       if (this.live) this.arm.makeRoom(frame);
       this.arm.show(frame, time, (past) => (past >= source.begin ? source.frame(past) : null));
+    }
+    if (!whole) return;
+    transport.show();
+    if (frame) {
       this.table.show(frame);
       if (this.bars) this.bars.show(frame);
       plots.point(frame, time);
@@ -102,9 +113,10 @@ class View {
   follow(now) {
     const {plots, transport, source} = this;
     if (this.live) {
-      if (!transport.playing || now - this.drawn < (calm.matches ? 3 * REDRAW : REDRAW)) return;
+      if (!transport.playing || now - this.drawn < REDRAW) return;
       this.drawn = now;
       plots.show(Math.max(source.begin, source.end - transport.window), source.end, false);
+      this.gains.show(source, this.controls.torque);
       if (['link', 'motor', 'reference', 'command', 'friction', 'block', 'stick'].map(
         (signal) => source.has(signal)).join() !== this.built) this.build();
     } else if (transport.playing && (transport.time > plots.max || transport.time < plots.min)) {
@@ -113,19 +125,27 @@ class View {
     }
   }
 
+  /* Draw again as soon as it is due. */
+  next() {
+    const draw = () => requestAnimationFrame((now) => this.tick(now));
+    const pause = calm.matches ? CALM : this.live ? LIVE : 0;
+    if (pause) setTimeout(draw, pause);
+    else draw();
+  }
+
   tick(now) {
     if (this.over) return;
-    requestAnimationFrame((next) => this.tick(next));
+    this.next();
     if (calm.matches !== this.calm) {
       this.calm = calm.matches;
       this.show();
     }
-    if (calm.matches && now - this.before < CALM) return;
     const seconds = Math.min((now - this.before) / 1000, 0.5);
     this.before = now;
     if (this.transport.advance(seconds)) {
       this.follow(now);
-      this.show();
+      this.show(false, !this.live || this.drawn === now);
+      document.documentElement.dataset.frames = ++this.frames;
     }
   }
 

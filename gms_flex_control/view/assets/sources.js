@@ -32,6 +32,14 @@ export async function ask(path, options) {
   return answer;
 }
 
+/* Ask for a change with the token of the page; returns the answer. */
+export async function send(path, what) {
+  const token = document.querySelector('meta[name=token]').content;
+  return (await ask(path, {
+    method: 'POST', headers: {'X-Token': token, 'Content-Type': 'application/json'},
+    body: JSON.stringify(what)})).json();
+}
+
 /* A bag: frames come in chunks, the coarser the faster it plays. */
 export class BagSource {
   constructor(session) {
@@ -168,6 +176,7 @@ export class LiveSource {
     this.period = 0.002;
     this.failed = () => {};
     this.told = () => {};     // what is missing
+    this.reported = () => {}; // of the robot, and of the controller
     this.outdated = () => {}; // the columns have changed
     this.seen = new Set();    // signals that had a number
     this.open();
@@ -199,6 +208,7 @@ export class LiveSource {
       return;
     }
     this.told(message.state);
+    this.reported(message.robot || null, message.controller);
     if (!message.rows) return;
     const bytes = Uint8Array.from(atob(message.rows), (c) => c.charCodeAt(0));
     const data = new Float64Array(bytes.buffer), width = this.columns.size;
@@ -223,6 +233,17 @@ export class LiveSource {
     if (!this.rows.length) return null;
     const row = this.rows[Math.max(0, this.index(time + 1e-9) - 1)];
     return (name) => (this.columns.has(name) ? row[this.columns.get(name)] : NaN);
+  }
+
+  /* Root of the mean square of a column from a time on, NaN where nothing is known. */
+  rms(name, from) {
+    const at = this.columns.get(name);
+    let sum = 0, count = 0;
+    for (let i = this.index(from); i < this.rows.length; i++) {
+      const value = this.rows[i][at];
+      if (Number.isFinite(value)) { sum += value * value; count++; }
+    }
+    return Math.sqrt(sum / count);
   }
 
   async ready() {}
