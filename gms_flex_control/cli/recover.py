@@ -109,25 +109,24 @@ def trials_of(args, setting):
 def table(rows):
     """Return the rows as aligned text."""
     from gms_flex_control.analysis.table4 import align
-    return align(['parameter', 'true', 'median', 'worst error', 'interval holds', 'bootstrap',
-                  'flagged'],
+    return align(['parameter', 'true', 'median', 'worst error', 'interval holds',
+                  'has interval'],
                  [[row.name.removeprefix('friction.'), f'{row.true:.5g}', f'{row.middle:.5g}',
                    f'{100 * row.worst:.2f} %', f'{100 * row.covered:.0f} %',
-                   f'{100 * row.bootstrap:.0f} %', f'{100 * row.flagged:.0f} %']
+                   f'{100 * row.told:.0f} %']
                   for row in rows])
 
 
 def summary(rows, trials):
     """Return coverage and the presliding curve in two lines."""
     import numpy as np
-    counts = np.array([row.trials for row in rows])
-    covered, bootstrap = (100 * np.average([getattr(row, name) for row in rows], weights=counts)
-                          for name in ('covered', 'bootstrap'))
+    counts = np.array([row.trials * row.told for row in rows])
+    holds = np.nansum([row.covered for row in rows] * counts)
+    covered = 100 * holds / max(counts.sum(), 1.0)
     curves = 100 * np.array([one.curve for one in trials])
     worst = ', '.join(f'{value:.2f} %' for value in curves.max(axis=0))
-    return (f'95 % intervals hold the truth in {covered:.1f} % of cases, those of the bootstrap '
-            f'in {bootstrap:.1f} %\npresliding curve at most {worst} of F_s off, any '
-            'displacement, any seed')
+    return (f'95 % intervals hold the truth in {covered:.1f} % of cases\npresliding curve at most '
+            f'{worst} of F_s off, any displacement, any seed')
 
 
 def missed_of(rows, trials):

@@ -161,9 +161,9 @@ def _add_parameters(report, result, known):
                      f'({value})' if kind == NOT_IDENTIFIABLE else value,
                      *((number(known.get(estimate.name, np.nan), 5),) if known else ()),
                      estimate.unit, words.upper() if kind == NOT_IDENTIFIABLE else words,
-                     span(estimate.interval), span(estimate.bootstrap)))
+                     span(estimate.interval)))
     report.table(('parameter', 'symbol', 'estimate', *(('true',) if known else ()), 'unit',
-                  'standing', '95 % by the Jacobian', '95 % by bootstrap'), rows,
+                  'standing', '95 % interval'), rows,
                  'Estimates as in friction.yaml')
     for note in notes(result):
         report.note(note)
