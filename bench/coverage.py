@@ -7,12 +7,12 @@ How often the intervals that `gms_flex identify` prints hold the true friction o
     .venv/bin/python -m bench.coverage --seeds 100:108 --out DIR
 
 Each seed is another rigid axis with four Maxwell blocks. Of the shipped example, whose friction is
-that of config/robot.yaml, the intervals are counted as well.
+that of config/robot.yaml, the intervals are counted as well. A killed run goes on when started
+again with the same --out.
 """
 
 import argparse
 from collections import defaultdict
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 import json
 from pathlib import Path
@@ -21,6 +21,10 @@ from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 from gms_flex_control.analysis.table4 import align
+from gms_flex_control.batches.batch import run_batch
+from gms_flex_control.batches.executor import open_executor
+from gms_flex_control.batches.journal import Journal
+from gms_flex_control.batches.sources import fingerprint
 from gms_flex_control.cli.identify import read_take
 from gms_flex_control.errors import GmsFlexError
 from gms_flex_control.experiment.believed import scaled_friction
@@ -69,7 +73,7 @@ class Case(NamedTuple):
 
 
 def axis(seed):
-    """Return a rigid axis of about the size of the paper's second, its friction drawn at random."""
+    """Return a rigid axis like the paper's second, its friction drawn at random."""
     rng = np.random.default_rng([seed, 3])
 
     def between(low, high):
@@ -134,6 +138,16 @@ MOTIONS = {'plan': None, 'sinusoids': sinusoids, 'moves': moves}
 
 def run(case):
     """Return what an identification printed of a Case beside the truth, plain values."""
+    try:
+        robot, found = identified(case)
+    except GmsFlexError as error:
+        return {**case._asdict(), 'refused': str(error), 'rows': []}
+    return {**case._asdict(), 'refused': '', 'rows': [
+        row for result in found.joints for row in rows_of(result, robot, found.robot)]}
+
+
+def identified(case):
+    """Return the true robot of a Case, and its Identification."""
     if case.motion == 'example':
         robot, take = example()
         believed = robot
@@ -142,12 +156,7 @@ def run(case):
         believed = replace(robot, friction=scaled_friction(robot.friction, 0.8))
         take = noisy(recorded(case.motion, robot, believed, case.seed),
                      case.noise * float(robot.friction.forward.static[0]), case.seed)
-    try:
-        found = identify([take], believed, options=Options(blocks=BLOCKS[case.blocks]))
-    except GmsFlexError as error:
-        return {**case._asdict(), 'refused': str(error), 'rows': []}
-    return {**case._asdict(), 'refused': '', 'rows': [
-        row for result in found.joints for row in rows_of(result, robot, found.robot)]}
+    return robot, identify([take], believed, options=Options(blocks=BLOCKS[case.blocks]))
 
 
 def noisy(take, level, seed):
@@ -243,12 +252,10 @@ def main(argv=None):
     parser.add_argument('--out', type=Path, required=True, metavar='DIR',
                         help='folder for coverage.json and coverage.md')
     args = parser.parse_args(argv)
-    outcomes = []
-    with ProcessPoolExecutor(args.workers) as pool:
-        for one in pool.map(run, cases_of(args)):
-            outcomes.append(one)
-            print(f"{one['motion']} {one['noise']:g} {one['blocks']} {one['seed']}: "
-                  f"{one['refused'] or cell(held([one]))}", file=sys.stderr, flush=True)
+    items = {' '.join(map(str, case)): case for case in cases_of(args)}
+    with open_executor(args.workers) as executor:
+        outcomes = list(run_batch(run, items, executor=executor, label='identifications',
+                                  journal=Journal(args.out, fingerprint())).values())
     *both, total = tables(outcomes)
     write_text(args.out / 'coverage.json', json.dumps(outcomes, indent=1))
     write_text(args.out / 'coverage.md', '\n\n'.join(markdown(*one) for one in both) + '\n')

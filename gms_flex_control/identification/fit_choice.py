@@ -103,7 +103,7 @@ def choose_fit(bundle, joint, fits, step):
     return contest.finished(TORQUE if other else SIMPLE)
 
 
-def simple_theta(bundle, joint, fits, step, fitted, out):
+def simple_theta(bundle, joint, fits, step, whole):
     """
     Return the parameters of the simple fit that others are measured by.
 
@@ -111,11 +111,12 @@ def simple_theta(bundle, joint, fits, step, fitted, out):
     ----------
     bundle, joint, fits, step
         As `choose_fit`.
-    fitted, out : callable
-        Stretch -> bool (T,), the samples it is fitted to, and those that choose its block.
+    whole : bool
+        Whether it is fitted to all data, or without those held out.
 
     """
-    coordinates, free = _contest(bundle, joint, fits, step).simple(Look(fitted, out))
+    contest = _contest(bundle, joint, fits, step)
+    coordinates, free = contest.simple(contest.whole if whole else contest.first)
     return coordinates.unpack(free)[0]
 
 
@@ -150,7 +151,8 @@ class _Contest:
         self._objective = Objective(bundle, joint, thetas)
         first, *others = _trials(bundle)
         self.trials = (first, *filter(None, map(self._that_tell, others)))
-        self._first = first.looks[0]
+        self.first = first.looks[0]
+        self.whole = Look(_everything, self.first.out)
         self.simple, self.by_torque = cache(self._simple), cache(self._by_torque)
 
     def _that_tell(self, trial):
@@ -170,7 +172,7 @@ class _Contest:
 
     def explained(self):
         """Return whether the fit by the innovations leaves next to nothing of the torque."""
-        error = self._error(self._first.out)
+        error = self._error(self.first.out)
         left = error(self._fit.coordinates.unpack(self._fit.held_out.free)[0])
         return errors.rms(left) < _NEXT_TO_NOTHING * errors.rms(error.measured)
 
@@ -188,7 +190,7 @@ class _Contest:
 
     def by_innovations(self, look):
         """Return Coordinates and free numbers of the fit by the innovations."""
-        if look is self._first:
+        if look is self.first:
             return self._fit.coordinates, self._fit.held_out.free
         return self._fit.coordinates, refine(
             self._objective_of(look.fitted), self._fit.coordinates, self._fit.free,
@@ -217,10 +219,10 @@ class _Contest:
 
     def finished(self, kind):
         """Return the Choice of a kind, fitted to all data."""
-        coordinates, held = (self.by_torque if kind == TORQUE else self.simple)(self._first)
+        coordinates, held = (self.by_torque if kind == TORQUE else self.simple)(self.first)
         error, prior = self._error(_everything), prior_of(coordinates, held)
         if kind == SIMPLE:
-            free = self.simple(Look(_everything, self._first.out))[1]
+            free = self.simple(self.whole)[1]
         else:
             prior = _belief(coordinates, held)
             free = fit_torque(error, coordinates, held, prior)

@@ -254,12 +254,11 @@ class Data:
         fit, bundle = fits[joint], self.bundle
         chosen = default_method.held_out(bundle.period)
         theta, _ = fit.coordinates.unpack(fit.held_out.free)
-        train = default_method.train(bundle.period)
         if self._apart:
             bundle = bundle._replace(stretches=tuple(self._apart))
-            theta, chosen, train = thetas[joint], everything, everything
+            theta, chosen = thetas[joint], everything
         objective = Objective(bundle, joint, thetas)
-        simple = simple_theta(self.bundle, joint, fits, self.step[joint], train, chosen)
+        simple = simple_theta(self.bundle, joint, fits, self.step[joint], bool(self._apart))
         return errors.held_out_errors(
             objective, bundle, theta, simple, chosen, self.step[joint],
             repeatability(self._fitted, self._phases, self.robot.arm, joint))

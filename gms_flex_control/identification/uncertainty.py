@@ -38,6 +38,9 @@ _TELLS = {
     'attraction': 'velocity that varies within a second around v_s tells it',
     'stiffness': 'slow torque ramps below break-away, with small loops, tell it',
 }
+_NONE = Interval(np.nan, np.nan)
+_TOGETHER_NOTE = ('the numbers of a Stribeck curve are told together, and these data leave others '
+                  'of this curve open')
 _DEPENDS_NOTE = ('models that explain the data as well or better (another number of blocks, or '
                  'fitted by the motion instead of the torque) have values farther off than chance '
                  'explains')
@@ -71,8 +74,10 @@ def spread_of(objective, coordinates, free, evaluation, prior, sampling):
     inverse = inverse_of(curvature)
     scores = evaluation.weight[:, None] * evaluation.gradient
     told = 1.0 - np.clip(prior.precision * np.diag(inverse), 0.0, 1.0)
+    own = objective.finest ** 2 * np.tensordot(  # the predictor's error, alike through a block
+        evaluation.weight ** 2 * evaluation.count, evaluation.curvature, 1)
     return Spread(clustered(inverse, scores, memory * evaluation.dispersion)
-                  + np.diag(sampling ** 2), told)
+                  + inverse @ own @ inverse + np.diag(sampling ** 2), told)
 
 
 def clustered(inverse, scores, dispersion):
@@ -97,9 +102,9 @@ def clustered(inverse, scores, dispersion):
     """
     off, blocks = scores - scores.mean(axis=0), max(len(scores), 2)
     few = blocks / (blocks - 1) * (student.ppf(_UPPER, blocks - 1) / CONFIDENT) ** 2
-    sandwich = few * inverse @ (off.T @ off) @ inverse
-    least, own = (np.sqrt(np.maximum(np.diag(one), 1e-300))
-                  for one in (dispersion * inverse, sandwich))
+    alike = dispersion * inverse
+    sandwich = few * inverse @ (off.T @ off) @ inverse + 1e-12 * alike  # never singular
+    least, own = (np.sqrt(np.maximum(np.diag(one), 1e-300)) for one in (alike, sandwich))
     wider = np.maximum(least / own, 1.0)
     return sandwich * np.outer(wider, wider)
 
@@ -155,7 +160,36 @@ def estimates_of(joint, coordinates, free, spread, reach, travel=np.inf, rivals=
     for number, i in enumerate(order):
         rows.append((f'friction.{joint}.stiffness[{number}]', 'N m/rad', BLOCKS + i,
                      told[coordinates.yields][i], 'stiffness'))
-    return tuple(_estimate(row, theta, error, off, (reach, travel)) for row in rows)
+    return _told_together([_estimate(row, theta, error, off, (reach, travel)) for row in rows])
+
+
+def _told_together(estimates):
+    """
+    Return Estimates as a tuple, without those that only others of their curve would tell.
+
+    With F_c unknown, the whole curve is: a wide Stribeck part takes its place, and that of the
+    viscous part. F_s and v_s tell each other, and a lag behind the curve (C) needs one of both.
+    """
+    rows = {one.name.split('.', 2)[-1]: one for one in estimates}
+
+    def lost(name):
+        return bool({NOT_IDENTIFIABLE, DEPENDS} & set(rows[name].flags))
+
+    def without(names):
+        for name in names:
+            if not lost(name):
+                one = rows[name]
+                rows[name] = one._replace(
+                    interval=_NONE, flags=(*one.flags, NOT_IDENTIFIABLE), note='; '.join(
+                        filter(None, (one.note, _TOGETHER_NOTE))))
+    for side in ('forward', 'backward'):
+        if lost(f'{side}.coulomb'):
+            without(f'{side}.{name}' for name in _NAMES)
+        elif lost(f'{side}.static') or lost(f'{side}.velocity'):
+            without((f'{side}.static', f'{side}.velocity'))
+    if lost('forward.velocity') and lost('backward.velocity'):
+        without(['attraction'])
+    return tuple(rows.values())
 
 
 def _model_dependence(theta, n_blocks, rivals):
@@ -190,7 +224,7 @@ def _estimate(row, theta, error, off, reaches):
     name, unit, i, told, kind = row
     value, chance, half = float(theta[i]), error[i], CONFIDENT * np.hypot(error[i], off[i])
     flags, notes = [], []
-    if kind == 'viscous' and value * 1.0 < _NOTHING * theta[1]:
+    if kind == 'viscous' and value < _NOTHING * theta[1]:
         flags.append('at bound')
         notes.append('no viscous part is seen')
     if kind == 'static' and value - theta[i + 1] < _NOTHING * value:
