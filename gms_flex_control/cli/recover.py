@@ -4,6 +4,7 @@
 """`gms_flex recover`: what an experiment would tell, tried on a simulated robot many times."""
 
 import json
+from math import isfinite
 from pathlib import Path
 
 from gms_flex_control.cli.batch_options import add_batch_options
@@ -71,8 +72,10 @@ def run(args):
     figures = json.dumps({
         'seeds': [one.seed for one in trials], 'rate': args.rate,
         'torque_noise': args.torque_noise,
-        'parameters': [row._asdict() for row in rows],
-        'curve': [one.curve for one in trials], 'blocks': [one.blocks for one in trials],
+        'parameters': [{**row._asdict(), 'covered': row.covered if row.told else None}
+                       for row in rows],
+        'curve': [[value if isfinite(value) else None for value in one.curve]
+                  for one in trials], 'blocks': [one.blocks for one in trials],
         'missed': missed}, indent=2, allow_nan=False)
     write_text(Path(args.out) / 'recovery.json', figures + '\n')
     print(figures if args.json else '\n'.join([
@@ -112,8 +115,8 @@ def table(rows):
     return align(['parameter', 'true', 'median', 'worst error', 'interval holds',
                   'has interval'],
                  [[row.name.removeprefix('friction.'), f'{row.true:.5g}', f'{row.middle:.5g}',
-                   f'{100 * row.worst:.2f} %', f'{100 * row.covered:.0f} %',
-                   f'{100 * row.told:.0f} %']
+                   f'{100 * row.worst:.2f} %',
+                   f'{100 * row.covered:.0f} %' if row.told else '-', f'{100 * row.told:.0f} %']
                   for row in rows])
 
 
@@ -134,7 +137,10 @@ def missed_of(rows, trials):
     missed = [f'{row.name}: {100 * row.worst:.1f} % off, asked {100 * ASKED[kind]:.0f} %'
               for row in rows if (kind := row.name.rsplit('.', 1)[-1]) in ASKED
               and row.worst > ASKED[kind]]
-    worst = max(value for one in trials for value in one.curve)
+    curves = [value for one in trials for value in one.curve]
+    if not all(map(isfinite, curves)):
+        missed.append('presliding curve: no stiffness of a joint is identifiable')
+    worst = max(filter(isfinite, curves), default=0.0)
     if worst > CURVE:
         missed.append(f'presliding curve: {100 * worst:.1f} % of F_s off, asked '
                       f'{100 * CURVE:.0f} %')

@@ -225,8 +225,8 @@ class Data:
         estimates = estimates_of(self.robot.joints[joint], fit.coordinates, fit.free, spread,
                                  reach, travel(self._fitted, joint), fit.rivals)
         curve = curve_of(fit.coordinates, fit.free, spread, shown_displacements(
-            estimates, theta[[STATIC, PER_DIRECTION + STATIC]].mean(), self.step[joint],
-            _CURVE_POINTS), fit.rivals)
+            estimates, theta[[STATIC, PER_DIRECTION + STATIC]].mean(), _CURVE_POINTS),
+            fit.rivals)
         return JointResult(
             joint=self.robot.joints[joint], side=self.sides[joint],
             estimates=estimates + further,

@@ -295,9 +295,11 @@ def curve_of(coordinates, free, spread, displacement, rivals=()):
     return displacement, torque, torque / wide, torque * wide
 
 
-def shown_displacements(estimates, static, step, points):
+def shown_displacements(estimates, static, points):
     """
-    Return displacements [rad] over which identifiable blocks make a presliding curve.
+    Return displacements [rad] from the first to the last yield of identifiable blocks.
+
+    Below the first, the curve is what stiffer blocks would make it, of which the data tell nothing.
 
     Parameters
     ----------
@@ -305,8 +307,6 @@ def shown_displacements(estimates, static, step, points):
         Of one joint, blocks of equal weight among them.
     static : float
         Mean F_s [N m].
-    step : float
-        Encoder step or noise [rad].
     points : int
         How many displacements.
 
@@ -321,6 +321,4 @@ def shown_displacements(estimates, static, step, points):
     told = ~np.array([bool({NOT_IDENTIFIABLE, DEPENDS} & set(one.flags)) for one in blocks])
     if not told.any():
         return np.zeros(0)
-    finest, widest = yields[told].min(), max(yields[told].max(), 10.0 * step)
-    all_below = finest == yields.min()
-    return np.geomspace(0.1 * step if all_below else finest, widest, points)
+    return np.geomspace(yields[told].min(), yields[told].max(), points)
