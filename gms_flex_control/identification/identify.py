@@ -225,8 +225,8 @@ class Data:
         estimates = estimates_of(self.robot.joints[joint], fit.coordinates, fit.free, spread,
                                  reach, travel(self._fitted, joint), fit.rivals)
         curve = curve_of(fit.coordinates, fit.free, spread, shown_displacements(
-            estimates, theta[[STATIC, PER_DIRECTION + STATIC]].mean(), _CURVE_POINTS),
-            fit.rivals)
+            estimates, theta[[STATIC, PER_DIRECTION + STATIC]].mean(), self.step[joint],
+            _CURVE_POINTS), fit.rivals)
         return JointResult(
             joint=self.robot.joints[joint], side=self.sides[joint],
             estimates=estimates + further,
@@ -275,8 +275,8 @@ def few_blocks(fit):
     most = max(candidate.n_blocks for candidate in fit.candidates)
     if fit.coordinates.n_blocks < most or most == MOST_BLOCKS:
         return ()
-    return (f'N = {most} is the largest number of blocks that was tried. Where presliding needs '
-            'more, all parameters are off by more than their intervals say: try more '
+    return (f'N = {most} is the largest number of blocks that may be chosen. Where presliding '
+            'needs more, other parameters take part of its place: allow more '
             f'(--blocks, up to {MOST_BLOCKS})',)
 
 

@@ -295,11 +295,12 @@ def curve_of(coordinates, free, spread, displacement, rivals=()):
     return displacement, torque, torque / wide, torque * wide
 
 
-def shown_displacements(estimates, static, points):
+def shown_displacements(estimates, static, step, points):
     """
     Return displacements [rad] from the first to the last yield of identifiable blocks.
 
-    Below the first, the curve is what stiffer blocks would make it, of which the data tell nothing.
+    Below the first, stiffer blocks would make the curve, of which the data tell nothing, and
+    below a step of the encoder nothing is seen.
 
     Parameters
     ----------
@@ -307,18 +308,20 @@ def shown_displacements(estimates, static, points):
         Of one joint, blocks of equal weight among them.
     static : float
         Mean F_s [N m].
+    step : float
+        Encoder step or noise [rad].
     points : int
         How many displacements.
 
     Returns
     -------
     ndarray
-        Empty where no stiffness is identifiable.
+        Empty where no stiffness is identifiable, or all yield within a step.
 
     """
     blocks = [one for one in estimates if '.stiffness[' in one.name]
     yields = np.array([static / len(blocks) / max(one.value, 1e-300) for one in blocks])
     told = ~np.array([bool({NOT_IDENTIFIABLE, DEPENDS} & set(one.flags)) for one in blocks])
-    if not told.any():
+    if not told.any() or yields[told].max() < step:
         return np.zeros(0)
-    return np.geomspace(yields[told].min(), yields[told].max(), points)
+    return np.geomspace(max(yields[told].min(), step), yields[told].max(), points)
