@@ -160,17 +160,18 @@ def estimates_of(joint, coordinates, free, spread, reach, travel=np.inf, rivals=
     for number, i in enumerate(order):
         rows.append((f'friction.{joint}.stiffness[{number}]', 'N m/rad', BLOCKS + i,
                      told[coordinates.yields][i], 'stiffness'))
-    return _told_together([_estimate(row, theta, error, off, (reach, travel)) for row in rows])
+    return _told_together(f'friction.{joint}.', [
+        _estimate(row, theta, error, off, (reach, travel)) for row in rows])
 
 
-def _told_together(estimates):
+def _told_together(prefix, estimates):
     """
     Return Estimates as a tuple, without those that only others of their curve would tell.
 
     With F_c unknown, the whole curve is: a wide Stribeck part takes its place, and that of the
     viscous part. F_s and v_s tell each other, and a lag behind the curve (C) needs one of both.
     """
-    rows = {one.name.split('.', 2)[-1]: one for one in estimates}
+    rows = {one.name.removeprefix(prefix): one for one in estimates}
 
     def lost(name):
         return bool({NOT_IDENTIFIABLE, DEPENDS} & set(rows[name].flags))
