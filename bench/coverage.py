@@ -4,7 +4,7 @@
 """
 How often the intervals that `gms_flex identify` prints hold the true friction of simulated axes.
 
-    .venv/bin/python -m bench.coverage --seeds 100:108 --out DIR
+    .venv/bin/python -m bench.coverage --seeds 100:104 --out DIR
 
 Each seed is another rigid axis with four Maxwell blocks. Of the shipped example, whose friction is
 that of config/robot.yaml, the intervals are counted as well. A killed run goes on when started
