@@ -221,8 +221,9 @@ def _add_presliding(report, result, known):
     report.heading(f'{result.joint}: presliding (Fig. 4)', level=3)
     if not len(x):
         report.note('No stiffness is identifiable from these data: no curve from rest is drawn.')
-    elif not result.loops:
-        report.note('The data hold no presliding motion: the curve rests on reversals alone.')
+    if not result.loops:
+        report.note('The data hold no presliding motion' + (
+            ': the curve rests on reversals alone.' if len(x) else '.'))
     _curves(report, 'hysteresis loops', loops, 'displacement [mrad]', 'friction torque [N m]')
     _curves(report, 'from rest', curves, 'displacement [mrad]', 'friction torque [N m]',
             log_x=True)
