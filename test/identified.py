@@ -109,8 +109,7 @@ def estimates(robot, j):
             full = f'{name}[{i}]' if array else name
             flags, note = FLAGGED.get(full, ((), ''))
             yield Estimate(full, UNITS[name.split('.')[-1]], value,
-                           Interval(0.96 * value, 1.04 * value),
-                           Interval(0.95 * value, 1.03 * value), flags, note)
+                           Interval(0.96 * value, 1.04 * value), flags, note)
 
 
 def steady(robot, velocity, j):

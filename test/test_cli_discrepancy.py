@@ -5,6 +5,7 @@
 
 from dataclasses import replace
 import json
+import shutil
 import subprocess
 
 from gms_flex_control.bags.experiment import write_recording
@@ -216,10 +217,17 @@ def test_a_wrong_option_is_refused_before_anything_is_read(tmp_path, folder, cap
 
 
 @pytest.mark.parametrize('more', [[], ['--each']])
-def test_what_is_fitted_is_not_held_out(folder, tmp_path, capsys, more):
-    assert run(tmp_path, folder / 'bag', folder / 'held_out', '--holdout',
-               folder / 'x' / '..' / 'held_out', *more, robot=folder / 'robot.yaml') == 2
-    assert 'is among the bags and in --holdout' in capsys.readouterr().err
+@pytest.mark.parametrize('verb', ['discrepancy', 'identify'])
+def test_what_is_fitted_is_not_held_out_by_another_path_nor_as_a_copy(
+        folder, tmp_path, capsys, verb, more):
+    shutil.copytree(folder / 'held_out', tmp_path / 'copy')
+    for other in (folder / 'x' / '..' / 'held_out', tmp_path / 'copy'):
+        assert main([verb, str(folder / 'bag'), str(folder / 'held_out'), '--holdout', str(other),
+                     '--robot', str(folder / 'robot.yaml'), '--out', str(tmp_path / 'out'),
+                     *more]) == 2
+        error = capsys.readouterr().err
+        assert 'is among the bags and in --holdout' in error and error.count('\n') == 1
+    assert not (tmp_path / 'out').exists()
 
 
 def test_the_model_one_believes_in_is_not_overwritten(folder, capsys):

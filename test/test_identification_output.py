@@ -31,9 +31,8 @@ def edited(made, j=0, **changes):
 
 
 def estimate(low, high, flags=(), value=1.0):
-    """Return an Estimate with the same interval twice."""
-    return Estimate('friction.joint1.attraction', 'N m/s', value, Interval(low, high),
-                    Interval(low, high), flags, '')
+    """Return an Estimate with an interval."""
+    return Estimate('friction.joint1.attraction', 'N m/s', value, Interval(low, high), flags, '')
 
 
 def same_friction(a, b):

@@ -19,16 +19,17 @@ import pytest
 
 def trial(seed, value, *, curve=0.01, flags=()):
     """Return a Trial of one parameter whose truth is 1 and whose intervals are +-0.1."""
-    around = Interval(value - 0.1, value + 0.1)
-    estimate = Estimate('friction.joint1.forward.static', 'N m', value, around, around, flags, '')
+    around = Interval(*([math.nan] * 2 if flags else [value - 0.1, value + 0.1]))
+    estimate = Estimate('friction.joint1.forward.static', 'N m', value, around, flags, '')
     return Trial(seed, ((estimate, 1.0),), (6,), (curve,), 1.0)
 
 
 def test_intervals_that_hold_the_truth_are_counted():
-    """Of estimates 0.95, 1.02 and 1.3 two are within 0.1 of the truth, the worst 30 % off."""
-    row, = recovered([trial(0, 0.95), trial(1, 1.02), trial(2, 1.3, flags=('not identifiable',))])
-    assert (row.covered, row.bootstrap, row.flagged) == pytest.approx((2 / 3, 2 / 3, 1 / 3))
-    assert (row.middle, row.worst) == pytest.approx((1.02, 0.3))
+    """Of 0.95, 1.02, 1.2 and 1.3, the last without an interval, two are within 0.1 of 1."""
+    row, = recovered([trial(0, 0.95), trial(1, 1.02), trial(2, 1.2),
+                      trial(3, 1.3, flags=('not identifiable',))])
+    assert (row.covered, row.told) == pytest.approx((2 / 3, 3 / 4))
+    assert (row.middle, row.worst) == pytest.approx((1.11, 0.3))
     assert '67 %' in table([row])
 
 

@@ -19,13 +19,10 @@ from gms_flex_control.comparison.contestants import Condition, NOMINAL
 from gms_flex_control.comparison.study import Cell, Setting, try_cell
 from gms_flex_control.errors import GmsFlexError
 from gms_flex_control.experiment.processes import executable
-from gms_flex_control.identification.replicates import make_steps
-from gms_flex_control.identification.uncertainty import Drawn, REPLICATES
 from gms_flex_control.schema.files import save_robot
 import numpy as np
 
 _WORKERS, _FEW = 2, 20
-_BLOCKS, _NUMBERS = 480, 17  # of time, of the fit: 16 minutes, eight Maxwell blocks
 
 
 def nothing(_):
@@ -70,7 +67,7 @@ def measure(robot, gains, quick=False):
                  _row(f'{name}: each further item, time', (many[0] - few[0]) / count),
                  _row(f'{name}: each further item, processor time', (many[1] - few[1]) / count)]
     rows.append(_row('each item that the journal has, time', many[2] / (_FEW + count)))
-    return [*rows, *_each_bag(robot, count), *_bootstrap()]
+    return [*rows, *_each_bag(robot, count)]
 
 
 def _spent(opened, items):
@@ -118,23 +115,6 @@ def _spent_on_bags(opened, robot, count):
         raise GmsFlexError(f'gms_flex identify --each ended with {done.returncode}, expected 1: '
                            f'{done.stderr.strip()}')
     return elapsed, _processor_time() - spent
-
-
-def _bootstrap():
-    """Return rows on the replicates of one joint, here and in processes that have to start."""
-    rng = np.random.default_rng(0)
-    slopes = rng.standard_normal((_BLOCKS, 5, _NUMBERS))
-    times = rng.multinomial(_BLOCKS, np.full(_BLOCKS, 1.0 / _BLOCKS), REPLICATES)
-    drawn = Drawn(times, slopes.sum(axis=1), np.einsum('bkp,bkq->bpq', slopes, slopes),
-                  np.full(_NUMBERS, 1.0 / 9.0))
-    rows = []
-    for name, workers in (('here', 0), (f'{_WORKERS} processes', _WORKERS)):
-        begin = perf_counter()
-        with open_executor(workers) if workers else nullcontext(None) as executor:
-            make_steps([drawn], executor)
-        rows.append(_row(f'bootstrap of one joint, {REPLICATES} replicates, {name}, time',
-                         perf_counter() - begin))
-    return rows
 
 
 def _processor_time():

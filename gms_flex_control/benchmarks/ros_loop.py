@@ -189,9 +189,10 @@ def cpu_time(pid):
             number = int(stat.parent.name)
             taken[number] = (int(fields[11]) + int(fields[12])) / os.sysconf('SC_CLK_TCK')
             started.setdefault(int(fields[1]), []).append(number)
-    family = [pid]
-    for one in family:
-        family += started.get(one, [])
+    family, waiting = [], [pid]
+    while waiting:
+        family.append(waiting.pop())
+        waiting += started.get(family[-1], [])
     return sum(taken.get(one, 0.0) for one in family)
 
 

@@ -3,8 +3,6 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """The options of verbs that work on many items: where that is done, and if it goes on."""
 
-from contextlib import contextmanager
-
 
 def add_batch_options(parser, workers=2, what='processes of this machine (default: 2)'):
     """Add --workers, with its default and ``what`` they are, and --scheduler to a parser."""
@@ -18,14 +16,3 @@ def goes_on(args):
     """Return whether the journal of --out keeps what a verb has done so far (bool)."""
     return hasattr(args, 'scheduler') and getattr(args, 'verify', 1) != 0 and (
         getattr(args, 'each', True))
-
-
-@contextmanager
-def executor_if_asked(args):
-    """Yield the Executor that --workers or --scheduler ask for, None without both."""
-    if args.workers is None and args.scheduler is None:
-        yield None
-        return
-    from gms_flex_control.batches.executor import open_executor
-    with open_executor(args.workers, args.scheduler) as executor:
-        yield executor

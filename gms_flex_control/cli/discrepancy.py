@@ -6,7 +6,7 @@
 from pathlib import Path
 
 from gms_flex_control.cli.batch_options import add_batch_options
-from gms_flex_control.cli.output import conclude, say
+from gms_flex_control.cli.output import conclude, refuse_fitted, say
 
 _WIDTH = 96
 _MADE = ('robot.yaml', 'gap.png', 'evidence_*.png', 'map_*.png', 'over_*.png')  # not by every run
@@ -60,7 +60,7 @@ def run(args):
     from gms_flex_control.errors import ConfigError
 
     refuse_out(Path(args.out), args)
-    refuse_fitted(args)
+    refuse_fitted(args.bags, args.holdout)
     options_of(args)
     if args.each:
         from gms_flex_control.cli.discrepancy_each import run_each
@@ -201,22 +201,6 @@ def refuse_out(out, args):
         if Path(file).resolve() == target:
             raise ConfigError(f'{file} would be overwritten by the model that is found; name '
                               'another folder as --out')
-
-
-def refuse_fitted(args):
-    """Raise ConfigError if a bag is both fitted and held out: its gap would mean nothing."""
-    from gms_flex_control.errors import ConfigError
-    bags = {_folder_of(bag) for bag in args.bags}
-    for bag in args.holdout:
-        if _folder_of(bag) in bags:
-            raise ConfigError(f'{bag} is among the bags and in --holdout; data held out must '
-                              'take no part in the fit: leave it out of one of them')
-
-
-def _folder_of(bag):
-    """Return the path of a bag, of its folder where a file of it is named."""
-    path = Path(bag).resolve()
-    return path.parent if (path.parent / 'metadata.yaml').is_file() else path
 
 
 def models_of(args, robot):

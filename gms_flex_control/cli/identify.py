@@ -6,8 +6,9 @@
 from dataclasses import replace
 from pathlib import Path
 
-from gms_flex_control.cli.batch_options import add_batch_options, executor_if_asked
-from gms_flex_control.cli.output import conclude, refuse_unwritable, say
+from gms_flex_control.cli.batch_options import add_batch_options
+from gms_flex_control.cli.output import conclude, refuse_fitted, refuse_unwritable, say
+from gms_flex_control.errors import ConfigError
 
 
 def add_parser(subparsers):
@@ -44,8 +45,7 @@ def add_parser(subparsers):
                         help='go on in spite of faults in the data')
     parser.add_argument('--json', action='store_true',
                         help='print report.json, with --each summary.json, instead of text')
-    add_batch_options(parser, None, 'of --each: processes of this machine (default: 2); of a '
-                      "single fit: make the bootstrap's replicates in so many (default: here)")
+    add_batch_options(parser, None, 'of --each: processes of this machine (default: 2)')
     parser.set_defaults(run=run)
 
 
@@ -60,13 +60,16 @@ def run(args):
     from gms_flex_control.reports.identification_text import identification_text
 
     refuse_unwritable(args.out)
+    refuse_fitted(args.bags, args.holdout)
     if args.each:
         from gms_flex_control.cli.identify_each import run_each
         return run_each(args)
+    if args.workers is not None or args.scheduler is not None:
+        raise ConfigError('--workers and --scheduler divide many bags; add --each, or leave them '
+                          'out: bags identified together are one fit')
     robot, options, out = robot_of(args), options_of(args), Path(args.out)
-    with executor_if_asked(args) as executor:
-        found = identified(args.bags, args.holdout, robot, options, args.robot is not None,
-                           say=quiet if args.json else say, executor=executor)
+    found = identified(args.bags, args.holdout, robot, options, args.robot is not None,
+                       say=quiet if args.json else say)
     write_results(found, out, args.robot or ())
     if args.json:
         print(json.dumps(report_json(found), indent=2, allow_nan=False))
@@ -99,7 +102,6 @@ def write_results(found, out, robot=()):
 
 def options_of(args):
     """Return the Options that the arguments ask for."""
-    from gms_flex_control.errors import ConfigError
     from gms_flex_control.identification.coordinates import MOST_BLOCKS
     from gms_flex_control.identification.identify import Options
     chosen = {'method': args.method, 'force': args.force,

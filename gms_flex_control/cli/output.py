@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """What verbs share: progress on the terminal, folders to be written, and ROS where needed."""
 
+import hashlib
 from importlib import import_module
 from pathlib import Path
 import shutil
@@ -84,6 +85,40 @@ def refuse_unwritable(out):
     except OSError as error:
         raise ConfigError(f'--out {out}: {there} cannot be written ({error.strerror}); name '
                           'another folder') from error
+
+
+def refuse_fitted(bags, holdout):
+    """Raise ConfigError if a bag that is fitted, or a copy of it, is also held out."""
+    fitted = {}
+    for bag in bags if holdout else ():
+        fitted.setdefault(_sizes(bag), []).append(bag)
+    for bag in holdout:
+        for other in fitted.get(_sizes(bag), ()):
+            if _folder_of(bag) == _folder_of(other) or _digest(bag) == _digest(other):
+                copied = '' if bag == other else f', with the same content as {other},'
+                raise ConfigError(f'{bag}{copied} is among the bags and in --holdout; data held '
+                                  'out must take no part in the fit: leave it out of one of them')
+
+
+def _folder_of(bag):
+    """Return the path of a bag, of its folder where a file of it is named."""
+    path = Path(bag).resolve()
+    return path.parent if (path.parent / 'metadata.yaml').is_file() else path
+
+
+def _recorded(bag):
+    """Return the files of a bag that hold its messages."""
+    path = _folder_of(bag)
+    return [path] if path.is_file() else sorted(
+        one for one in path.glob('*') if one.is_file() and one.suffix in ('.mcap', '.db3'))
+
+
+def _sizes(bag):
+    return tuple(sorted(one.stat().st_size for one in _recorded(bag)))
+
+
+def _digest(bag):
+    return sorted(hashlib.sha256(one.read_bytes()).digest() for one in _recorded(bag))
 
 
 def refuse_foreign(out, marker, verb):

@@ -56,9 +56,10 @@ def arm_estimates(robot, arm_fit, thetas, spreads):
             rows[j] += _axis_rows(robot, arm_fit, j, theta, spread, name)
         if arm_fit.motors[j] is not None:
             rows[j] += _motor_rows(arm_fit.motors[j], name, bool(robot.arm.rigid[j]))
-    rows[0].append(Estimate('arm.torque_scale', '', 1.0, _UNKNOWN, _UNKNOWN,
-                            ('not identifiable',), _SCALE_NOTE))
-    return [tuple(part) for part in rows]
+    rows[0].append(Estimate('arm.torque_scale', '', 1.0, _UNKNOWN, ('not identifiable',),
+                            _SCALE_NOTE))
+    return [tuple(row._replace(interval=_UNKNOWN) if row.flags else row for row in part)
+            for part in rows]
 
 
 def _axis_rows(robot, arm_fit, joint, theta, spread, name):
@@ -69,9 +70,7 @@ def _axis_rows(robot, arm_fit, joint, theta, spread, name):
     values = axis_numbers(robot.arm, arm_fit, joint, theta)[numbers]
     covariance = spread.covariance[at:, at:] * np.outer(scale, scale)
     error = np.sqrt(np.diag(covariance))
-    drawn = spread.replicates[:, at:] * scale
-    drawn = drawn - drawn.mean(axis=0) + values
-    rows = [_row(f'{name}.inertia', 'kg m^2', values[0], error[0], drawn[:, 0],
+    rows = [_row(f'{name}.inertia', 'kg m^2', values[0], error[0],
                  'about the joint, centre of mass and motor included', _TELLS_INERTIA)]
     if arm_fit.shares[joint] < _SLIGHT:
         rows[0] = rows[0]._replace(flags=('not identifiable',), note=(
@@ -79,7 +78,7 @@ def _axis_rows(robot, arm_fit, joint, theta, spread, name):
             f'motion, less than what the model lacks may take: {_TELLS_INERTIA}'))
     if 3 in numbers:
         rows.append(_row(f'effects.{robot.joints[joint]}.{CONSTANT}.bias', 'N m', -values[-1],
-                         error[-1], -drawn[:, -1], 'friction would have to be several times '
+                         error[-1], 'friction would have to be several times '
                          'larger one way than the other without it', _TELLS_CONSTANT))
     if 1 in numbers:
         size = np.hypot(*values[1:3])
@@ -88,22 +87,19 @@ def _axis_rows(robot, arm_fit, joint, theta, spread, name):
         angle = np.arctan2(-values[2], values[1])
         turn = np.array([-slope[1], slope[0]]) / max(size, 1e-300)
         rows.append(_row(f'{name}.gravity_torque', 'N m', size, np.sqrt(slope @ spreads @ slope),
-                         np.hypot(drawn[:, 1], drawn[:, 2]), 'of the link held level: mass com '
+                         'of the link held level: mass com '
                          'gravity; mass and com apart cannot be told', _TELLS_GRAVITY))
         error = float(np.sqrt(turn @ spreads @ turn))
-        drawn_angle = angle + np.angle(np.exp(1j * (np.arctan2(-drawn[:, 2], drawn[:, 1])
-                                                    - angle)))
         told = error < _WIDE
         rows.append(Estimate(
             f'{name}.offset', 'rad', float(angle), Interval(angle - CONFIDENT * error,
                                                             angle + CONFIDENT * error),
-            Interval(*np.percentile(drawn_angle, [2.5, 97.5])),
             () if told else ('not identifiable',), '' if told else _TELLS_GRAVITY))
     if arm_fit.ripples[joint]:
         rows += _ripple_rows(arm_fit.ripples[joint],
                              f'effects.{robot.joints[joint]}.{axis_ripple.NAME}')
     if 1 not in numbers:
-        rows.append(Estimate(f'{name}.gravity_torque', 'N m', 0.0, _UNKNOWN, _UNKNOWN,
+        rows.append(Estimate(f'{name}.gravity_torque', 'N m', 0.0, _UNKNOWN,
                              ('not identifiable',),
                              'no gravity is seen in this motion: it does not lower the error on '
                              'data held out'))
@@ -118,15 +114,14 @@ def _ripple_rows(ripple, name):
             ('order', '1', ripple.order_error, 'periods in 2 pi of the angle')):
         value = getattr(ripple, part)
         interval = Interval(value - CONFIDENT * error, value + CONFIDENT * error)
-        rows.append(Estimate(f'{name}.{part}', unit, value, interval, interval, (), note))
+        rows.append(Estimate(f'{name}.{part}', unit, value, interval, (), note))
     return rows
 
 
-def _row(name, unit, value, error, drawn, meaning, tells):
+def _row(name, unit, value, error, meaning, tells):
     interval = Interval(value - CONFIDENT * error, value + CONFIDENT * error)
     told = CONFIDENT * error < _WIDE * abs(value) and (value > 0.0 or 'bias' in name)
     return Estimate(name, unit, float(value), Interval(*map(float, interval)),
-                    Interval(*map(float, np.percentile(drawn, [2.5, 97.5]))),
                     () if told else ('not identifiable',), meaning if told else tells)
 
 
@@ -142,6 +137,6 @@ def _motor_rows(motor, name, rigid):
             note = ('most of the twist goes with the velocity, as if the two encoders were read '
                     'at different times: that looks like a soft spring or damping and is neither')
         wide = Interval(float(value - CONFIDENT * error), float(value + CONFIDENT * error))
-        rows.append(Estimate(f'{name}.{part}', unit, float(value), wide, wide,
+        rows.append(Estimate(f'{name}.{part}', unit, float(value), wide,
                              () if told else ('not identifiable',), note))
     return rows

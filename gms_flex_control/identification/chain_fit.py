@@ -217,7 +217,7 @@ def base_estimates(values, covariance, told, n, has_gravity):
         half = CONFIDENT * float(np.sqrt(variance))
         interval = Interval(value - half, value + half)
         known = half < _WIDE * abs(value) and share > _TOLD
-        rows.append(Estimate(name, unit, float(value), interval, interval,
+        rows.append(Estimate(name, unit, float(value), interval,
                              () if known else ('not identifiable',),
                              'a base parameter: masses, centres of mass and inertias count only '
                              'as far as they make it' if known else

@@ -19,9 +19,10 @@ from typing import NamedTuple
 from gms_flex_control.identification.coordinates import Coordinates, MOST_BLOCKS, N_STEADY
 from gms_flex_control.identification.hops import GAIN, hop
 from gms_flex_control.identification.objective import BLOCK_TIME, coarser, Objective
-from gms_flex_control.identification.refine import Prior, refine, summed
+from gms_flex_control.identification.refine import Prior, refine
 from gms_flex_control.simulation.predictor import BLOCKS, parameter_rows
 import numpy as np
+from scipy.stats import t as student
 
 COARSE = 4e-3         # sample that is fine enough to find the way [s]
 # of hops in turn, samples [s] and the factor on the observer's bandwidth: with coarse samples and
@@ -33,7 +34,8 @@ _SHARPNESS = (2.0, 1.0)
 FOLDS = 4             # one in so many blocks of time is held out
 _STEADY_DOUBT, _BLOCK_DOUBT = 1.0, 3.0  # spread of the prior, of logarithms
 _EXTRA_DOUBT = 1.0    # of corrections, in their units
-_ROUGH = 0.04         # of the cost: what hollows near the best differ by, where encoders count
+_ONE_ERROR = 0.8413    # of a normal distribution is below one standard deviation
+_SOFT = 0.5           # of the observer's bandwidth: another that is right as well
 _PATIENCE, _PATIENCE_LAST = 8, 5  # fits in a row without a gain that end hops of a level
 _MORE_TURNS = 2       # of hops of all joints at the last level, at most
 
@@ -59,7 +61,8 @@ class JointFit(NamedTuple):
     held_out: object       # Candidate that was chosen, fitted without the data held out
     candidates: tuple      # of Candidate
     settled: bool
-    sampling: np.ndarray   # what roughness of the cost and sampling leave open, (P,)
+    sampling: np.ndarray   # what numbers move by as the data are looked at in other ways, (P,)
+    rivals: tuple = ()     # of parameters: other numbers of blocks that may be right as well
     ends: tuple = ()       # of free numbers, where hops ended, the best first
 
 
@@ -151,9 +154,9 @@ def fit_candidate(bundle, joint, thetas, theta, n_blocks, n_extra):
     return coordinates, free
 
 
-def choose(bundle, joint, thetas, fits):
+def choose(bundle, joint, thetas, fits, blocks):
     """
-    Return the candidates, and the one whose held-out error no other beats beyond chance.
+    Return the candidates, the one whose held-out error no other beats beyond chance, its rivals.
 
     Parameters
     ----------
@@ -165,13 +168,18 @@ def choose(bundle, joint, thetas, fits):
         Parameters of all joints.
     fits : sequence of (Coordinates, ndarray)
         Fitted without the data held out.
+    blocks : sequence of int
+        Numbers of blocks that may be chosen.
 
     Returns
     -------
     candidates : tuple of Candidate
-        In the order of ``fits``.
-    chosen : int
+        Those that may be chosen, in the order of ``fits``.
+    chosen : Candidate
         The fewest blocks within one standard error of the best.
+    rivals : tuple of ndarray
+        Parameters of all others that are no worse beyond one standard error of the difference,
+        by Student's distribution for so many blocks.
 
     """
     objective = Objective(bundle, joint, thetas, held_out(bundle.period))
@@ -181,20 +189,34 @@ def choose(bundle, joint, thetas, fits):
         floor = evaluations[0].floor
     count = evaluations[0].count.sum()
     costs = np.array([evaluation.cost for evaluation in evaluations])
-    best = int(np.argmin(costs.sum(axis=1)))
-    off = costs - costs[best]
-    errors = off.std(axis=1) * np.sqrt(off.shape[1])
+    offered = np.array([coordinates.n_blocks in blocks for coordinates, _ in fits])
+    off, errors = _above(costs, int(np.argmin(np.where(offered, costs.sum(axis=1), np.inf))))
     candidates = tuple(
         Candidate(coordinates.n_blocks, coordinates.free_weights, float(cost.sum() / count),
                   float(error / count), coordinates, free)
         for (coordinates, free), cost, error in zip(fits, costs, errors, strict=True))
-    within = np.flatnonzero(off.sum(axis=1) <= errors)
-    return candidates, int(within[0])
+    chosen = int(np.flatnonzero(offered & (off <= errors))[0])
+    off, errors = _above(costs, chosen)
+    blocks_out = costs.shape[1]
+    errors *= student.ppf(_ONE_ERROR, blocks_out - 1) * np.sqrt(blocks_out / (blocks_out - 1)) \
+        if blocks_out > 1 else np.inf  # of few blocks the scatter is hardly known
+    rivals = tuple(coordinates.unpack(free)[0] for k, (coordinates, free) in enumerate(fits)
+                   if k != chosen and off[k] <= errors[k])
+    return tuple(one for one, may in zip(candidates, offered, strict=True) if may), \
+        candidates[chosen], rivals
+
+
+def _above(costs, best):
+    """Return by how much costs (K, B) are above those of one of them, and standard errors."""
+    off = costs - costs[best]
+    return off.sum(axis=1), off.std(axis=1) * np.sqrt(off.shape[1])
 
 
 def fit_joint(bundle, joint, thetas, blocks):
     """
     Fit one joint with each number of blocks, the others as they are, and choose among them.
+
+    Numbers that may not be chosen are fitted as well: they tell what depends on the number.
 
     Parameters
     ----------
@@ -213,11 +235,11 @@ def fit_joint(bundle, joint, thetas, blocks):
 
     """
     n_extra = len(thetas[joint]) - parameter_rows(MOST_BLOCKS, 0)
-    fits = [fit_candidate(bundle, joint, thetas, thetas[joint], n, n_extra) for n in blocks]
-    candidates, chosen = choose(bundle, joint, thetas, fits)
-    best = candidates[chosen]
+    fits = [fit_candidate(bundle, joint, thetas, thetas[joint], n, n_extra)
+            for n in sorted({*blocks, *CANDIDATES})]
+    candidates, best, rivals = choose(bundle, joint, thetas, fits, blocks)
     return JointFit(best.coordinates, best.free, prior_of(best.coordinates, best.free), None,
-                    best, candidates, False, np.zeros(len(best.free)))
+                    best, candidates, False, np.zeros(len(best.free)), rivals)
 
 
 def fit_all(bundle, starts, extras, *, blocks=CANDIDATES, say=lambda text: None):
@@ -312,27 +334,15 @@ def finish(bundle, joint, thetas, fit):
     coordinates, prior = fit.coordinates, fit.prior
     held = refine(Objective(bundle, joint, thetas, train(bundle.period)), coordinates, fit.free,
                   prior).free
-    refined = refine(Objective(bundle, joint, thetas), coordinates, held, prior)
-    half = coarser(bundle, 2.0 * bundle.period)
-    seldom = refine(Objective(half, joint, thetas), coordinates, refined.free, prior).free
+    objective = Objective(bundle, joint, thetas)
+    refined = refine(objective, coordinates, held, prior)
+    others = (refine(Objective(coarser(bundle, 2.0 * bundle.period), joint, thetas), coordinates,
+                     refined.free, prior),
+              refine(objective, coordinates, refined.free, prior, sharpness=_SOFT))
+    moved = sum((other.free - refined.free) ** 2 for other in others)
     return fit._replace(free=refined.free, evaluation=refined.evaluation,
                         held_out=fit.held_out._replace(free=held), settled=refined.settled,
-                        sampling=np.sqrt(fit.sampling ** 2 + (seldom - refined.free) ** 2
-                                         + roughness(refined, prior, bundle.half[joint])))
-
-
-def roughness(refined, prior, half):
-    """
-    Return the variance (P,) of free numbers that hollows near the best leave open.
-
-    Counts of an encoder make the cost rough: hollows that hops do not find are as deep as the
-    best within some percent. This is how far the curvature lets numbers move for that much.
-    """
-    if half == 0.0:
-        return np.zeros(len(refined.free))
-    curvature, _ = summed(refined.evaluation, refined.free, prior)
-    cost = refined.evaluation.cost.sum()
-    return _ROUGH * cost * np.diag(np.linalg.pinv(curvature, hermitian=True))
+                        sampling=np.sqrt(fit.sampling ** 2 + moved))
 
 
 def rough_theta(start, extra):

@@ -16,7 +16,13 @@ from functools import cache
 from typing import NamedTuple
 
 from gms_flex_control.identification import held_out as errors
-from gms_flex_control.identification.default_method import FOLDS, held_out, prior_of, train
+from gms_flex_control.identification.default_method import (
+    FOLDS,
+    held_out,
+    prior_of,
+    theta_of,
+    train,
+)
 from gms_flex_control.identification.objective import coarser, Objective
 from gms_flex_control.identification.refine import refine
 from gms_flex_control.identification.torque_fit import fit_torque, torque_spread, TorqueError
@@ -35,7 +41,7 @@ _SENTENCES = {
              'them, would tell it.',)}
 _MOST = 20_000        # samples that are looked at, if they are no further apart than
 _COARSE = 8e-3        # [s]
-_YIELDS = (1.0, 0.1, 0.3, 5.0, 25.0)  # of the simple one's block, of the usual
+_YIELDS = (2.0, 0.2, 0.6, 10.0, 50.0)  # of the simple one's block, in encoder steps
 _SHORT = 60.0         # data in which one part held out is too little to choose by [s]
 _WORTH = 0.97         # of the error on data held out: a fit that is no better is not taken
 _CLEAR = 0.9          # likewise where the fit itself has seen the data that decide
@@ -71,7 +77,7 @@ class Trial(NamedTuple):
     enough: float  # error relative to that of the simple one that a fit must stay below
 
 
-def choose_fit(bundle, joint, fits, step, rng):
+def choose_fit(bundle, joint, fits, step):
     """
     Return the Choice of one joint: none that is worse than the simple one in either error.
 
@@ -85,21 +91,39 @@ def choose_fit(bundle, joint, fits, step, rng):
         Of all joints, by the innovations.
     step : float
         Encoder step or noise [rad].
-    rng : numpy.random.Generator
-        For the bootstrap.
 
     """
-    samples = sum(len(stretch.angle) for stretch in bundle.stretches)
-    thin = coarser(bundle, min(bundle.period * max(samples // _MOST, 1), _COARSE))
-    thetas = [fit.coordinates.unpack(fit.free)[0] for fit in fits]
-    contest = _Contest(thin, joint, thetas, fits[joint], step)
+    contest = _contest(bundle, joint, fits, step)
     usual = contest.wins(contest.by_innovations)
     if usual and contest.explained():
         return Choice(INNOVATIONS, fits[joint], None)
     other = contest.wins(contest.by_torque)
     if usual and not (other and contest.clearly_better()):
         return Choice(INNOVATIONS, fits[joint], None)
-    return contest.finished(TORQUE if other else SIMPLE, rng)
+    return contest.finished(TORQUE if other else SIMPLE)
+
+
+def simple_theta(bundle, joint, fits, step, whole):
+    """
+    Return the parameters of the simple fit that others are measured by.
+
+    Parameters
+    ----------
+    bundle, joint, fits, step
+        As `choose_fit`.
+    whole : bool
+        Whether it is fitted to all data, or without those held out.
+
+    """
+    contest = _contest(bundle, joint, fits, step)
+    coordinates, free = contest.simple(contest.whole if whole else contest.first)
+    return coordinates.unpack(free)[0]
+
+
+def _contest(bundle, joint, fits, step):
+    samples = sum(len(stretch.angle) for stretch in bundle.stretches)
+    thin = coarser(bundle, min(bundle.period * max(samples // _MOST, 1), _COARSE))
+    return _Contest(thin, joint, [theta_of(fit) for fit in fits], fits[joint], step)
 
 
 class _Contest:
@@ -127,7 +151,8 @@ class _Contest:
         self._objective = Objective(bundle, joint, thetas)
         first, *others = _trials(bundle)
         self.trials = (first, *filter(None, map(self._that_tell, others)))
-        self._first = first.looks[0]
+        self.first = first.looks[0]
+        self.whole = Look(_everything, self.first.out)
         self.simple, self.by_torque = cache(self._simple), cache(self._by_torque)
 
     def _that_tell(self, trial):
@@ -147,7 +172,7 @@ class _Contest:
 
     def explained(self):
         """Return whether the fit by the innovations leaves next to nothing of the torque."""
-        error = self._error(self._first.out)
+        error = self._error(self.first.out)
         left = error(self._fit.coordinates.unpack(self._fit.held_out.free)[0])
         return errors.rms(left) < _NEXT_TO_NOTHING * errors.rms(error.measured)
 
@@ -165,7 +190,7 @@ class _Contest:
 
     def by_innovations(self, look):
         """Return Coordinates and free numbers of the fit by the innovations."""
-        if look is self._first:
+        if look is self.first:
             return self._fit.coordinates, self._fit.held_out.free
         return self._fit.coordinates, refine(
             self._objective_of(look.fitted), self._fit.coordinates, self._fit.free,
@@ -192,20 +217,21 @@ class _Contest:
         found = [np.nanprod(self._errors([look], [pair])) for pair in tried]
         return tried[int(np.argmin(found))]
 
-    def finished(self, kind, rng):
+    def finished(self, kind):
         """Return the Choice of a kind, fitted to all data."""
-        coordinates, held = (self.by_torque if kind == TORQUE else self.simple)(self._first)
+        coordinates, held = (self.by_torque if kind == TORQUE else self.simple)(self.first)
         error, prior = self._error(_everything), prior_of(coordinates, held)
         if kind == SIMPLE:
-            free = self.simple(Look(_everything, self._first.out))[1]
+            free = self.simple(self.whole)[1]
         else:
             prior = _belief(coordinates, held)
             free = fit_torque(error, coordinates, held, prior)
         chosen = self._fit.held_out._replace(coordinates=coordinates, free=held,
                                              n_blocks=coordinates.n_blocks)
         fit = self._fit._replace(coordinates=coordinates, free=free, prior=prior,
-                                 held_out=chosen, sampling=np.zeros(len(free)))
-        return Choice(kind, fit, torque_spread(error, coordinates, free, prior, rng))
+                                 held_out=chosen, sampling=np.zeros(len(free)),
+                                 rivals=(theta_of(self._fit), *self._fit.rivals))
+        return Choice(kind, fit, torque_spread(error, coordinates, free, prior))
 
     def _penalty(self, trial):
         """

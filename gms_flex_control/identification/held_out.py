@@ -22,7 +22,6 @@ import numpy as np
 HORIZON = 0.5       # of a free simulation [s]
 _STRIDE = 1.0       # from one start to the next [s]
 _STANDING = 3.0     # encoder steps per 50 ms: slower is no motion for the simple model
-_SIMPLE_YIELD = 2.0  # of the simple model's only block, in encoder steps
 _SMALL, _FAST = 1e-3, 10.0  # least friction, of the other way; speed [rad/s]
 _LONGEST_TRACE = 20_000
 
@@ -89,19 +88,17 @@ def simple_columns(rate):
     return np.stack([forward, -1.0 * backward, forward * rate, backward * rate], axis=1)
 
 
-def simple_theta(fit, step, n_extra):
-    """Return Coulomb and viscous friction as parameters of the predictor, one stiff block."""
-    coordinates, free = simple_free(fit, step, n_extra)
-    return coordinates.unpack(free)[0]
+def simple_free(fit, displacement, n_extra):
+    """
+    Return Coulomb and viscous friction as Coordinates and free numbers.
 
-
-def simple_free(fit, step, n_extra):
-    """Return Coulomb and viscous friction as Coordinates and free numbers, one stiff block."""
+    Its only block yields at ``displacement`` [rad].
+    """
     coulomb = np.maximum(fit[:2], _SMALL * np.abs(fit[:2]).max())
     viscous = np.maximum(fit[2:4], 1e-3 * coulomb / _FAST)
     coordinates = Coordinates(1, n_extra=n_extra)
     free = coordinates.pack(coulomb * 1.001, coulomb, np.full(2, 1e-3), viscous,
-                            coulomb.mean() / 0.01, [_SIMPLE_YIELD * step], extra=fit[4:])
+                            coulomb.mean() / 0.01, [displacement], extra=fit[4:])
     return coordinates, free
 
 
@@ -167,7 +164,7 @@ def held_out_errors(objective, bundle, theta, simple, chosen, step, repeatabilit
     theta : ndarray
         Parameters of the joint, fitted without the chosen samples.
     simple : ndarray
-        From `coulomb_viscous`, likewise.
+        Likewise, of Coulomb and viscous friction with one stiff block, see fit_choice.
     chosen : callable
         Stretch -> bool (T,) of the samples held out.
     step : float
@@ -191,12 +188,9 @@ def held_out_errors(objective, bundle, theta, simple, chosen, step, repeatabilit
             keep, joint])
         keep &= moving(stretch, joint, step, bundle.half[joint])
         measured = friction_torque(stretch, bundle.arm)[:, joint]
-        rate = stretch.rate[:, joint]
-        off.append(low_pass(measured - model_friction(objective, stretch, theta, period),
-                            window)[keep])
-        columns = np.concatenate([simple_columns(np.where(
-            np.abs(rate) > standing(step), rate, 0.0)), -objective.extra(stretch)], axis=1)
-        plain.append(low_pass(measured - columns @ simple, window)[keep])
+        for errors, parameters in ((off, theta), (plain, simple)):
+            model = model_friction(objective, stretch, parameters, period)
+            errors.append(low_pass(measured - model, window)[keep])
         drive = stretch.torque + stretch.constant
         torque.append(low_pass(drive[:, joint], window)[keep])
         noise.append(torque_noise(stretch.torque[:, joint], window)[keep])
@@ -206,8 +200,7 @@ def held_out_errors(objective, bundle, theta, simple, chosen, step, repeatabilit
     return HeldOut(
         torque_rms=rms(off), relative=rms(off) / usual, coulomb_viscous=rms(plain) / usual,
         free_run_rms=free_run_error(objective, bundle, theta, chosen),
-        free_run_coulomb_viscous=free_run_error(
-            objective, bundle, simple_theta(simple, step, len(simple) - 4), chosen),
+        free_run_coulomb_viscous=free_run_error(objective, bundle, simple, chosen),
         horizon=HORIZON, innovation_rms=rms(innovations), noise_floor=rms(noise),
         repeatability=repeatability, bandwidth=low_pass_bandwidth(
             max(stretch.window for stretch in bundle.stretches), period))

@@ -19,12 +19,11 @@ from gms_flex_control.identification.axis_ripple import ripple_sentences
 from gms_flex_control.identification.checks import require
 from gms_flex_control.identification.coordinates import friction_record, MOST_BLOCKS
 from gms_flex_control.identification.coupling import coupling_sentences
-from gms_flex_control.identification.fit_choice import choose_fit
+from gms_flex_control.identification.fit_choice import choose_fit, simple_theta
 from gms_flex_control.identification.known_effects import believed_model, cleared
 from gms_flex_control.identification.loops import loops_of, presliding_reach
 from gms_flex_control.identification.objective import Bundle, Objective, observer_bandwidth
 from gms_flex_control.identification.paper_fit import NOT_HELD_OUT, paper_fits
-from gms_flex_control.identification.replicates import make_steps
 from gms_flex_control.identification.result import Candidate, Identification, JointResult
 from gms_flex_control.identification.start import start_of
 from gms_flex_control.identification.steady import friction_map, repeatability
@@ -34,9 +33,15 @@ from gms_flex_control.identification.stretches import (
     rigid_where,
     stretches_of,
 )
-from gms_flex_control.identification.uncertainty import curve_of, draw, estimates_of, spread_of
+from gms_flex_control.identification.uncertainty import (
+    curve_of,
+    estimates_of,
+    shown_displacements,
+    spread_of,
+)
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
 from gms_flex_control.params.robot import RobotParams
+from gms_flex_control.simulation.predictor import PER_DIRECTION, STATIC
 import numpy as np
 
 _SAME_PERIOD = 0.01   # relative difference of sample periods of recordings fitted together
@@ -59,8 +64,6 @@ class Options:
         Numbers of blocks to try.
     force : bool
         Go on in spite of faults in the data.
-    seed : int
-        Of the bootstrap.
 
     """
 
@@ -68,12 +71,11 @@ class Options:
     estimate: str = 'friction'
     blocks: tuple = default_method.CANDIDATES
     force: bool = False
-    seed: int = 0
 
 
 def identify(takes: Sequence, robot: RobotParams, *, holdouts: Sequence = (),
-             options: Options | None = None, say: Callable[[str], object] | None = None,
-             executor=None) -> Identification:
+             options: Options | None = None,
+             say: Callable[[str], object] | None = None) -> Identification:
     """
     Identify the friction of a robot.
 
@@ -90,8 +92,6 @@ def identify(takes: Sequence, robot: RobotParams, *, holdouts: Sequence = (),
         How.
     say : callable, optional
         Told what is being done.
-    executor : Executor, optional
-        From batches.executor, makes the replicates of the bootstrap; default: this process.
 
     Returns
     -------
@@ -117,7 +117,7 @@ def identify(takes: Sequence, robot: RobotParams, *, holdouts: Sequence = (),
         data = Data(takes, holdouts, model, whole)
         fits = data.fit(options, say)
         say('intervals and errors on data held out')
-        joints, arm = data.results(fits, options, executor)
+        joints, arm = data.results(fits)
     thetas = [fit.coordinates.unpack(fit.free)[0] for fit in fits]
     return Identification(
         method=options.method,
@@ -193,13 +193,13 @@ class Data:
                                       say=say)
         say('comparing with a fit of the torque')
         self.choices = per_joint(len(fits), lambda j: choose_fit(
-            self.bundle, j, fits, self.step[j], np.random.default_rng([options.seed, j, 1])))
+            self.bundle, j, fits, self.step[j]))
         return [choice.fit for choice in self.choices]
 
-    def results(self, fits, options, executor=None):
+    def results(self, fits):
         """Return a JointResult per joint, and the robot with the arm found."""
         thetas = [fit.coordinates.unpack(fit.free)[0] for fit in fits]
-        spreads = self.paper_spreads or self._spreads(fits, thetas, options.seed, executor)
+        spreads = self.paper_spreads or self._spreads(fits, thetas)
         further, robot = [()] * len(fits), self.described
         if self.arm_fit:
             further = arm_estimates(self.robot, self.arm_fit, thetas, spreads)
@@ -209,19 +209,13 @@ class Data:
         return tuple(per_joint(len(fits), lambda j: self.result(
             j, fits, spreads[j], further[j]))), robot
 
-    def _spreads(self, fits, thetas, seed, executor):
-        """Return the Spread of each joint; replicates of the torque's fit are made already."""
-        asked = [j for j in range(len(fits)) if self.choices[j].spread is None]
-        rngs = {j: np.random.default_rng([seed, j]) for j in asked}
-        steps = dict(zip(asked, make_steps(
-            [draw(fits[j].evaluation, fits[j].prior, rngs[j]) for j in asked], executor),
-            strict=True))
-
+    def _spreads(self, fits, thetas):
+        """Return the Spread of each joint; that of the torque's fit is made already."""
         def spread(j):
             fit = fits[j]
             return self.choices[j].spread or spread_of(
                 Objective(self.bundle, j, thetas), fit.coordinates, fit.free, fit.evaluation,
-                fit.prior, fit.sampling, rngs[j], steps[j])
+                fit.prior, fit.sampling)
         return per_joint(len(fits), spread)
 
     def result(self, joint, fits, spread, further=()):
@@ -234,13 +228,14 @@ class Data:
         velocity = np.concatenate([-np.geomspace(top, 1e-4 * top, _VELOCITIES),
                                    np.geomspace(1e-4 * top, top, _VELOCITIES)])
         alone = friction_params([theta], [fit])
-        widest = np.exp(fit.free[fit.coordinates.yields]).max()
-        curve = curve_of(fit.coordinates, fit.free, spread, np.geomspace(
-            0.1 * self.step[joint], max(widest, 10.0 * self.step[joint]), _CURVE_POINTS))
+        estimates = estimates_of(self.robot.joints[joint], fit.coordinates, fit.free, spread,
+                                 reach, travel(self._fitted, joint), fit.rivals)
+        curve = curve_of(fit.coordinates, fit.free, spread, shown_displacements(
+            estimates, theta[[STATIC, PER_DIRECTION + STATIC]].mean(), self.step[joint],
+            _CURVE_POINTS), fit.rivals)
         return JointResult(
             joint=self.robot.joints[joint], side=self.sides[joint],
-            estimates=estimates_of(self.robot.joints[joint], fit.coordinates, fit.free, spread,
-                                   reach, travel(self._fitted, joint)) + further,
+            estimates=estimates + further,
             curve=curve, friction_map=self.maps[joint], steady_velocity=velocity,
             steady_torque=steady_friction(velocity[:, None], alone)[:, 0],
             loops=loops_of(objective, bundle, theta),
@@ -249,7 +244,7 @@ class Data:
             candidates=tuple(Candidate(one.n_blocks, one.cost, one.error,
                                        one.n_blocks == fit.coordinates.n_blocks)
                              for one in fit.candidates),
-            held_out=self._errors(joint, fit, thetas),
+            held_out=self._errors(joint, fits, thetas),
             warnings=self._sentences(joint, fit, objective, theta))
 
     def _sentences(self, joint, fit, objective, theta):
@@ -261,17 +256,15 @@ class Data:
         rippled = ripple_sentences(objective, self.bundle, theta, self.robot.joints[joint])
         return (*self.choices[joint].sentences, *few_blocks(fit), *rippled, *coupled)
 
-    def _errors(self, joint, fit, thetas):
-        bundle, chosen = self.bundle, default_method.held_out(self.bundle.period)
+    def _errors(self, joint, fits, thetas):
+        fit, bundle = fits[joint], self.bundle
+        chosen = default_method.held_out(bundle.period)
         theta, _ = fit.coordinates.unpack(fit.held_out.free)
-        train = default_method.train(bundle.period)
         if self._apart:
             bundle = bundle._replace(stretches=tuple(self._apart))
-            theta, chosen, train = thetas[joint], everything, everything
+            theta, chosen = thetas[joint], everything
         objective = Objective(bundle, joint, thetas)
-        simple = errors.coulomb_viscous(
-            Objective(self.bundle, joint, thetas), self._fitted, self.robot.arm, joint,
-            self.step[joint], train)
+        simple = simple_theta(self.bundle, joint, fits, self.step[joint], bool(self._apart))
         return errors.held_out_errors(
             objective, bundle, theta, simple, chosen, self.step[joint],
             repeatability(self._fitted, self._phases, self.robot.arm, joint))
@@ -288,8 +281,8 @@ def few_blocks(fit):
     most = max(candidate.n_blocks for candidate in fit.candidates)
     if fit.coordinates.n_blocks < most or most == MOST_BLOCKS:
         return ()
-    return (f'N = {most} is the largest number of blocks that was tried. Where presliding needs '
-            'more, all parameters are off by more than their intervals say: try more '
+    return (f'N = {most} is the largest number of blocks that may be chosen. Where presliding '
+            'needs more, other parameters take part of its place: allow more '
             f'(--blocks, up to {MOST_BLOCKS})',)
 
 

@@ -287,7 +287,12 @@ class Objective:
     def floor_of(self, square):
         """Return the floor [rad] that mean squares of blocks (B,) call for."""
         usual = np.sqrt(np.median(square))
-        return max(_EXPLAINED * usual, _FINEST * 2.0 * self._bundle.half[self.joint], 1e-12)
+        return max(_EXPLAINED * usual, self.finest, 1e-12)
+
+    @property
+    def finest(self):
+        """Return the innovation [rad] below which the steps of the predictor are what errs."""
+        return _FINEST * 2.0 * self._bundle.half[self.joint]
 
 
 def _pools(counted, error, jacobian, period):

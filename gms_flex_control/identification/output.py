@@ -146,8 +146,7 @@ def uncertainty_values(identification):
     values = {}
     for result in identification.joints:
         for kind, names in _TOLD_BY.items():
-            sizes = [0.5 * max(one.interval.high - one.interval.low,
-                               one.bootstrap.high - one.bootstrap.low)
+            sizes = [0.5 * (one.interval.high - one.interval.low)
                      / CONFIDENT / abs(one.value) for one in result.estimates
                      if not one.flags and one.value
                      and any(one.name.split('.')[-1].startswith(name) for name in names)

@@ -13,7 +13,7 @@ import math
 from typing import NamedTuple
 
 from gms_flex_control.identification.result import CONFIDENT
-from gms_flex_control.identification.words import hull, NOT_IDENTIFIABLE, SET, standing
+from gms_flex_control.identification.words import NOT_IDENTIFIABLE, SET, standing
 import numpy as np
 
 _NORMAL = 1.4826       # standard deviation over median distance from the median
@@ -48,7 +48,7 @@ def bag_values(identification):
     Returns
     -------
     dict
-        ``estimates`` with ``low`` and ``high`` of the wider interval, ``held_out`` and
+        ``estimates`` with ``low`` and ``high`` of the interval, ``held_out`` and
         ``coulomb_viscous`` (errors relative to the torque) of each joint, and ``warnings``;
         a number that is not finite is None. The time it took is not in it: all else is the same
         wherever it was done.
@@ -64,7 +64,7 @@ def bag_values(identification):
 
 
 def _estimate(estimate):
-    low, high = hull(estimate)
+    low, high = estimate.interval
     return {'name': estimate.name, 'unit': estimate.unit, 'value': _plain(estimate.value),
             'low': _plain(low), 'high': _plain(high), 'flags': list(estimate.flags),
             'standing': standing(estimate)}

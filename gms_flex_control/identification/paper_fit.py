@@ -3,12 +3,12 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """The paper's method in the shape of the default one, so that the same results come of it."""
 
-from gms_flex_control.identification.coordinates import Coordinates, MOST_BLOCKS, N_STEADY
+from gms_flex_control.identification.coordinates import Coordinates, N_STEADY
 from gms_flex_control.identification.default_method import Candidate, JointFit, prior_of
 from gms_flex_control.identification.objective import Objective
 from gms_flex_control.identification.paper_method import fit_paper, N_BLOCKS
 from gms_flex_control.identification.result import CONFIDENT
-from gms_flex_control.identification.uncertainty import REPLICATES, Spread
+from gms_flex_control.identification.uncertainty import Spread
 from gms_flex_control.simulation.predictor import (
     ATTRACTION,
     BLOCKS,
@@ -79,6 +79,4 @@ def _spread(paper, fit):
         for row in (VELOCITY, VISCOUS):
             variance[at + row] = (deviation[at + row] / max(theta[at + row], 1e-12)) ** 2
     variance[N_STEADY - 1] = (deviation[ATTRACTION] / theta[ATTRACTION]) ** 2
-    rng = np.random.default_rng(MOST_BLOCKS)
-    replicates = fit.free + np.sqrt(variance) * rng.standard_normal((REPLICATES, len(fit.free)))
-    return Spread(np.diag(variance), replicates, np.ones(len(fit.free)))
+    return Spread(np.diag(variance), np.ones(len(fit.free)))

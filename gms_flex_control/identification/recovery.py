@@ -10,7 +10,6 @@ from gms_flex_control.experiment.identification_simulated import simulate_identi
 from gms_flex_control.identification.beside import known_values, presliding_difference
 from gms_flex_control.identification.identify import identify
 from gms_flex_control.identification.result import Estimate, Interval
-from gms_flex_control.identification.words import NOT_IDENTIFIABLE
 import numpy as np
 
 
@@ -31,9 +30,8 @@ class Recovered(NamedTuple):
     true: float
     middle: float      # median estimate
     worst: float       # largest relative error
-    covered: float     # share of trials whose interval of the Jacobian holds the truth
-    bootstrap: float   # the same of the bootstrap
-    flagged: float     # share of trials in which it was said not to be identifiable
+    covered: float     # share of intervals that hold the truth; NaN without any
+    told: float        # share of trials with an interval
     trials: int
 
 
@@ -58,8 +56,7 @@ def try_item(item):
 def as_values(one):
     """Return a Trial as plain values for JSON, from which `from_values` makes it again."""
     pairs = [[*estimate._replace(value=_written(estimate.value),
-                                 interval=[*map(_written, estimate.interval)],
-                                 bootstrap=[*map(_written, estimate.bootstrap)]), _written(true)]
+                                 interval=[*map(_written, estimate.interval)]), _written(true)]
              for estimate, true in one.estimates]
     return {**one._asdict(), 'estimates': pairs, 'blocks': [*map(int, one.blocks)],
             'curve': [*map(_written, one.curve)]}
@@ -77,8 +74,7 @@ def from_values(values):
         estimate = Estimate(*fields)
         pairs.append((estimate._replace(
             value=float(estimate.value), interval=Interval(*map(float, estimate.interval)),
-            bootstrap=Interval(*map(float, estimate.bootstrap)), flags=tuple(estimate.flags)),
-            float(true)))
+            flags=tuple(estimate.flags)), float(true)))
     return Trial(**{**values, 'estimates': tuple(pairs), 'blocks': tuple(values['blocks']),
                     'curve': tuple(map(float, values['curve']))})
 
@@ -147,10 +143,11 @@ def recovered(trials):
     for name, pairs in groups.items():
         values = np.array([estimate.value for estimate, _ in pairs])
         truth = np.array([true for _, true in pairs])
+        holds = [e.interval.low <= true <= e.interval.high for e, true in pairs
+                 if np.isfinite(e.interval).all()]
         rows.append(Recovered(
             name, float(truth[0]), float(np.median(values)),
             float(np.max(np.abs(values / truth - 1.0))),
-            float(np.mean([e.interval.low <= true <= e.interval.high for e, true in pairs])),
-            float(np.mean([e.bootstrap.low <= true <= e.bootstrap.high for e, true in pairs])),
-            float(np.mean([NOT_IDENTIFIABLE in e.flags for e, _ in pairs])), len(pairs)))
+            float(np.mean(holds)) if len(holds) else np.nan, len(holds) / len(pairs),
+            len(pairs)))
     return tuple(rows)

@@ -27,9 +27,8 @@ class Estimate(NamedTuple):
     #                        their place in the array, 'friction.joint1.stiffness[0]'
     unit: str
     value: float
-    interval: Interval     # from the Jacobian, errors taken to depend on each other for a while
-    bootstrap: Interval    # from a bootstrap over blocks of time
-    flags: tuple           # of 'at bound', 'not identifiable', 'intervals disagree'; empty is good
+    interval: Interval     # NaN where a flag says that the data give none
+    flags: tuple           # of 'at bound', 'not identifiable', 'depends on the model'; empty: good
     note: str              # a sentence on the flags and what motion would tell; '' without
 
 
@@ -92,7 +91,8 @@ class JointResult:
         Steady parameters of both directions, attraction, block stiffnesses and weights; further
         ones where they were estimated.
     curve : tuple of ndarray
-        Presliding curve: displacement [rad], torque [N m], low and high of its 95 % interval.
+        Presliding curve: displacement [rad], torque [N m], low and high of its 95 % interval;
+        as far as blocks are identifiable, empty where none is.
     friction_map : FrictionMap
         Measured.
     steady_velocity, steady_torque : ndarray, shape (V,)

@@ -4,8 +4,7 @@
 """
 Friction fitted to the drive torque along the measured motion, whatever made it.
 
-Robust to moments unlike the rest, and drawn weakly to a belief; its spread comes from a bootstrap
-of blocks of time.
+Robust to moments unlike the rest, and drawn weakly to a belief.
 """
 
 from typing import NamedTuple
@@ -15,7 +14,7 @@ from gms_flex_control.identification.coordinates import friction_record
 from gms_flex_control.identification.objective import BLOCK_TIME
 from gms_flex_control.identification.smoothing import low_pass
 from gms_flex_control.identification.steady import friction_torque
-from gms_flex_control.identification.uncertainty import REPLICATES, Spread
+from gms_flex_control.identification.uncertainty import clustered, Spread
 from gms_flex_control.simulation.friction_replay import replay
 import numpy as np
 from scipy.optimize import least_squares
@@ -23,7 +22,6 @@ from scipy.optimize import least_squares
 _MEMORY = 0.1  # of what a fit leaves of the torque, at least [s]
 _STEP = 1e-4   # of a free number, for a derivative
 _BENT = 2.0    # residuals beyond this many standard deviations count less
-_BIG = 0.7     # largest change of a logarithm by a replicate
 
 
 class _Piece(NamedTuple):
@@ -126,7 +124,7 @@ def _jacobian(function, x):
     return np.stack(columns, axis=1)
 
 
-def torque_spread(error, coordinates, free, prior, rng):
+def torque_spread(error, coordinates, free, prior):
     """
     Return the Spread of a fit to the torque.
 
@@ -134,8 +132,6 @@ def torque_spread(error, coordinates, free, prior, rng):
     ----------
     error, coordinates, free, prior
         Of the fit.
-    rng : numpy.random.Generator
-        Draws the blocks.
 
     """
     def residual(x):
@@ -147,10 +143,5 @@ def torque_spread(error, coordinates, free, prior, rng):
     blocks = int(error.block.max()) + 1
     scores = np.stack([np.bincount(error.block, weights=column, minlength=blocks)
                        for column in (slope * off[:, None] / noise).T], axis=1)
-    scores = scores - scores.mean(axis=0)
-    replicates = np.empty((REPLICATES, len(free)))
-    for row in replicates:
-        times = np.bincount(rng.integers(blocks, size=blocks), minlength=blocks)
-        row[:] = free - np.clip(inverse @ (times @ scores), -_BIG, _BIG)
     told = 1.0 - np.clip(prior.precision * np.diag(inverse), 0.0, 1.0)
-    return Spread(inverse, replicates, told)
+    return Spread(clustered(inverse, scores, 1.0), told)

@@ -2,14 +2,14 @@
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """
-How far each parameter can be trusted: two kinds of intervals, and flags.
+How far each parameter can be trusted: its interval, or why there is none.
 
-From the Jacobian: the inverse of the curvature, larger by as many samples as an innovation
-remembers. From a bootstrap: blocks of time drawn again with replacement, one Gauss-Newton step
-each. The first believes that innovations are noise of that memory, the second only that blocks
-are alike; where they disagree, something in the data repeats that the model lacks. Both are
-widened by what fits from beside each other differ, and by what a fit moves when only every
-other sample is used: no statistics of the innovations show that.
+Three things widen an interval. Chance: the innovations within a block of time depend on each other
+as they like, only blocks are independent (sandwich covariance, clusters of blocks). The way of
+looking: a right model gives the same parameters with another observer, with half of the samples
+and from beside the minimum; what they move by is error. The model: what fits with other numbers
+of blocks, which the data do not rule out, differ by. Where the last exceeds the first two and
+the sum is no longer well known, the value is one of the model, and no interval is printed.
 """
 
 from typing import NamedTuple
@@ -17,17 +17,17 @@ from typing import NamedTuple
 from gms_flex_control.identification.coordinates import MOST_BLOCKS, presliding_curve
 from gms_flex_control.identification.refine import summed
 from gms_flex_control.identification.result import CONFIDENT, Estimate, Interval
+from gms_flex_control.identification.words import DEPENDS, NOT_IDENTIFIABLE, WELL_KNOWN
 from gms_flex_control.simulation.predictor import BLOCKS, PER_DIRECTION, STATIC
 import numpy as np
+from scipy.stats import t as student
 
-REPLICATES = 400
-_LOW, _HIGH = 2.5, 97.5
+_UPPER = 0.975          # of a 95 % interval
 _VAGUE = np.log(2.0)    # half an interval this wide in the logarithm tells nothing
-_FARTHEST = 5.0         # step of a replicate in the logarithm: beyond nothing is known anyway
-_DISAGREE = 2.5         # ratio of widths of the two intervals
 _NOTHING = 2e-3         # of the friction level: a part this small is at its bound
 _BEYOND = 3.0           # times the reach of presliding: a block that slips later is none of it
 _LONGEST_MEMORY = 2.0   # of an innovation that is looked for [s]
+_SMALL_STEP = 1e-4      # of a free number, for a derivative
 _NAMES = ('static', 'coulomb', 'velocity', 'viscous')
 _UNITS = ('N m', 'N m', 'rad/s', 'N m s/rad')
 _TELLS = {
@@ -38,59 +38,22 @@ _TELLS = {
     'attraction': 'velocity that varies within a second around v_s tells it',
     'stiffness': 'slow torque ramps below break-away, with small loops, tell it',
 }
+_NONE = Interval(np.nan, np.nan)
+_TOGETHER_NOTE = ('the numbers of a Stribeck curve are told together, and these data leave others '
+                  'of this curve open')
+_DEPENDS_NOTE = ('models that explain the data as well or better (another number of blocks, or '
+                 'fitted by the motion instead of the torque) have values farther off than chance '
+                 'explains')
 
 
 class Spread(NamedTuple):
-    """Uncertainty of free numbers."""
+    """Uncertainty of free numbers, of one model."""
 
-    covariance: np.ndarray  # (P, P), from the Jacobian
-    replicates: np.ndarray  # (REPLICATES, P), from the bootstrap
+    covariance: np.ndarray  # (P, P)
     told: np.ndarray        # (P,), share of each number that the data tell, the rest is prior
 
 
-class Drawn(NamedTuple):
-    """Blocks of time drawn again and again, and what each block says of the free numbers."""
-
-    times: np.ndarray      # (R, B) int, how often each block was drawn for each replicate
-    scores: np.ndarray     # (B, P), about their mean
-    curvature: np.ndarray  # (B, P, P)
-    precision: np.ndarray  # (P,), of the prior
-
-
-def draw(evaluation, prior, rng):
-    """
-    Return what all replicates of a fit are made of, so that they can be made anywhere.
-
-    Parameters
-    ----------
-    evaluation, prior
-        Of the fit, at its minimum.
-    rng : numpy.random.Generator
-        Draws the blocks.
-
-    Returns
-    -------
-    Drawn
-
-    """
-    scores = evaluation.weight[:, None] * evaluation.gradient
-    blocks = len(scores)
-    times = np.stack([np.bincount(rng.integers(blocks, size=blocks), minlength=blocks)
-                      for _ in range(REPLICATES)])
-    return Drawn(times, scores - scores.mean(axis=0),
-                 evaluation.weight[:, None, None] * evaluation.curvature, prior.precision)
-
-
-def steps_of(drawn):
-    """Return the Gauss-Newton step (R, P) of each replicate of a Drawn."""
-    steps = np.empty((len(drawn.times), len(drawn.precision)))
-    for row, times in zip(steps, drawn.times, strict=True):
-        again = np.tensordot(times, drawn.curvature, 1) + np.diag(drawn.precision)
-        row[:] = np.clip(_inverse(again) @ (times @ drawn.scores), -_FARTHEST, _FARTHEST)
-    return steps
-
-
-def spread_of(objective, coordinates, free, evaluation, prior, sampling, rng, steps):
+def spread_of(objective, coordinates, free, evaluation, prior, sampling):
     """
     Return the Spread of a fit.
 
@@ -99,11 +62,7 @@ def spread_of(objective, coordinates, free, evaluation, prior, sampling, rng, st
     objective, coordinates, free, evaluation, prior
         Of the fit, at its minimum.
     sampling : ndarray, shape (P,)
-        What the numbers move by from fit to fit, see default_method.
-    rng : numpy.random.Generator
-        The one that drew the blocks.
-    steps : ndarray, shape (REPLICATES, P)
-        From `steps_of`.
+        What the numbers move by from one way of looking to another, see default_method.
 
     Returns
     -------
@@ -112,20 +71,52 @@ def spread_of(objective, coordinates, free, evaluation, prior, sampling, rng, st
     """
     curvature, _ = summed(evaluation, free, prior)
     memory = objective.memory(coordinates, free, _LONGEST_MEMORY)
-    inverse = _inverse(curvature)
-    replicates = free + steps + sampling * rng.standard_normal(steps.shape)
+    inverse = inverse_of(curvature)
+    scores = evaluation.weight[:, None] * evaluation.gradient
     told = 1.0 - np.clip(prior.precision * np.diag(inverse), 0.0, 1.0)
-    covariance = memory * evaluation.dispersion * inverse + np.diag(sampling ** 2)
-    return Spread(covariance, replicates, told)
+    own = objective.finest ** 2 * np.tensordot(  # the predictor's error, alike through a block
+        evaluation.weight ** 2 * evaluation.count, evaluation.curvature, 1)
+    return Spread(clustered(inverse, scores, memory * evaluation.dispersion)
+                  + inverse @ own @ inverse + np.diag(sampling ** 2), told)
 
 
-def _inverse(curvature):
+def clustered(inverse, scores, dispersion):
+    """
+    Return the covariance of numbers whose errors are independent between blocks of time only.
+
+    Parameters
+    ----------
+    inverse : ndarray, shape (P, P)
+        Of the curvature.
+    scores : ndarray, shape (B, P)
+        Slope of the cost of each block.
+    dispersion : float
+        What the inverse times it is the covariance if all samples are alike: no number is told
+        to be better known, since few blocks agree by chance.
+
+    Returns
+    -------
+    ndarray, shape (P, P)
+        As wide as Student's distribution for that many blocks asks for.
+
+    """
+    off, blocks = scores - scores.mean(axis=0), max(len(scores), 2)
+    few = blocks / (blocks - 1) * (student.ppf(_UPPER, blocks - 1) / CONFIDENT) ** 2
+    alike = dispersion * inverse
+    sandwich = few * inverse @ (off.T @ off) @ inverse + 1e-12 * alike  # never singular
+    least, own = (np.sqrt(np.maximum(np.diag(one), 1e-300)) for one in (alike, sandwich))
+    wider = np.maximum(least / own, 1.0)
+    return sandwich * np.outer(wider, wider)
+
+
+def inverse_of(curvature):
+    """Return the inverse of a curvature (P, P) whose numbers have very different scales."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(curvature), 1e-300))
     return np.linalg.pinv(curvature * np.outer(scale, scale), rcond=1e-12,
                           hermitian=True) * np.outer(scale, scale)
 
 
-def estimates_of(joint, coordinates, free, spread, reach, travel=np.inf, units=_UNITS):
+def estimates_of(joint, coordinates, free, spread, reach, travel=np.inf, rivals=(), units=_UNITS):
     """
     Return the Estimates of one joint's friction.
 
@@ -143,6 +134,8 @@ def estimates_of(joint, coordinates, free, spread, reach, travel=np.inf, units=_
         Farthest displacement in presliding [rad]; 0 if there was none.
     travel : float
         Farthest displacement at all [rad].
+    rivals : sequence of ndarray
+        Parameters of other models that the data do not rule out.
     units : tuple of str
         Of static, coulomb, velocity and viscous.
 
@@ -153,8 +146,8 @@ def estimates_of(joint, coordinates, free, spread, reach, travel=np.inf, units=_
     """
     theta, directions = coordinates.unpack(free)
     variance = np.einsum('ip,pq,iq->i', directions, spread.covariance, directions)
-    thetas = np.stack([coordinates.unpack(row)[0] for row in spread.replicates])
-    low, high = np.percentile(thetas, [_LOW, _HIGH], axis=0)
+    error = np.sqrt(variance) / np.maximum(theta, 1e-300)
+    off = _model_dependence(theta, coordinates.n_blocks, rivals)
     told = spread.told
     rows = []
     for k, direction in enumerate(('forward', 'backward')):
@@ -167,7 +160,60 @@ def estimates_of(joint, coordinates, free, spread, reach, travel=np.inf, units=_
     for number, i in enumerate(order):
         rows.append((f'friction.{joint}.stiffness[{number}]', 'N m/rad', BLOCKS + i,
                      told[coordinates.yields][i], 'stiffness'))
-    return tuple(_estimate(row, theta, variance, low, high, (reach, travel)) for row in rows)
+    return _told_together(f'friction.{joint}.', [
+        _estimate(row, theta, error, off, (reach, travel)) for row in rows])
+
+
+def _told_together(prefix, estimates):
+    """
+    Return Estimates as a tuple, without those that only others of their curve would tell.
+
+    With F_c unknown, the whole curve is: a wide Stribeck part takes its place, and that of the
+    viscous part. F_s and v_s tell each other, and a lag behind the curve (C) needs one of both.
+    """
+    rows = {one.name.removeprefix(prefix): one for one in estimates}
+
+    def lost(name):
+        return bool({NOT_IDENTIFIABLE, DEPENDS} & set(rows[name].flags))
+
+    def without(names):
+        for name in names:
+            if not lost(name):
+                one = rows[name]
+                rows[name] = one._replace(
+                    interval=_NONE, flags=(*one.flags, NOT_IDENTIFIABLE), note='; '.join(
+                        filter(None, (one.note, _TOGETHER_NOTE))))
+    for side in ('forward', 'backward'):
+        if lost(f'{side}.coulomb'):
+            without(f'{side}.{name}' for name in _NAMES)
+        elif lost(f'{side}.static') or lost(f'{side}.velocity'):
+            without((f'{side}.static', f'{side}.velocity'))
+    if lost('forward.velocity') and lost('backward.velocity'):
+        without(['attraction'])
+    return tuple(rows.values())
+
+
+def _model_dependence(theta, n_blocks, rivals):
+    """
+    Return how far rivals are from parameters, rms of the logarithm, shape as ``theta``.
+
+    A block has no counterpart among another number of blocks: compared is the torque of
+    presliding where it yields.
+    """
+    off = np.zeros(len(theta))
+    if not rivals:
+        return off
+    stiffness, weight = theta[BLOCKS:BLOCKS + 2 * MOST_BLOCKS].reshape(2, MOST_BLOCKS)[
+        :, :n_blocks]
+    static = theta[[STATIC, PER_DIRECTION + STATIC]].mean()
+    yields = weight * static / np.maximum(stiffness, 1e-300)
+
+    def seen(one):
+        return np.log(np.maximum(np.concatenate([one[:BLOCKS], presliding_curve(one, yields)]),
+                                 1e-300))
+    off[:BLOCKS + n_blocks] = np.sqrt(np.mean(
+        [(seen(rival) - seen(theta)) ** 2 for rival in rivals], axis=0))
+    return off
 
 
 def _order(theta, n_blocks):
@@ -175,35 +221,34 @@ def _order(theta, n_blocks):
     return np.argsort(theta[BLOCKS:BLOCKS + n_blocks], kind='stable')
 
 
-def _estimate(row, theta, variance, low, high, reaches):
+def _estimate(row, theta, error, off, reaches):
     name, unit, i, told, kind = row
-    value = float(theta[i])
-    relative = float(np.sqrt(variance[i]) / value) if value > 0.0 else np.inf
-    wide = np.exp(min(CONFIDENT * relative, 50.0))
-    interval = Interval(value / wide, value * wide)
-    bootstrap = Interval(float(low[i]), float(high[i]))
+    value, chance, half = float(theta[i]), error[i], CONFIDENT * np.hypot(error[i], off[i])
     flags, notes = [], []
-    if kind == 'viscous' and value * 1.0 < _NOTHING * theta[1]:
+    if kind == 'viscous' and value < _NOTHING * theta[1]:
         flags.append('at bound')
         notes.append('no viscous part is seen')
     if kind == 'static' and value - theta[i + 1] < _NOTHING * value:
         flags.append('at bound')
         notes.append('static and Coulomb friction are the same')
-    vague = bootstrap.high > np.exp(2.0 * _VAGUE) * max(bootstrap.low, 0.0)
-    if told < 0.5 or CONFIDENT * relative > _VAGUE or vague:
-        flags.append('not identifiable')
+    if told < 0.5 or CONFIDENT * chance > _VAGUE:
+        flags.append(NOT_IDENTIFIABLE)
+        notes.append(_TELLS[kind])
+    elif off[i] > CONFIDENT * chance and half > WELL_KNOWN:
+        flags.append(DEPENDS)
+        notes.append(_DEPENDS_NOTE)
+    elif half > _VAGUE:
+        flags.append(NOT_IDENTIFIABLE)
         notes.append(_TELLS[kind])
     if kind == 'stiffness':
         weight = theta[i + MOST_BLOCKS]
         late = _slips_late(weight * theta[[STATIC, PER_DIRECTION + STATIC]].mean() / value,
                            *reaches)
-        flags += ['not identifiable'] if late else []
+        flags += [NOT_IDENTIFIABLE] if late else []
         notes += [late] if late else []
-    if _differ(interval, bootstrap):
-        flags.append('intervals disagree')
-        notes.append('the bootstrap over blocks of time says otherwise than the Jacobian: '
-                     'something repeats in the data that the model lacks')
-    return Estimate(name, unit, value, interval, bootstrap, tuple(dict.fromkeys(flags)),
+    flags = tuple(dict.fromkeys(flags))
+    wide = np.nan if {NOT_IDENTIFIABLE, DEPENDS} & set(flags) else np.exp(half)
+    return Estimate(name, unit, value, Interval(float(value / wide), float(value * wide)), flags,
                     '; '.join(notes))
 
 
@@ -221,18 +266,13 @@ def _slips_late(yielding, reach, travel):
     return ''
 
 
-def _differ(one, other):
-    widths = [max(pair.high - pair.low, 1e-300) for pair in (one, other)]
-    return max(widths) / min(widths) > _DISAGREE
-
-
-def curve_of(coordinates, free, spread, displacement):
+def curve_of(coordinates, free, spread, displacement, rivals=()):
     """
-    Return the presliding curve with its 95 % interval from the bootstrap.
+    Return the presliding curve with its 95 % interval.
 
     Parameters
     ----------
-    coordinates, free, spread
+    coordinates, free, spread, rivals
         As `estimates_of`.
     displacement : ndarray, shape (D,)
         [rad].
@@ -243,7 +283,46 @@ def curve_of(coordinates, free, spread, displacement):
         Displacement, torque, low and high [N m].
 
     """
-    curves = np.stack([presliding_curve(coordinates.unpack(row)[0], displacement)
-                       for row in spread.replicates])
-    low, high = np.percentile(curves, [_LOW, _HIGH], axis=0)
-    return displacement, presliding_curve(coordinates.unpack(free)[0], displacement), low, high
+    def at(numbers):
+        return presliding_curve(coordinates.unpack(numbers)[0], displacement)
+    torque = at(free)
+    slopes = np.stack([(at(free + step) - at(free - step)) / (2.0 * _SMALL_STEP)
+                       for step in _SMALL_STEP * np.eye(len(free))], axis=-1)
+    variance = np.einsum('dp,pq,dq->d', slopes, spread.covariance, slopes)
+    if rivals:
+        variance += np.mean([(presliding_curve(rival, displacement) - torque) ** 2
+                             for rival in rivals], axis=0)
+    wide = np.exp(CONFIDENT * np.sqrt(variance) / np.maximum(torque, 1e-300))
+    return displacement, torque, torque / wide, torque * wide
+
+
+def shown_displacements(estimates, static, step, points):
+    """
+    Return displacements [rad] from the first to the last yield of identifiable blocks.
+
+    Below the first, stiffer blocks would make the curve, of which the data tell nothing, and
+    below a step of the encoder nothing is seen.
+
+    Parameters
+    ----------
+    estimates : sequence of Estimate
+        Of one joint, blocks of equal weight among them.
+    static : float
+        Mean F_s [N m].
+    step : float
+        Encoder step or noise [rad].
+    points : int
+        How many displacements.
+
+    Returns
+    -------
+    ndarray
+        Empty where no stiffness is identifiable, or all yield within a step.
+
+    """
+    blocks = [one for one in estimates if '.stiffness[' in one.name]
+    yields = np.array([static / len(blocks) / max(one.value, 1e-300) for one in blocks])
+    told = ~np.array([bool({NOT_IDENTIFIABLE, DEPENDS} & set(one.flags)) for one in blocks])
+    if not told.any() or yields[told].max() < step:
+        return np.zeros(0)
+    return np.geomspace(max(yields[told].min(), step), yields[told].max(), points)

@@ -3,16 +3,17 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """What an identification says, in plain words: how far each number can be trusted."""
 
-from gms_flex_control.identification.result import Interval
 import numpy as np
 
 NOT_IDENTIFIABLE = 'not identifiable'
+DEPENDS = 'depends on the model'
+DOUBTFUL = 'doubtful'
 SET = 'set, not fitted'
 WELL_KNOWN = 0.1      # half of the 95 % interval over the value, at most
 _UNEXPLAINED = 0.5    # of the drive torque: beyond, nothing is to be trusted
 _ENDLESS = 1e6       # upper end over lower end of an interval that says nothing
 _AT_FLOOR = 1.3       # error over floor that counts as the floor itself
-STANDINGS = ('well known', 'roughly known', 'doubtful', NOT_IDENTIFIABLE, SET)
+STANDINGS = ('well known', 'roughly known', DOUBTFUL, NOT_IDENTIFIABLE, SET)
 
 
 def short_name(name, joint):
@@ -28,16 +29,9 @@ def short_label(label):
     return label.rstrip('/').rsplit('/', 1)[-1]
 
 
-def hull(estimate):
-    """Return the Interval that holds both intervals of an Estimate; NaN if both are."""
-    bounds = np.array([estimate.interval, estimate.bootstrap], dtype=float)
-    low, high = bounds[np.isfinite(bounds[:, 0]), 0], bounds[np.isfinite(bounds[:, 1]), 1]
-    return Interval(low.min() if low.size else np.nan, high.max() if high.size else np.nan)
-
-
 def spread(estimate):
-    """Return half of the wider interval over the value; NaN if not known."""
-    low, high = hull(estimate)
+    """Return half of the interval over the value; NaN if not known."""
+    low, high = estimate.interval
     return 0.5 * (high - low) / abs(estimate.value) if estimate.value else np.nan
 
 
@@ -46,8 +40,8 @@ def standing(estimate):
     if NOT_IDENTIFIABLE in estimate.flags or not np.isfinite(estimate.value):
         return NOT_IDENTIFIABLE
     if estimate.flags:
-        return 'doubtful'
-    low, high = hull(estimate)
+        return DOUBTFUL
+    low, high = estimate.interval
     if low == high:
         return SET
     return 'well known' if spread(estimate) <= WELL_KNOWN else 'roughly known'
@@ -114,7 +108,7 @@ def _prediction(errors):
                       'alone.', True))
     if own > _UNEXPLAINED:
         lines.append(('More than half of the drive torque stays unexplained: trust none of these '
-                      'numbers before the cause is found (scale or sign of the torque, inertia, '
+                      'numbers until the cause is found (scale or sign of the torque, inertia, '
                       'gravity).', True))
     lines.append((_floor(errors), False))
     if np.isfinite(errors.free_run_rms):

@@ -10,13 +10,14 @@ from gms_flex_control.answer import Answer, command, measured
 from gms_flex_control.identification.beside import known_presliding, known_steady, known_values
 from gms_flex_control.identification.words import (
     data_sentence,
+    DOUBTFUL,
     floor_shares,
-    hull,
     joint_sentences,
     NOT_IDENTIFIABLE,
     notes,
     number,
     percent,
+    SET,
     short_label,
     short_name,
     span,
@@ -89,7 +90,7 @@ def identification_answer(identification, folder, robot=()) -> Answer:
                  errors.free_run_rms, _reading(identification.robot.encoder, errors))]
     known = next((one for one in worst.estimates if standing(one) in _KNOWN), None)
     if known is not None:
-        low, high = hull(known)
+        low, high = known.interval
         numbers.append(measured(f'{short_name(known.name, joint)} of {joint} [{known.unit}]', None,
                                 known.value, 0.5 * (high - low), scale=1.0))
     files = robot or (('robot.yaml',) if identification.described else ())
@@ -113,9 +114,10 @@ def _worst(identification):
 def _sentence(identification, worst):
     errors = worst.held_out
     standings = [standing(one) for result in identification.joints for one in result.estimates]
-    lost = standings.count(NOT_IDENTIFIABLE)
-    known = (f'{len(standings) - lost} of {len(standings)} parameters are identified'
-             if lost else f'all {len(standings)} parameters are identified')
+    found, fitted = (len(standings) - sum(map(standings.count, those)) for those in (
+        (NOT_IDENTIFIABLE, DOUBTFUL, SET), (SET,)))
+    known = (f'{found} of {fitted} parameters are identified' if found < fitted else
+             f'all {fitted} parameters are identified')
     if not np.isfinite(errors.relative):
         return f'{known.capitalize()}, but nothing checks them: there is no held-out error.'
     simple = ('no better than Coulomb + viscous friction alone' if errors.relative
@@ -203,9 +205,9 @@ def _add_parameters(report, result, known):
                      f'({value})' if kind == NOT_IDENTIFIABLE else value,
                      *((number(known.get(estimate.name, np.nan), 5),) if known else ()),
                      estimate.unit, words.upper() if kind == NOT_IDENTIFIABLE else words,
-                     span(estimate.interval), span(estimate.bootstrap)))
+                     span(estimate.interval)))
     report.table(('parameter', 'symbol', 'estimate', *(('true',) if known else ()), 'unit',
-                  'standing', '95 % by the Jacobian', '95 % by bootstrap'), rows,
+                  'standing', '95 % interval'), rows,
                  'Estimates as in friction.yaml')
     for note in notes(result):
         report.note(note)
@@ -258,8 +260,11 @@ def _add_presliding(report, result, known):
     if known is not None:
         curves.append(Curve('true', 1e3 * x, known, 'reference', dashed=True))
     report.heading(f'{result.joint}: presliding (Fig. 4)', level=3)
+    if not len(x):
+        report.note('No stiffness is identifiable from these data: no curve from rest is drawn.')
     if not result.loops:
-        report.note('The data hold no presliding motion: the curve rests on reversals alone.')
+        report.note('The data hold no presliding motion' + (
+            ': the curve rests on reversals alone.' if len(x) else '.'))
     _curves(report, 'hysteresis loops', loops, 'displacement [mrad]', 'friction torque [N m]')
     _curves(report, 'from rest', curves, 'displacement [mrad]', 'friction torque [N m]',
             log_x=True)

@@ -112,6 +112,9 @@ def loops_figure(result, reference=None):
         f'{result.joint}: presliding')
     if len(x):
         curve.set_xscale('log')
+    else:
+        curve.text(0.5, 0.5, 'no stiffness is identifiable', ha='center',
+                   transform=curve.transAxes, fontsize=9)
     return figure
 
 

@@ -9,7 +9,6 @@ from gms_flex_control.identification.beside import known_values, presliding_diff
 from gms_flex_control.identification.words import (
     data_sentence,
     floor_shares,
-    hull,
     NOT_IDENTIFIABLE,
     notes,
     number,
@@ -54,7 +53,7 @@ def identification_text(identification, beside=None):
 
 def parameter_rows(result, known=None):
     """
-    Return header and rows of a joint's parameters, one interval that holds both kinds.
+    Return header and rows of a joint's parameters, each with its interval.
 
     Parameters
     ----------
@@ -74,7 +73,7 @@ def parameter_rows(result, known=None):
     rows = []
     for estimate in result.estimates:
         lost = standing(estimate) == NOT_IDENTIFIABLE
-        value, interval = number(estimate.value), span(hull(estimate))
+        value, interval = number(estimate.value), span(estimate.interval)
         rows.append((short_name(estimate.name, result.joint), estimate.unit,
                      f'({value})' if lost else value, interval,
                      *((number(known.get(estimate.name, np.nan)),) if known else ()),
