@@ -15,6 +15,7 @@ import time
 
 from gms_flex_control.errors import GmsFlexError
 from gms_flex_control.experiment.processes import executable, ros_arguments
+from gms_flex_control.nodes.transport import avoid_shared_memory
 from gms_flex_control.resources import share_path
 import rclpy
 from rclpy.event_handler import SubscriptionEventCallbacks
@@ -151,10 +152,14 @@ class Bench:
         """Return the probing node; made when it is first asked for."""
         if self._context is None:
             self._context = rclpy.Context()
-            rclpy.init(context=self._context, domain_id=self.domain,
-                       signal_handler_options=SignalHandlerOptions.NO)
-            self._node = rclpy.create_node('probe', context=self._context, enable_rosout=False,
-                                           start_parameter_services=False)
+            with _environment_kept():
+                # a segment of shared memory that a killed process has half made stops all others
+                avoid_shared_memory(hears_itself=True)
+                rclpy.init(context=self._context, domain_id=self.domain,
+                           signal_handler_options=SignalHandlerOptions.NO)
+                self._node = rclpy.create_node('probe', context=self._context,
+                                               enable_rosout=False,
+                                               start_parameter_services=False)
             self._executor = self.executor_class(context=self._context)
             self._executor.add_node(self._node)
         return self._node
@@ -265,6 +270,17 @@ class Bench:
         future = client.call_async(request or kind.Request())
         self.until(future.done)
         return future.result()
+
+
+@contextmanager
+def _environment_kept():
+    """Undo at the end of the block what it changes of the environment."""
+    before = dict(os.environ)
+    try:
+        yield
+    finally:
+        os.environ.clear()
+        os.environ.update(before)
 
 
 @contextmanager
