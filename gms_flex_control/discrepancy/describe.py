@@ -119,8 +119,11 @@ def paragraph(result, unseen=(), known_off=None):
     parts = [*_verdict(result), *_remainder(result)]
     if result.stand_ins:
         names_of = ' and '.join(f'{one.name} of {one.joint}' for one in result.stand_ins)
-        parts.append(f'The model that is written has {names_of} in its place: it predicts better '
-                     'so, but they only resemble what is missing.')
+        parts.append(
+            f'The model that is written has {names_of} as well: it predicts better so, though not '
+            'by what matters.' if result.verdict == COMPLETE else
+            f'The model that is written has {names_of} in its place: it predicts better so, but '
+            'they only resemble what is missing.')
     parts += [_gap(result), *_noise(result)]
     if result.recordings:
         parts.append(f'Unlike in the first recording: {"; ".join(result.recordings)}.')
