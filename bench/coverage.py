@@ -170,7 +170,7 @@ def example():
     """Return the robot and the take of examples/arm_with_play, its play known."""
     with TemporaryDirectory() as folder:
         play = Path(folder) / 'play.yaml'
-        save_values({'effects.joint2.backlash.half_gap': 0.004}, play)
+        save_values({'effects.joint2.backlash.half_gap': 0.012}, play)
         robot = load_robot([ROOT / 'config' / 'robot.yaml', play])
     return robot, read_take(str(ROOT / 'examples' / 'arm_with_play'), robot)
 
