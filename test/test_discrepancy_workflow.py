@@ -256,9 +256,9 @@ def test_a_torque_of_another_joint_is_unexplained_and_says_so():
     """As of a spring or a cable from the one to the other."""
     case = make_case('clean', 3, duration=SHORT)
     extra = 0.1 * case.recording.q_link[:, [1, 1]] * np.array([1.0, 0.0])
-    result = find_discrepancy([replace(case.recording, command=case.recording.command + extra,
-                                  tau_motor=case.recording.tau_motor + extra)], case.nominal,
-                         Options(most=1))
+    recording = replace(case.recording, command=case.recording.command + extra,
+                        tau_motor=case.recording.tau_motor + extra)
+    result = find_discrepancy([recording], case.nominal, Options(most=1))
     assert result.verdict == UNEXPLAINED, result.words
     assert result.unexplained.joint == 'joint1'
     assert result.unexplained.variable == 'link angle of joint2'
