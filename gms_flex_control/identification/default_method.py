@@ -97,15 +97,20 @@ def train(period, turn=0):
 
 
 def spread(objective, start, extra):
-    """Return Coordinates and free numbers of the blocks with fixed yields, fitted."""
+    """Return Coordinates and free numbers of blocks with fixed yields, the better of two fits."""
     coordinates = Coordinates(len(start.yields), yields=start.yields, free_weights=True,
                               n_extra=len(extra))
-    both = np.array([start.forward, start.backward]).T
-    free = coordinates.pack(*both, start.attraction, None, extra=extra)
-    prior = prior_of(coordinates, free)
-    for sharpness in _SPREAD_SHARPNESS:
-        free = refine(objective, coordinates, free, prior, sharpness=sharpness, roughly=True).free
-    return coordinates, free
+    ends = []
+    for steady in start.both():
+        free = coordinates.pack(*steady, start.attraction, None, extra=extra)
+        prior = prior_of(coordinates, free)
+        for sharpness in _SPREAD_SHARPNESS:
+            end = refine(objective, coordinates, free, prior, sharpness=sharpness, roughly=True)
+            free = end.free
+        ends.append(end)
+    floor = min(end.evaluation.floor for end in ends)
+    return coordinates, min(ends, key=lambda end: replace(
+        end.evaluation, floor=floor).cost.sum()).free
 
 
 def yield_quantiles(theta, n_blocks):
@@ -198,8 +203,9 @@ def choose(bundle, joint, thetas, fits, blocks):
     chosen = int(np.flatnonzero(offered & (off <= errors))[0])
     off, errors = _above(costs, chosen)
     blocks_out = costs.shape[1]
-    errors *= student.ppf(_ONE_ERROR, blocks_out - 1) * np.sqrt(blocks_out / (blocks_out - 1)) \
-        if blocks_out > 1 else np.inf  # of few blocks the scatter is hardly known
+    # of few blocks the scatter is hardly known, of one not at all
+    errors = errors * student.ppf(_ONE_ERROR, blocks_out - 1) * np.sqrt(
+        blocks_out / (blocks_out - 1)) if blocks_out > 1 else np.full(len(fits), np.inf)
     rivals = tuple(coordinates.unpack(free)[0] for k, (coordinates, free) in enumerate(fits)
                    if k != chosen and off[k] <= errors[k])
     return tuple(one for one, may in zip(candidates, offered, strict=True) if may), \
@@ -348,6 +354,6 @@ def finish(bundle, joint, thetas, fit):
 def rough_theta(start, extra):
     """Return parameters as the start has them, blocks of equal weight over the spread."""
     coordinates = Coordinates(len(start.yields), n_extra=len(extra))
-    both = np.array([start.forward, start.backward]).T
-    return coordinates.unpack(coordinates.pack(*both, start.attraction, start.yields,
+    steady, _ = start.both()
+    return coordinates.unpack(coordinates.pack(*steady, start.attraction, start.yields,
                                                extra=extra))[0]

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import warnings
 
 from gms_flex_control.errors import IdentificationError
-from gms_flex_control.identification.steady import fit_stribeck, Stribeck
+from gms_flex_control.identification.steady import fit_stribeck, straight, Stribeck
 import numpy as np
 
 N_SPREAD = 8          # blocks with fixed yields that find the shape of the presliding curve
@@ -18,12 +18,22 @@ _FEWEST = 3           # windows of motion in a direction
 
 
 class Start(NamedTuple):
-    """Rough parameters of one joint."""
+    """
+    Rough parameters of one joint.
+
+    A Stribeck part as wide as the motion is fast bends like viscous friction: the cost has a
+    local minimum with each in the other's place, and a fit begins from both.
+    """
 
     forward: Stribeck
     backward: Stribeck
     attraction: float    # [N m/s]
     yields: np.ndarray   # (N_SPREAD,), of the spread [rad]
+    straight: tuple      # of Stribeck, forward and backward: the Stribeck part is narrow
+
+    def both(self):
+        """Return steady parameters (4, 2) forward and backward, as fitted and as straight."""
+        return tuple(np.array(pair).T for pair in ((self.forward, self.backward), self.straight))
 
 
 def start_of(friction_map, travel, resolution, joint, source, level=None):
@@ -59,7 +69,7 @@ def start_of(friction_map, travel, resolution, joint, source, level=None):
         If ``level`` had to be taken.
 
     """
-    directions = []
+    directions, lines = [], []
     for sign, name in ((1.0, 'forward'), (-1.0, 'backward')):
         rows = np.sign(friction_map.velocity) == sign
         if (rows & friction_map.steady).sum() >= _FEWEST:
@@ -77,14 +87,16 @@ def start_of(friction_map, travel, resolution, joint, source, level=None):
                 'held out', stacklevel=2)
             directions.append(Stribeck(1.02 * level, level, float(np.abs(
                 friction_map.velocity[rows]).max()), 1e-3 * level))
+            lines.append(directions[-1])
             continue
         if np.median(torque) <= 0.0:
             raise IdentificationError(
                 f'{source}: friction of {joint} would drive its {name} motion (median '
                 f'{np.median(torque):.4g} N m); check the sign of the torque, the inertia and '
                 'gravity of the robot file')
-        directions.append(fit_stribeck(sign * friction_map.velocity[rows], torque))
+        for fitted, fit in ((directions, fit_stribeck), (lines, straight)):
+            fitted.append(fit(sign * friction_map.velocity[rows], torque))
     finest = max(_FINEST * resolution, 1e-6 * travel, 1e-9)
     widest = max(min(_WIDEST, travel), 20.0 * finest)
     return Start(*directions, attraction=directions[0].coulomb / _LAG,
-                 yields=np.geomspace(finest, widest, N_SPREAD))
+                 yields=np.geomspace(finest, widest, N_SPREAD), straight=tuple(lines))

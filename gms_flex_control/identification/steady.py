@@ -7,12 +7,14 @@ from typing import NamedTuple
 
 from gms_flex_control.dynamics.chain import inverse_dynamics
 import numpy as np
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, nnls
 
 _WINDOW = 0.25      # of one point of the map [s]
 _UNSTEADY = 0.25    # relative change of velocity within a window that still counts as steady
 _SLOWEST_STEPS = 3  # encoder steps a window must travel
 _FEWEST = 4         # points of a direction for a Stribeck curve; below, Coulomb and viscous only
+_DROP, _NARROW = 0.1, 0.02  # of F_c and of the top velocity: F_s - F_c and v_s of a straight curve
+_LEAST = 0.05       # of the largest torque: F_c of a straight curve
 
 
 class FrictionMap(NamedTuple):
@@ -156,6 +158,27 @@ def fit_stribeck(velocity, torque):
     coulomb = best.x[0] * scale[0]
     drop = best.x[1] * coulomb
     return Stribeck(coulomb + drop, coulomb, float(np.exp(best.x[2])), best.x[3] * scale[3])
+
+
+def straight(velocity, torque):
+    """
+    Return Coulomb and viscous friction of one direction, its Stribeck part narrow.
+
+    Parameters
+    ----------
+    velocity, torque : ndarray, shape (W,)
+        Absolute values [rad/s, N m].
+
+    Returns
+    -------
+    Stribeck
+        Where friction falls with velocity, without viscous part.
+
+    """
+    top = velocity.max()
+    level, rise = nnls(np.stack([np.ones(len(velocity)), velocity / top], axis=1), torque)[0]
+    level = max(level, _LEAST * float(np.abs(torque).max()), 1e-12)
+    return Stribeck((1.0 + _DROP) * level, level, _NARROW * top, max(rise, 1e-3 * level) / top)
 
 
 def repeatability(stretches, phases, arm, joint):
