@@ -248,6 +248,32 @@ def fit_joint(bundle, joint, thetas, blocks):
                     best, candidates, False, np.zeros(len(best.free)), rivals)
 
 
+def fit_again(bundle, joint, thetas, fit, blocks):
+    """
+    Return a JointFit with the number of blocks that is best from where the search ended.
+
+    From far away each number ends in a local minimum of its own, and the best of these need not
+    be the best number.
+
+    Parameters
+    ----------
+    bundle, joint, thetas, blocks
+        As `fit_joint`, the parameters as the search found them.
+    fit : JointFit
+        As the search found it.
+
+    """
+    n_extra, found = fit.coordinates.n_extra, fit.coordinates.n_blocks
+    fits = [(fit.coordinates, fit.free) if n == found else
+            fit_candidate(bundle, joint, thetas, thetas[joint], n, n_extra)
+            for n in sorted({*blocks, *CANDIDATES})]
+    candidates, best, rivals = choose(bundle, joint, thetas, fits, blocks)
+    if best.n_blocks == found:
+        return fit._replace(held_out=best, candidates=candidates, rivals=rivals)
+    return JointFit(best.coordinates, best.free, prior_of(best.coordinates, best.free), None,
+                    best, candidates, False, np.zeros(len(best.free)), rivals)
+
+
 def fit_all(bundle, starts, extras, *, blocks=CANDIDATES, say=lambda text: None):
     """
     Fit all joints, in as many threads.
@@ -280,7 +306,11 @@ def fit_all(bundle, starts, extras, *, blocks=CANDIDATES, say=lambda text: None)
                   for coordinates, free in pool.map(spread, training, starts, extras)]
         fits = list(pool.map(lambda j: fit_joint(rough, j, thetas, blocks), joints))
         say('refining each joint, the others as they were found')
-        fits = search(pool, bundle, fits)
+        fits = search(pool, bundle, fits, LEVELS)
+        thetas, sizes = [theta_of(fit) for fit in fits], [fit.coordinates.size for fit in fits]
+        fits = list(pool.map(lambda j: fit_again(rough, j, thetas, fits[j], blocks), joints))
+        if [fit.coordinates.size for fit in fits] != sizes:
+            fits = search(pool, bundle, fits, LEVELS[-1:])
         thetas = [theta_of(fit) for fit in fits]
         return list(pool.map(lambda j: finish(bundle, j, thetas, fits[j]), joints))
 
@@ -290,15 +320,27 @@ def theta_of(fit):
     return fit.coordinates.unpack(fit.free)[0]
 
 
-def search(pool, bundle, fits):
+def search(pool, bundle, fits, levels):
     """
     Return fits from hops of all joints, coarse samples and a soft observer first.
 
     Each has the others as last found. Links of a planar arm act on each other: with a wrong
     friction of one joint the best of another is no hollow at all, or one far from the truth. So
     they go on in turn while any gains.
+
+    Parameters
+    ----------
+    pool : Executor
+        Runs joints side by side.
+    bundle : Bundle
+        All data.
+    fits : sequence of JointFit
+        One per joint.
+    levels : sequence of (float, float)
+        Such as `LEVELS`.
+
     """
-    looks = [(max(period, bundle.period), softness) for period, softness in LEVELS]
+    looks = [(max(period, bundle.period), softness) for period, softness in levels]
     coupled = bundle.arm.kind == 'planar' and len(fits) > 1
     if not coupled:
         looks = list(dict.fromkeys(looks))
