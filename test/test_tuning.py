@@ -6,6 +6,7 @@
 from dataclasses import replace
 import json
 import math
+import re
 
 from core_runs import joint_friction, single_axis
 from gms_flex_control.cli.main import main
@@ -18,7 +19,13 @@ from gms_flex_control.params.robot import EffectSpec
 from gms_flex_control.resources import controller_file, robot_file
 from gms_flex_control.schema.bridge import limits_from_values
 from gms_flex_control.schema.build import robot_values
-from gms_flex_control.schema.files import load_controller, load_robot, read_values, save_robot
+from gms_flex_control.schema.files import (
+    load_controller,
+    load_robot,
+    read_values,
+    save_robot,
+    save_values,
+)
 from gms_flex_control.simulation import closed_loop
 from gms_flex_control.simulation.stepped import SteppedController, SteppedPlant
 from gms_flex_control.trajectory import builders
@@ -268,15 +275,22 @@ def test_tune_writes_what_the_controller_loads_and_goes_on_when_killed(
     assert journal.read_text().splitlines()[:2] == lines[:2]
 
 
-def test_tune_tells_the_error_to_expect_and_that_the_bound_is_none(tmp_path, axis_file, capsys):
+@pytest.mark.parametrize(('axes', 'length', 'force'), [('rotary', 'mrad', 'N m'),
+                                                      ('linear', 'mm', 'N')])
+def test_tune_tells_the_error_to_expect_and_that_the_bound_is_none(
+        tmp_path, axis_file, capsys, axes, length, force):
     """The larger of both motions, by simulation, beside what friction alone can hold."""
-    assert main(['tune', '--robot', str(axis_file), '--torque-limit', '2', '--bandwidth', '6',
-                 '--out', str(tmp_path)]) == 0
+    kind = tmp_path / 'axes.yaml'
+    save_values({'arm.axes': axes}, kind)
+    assert main(['tune', '--robot', str(axis_file), str(kind), '--torque-limit', '2',
+                 '--bandwidth', '6', '--out', str(tmp_path)]) == 0
     out = capsys.readouterr().out
+    units = set(re.findall(r'\bmrad\b|\bmm\b|\bN m\b|\bN\b(?! m)', out))
+    assert units == {length, force}
     trials = json.loads((tmp_path / 'tuning.json').read_text())['trials']['gms'].values()
     mse, peak = (max(trial[name][0] for trial in trials) for name in ('mse', 'peak'))
-    assert (f'expected error, gms, the worse motion: axis {1e3 * math.sqrt(mse):.3g} mrad rms, '
-            f'{1e3 * peak:.3g} at most\n' in out)
+    assert (f'expected error, gms, the worse motion: axis {1e3 * math.sqrt(mse):.3g} {length} '
+            f'rms, {1e3 * peak:.3g} at most\n' in out)
     assert 'static friction can hold without compensation: axis ' in out
     assert out.count('(43)') == 1 and 'No prediction' in out
 

@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """`gms_flex compare`: friction compensations side by side, on a plant or along a bag."""
 
+from functools import partial
 from pathlib import Path
 
 from gms_flex_control.cli.batch_options import add_batch_options
@@ -59,14 +60,15 @@ def run(args):
     files = plant_files(args)
     settle(args, files is not None)
     refuse_unwritable(args.out)
-    shown, values, page, answer = along_bag(args) if files is None else on_plant(args, files)
+    shown, values, page, answer, units = along_bag(args) if files is None else on_plant(
+        args, files)
     write_text(Path(args.out) / 'comparison.json',
                json.dumps(values, indent=2, allow_nan=False) + '\n')
     page.write(Path(args.out) / 'report.html')
-    print(json.dumps(values, indent=2) if args.json else shown)
+    print(json.dumps(values, indent=2) if args.json else units(shown))
     if not args.json:
         conclude(answer, {'report': Path(args.out) / 'report.html',
-                          'numbers': Path(args.out) / 'comparison.json'})
+                          'numbers': Path(args.out) / 'comparison.json'}, units)
     return 0
 
 
@@ -110,8 +112,9 @@ def settle(args, is_plant):
 
 
 def on_plant(args, files):
-    """Return table, plain values, page and Answer of the comparison in simulation."""
+    """Return table, plain values, page, Answer and units of the comparison in simulation."""
     from gms_flex_control.comparison import study, words
+    from gms_flex_control.params.units import in_units
     from gms_flex_control.reports.comparison import plant_page
     from gms_flex_control.resources import controller_file, robot_file
     from gms_flex_control.schema.files import load_controller, load_robot
@@ -127,14 +130,15 @@ def on_plant(args, files):
     values = {'rate': args.rate, 'amplitude': args.amplitude, 'draws': args.draws,
               'seed': args.seed, 'rows': [row._asdict() for row in rows], 'cells': outcomes}
     return (words.text(rows), values, plant_page(rows, outcomes, setting, files),
-            words.plant_answer(rows, outcomes, files))
+            words.plant_answer(rows, outcomes, files), partial(in_units, robot.arm))
 
 
 def along_bag(args):
-    """Return table, plain values, page and Answer of the comparison along a bag."""
+    """Return table, plain values, page, Answer and units of the comparison along a bag."""
     from gms_flex_control.batches.sources import content_of
     from gms_flex_control.cli.identify import motors_in
     from gms_flex_control.comparison import held_out, words
+    from gms_flex_control.params.units import in_units
     from gms_flex_control.reports.comparison import bag_page
     from gms_flex_control.resources import controller_file, robot_file
     from gms_flex_control.schema.files import load_controller, load_robot
@@ -154,8 +158,9 @@ def along_bag(args):
         {name: getattr(one, name) for name in ('mode', 'name', 'error', 'fitted', 'remark')}
         for one in predictions]}
     return (words.bag_text(predictions, found, robot.joints), values,
-            bag_page(predictions, found, robot.joints, bag, args.fit, args.robot or ()),
-            words.bag_answer(predictions, robot.joints, bag, args.robot or ()))
+            bag_page(predictions, found, robot, bag, args.fit, args.robot or ()),
+            words.bag_answer(predictions, robot.joints, bag, args.robot or ()),
+            partial(in_units, robot.arm))
 
 
 def finished(args, function, items, robot, gains, asked, label):

@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """`gms_flex tune`: gains for a robot, judged, tried and written as controller.yaml."""
 
+from functools import partial
 from pathlib import Path
 
 from gms_flex_control.cli.batch_options import add_batch_options
@@ -69,6 +70,7 @@ def run(args):
     import json
 
     from gms_flex_control.files import write_text
+    from gms_flex_control.params.units import in_units
     from gms_flex_control.tuning import words
 
     robot, base, demands = asked(args)
@@ -76,13 +78,14 @@ def run(args):
     refuse_unwritable(args.out)
     proposal, trials = proposed(robot, base, demands, args.amplitude)
     values = words.as_values(proposal, robot, demands.timing, trials)
+    units = partial(in_units, robot.arm)
     if not args.json:
-        tell(proposal, trials, robot, demands)
+        print(units(text_of(proposal, trials, robot, demands)))
     if not proposal.unmet:
         if args.verify:
             values['verify'] = verified(robot, proposal.gains, demands, intervals, args)
             if not args.json:
-                print(f"\n{words.verify_text(values['verify'], robot)}")
+                print(units(f"\n{words.verify_text(values['verify'], robot)}"))
         write(args, robot, proposal, demands)
     write_text(Path(args.out) / 'tuning.json', json.dumps(values, indent=2) + '\n')
     if args.json:
@@ -90,7 +93,7 @@ def run(args):
     else:
         written = {} if proposal.unmet else {'gains': Path(args.out) / 'controller.yaml'}
         conclude(words.answer_of(proposal, trials, robot, demands, args.robot or (), args.out),
-                 written | {'numbers': Path(args.out) / 'tuning.json'})
+                 written | {'numbers': Path(args.out) / 'tuning.json'}, units)
     found = values.get('verify', {'lost': [], 'unstable': []})
     return int(bool(proposal.unmet or found['lost'] or found['unstable']))
 
@@ -199,20 +202,20 @@ def at_limit(run, robot, limit, motion):
             for j, joint in enumerate(robot.joints) if share[j] > _MOST_AT_LIMIT]
 
 
-def tell(proposal, trials, robot, demands):
-    """Print gains, margins, conditions and expected errors."""
+def text_of(proposal, trials, robot, demands):
+    """Return gains, margins, conditions and expected errors as lines of text."""
     from gms_flex_control.cli import check_gains
     from gms_flex_control.tuning import words
 
-    print(words.gains_table(proposal.gains, robot))
-    print(f'\nMargins of the sampled loop, worst of all poses\n'
-          f'{words.margins_table(proposal.judgement, robot)}')
-    print('\n'.join(words.loop_lines(proposal.judgement, robot, demands.timing)))
-    print(f'\n{check_gains.text(proposal.judgement.conditions)}')
-    print(f'\nSimulated, exact model\n{words.trials_table(trials, robot)}')
-    print('\n'.join(words.expected_lines(trials, proposal.judgement, robot)))
-    for sentence in proposal.unmet:
-        print(f'NOT MET: {sentence}')
+    return '\n'.join([
+        words.gains_table(proposal.gains, robot),
+        '\nMargins of the sampled loop, worst of all poses',
+        words.margins_table(proposal.judgement, robot),
+        *words.loop_lines(proposal.judgement, robot, demands.timing),
+        f'\n{check_gains.text(proposal.judgement.conditions)}',
+        f'\nSimulated, exact model\n{words.trials_table(trials, robot)}',
+        *words.expected_lines(trials, proposal.judgement, robot),
+        *(f'NOT MET: {sentence}' for sentence in proposal.unmet)])
 
 
 def verified(robot, gains, demands, intervals, args):

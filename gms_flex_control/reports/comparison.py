@@ -3,9 +3,12 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """The page of a comparison of friction compensations."""
 
+from functools import partial
+
 from gms_flex_control.comparison import study, words
 from gms_flex_control.comparison.contestants import Condition, conditions, CONTESTANTS, NOMINAL
 from gms_flex_control.experiment.believed import FRICTION, MASS, STIFFNESS
+from gms_flex_control.params.units import in_units
 from gms_flex_control.reports.page import Curve, Report, Series
 import numpy as np
 
@@ -35,7 +38,8 @@ def plant_page(rows, outcomes, setting, source):
     robot, answer = setting.robot, words.plant_answer(rows, outcomes, source)
     page = Report('Friction compensations compared', answer,
                   f'{", ".join(source) or "the arm of the paper"}, {setting.rate:g} Hz, sinusoid '
-                  f'and polynomial of {setting.amplitude[0]:g} rad, simulated')
+                  f'and polynomial of {setting.amplitude[0]:g} rad, simulated',
+                  partial(in_units, robot.arm))
     *traces, (motion, joint, series, time) = _traces(setting, _named(NOMINAL))
     page.chart(f'{motion}, {joint}: link angle - reference', time, [
         one._replace(hidden=one.label not in ('none', answer.columns[1])) for one in series],
@@ -107,7 +111,7 @@ def _traces(setting, condition):
             yield motion, joint, series, runs['none'].time
 
 
-def bag_page(predictions, found, joints, source, share, files=()):
+def bag_page(predictions, found, robot, source, share, files=()):
     """
     Return the page of a comparison along a bag.
 
@@ -117,8 +121,8 @@ def bag_page(predictions, found, joints, source, share, files=()):
         From held_out.compare_along.
     found : Along
         The recording.
-    joints : sequence of str
-        Link names.
+    robot : RobotParams
+        As believed.
     source : str
         The bag.
     share : float
@@ -131,9 +135,10 @@ def bag_page(predictions, found, joints, source, share, files=()):
     Report
 
     """
+    joints = robot.joints
     answer = words.bag_answer(predictions, joints, source, files)
     page = Report('Friction torque along a recording', answer, f'{source}: the first '
-                  f'{100 * share:.0f} % fitted, the rest judged')
+                  f'{100 * share:.0f} % fitted, the rest judged', partial(in_units, robot.arm))
     (title, time, lines, _), *others = _torques(predictions, found, joints)
     page.chart(f'{title}: friction torque', time, [
         one._replace(hidden=one.label not in ('measured', answer.columns[1])) for one in lines],
