@@ -64,6 +64,7 @@ class JointFit(NamedTuple):
     sampling: np.ndarray   # what numbers move by as the data are looked at in other ways, (P,)
     rivals: tuple = ()     # of parameters: other numbers of blocks that may be right as well
     ends: tuple = ()       # of free numbers, where hops ended, the best first
+    fits: tuple = ()       # of (Coordinates, free): each number of blocks, some data held out
 
 
 def prior_of(coordinates, free):
@@ -179,7 +180,7 @@ def choose(bundle, joint, thetas, fits, blocks):
     Returns
     -------
     candidates : tuple of Candidate
-        Those that may be chosen, in the order of ``fits``.
+        Those that may be chosen: of each number of blocks the best.
     chosen : Candidate
         The fewest blocks within one standard error of the best.
     rivals : tuple of ndarray
@@ -188,10 +189,12 @@ def choose(bundle, joint, thetas, fits, blocks):
 
     """
     objective = Objective(bundle, joint, thetas, held_out(bundle.period))
-    evaluations, floor = [], None
-    for coordinates, free in reversed(fits):  # the largest sets the floor
-        evaluations.insert(0, objective.evaluate(coordinates, free, 1.0, floor))
-        floor = evaluations[0].floor
+    evaluated, floor = [], None
+    for pair in sorted(fits, key=_size_of, reverse=True):  # the largest sets the floor
+        evaluated.append((pair, objective.evaluate(*pair, 1.0, floor)))
+        floor = evaluated[-1][1].floor
+    evaluated.sort(key=lambda one: (_size_of(one[0]), one[1].cost.sum()))
+    fits, evaluations = zip(*evaluated, strict=True)
     count = evaluations[0].count.sum()
     costs = np.array([evaluation.cost for evaluation in evaluations])
     offered = np.array([coordinates.n_blocks in blocks for coordinates, _ in fits])
@@ -208,8 +211,16 @@ def choose(bundle, joint, thetas, fits, blocks):
         blocks_out / (blocks_out - 1)) if blocks_out > 1 else np.full(len(fits), np.inf)
     rivals = tuple(coordinates.unpack(free)[0] for k, (coordinates, free) in enumerate(fits)
                    if k != chosen and off[k] <= errors[k])
-    return tuple(one for one, may in zip(candidates, offered, strict=True) if may), \
-        candidates[chosen], rivals
+    shown = {}
+    for one, may in zip(candidates, offered, strict=True):
+        if may:
+            shown.setdefault(one.n_blocks, one)
+    return tuple(shown.values()), candidates[chosen], rivals
+
+
+def _size_of(fit):
+    """Return the number of blocks of (Coordinates, free)."""
+    return fit[0].n_blocks
 
 
 def _above(costs, best):
@@ -245,7 +256,7 @@ def fit_joint(bundle, joint, thetas, blocks):
             for n in sorted({*blocks, *CANDIDATES})]
     candidates, best, rivals = choose(bundle, joint, thetas, fits, blocks)
     return JointFit(best.coordinates, best.free, prior_of(best.coordinates, best.free), None,
-                    best, candidates, False, np.zeros(len(best.free)), rivals)
+                    best, candidates, False, np.zeros(len(best.free)), rivals, fits=tuple(fits))
 
 
 def fit_again(bundle, joint, thetas, fit, blocks):
@@ -253,7 +264,7 @@ def fit_again(bundle, joint, thetas, fit, blocks):
     Return a JointFit with the number of blocks that is best from where the search ended.
 
     From far away each number ends in a local minimum of its own, and the best of these need not
-    be the best number.
+    be the best number. Where several are, all that the data do not rule out are rivals.
 
     Parameters
     ----------
@@ -264,11 +275,11 @@ def fit_again(bundle, joint, thetas, fit, blocks):
 
     """
     n_extra, found = fit.coordinates.n_extra, fit.coordinates.n_blocks
-    fits = [(fit.coordinates, fit.free) if n == found else
-            fit_candidate(bundle, joint, thetas, thetas[joint], n, n_extra)
-            for n in sorted({*blocks, *CANDIDATES})]
-    candidates, best, rivals = choose(bundle, joint, thetas, fits, blocks)
-    if best.n_blocks == found:
+    again = [fit_candidate(bundle, joint, thetas, thetas[joint], n, n_extra)
+             for n in sorted({*blocks, *CANDIDATES} - {found})]
+    candidates, best, rivals = choose(bundle, joint, thetas, [
+        *fit.fits, (fit.coordinates, fit.free), *again], blocks)
+    if best.free is fit.free:
         return fit._replace(held_out=best, candidates=candidates, rivals=rivals)
     return JointFit(best.coordinates, best.free, prior_of(best.coordinates, best.free), None,
                     best, candidates, False, np.zeros(len(best.free)), rivals)

@@ -18,7 +18,7 @@ from gms_flex_control.identification.coordinates import MOST_BLOCKS, presliding_
 from gms_flex_control.identification.refine import summed
 from gms_flex_control.identification.result import CONFIDENT, Estimate, Interval
 from gms_flex_control.identification.words import DEPENDS, NOT_IDENTIFIABLE, WELL_KNOWN
-from gms_flex_control.simulation.predictor import BLOCKS, PER_DIRECTION, STATIC
+from gms_flex_control.simulation.predictor import BLOCKS, PER_DIRECTION, STATIC, VELOCITY
 import numpy as np
 from scipy.stats import t as student
 
@@ -26,6 +26,7 @@ _UPPER = 0.975          # of a 95 % interval
 _VAGUE = np.log(2.0)    # half an interval this wide in the logarithm tells nothing
 _NOTHING = 2e-3         # of the friction level: a part this small is at its bound
 _BEYOND = 3.0           # times the reach of presliding: a block that slips later is none of it
+_STILL_FALLS = 0.05     # of F_s - F_c, left at the highest velocity: F_c is beyond the data
 _LONGEST_MEMORY = 2.0   # of an innovation that is looked for [s]
 _SMALL_STEP = 1e-4      # of a free number, for a derivative
 _NAMES = ('static', 'coulomb', 'velocity', 'viscous')
@@ -116,7 +117,8 @@ def inverse_of(curvature):
                           hermitian=True) * np.outer(scale, scale)
 
 
-def estimates_of(joint, coordinates, free, spread, reach, travel=np.inf, rivals=(), units=_UNITS):
+def estimates_of(joint, coordinates, free, spread, reach, travel=np.inf, top=np.inf, rivals=(),
+                 units=_UNITS):
     """
     Return the Estimates of one joint's friction.
 
@@ -134,6 +136,8 @@ def estimates_of(joint, coordinates, free, spread, reach, travel=np.inf, rivals=
         Farthest displacement in presliding [rad]; 0 if there was none.
     travel : float
         Farthest displacement at all [rad].
+    top : float
+        Highest velocity [rad/s]. A curve that still falls there has no F_c in the data.
     rivals : sequence of ndarray
         Parameters of other models that the data do not rule out.
     units : tuple of str
@@ -148,8 +152,10 @@ def estimates_of(joint, coordinates, free, spread, reach, travel=np.inf, rivals=
     variance = np.einsum('ip,pq,iq->i', directions, spread.covariance, directions)
     error = np.sqrt(variance) / np.maximum(theta, 1e-300)
     off = _model_dependence(theta, coordinates.n_blocks, rivals)
-    told = spread.told
-    rows = []
+    told, rows = spread.told.copy(), []
+    for at in (0, PER_DIRECTION):
+        if np.exp(-(top / theta[at + VELOCITY]) ** 2) > _STILL_FALLS:
+            told[[at, at + VELOCITY]] = 0.0
     for k, direction in enumerate(('forward', 'backward')):
         for i, (name, unit) in enumerate(zip(_NAMES, units, strict=True)):
             rows.append((f'friction.{joint}.{direction}.{name}', unit, PER_DIRECTION * k + i,
