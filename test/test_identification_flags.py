@@ -10,17 +10,18 @@ import numpy as np
 import pytest
 
 STATIC, COULOMB = np.array([0.10697, 0.09470]), np.array([0.09087, 0.08363])
+STRIBECK = np.array([0.078, 0.058])  # forward, backward [rad/s]
 PAPER = np.array([0.12, 16.08, 19.81, 75.86, 138.10, 150.58])  # Table 2, link 2 [N m/rad]
 
 
-def estimates(stiffness, reach, travel, doubt=1e-3, rivals=()):
+def estimates(stiffness, reach, travel, doubt=1e-3, rivals=(), top=2.0):
     """Return the Estimates of link 2 by name, all numbers known to ``doubt``."""
     coordinates = Coordinates(len(stiffness))
     yields = STATIC.mean() / len(stiffness) / np.asarray(stiffness)
-    free = coordinates.pack(STATIC, COULOMB, [0.078, 0.058], [0.0037, 0.0053], 1.0, yields)
+    free = coordinates.pack(STATIC, COULOMB, STRIBECK, [0.0037, 0.0053], 1.0, yields)
     spread = Spread(doubt ** 2 * np.eye(len(free)), np.ones(len(free)))
     return {estimate.name.removeprefix('friction.joint2.'): estimate for estimate in estimates_of(
-        'joint2', coordinates, free, spread, reach, travel, rivals)}
+        'joint2', coordinates, free, spread, reach, travel, rivals, top=top)}
 
 
 def flagged(found):
@@ -49,6 +50,17 @@ def test_without_presliding_no_stiffness_is_told():
     found = estimates(PAPER, reach=0.0, travel=2.0)
     assert flagged(found) == [0, 1, 2, 3, 4, 5]
     assert 'no presliding is in the data' in found['stiffness[5]'].note
+
+
+@pytest.mark.parametrize('beyond', [False, True])
+def test_a_stribeck_curve_that_still_falls_at_the_highest_velocity_has_no_interval(beyond):
+    """At 1.7 v_s a twentieth of F_s - F_c is left; viscous friction could be the rest of it."""
+    fastest = (1.7 if beyond else 1.8) * STRIBECK.max()
+    found = estimates(PAPER, reach=0.0188, travel=2.0, top=fastest)
+    lost = {name for name, one in found.items() if not np.isfinite(one.interval.low)}
+    assert {name for name in lost if 'stiffness' not in name} == (
+        {f'forward.{name}' for name in ('static', 'coulomb', 'velocity', 'viscous')}
+        if beyond else set())
 
 
 @pytest.mark.parametrize(('doubt', 'expected'), [(0.05, False), (1.0, True)])

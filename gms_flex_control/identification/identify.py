@@ -229,7 +229,7 @@ class Data:
                                    np.geomspace(1e-4 * top, top, _VELOCITIES)])
         alone = friction_params([theta], [fit])
         estimates = estimates_of(self.robot.joints[joint], fit.coordinates, fit.free, spread,
-                                 reach, travel(self._fitted, joint), top, fit.rivals)
+                                 reach, travel(self._fitted, joint), fit.rivals, top=top)
         curve = curve_of(fit.coordinates, fit.free, spread, shown_displacements(
             estimates, theta[[STATIC, PER_DIRECTION + STATIC]].mean(), self.step[joint],
             _CURVE_POINTS), fit.rivals)

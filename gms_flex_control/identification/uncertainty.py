@@ -117,8 +117,8 @@ def inverse_of(curvature):
                           hermitian=True) * np.outer(scale, scale)
 
 
-def estimates_of(joint, coordinates, free, spread, reach, travel=np.inf, top=np.inf, rivals=(),
-                 units=_UNITS):
+def estimates_of(joint, coordinates, free, spread, reach, travel=np.inf, rivals=(), units=_UNITS,
+                 top=np.inf):
     """
     Return the Estimates of one joint's friction.
 
@@ -136,12 +136,12 @@ def estimates_of(joint, coordinates, free, spread, reach, travel=np.inf, top=np.
         Farthest displacement in presliding [rad]; 0 if there was none.
     travel : float
         Farthest displacement at all [rad].
-    top : float
-        Highest velocity [rad/s]. A curve that still falls there has no F_c in the data.
     rivals : sequence of ndarray
         Parameters of other models that the data do not rule out.
     units : tuple of str
         Of static, coulomb, velocity and viscous.
+    top : float
+        Highest velocity [rad/s]. A curve that still falls there has no F_c in the data.
 
     Returns
     -------
