@@ -32,6 +32,7 @@ CANDIDATES = (1, 2, 4, 6, 8)  # numbers of blocks that are tried
 _SPREAD_SHARPNESS = (3.0, 1.0)
 _SHARPNESS = (2.0, 1.0)
 FOLDS = 4             # one in so many blocks of time is held out
+_FEW_OUT = 6          # blocks held out, fewer of which hardly tell their scatter
 _STEADY_DOUBT, _BLOCK_DOUBT = 1.0, 3.0  # spread of the prior, of logarithms
 _EXTRA_DOUBT = 1.0    # of corrections, in their units
 _ONE_ERROR = 0.8413    # of a normal distribution is below one standard deviation
@@ -182,28 +183,23 @@ def choose(bundle, joint, thetas, fits, blocks):
     candidates : tuple of Candidate
         Those that may be chosen: of each number of blocks the best.
     chosen : Candidate
-        The fewest blocks within one standard error of the best.
+        The fewest blocks within one standard error of the best; the best where data are few.
     rivals : tuple of ndarray
         Parameters of all others that are no worse beyond one standard error of the difference,
         by Student's distribution for so many blocks.
 
     """
-    objective = Objective(bundle, joint, thetas, held_out(bundle.period))
-    evaluated, floor = [], None
-    for pair in sorted(fits, key=_size_of, reverse=True):  # the largest sets the floor
-        evaluated.append((pair, objective.evaluate(*pair, 1.0, floor)))
-        floor = evaluated[-1][1].floor
-    evaluated.sort(key=lambda one: (_size_of(one[0]), one[1].cost.sum()))
-    fits, evaluations = zip(*evaluated, strict=True)
-    count = evaluations[0].count.sum()
-    costs = np.array([evaluation.cost for evaluation in evaluations])
+    fits = sorted(fits, key=_size_of)
+    costs, count, few = _held_out_costs(bundle, joint, thetas, fits)
+    order = sorted(range(len(fits)), key=lambda k: (_size_of(fits[k]), costs[k].sum()))
+    fits, costs = [fits[k] for k in order], costs[order]
     offered = np.array([coordinates.n_blocks in blocks for coordinates, _ in fits])
     off, errors = _above(costs, int(np.argmin(np.where(offered, costs.sum(axis=1), np.inf))))
     candidates = tuple(
         Candidate(coordinates.n_blocks, coordinates.free_weights, float(cost.sum() / count),
                   float(error / count), coordinates, free)
         for (coordinates, free), cost, error in zip(fits, costs, errors, strict=True))
-    chosen = int(np.flatnonzero(offered & (off <= errors))[0])
+    chosen = int(np.flatnonzero(offered & (off <= (0.0 if few else errors)))[0])
     off, errors = _above(costs, chosen)
     blocks_out = costs.shape[1]
     # of few blocks the scatter is hardly known, of one not at all
@@ -216,6 +212,28 @@ def choose(bundle, joint, thetas, fits, blocks):
         if may:
             shown.setdefault(one.n_blocks, one)
     return tuple(shown.values()), candidates[chosen], rivals
+
+
+def _held_out_costs(bundle, joint, thetas, fits):
+    """
+    Return the cost of each fit in each block of time held out (K, B), samples, and if it is few.
+
+    Where one turn holds few blocks out, all turns do: then each fit goes on from where it is
+    without the data that judge it.
+    """
+    costs, count = [], 0.0
+    for turn in range(FOLDS):
+        objective = Objective(bundle, joint, thetas, held_out(bundle.period, turn))
+        fitted = Objective(bundle, joint, thetas, train(bundle.period, turn))
+        evaluations = [objective.evaluate(coordinates, free if turn == 0 else refine(
+            fitted, coordinates, free, prior_of(coordinates, free), roughly=True).free, 1.0)
+            for coordinates, free in fits]
+        floor = min(one.floor for one in evaluations)  # what the best explain is explained
+        costs.append([replace(one, floor=floor).cost for one in evaluations])
+        count += evaluations[0].count.sum()
+        if len(evaluations[0].count) >= _FEW_OUT:
+            break
+    return np.concatenate(costs, axis=1), count, len(costs) > 1
 
 
 def _size_of(fit):
