@@ -3,7 +3,7 @@
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """
-Write docs/newcomers.md: what three newcomers type and see, from a clone on, with the time it took.
+Write docs/newcomers.md: when three newcomers give each command of their tutorial, from a clone on.
 
     PYTHONPATH=test .venv/bin/python scripts/newcomers.py     # or: make newcomers
 
@@ -22,17 +22,15 @@ from node_harness import DISCOVERY, take_domain
 from tutorial import JUDGED, OWN, parts_of, ROOT, Terminals, TUTORIALS, write_tool
 
 PAGE = ROOT / 'docs' / 'newcomers.md'
-MOST_LINES = 24   # of what one command prints
 USERS = (('without_ros', 'Has neither ROS nor a robot', '.'),
          ('with_a_bag', 'Has a bag', '.'),
          ('with_a_robot', 'Has ROS and a robot', "'.[ros]'"))
-HEAD = """# Three newcomers, timed
+HEAD = """# How long does it take?
 
-Made by `make newcomers`, which follows the tutorials in fresh clones with an empty home; the time
-on the left is since the clone began. A machine with {cores} cores{cpu}. The packages came from a
-registry nearby. There was no ROS on it: `ros2` is the stand-in of the tests
-(`test/ros2_stand_in.py`); everything that it starts is real, and so are the nodes and what goes
-between them. The robot is a simulated one. Long outputs are cut.
+`make newcomers` follows the tutorials in fresh clones with an empty home. The time on the left is
+since the clone began; the tutorials show what each command prints. The machine had {cores}
+cores{cpu}, a package registry nearby, and no ROS: `ros2` is the stand-in of the tests
+(`test/ros2_stand_in.py`), which starts the real nodes. The robot is simulated.
 """
 
 
@@ -56,7 +54,7 @@ def processor():
 
 
 class Scribe:
-    """Writes down what is typed and printed, and when."""
+    """Writes down what is typed, and when."""
 
     def __init__(self):
         self.lines, self._begin = [], time.monotonic()
@@ -66,14 +64,9 @@ class Scribe:
         """Return how long it has taken so far [s]."""
         return time.monotonic() - self._begin
 
-    def note(self, begun, command, printed=''):
-        """Note a command that was given at ``begun`` [s] and what it printed."""
+    def note(self, begun, command):
+        """Note a command that was given at ``begun`` [s]."""
         self.lines.append(f'{begun:6.1f} s  $ {command}')
-        printed = printed.rstrip().splitlines()
-        if len(printed) > MOST_LINES:  # the answer comes last
-            half = MOST_LINES // 2
-            printed[half:-half] = [f'... ({len(printed) - MOST_LINES} more lines)']
-        self.lines += [f'          {line.rstrip()}'.rstrip() for line in printed]
 
     def run(self, command, folder, environment):
         """Give a command that must succeed."""
@@ -83,7 +76,7 @@ class Scribe:
                               stderr=subprocess.STDOUT, check=False)
         if done.returncode:
             sys.exit(f'newcomers.py: {command}: exit code {done.returncode}\n{done.stdout}')
-        self.note(begun, command, done.stdout)
+        self.note(begun, command)
 
 
 def transcript(folder, name, title, extras):
@@ -120,9 +113,9 @@ def follow(name, here, environment, scribe):
                 begun = scribe.seconds
                 if command.endswith(OWN):
                     terminals.start(command.removesuffix(OWN))
-                    scribe.note(begun, command)
                 else:
-                    scribe.note(begun, command, terminals.do(command, expected, JUDGED))
+                    terminals.do(command, expected, JUDGED)
+                scribe.note(begun, command)
 
 
 if __name__ == '__main__':
