@@ -89,7 +89,7 @@ def row(folder, name, title, extras):
     here.mkdir()
     watch.run(f'git clone --quiet {ROOT} gms_flex_control', folder, environment)
     watch.run('python3 -m venv .venv && .venv/bin/pip install --quiet --use-pep517 '
-               f'--disable-pip-version-check -c constraints.txt {extras}', clone, environment)
+              f'--disable-pip-version-check -c constraints.txt {extras}', clone, environment)
     environment |= {'PATH': f'{clone}/.venv/bin:/usr/bin:/bin', 'CONFIG': f'{clone}/config',
                     'EXAMPLES': f'{clone}/examples', 'ROS_LOG_DIR': str(folder / 'log')}
     number, lock = take_domain()
