@@ -237,7 +237,7 @@ def test_a_known_effect_whose_value_is_wrong_is_told():
     hidden, = case.truth.effects
     halved = replace(hidden, values=(0.5 * hidden.values[0],))
     result = find_discrepancy([case.recording], replace(case.nominal, effects=(halved,)))
-    assert f'{hidden.name} of {hidden.joint}, which the model has already' in result.words
+    assert f'{hidden.name} of {hidden.joint} is in the model already' in result.words
 
 
 def test_a_hole_in_an_angle_is_left_out():
