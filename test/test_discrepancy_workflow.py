@@ -375,7 +375,7 @@ def test_what_makes_a_model_worse_is_no_finding(named, monkeypatch):
     true, = case.truth.effects
     assert result.verdict == COMPLETE and not result.findings and result.robot.effects == ()
     assert [one.key for one in result.minor] == [(true.name, true.joint)]
-    assert f'the model predicts better without: {true.name} of {true.joint}.' in result.words
+    assert f'the model predicts better without them: {true.name} of {true.joint}.' in result.words
     np.testing.assert_allclose(result.gap.after, result.gap.retuned, rtol=1e-3)
 
 

@@ -170,7 +170,7 @@ def test_the_command_prints_condition_value_limit_and_verdict(capsys, tmp_path):
     assert pushed * spread == pytest.approx(bound, rel=0.02)
     assert tool('--robot', CONFIG / 'robot.yaml', stiff) == 1
     out = capsys.readouterr().out
-    assert 'VIOLATED' in out and 'none, N_2 is not positive definite' in out
+    assert 'VIOLATED' in out and 'none, because N_2 is not positive definite' in out
     assert tool('--robot', CONFIG / 'robot.yaml', stiff, '--json') == 1
     result = json.loads(capsys.readouterr().out)
     assert result['residual_bound'] is None and not result['met']
