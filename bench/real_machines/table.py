@@ -65,9 +65,9 @@ def as_text(table):
     return '\n'.join([lines[0], '  '.join('-' * width for width in widths), *lines[1:]])
 
 
-def as_markdown(table):
-    """Return a table for a document."""
-    marks = ['--:' if k in _NUMBERS else '---' for k in range(len(table[0]))]
+def as_markdown(table, numbers=_NUMBERS):
+    """Return a table for a document; columns of ``numbers`` are aligned to the right."""
+    marks = ['--:' if k in numbers else '---' for k in range(len(table[0]))]
     return '\n'.join(f'| {" | ".join(row)} |' for row in (table[0], marks, *table[1:]))
 
 
@@ -103,7 +103,8 @@ def into_document(path, outcomes, skipped, pictures):
 
     """
     lines = [*remarks(outcomes), *(f'- {line}' for line in skipped)]
-    parts = [as_markdown(rows(outcomes, most=1)), *(['\n'.join(lines)] if lines else []),
+    table = [[row[0], *row[2:]] for row in rows(outcomes, most=1)]  # without the band
+    parts = [as_markdown(table, range(1, 8)), *(['\n'.join(lines)] if lines else []),
              *(f'![{title}](images/{name})' for title, name in pictures)]
     text, made = path.read_text(encoding='utf-8'), '\n\n'.join(parts)
     pattern = f'{re.escape(BEGIN)}.*?{re.escape(END)}'
