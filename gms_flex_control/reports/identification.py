@@ -116,7 +116,8 @@ def _sentence(identification, worst):
     standings = [standing(one) for result in identification.joints for one in result.estimates]
     found, fitted = (len(standings) - sum(map(standings.count, those)) for those in (
         (NOT_IDENTIFIABLE, DOUBTFUL, SET), (SET,)))
-    known = (f'{found} of {fitted} parameters are identified' if found < fitted else
+    known = (f'{found} of {fitted} parameters {"is" if found == 1 else "are"} identified'
+             if found < fitted else
              f'all {fitted} parameters are identified')
     if not np.isfinite(errors.relative):
         return f'{known.capitalize()}, but no held-out data check them.'
