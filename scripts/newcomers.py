@@ -3,7 +3,7 @@
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """
-Write docs/newcomers.md: what three newcomers type and see, from a clone on, with the time it took.
+Write docs/newcomers.md: how long three newcomers take, from a clone to the end of their tutorial.
 
     PYTHONPATH=test .venv/bin/python scripts/newcomers.py     # or: make newcomers
 
@@ -22,28 +22,29 @@ from node_harness import DISCOVERY, take_domain
 from tutorial import JUDGED, OWN, parts_of, ROOT, Terminals, TUTORIALS, write_tool
 
 PAGE = ROOT / 'docs' / 'newcomers.md'
-MOST_LINES = 24   # of what one command prints
-USERS = (('without_ros', 'Has neither ROS nor a robot', '.'),
-         ('with_a_bag', 'Has a bag', '.'),
-         ('with_a_robot', 'Has ROS and a robot', "'.[ros]'"))
-HEAD = """# Three newcomers, timed
+USERS = (('without_ros', 'neither ROS nor a robot', '.'),
+         ('with_a_bag', 'a bag', '.'),
+         ('with_a_robot', 'ROS and a robot', "'.[ros]'"))
+HEAD = """# How long does it take?
 
-Made by `make newcomers`, which follows the tutorials in fresh clones with an empty home; the time
-on the left is since the clone began. A machine with {cores} cores{cpu}. The packages came from a
-registry nearby. There was no ROS on it: `ros2` is the stand-in of the tests
-(`test/ros2_stand_in.py`); everything that it starts is real, and so are the nodes and what goes
-between them. The robot is a simulated one. Long outputs are cut.
+`make newcomers` follows the tutorials in fresh clones with an empty home, on {cores} cores{cpu}
+with a package registry nearby. `ros2` was the stand-in of the tests (`test/ros2_stand_in.py`),
+which starts the real nodes; the robot was simulated. Seconds since the clone began:
+
+| you have | installed | the longest command ends | the last ends |
+|---|---|---|---|
 """
 
 
 def main():
     """Write the page; return 0."""
-    sections = [HEAD.format(cores=os.cpu_count(), cpu=processor())]
+    rows = []
     for name, title, extras in USERS:
         print(title, flush=True)
         with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
-            sections.append(transcript(Path(folder), name, title, extras))
-    write_text(PAGE, '\n'.join(sections))
+            rows.append(row(Path(folder), name, title, extras))
+    head = HEAD.format(cores=os.cpu_count(), cpu=processor())
+    write_text(PAGE, '\n'.join([head + rows[0], *rows[1:], '']))
     print(PAGE)
     return 0
 
@@ -55,25 +56,20 @@ def processor():
                      if line.startswith('model name')), '')
 
 
-class Scribe:
-    """Writes down what is typed and printed, and when."""
+class Watch:
+    """Knows when each command began and ended."""
 
     def __init__(self):
-        self.lines, self._begin = [], time.monotonic()
+        self.ended, self._begin = [], time.monotonic()
 
     @property
     def seconds(self):
         """Return how long it has taken so far [s]."""
         return time.monotonic() - self._begin
 
-    def note(self, begun, command, printed=''):
-        """Note a command that was given at ``begun`` [s] and what it printed."""
-        self.lines.append(f'{begun:6.1f} s  $ {command}')
-        printed = printed.rstrip().splitlines()
-        if len(printed) > MOST_LINES:  # the answer comes last
-            half = MOST_LINES // 2
-            printed[half:-half] = [f'... ({len(printed) - MOST_LINES} more lines)']
-        self.lines += [f'          {line.rstrip()}'.rstrip() for line in printed]
+    def note(self, begun, command):
+        """Note a command that was given at ``begun`` [s] and has ended."""
+        self.ended.append((begun, self.seconds, command))
 
     def run(self, command, folder, environment):
         """Give a command that must succeed."""
@@ -83,18 +79,17 @@ class Scribe:
                               stderr=subprocess.STDOUT, check=False)
         if done.returncode:
             sys.exit(f'newcomers.py: {command}: exit code {done.returncode}\n{done.stdout}')
-        self.note(begun, command, done.stdout)
+        self.note(begun, command)
 
 
-def transcript(folder, name, title, extras):
-    """Return the section of one newcomer, who works in an empty folder."""
+def row(folder, name, title, extras):
+    """Return the row of one newcomer, who works in an empty folder."""
     environment = {'HOME': str(folder), 'PATH': '/usr/bin:/bin', 'LANG': 'C.UTF-8'}
-    clone, here, scribe = folder / 'gms_flex_control', folder / 'here', Scribe()
+    clone, here, watch = folder / 'gms_flex_control', folder / 'here', Watch()
     here.mkdir()
-    scribe.run(f'git clone --quiet {ROOT} gms_flex_control', folder, environment)
-    scribe.lines[-1] = scribe.lines[-1].replace(str(ROOT), 'URL_OF_THIS_REPOSITORY')
-    scribe.run('python3 -m venv .venv && .venv/bin/pip install --quiet --use-pep517 '
-               f'--disable-pip-version-check -c constraints.txt {extras}', clone, environment)
+    watch.run(f'git clone --quiet {ROOT} gms_flex_control', folder, environment)
+    watch.run('python3 -m venv .venv && .venv/bin/pip install --quiet --use-pep517 '
+              f'--disable-pip-version-check -c constraints.txt {extras}', clone, environment)
     environment |= {'PATH': f'{clone}/.venv/bin:/usr/bin:/bin', 'CONFIG': f'{clone}/config',
                     'EXAMPLES': f'{clone}/examples', 'ROS_LOG_DIR': str(folder / 'log')}
     number, lock = take_domain()
@@ -104,25 +99,28 @@ def transcript(folder, name, title, extras):
                             'PYTHONUNBUFFERED': '1'}
             write_tool(clone / '.venv' / 'bin' / 'ros2', clone / 'test' / 'ros2_stand_in.py',
                        clone / '.venv' / 'bin' / 'python')
-        follow(name, here, environment, scribe)
-    text = '\n'.join(scribe.lines).replace(str(folder), '~')
-    return (f'## {title}: {scribe.seconds:.0f} s\n\n[The tutorial](tutorials/{name}.md)\n\n'
-            f'```text\n{text}\n```\n')
+        follow(name, here, environment, watch)
+    (_, installed, _), *given = watch.ended[1:]
+    seconds, end, command = max((end - begun, end, command) for begun, end, command in given
+                                if not command.startswith('sleep'))
+    verb = ' '.join(command.split()[:2])
+    return (f'| [{title}](tutorials/{name}.md) | {installed:.0f} s | `{verb}` ({seconds:.0f} s): '
+            f'{end:.0f} s | {given[-1][1]:.0f} s |')
 
 
-def follow(name, here, environment, scribe):
+def follow(name, here, environment, watch):
     """Give all commands of a tutorial."""
     with Terminals(here, environment) as terminals:
         for prose, commands in parts_of(TUTORIALS / f'{name}.md'):
-            if 'Ctrl-C' in prose and terminals.interrupt():
-                scribe.note(scribe.seconds, '^C')
+            if 'Ctrl-C' in prose:
+                terminals.interrupt()
             for command, expected in commands:
-                begun = scribe.seconds
+                begun = watch.seconds
                 if command.endswith(OWN):
                     terminals.start(command.removesuffix(OWN))
-                    scribe.note(begun, command)
                 else:
-                    scribe.note(begun, command, terminals.do(command, expected, JUDGED))
+                    terminals.do(command, expected, JUDGED)
+                watch.note(begun, command)
 
 
 if __name__ == '__main__':

@@ -15,6 +15,7 @@ import base64
 from pathlib import Path
 import shlex
 import shutil
+import subprocess
 import sys
 import tempfile
 from typing import NamedTuple
@@ -52,7 +53,7 @@ WORKS = {
     'compare': Work(('compare --out comparison',),
                     {'compare_report.png': 'comparison/report.html'}),
     'discrepancy': Work(
-        ('hide --out example --kind double --seeds 6 --duration 40',
+        ('bench hide --out example --kind double --seeds 6 --duration 40',
          'discrepancy example/double_6/bag --robot example/double_6/robot.yaml '
          '--holdout example/double_6/held_out --out example/result'),
         {'discrepancy_gap.png': 'example/result/gap.png',
@@ -87,9 +88,9 @@ def make(work, into):
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         for command in work.commands:
             words = shlex.split(command)
-            print(f'$ gms_flex {command}', flush=True)
-            gms_flex([f'{folder}/{word}' if is_path(word, words[k - 1]) else word
-                      for k, word in enumerate(words)])
+            print(f'$ {command}', flush=True)
+            run([f'{folder}/{word}' if is_path(word, words[k - 1]) else word
+                 for k, word in enumerate(words)])
         for picture, pattern in work.made.items():
             found = sorted(Path(folder).glob(pattern))
             if len(found) != 1:
@@ -100,6 +101,14 @@ def make(work, into):
                 return 2
             print(into / picture)
     return 0
+
+
+def run(words):
+    """Run a verb of gms_flex; after the word bench, one of ``python -m bench``."""
+    if words[0] == 'bench':
+        subprocess.run([sys.executable, '-m', *words], cwd=ROOT, check=True)
+    else:
+        gms_flex(words)
 
 
 def is_path(word, before):

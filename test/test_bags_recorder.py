@@ -170,7 +170,7 @@ def test_a_topic_that_never_comes_is_named_when_the_time_is_up(start):
     recording = start('--topics', '/nobody', '--duration', '0.5')
     recording.wait_for("not recorded: topic '/nobody' never had a publisher")
     recording.wait_for(': 0 messages')
-    recording.wait_for('nothing came')
+    recording.wait_for('nothing was received')
     assert recording.finish() == 1
 
 

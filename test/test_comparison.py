@@ -234,10 +234,10 @@ def test_the_robot_as_identified_is_the_plant_wherever_it_is_named(arm, tmp_path
 
 
 @pytest.mark.parametrize(('args', 'sentence'), [
-    (['bag', '--rate', '100'], '--rate 100: is of a plant'),
-    (['bag', '--draws', '50'], '--draws 50: is of a plant'),
-    (['bag', '--seed', '0'], '--seed 0: is of a plant'),
-    (['--fit', '0.4'], '--fit 0.4: is of a bag'),
+    (['bag', '--rate', '100'], '--rate 100: applies to a plant'),
+    (['bag', '--draws', '50'], '--draws 50: applies to a plant'),
+    (['bag', '--seed', '0'], '--seed 0: applies to a plant'),
+    (['--fit', '0.4'], '--fit 0.4: applies to a bag'),
     (['a.yaml', '--robot', 'b.yaml'], '--robot b.yaml: the plant is a.yaml already'),
     (['one', 'two'], 'two: give one bag at a time'),
     (['bag', 'a.yaml'], 'robot files behind --robot'),

@@ -226,7 +226,7 @@ def test_disordered_time_is_refused_or_dropped_as_asked(load):
     (change_line(5, '0.012,0.3,4'), r'log.csv:5: has 3 cells'),
     (change_line(5, ',0.3'), r'log.csv:5: time column .t. is empty'),
     (change_line(1, 't,theta'), r"has no column 'q', which j1.link_position \(.*map.yaml:5\) "
-                                r'asks for; known: t, theta'),
+                                r'requires; known: t, theta'),
     (change_line(1, 'q,q'), r"has no column 't'"),
     (lambda text: text.replace(',', ';'), r"one column only.*set file.delimiter: ';'"),
     (lambda text: 't,q\n', 'has no data below 1 header rows'),

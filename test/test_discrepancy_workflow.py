@@ -237,7 +237,7 @@ def test_a_known_effect_whose_value_is_wrong_is_told():
     hidden, = case.truth.effects
     halved = replace(hidden, values=(0.5 * hidden.values[0],))
     result = find_discrepancy([case.recording], replace(case.nominal, effects=(halved,)))
-    assert f'{hidden.name} of {hidden.joint}, which the model has already' in result.words
+    assert f'{hidden.name} of {hidden.joint} is in the model already' in result.words
 
 
 def test_a_hole_in_an_angle_is_left_out():
@@ -375,7 +375,7 @@ def test_what_makes_a_model_worse_is_no_finding(named, monkeypatch):
     true, = case.truth.effects
     assert result.verdict == COMPLETE and not result.findings and result.robot.effects == ()
     assert [one.key for one in result.minor] == [(true.name, true.joint)]
-    assert f'the model predicts better without: {true.name} of {true.joint}.' in result.words
+    assert f'the model predicts better without them: {true.name} of {true.joint}.' in result.words
     np.testing.assert_allclose(result.gap.after, result.gap.retuned, rtol=1e-3)
 
 

@@ -166,11 +166,11 @@ def test_the_command_prints_condition_value_limit_and_verdict(capsys, tmp_path):
     # the bound, and the two factors of which it is made
     pushed, spread = (float(re.search(f'{name}.*= ([0-9.]+)', out).group(1))
                       for name in ('D_bar / alpha', 'lmax / lmin'))
-    bound = float(re.search(r'ends below ([0-9.]+)\.\n  No prediction', out).group(1))
+    bound = float(re.search(r'ends below ([0-9.]+)\.\n  Not a prediction', out).group(1))
     assert pushed * spread == pytest.approx(bound, rel=0.02)
     assert tool('--robot', CONFIG / 'robot.yaml', stiff) == 1
     out = capsys.readouterr().out
-    assert 'VIOLATED' in out and 'none, N_2 is not positive definite' in out
+    assert 'VIOLATED' in out and 'none, because N_2 is not positive definite' in out
     assert tool('--robot', CONFIG / 'robot.yaml', stiff, '--json') == 1
     result = json.loads(capsys.readouterr().out)
     assert result['residual_bound'] is None and not result['met']

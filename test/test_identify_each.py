@@ -203,7 +203,7 @@ def test_bags_of_one_name_have_folders_of_their_own(tmp_path):
     with pytest.raises(ConfigError, match='given twice'):
         each.names_of([paths[0], f'{tmp_path}/friday/../monday/run'])
     (tmp_path / 'a.mcap').touch()
-    with pytest.raises(ConfigError, match='would both have'):
+    with pytest.raises(ConfigError, match='would both write'):
         each.names_of([str(tmp_path / 'a.mcap'), str(tmp_path / 'a')])
 
 

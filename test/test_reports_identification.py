@@ -171,7 +171,7 @@ def test_an_unknown_interval_is_not_made_up():
 
 @pytest.mark.parametrize(('curve', 'options', 'match'), [
     (Curve('c', [0, 1], [0]), {}, r'y has shape \(1,\), x \(2,\)'),
-    (Curve('c', [0, 1], [0, 1], 'pink'), {}, "role 'pink' is none of"),
+    (Curve('c', [0, 1], [0, 1], 'pink'), {}, "role 'pink' is not one of"),
     (Curve('c', [0, np.nan], [np.nan, 1]), {}, 'has no point to draw'),
     (Curve('c', [-1, 0], [0, 1]), {'log_x': True}, 'has no point to draw')])
 def test_a_curve_that_cannot_be_drawn_is_refused(curve, options, match):

@@ -146,7 +146,7 @@ def test_writing_is_whole_or_not_at_all(tmp_path):
     ([0, 1, 1], [0, 0, 0], '', 'must be finite and increase'),
     ([0, np.nan, 1], [0, 0, 0], '', 'must be finite and increase'),
     ([0, 1], [0, 0, 0], '', r'y has shape \(3,\), x \(2,\)'),
-    ([0, 1], [0, 0], 'pink', "role 'pink' is none of")])
+    ([0, 1], [0, 0], 'pink', "role 'pink' is not one of")])
 def test_a_chart_that_cannot_be_drawn_is_refused(x, y, role, match):
     with pytest.raises(ValueError, match=match):
         Report('r', answer()).chart('c', x, [Series('s', y, role=role)])

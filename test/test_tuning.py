@@ -292,7 +292,7 @@ def test_tune_tells_the_error_to_expect_and_that_the_bound_is_none(
     assert (f'expected error, gms, the worse motion: axis {1e3 * math.sqrt(mse):.3g} {length} '
             f'rms, {1e3 * peak:.3g} at most\n' in out)
     assert 'static friction can hold without compensation: axis ' in out
-    assert out.count('(43)') == 1 and 'No prediction' in out
+    assert out.count('(43)') == 1 and 'Not a prediction' in out
 
 
 def test_tune_says_no_where_nothing_fits(tmp_path, axis_file, capsys):
@@ -305,7 +305,7 @@ def test_tune_says_no_where_nothing_fits(tmp_path, axis_file, capsys):
 @pytest.mark.parametrize(('args', 'sentence'), [
     (['--rate', '0'], '--rate 0'), (['--damping', '0.5'], 'at least 1'),
     (['--torque-limit', '1', '2', '3'], 'each of the 2 joints'),
-    (['--robot', str(robot_file())], '--torque-limit is needed'),
+    (['--robot', str(robot_file())], '--torque-limit is required'),
     (['--verify', '1', '--bandwidth', '4', '--intervals', 'nowhere.json'], 'cannot be read')])
 def test_what_tune_cannot_do_is_refused(tmp_path, capsys, args, sentence):
     assert main(['tune', '--out', str(tmp_path), *args]) == 2

@@ -18,12 +18,22 @@ _HEAD = ('machine: fitted, then held out', 'band [Hz]', 'torque', '(a)', '(b)', 
 _NUMBERS = range(1, 9)
 
 
-def rows(outcomes):
-    """Return the table (list of lists of str), its head first: one row per split and band."""
+def rows(outcomes, most=None):
+    """
+    Return the table (list of lists of str), its head first.
+
+    Parameters
+    ----------
+    outcomes : sequence of Outcome
+        What was run.
+    most : int, optional
+        Rows of each split, one per band, the lowest first; by default all of them.
+
+    """
     table = [list(_HEAD)]
     for outcome in outcomes:
         machine = MACHINES[outcome.machine]
-        for k, one in enumerate(outcome.bands):
+        for k, one in enumerate(outcome.bands[:most]):
             torques = [f'{machine.factor * value:.3g}' for value in (
                 one.torque, one.textbook, one.library, one.chosen, one.identified, one.final)]
             torques[0] += f' {machine.unit}'
@@ -55,9 +65,9 @@ def as_text(table):
     return '\n'.join([lines[0], '  '.join('-' * width for width in widths), *lines[1:]])
 
 
-def as_markdown(table):
-    """Return a table for a document."""
-    marks = ['--:' if k in _NUMBERS else '---' for k in range(len(table[0]))]
+def as_markdown(table, numbers=_NUMBERS):
+    """Return a table for a document; columns of ``numbers`` are aligned to the right."""
+    marks = ['--:' if k in numbers else '---' for k in range(len(table[0]))]
     return '\n'.join(f'| {" | ".join(row)} |' for row in (table[0], marks, *table[1:]))
 
 
@@ -68,8 +78,8 @@ def remarks(outcomes):
         machine = MACHINES[one.machine]
         folder, name = f'{shared_data() / machine.folder}/', f'{machine.title}, {one.split}'
         if one.refused:
-            lines.append(f'- {name}: `identify` refuses ({one.refused}); the belief stands in '
-                         'the place of its robot.'.replace(folder, ''))
+            lines.append(f'- {name}: `identify` refuses ({one.refused}); the believed robot '
+                         'replaces its result.'.replace(folder, ''))
         if one.verdict == CRASHED:
             lines.append(f'- {name}: `discrepancy` ends with an error: {one.words}'.replace(
                 folder, ''))
@@ -78,7 +88,7 @@ def remarks(outcomes):
 
 def into_document(path, outcomes, skipped, pictures):
     """
-    Write the results between the markers of a document.
+    Write the results between the markers of a document, of each split in its lowest band.
 
     Parameters
     ----------
@@ -93,7 +103,8 @@ def into_document(path, outcomes, skipped, pictures):
 
     """
     lines = [*remarks(outcomes), *(f'- {line}' for line in skipped)]
-    parts = [as_markdown(rows(outcomes)), *(['\n'.join(lines)] if lines else []),
+    table = [[row[0], *row[2:]] for row in rows(outcomes, most=1)]  # without the band
+    parts = [as_markdown(table, range(1, 8)), *(['\n'.join(lines)] if lines else []),
              *(f'![{title}](images/{name})' for title, name in pictures)]
     text, made = path.read_text(encoding='utf-8'), '\n\n'.join(parts)
     pattern = f'{re.escape(BEGIN)}.*?{re.escape(END)}'

@@ -117,14 +117,14 @@ class CsvTable:
         if isinstance(name, int):
             if not 1 <= name <= len(self.names):
                 raise ImportDataError(f'{self.path}: has {len(self.names)} columns, {asked_by} '
-                                      f'asks for column {name}; they count from 1')
+                                      f'requires column {name}; they count from 1')
             return name - 1
         for names in self._other_names:
             if name not in self.names and names.count(name) == 1:
                 return names.index(name)  # the last header row holds units or the like
         if name not in self.names:
-            raise ImportDataError(f'{self.path}: has no column {name!r}, which {asked_by} asks '
-                                  f'for{did_you_mean(name, self.names)}')
+            raise ImportDataError(f'{self.path}: has no column {name!r}, which {asked_by} '
+                                  f'requires{did_you_mean(name, self.names)}')
         if self.names.count(name) > 1:
             raise ImportDataError(f'{self.path}: has {self.names.count(name)} columns named '
                                   f'{name!r}; give the number of the one meant (from 1)')

@@ -73,7 +73,8 @@ class Table4:
         """Return how much closer the links follow with the best compensation (Answer)."""
         best, places = self.best, self.hardest
         if not places:
-            return Answer('The recordings hold no reference, so there is no error to tell.',
+            return Answer('The recordings hold no reference, so no tracking error can be '
+                          'computed.',
                           (), (), command('info', self.runs[0].source))
         rows = [(name, label, *place) for name, label in (
             ('rms', 'rms error'), ('max_error', 'largest error')) for place in places]

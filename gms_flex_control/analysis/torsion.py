@@ -167,7 +167,7 @@ def study(recording, joint, stiffness, motor_inertia=0.0):
                         np.where(velocity < 0, -1.0, 0.0), velocity], axis=1)
     if moving.sum() < _FEWEST or np.linalg.matrix_rank(columns[moving]) < columns.shape[1]:
         raise BagError(f'{recording.source}: {joint} must move both ways, at changing speed, to '
-                       'tell inertia from friction')
+                       'separate inertia from friction')
     fit, *_ = np.linalg.lstsq(columns[moving], torque[moving], rcond=None)
     robot = first_model(joint, stiffness, motor_inertia, fit, recording.source)
     torque_model = motor_torque(robot, velocity, acceleration)

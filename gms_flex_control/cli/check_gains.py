@@ -74,18 +74,19 @@ def text(report):
 def bound_lines(report):
     """Return the residual set (43) of a GainReport, and what it is worth, as lines of text."""
     if not math.isfinite(report.residual):
-        return ['residual set (43): none, N_2 is not positive definite; nothing is promised']
+        return ['residual set (43): none, because N_2 is not positive definite; stability is not '
+                'guaranteed']
     bottom, top = report.energy_range
     pushed, spread = report.disturbance / report.alpha.min(), math.sqrt(top / bottom)
     return [
         'residual set (43): the norm of all errors together (angles, rates, block torques) ends '
         f'below {report.residual:.4g}.',
-        '  No prediction: it lets all friction be wrong by its most, at once and for ever, '
+        '  Not a prediction: it assumes the largest error of all friction, at once and for ever, '
         'against the weakest',
         f'  damping (D_bar / alpha = {report.disturbance:.4g} / {report.alpha.min():.4g} = '
-        f'{pushed:.3g}), and all of that energy go into the lightest',
-        f'  error (sqrt(lmax / lmin of N_1) = {spread:.3g}). What to expect is simulated: '
-        'gms_flex tune, simulate']
+        f'{pushed:.3g}), and all of that energy in the lightest',
+        f'  error (sqrt(lmax / lmin of N_1) = {spread:.3g}). Simulate what to expect: gms_flex '
+        'tune, simulate']
 
 
 _KINDS = {'gershgorin': 'Gershgorin', 'exact': 'exact, N_2 > 0'}

@@ -19,12 +19,12 @@ def add_parser(subparsers):
     parser = subparsers.add_parser(
         'compare', help='friction compensations side by side',
         description='Compare eight ways to compensate friction: none, static Stribeck, LuGre, '
-                    'GMS as in the paper, better, of the desired motion and adaptive, and a '
-                    'disturbance observer. On a plant (a robot file) they drive it in '
-                    'simulation, also where friction, K and M differ from what is believed, '
-                    'with coarse and fine encoders, slower and faster. Along a bag they predict '
-                    'the friction torque, fitted to its first part and judged on the rest. '
-                    'A killed run goes on when started again with the same --out.')
+                    'four kinds of GMS (of the paper, improved, of the desired motion, adaptive) '
+                    'and a disturbance observer. On a plant (a robot file) each drives it in '
+                    'simulation, also with friction, K and M that differ from the belief, with '
+                    'coarse and fine encoders, and at other rates. Along a bag they predict the '
+                    'friction torque, fitted to its first part and judged on the rest. A killed '
+                    'run goes on when started again with the same --out.')
     parser.add_argument('source', nargs='*', metavar='BAG|PLANT',
                         help='a bag, or robot files, later ones winning; default: --robot')
     parser.add_argument('--robot', nargs='+', metavar='FILE',
@@ -96,8 +96,8 @@ def settle(args, is_plant):
     for name in foreign:
         value = getattr(args, name)
         if value is not None:
-            raise ConfigError(f'--{name} {value:g}: is of a {where}, and none is compared here; '
-                              'leave it out')
+            raise ConfigError(f'--{name} {value:g}: applies to a {where}, and none is compared '
+                              'here; leave it out')
     for name, value in (OF_A_PLANT | OF_A_BAG).items():
         if getattr(args, name) is None:
             setattr(args, name, value)

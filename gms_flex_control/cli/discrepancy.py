@@ -17,12 +17,12 @@ def add_parser(subparsers):
     parser = subparsers.add_parser(
         'discrepancy', help='find what a model lacks, name it, add it, show the gap shrink',
         description='Compare a model with bags of its robot, recorded or simulated; name the '
-                    'physical effects it lacks, write them into DIR/robot.yaml, and show on data '
-                    'held out how much closer it came: report.json, report.html, pictures. Exit '
-                    'codes: 0 nothing is missing, 1 effects were found or something is '
-                    'unexplained, 2 the data or the input are bad. With --each every bag is '
-                    'asked by itself, and what is named is counted over the bags; a killed run '
-                    'goes on when started again with the same --out.')
+                    'physical effects it lacks, write them into DIR/robot.yaml, and show on '
+                    'held-out data how much better it predicts: report.json, report.html, '
+                    'pictures. Exit codes: 0 nothing is missing, 1 effects were found or '
+                    'something is unexplained, 2 the data or the input are bad. With --each '
+                    'every bag is analysed by itself, and names are counted over the bags; a '
+                    'killed run goes on when started again with the same --out.')
     parser.add_argument('bags', nargs='+', metavar='BAG', help='bags of one robot')
     parser.add_argument('--each', action='store_true',
                         help='each bag by itself into DIR/NAME OF THE BAG, all side by side in '
@@ -67,7 +67,7 @@ def run(args):
         return run_each(args)
     if args.workers is not None or args.scheduler is not None:
         raise ConfigError('--workers and --scheduler divide many bags; add --each, or leave them '
-                          'out: bags asked together are one search')
+                          'out: bags analysed together are one search')
     result, compared, holdout = answered(args)
     values = write_files(result, compared, holdout, args)
     return printed(result, compared, values, args)
@@ -103,7 +103,7 @@ def searched(takes, robot, options, holdout, args):
         if not args.force:
             raise
         raise BagError(f'{", ".join(args.bags)}: no model can be fitted to these data ({error}); '
-                       'without --force their faults are named, mend those first') from error
+                       'without --force their faults are listed; correct those first') from error
 
 
 def looped(args, robot, recordings, search):

@@ -78,8 +78,8 @@ def names_of(bags):
         for place in _twice(names):
             names[place] = _name(paths[place], depth)
     if again := _twice(names):
-        raise ConfigError(f'{" and ".join(paths[place] for place in again[:2])} would both have '
-                          f'their results in {names[again[0]]}; identify them apart')
+        raise ConfigError(f'{" and ".join(paths[place] for place in again[:2])} would both write '
+                          f'their results to {names[again[0]]}; run them separately')
     return dict(zip(names, paths, strict=True))
 
 

@@ -10,8 +10,8 @@ def add_parser(subparsers):
     """Add the verb to the command line."""
     parser = subparsers.add_parser(
         'effects', help='the effects a robot file can have, with their parameters',
-        description='List the effects of the catalogue: what each is, how it stands in a robot '
-                    'file, and its parameters with their units. With names, only those.')
+        description='List the effects of the catalogue: what each is, how to write it in a robot '
+                    'file, and its parameters with their units. With names, only those effects.')
     parser.add_argument('names', nargs='*', metavar='EFFECT', help='default: all of them')
     parser.add_argument('--json', action='store_true', help='print JSON')
     parser.set_defaults(run=run)

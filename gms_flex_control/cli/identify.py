@@ -19,9 +19,9 @@ def add_parser(subparsers):
                     'record` or of import-csv. Writes friction.yaml, which plant and controller '
                     'take as it is, report.json, report.html and pictures. Inertia, stiffness '
                     'and gravity of the robot file are relied on unless --estimate all. With '
-                    '--each every bag is identified by itself, and what the bags say of each '
-                    'parameter is compared; exit code 1 if one could not be; a killed run goes '
-                    'on when started again with the same --out.')
+                    '--each every bag is identified by itself, and each parameter is compared '
+                    'over the bags; exit code 1 if a bag could not be identified; a killed run '
+                    'goes on when started again with the same --out.')
     parser.add_argument('bags', nargs='+', metavar='BAG',
                         help='bags of one robot, fitted together; with --each of any number')
     parser.add_argument('--each', action='store_true',

@@ -10,8 +10,8 @@ def add_parser(subparsers):
     """Add the verb to the command line."""
     parser = subparsers.add_parser(
         'info', help='topics, rates, gaps, joints and checksums of a bag',
-        description='Read a whole bag and tell what is in it. Exit code 1 if messages are '
-                    'lost or damaged.')
+        description='Read a whole bag and list what is in it. Exit code 1 if messages are lost '
+                    'or damaged.')
     parser.add_argument('bag', help='bag folder or file (mcap or sqlite3, plain or zstd)')
     parser.add_argument('--json', action='store_true', help='print JSON')
     parser.set_defaults(run=run)

@@ -148,8 +148,8 @@ def run_verb(args, seen):
         print(f'gms_flex {args.verb}: {error}', file=sys.stderr)
         return BAD_INPUT
     except MemoryError:
-        print(f'gms_flex {args.verb}: not enough memory for so many samples; ask for a shorter '
-              'time or a lower rate', file=sys.stderr)
+        print(f'gms_flex {args.verb}: not enough memory for so many samples; choose a shorter '
+              'duration or a lower rate', file=sys.stderr)
         return BAD_INPUT
     except KeyboardInterrupt:
         return interrupted(args)

@@ -96,8 +96,8 @@ def refuse_fitted(bags, holdout):
         for other in fitted.get(_sizes(bag), ()):
             if _folder_of(bag) == _folder_of(other) or _digest(bag) == _digest(other):
                 copied = '' if bag == other else f', with the same content as {other},'
-                raise ConfigError(f'{bag}{copied} is among the bags and in --holdout; data held '
-                                  'out must take no part in the fit: leave it out of one of them')
+                raise ConfigError(f'{bag}{copied} is among the bags and in --holdout; held-out '
+                                  'data must not be fitted: leave it out of one of them')
 
 
 def _folder_of(bag):

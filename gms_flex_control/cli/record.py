@@ -14,9 +14,9 @@ def add_parser(subparsers):
     """Add the verb to the command line."""
     parser = subparsers.add_parser(
         'record', help='record topics into a bag',
-        description='Record topics, each as soon as it has a publisher, until Ctrl-C, SIGTERM '
-                    'or --duration. At most 0.2 s are lost if the recorder is killed; '
-                    '"gms_flex repair" then completes the bag. Exit code 1 if nothing came.')
+        description='Record topics, each as soon as it has a publisher, until Ctrl-C, SIGTERM or '
+                    '--duration. At most 0.2 s are lost if the recorder is killed; "gms_flex '
+                    'repair" then completes the bag. Exit code 1 if nothing was received.')
     what = parser.add_mutually_exclusive_group(required=True)
     what.add_argument('--topics', nargs='+', metavar='TOPIC', help='what to record')
     what.add_argument('--all', action='store_true', help='every topic that is not hidden')
@@ -42,8 +42,8 @@ def run(args):
             _say(f'  {name}  {count}')
         _say(f'{args.out}: {total} messages')
     if not total:
-        print('gms_flex record: nothing came; do the publishers run, in this ROS_DOMAIN_ID, under '
-              'these names? (ros2 topic list)', file=sys.stderr)
+        print('gms_flex record: nothing was received; are the publishers running, in this '
+              'ROS_DOMAIN_ID, under these names? (ros2 topic list)', file=sys.stderr)
     return 0 if total else 1
 
 

@@ -15,10 +15,10 @@ def add_parser(subparsers):
     """Add the verb to the tool's parser."""
     parser = subparsers.add_parser(
         'torsion', help='a first flexible-joint model of one recorded axis',
-        description='Fit inertia, Coulomb and viscous friction to the torque of one axis, turn '
-                    'the torque into twist by a given stiffness, and compare with the measured '
-                    'difference of motor and link encoder. For axes that do not act on each '
-                    'other and carry no gravity.')
+        description='Fit inertia, Coulomb and viscous friction to the torque of one axis, divide '
+                    'the torque by a given stiffness, and compare with the measured difference '
+                    'of motor and link encoder. For axes that do not act on each other and carry '
+                    'no gravity.')
     parser.add_argument('bag', help='bag with angles of both sides and the torque of the motor')
     parser.add_argument('--joint', required=True, help='link name')
     parser.add_argument('--stiffness', required=True, type=float, metavar='K',
@@ -55,7 +55,7 @@ def comment(study):
     return (f'First model of {study.joint} from {study.source}, by gms_flex torsion.\n'
             'M + J, coulomb and viscous were fitted to the torque; stiffness as given;\n'
             f'J {given}; Stribeck velocity, block stiffness and attraction are ASSUMED:\n'
-            'the data do not tell them.')
+            'the data do not identify them.')
 
 
 def as_dict(study):

@@ -21,8 +21,8 @@ def add_parser(subparsers):
         'tune', help='gains for a robot: proposed, judged, tried, verified',
         description='Propose the stiffest gains of the cascade controller that keep margins, '
                     'encoder noise and the conditions (39), show margins and expected tracking '
-                    'error, and write controller.yaml. Exit code 1 if no gains meet what is '
-                    'asked, or a robot drawn by --verify is not held.')
+                    'error, and write controller.yaml. Exit code 1 if no gains meet the '
+                    'requirements, or a robot drawn by --verify is lost.')
     parser.add_argument('--robot', nargs='+', metavar='FILE',
                         help='robot files, later ones winning; default: the arm of the paper')
     parser.add_argument('--controller', nargs='+', metavar='FILE',
@@ -59,7 +59,7 @@ def _add_demands(parser):
     parser.add_argument('--phase-margin', type=float, default=30.0, metavar='DEG',
                         help='default: %(default)g')
     parser.add_argument('--delay-margin', type=float, metavar='MS',
-                        help='further delay that is borne (default: one sample)')
+                        help='further delay that the loop must tolerate (default: one sample)')
     parser.add_argument('--noise', type=float, default=0.1, metavar='SHARE',
                         help='of the torque limit that encoder noise may take as rms torque '
                              '(default: %(default)g)')
@@ -125,8 +125,8 @@ def asked(args):
     if args.controller or not args.robot:
         base = load_controller(args.controller or controller_file(), robot)
     elif limit is None:
-        raise ConfigError('--torque-limit is needed: what the motors of this robot can give, or '
-                          '--controller with a file that says it')
+        raise ConfigError('--torque-limit is required: the torque that the motors of this robot '
+                          'can give; or a --controller file that states it')
     else:
         one = np.ones(n)
         base = ControllerParams(
@@ -150,8 +150,8 @@ def intervals_asked(args):
     if not args.intervals:
         return {}
     if not args.verify:
-        raise ConfigError(f'--intervals {args.intervals}: is of the robots that --verify draws; '
-                          'give --verify N as well, or leave it out')
+        raise ConfigError(f'--intervals {args.intervals}: concerns the robots that --verify '
+                          'draws; give --verify N as well, or leave it out')
     return read_intervals(args.intervals)
 
 
@@ -197,8 +197,8 @@ def at_limit(run, robot, limit, motion):
     import numpy as np
 
     share = np.mean(np.abs(run.command) >= limit, axis=0)
-    return [f'{joint}: at the torque limit for {100 * share[j]:.0f} % of the {motion}; ask for '
-            'less --amplitude, or give a larger --torque-limit'
+    return [f'{joint}: at the torque limit for {100 * share[j]:.0f} % of the {motion}; give a '
+            'smaller --amplitude or a larger --torque-limit'
             for j, joint in enumerate(robot.joints) if share[j] > _MOST_AT_LIMIT]
 
 

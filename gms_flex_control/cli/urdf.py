@@ -11,7 +11,8 @@ def add_parser(subparsers):
     parser = subparsers.add_parser(
         'urdf', help='the robot as URDF, for RViz, robot_state_publisher and simulators',
         description='Describe links, motors and inertias of a robot file as URDF. Springs, which '
-                    'URDF cannot say, stand there as comments; friction as far as URDF has it.')
+                    'URDF cannot express, become comments; friction is written as far as URDF '
+                    'has it.')
     parser.add_argument('--robot', nargs='+', metavar='FILE',
                         help='robot files, later ones winning; default: the arm of the paper')
     parser.add_argument('--out', metavar='FILE', help='default: print it')

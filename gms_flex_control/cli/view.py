@@ -21,10 +21,10 @@ def add_parser(subparsers):
     """Add the verb to the command line."""
     parser = subparsers.add_parser(
         'view', help='the arm moving in a browser, from a bag or live',
-        description='Serve a page that shows the arm, its spring wind-up, tracking error, torque '
-                    'and friction blocks: a bag to play and scrub, or the running loop with '
-                    'sliders for the gains of the controller. Everything comes from this one '
-                    'process and stays on this machine. Ctrl-C ends it.')
+        description='Serve a page that shows the arm, its spring deflection, tracking error, '
+                    'torque and friction blocks: a bag to play and scrub, or the running loop '
+                    'with sliders for the gains of the controller. Everything comes from this '
+                    'one process and stays on this machine. Ctrl-C ends it.')
     parser.add_argument('what', metavar='BAG|live', nargs='+',
                         help='bags, the others drawn pale over the first, such as with and '
                              'without compensation; or the word live (needs ROS)')
@@ -105,5 +105,5 @@ def _view(args):
 def _warn(args):
     what = 'see the arm and set gains' if args.allow_set else 'see this page'
     print(f'gms_flex view: warning: listening on {args.host}: whoever reaches that address can '
-          f'{what}; nothing is encrypted and nobody is asked for a password', file=sys.stderr,
+          f'{what}; there is no encryption and no password', file=sys.stderr,
           flush=True)

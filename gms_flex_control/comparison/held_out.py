@@ -18,7 +18,7 @@ from scipy.optimize import least_squares
 FITTED = {'none': False, 'stribeck': True, 'lugre': True, 'gms_paper': True, 'gms': True,
           'gms_desired': True, 'disturbance_observer': False, 'gms_adaptive': True}
 NEEDS_REFERENCE = ('gms', 'gms_desired')
-REMARKS = {'disturbance_observer': 'sees the torque it is to tell, late',
+REMARKS = {'disturbance_observer': 'sees the torque that it predicts, late',
            'gms_adaptive': 'goes on adapting to the torque error while it is judged'}
 _MOST_FIT = 40_000   # samples of a fit
 _LEAST_SHARE = 0.05  # static above Coulomb friction, and viscous at v_s, where a fit begins

@@ -79,7 +79,8 @@ class _Angle:
         self.pushed = self.pushed + dt if abs(self.torque - self.before) > self.limit else 0.0
 
     def _finding(self, turned):
-        why = (f'its velocity tells of {abs(self.turned):.2g} rad: the encoder is frozen'
+        why = (f'its velocity implies a motion of {abs(self.turned):.2g} rad: the encoder is '
+               'frozen'
                if turned else
                f'its torque changed by {abs(self.torque - self.before):.3g} N m: '
                'the encoder is frozen or the motor blocked')

@@ -65,8 +65,8 @@ def evidence_of(one, others):
     scale = torque_scale(one.torque)
     sentence = (f'it contributes {scale.text(one.torque)} {scale.unit} rms, '
                 f'{100.0 * one.share:.0f} % of which (in squares) nothing else in the model can '
-                f'make; on blocks of time that were left out it adds {one.gain.nats:.3g} to the '
-                f'log likelihood, {one.gain.sigmas:.2g} standard errors')
+                f'produce; on blocks of time left out of the fit it adds {one.gain.nats:.3g} to '
+                f'the log likelihood, {one.gain.sigmas:.2g} standard errors')
     if others:
         name, joint, share = others[0]
         sentence += (f'; the next best in its place, {name} of {joint}, explains '
@@ -120,31 +120,30 @@ def paragraph(result, unseen=(), known_off=None):
     if result.stand_ins:
         names_of = ' and '.join(f'{one.name} of {one.joint}' for one in result.stand_ins)
         parts.append(
-            f'The model that is written has {names_of} as well: it predicts better so, though not '
-            'by what matters.' if result.verdict == COMPLETE else
-            f'The model that is written has {names_of} in its place: it predicts better so, but '
-            'they only resemble what is missing.')
+            f'The written model has {names_of} as well: it predicts better so, though by '
+            'less than what matters in practice.' if result.verdict == COMPLETE else
+            f'The written model has {names_of} in its place: it predicts better so, but '
+            'this only resembles what is missing.')
     parts += [_gap(result), *_noise(result)]
     if result.recordings:
-        parts.append(f'Unlike in the first recording: {"; ".join(result.recordings)}.')
+        parts.append(f'Different from the first recording: {"; ".join(result.recordings)}.')
     if unseen:
         lost = [name for name in names() if find(name).needs_link_encoder]
         parts.append(f'No link encoder of {", ".join(unseen)} was recorded: the link angle is '
                      "computed from the motor's, its torque, inertia and stiffness as believed. "
                      f'Not identifiable there: {", ".join(lost)}.')
     if known_off:
-        parts.append(f'{known_off[0]} of {known_off[1]}, which the model has already, would '
-                     'explain more than anything else with another value: correct it or take it '
-                     'out, and run again.')
+        parts.append(f'{known_off[0]} of {known_off[1]} is in the model already; another value of '
+                     'it would explain more than any new effect. Correct it or take it out, and '
+                     'run again.')
     return ' '.join(parts)
 
 
 def _verdict(result):
     """Yield sentences: what is missing, and what each finding could also be."""
     if result.verdict == COMPLETE:
-        yield ('Nothing that matters is missing: what the model leaves is noise, and no effect '
-               'of the catalogue improves held-out prediction by more than what matters in '
-               'practice.')
+        yield ('Nothing that matters is missing: the residual is noise, and no effect of the '
+               'catalogue improves held-out prediction by as much as matters in practice.')
     if result.findings:
         shown = result.findings[:_IN_FULL]
         yield f'The model lacks {"; ".join(named(one) for one in shown)}.'
@@ -156,10 +155,10 @@ def _verdict(result):
     added = {(spec.name, spec.joint) for spec in result.robot.effects}
     beside = [*result.findings[_IN_FULL:], *(one for one in result.minor if one.key in added)]
     if beside:
-        yield f'Smaller than what matters in practice: {_briefly(beside)}.'
+        yield f'Too small to matter in practice: {_briefly(beside)}.'
     without = [one for one in result.minor if one.key not in added]
     if without:
-        yield ('The recordings speak for these as well, but the model predicts better without: '
+        yield ('The recordings also support these, but the model predicts better without them: '
                f'{_briefly(without)}.')
 
 

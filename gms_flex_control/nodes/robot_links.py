@@ -117,8 +117,8 @@ class TopicLink:
         if not listeners:
             return 'nobody takes the efforts'
         if self._guardian is not None and self._guardian.heard_by < listeners:
-            return (self.broken or 'the guardian reaches '
-                    f'{self._guardian.heard_by} of the {listeners} who take the efforts')
+            return (self.broken or f'the guardian reaches {self._guardian.heard_by} of the '
+                                   f'{listeners} subscribers of the efforts')
         return ''
 
     def _listeners(self):
@@ -131,9 +131,8 @@ class TopicLink:
         rivals = sum(max(self._node.count_publishers(topic) - ours, 0) for topic in topics)
         if rivals > self._known_rivals:
             self._node.get_logger().warning(
-                f"{rivals} more publish on {' and '.join(topics)}: whoever takes the efforts "
-                'obeys both; end them, if they are not gone already (one that was killed is '
-                'counted for 20 s)')
+                f"{rivals} more publish on {' and '.join(topics)}: the robot obeys all of them; "
+                'end them, if they are not gone already (one that was killed is counted for 20 s)')
         self._known_rivals = rivals
         return rivals
 

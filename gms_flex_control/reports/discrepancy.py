@@ -42,7 +42,7 @@ from gms_flex_control.reports.page import Curve, Report, Series
 import numpy as np
 
 TITLES = {COMPLETE: 'Nothing is missing', FOUND: 'Effects the model lacks',
-          UNEXPLAINED: 'Something is missing that has no name here',
+          UNEXPLAINED: 'Something is missing that the catalogue does not name',
           BAD_DATA: 'The data are at fault'}
 COLUMNS = (WITHOUT, WITH, 'noise floor')
 MOST_PICTURES = 8     # findings with a picture and a chart of their own
@@ -122,8 +122,8 @@ def _sentence(result):
     if not result.findings:
         return ('Something is missing that no effect of the catalogue explains: '
                 f'{result.unexplained.sentence}' if result.unexplained is not None else
-                'Nothing that matters is missing: on data held out the model errs by no more than '
-                'the noise floor, which is what encoders and torque noise alone would make.')
+                'Nothing that matters is missing: on held-out data the error of the model does '
+                'not exceed the noise floor, which encoders and torque noise alone produce.')
     effects = ' and '.join(
         f'{one.effect} of {one.joint} ({value_words(one)}'
         + (f'; indistinguishable here from {", ".join(one.confusable_with)})'
@@ -137,7 +137,7 @@ def _sentence(result):
     which = 'both' if len(at_floor) == 2 else ''.join(at_floor)
     where = f', {which} to about the noise floor, which' if at_floor else '. The noise floor'
     found = 'it' if len(result.findings) == 1 else 'them'
-    return (f'The model lacks {effects}: with {found}, on data held out, '
+    return (f'The model lacks {effects}: with {found}, on held-out data, '
             f'{" and ".join(change for _, change, _ in changes)}{where} is what encoders and '
             'torque noise alone would leave.')
 
@@ -218,11 +218,11 @@ def _add_summary(report, result):
         report.note(text, warning=True)
     if result.gap is not None:
         report.heading('The gap')
-        report.text('Each bar is what a model leaves on data that took no part in its fit. '
-                    'Without effects, on all of this page, the parameters the model has already '
-                    'are re-tuned, as far as their priors make plausible. The noise floor is a '
-                    'null simulation: a run of the final model itself, read through encoders like '
-                    'those of the recording, with its torque noise.')
+        report.text('Each bar is the residual of a model on data left out of its fit. On this '
+                    'page, known parameters are re-tuned within their priors in the model '
+                    'without effects. The noise floor is a null simulation: a run of the final '
+                    'model, read through encoders like those of the recording, with its torque '
+                    'noise.')
 
 
 def _add_rest_and_noise(report, result):
@@ -233,13 +233,13 @@ def _add_rest_and_noise(report, result):
             ('joint', *(f'{name} [{scale.unit}]' for name in (WITHOUT, WITH))),
             [(joint, scale.text(before), scale.text(after)) for joint, before, after in zip(
                 gap.joints, gap.rest_before, gap.rest_after, strict=True)],
-            'Residual torque while links stand, rms: friction at rest is anything up to '
-            'break-away, so these figures decide nothing')
+            'Residual torque at rest, rms: friction at rest can have any value up to break-away, '
+            'so no decision rests on these figures')
     if result.noise:
         report.heading('Torque noise of the recordings')
         report.table(('where', 'size and colour'),
                      [of_noise(one).split(': ', 1) for one in result.noise],
-                     'Beyond what encoders make; the likelihood takes it into account')
+                     'In addition to encoder noise; the likelihood accounts for it')
 
 
 def _add_findings(report, result, evidence, picture, first):
@@ -251,10 +251,11 @@ def _add_findings(report, result, evidence, picture, first):
             ('effect', 'joint', 'parameters (95 %)', f'torque [{scale.unit}]', 'share',
              'probability', 'held-out gain', 'indistinguishable from'),
             [_finding_row(one, scale) for one in findings],
-            'The largest first; small ones (*) are below what matters in practice. Share: of what '
-            're-tuning cannot explain, what would be left without the effect. Probability: of all '
-            'models that have it. Held-out gain: of log likelihood on blocks of time left out '
-            'of the fit, and in standard errors of its mean over blocks in which the effect acts')
+            'Largest first; effects marked * are too small to matter in practice. Share: the '
+            'part of what re-tuning cannot explain that would remain without the effect. '
+            'Probability: of all models with the effect. Held-out gain: of log likelihood on '
+            'blocks of time left out of the fit, and in standard errors over the blocks in which '
+            'the effect acts')
     sets = [set(model.effects) for model in result.models]
     common = set.intersection(*sets) if sets else set()
     report.table(('effects', 'probability'), [
@@ -317,9 +318,9 @@ def _add_left(report, result):
 def _add_residuals(report, along, behind, picture):
     before, after, null = residuals_of(along, behind)
     report.heading('Where model and measurement disagree')
-    report.text('Torque that is missing in the equations of motion, behind a low-pass of 8 Hz; '
-                'positive pushes forward. Maps are white where the mean is chance (95 %), grey '
-                'where the motion did not go.')
+    report.text('Torque missing in the equations of motion, behind a low-pass of 8 Hz; positive '
+                'torque pushes forward. Maps are white where the mean is within chance (95 %), '
+                'grey where the motion did not go.')
     over = over_all(along, before, after, null)
     for j, joint in enumerate(along.joints):
         name = f'{file_stem(joint)}_{j + 1}'
@@ -335,9 +336,8 @@ def _add_residuals(report, along, behind, picture):
         [(one.joint, one.equation, one.variable,
           *(f'{100.0 * share:.0f} %' for share in (*one.shares, *one.off_zero)))
          for one in sorted(over, key=lambda one: -one.shares[0])],
-        'Share of the residual that is a function of one variable alone, also in a null '
-        'simulation, which shows what is chance; and the share of bins whose 95 % band leaves '
-        'zero out')
+        'Share of the residual that is a function of one variable alone, beside that of a null '
+        'simulation, which is chance; and the share of bins whose 95 % band excludes zero')
     first = along.likelihood.whitenings[0]
     time, split = first.time[first.settled], first.settled.sum()
     scale = torque_scale(before[:split])
@@ -377,8 +377,8 @@ def _free_runs(behind, holdout):
 
 def _add_free_runs(report, runs, left_out):
     report.heading('Simulated less measured motion')
-    report.text(f'From the measured state, every {HORIZON:g} s anew, each model runs on freely '
-                'under the recorded torque alone; nothing corrects it. Recording: '
+    report.text(f'Every {HORIZON:g} s each model starts from the measured state and runs freely '
+                'under the recorded torque; nothing corrects it. Recording: '
                 f'{runs.motion.source}.')
     for j in range(len(runs.motion.joints)):
         if j is not left_out:
@@ -408,11 +408,11 @@ def _simulated(likelihood, motion, model):
 def _add_closed_loop(report, again):
     if again is None:
         return
-    report.heading('The closed loop, simulated anew')
-    report.text('Model and controller follow the recorded reference once more; each figure is how '
-                'far the simulated link angle is from the measured one. The controller believes '
-                'the model as given, as it did on the robot. The noise floor is by what two '
-                'runs of the final model differ that differ in encoder noise alone.')
+    report.heading('The closed loop, simulated')
+    report.text('Model and controller follow the recorded reference; each figure is the distance '
+                'of the simulated link angle from the measured one. The controller believes the '
+                'given model, as it did on the robot. The noise floor is the difference of two '
+                'runs of the final model with different encoder noise.')
     report.table(
         ('joint', *(f'{name} [mrad]' for name in ('as given', *COLUMNS))),
         [(joint, *(f'{1e3 * value[j]:.3g}' for value in (
@@ -436,9 +436,8 @@ def _add_tables(report, result, models):
     report.table(('effect', 'joint', 'score'),
                  [(one.effect, one.joint, ('' if one.bounded else 'at most ') + f'{one.score:.4g}')
                   for one in result.tried],
-                 'First scan: by how much -2 log likelihood would decrease with each effect '
-                 'alone, known parameters re-tuned; beyond the best, bounds of parameters left '
-                 'aside')
+                 'First scan: decrease of -2 log likelihood with each effect alone and known '
+                 'parameters re-tuned; except for the best effects, parameters are not bounded')
     joints = list(dict.fromkeys(joint for _, joint, _ in result.retuned))
     changes = {}
     for name, joint, change in result.retuned:

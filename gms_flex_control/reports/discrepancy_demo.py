@@ -161,16 +161,16 @@ def write_demo_report(outcome, folder):
     """
     folder = Path(folder)
     report = Report('What does the model lack? A demonstration', demo_answer(outcome),
-                    'Three ROS 2 nodes in lockstep; the plant has something in it that the tool, '
-                    'given a bag and the robot file believed in, does not know')
+                    'Three ROS 2 nodes in lockstep; the plant has an effect that the tool, given '
+                    'a bag and the believed robot file, does not know')
     save_figure(tracking_figure(outcome), folder / 'tracking.png')
     worst = _worst(outcome)
     _add_error(report, outcome, worst)
     report.heading('Without and with the effects')
-    report.text('The arm was driven through a motion by a controller that believed the robot '
-                'file, every parameter 1 to 3 % off: without effects. What the workflow found in '
-                'the bag was added to the model, if it helps; the controller then drove the same '
-                'motion believing that, and once more believing the truth. The upper rows are '
+    report.text('A controller that believed the robot file, every parameter 1 to 3 % off, drove '
+                'the arm through a motion: without effects. What the workflow found in the bag '
+                'was added to the model where it helps; the controller then drove the same '
+                'motion with that model, and once more with the true one. The upper rows are '
                 'measured on blocks of the bag that no fit has seen.')
     report.table(*outcome_rows(outcome))
     for j in range(len(outcome.hidden.robot.joints)):

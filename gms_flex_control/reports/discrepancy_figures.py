@@ -45,7 +45,7 @@ def gap_figure(gap):
         (WITHOUT, gap.free_before, BEFORE),
         (WITH, gap.free_after, AFTER),
         ('noise floor', gap.free_floor, FLOOR)))
-    finished(figure, panels, 'Between model and measurement, on data held out')
+    finished(figure, panels, 'Between model and measurement, on held-out data')
     panels[0].set_xlabel(f'residual torque in motion, rms [{torque.unit}]')
     panels[1].set_xlabel(f'free-run error over 0.5 s, rms [{angle.unit}]')
     for panel in panels:

@@ -116,16 +116,17 @@ def _sentence(identification, worst):
     standings = [standing(one) for result in identification.joints for one in result.estimates]
     found, fitted = (len(standings) - sum(map(standings.count, those)) for those in (
         (NOT_IDENTIFIABLE, DOUBTFUL, SET), (SET,)))
-    known = (f'{found} of {fitted} parameters are identified' if found < fitted else
+    known = (f'{found} of {fitted} parameters {"is" if found == 1 else "are"} identified'
+             if found < fitted else
              f'all {fitted} parameters are identified')
     if not np.isfinite(errors.relative):
-        return f'{known.capitalize()}, but nothing checks them: there is no held-out error.'
+        return f'{known.capitalize()}, but no held-out data check them.'
     simple = ('no better than Coulomb + viscous friction alone' if errors.relative
               >= errors.coulomb_viscous else 'Coulomb + viscous friction alone to '
               + percent(errors.coulomb_viscous))
-    return (f'On motion that took no part in the fit, the friction found predicts the torque of '
-            f'{worst.joint}, the worst, to {percent(errors.relative)}, {simple}; {known}. The '
-            'noise floor is what the readings alone, or the same motion repeated, would leave.')
+    return ('On motion left out of the fit, the identified friction predicts the torque of '
+            f'{worst.joint}, the worst joint, to {percent(errors.relative)}, {simple}; {known}. '
+            'The noise floor is what the readings alone, or the repeated motion, would leave.')
 
 
 def _save_pictures(identification, folder, beside):
@@ -161,11 +162,11 @@ def _add_summary(report, identification):
         counts = [sum(standing(estimate) == kind for estimate in result.estimates)
                   for kind in STANDINGS]
         rows.append((result.joint, *counts))
-    report.table(('joint', *STANDINGS), rows, 'How many parameters are how well known')
+    report.table(('joint', *STANDINGS), rows, 'Parameters by how well they are known')
     report.table(*held_out_rows(identification.joints),
-                 'Errors on data that took no part in the fit. Torque: of the rms of the drive '
-                 'torque; C+v: Coulomb + viscous alone; noise: that of the readings; repeat: '
-                 'of equal motions. Free run: rms of the angle')
+                 'Errors on held-out data. Torque: of the rms of the drive torque; C+v: Coulomb '
+                 '+ viscous alone; noise: that of the readings; repeat: of equal motions. Free '
+                 'run: rms of the angle')
     for result in identification.joints:
         report.heading(result.joint, level=3)
         for text, warning in joint_sentences(result):
@@ -195,7 +196,7 @@ def _add_parameters(report, result, known):
             if standing(estimate) == NOT_IDENTIFIABLE]
     if lost:
         report.note(f"NOT identifiable from these data: {', '.join(lost)}. Their values, in "
-                    'brackets, are where the fit happened to end.', warning=True)
+                    'brackets, are where the fit ended.', warning=True)
     rows = []
     for estimate in result.estimates:
         kind = standing(estimate)
@@ -318,7 +319,7 @@ def _add_candidates(report, result):
         (candidate.n_blocks, 'chosen' if candidate.chosen else '', number(candidate.cost, 6),
          number(candidate.cost - best, 3), number(candidate.error, 3))
         for candidate in result.candidates],
-        'The fewest blocks that no other number beats beyond chance are taken')
+        'The fit uses the fewest blocks that no other number beats by more than chance')
 
 
 def _thinned(rows):

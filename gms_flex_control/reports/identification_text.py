@@ -46,7 +46,7 @@ def identification_text(identification, beside=None):
     for result in identification.joints:
         known = known_values(beside, identification.robot, result.joint) if beside else None
         blocks.append(_joint(result, known, beside))
-    blocks.append('Errors on data that took no part in the fit; C+v: Coulomb + viscous alone\n'
+    blocks.append('Errors on held-out data; C+v: Coulomb + viscous alone\n'
                   + aligned(*held_out_rows(identification.joints)))
     return '\n\n'.join(blocks)
 

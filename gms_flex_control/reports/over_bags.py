@@ -106,7 +106,7 @@ def over_bags_answer(found, rows, bags) -> Answer:
         first = told[0]
         sentence += (f'; {first.name.removeprefix("friction.")} differs most from bag to bag, by '
                      f'{_share(first)} % of its mean (one standard deviation), where the floor is '
-                     'what the intervals of single bags foresee')
+                     'what the intervals of single bags predict')
     counts = Counter(bag for row in rows for bag in row.outliers)
     odd = next((name for name in (*found, *dict(counts.most_common()))
                 if name not in good or name in counts), None)
@@ -160,7 +160,7 @@ def _differing(rows):
     names = [row.name.removeprefix('friction.') for row in rows
              if row.standard_deviation > _CLEAR * row.foreseen]
     return fill(f'Differ from bag to bag by more than {_CLEAR:g} times what the intervals '
-                f'foresee: {", ".join(names)}', _WIDTH) if names else ''
+                f'predict: {", ".join(names)}', _WIDTH) if names else ''
 
 
 def _outliers(rows):
@@ -190,7 +190,7 @@ def _errors(good, rows):
     lines = [[bag, joint, _percent(error), _percent(good[bag]['coulomb_viscous'][joint])]
              for bag in shown for joint, error in good[bag]['held_out'].items()]
     table = align(['bag', 'joint', 'torque', 'C+v'], lines)
-    return f'Torque error on data held out; C+v: of Coulomb + viscous friction alone\n{table}'
+    return f'Torque error on held-out data; C+v: of Coulomb + viscous friction alone\n{table}'
 
 
 def _percent(share):

@@ -299,7 +299,7 @@ def _grouped(blocks):
 def _role(item, i):
     role = item.role or ROLES[1 + i % (len(ROLES) - 1)]
     if role not in ROLES:
-        raise ValueError(f'series {item.label!r}: role {role!r} is none of {ROLES}')
+        raise ValueError(f'series {item.label!r}: role {role!r} is not one of {ROLES}')
     return role
 
 

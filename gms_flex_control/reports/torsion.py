@@ -52,11 +52,11 @@ def verdict(study):
         lines.append(f'A delay of {1e3 * delay.delay:.2f} ms between the encoders explains the '
                      'torsion better than the spring does: it is not flexibility.')
     if both.relative_error >= delay.relative_error:
-        lines.append('Beside the delay the given spring does not improve the model; these data '
-                     'do not confirm its stiffness.')
+        lines.append('With the delay, the given spring does not improve the model: these data do '
+                     'not confirm its stiffness.')
     if free.stiffness < 0:
-        lines.append('The best spring beside the delay has negative stiffness: what is left '
-                     'is not the twist of a spring.')
+        lines.append('With the delay, the best spring has negative stiffness: what remains is '
+                     'not the torsion of a spring.')
     return ' '.join(lines) or 'The given spring explains the torsion better than a delay does.'
 
 

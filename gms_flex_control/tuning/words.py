@@ -68,16 +68,16 @@ def answer_of(proposal, trials, robot, demands, files, folder) -> Answer:
         for label, error in (('rms error', rms), ('largest error', peak))) + (
         measured('phase margin [deg]', None, math.degrees(phase), math.degrees(demands.phase),
                  scale=1.0),)
-    columns = 'none', mode, 'noise floor, or least asked'
+    columns = 'none', mode, 'noise floor, or least required'
     if proposal.unmet:
-        return Answer(f'These gains do not meet what is asked, as told {len(proposal.unmet)} '
-                      f'time{"s" * (len(proposal.unmet) > 1)} above (NOT MET).', columns, numbers,
-                      command('tune', '--help'))
+        return Answer(f'These gains miss {len(proposal.unmet)} '
+                      f'requirement{"s" * (len(proposal.unmet) > 1)} (NOT MET, above).', columns,
+                      numbers, command('tune', '--help'))
     again = ('--robot', *files) if files else ()
     return Answer(
         f'With these gains and compensation {mode} the links follow within {numbers[0].after} '
-        'mrad (rms) in simulation, and the loop keeps the margins asked for; the noise floor is '
-        'what encoder noise alone shakes the links by.', columns, numbers, command(
+        'mrad (rms) in simulation, and the loop keeps the required margins; the noise floor is '
+        'the motion of the links that encoder noise alone causes.', columns, numbers, command(
             'simulate', *again, '--controller', Path(folder) / 'controller.yaml', '--out',
             Path(folder) / 'trial'))
 
