@@ -7,7 +7,7 @@ import argparse
 from dataclasses import replace
 import json
 
-from gms_flex_control.benchmarks import (
+from bench.speed import (
     core,
     effect_dispatch,
     identification,
@@ -18,7 +18,7 @@ from gms_flex_control.benchmarks import (
     numpy_loop,
     suites,
 )
-from gms_flex_control.benchmarks.timing import interleaved, Measurement
+from bench.speed.timing import interleaved, Measurement
 from gms_flex_control.cli import bench
 from gms_flex_control.dynamics.chain import matrices
 from gms_flex_control.effects.signals import WIDTH

@@ -11,7 +11,7 @@ from bench.real_machines.__main__ import main
 from bench.real_machines.least_squares import Part
 from bench.real_machines.machines import between, MACHINES, shared_data, VARIABLE
 from bench.real_machines.motion import low_pass, Motion, motion_of, residual_torque, rms
-from bench.real_machines.run import Outcome, parts_of
+from bench.real_machines.split import Outcome, parts_of
 from gms_flex_control.identification.unknown_robot import rigid_joints
 from gms_flex_control.params.friction import StribeckParams
 from gms_flex_control.recording import Recording

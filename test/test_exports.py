@@ -7,8 +7,9 @@ import csv
 from dataclasses import replace
 import xml.etree.ElementTree as ElementTree
 
+from bench.hidden_robots.sizes import spec
+from bench.speed import mujoco_export
 from core_runs import joint_friction, single_axis, stribeck
-from gms_flex_control.benchmarks import mujoco_export
 from gms_flex_control.cli.main import main
 from gms_flex_control.dynamics.chain import matrices
 from gms_flex_control.effects import registry
@@ -17,7 +18,6 @@ from gms_flex_control.exports import friction as friction_targets
 from gms_flex_control.exports import mujoco
 from gms_flex_control.exports.target import export
 from gms_flex_control.friction.stribeck import steady_friction
-from gms_flex_control.hidden.sizes import spec
 from gms_flex_control.params.robot import WHOLE_ARM
 from gms_flex_control.schema.build import robot_values
 from gms_flex_control.schema.files import save_robot

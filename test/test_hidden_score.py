@@ -9,17 +9,17 @@ import sys
 import time
 from types import ModuleType, SimpleNamespace
 
+from bench.hidden_robots import figures, judgement, peers, text
+from bench.hidden_robots.cases import available_effects, make_case
+from bench.hidden_robots.jobs import fingerprint, Job, jobs_of
+from bench.hidden_robots.outcome import finite, try_job
+from bench.hidden_robots.score import jobs_asked
 from gms_flex_control.batches.journal import Journal
-from gms_flex_control.benchmarks.hidden_effects import figures, judgement, peers, text
-from gms_flex_control.benchmarks.hidden_effects.jobs import fingerprint, Job, jobs_of
-from gms_flex_control.benchmarks.hidden_effects.outcome import finite, try_job
 from gms_flex_control.cli.main import build_parser, main
-from gms_flex_control.cli.score import jobs_asked
 from gms_flex_control.discrepancy.result import Credible, Noise
 from gms_flex_control.discrepancy.thresholds import EVIDENCE
 from gms_flex_control.discrepancy.validation import Gain
 from gms_flex_control.errors import BagError, SimulationError
-from gms_flex_control.hidden.cases import available_effects, make_case
 import numpy as np
 import pytest
 

@@ -11,14 +11,16 @@ import gms_flex_control
 ROOT = Path(gms_flex_control.__file__).parent
 
 
-def fingerprint(parts=('.',)):
+def fingerprint(parts=('.',), root=ROOT):
     """
-    Return a hash of the package's sources.
+    Return a hash of sources, of the package unless said otherwise.
 
     Parameters
     ----------
     parts : sequence of str
-        Folders or modules within the package; default all of it.
+        Folders or modules within ``root``; default all of it.
+    root : Path
+        Where they stand.
 
     Returns
     -------
@@ -28,9 +30,9 @@ def fingerprint(parts=('.',)):
     """
     digest = hashlib.sha256()
     for part in parts:
-        path = ROOT / part
+        path = root / part
         for source in [path] if path.is_file() else sorted(path.rglob('*.py')):
-            digest.update(source.relative_to(ROOT).as_posix().encode() + source.read_bytes())
+            digest.update(source.relative_to(root).as_posix().encode() + source.read_bytes())
     return digest.hexdigest()[:16]
 
 
