@@ -23,7 +23,7 @@ EXAMPLES = {verb: [f'{PROG} {verb} {options}'.rstrip() for options in each]
     'coverage': ('--seeds 100:104 --out coverage',),
     'hide': ('--effect backlash --out hidden', '--kind single double --seeds 0:5 --out hidden'),
     'score': ('--out quick', '--kind single --seeds 0:20 --no-peers --out singles'),
-    'real-machines': ('--first', 'kr300 --out bench_real_output')}.items()}
+    'real-machines': ('--first', 'kr300_axis1 --out bench_real_output')}.items()}
 
 
 def build_parser():

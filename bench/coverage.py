@@ -16,6 +16,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
+from bench.hidden_robots.hide import seeds_of
 from gms_flex_control.analysis.table4 import align
 from gms_flex_control.batches.batch import run_batch
 from gms_flex_control.batches.executor import open_executor
@@ -41,7 +42,7 @@ from gms_flex_control.simulation.stretches import StretchedLoop
 from gms_flex_control.trajectory import builders
 import numpy as np
 
-ROOT = Path(__file__).resolve().parents[1]
+HERE = Path(__file__).resolve().parent
 JOINT = 'joint1'
 RATE, SUBSTEPS = 250.0, 40         # [Hz], integration steps in a sample
 SECONDS = 30.0                     # of sinusoids and of moves
@@ -67,8 +68,8 @@ def add_parser(subparsers):
         description='Identify simulated axes with known friction, and count how often the '
                     'intervals that gms_flex identify prints hold it. A killed run goes on when '
                     'started again with the same --out.')
-    parser.add_argument('--seeds', type=lambda text: tuple(map(int, text.split(':'))),
-                        default=(100, 104), metavar='A:B', help='robots (default: 100:104)')
+    parser.add_argument('--seeds', default='100:104', metavar='A:B',
+                        help='robots, from A up to, not including, B (default: 100:104)')
     parser.add_argument('--motions', nargs='+', choices=MOTIONS, default=list(MOTIONS))
     parser.add_argument('--noises', nargs='+', type=float, default=NOISES, metavar='SHARE',
                         help='of F_s (default: %(default)s)')
@@ -81,9 +82,10 @@ def add_parser(subparsers):
 def run(args):
     """Identify, count, print and write; return 0."""
     items = {' '.join(map(str, case)): case for case in cases_of(args)}
+    journal = Journal(args.out, fingerprint() + fingerprint(('coverage.py',), HERE))
     with open_executor(args.workers, args.scheduler) as executor:
         outcomes = list(run_batch(try_case, items, executor=executor, label='identifications',
-                                  journal=Journal(args.out, fingerprint())).values())
+                                  journal=journal).values())
     *both, total = tables(outcomes)
     write_text(args.out / 'coverage.json', json.dumps(outcomes, indent=1))
     write_text(args.out / 'coverage.md', '\n\n'.join(markdown(*one) for one in both) + '\n')
@@ -199,8 +201,8 @@ def example():
     with TemporaryDirectory() as folder:
         play = Path(folder) / 'play.yaml'
         save_values({'effects.joint2.backlash.half_gap': 0.012}, play)
-        robot = load_robot([ROOT / 'config' / 'robot.yaml', play])
-    return robot, read_take(str(ROOT / 'examples' / 'arm_with_play'), robot)
+        robot = load_robot([HERE.parent / 'config' / 'robot.yaml', play])
+    return robot, read_take(str(HERE.parent / 'examples' / 'arm_with_play'), robot)
 
 
 def rows_of(result, robot, found):
@@ -262,7 +264,7 @@ def tables(outcomes):
 
 def cases_of(args):
     """Return the cases that are asked for."""
-    cases = [Case(motion, noise, blocks, seed) for seed in range(*args.seeds)
+    cases = [Case(motion, noise, blocks, seed) for seed in seeds_of(args.seeds)
              for motion in args.motions for noise in args.noises for blocks in BLOCKS]
     return [*cases, *(Case('example', 0.0, blocks, 0) for blocks in BLOCKS)]
 

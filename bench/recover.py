@@ -100,7 +100,8 @@ def trials_of(args, setting):
     asked = json.dumps([robot_values(robot), controller_values(gains, robot.joints), vars(plan),
                         args.believed, args.rate, args.torque_noise],
                        default=np.ndarray.tolist)
-    journal = Journal(args.out, f'{fingerprint(SOURCES)} '
+    own = fingerprint(('recover.py',), Path(__file__).parent)
+    journal = Journal(args.out, f'{fingerprint(SOURCES)} {own} '
                       f'{hashlib.sha256(asked.encode()).hexdigest()[:16]}')
     items = {f'seed {seed}': TrialItem(*setting, seed, args.rate, args.torque_noise)
              for seed in range(args.first, args.first + args.seeds)}

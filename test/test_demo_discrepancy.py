@@ -9,9 +9,9 @@ from pathlib import Path
 import subprocess
 import sys
 
-from gms_flex_control.demonstration import drawable, hide_effect
 from gms_flex_control.bags.reader import read_recording
 from gms_flex_control.cli.main import main
+from gms_flex_control.demonstration import drawable, hide_effect
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.experiment.plan import read_plan
 from gms_flex_control.experiment.simulated import simulate

@@ -7,6 +7,7 @@ import csv
 from dataclasses import replace
 import xml.etree.ElementTree as ElementTree
 
+from bench import __main__ as bench
 from bench.hidden_robots.sizes import spec
 from bench.speed import mujoco_export
 from core_runs import joint_friction, single_axis, stribeck
@@ -168,7 +169,7 @@ def test_the_bench_prints_a_ratio_for_every_effect(monkeypatch, capsys):
     monkeypatch.setattr(mujoco_export, 'available', lambda: True)
     monkeypatch.setattr(mujoco_export, 'ratio',
                         lambda name, *_, **__: 1.3 if name == 'backlash' else 1.1)
-    assert main(['bench', '--only', 'export', '--quick']) == 1
+    assert bench.main(['speed', '--only', 'export', '--quick']) == 1
     lines = [line for line in capsys.readouterr().out.splitlines() if 'our free run' in line]
     assert [line.split()[1].rstrip(':') for line in lines] == mujoco_export.exportable()
     assert ['missed' in line for line in lines].count(True) == 1

@@ -7,7 +7,7 @@ import json
 import os
 import sys
 
-from gms_flex_control.cli.main import main
+from bench.__main__ import main
 import numpy as np
 import pytest
 

@@ -6,6 +6,7 @@
 from dataclasses import replace
 from functools import cache
 
+from bench.__main__ import main
 from bench.hidden_robots import motions, mujoco_plant, plants, sizes, truth
 from bench.hidden_robots.cases import make_case
 from bench.hidden_robots.populations import (
@@ -18,7 +19,6 @@ from bench.hidden_robots.populations import (
     WIDTHS,
 )
 from gms_flex_control.bags.reader import read_recording
-from gms_flex_control.cli.main import main
 from gms_flex_control.dynamics import chain
 from gms_flex_control.errors import ConfigError
 import numpy as np

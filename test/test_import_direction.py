@@ -1,7 +1,7 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""Imports point one way, ROS stays under nodes/, and the search knows no effect by name."""
+"""Imports point one way, ROS stays under nodes/, the bench outside, effects in their files."""
 
 import ast
 import html
@@ -19,10 +19,11 @@ ROOT = Path(gms_flex_control.__file__).parent
 LAYERS = ['errors', 'files', 'batches', 'suggest', 'answer', 'resources', 'blas', 'compiled',
           'records', 'recording', 'params', 'friction', 'effects', 'dynamics', 'trajectory',
           'control', 'hardware', 'schema', 'exports', 'simulation', 'effect_compensation', 'bags',
-          'experiment', 'analysis', 'identification', 'discrepancy', 'hidden', 'tuning',
-          'comparison', 'reports', 'benchmarks', 'view', 'nodes', 'cli']
+          'experiment', 'analysis', 'identification', 'discrepancy', 'demonstration', 'tuning',
+          'comparison', 'reports', 'view', 'nodes', 'cli']
 ROS = re.compile(r'rclpy|rcl_interfaces|ament_index_python|launch(_ros)?|\w+_(msgs|srvs)')
 BAGS = re.compile(r'rosbags|mcap')
+NOT_INSTALLED = {'bench', 'scripts', 'test'}
 MODULES = {path.relative_to(ROOT).as_posix(): path for path in sorted(ROOT.rglob('*.py'))
            if path != ROOT / '__init__.py'}
 
@@ -61,6 +62,8 @@ def complaints(source, module):
             found.append(f'{module}:{line} imports {name}: ROS belongs under nodes/')
         elif BAGS.fullmatch(top) and layer != 'bags':
             found.append(f'{module}:{line} imports {name}: bag libraries belong under bags/')
+        elif top in NOT_INSTALLED:
+            found.append(f'{module}:{line} imports {name}, which is not installed')
         elif top != PACKAGE or not target.isidentifier() or target.startswith('__'):
             continue
         elif target not in LAYERS or LAYERS.index(target) > LAYERS.index(layer):
@@ -85,6 +88,7 @@ def test_imports_point_downwards(module):
     ('analysis/tracking.py', 'def f():\n    from std_msgs.msg import String', 'under nodes/'),
     ('analysis/tracking.py', 'if True:\n    from mcap.reader import x', 'under bags/'),
     ('cli/demo.py', 'from gms_flex_control.nodes import ros', 'outside a function'),
+    ('cli/demo.py', 'def run(args):\n    from bench.speed import timing', 'not installed'),
     ('novel/part.py', '', 'no place in LAYERS'),
 ])
 def test_a_forbidden_import_is_found(module, source, complaint):
@@ -127,7 +131,7 @@ def effects_named(source):
 def test_an_effect_is_named_in_its_own_file_only():
     """It declares what is particular about it; whoever needs that one imports its class."""
     for module, path in MODULES.items():
-        if not module.startswith(('effects/catalogue/', 'hidden/', 'benchmarks/')):
+        if not module.startswith('effects/catalogue/'):
             named = set(effects_named(path.read_text('utf-8')))
             assert named <= ALLOWED.get(module, set()), module
 

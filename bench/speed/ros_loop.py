@@ -24,7 +24,7 @@ from gms_flex_control.resources import share_path
 
 _START_BOUND, _SETTLE = 120.0, 1.0  # [s]
 _RATES = (500.0, 1000.0)
-_ECHO = [sys.executable, '-m', 'gms_flex_control.nodes.echo']
+_ECHO = [sys.executable, '-m', 'bench.speed.echo']
 _TOPICS = ('joint_states', 'effort_controller/commands', 'reference', 'cascade_controller/state',
            'cascade_controller/blocks', 'cascade_controller/sticking')
 # targets at 1 kHz on an idle machine of 2 cores: loop, figure -> value and whether at least

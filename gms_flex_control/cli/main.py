@@ -11,6 +11,7 @@ from itertools import chain
 import os
 import signal
 import sys
+from textwrap import fill
 from threading import current_thread, main_thread
 import traceback
 import warnings
@@ -75,7 +76,7 @@ def parser_of(prog, description, groups, examples):
 
     """
     parser = argparse.ArgumentParser(
-        prog=prog, usage=f'{prog} [-h] VERB ...', description=description,
+        prog=prog, usage=f'{prog} [-h] VERB ...', description=fill(description, 79),
         formatter_class=argparse.RawDescriptionHelpFormatter)
     subparsers = parser.add_subparsers(dest='verb', required=True, prog=prog,
                                        help=argparse.SUPPRESS)

@@ -4,7 +4,7 @@
 """
 The floor that DDS and Python set to a loop: joint states out, an array back, nothing computed.
 
-``python -m gms_flex_control.nodes.echo pacer RATE DURATION FILE [SERVICE]`` publishes joint states
+``python -m bench.speed.echo pacer RATE DURATION FILE [SERVICE]`` publishes joint states
 and writes the timing of the answers to FILE. ``... echo`` answers each of them; a bridge does so,
 too, once SERVICE (std_srvs/Trigger) has enabled it.
 """
