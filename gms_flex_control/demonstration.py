@@ -26,6 +26,7 @@ APPROACH, MOVE, HOLD = 0.5, 2.0, 0.25  # [s]
 _SIZES = (0.5, 1.5)                    # over the usual size of the effect, see Effect.typical
 _STEPS, _FARTHEST = (0.03, 1.2), 1.1   # of one move, and from zero [rad]
 _TRIES, _LARGEST_ERROR = 20, 0.2       # draws, and the tracking error of one refused [rad]
+_STREAM = 77                           # of random numbers, of no other draw
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -100,7 +101,7 @@ def hide_effect(robot, gains, seed, *, effect=None, duration=60.0) -> HiddenEffe
             f'effect {effect!r} is unknown{did_you_mean(effect, registry.names())}')
     if not SHORTEST <= duration <= LONGEST:
         raise ConfigError(f'--duration {duration:g}: give {SHORTEST:g} to {LONGEST:g} s')
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng([_STREAM, seed])
     robot = replace(robot, encoder=replace(
         robot.encoder, counts=COUNTS, noise=NOISE * 2.0 * np.pi / COUNTS))
     believed = random_error(rng, robot)
@@ -160,7 +161,10 @@ def draw_effect(rng, name, robot, scales) -> EffectSpec:
     values, usual = np.array(guess.values(way)), kind.typical(scales[j])[0]
     if usual is not None:  # what a guess says of size is where a search begins
         values[0] = np.copysign(usual * rng.uniform(*_SIZES), values[0])
-    values = np.clip(values, *kind.search_bounds(j, robot))
+    lower, upper = kind.search_bounds(j, robot)
+    if not lower[0] <= values[0] <= upper[0]:  # less friction than none: rather more of it
+        values[0] = -values[0]
+    values = np.clip(values, lower, upper)
     return EffectSpec(name=name, joint=WHOLE_ARM if kind.whole_arm else robot.joints[j],
                       values=tuple(values.tolist()))
 

@@ -7,10 +7,11 @@ import json
 import subprocess
 import sys
 import time
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 
 from bench.__main__ import build_parser, main
 from bench.hidden_robots import figures, judgement, peers, score
+from bench.hidden_robots import outcome as tried
 from bench.hidden_robots.cases import available_effects, make_case
 from bench.hidden_robots.jobs import fingerprint, Job, jobs_of
 from bench.hidden_robots.outcome import finite, try_job
@@ -270,8 +271,7 @@ def test_numbers_that_are_none_are_kept_as_such():
 @pytest.fixture
 def workflow(monkeypatch):
     """Return a workflow that answers as it is told, in the place of the real one."""
-    module = ModuleType('gms_flex_control.discrepancy.workflow')
-    module.asked = []
+    module = SimpleNamespace(asked=[])
 
     def find_discrepancy(recordings, robot, options, *, holdout):
         assert len(holdout) == 1
@@ -279,9 +279,9 @@ def workflow(monkeypatch):
         if isinstance(module.result, Exception):
             raise module.result
         return module.result
-    module.find_discrepancy = find_discrepancy
-    module.Options = lambda **given: SimpleNamespace(**{'without': (), **given})
-    monkeypatch.setitem(sys.modules, module.__name__, module)
+    monkeypatch.setattr(tried, 'find_discrepancy', find_discrepancy)
+    monkeypatch.setattr(tried, 'Options', lambda **given: SimpleNamespace(
+        **{'without': (), **given}))
     return module
 
 
@@ -313,9 +313,8 @@ def test_a_job_asks_the_workflow_without_telling_it_the_truth(workflow):
     (Job('single', 2, plant='soft', duration=8.0), True)])
 def test_what_is_missed_is_told_beside_what_the_truth_gains(monkeypatch, job, told):
     """Damping that one motion hardly shows and another does, where nothing may be added."""
-    from gms_flex_control.discrepancy import workflow
-    options = workflow.Options
-    monkeypatch.setattr(workflow, 'Options', lambda: options(most=0))
+    options = tried.Options
+    monkeypatch.setattr(tried, 'Options', lambda: options(most=0))
     found = try_job(job, with_peers=False)
     assert found['verdict'] != 'effects_found'
     assert (found['truth_gains'] > EVIDENCE) == told
