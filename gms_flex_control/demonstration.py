@@ -8,14 +8,13 @@ from dataclasses import dataclass, replace
 from gms_flex_control.analysis.tracking import link_rms
 from gms_flex_control.discrepancy.likelihood import scales_of
 from gms_flex_control.discrepancy.motion import motion_of
-from gms_flex_control.effect_compensation.known import compensated
+from gms_flex_control.effect_compensation.feedforward import compensated
 from gms_flex_control.effects import registry
-from gms_flex_control.errors import ConfigError, ParameterError, SimulationError
+from gms_flex_control.errors import ConfigError, did_you_mean, ParameterError, SimulationError
 from gms_flex_control.experiment.believed import random_error
 from gms_flex_control.experiment.plan import Plan
 from gms_flex_control.experiment.simulated import simulate
 from gms_flex_control.params.robot import EffectSpec, RobotParams, WHOLE_ARM
-from gms_flex_control.suggest import did_you_mean
 from gms_flex_control.trajectory import builders
 import numpy as np
 

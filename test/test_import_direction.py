@@ -4,6 +4,7 @@
 """Imports point one way, ROS stays under nodes/, the bench outside, effects in their files."""
 
 import ast
+from graphlib import CycleError, TopologicalSorter
 import html
 from importlib import util
 from pathlib import Path
@@ -16,7 +17,7 @@ import pytest
 PACKAGE = 'gms_flex_control'
 ROOT = Path(gms_flex_control.__file__).parent
 # each may import those before it, and itself; one that does not exist yet does no harm
-LAYERS = ['errors', 'files', 'batches', 'suggest', 'answer', 'resources', 'blas', 'compiled',
+LAYERS = ['errors', 'files', 'batches', 'answer', 'resources', 'blas', 'compiled',
           'records', 'recording', 'params', 'friction', 'effects', 'dynamics', 'trajectory',
           'control', 'hardware', 'schema', 'exports', 'simulation', 'effect_compensation', 'bags',
           'experiment', 'analysis', 'identification', 'discrepancy', 'demonstration', 'tuning',
@@ -77,6 +78,30 @@ def complaints(source, module):
 @pytest.mark.parametrize('module', MODULES)
 def test_imports_point_downwards(module):
     assert complaints(MODULES[module].read_text(encoding='utf-8'), module) == []
+
+
+def modules_imported(source, module):
+    """Return the modules of the package that one imports, also within functions, set of str."""
+    names = set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.ImportFrom):
+            names |= {f'{node.module}.{alias.name}' for alias in node.names} | {node.module}
+        elif isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+    paths = {f"{name.removeprefix(f'{PACKAGE}.').replace('.', '/')}.py" for name in names}
+    return paths.intersection(MODULES) - {module}
+
+
+def test_no_module_imports_itself_by_way_of_others():
+    TopologicalSorter({module: modules_imported(path.read_text('utf-8'), module)
+                       for module, path in MODULES.items()}).prepare()
+
+
+def test_a_cycle_is_found():
+    assert modules_imported('def f():\n    from gms_flex_control.cli.demo import warm_up',
+                            'experiment/plan.py') == {'cli/demo.py'}
+    with pytest.raises(CycleError):
+        TopologicalSorter({'a.py': {'b.py'}, 'b.py': {'a.py'}}).prepare()
 
 
 @pytest.mark.parametrize(('module', 'source', 'complaint'), [

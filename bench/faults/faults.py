@@ -10,8 +10,7 @@ import sys
 from tempfile import TemporaryDirectory
 
 from gms_flex_control.cli.output import import_ros
-from gms_flex_control.errors import ConfigError
-from gms_flex_control.suggest import did_you_mean
+from gms_flex_control.errors import ConfigError, did_you_mean
 
 _LONGEST_SOAK = 10_000.0  # [min]
 _PRIORITY = 50            # of the nodes, where it is permitted

@@ -10,8 +10,7 @@ import sys
 from bench.real_machines import pictures, table
 from bench.real_machines.machines import MACHINES, ROOT, shared_data, VARIABLE
 from bench.real_machines.split import try_split
-from gms_flex_control.errors import ConfigError
-from gms_flex_control.suggest import did_you_mean
+from gms_flex_control.errors import ConfigError, did_you_mean
 
 DOCUMENT = ROOT / 'docs' / 'real_machines.md'
 

@@ -17,11 +17,10 @@ import traceback
 import warnings
 
 from gms_flex_control import __version__
-from gms_flex_control.cli.batch_options import goes_on
 from gms_flex_control.cli.completion import complete
 from gms_flex_control.cli.examples import add_examples, EXAMPLES
-from gms_flex_control.errors import GmsFlexError
-from gms_flex_control.suggest import did_you_mean
+from gms_flex_control.cli.output import goes_on
+from gms_flex_control.errors import did_you_mean, GmsFlexError
 
 OK, FINDING_SAYS_NO, BAD_INPUT = 0, 1, 2
 INTERRUPTED = 130  # as a shell reports SIGINT
