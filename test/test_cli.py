@@ -51,9 +51,7 @@ def tool_of(verb):
 
 def sub_parser(verb):
     """Return the parser of one verb."""
-    parser = tool_of(verb)[0].build_parser()
-    action, = (action for action in parser._actions if action.dest == 'verb')
-    return action.choices[verb]
+    return tool_of(verb)[0].build_parser().verbs[verb]
 
 
 def tool_in(environment=None, arguments=(), **options):

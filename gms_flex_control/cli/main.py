@@ -72,6 +72,7 @@ def parser_of(prog, description, groups, examples):
     Returns
     -------
     ArgumentParser
+        With ``verbs``, a dict of str to the ArgumentParser of each.
 
     """
     parser = argparse.ArgumentParser(
@@ -82,7 +83,8 @@ def parser_of(prog, description, groups, examples):
     verbs = _Verbs(subparsers)
     for module in chain.from_iterable(group.values() for group in groups.values()):
         import_module(module).add_parser(verbs)
-    add_examples(subparsers.choices, examples)
+    parser.verbs = subparsers.choices
+    add_examples(parser.verbs, examples)
     parser.epilog = _listing(prog, groups, verbs.help)
     return parser
 
@@ -103,9 +105,8 @@ def parsed(parser, argv):
     if not argv:
         parser.print_help()
         return None
-    action, = (action for action in parser._actions if action.dest == 'verb')
-    if not argv[0].startswith('-') and argv[0] not in action.choices:
-        parser.error(f'there is no verb {argv[0]!r}{did_you_mean(argv[0], action.choices)}')
+    if not argv[0].startswith('-') and argv[0] not in parser.verbs:
+        parser.error(f'there is no verb {argv[0]!r}{did_you_mean(argv[0], parser.verbs)}')
     args = parser.parse_args(argv)
     args.command = f'{parser.prog} {args.verb}'
     return args
