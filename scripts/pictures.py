@@ -3,9 +3,9 @@
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """
-Make the pictures of README and docs that `gms_flex` draws, by the commands that stand beside them.
+Make the pictures of README and docs that commands draw, by those that stand beside them.
 
-    PYTHONPATH=test .venv/bin/python scripts/pictures.py [NAME ...]     # or: make pictures
+    PYTHONPATH=.:test .venv/bin/python scripts/pictures.py [NAME ...]     # or: make pictures
 
 The rest of docs/images is made by scripts/screenshots.py and scripts/draw_architecture.py.
 """
@@ -19,6 +19,7 @@ import sys
 import tempfile
 from typing import NamedTuple
 
+from bench import __main__ as bench
 from gms_flex_control.cli.main import main as gms_flex
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -26,6 +27,7 @@ IMAGES = ROOT / 'docs' / 'images'
 DATA = ROOT.parent / 'shared' / 'data'  # recordings of others, which are not committed
 SERVO = [f'{motion}_kp{gain}' for gain in (400, 100) for motion in (
     'sin_sin', 'lift_and_drop', 'up_and_down', 'sin_time_square')]
+OF_BENCH = {verb for group in bench.GROUPS.values() for verb in group}
 WIDTH = 1285  # of the report's picture [px]
 # from the heading to the end of the first two charts over time
 PART = """(() => {
@@ -87,8 +89,10 @@ def make(work, into):
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         for command in work.commands:
             words = shlex.split(command)
-            print(f'$ gms_flex {command}', flush=True)
-            gms_flex([f'{folder}/{word}' if is_path(word, words[k - 1]) else word
+            start, tool = ((bench.PROG, bench.main) if words[0] in OF_BENCH else
+                           ('gms_flex', gms_flex))
+            print(f'$ {start} {command}', flush=True)
+            tool([f'{folder}/{word}' if is_path(word, words[k - 1]) else word
                       for k, word in enumerate(words)])
         for picture, pattern in work.made.items():
             found = sorted(Path(folder).glob(pattern))

@@ -12,7 +12,7 @@ Two effects are left out, see `truth.CARRIED` and `truth.BASE`: they change the 
 
 from importlib.util import find_spec
 
-from bench.hidden_robots.kernels import held, loop
+from bench.hidden_robots.kernels import loop
 from gms_flex_control.control import cascade
 from gms_flex_control.effects import table as effect_table
 from gms_flex_control.errors import ConfigError
@@ -98,10 +98,10 @@ def under_cascade(robot, model, gains, reference, period, scene, angles, torques
         x.q_motor[:] += lead_motor
         x.applied[:] = 0.0
         for i in range(steps):
-            held.load(box, constants, strange, state.command, time + i * dt, dt, scene.drawn[k],
-                      forces)
+            loop.load_held(box, constants, strange, state.command, time + i * dt, dt,
+                           scene.drawn[k], forces)
             mj_step(physics, data)
-            held.follow(box, constants, data.qpos, data.qvel, data.qacc, dt)
+            loop.follow_held(box, constants, data.qpos, data.qvel, data.qacc, dt)
         x.applied[:] /= steps
         if not np.isfinite(x.q).all():
             angles[k + 1:] = np.nan
