@@ -41,7 +41,7 @@ screenshots: .venv/.with-test  ## Make the pictures of docs/view.md anew (needs 
 	@PYTHONPATH=test $(BIN)/python scripts/screenshots.py
 
 pictures: .venv/.with-test  ## Make the other pictures of README and docs anew (needs chromium)
-	@PYTHONPATH=.:test $(BIN)/python scripts/pictures.py
+	@PYTHONPATH=test $(BIN)/python scripts/pictures.py
 
 newcomers: .venv/.with-test  ## Follow the tutorials in fresh clones, write docs/newcomers.md
 	@PYTHONPATH=test $(BIN)/python scripts/newcomers.py

@@ -3,9 +3,9 @@
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """
-Make the pictures of README and docs that commands draw, by those that stand beside them.
+Make the pictures of README and docs that `gms_flex` draws, by the commands that stand beside them.
 
-    PYTHONPATH=.:test .venv/bin/python scripts/pictures.py [NAME ...]     # or: make pictures
+    PYTHONPATH=test .venv/bin/python scripts/pictures.py [NAME ...]     # or: make pictures
 
 The rest of docs/images is made by scripts/screenshots.py and scripts/draw_architecture.py.
 """
@@ -15,11 +15,11 @@ import base64
 from pathlib import Path
 import shlex
 import shutil
+import subprocess
 import sys
 import tempfile
 from typing import NamedTuple
 
-from bench import __main__ as bench
 from gms_flex_control.cli.main import main as gms_flex
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -27,7 +27,6 @@ IMAGES = ROOT / 'docs' / 'images'
 DATA = ROOT.parent / 'shared' / 'data'  # recordings of others, which are not committed
 SERVO = [f'{motion}_kp{gain}' for gain in (400, 100) for motion in (
     'sin_sin', 'lift_and_drop', 'up_and_down', 'sin_time_square')]
-OF_BENCH = {verb for group in bench.GROUPS.values() for verb in group}
 WIDTH = 1285  # of the report's picture [px]
 # from the heading to the end of the first two charts over time
 PART = """(() => {
@@ -54,7 +53,7 @@ WORKS = {
     'compare': Work(('compare --out comparison',),
                     {'compare_report.png': 'comparison/report.html'}),
     'discrepancy': Work(
-        ('hide --out example --kind double --seeds 6 --duration 40',
+        ('bench hide --out example --kind double --seeds 6 --duration 40',
          'discrepancy example/double_6/bag --robot example/double_6/robot.yaml '
          '--holdout example/double_6/held_out --out example/result'),
         {'discrepancy_gap.png': 'example/result/gap.png',
@@ -89,11 +88,9 @@ def make(work, into):
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         for command in work.commands:
             words = shlex.split(command)
-            start, tool = ((bench.PROG, bench.main) if words[0] in OF_BENCH else
-                           ('gms_flex', gms_flex))
-            print(f'$ {start} {command}', flush=True)
-            tool([f'{folder}/{word}' if is_path(word, words[k - 1]) else word
-                      for k, word in enumerate(words)])
+            print(f'$ {command}', flush=True)
+            run([f'{folder}/{word}' if is_path(word, words[k - 1]) else word
+                 for k, word in enumerate(words)])
         for picture, pattern in work.made.items():
             found = sorted(Path(folder).glob(pattern))
             if len(found) != 1:
@@ -104,6 +101,14 @@ def make(work, into):
                 return 2
             print(into / picture)
     return 0
+
+
+def run(words):
+    """Run a verb of gms_flex; after the word bench, one of ``python -m bench``."""
+    if words[0] == 'bench':
+        subprocess.run([sys.executable, '-m', *words], cwd=ROOT, check=True)
+    else:
+        gms_flex(words)
 
 
 def is_path(word, before):

@@ -177,8 +177,8 @@ def run_verb(args, seen):
         print(f'{args.command}: {error}', file=sys.stderr)
         return BAD_INPUT
     except MemoryError:
-        print(f'{args.command}: not enough memory for so many samples; ask for a shorter '
-              'time or a lower rate', file=sys.stderr)
+        print(f'{args.command}: not enough memory for so many samples; choose a shorter '
+              'duration or a lower rate', file=sys.stderr)
         return BAD_INPUT
     except KeyboardInterrupt:
         return interrupted(args.command, goes_on(args))

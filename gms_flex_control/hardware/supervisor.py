@@ -149,8 +149,8 @@ class SupervisedRobot(ABC):
         """Return the Outcome of a request to enable that began when there were ``refusals``."""
         if refusals in (None, self.refusals):
             return None
-        return Outcome(False, 'not enabled: torque was taken away, or to be, while this request '
-                       'waited; ask again')
+        return Outcome(False, 'not enabled: torque was withdrawn, or about to be, while this '
+                              'request waited; call it again')
 
     def stop(self, reason):
         """Stop in an emergency; return an Outcome."""

@@ -191,7 +191,7 @@ def mismatches(node):
             continue
         for other in node.get_subscriptions_info_by_topic(own.topic_name):
             yield from _complaint(own.topic_name, other, own.qos_profile, other.qos_profile,
-                                  'asks for more than is offered here')
+                                  'requests more than is offered here')
 
 
 def _complaint(topic, other, offered, requested, what):
