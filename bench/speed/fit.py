@@ -50,7 +50,7 @@ _SHORT = {'identification.repeats': 1, 'identification.break_away_repeats': 1,
 _TEN_MINUTES = {'identification.speeds': 8, 'identification.repeats': 2,
                 'identification.break_away_repeats': 2, 'identification.presliding_places': 2}
 _SHORT_BAG = {'identification.speeds': 3, 'identification.repeats': 1,
-               'identification.break_away_repeats': 1, 'identification.presliding_places': 1}
+              'identification.break_away_repeats': 1, 'identification.presliding_places': 1}
 _LONGEST, _MEMORY = 60.0, 1.0  # targets [s, GB] for ten minutes
 
 

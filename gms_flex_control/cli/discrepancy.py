@@ -254,7 +254,7 @@ def items_of(args):
         load_controller(args.controller, robot)
     options = {name: value for name, value in vars(args).items()
                if name not in ('bags', 'out', 'json', 'run', 'verb', 'command', 'workers',
-                                   'scheduler')}
+                               'scheduler')}
     for name in _FILES:
         options[name] = [os.path.abspath(path) for path in options[name]]
     files = [(path, content_of(path)) for name in _FILES for path in options[name]]
