@@ -32,10 +32,10 @@ lint: .venv/.with-test  ## Run ruff (the ament linters run among the tests)
 	@$(BIN)/ruff check .
 
 bench: .venv/.with-bench  ## Measure speed, beside MuJoCo
-	@$(BIN)/gms_flex bench
+	@$(BIN)/python -m bench speed
 
 bench-real: .venv/.with-bench  ## Ask real machines, beside least squares, write docs/real_machines.md
-	@$(BIN)/python -m bench.real_machines --out bench_real_output --docs
+	@$(BIN)/python -m bench real-machines --out bench_real_output --docs
 
 screenshots: .venv/.with-test  ## Make the pictures of docs/view.md anew (needs chromium)
 	@PYTHONPATH=test $(BIN)/python scripts/screenshots.py

@@ -2,30 +2,27 @@
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """
-How often the intervals that `gms_flex identify` prints hold the true friction of simulated axes.
-
-    .venv/bin/python -m bench.coverage --seeds 100:104 --out DIR
+`python -m bench coverage`: how often the intervals of `gms_flex identify` hold the true friction.
 
 Each seed is another rigid axis with four Maxwell blocks. Of the shipped example, whose friction is
 that of config/robot.yaml, the intervals are counted as well. A killed run goes on when started
 again with the same --out.
 """
 
-import argparse
 from collections import defaultdict
 from dataclasses import replace
 import json
 from pathlib import Path
-import sys
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
+from bench.hidden_robots.hide import seeds_of
 from gms_flex_control.analysis.table4 import align
 from gms_flex_control.batches.batch import run_batch
 from gms_flex_control.batches.executor import open_executor
-from gms_flex_control.batches.journal import Journal
-from gms_flex_control.batches.sources import fingerprint
+from gms_flex_control.batches.journal import fingerprint, Journal
 from gms_flex_control.cli.identify import read_take
+from gms_flex_control.cli.output import add_batch_options
 from gms_flex_control.errors import GmsFlexError
 from gms_flex_control.experiment.believed import scaled_friction
 from gms_flex_control.experiment.identification_plan import plan_identification
@@ -44,7 +41,7 @@ from gms_flex_control.simulation.stretches import StretchedLoop
 from gms_flex_control.trajectory import builders
 import numpy as np
 
-ROOT = Path(__file__).resolve().parents[1]
+HERE = Path(__file__).resolve().parent
 JOINT = 'joint1'
 RATE, SUBSTEPS = 250.0, 40         # [Hz], integration steps in a sample
 SECONDS = 30.0                     # of sinusoids and of moves
@@ -61,6 +58,38 @@ GAINS = ControllerParams(
     compensation='gms', kd_link=[0.8], lambda_link=[3.0], kd_motor=[0.22], lambda_motor=[40.0],
     observer_gain=[1.0], sign_slope=[50.0], filter_bandwidth=[100.0], torque_limit=[2.0])
 CURVE = 'presliding curve'
+
+
+def add_parser(subparsers):
+    """Add the verb to the tool's parser."""
+    parser = subparsers.add_parser(
+        'coverage', help='how often intervals of identify hold the truth, on simulated axes',
+        description='Identify simulated axes with known friction, and count how often the '
+                    'intervals that gms_flex identify prints hold it. A killed run goes on when '
+                    'started again with the same --out.')
+    parser.add_argument('--seeds', default='100:104', metavar='A:B',
+                        help='robots, from A up to, not including, B (default: 100:104)')
+    parser.add_argument('--motions', nargs='+', choices=MOTIONS, default=list(MOTIONS))
+    parser.add_argument('--noises', nargs='+', type=float, default=NOISES, metavar='SHARE',
+                        help='of F_s (default: %(default)s)')
+    add_batch_options(parser)
+    parser.add_argument('--out', type=Path, required=True, metavar='DIR',
+                        help='folder for coverage.json and coverage.md')
+    parser.set_defaults(run=run)
+
+
+def run(args):
+    """Identify, count, print and write; return 0."""
+    items = {' '.join(map(str, case)): case for case in cases_of(args)}
+    journal = Journal(args.out, fingerprint() + fingerprint(('coverage.py',), HERE))
+    with open_executor(args.workers, args.scheduler) as executor:
+        outcomes = list(run_batch(try_case, items, executor=executor, label='identifications',
+                                  journal=journal).values())
+    *both, total = tables(outcomes)
+    write_text(args.out / 'coverage.json', json.dumps(outcomes, indent=1))
+    write_text(args.out / 'coverage.md', '\n\n'.join(markdown(*one) for one in both) + '\n')
+    print('\n\n'.join([*(align(header, rows) for header, rows in both), f'all: {total}']))
+    return 0
 
 
 class Case(NamedTuple):
@@ -136,7 +165,7 @@ def moves(rng):
 MOTIONS = {'plan': None, 'sinusoids': sinusoids, 'moves': moves}
 
 
-def run(case):
+def try_case(case):
     """Return what an identification printed of a Case beside the truth, plain values."""
     try:
         robot, found = identified(case)
@@ -171,8 +200,8 @@ def example():
     with TemporaryDirectory() as folder:
         play = Path(folder) / 'play.yaml'
         save_values({'effects.joint2.backlash.half_gap': 0.012}, play)
-        robot = load_robot([ROOT / 'config' / 'robot.yaml', play])
-    return robot, read_take(str(ROOT / 'examples' / 'arm_with_play'), robot)
+        robot = load_robot([HERE.parent / 'config' / 'robot.yaml', play])
+    return robot, read_take(str(HERE.parent / 'examples' / 'arm_with_play'), robot)
 
 
 def rows_of(result, robot, found):
@@ -234,40 +263,12 @@ def tables(outcomes):
 
 def cases_of(args):
     """Return the cases that are asked for."""
-    cases = [Case(motion, noise, blocks, seed) for seed in range(*args.seeds)
+    cases = [Case(motion, noise, blocks, seed) for seed in seeds_of(args.seeds)
              for motion in args.motions for noise in args.noises for blocks in BLOCKS]
     return [*cases, *(Case('example', 0.0, blocks, 0) for blocks in BLOCKS)]
-
-
-def main(argv=None):
-    """Identify, count, print and write; return 0."""
-    parser = argparse.ArgumentParser(prog='python -m bench.coverage',
-                                     description=__doc__.partition('\n\n')[0])
-    parser.add_argument('--seeds', type=lambda text: tuple(map(int, text.split(':'))),
-                        default=(100, 104), metavar='A:B', help='robots (default: 100:104)')
-    parser.add_argument('--motions', nargs='+', choices=MOTIONS, default=list(MOTIONS))
-    parser.add_argument('--noises', nargs='+', type=float, default=NOISES, metavar='SHARE',
-                        help='of F_s (default: %(default)s)')
-    parser.add_argument('--workers', type=int, default=2, metavar='N')
-    parser.add_argument('--out', type=Path, required=True, metavar='DIR',
-                        help='folder for coverage.json and coverage.md')
-    args = parser.parse_args(argv)
-    items = {' '.join(map(str, case)): case for case in cases_of(args)}
-    with open_executor(args.workers) as executor:
-        outcomes = list(run_batch(run, items, executor=executor, label='identifications',
-                                  journal=Journal(args.out, fingerprint())).values())
-    *both, total = tables(outcomes)
-    write_text(args.out / 'coverage.json', json.dumps(outcomes, indent=1))
-    write_text(args.out / 'coverage.md', '\n\n'.join(markdown(*one) for one in both) + '\n')
-    print('\n\n'.join([*(align(header, rows) for header, rows in both), f'all: {total}']))
-    return 0
 
 
 def markdown(header, rows):
     """Return a table as markdown."""
     lines = [header, ['---'] * len(header), *rows]
     return '\n'.join(f"| {' | '.join(line)} |" for line in lines)
-
-
-if __name__ == '__main__':
-    sys.exit(main())

@@ -21,28 +21,41 @@ from numba.core import config
 from numba.extending import intrinsic
 
 _PACKAGE = Path(__file__).parent
-_KERNEL_FOLDERS = ('friction', 'effects', 'dynamics', 'trajectory', 'control', 'simulation',
-                   'hidden/kernels')
+_KERNEL_FOLDERS = ('friction', 'effects', 'dynamics', 'trajectory', 'control', 'simulation')
 
 _POINTER = types.CPointer(types.float64)
 # signals of the joint, parameters, memory, substep
 EFFECT_SIGNATURE = types.void(_POINTER, _POINTER, _POINTER, types.float64)
 
 
-def _kernel_hash():
+def _kernel_hash(further):
     digest = hashlib.sha256(f'{numba.__version__}'.encode())
     sources = [Path(__file__)]
-    for folder in _KERNEL_FOLDERS:
+    for folder in (*(_PACKAGE / name for name in _KERNEL_FOLDERS), *further):
         # an effect is called by address: nothing else compiles it in
-        sources += sorted(source for source in (_PACKAGE / folder).rglob('*.py')
+        sources += sorted(source for source in folder.rglob('*.py')
                           if source.parent.name != 'catalogue')
     for source in sources:
         digest.update(source.name.encode() + source.read_bytes())
     return digest.hexdigest()[:16]
 
 
-def _cache_folder():
-    name = f'kernels-{_kernel_hash()}'
+def cache_folder(*further):
+    """
+    Return where compiled functions are kept.
+
+    Parameters
+    ----------
+    *further : Path
+        Folders of kernels beside those of the package, which may call these.
+
+    Returns
+    -------
+    str or None
+        A folder of its own for these very sources, made if need be; None where none is writable.
+
+    """
+    name = f'kernels-{_kernel_hash(further)}'
     home = os.environ.get('XDG_CACHE_HOME') or os.path.expanduser('~/.cache')
     user_id = os.getuid() if hasattr(os, 'getuid') else 'user'
     candidates = [_PACKAGE / '__pycache__', Path(home) / 'gms_flex_control',
@@ -59,36 +72,35 @@ def _cache_folder():
     return None
 
 
-_CACHE_FOLDER = _cache_folder()
-
-
+_CACHE_FOLDER = cache_folder()
 _ONE_AT_A_TIME = RLock()  # numba looks at one setting for all threads
 
 
 @contextmanager
-def _cache_location():
+def _cached_in(folder):
     with _ONE_AT_A_TIME:
         previous = config.CACHE_DIR
-        config.CACHE_DIR = _CACHE_FOLDER or previous
+        config.CACHE_DIR = folder or previous
         try:
-            yield _CACHE_FOLDER is not None
+            yield folder is not None
         finally:
             config.CACHE_DIR = previous
 
 
-def compiled(function):
+def compiled(function, folder=_CACHE_FOLDER):
     """
     Compile a numerical function with numba, without the GIL, cached on disk where possible.
 
     No fast-math: a run gives the same bits whether it is stepped from Python or in one loop.
+    Kernels outside the package name the ``folder`` that `cache_folder` returns for theirs.
     """
-    with _cache_location() as cache:
+    with _cached_in(folder) as cache:
         return numba.njit(cache=cache, nogil=True, error_model='numpy')(function)
 
 
 def compiled_effect(function):
     """Compile an effect's ``apply`` to a C function that kernels call by its address."""
-    with _cache_location() as cache:
+    with _cached_in(_CACHE_FOLDER) as cache:
         return numba.cfunc(EFFECT_SIGNATURE, cache=cache)(function)
 
 

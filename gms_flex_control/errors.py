@@ -4,6 +4,7 @@
 """The package's own errors and warnings: each says what, where, the value and the way out."""
 
 from contextlib import contextmanager
+from difflib import get_close_matches
 import warnings
 
 
@@ -54,3 +55,11 @@ def own_warnings():
         warnings.simplefilter('always')
         warnings.simplefilter('ignore', RuntimeWarning)
         yield caught
+
+
+def did_you_mean(name, known):
+    """Return '; did you mean ...?' with the nearest of ``known``, or a list of all of them."""
+    near = get_close_matches(str(name), list(known), n=1, cutoff=0.5)
+    if near:
+        return f'; did you mean {near[0]!r}?'
+    return f"; known: {', '.join(known)}" if known else ''

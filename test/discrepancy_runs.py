@@ -5,11 +5,11 @@
 
 from dataclasses import replace
 
+from bench.hidden_robots import motions, truth
 from core_runs import single_axis
 from gms_flex_control.discrepancy.fitting import retuned
 from gms_flex_control.discrepancy.likelihood import Likelihood
 from gms_flex_control.discrepancy.motion import make_motion, motion_of
-from gms_flex_control.hidden import motions, truth
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
 from gms_flex_control.recording import Recording
 import numpy as np

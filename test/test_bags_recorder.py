@@ -44,7 +44,7 @@ RECORD = """if True:
 
 @pytest.fixture(scope='module')
 def environment():
-    take_domain = pytest.importorskip('gms_flex_control.nodes.faults.bench').take_domain
+    take_domain = pytest.importorskip('bench.faults.node_bench').take_domain
     paths = [str(HERE.parent), *filter(None, [os.environ.get('PYTHONPATH')])]
     domain, lock = take_domain()
     with lock:

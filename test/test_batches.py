@@ -9,10 +9,9 @@ import sys
 import threading
 
 import batch_items
-from gms_flex_control.batches.batch import run_batch
+from gms_flex_control.batches.batch import Progress, run_batch
 from gms_flex_control.batches.executor import open_executor
 from gms_flex_control.batches.journal import Journal
-from gms_flex_control.batches.progress import Progress
 from gms_flex_control.comparison import study
 from gms_flex_control.comparison.contestants import Condition
 from gms_flex_control.errors import BatchError, SimulationError

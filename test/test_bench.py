@@ -3,23 +3,21 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """The benchmark: what it compares is the same, and its figures come out; no time is asserted."""
 
-import argparse
 from dataclasses import replace
 import json
 
-from gms_flex_control.benchmarks import (
-    core,
+from bench.__main__ import main
+from bench.speed import (
     effect_dispatch,
-    identification,
-    identified_bag,
+    fit,
     kernel_arguments,
     mujoco_arm,
     numpy_identification,
     numpy_loop,
-    suites,
+    simulation,
+    speed,
 )
-from gms_flex_control.benchmarks.timing import interleaved, Measurement
-from gms_flex_control.cli import bench
+from bench.speed.timing import interleaved, Measurement
 from gms_flex_control.dynamics.chain import matrices
 from gms_flex_control.effects.signals import WIDTH
 from gms_flex_control.errors import ConfigError, GmsFlexError
@@ -91,7 +89,7 @@ def test_all_ways_to_join_effects_give_the_same_signals(count, tmp_path, monkeyp
     results = []
     for build in effect_dispatch.ALTERNATIVES.values():
         signals, memory = np.linspace(0.1, 0.9, 2 * WIDTH), np.zeros(16)
-        build(core.EFFECTS[:count])(2, signals, memory, 1e-4)
+        build(simulation.EFFECTS[:count])(2, signals, memory, 1e-4)
         results.append(signals)
     # the package runs stage by stage; the entries of EFFECTS do not read what others change
     for signals in results[1:4]:
@@ -103,17 +101,17 @@ def test_all_ways_to_join_effects_give_the_same_signals(count, tmp_path, monkeyp
 def test_the_plain_fit_has_the_same_cost_at_any_parameters_and_is_found_wanting(robot, gains):
     """The reference for speed computes what the kernels compute, encoders' intervals included."""
     counted = replace(robot, encoder=EncoderParams(counts=20000.0))
-    axis, bundle = identification.simulated(counted, gains, {
+    axis, bundle = fit.simulated(counted, gains, {
         'identification.experiments': ('presliding',),
         'identification.presliding_levels': (0.8,)}, 125.0)
-    case = identification.fit_presliding(bundle, axis)
+    case = fit.fit_presliding(bundle, axis)
     rng, floor = np.random.default_rng(1), 3e-6
     plain = numpy_identification.PlainObjective(bundle, case.objective, floor)
     for _ in range(3):
         free = case.start + 0.3 * rng.standard_normal(len(case.start))
         expected = case.objective.evaluate(case.coordinates, free, 1.0, floor).cost.sum()
         assert plain.cost(case.coordinates.unpack(free)[0]) == pytest.approx(expected, rel=1e-6)
-    seconds, reference, times = identification.compare(case, 0.5, 1)
+    seconds, reference, times = fit.compare(case, 0.5, 1)
     assert 'samples of one joint' in seconds.note and 'evaluations' in reference.note
     assert times.value == pytest.approx(reference.value / seconds.value)
 
@@ -133,7 +131,7 @@ def test_a_plain_search_ends_when_time_is_up():
 
 def test_a_command_that_fails_on_a_bag_is_told(tmp_path):
     with pytest.raises(GmsFlexError, match='identify ended with 2'):
-        identified_bag.identified(tmp_path / 'no_bag', tmp_path)
+        fit.identified(tmp_path / 'no_bag', tmp_path)
 
 
 def test_records_as_tuples_hold_the_same_values(robot):
@@ -155,15 +153,11 @@ def test_interleaved_returns_the_median_of_each_case():
 def test_a_target_gives_a_verdict(value, at_least, verdict):
     m = Measurement(suite='s', name='n', value=value, unit='u', target=500.0, at_least=at_least)
     assert m.verdict == verdict
-    assert verdict in suites.table([m])
+    assert verdict in speed.table([m])
 
 
 def test_the_command_prints_the_suites_asked_for(capsys):
-    parser = argparse.ArgumentParser()
-    bench.add_parser(parser.add_subparsers())
-    args = parser.parse_args(['bench', '--quick', '--only', 'step', 'tick', '--json'])
-    assert args.run(args) in (0, 1)
+    assert main(['speed', '--quick', '--only', 'step', 'tick', '--json']) in (0, 1)
     found = json.loads(capsys.readouterr().out)
     assert {'step', 'tick'} == {m['suite'] for m in found}
     assert all(np.isfinite(m['value']) and m['value'] > 0 for m in found)
-    assert set(bench.SUITES) == set(suites.SUITES)

@@ -6,12 +6,12 @@
 from dataclasses import replace
 import json
 
+from bench.__main__ import main
 from bench.real_machines import least_squares, library, table
-from bench.real_machines.__main__ import main
 from bench.real_machines.least_squares import Part
 from bench.real_machines.machines import between, MACHINES, shared_data, VARIABLE
 from bench.real_machines.motion import low_pass, Motion, motion_of, residual_torque, rms
-from bench.real_machines.run import Outcome, parts_of
+from bench.real_machines.split import Outcome, parts_of
 from gms_flex_control.identification.unknown_robot import rigid_joints
 from gms_flex_control.params.friction import StribeckParams
 from gms_flex_control.recording import Recording
@@ -207,7 +207,7 @@ def test_least_squares_of_emps_is_that_published():
 
 def test_the_smallest_machine_runs_from_log_to_table(tmp_path, capsys):
     needed('kr300_axis1')
-    assert main(['kr300_axis1', '--first', '--out', str(tmp_path)]) == 0
+    assert main(['real-machines', 'kr300_axis1', '--first', '--out', str(tmp_path)]) == 0
     printed = capsys.readouterr().out
     assert 'KUKA KR300, axis 1: A, then B' in printed and 'crashed' not in printed
     outcome, = json.loads((tmp_path / 'results.json').read_text())['outcomes']
@@ -218,7 +218,7 @@ def test_the_smallest_machine_runs_from_log_to_table(tmp_path, capsys):
 
 def test_absent_recordings_are_skipped_with_a_reason(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv(VARIABLE, str(tmp_path))
-    assert main(['emps']) == 1
+    assert main(['real-machines', 'emps']) == 1
     assert f'skipped, {tmp_path}/emps/identification.csv is absent' in capsys.readouterr().out
 
 

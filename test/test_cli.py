@@ -1,7 +1,7 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""All verbs of the tool alike: help with examples, exit codes, JSON, colours, completion."""
+"""All verbs of both tools alike: help with examples, exit codes, JSON, colours, completion."""
 
 import ast
 import json
@@ -16,6 +16,7 @@ import sys
 import time
 import warnings
 
+from bench import __main__ as bench
 from gms_flex_control.bags.source import BagWarning
 from gms_flex_control.cli import main as tool
 from gms_flex_control.effects import registry
@@ -24,8 +25,9 @@ import numpy as np
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-VERBS = [verb.replace('_', '-') for verb in tool.VERBS]
-WITHOUT_TABLE = {'urdf', 'completion', 'view', 'export'}
+VERBS = tool.VERBS
+OF_BENCH = tuple(verb for group in bench.GROUPS.values() for verb in group)
+WITHOUT_TABLE = {'urdf', 'completion', 'view', 'export', 'coverage', 'real-machines'}
 BAGS = {'info', 'repair', 'analyse', 'identify', 'discrepancy', 'torsion'}
 NO_BAG = ROOT / 'test' / 'no_such_bag'
 # what is wrong with the input of a verb that takes no bag
@@ -34,17 +36,22 @@ WRONG = {
     'demo-discrepancy': '--effect nothing --out {dir}',
     'simulate': '--robot {missing} --out {dir}', 'record': '--all --duration -1 --out {dir}',
     'import-csv': '{missing} --map import_kr300.yaml --out {dir}',
-    'check-gains': '--robot {missing}', 'bench': '--robot {missing}',
+    'check-gains': '--robot {missing}', 'speed': '--robot {missing}',
     'recover': '--seeds 0', 'hide': '--seeds x --out {dir}',
     'score': '--kind single --seeds x --out {dir}', 'faults': '--only nonsense',
+    'coverage': '--seeds x --out {dir}', 'real-machines': 'nonsense --out {dir}',
     'urdf': '--robot {missing}', 'tune': '--robot {missing} --out {dir}', 'compare': '{missing}',
     'view': '{missing}', 'effects': 'backlsh', 'export': '--to mujoco --robot {missing}'}
 
 
+def tool_of(verb):
+    """Return the tool that has a verb, and what starts it."""
+    return (bench, bench.PROG) if verb in OF_BENCH else (tool, 'gms_flex')
+
+
 def sub_parser(verb):
     """Return the parser of one verb."""
-    action, = (action for action in tool.build_parser()._actions if action.dest == 'verb')
-    return action.choices[verb]
+    return tool_of(verb)[0].build_parser().verbs[verb]
 
 
 def tool_in(environment=None, arguments=(), **options):
@@ -55,37 +62,38 @@ def tool_in(environment=None, arguments=(), **options):
                           check=False, **options)
 
 
-@pytest.mark.parametrize('verb', VERBS)
+@pytest.mark.parametrize('verb', (*VERBS, *OF_BENCH))
 def test_the_help_of_a_verb_has_examples_that_parse(verb):
     parser = sub_parser(verb)
     text = parser.format_help()
     assert parser.description
     _, found, examples = text.partition('examples:\n')
-    assert found, f'{verb}: add examples to cli/examples.py'
+    assert found, f'{verb}: add examples beside the other ones'
     commands = [line for line in examples.replace('\\\n', ' ').splitlines() if line.strip()]
     assert commands
     for command in commands:
         inner = re.search(r'\$\((.*)\)', command)
-        words = inner.group(1) if inner else command.split('>')[0]
-        name, called, *arguments = shlex.split(words)
-        assert (name, called) == ('gms_flex', verb)
-        parser.parse_args(arguments)
+        words = (inner.group(1) if inner else command.split('>')[0]).strip()
+        start = f'{tool_of(verb)[1]} {verb}'
+        assert words.startswith(start)
+        parser.parse_args(shlex.split(words.removeprefix(start)))
 
 
-@pytest.mark.parametrize('verb', VERBS)
+@pytest.mark.parametrize('verb', (*VERBS, *OF_BENCH))
 def test_a_table_can_be_had_as_json(verb):
     assert verb in WITHOUT_TABLE or '--json' in sub_parser(verb).format_help()
 
 
-@pytest.mark.parametrize('verb', VERBS)
+@pytest.mark.parametrize('verb', (*VERBS, *OF_BENCH))
 def test_an_unknown_option_is_bad_input(verb, capsys):
+    its_tool, start = tool_of(verb)
     with pytest.raises(SystemExit) as ended:
-        tool.main([verb, '--no-such-option'])
+        its_tool.main([verb, '--no-such-option'])
     assert ended.value.code == tool.BAD_INPUT
-    assert 'usage: gms_flex' in capsys.readouterr().err
+    assert f'usage: {start}' in capsys.readouterr().err
 
 
-@pytest.mark.parametrize('verb', [verb for verb in VERBS if verb in BAGS or verb in WRONG])
+@pytest.mark.parametrize('verb', [*sorted(BAGS), *WRONG])
 def test_bad_input_is_said_in_one_sentence(verb, tmp_path, capsys):
     places = {'missing': tmp_path / 'missing', 'dir': tmp_path / 'out', 'file': tmp_path / 'file'}
     places['file'].write_text('mine')
@@ -97,10 +105,11 @@ def test_bad_input_is_said_in_one_sentence(verb, tmp_path, capsys):
         words = f'{{missing}} {extra.get(verb, "")}'
     else:
         words = WRONG[verb]
-    assert tool.main([verb, *words.format(**places).split()]) == tool.BAD_INPUT
+    its_tool, start = tool_of(verb)
+    assert its_tool.main([verb, *words.format(**places).split()]) == tool.BAD_INPUT
     printed, told = capsys.readouterr()
     assert printed == ''
-    assert told.startswith(f'gms_flex {verb}: ')
+    assert told.startswith(f'{start} {verb}: ')
     assert told.count('\n') == 1
     assert not places['dir'].exists()
 
@@ -111,7 +120,8 @@ def test_bad_input_is_said_in_one_sentence(verb, tmp_path, capsys):
 def test_without_ros_the_extra_is_named(arguments, tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, 'rclpy', None)  # importing it then fails
     out = tmp_path / 'out'
-    assert tool.main(arguments.format(dir=out).split()) == tool.BAD_INPUT
+    its_tool, _ = tool_of(arguments.split()[0])
+    assert its_tool.main(arguments.format(dir=out).split()) == tool.BAD_INPUT
     printed, told = capsys.readouterr()
     assert printed == '' and told.count('\n') == 1 and "'.[ros]'" in told
     assert not out.exists()
@@ -125,16 +135,16 @@ def test_hints_install_from_the_clone():
     assert [path for path in files if foreign.search(path.read_text(encoding='utf-8'))] == []
 
 
-def test_the_bare_command_is_the_help_with_verbs_by_group(capsys):
-    assert tool.main([]) == tool.OK
+@pytest.mark.parametrize(('its_tool', 'verbs'), [(tool, VERBS), (bench, OF_BENCH)])
+def test_the_bare_command_is_the_help_with_verbs_by_group(its_tool, verbs, capsys):
+    assert its_tool.main([]) == tool.OK
     printed, told = capsys.readouterr()
-    assert printed == tool.build_parser().format_help() and told == ''
+    assert printed == its_tool.build_parser().format_help() and told == ''
     _, *groups = printed.split('\nverbs ')
     listed = [re.findall(r'^  ([a-z-]+) ', group, re.MULTILINE) for group in groups]
-    assert sorted(sum(listed, [])) == sorted(VERBS)
-    assert len(listed[0]) == 10 and 'identify' in listed[0]
-    assert groups[-1].startswith('for developers')
-    assert set(listed[-1]) == {'bench', 'recover', 'hide', 'score', 'faults'}
+    assert sorted(sum(listed, [])) == sorted(verbs)
+    if its_tool is tool:
+        assert len(listed[0]) == 10 and 'identify' in listed[0]
 
 
 @pytest.mark.parametrize(('typed', 'meant'), [
@@ -202,7 +212,7 @@ def test_every_effect_is_listed_with_its_parameters(capsys):
 
 
 def test_every_verb_is_among_those_tested_for_bad_input():
-    assert set(VERBS) <= set(WRONG) | BAGS | {'completion'}
+    assert {*VERBS, *OF_BENCH} == {*WRONG, *BAGS, 'completion'}
 
 
 def test_a_finding_that_says_no_is_one(tmp_path, capsys):
@@ -250,8 +260,8 @@ def test_ctrl_c_ends_workers_in_silence(tmp_path):
     """To the whole group of processes, as a terminal does."""
     path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get('PYTHONPATH')])])
     process = subprocess.Popen(
-        [sys.executable, '-m', 'gms_flex_control.cli.main', 'score', '--kind', 'single', '--seeds',
-         '0:8', '--no-peers', '--out', str(tmp_path)], stdout=subprocess.DEVNULL,
+        [sys.executable, '-m', 'bench', 'score', '--kind', 'single', '--seeds', '0:8',
+         '--no-peers', '--out', str(tmp_path)], stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE, text=True, start_new_session=True,
         env={**os.environ, 'PYTHONPATH': path})
     assert 'hidden robots' in process.stderr.readline()
@@ -259,7 +269,7 @@ def test_ctrl_c_ends_workers_in_silence(tmp_path):
     os.killpg(process.pid, signal.SIGINT)
     _, told = process.communicate(timeout=60)
     assert (process.returncode, told) == (
-        130, 'gms_flex score: interrupted; the same command goes on where it was\n')
+        130, 'python -m bench score: interrupted; the same command goes on where it was\n')
 
 
 def test_a_disk_that_refuses_is_bad_input(tmp_path, capsys):

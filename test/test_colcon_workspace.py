@@ -27,7 +27,7 @@ pytestmark = pytest.mark.skipif(colcon is None, reason='needs colcon: install th
 @pytest.fixture(scope='module')
 def domain():
     """Yield a ROS domain id that no other process here uses."""
-    take_domain = pytest.importorskip('gms_flex_control.nodes.faults.bench').take_domain
+    take_domain = pytest.importorskip('bench.faults.node_bench').take_domain
     number, lock = take_domain()
     with lock:
         yield number

@@ -6,6 +6,7 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
+from bench.hidden_robots.cases import make_case
 from discrepancy_runs import driven_motion, likelihood_of, retuned_of, rigid_motion
 from gms_flex_control.discrepancy.dictionary import Dictionary, guesses_of, may_join
 from gms_flex_control.discrepancy.likelihood import Likelihood, scales_of
@@ -13,7 +14,6 @@ from gms_flex_control.discrepancy.nuisance import nuisances_of, PRIOR
 from gms_flex_control.discrepancy.thresholds import PLAUSIBLE
 from gms_flex_control.effects import registry
 from gms_flex_control.effects.registry import find
-from gms_flex_control.hidden.cases import make_case
 from gms_flex_control.params.robot import EffectSpec
 from gms_flex_control.simulation import plant
 import numpy as np

@@ -7,13 +7,13 @@ from dataclasses import replace
 import json
 from pathlib import Path
 
+from bench.hidden_robots.cases import make_case
+from bench.hidden_robots.hide import write_case
 from gms_flex_control.bags.experiment import write_recording
-from gms_flex_control.cli.discrepancy_each import ask_bag, items_of
+from gms_flex_control.cli.discrepancy import ask_bag, items_of
 from gms_flex_control.cli.each import reason_or
-from gms_flex_control.cli.hide import write_case
 from gms_flex_control.cli.main import build_parser, main
 from gms_flex_control.effects import registry
-from gms_flex_control.hidden.cases import make_case
 from loopback_cluster import cluster
 import pytest
 

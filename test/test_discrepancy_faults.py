@@ -5,12 +5,12 @@
 
 from dataclasses import replace
 
+from bench.hidden_robots.cases import make_case
 from gms_flex_control.discrepancy.data_faults import faults_of
 from gms_flex_control.discrepancy.result import BAD_DATA, UNEXPLAINED
 from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
 from gms_flex_control.effects.registry import names
 from gms_flex_control.errors import BagError
-from gms_flex_control.hidden.cases import make_case
 import numpy as np
 import pytest
 

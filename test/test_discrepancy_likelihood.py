@@ -7,11 +7,11 @@ from copy import copy
 from dataclasses import replace
 from types import SimpleNamespace
 
+from bench.hidden_robots.cases import make_case
 from discrepancy_runs import as_believed, driven_motion, likelihood_of, retuned_of
 from gms_flex_control.discrepancy.likelihood import Likelihood, with_effect
 from gms_flex_control.discrepancy.null_simulation import null_simulation
 from gms_flex_control.discrepancy.residuals import unexplained
-from gms_flex_control.hidden.cases import make_case
 from gms_flex_control.params.robot import EffectSpec
 import numpy as np
 import pytest

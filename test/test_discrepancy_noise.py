@@ -5,12 +5,12 @@
 
 from dataclasses import replace
 
+from bench.hidden_robots.cases import make_case
 from discrepancy_runs import likelihood_of, retuned_of
 from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.discrepancy.result import COMPLETE, FOUND
 from gms_flex_control.discrepancy.thresholds import PRACTICAL
 from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
-from gms_flex_control.hidden.cases import make_case
 from gms_flex_control.params.robot import EffectSpec
 import numpy as np
 import pytest

@@ -5,13 +5,13 @@
 
 from dataclasses import replace
 
+from bench.hidden_robots.cases import make_case
 from core_runs import single_axis
 from discrepancy_runs import as_believed, driven_motion
 from gms_flex_control.discrepancy.likelihood import Likelihood
 from gms_flex_control.discrepancy.motion import make_motion, motion_of
 from gms_flex_control.discrepancy.null_simulation import null_simulation
 from gms_flex_control.discrepancy.residuals import unexplained
-from gms_flex_control.hidden.cases import make_case
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
 from gms_flex_control.params.robot import EffectSpec
 from gms_flex_control.simulation import plant

@@ -5,10 +5,11 @@
 
 from dataclasses import replace
 
+from bench.__main__ import build_parser, main
+from bench.hidden_robots.cases import available_effects, make_case
+from bench.hidden_robots.outcome import try_job
+from bench.hidden_robots.score import jobs_asked
 from gms_flex_control.bags.reader import read_recording
-from gms_flex_control.benchmarks.hidden_effects.outcome import try_job
-from gms_flex_control.cli.main import build_parser, main
-from gms_flex_control.cli.score import jobs_asked
 from gms_flex_control.discrepancy.likelihood import with_effect
 from gms_flex_control.discrepancy.motion import motion_of, with_links
 from gms_flex_control.discrepancy.residuals import (
@@ -19,7 +20,6 @@ from gms_flex_control.discrepancy.residuals import (
 from gms_flex_control.discrepancy.result import COMPLETE, FOUND, UNEXPLAINED
 from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
 from gms_flex_control.effects.registry import find
-from gms_flex_control.hidden.cases import available_effects, make_case
 from gms_flex_control.params.robot import EffectSpec
 from gms_flex_control.schema.files import load_robot
 from gms_flex_control.simulation import plant

@@ -7,6 +7,7 @@ from copy import copy
 from dataclasses import replace
 from types import SimpleNamespace
 
+from bench.hidden_robots.cases import make_case
 from discrepancy_runs import as_believed, likelihood_of, retuned_of
 from gms_flex_control.discrepancy.evidence import State
 from gms_flex_control.discrepancy.fitting import extended, fit
@@ -24,7 +25,6 @@ from gms_flex_control.discrepancy.validation import (
     torque_rms,
 )
 from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
-from gms_flex_control.hidden.cases import make_case
 from gms_flex_control.params.robot import EffectSpec
 import numpy as np
 import pytest

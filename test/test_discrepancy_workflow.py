@@ -7,16 +7,16 @@ from dataclasses import replace
 from types import SimpleNamespace
 import warnings
 
+from bench.hidden_robots.cases import make_case
+from bench.hidden_robots.motions import draw_reference
+from bench.hidden_robots.plants import draw_belief, draw_robot
+from bench.hidden_robots.truth import simulate
 from discrepancy_runs import recorded
 from gms_flex_control.discrepancy import workflow
 from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE, FOUND, UNEXPLAINED
 from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
 from gms_flex_control.effects import registry
 from gms_flex_control.errors import BagError, SimulationError
-from gms_flex_control.hidden.cases import make_case
-from gms_flex_control.hidden.motions import draw_reference
-from gms_flex_control.hidden.plants import draw_belief, draw_robot
-from gms_flex_control.hidden.truth import simulate
 from gms_flex_control.identification.identify import identify
 from gms_flex_control.identification.identify import Options as Identify
 from gms_flex_control.identification.unknown_robot import rigid_axes

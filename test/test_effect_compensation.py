@@ -7,8 +7,11 @@ from dataclasses import replace
 
 from core_runs import single_axis
 from gms_flex_control.effect_compensation import loop
-from gms_flex_control.effect_compensation.feedforward import CompensatingController
-from gms_flex_control.effect_compensation.known import as_parameters, compensated
+from gms_flex_control.effect_compensation.feedforward import (
+    as_parameters,
+    compensated,
+    CompensatingController,
+)
 from gms_flex_control.effects.registry import find
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
 from gms_flex_control.params.robot import EffectSpec

@@ -5,13 +5,13 @@
 
 from dataclasses import replace
 
+from bench.hidden_robots.cases import make_case
 from core_runs import push_plant
 from discrepancy_runs import likelihood_of
 from gms_flex_control.discrepancy.dictionary import guesses_of
 from gms_flex_control.effects import registry
 from gms_flex_control.effects.catalogue.viscous_error import ViscousError
 from gms_flex_control.errors import ParameterError
-from gms_flex_control.hidden.cases import make_case
 from gms_flex_control.params.robot import EffectSpec
 import numpy as np
 import pytest

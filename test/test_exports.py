@@ -7,8 +7,10 @@ import csv
 from dataclasses import replace
 import xml.etree.ElementTree as ElementTree
 
+from bench import __main__ as bench
+from bench.hidden_robots.sizes import spec
+from bench.speed import mujoco_export
 from core_runs import joint_friction, single_axis, stribeck
-from gms_flex_control.benchmarks import mujoco_export
 from gms_flex_control.cli.main import main
 from gms_flex_control.dynamics.chain import matrices
 from gms_flex_control.effects import registry
@@ -17,7 +19,6 @@ from gms_flex_control.exports import friction as friction_targets
 from gms_flex_control.exports import mujoco
 from gms_flex_control.exports.target import export
 from gms_flex_control.friction.stribeck import steady_friction
-from gms_flex_control.hidden.sizes import spec
 from gms_flex_control.params.robot import WHOLE_ARM
 from gms_flex_control.schema.build import robot_values
 from gms_flex_control.schema.files import save_robot
@@ -168,7 +169,7 @@ def test_the_bench_prints_a_ratio_for_every_effect(monkeypatch, capsys):
     monkeypatch.setattr(mujoco_export, 'available', lambda: True)
     monkeypatch.setattr(mujoco_export, 'ratio',
                         lambda name, *_, **__: 1.3 if name == 'backlash' else 1.1)
-    assert main(['bench', '--only', 'export', '--quick']) == 1
+    assert bench.main(['speed', '--only', 'export', '--quick']) == 1
     lines = [line for line in capsys.readouterr().out.splitlines() if 'our free run' in line]
     assert [line.split()[1].rstrip(':') for line in lines] == mujoco_export.exportable()
     assert ['missed' in line for line in lines].count(True) == 1

@@ -7,7 +7,7 @@ import json
 import os
 import sys
 
-from gms_flex_control.cli.main import main
+from bench.__main__ import main
 import numpy as np
 import pytest
 
@@ -15,9 +15,9 @@ import pytest
 pytestmark = pytest.mark.flaky(reruns=2)
 
 pytest.importorskip('rclpy')
-bench = pytest.importorskip('gms_flex_control.nodes.faults.bench')
-table = pytest.importorskip('gms_flex_control.nodes.faults.table')
-soak = pytest.importorskip('gms_flex_control.nodes.faults.soak')
+bench = pytest.importorskip('bench.faults.node_bench')
+table = pytest.importorskip('bench.faults.table')
+soak = pytest.importorskip('bench.faults.soak')
 scheduling = pytest.importorskip('gms_flex_control.nodes.scheduling')
 
 # how far beyond its limit a time may be on a shared machine; other times are not asserted

@@ -7,16 +7,16 @@ from dataclasses import replace
 import json
 from types import SimpleNamespace
 
+from bench.__main__ import main
+from bench.hidden_robots import cases, motions, outsiders, plants, sizes, truth
+from bench.hidden_robots.kernels import friction as hidden_friction
 from core_runs import push_plant, single_axis
 from gms_flex_control.bags.reader import read_recording
-from gms_flex_control.cli.main import main
 from gms_flex_control.dynamics import chain
 from gms_flex_control.effects import registry, table
 from gms_flex_control.effects.base import Term
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.friction import gms
-from gms_flex_control.hidden import cases, motions, outsiders, plants, sizes, truth
-from gms_flex_control.hidden.kernels import friction as hidden_friction
 from gms_flex_control.params.robot import EffectSpec
 from gms_flex_control.schema.files import load_controller, load_robot
 import numpy as np

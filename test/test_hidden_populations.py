@@ -6,13 +6,10 @@
 from dataclasses import replace
 from functools import cache
 
-from gms_flex_control.bags.reader import read_recording
-from gms_flex_control.cli.main import main
-from gms_flex_control.dynamics import chain
-from gms_flex_control.errors import ConfigError
-from gms_flex_control.hidden import motions, mujoco_plant, plants, sizes, truth
-from gms_flex_control.hidden.cases import make_case
-from gms_flex_control.hidden.populations import (
+from bench.__main__ import main
+from bench.hidden_robots import motions, mujoco_plant, plants, sizes, truth
+from bench.hidden_robots.cases import make_case
+from bench.hidden_robots.populations import (
     belief_errors,
     Drives,
     gaussian_errors,
@@ -21,6 +18,9 @@ from gms_flex_control.hidden.populations import (
     SPREAD,
     WIDTHS,
 )
+from gms_flex_control.bags.reader import read_recording
+from gms_flex_control.dynamics import chain
+from gms_flex_control.errors import ConfigError
 import numpy as np
 import pytest
 

@@ -7,19 +7,20 @@ import json
 import subprocess
 import sys
 import time
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 
+from bench.__main__ import build_parser, main
+from bench.hidden_robots import figures, judgement, peers, score
+from bench.hidden_robots import outcome as tried
+from bench.hidden_robots.cases import available_effects, make_case
+from bench.hidden_robots.jobs import fingerprint, Job, jobs_of
+from bench.hidden_robots.outcome import finite, try_job
+from bench.hidden_robots.score import jobs_asked
 from gms_flex_control.batches.journal import Journal
-from gms_flex_control.benchmarks.hidden_effects import figures, judgement, peers, text
-from gms_flex_control.benchmarks.hidden_effects.jobs import fingerprint, Job, jobs_of
-from gms_flex_control.benchmarks.hidden_effects.outcome import finite, try_job
-from gms_flex_control.cli.main import build_parser, main
-from gms_flex_control.cli.score import jobs_asked
 from gms_flex_control.discrepancy.result import Credible, Noise
 from gms_flex_control.discrepancy.thresholds import EVIDENCE
 from gms_flex_control.discrepancy.validation import Gain
 from gms_flex_control.errors import BagError, SimulationError
-from gms_flex_control.hidden.cases import available_effects, make_case
 import numpy as np
 import pytest
 
@@ -117,10 +118,10 @@ def test_the_figures_are_shares_of_their_kind():
         'clutter: names that are not there': 0.25, 'median parameter error': 0.0}
     for name, value in expected.items():
         assert values[name] == pytest.approx(value), name
-    report = text.report(outcomes)
+    report = score.report(outcomes)
     assert 'backlash  3 of 5  end_stop 1, unexplained 1' in report.replace('   ', '  ')
     assert 'MISSED' in report
-    json.dumps(text.values(outcomes), allow_nan=False)
+    json.dumps(score.values_of(outcomes), allow_nan=False)
 
 
 def believed(**errors):
@@ -165,16 +166,16 @@ def test_each_population_has_a_line_of_its_own():
     assert told['clutter: absent'] == 0.0
     assert told['outside: no name'] == 1.0 and told['double: both'] is None
     assert figures.of_population(outcomes, 'home')['clean: complete'] == 0.0
-    report = text.report(outcomes)
+    report = score.report(outcomes)
     line, = (line for line in report.splitlines() if line.startswith('beliefs_10'))
     assert line.split()[:7] == ['beliefs_10', '6', '50', '%', '100', '%', '0']
-    assert 'required' not in text.report(outcomes[:6])
+    assert 'required' not in score.report(outcomes[:6])
 
 
 def test_a_figure_nobody_tells_of_is_neither_met_nor_missed():
     assert {one.met for one in figures.figures_of([])} == {None}
-    assert 'right name, first place' in text.table([])
-    assert text.report([]) == ''
+    assert 'right name, first place' in score.table([])
+    assert score.report([]) == ''
 
 
 def test_peers_are_judged_by_their_names():
@@ -182,7 +183,7 @@ def test_peers_are_judged_by_their_names():
     one['answers']['forward R^2'] = [['end_stop', 'joint1'], ['backlash', 'joint1']]
     found = figures.peer_figures([one, outcome('clean', verdict='complete')], 'forward R^2')
     assert found == {'right name, first place': 0.0, 'wrong name': 1.0}
-    assert 'forward R^2' in text.table([one])
+    assert 'forward R^2' in score.table([one])
 
 
 @pytest.fixture
@@ -270,8 +271,7 @@ def test_numbers_that_are_none_are_kept_as_such():
 @pytest.fixture
 def workflow(monkeypatch):
     """Return a workflow that answers as it is told, in the place of the real one."""
-    module = ModuleType('gms_flex_control.discrepancy.workflow')
-    module.asked = []
+    module = SimpleNamespace(asked=[])
 
     def find_discrepancy(recordings, robot, options, *, holdout):
         assert len(holdout) == 1
@@ -279,9 +279,9 @@ def workflow(monkeypatch):
         if isinstance(module.result, Exception):
             raise module.result
         return module.result
-    module.find_discrepancy = find_discrepancy
-    module.Options = lambda **given: SimpleNamespace(**{'without': (), **given})
-    monkeypatch.setitem(sys.modules, module.__name__, module)
+    monkeypatch.setattr(tried, 'find_discrepancy', find_discrepancy)
+    monkeypatch.setattr(tried, 'Options', lambda **given: SimpleNamespace(
+        **{'without': (), **given}))
     return module
 
 
@@ -313,13 +313,12 @@ def test_a_job_asks_the_workflow_without_telling_it_the_truth(workflow):
     (Job('single', 2, plant='soft', duration=8.0), True)])
 def test_what_is_missed_is_told_beside_what_the_truth_gains(monkeypatch, job, told):
     """Damping that one motion hardly shows and another does, where nothing may be added."""
-    from gms_flex_control.discrepancy import workflow
-    options = workflow.Options
-    monkeypatch.setattr(workflow, 'Options', lambda: options(most=0))
+    options = tried.Options
+    monkeypatch.setattr(tried, 'Options', lambda: options(most=0))
     found = try_job(job, with_peers=False)
     assert found['verdict'] != 'effects_found'
     assert (found['truth_gains'] > EVIDENCE) == told
-    line, = (line for line in text.report([found]).splitlines() if line.startswith(found['key']))
+    line, = (line for line in score.report([found]).splitlines() if line.startswith(found['key']))
     assert line.split()[-1] == f'{found["truth_gains"]:.0f}' and 'spring_damping of' in line
 
 
@@ -328,7 +327,7 @@ def test_a_workflow_that_fails_is_told_and_counts_against_it(workflow, error):
     workflow.result = error
     found = try_job(Job('single', 1, duration=8.0), with_peers=False)
     assert found['verdict'] == 'error' and judgement.judged(found) == 'fault'
-    assert 'no torque' in text.report([found])
+    assert 'no torque' in score.report([found])
 
 
 def test_peers_that_fail_answer_nothing_and_the_case_counts(workflow, monkeypatch):

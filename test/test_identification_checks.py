@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+from bench.hidden_robots.cases import make_case
 from gms_flex_control.analysis.csv_import import import_csv
 from gms_flex_control.bags.experiment import write_recording
 from gms_flex_control.bags.reader import read_recording
@@ -16,7 +17,6 @@ from gms_flex_control.experiment.identification_plan import read_identification_
 from gms_flex_control.experiment.identification_simulated import simulate_identification
 from gms_flex_control.experiment.plan import read_plan
 from gms_flex_control.experiment.simulated import simulate
-from gms_flex_control.hidden.cases import make_case
 from gms_flex_control.identification.checks import check, require
 from gms_flex_control.identification.equations import filtered, rigid_torque
 from gms_flex_control.identification.findings import signals_of

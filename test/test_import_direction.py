@@ -1,9 +1,10 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""Imports point one way, ROS stays under nodes/, and the search knows no effect by name."""
+"""Imports point one way, ROS stays under nodes/, the bench outside, effects in their files."""
 
 import ast
+from graphlib import CycleError, TopologicalSorter
 import html
 from importlib import util
 from pathlib import Path
@@ -16,13 +17,14 @@ import pytest
 PACKAGE = 'gms_flex_control'
 ROOT = Path(gms_flex_control.__file__).parent
 # each may import those before it, and itself; one that does not exist yet does no harm
-LAYERS = ['errors', 'files', 'batches', 'suggest', 'answer', 'resources', 'blas', 'compiled',
+LAYERS = ['errors', 'files', 'batches', 'answer', 'resources', 'blas', 'compiled',
           'records', 'recording', 'params', 'friction', 'effects', 'dynamics', 'trajectory',
           'control', 'hardware', 'schema', 'exports', 'simulation', 'effect_compensation', 'bags',
-          'experiment', 'analysis', 'identification', 'discrepancy', 'hidden', 'tuning',
-          'comparison', 'reports', 'benchmarks', 'view', 'nodes', 'cli']
+          'experiment', 'analysis', 'identification', 'discrepancy', 'demonstration', 'tuning',
+          'comparison', 'reports', 'view', 'nodes', 'cli']
 ROS = re.compile(r'rclpy|rcl_interfaces|ament_index_python|launch(_ros)?|\w+_(msgs|srvs)')
 BAGS = re.compile(r'rosbags|mcap')
+NOT_INSTALLED = {'bench', 'scripts', 'test'}
 MODULES = {path.relative_to(ROOT).as_posix(): path for path in sorted(ROOT.rglob('*.py'))
            if path != ROOT / '__init__.py'}
 
@@ -61,6 +63,8 @@ def complaints(source, module):
             found.append(f'{module}:{line} imports {name}: ROS belongs under nodes/')
         elif BAGS.fullmatch(top) and layer != 'bags':
             found.append(f'{module}:{line} imports {name}: bag libraries belong under bags/')
+        elif top in NOT_INSTALLED:
+            found.append(f'{module}:{line} imports {name}, which is not installed')
         elif top != PACKAGE or not target.isidentifier() or target.startswith('__'):
             continue
         elif target not in LAYERS or LAYERS.index(target) > LAYERS.index(layer):
@@ -76,6 +80,30 @@ def test_imports_point_downwards(module):
     assert complaints(MODULES[module].read_text(encoding='utf-8'), module) == []
 
 
+def modules_imported(source, module):
+    """Return the modules of the package that one imports, also within functions, set of str."""
+    names = set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.ImportFrom):
+            names |= {f'{node.module}.{alias.name}' for alias in node.names} | {node.module}
+        elif isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+    paths = {f"{name.removeprefix(f'{PACKAGE}.').replace('.', '/')}.py" for name in names}
+    return paths.intersection(MODULES) - {module}
+
+
+def test_no_module_imports_itself_by_way_of_others():
+    TopologicalSorter({module: modules_imported(path.read_text('utf-8'), module)
+                       for module, path in MODULES.items()}).prepare()
+
+
+def test_a_cycle_is_found():
+    assert modules_imported('def f():\n    from gms_flex_control.cli.demo import warm_up',
+                            'experiment/plan.py') == {'cli/demo.py'}
+    with pytest.raises(CycleError):
+        TopologicalSorter({'a.py': {'b.py'}, 'b.py': {'a.py'}}).prepare()
+
+
 @pytest.mark.parametrize(('module', 'source', 'complaint'), [
     ('friction/gms.py', 'from gms_flex_control.simulation import plant', 'above friction'),
     ('friction/gms.py', 'from gms_flex_control import simulation', 'above friction'),
@@ -85,6 +113,7 @@ def test_imports_point_downwards(module):
     ('analysis/tracking.py', 'def f():\n    from std_msgs.msg import String', 'under nodes/'),
     ('analysis/tracking.py', 'if True:\n    from mcap.reader import x', 'under bags/'),
     ('cli/demo.py', 'from gms_flex_control.nodes import ros', 'outside a function'),
+    ('cli/demo.py', 'def run(args):\n    from bench.speed import timing', 'not installed'),
     ('novel/part.py', '', 'no place in LAYERS'),
 ])
 def test_a_forbidden_import_is_found(module, source, complaint):
@@ -127,7 +156,7 @@ def effects_named(source):
 def test_an_effect_is_named_in_its_own_file_only():
     """It declares what is particular about it; whoever needs that one imports its class."""
     for module, path in MODULES.items():
-        if not module.startswith(('effects/catalogue/', 'hidden/', 'benchmarks/')):
+        if not module.startswith('effects/catalogue/'):
             named = set(effects_named(path.read_text('utf-8')))
             assert named <= ALLOWED.get(module, set()), module
 

@@ -12,6 +12,7 @@ import subprocess
 import sys
 import time
 
+from bench.faults import broken_node
 from bridge_lab import (
     ask,
     assert_fault_within,
@@ -23,7 +24,6 @@ from bridge_lab import (
     start_controller,
     time_to_zero,
 )
-from gms_flex_control.nodes.faults import broken_node
 from gms_flex_control.nodes.messages import to_nanoseconds
 from node_harness import array_message, COMMANDS, Float64MultiArray, JointState, Trigger
 import numpy as np
@@ -185,7 +185,7 @@ def test_an_emergency_stop_is_zero_at_once_latched_and_survives_a_new_controller
 
 def test_an_emergency_stop_is_heard_in_a_storm_of_commands(lab):
     storm = subprocess.Popen(
-        [sys.executable, '-m', 'gms_flex_control.nodes.faults.storm', COMMANDS, '30'],
+        [sys.executable, '-m', 'bench.faults.storm', COMMANDS, '30'],
         env=lab.environment, stdout=subprocess.DEVNULL)
     try:
         lab.until(lambda: 'command refused: command for joint 1 is nan' in lab.plant.printed())

@@ -14,7 +14,7 @@ pytestmark = pytest.mark.flaky(reruns=2)
 references = pytest.importorskip('gms_flex_control.nodes.references')
 refusal = pytest.importorskip('gms_flex_control.nodes.refusal')
 messages = pytest.importorskip('gms_flex_control.nodes.messages')
-wire = pytest.importorskip('gms_flex_control.nodes.faults.wire')
+wire = pytest.importorskip('bench.faults.wire')
 Reference, References, Handover = (references.Reference, references.References,
                                    references.Handover)
 NS, PERIOD = 10**9, 2_000_000

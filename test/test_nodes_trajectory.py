@@ -3,7 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """The trajectory node's services: smooth from wherever the robot is, whatever changes."""
 
-from gms_flex_control.nodes.faults import broken_node
+from bench.faults import broken_node
 from node_harness import (
     CONFIG,
     FILES,

@@ -5,6 +5,7 @@
 
 import ast
 from importlib import import_module, util
+import json
 from pathlib import Path
 import re
 import shutil
@@ -65,6 +66,21 @@ def test_everything_public_says_what_it_is():
               for name, node in public(ast.parse(path.read_text(encoding='utf-8')))
               if not ast.get_docstring(node)]
     assert silent == []
+
+
+def test_the_package_is_installed_whole_and_nothing_else():
+    """Neither bench/ nor scripts/ nor test/ is in a wheel or among what colcon installs."""
+    there = {'.'.join(path.parent.relative_to(ROOT).parts)
+             for path in (ROOT / 'gms_flex_control').rglob('__init__.py')}
+    done = subprocess.run(
+        [sys.executable, '-c', 'import json; from setuptools.dist import Distribution; '
+         'from distutils.core import run_setup; built = run_setup("setup.py", stop_after="init"); '
+         'print(json.dumps([built.packages, built.py_modules, built.data_files]))'],
+        cwd=ROOT, capture_output=True, text=True, check=True)
+    packages, modules, files = json.loads(done.stdout)
+    assert set(packages) == there and not modules
+    assert not any(Path(name).parts[0] in ('bench', 'scripts', 'test')
+                   for _, names in files for name in names)
 
 
 def test_every_requirement_is_locked():

@@ -6,9 +6,8 @@
 import json
 import math
 
-from gms_flex_control.cli.main import main
-from gms_flex_control.cli.recover import missed_of, table
-from gms_flex_control.identification.recovery import as_values, from_values, recovered, Trial
+from bench.__main__ import main
+from bench.recover import as_values, from_values, missed_of, recovered, table, Trial
 from gms_flex_control.identification.result import Estimate, Interval
 from gms_flex_control.schema.files import save_robot, save_values
 from gms_flex_control.tuning.words import controller_values

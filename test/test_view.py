@@ -23,8 +23,7 @@ from gms_flex_control.errors import BagError
 from gms_flex_control.friction import gms
 from gms_flex_control.recording import Recording
 from gms_flex_control.view.access import Access
-from gms_flex_control.view.bag import BagView, CHUNK, open_bag
-from gms_flex_control.view.friction import blocks_along
+from gms_flex_control.view.bag import BagView, blocks_along, CHUNK, open_bag
 from gms_flex_control.view.live import Feed, Rows
 from gms_flex_control.view.scene import extent, scene_of, unknown_scene
 from gms_flex_control.view.server import ServerError, ViewServer

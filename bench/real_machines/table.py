@@ -8,7 +8,7 @@ import math
 import re
 
 from bench.real_machines.machines import MACHINES, shared_data
-from bench.real_machines.run import CRASHED
+from bench.real_machines.split import CRASHED
 
 BEGIN = '<!-- made by make bench-real: begin -->'
 END = '<!-- made by make bench-real: end -->'

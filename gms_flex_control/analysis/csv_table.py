@@ -8,8 +8,7 @@ import csv
 from itertools import chain, islice
 from pathlib import Path
 
-from gms_flex_control.errors import ImportDataError
-from gms_flex_control.suggest import did_you_mean
+from gms_flex_control.errors import did_you_mean, ImportDataError
 import numpy as np
 
 EMPTY = ('', 'nan', 'na', 'n/a', 'null', 'none', '-')

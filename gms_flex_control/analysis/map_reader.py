@@ -6,9 +6,8 @@
 import math
 
 from gms_flex_control.analysis import units
-from gms_flex_control.errors import ImportDataError
+from gms_flex_control.errors import did_you_mean, ImportDataError
 from gms_flex_control.files import read_yaml
-from gms_flex_control.suggest import did_you_mean
 from ruamel.yaml.error import YAMLError
 
 _MISSING = object()

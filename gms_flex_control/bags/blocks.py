@@ -4,10 +4,10 @@
 """Read what the observer's friction blocks carried, and which of them stuck."""
 
 from gms_flex_control.bags.cdr import MULTI_ARRAY, unpack_joint_state, unpack_multi_array
+from gms_flex_control.bags.names import namespace_of, Topics
 from gms_flex_control.bags.pairing import by_stamp
 from gms_flex_control.bags.source import Bag
 from gms_flex_control.bags.tables import ArrayTable
-from gms_flex_control.bags.topics import namespace_of, Topics
 from gms_flex_control.errors import BagError
 import numpy as np
 

@@ -7,9 +7,8 @@ from collections.abc import Sequence
 
 from gms_flex_control.bags.cdr import JOINT_STATE, MULTI_ARRAY, pack_joint_states
 from gms_flex_control.bags.messages import pack_command, pack_reference, pack_supply
-from gms_flex_control.bags.names import MOTOR_SUFFIX
+from gms_flex_control.bags.names import MOTOR_SUFFIX, Topics
 from gms_flex_control.bags.phases import pack_phase, PHASE_TOPIC
-from gms_flex_control.bags.topics import Topics
 from gms_flex_control.bags.writer import BagWriter
 from gms_flex_control.recording import Recording
 import numpy as np

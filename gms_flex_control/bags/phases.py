@@ -10,9 +10,9 @@ from gms_flex_control.bags.cdr import (
     unpack_multi_array,
 )
 from gms_flex_control.bags.messages import STAMP_LABEL, stamp_of
+from gms_flex_control.bags.names import namespace_of
 from gms_flex_control.bags.reader import Aside, read_beside
 from gms_flex_control.bags.source import Bag
-from gms_flex_control.bags.topics import namespace_of
 from gms_flex_control.errors import BagError
 from gms_flex_control.recording import Phase
 import numpy as np

@@ -6,7 +6,7 @@
 from concurrent.futures import CancelledError
 import pickle
 
-from gms_flex_control.batches.sources import fingerprint
+from gms_flex_control.batches.journal import fingerprint
 from gms_flex_control.errors import BatchError, LostItemError
 
 _PATIENCE = '10s'  # for the scheduler to answer

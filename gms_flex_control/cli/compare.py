@@ -6,8 +6,7 @@
 from functools import partial
 from pathlib import Path
 
-from gms_flex_control.cli.batch_options import add_batch_options
-from gms_flex_control.cli.output import conclude, refuse_unwritable
+from gms_flex_control.cli.output import add_batch_options, conclude, refuse_unwritable
 
 # options of one way to compare alone, and their values where none was given
 OF_A_PLANT = {'draws': 50, 'rate': 500.0, 'amplitude': 1.0, 'seed': 0}
@@ -135,7 +134,7 @@ def on_plant(args, files):
 
 def along_bag(args):
     """Return table, plain values, page, Answer and units of the comparison along a bag."""
-    from gms_flex_control.batches.sources import content_of
+    from gms_flex_control.batches.journal import content_of
     from gms_flex_control.cli.identify import motors_in
     from gms_flex_control.comparison import held_out, words
     from gms_flex_control.params.units import in_units
@@ -167,8 +166,7 @@ def finished(args, function, items, robot, gains, asked, label):
     """Return what a batch found; what the journal in --out has of the same is not done again."""
     from gms_flex_control.batches.batch import run_batch
     from gms_flex_control.batches.executor import open_executor
-    from gms_flex_control.batches.journal import Journal
-    from gms_flex_control.batches.sources import digest_of, fingerprint
+    from gms_flex_control.batches.journal import digest_of, fingerprint, Journal
     from gms_flex_control.schema.build import robot_values
     from gms_flex_control.tuning.words import controller_values
 

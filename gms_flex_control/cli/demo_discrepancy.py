@@ -64,8 +64,8 @@ def run(args):
 
 def draw(args):
     """Return the HiddenEffect that the arguments ask for, and the gains."""
+    from gms_flex_control.demonstration import hide_effect
     from gms_flex_control.errors import ConfigError
-    from gms_flex_control.hidden.demonstration import hide_effect
     from gms_flex_control.resources import controller_file, robot_file
     from gms_flex_control.schema.files import load_controller, load_robot
 

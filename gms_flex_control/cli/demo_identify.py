@@ -127,9 +127,8 @@ def compare(out):
         Motion, belief, rms error of each link [rad], over DDS; with ``copies`` the medians.
 
     """
-    from gms_flex_control.analysis.copies import tracking_of_copies
     from gms_flex_control.analysis.table4 import align
-    from gms_flex_control.analysis.tracking import link_rms
+    from gms_flex_control.analysis.tracking import link_rms, tracking_of_copies
     from gms_flex_control.cli.demo import files_of, plan_of
     from gms_flex_control.experiment.driven import drive_recorded, DrivenPlan
     from gms_flex_control.resources import robot_file

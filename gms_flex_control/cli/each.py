@@ -119,7 +119,7 @@ def places_of(bags, out, asked):
         If two bags cannot be told apart, or a folder of that name is somebody else's.
 
     """
-    from gms_flex_control.batches.sources import content_of, digest_of
+    from gms_flex_control.batches.journal import content_of, digest_of
     places = {}
     for name, bag in names_of(bags).items():
         key = f'{name} {digest_of((bag, content_of(bag)))}'

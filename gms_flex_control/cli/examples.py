@@ -39,7 +39,6 @@ EXAMPLES = {
                 'tuned/controller.yaml --out comparison',
                 'gms_flex compare robot.yaml results/friction.yaml --draws 20',
                 'gms_flex compare my_bag --robot robot.yaml --out along_bag'],
-    'bench': ['gms_flex bench --quick', 'gms_flex bench --only loop step --json'],
     'torsion': ['gms_flex torsion kr300 --joint axis1 --stiffness 4.58e6 --out torsion'],
     'identify': ['gms_flex identify my_bag --robot robot.yaml --out results',
                  'gms_flex identify first second --robot robot.yaml --holdout third --out results',
@@ -52,17 +51,11 @@ EXAMPLES = {
                     'another_bag --out results',
                     'gms_flex discrepancy bags/* --each --robot robot.yaml --workers 4 '
                     '--out each'],
-    'recover': ['gms_flex recover --seeds 3', 'gms_flex recover --seeds 20 --out recovery'],
-    'hide': ['gms_flex hide --effect backlash --out hidden',
-             'gms_flex hide --kind single double --seeds 0:5 --out hidden'],
-    'score': ['gms_flex score --out quick',
-              'gms_flex score --kind single --seeds 0:20 --no-peers --out singles'],
     'effects': ['gms_flex effects', 'gms_flex effects backlash end_stop --json'],
     'export': ['gms_flex export --to mujoco --robot robot.yaml friction.yaml --out arm.xml',
                'gms_flex export --to mujoco --without attraction stribeck_direction '
                '--out arm.xml',
                'gms_flex export --to csv --robot results/robot.yaml --out parameters.csv'],
-    'faults': ['gms_flex faults --list', 'gms_flex faults --short --logs fault_logs'],
     'urdf': ['gms_flex urdf --robot robot.yaml --out arm.urdf',
              'gms_flex urdf --robot robot.yaml --links-only --out rigid.urdf'],
     'view': ['gms_flex view my_bag --robot config/robot.yaml',
@@ -71,19 +64,21 @@ EXAMPLES = {
                    'gms_flex completion fish > ~/.config/fish/completions/gms_flex.fish']}
 
 
-def add_examples(parsers):
+def add_examples(parsers, examples=EXAMPLES):
     """
     Put examples at the end of the help of verbs.
 
     Parameters
     ----------
     parsers : dict of str to ArgumentParser
-        The verbs by name; one that is not in EXAMPLES keeps what it has.
+        The verbs by name; one that is not in ``examples`` keeps what it has.
+    examples : dict of str to list of str
+        Commands by verb.
 
     """
     for name, parser in parsers.items():
-        if name in EXAMPLES:
-            lines = [line for example in EXAMPLES[name] for line in _broken(example)]
+        if name in examples:
+            lines = [line for example in examples[name] for line in _broken(example)]
             parser.description = textwrap.fill(parser.description, _WIDTH)
             parser.epilog = '\n'.join(['examples:', *(f'  {line}' for line in lines)])
             parser.formatter_class = RawDescriptionHelpFormatter

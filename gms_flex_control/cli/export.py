@@ -44,7 +44,7 @@ def run(args):
 
 def _text_of(robot, args):
     from gms_flex_control.errors import ConfigError
-    from gms_flex_control.exports import friction, mujoco, table, target
+    from gms_flex_control.exports import friction, mujoco, target
 
     if args.timestep is not None and (args.to != 'mujoco' or not 0.0 < args.timestep < 1.0):
         raise ConfigError(f'--timestep {args.timestep:g} --to {args.to}: give an integration step '
@@ -52,7 +52,7 @@ def _text_of(robot, args):
     if args.to == 'csv':
         if args.without:
             raise ConfigError('--without: csv holds every parameter; leave the option out')
-        return table.table(robot)
+        return friction.table(robot)
     step = {} if args.timestep is None else {'timestep': args.timestep}
     chosen = {'mujoco': mujoco.target(**step), 'urdf': friction.URDF,
               'ros2_control': friction.ROS2_CONTROL}

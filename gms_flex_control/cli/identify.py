@@ -4,10 +4,18 @@
 """`gms_flex identify`: friction parameters from bags, each with how far to trust it."""
 
 from dataclasses import replace
+import os
 from pathlib import Path
+from typing import NamedTuple
 
-from gms_flex_control.cli.batch_options import add_batch_options
-from gms_flex_control.cli.output import conclude, refuse_fitted, refuse_unwritable, say
+from gms_flex_control.cli import each
+from gms_flex_control.cli.output import (
+    add_batch_options,
+    conclude,
+    refuse_fitted,
+    refuse_unwritable,
+    say,
+)
 from gms_flex_control.errors import ConfigError
 
 
@@ -62,7 +70,6 @@ def run(args):
     refuse_unwritable(args.out)
     refuse_fitted(args.bags, args.holdout)
     if args.each:
-        from gms_flex_control.cli.identify_each import run_each
         return run_each(args)
     if args.workers is not None or args.scheduler is not None:
         raise ConfigError('--workers and --scheduler divide many bags; add --each, or leave them '
@@ -154,3 +161,64 @@ def motors_in(path, robot):
 
 def quiet(_text):
     """Print nothing."""
+
+
+class BagItem(NamedTuple):
+    """A bag to be identified, perhaps in another process."""
+
+    place: each.Place
+    robot: object     # RobotParams; None: rigid axes named as in the bag
+    joints: tuple     # to take from the bag; empty: all
+    holdouts: tuple   # of str, absolute paths
+    options: object   # identification.identify.Options
+
+
+def run_each(args):
+    """Identify each bag, write, print; return 1 if one could not be identified, else 0."""
+    from gms_flex_control.reports.over_bags import identification_text
+
+    items, asked = items_of(args)
+    found = each.run_each(args, identify_bag, items, asked)
+    each.write_summary(args, found, identification_text)
+    return int(any(values['reason'] is not None for values in found.values()))
+
+
+def items_of(args):
+    """Return the items of a batch by key, and what their results depend on beside the bag."""
+    from gms_flex_control.batches.journal import content_of, digest_of, fingerprint
+    from gms_flex_control.schema.build import robot_values
+
+    options = options_of(args)
+    robot = None if args.robot is None else robot_of(args)
+    holdouts = tuple(os.path.abspath(path) for path in args.holdout)
+    joints = tuple(args.joints or ())
+    asked = f'{fingerprint()} ' + digest_of((
+        robot and robot_values(robot), joints, options,
+        [(path, content_of(path)) for path in holdouts]))
+    return {key: BagItem(place, robot, joints, holdouts, options)
+            for key, place in each.places_of(args.bags, args.out, asked).items()}, asked
+
+
+def identify_bag(item):
+    """
+    Identify one bag and write its results.
+
+    Parameters
+    ----------
+    item : BagItem
+        Which, and where to.
+
+    Returns
+    -------
+    dict
+        `identification.over_bags.bag_values`, and why there are none as ``reason``.
+
+    """
+    from gms_flex_control.identification.over_bags import bag_values
+
+    place, described = item.place, item.robot is not None
+    robot = item.robot if described else robot_in(place.bag, item.joints)
+    found = identified([place.bag], item.holdouts, robot, item.options, described)
+    with each.whole(place) as folder:
+        write_results(found, folder)
+    return {'reason': None, **bag_values(found)}

@@ -11,27 +11,26 @@ from itertools import chain
 import os
 import signal
 import sys
+from textwrap import fill
 from threading import current_thread, main_thread
 import traceback
 import warnings
 
 from gms_flex_control import __version__
-from gms_flex_control.cli.batch_options import goes_on
 from gms_flex_control.cli.completion import complete
-from gms_flex_control.cli.examples import add_examples
-from gms_flex_control.errors import GmsFlexError
-from gms_flex_control.suggest import did_you_mean
+from gms_flex_control.cli.examples import add_examples, EXAMPLES
+from gms_flex_control.cli.output import goes_on
+from gms_flex_control.errors import did_you_mean, GmsFlexError
 
 OK, FINDING_SAYS_NO, BAD_INPUT = 0, 1, 2
 INTERRUPTED = 130  # as a shell reports SIGINT
 OWN_ERROR = 70  # EX_SOFTWARE of sysexits.h: never taken for a finding
 GROUPS = {
     'for a robot and its recordings': (
-        'import_csv', 'info', 'view', 'identify', 'discrepancy', 'simulate', 'tune', 'compare',
+        'import-csv', 'info', 'view', 'identify', 'discrepancy', 'simulate', 'tune', 'compare',
         'effects', 'export'),
-    'beside these': ('record', 'repair', 'analyse', 'torsion', 'check_gains', 'urdf', 'demo',
-                     'demo_identify', 'demo_discrepancy', 'completion'),
-    'for developers of this package': ('bench', 'recover', 'hide', 'score', 'faults')}
+    'beside these': ('record', 'repair', 'analyse', 'torsion', 'check-gains', 'urdf', 'demo',
+                     'demo-identify', 'demo-discrepancy', 'completion')}
 VERBS = tuple(chain.from_iterable(GROUPS.values()))
 
 
@@ -48,46 +47,72 @@ class _Verbs:
 
 def build_parser():
     """Return the parser with all verbs."""
-    parser = argparse.ArgumentParser(
-        prog='gms_flex', usage='gms_flex [-h] [--version] VERB ...',
-        description='Simulate, record, analyse and compensate friction in robots with flexible '
-                    'joints.',
-        formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(
+        'gms_flex', 'Simulate, record, analyse and compensate friction in robots with flexible '
+        'joints.', {title: {verb: f'gms_flex_control.cli.{verb.replace("-", "_")}'
+                            for verb in verbs} for title, verbs in GROUPS.items()}, EXAMPLES)
+    parser.usage = 'gms_flex [-h] [--version] VERB ...'
     parser.add_argument('--version', action='version', version=__version__)
-    subparsers = parser.add_subparsers(dest='verb', required=True, prog='gms_flex',
-                                       help=argparse.SUPPRESS)
-    verbs = _Verbs(subparsers)
-    for verb in VERBS:
-        import_module(f'gms_flex_control.cli.{verb}').add_parser(verbs)
-    add_examples(subparsers.choices)
-    parser.epilog = _listing(verbs.help)
     return parser
 
 
-def _listing(helps):
+def parser_of(prog, description, groups, examples):
+    """
+    Return the parser of a tool.
+
+    Parameters
+    ----------
+    prog, description : str
+        What starts it, and what it is for.
+    groups : dict of str to dict of str to str
+        Title -> verb -> the module that adds its parser.
+    examples : dict of str to list of str
+        Of each verb.
+
+    Returns
+    -------
+    ArgumentParser
+        With ``verbs``, a dict of str to the ArgumentParser of each.
+
+    """
+    parser = argparse.ArgumentParser(
+        prog=prog, usage=f'{prog} [-h] VERB ...', description=fill(description, 79),
+        formatter_class=argparse.RawDescriptionHelpFormatter)
+    subparsers = parser.add_subparsers(dest='verb', required=True, prog=prog,
+                                       help=argparse.SUPPRESS)
+    verbs = _Verbs(subparsers)
+    for module in chain.from_iterable(group.values() for group in groups.values()):
+        import_module(module).add_parser(verbs)
+    parser.verbs = subparsers.choices
+    add_examples(parser.verbs, examples)
+    parser.epilog = _listing(prog, groups, verbs.help)
+    return parser
+
+
+def _listing(prog, groups, helps):
     """Return the verbs by group with their help, and the exit codes."""
     width = max(map(len, helps)) + 2
     lines = []
-    for group, verbs in GROUPS.items():
-        names = [verb.replace('_', '-') for verb in verbs]
-        lines += [f'verbs {group}:', *(f'  {name:<{width}}{helps[name]}' for name in names), '']
-    return '\n'.join([*lines, 'gms_flex VERB --help has options and examples.',
+    for title, verbs in groups.items():
+        lines += [f'verbs {title}:', *(f'  {name:<{width}}{helps[name]}' for name in verbs), '']
+    return '\n'.join([*lines, f'{prog} VERB --help has options and examples.',
                       'Exit codes: 0 done, 1 a finding says no, 2 bad input, 130 interrupted by '
                       'Ctrl-C.'])
 
 
 def parsed(parser, argv):
     """Return the arguments; None after the help, which is what the bare command asks for."""
-    verbs = [verb.replace('_', '-') for verb in VERBS]
     if not argv:
         parser.print_help()
         return None
-    if not argv[0].startswith('-') and argv[0] not in verbs:
-        parser.error(f'there is no verb {argv[0]!r}{did_you_mean(argv[0], verbs)}')
-    return parser.parse_args(argv)
+    if not argv[0].startswith('-') and argv[0] not in parser.verbs:
+        parser.error(f'there is no verb {argv[0]!r}{did_you_mean(argv[0], parser.verbs)}')
+    args = parser.parse_args(argv)
+    args.command = f'{parser.prog} {args.verb}'
+    return args
 
 
-def main(argv=None):
+def main(argv=None, prog='gms_flex', build=build_parser):
     """
     Run one verb.
 
@@ -95,6 +120,10 @@ def main(argv=None):
     ----------
     argv : list of str, optional
         Arguments; default those of the command line.
+    prog : str
+        What starts the tool.
+    build : callable
+        Returns its parser.
 
     Returns
     -------
@@ -104,21 +133,21 @@ def main(argv=None):
     """
     with noted_interrupts() as seen:
         try:
-            parser = build_parser()
+            parser = build()
             complete(parser)
             args = parsed(parser, sys.argv[1:] if argv is None else argv)
         except (KeyboardInterrupt, Exception):
             if seen:
-                return interrupted()
+                return interrupted(prog)
             raise
         if args is None:
             return OK
-        with plain_warnings(args.verb):
+        with plain_warnings(args.command):
             return run_verb(args, seen)
 
 
 @contextmanager
-def plain_warnings(verb):
+def plain_warnings(command):
     """
     Print warnings of this package as a sentence, and none of numpy and scipy.
 
@@ -130,7 +159,7 @@ def plain_warnings(verb):
     with warnings.catch_warnings():
         warnings.simplefilter('ignore', RuntimeWarning)
         warnings.showwarning = lambda message, *_: print(
-            f'gms_flex {verb}: warning: {message}', file=sys.stderr)
+            f'{command}: warning: {message}', file=sys.stderr)
         os.environ['PYTHONWARNINGS'] = 'ignore::RuntimeWarning'
         try:
             yield
@@ -145,26 +174,26 @@ def run_verb(args, seen):
         sys.stdout.flush()  # here, where a closed pipe is understood
         return code
     except GmsFlexError as error:
-        print(f'gms_flex {args.verb}: {error}', file=sys.stderr)
+        print(f'{args.command}: {error}', file=sys.stderr)
         return BAD_INPUT
     except MemoryError:
-        print(f'gms_flex {args.verb}: not enough memory for so many samples; choose a shorter '
+        print(f'{args.command}: not enough memory for so many samples; choose a shorter '
               'duration or a lower rate', file=sys.stderr)
         return BAD_INPUT
     except KeyboardInterrupt:
-        return interrupted(args)
+        return interrupted(args.command, goes_on(args))
     except BrokenPipeError:  # the reader, such as head, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return OK
     except OSError as error:
         where = f'{error.filename}: ' if error.filename else ''
-        print(f'gms_flex {args.verb}: {where}{error.strerror or error}', file=sys.stderr)
+        print(f'{args.command}: {where}{error.strerror or error}', file=sys.stderr)
         return BAD_INPUT
     except Exception:  # noqa: B902  its exit code 1 would say what a finding says
         if seen:
-            return interrupted(args)
+            return interrupted(args.command, goes_on(args))
         traceback.print_exc()
-        print(f'gms_flex {args.verb}: this is an error of the program; please report it with the '
+        print(f'{args.command}: this is an error of the program; please report it with the '
               'lines above', file=sys.stderr)
         return OWN_ERROR
 
@@ -190,10 +219,10 @@ def noted_interrupts():
             signal.signal(signal.SIGINT, before)
 
 
-def interrupted(args=None):
-    """Say that Ctrl-C ended the verb, and whether it goes on; return the exit code."""
-    further = '; the same command goes on where it was' if args and goes_on(args) else ''
-    print(f'gms_flex{f" {args.verb}" if args else ""}: interrupted{further}', file=sys.stderr)
+def interrupted(command, resumes=False):
+    """Say that Ctrl-C ended a command, and whether it goes on; return the exit code."""
+    further = '; the same command goes on where it was' if resumes else ''
+    print(f'{command}: interrupted{further}', file=sys.stderr)
     return INTERRUPTED
 
 

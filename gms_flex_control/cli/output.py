@@ -1,7 +1,7 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""What verbs share: progress on the terminal, folders to be written, and ROS where needed."""
+"""What verbs share: progress on the terminal, folders to be written, batches, and ROS."""
 
 import hashlib
 from importlib import import_module
@@ -133,3 +133,17 @@ def prepare(out, marker):
     shutil.rmtree(out, ignore_errors=True)
     out.mkdir(parents=True)
     (out / marker).touch()
+
+
+def add_batch_options(parser, workers=2, what='processes of this machine (default: 2)'):
+    """Add --workers, with its default and ``what`` they are, and --scheduler to a parser."""
+    parser.add_argument('--workers', type=int, default=workers, metavar='N', help=what)
+    parser.add_argument('--scheduler', metavar='ADDRESS',
+                        help='work on a running Dask cluster instead, such as '
+                             "tcp://host:8786 (pip install '.[dask]')")
+
+
+def goes_on(args):
+    """Return whether the journal of --out keeps what a verb has done so far (bool)."""
+    return hasattr(args, 'scheduler') and getattr(args, 'verify', 1) != 0 and (
+        getattr(args, 'each', True))

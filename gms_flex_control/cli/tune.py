@@ -6,8 +6,7 @@
 from functools import partial
 from pathlib import Path
 
-from gms_flex_control.cli.batch_options import add_batch_options
-from gms_flex_control.cli.output import conclude, refuse_unwritable
+from gms_flex_control.cli.output import add_batch_options, conclude, refuse_unwritable
 
 _MOST_AT_LIMIT = 0.02  # share of a motion that may be spent at the torque limit
 # what a simulated figure depends on
@@ -222,8 +221,7 @@ def verified(robot, gains, demands, intervals, args):
     """Return the summary of the draws asked for; finished ones are kept in --out."""
     from gms_flex_control.batches.batch import run_batch
     from gms_flex_control.batches.executor import open_executor
-    from gms_flex_control.batches.journal import Journal
-    from gms_flex_control.batches.sources import digest_of, fingerprint
+    from gms_flex_control.batches.journal import digest_of, fingerprint, Journal
     from gms_flex_control.schema.build import robot_values
     from gms_flex_control.tuning import uncertainty, words
     import numpy as np

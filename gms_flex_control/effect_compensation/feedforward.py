@@ -10,20 +10,65 @@ command, and one that the motors get, y, is taken off it. x' comes from the comm
 friction estimate; the term ``J K^-1 x''``, 4 % at 1 Hz, would be mostly encoder noise.
 """
 
+from dataclasses import replace
 from functools import cache
 
 from gms_flex_control import records
 from gms_flex_control.compiled import compiled
 from gms_flex_control.control import observer
-from gms_flex_control.effect_compensation.known import as_parameters
 from gms_flex_control.effects import signals as sig
 from gms_flex_control.effects import table as effect_table
-from gms_flex_control.effects.base import Stage
+from gms_flex_control.effects.base import Change, Stage
+from gms_flex_control.effects.registry import find
+from gms_flex_control.effects.table import is_friction, with_changes, with_friction
 from gms_flex_control.records import boxed, FLOAT
 from gms_flex_control.simulation.stepped import SteppedController
 import numpy as np
 
 _FRICTION, _LINK, _MOTOR = int(Stage.FRICTION), int(Stage.LINK), int(Stage.MOTOR)
+
+
+def compensated(name):
+    """
+    Return whether a controller that knows an effect compensates it.
+
+    Parameters
+    ----------
+    name : str
+        Of the catalogue.
+
+    Returns
+    -------
+    bool
+        False for effects that no torque can undo (backlash), that follow signs of noisy rates
+        (motor_coulomb), that need what a controller lacks (drifts) or that act on torque or
+        encoders themselves.
+
+    """
+    kind = find(name)
+    return kind.fed_forward or is_friction(kind) or issubclass(kind, Change)
+
+
+def as_parameters(robot):
+    """
+    Return a model as the cascade law can take it.
+
+    Parameters
+    ----------
+    robot : RobotParams
+        With any effects.
+
+    Returns
+    -------
+    RobotParams
+        Effects that are other values of parameters are in the parameters, asymmetric and further
+        viscous friction in those of the directions; of its effects those fed forward are left.
+
+    """
+    kinds = [(find(spec.name), spec) for spec in robot.effects]
+    robot = with_friction(robot)
+    return with_changes(replace(robot, effects=tuple(
+        spec for kind, spec in kinds if kind.fed_forward or issubclass(kind, Change))))
 
 
 @cache

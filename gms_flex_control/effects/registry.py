@@ -16,8 +16,7 @@ import pkgutil
 
 from gms_flex_control.effects import catalogue
 from gms_flex_control.effects.base import Change, Effect, Term
-from gms_flex_control.errors import ParameterError
-from gms_flex_control.suggest import did_you_mean
+from gms_flex_control.errors import did_you_mean, ParameterError
 
 GROUP = 'gms_flex_control.effects'
 

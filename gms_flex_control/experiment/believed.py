@@ -5,6 +5,9 @@
 
 from dataclasses import replace
 
+from gms_flex_control.params.robot import RobotParams
+import numpy as np
+
 # the mixed model error of docs/model.md
 FRICTION, STIFFNESS, MASS = 0.85, 1.05, 0.93
 
@@ -52,3 +55,42 @@ def mixed_error(robot):
     arm = replace(robot.arm, stiffness=robot.arm.stiffness * STIFFNESS,
                   mass=robot.arm.mass * MASS, inertia=robot.arm.inertia * MASS)
     return replace(robot, arm=arm, friction=scaled_friction(robot.friction, FRICTION))
+
+
+def random_error(rng, robot, least=0.01, most=0.03) -> RobotParams:
+    """
+    Return a robot as its user may believe it to be: every parameter a little off, no effects.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Where every number comes from.
+    robot : RobotParams
+        As it is.
+    least, most : float
+        Size of every relative error, either way; those of mass and inertia of a link are one.
+
+    Returns
+    -------
+    RobotParams
+
+    """
+    def off(values):
+        shape = np.shape(values)
+        return 1.0 + rng.uniform(least, most, shape) * rng.choice([-1.0, 1.0], shape)
+
+    arm, friction, sides = robot.arm, robot.friction, []
+    links = off(arm.mass)
+    for steady in (friction.forward, friction.backward):
+        level = off(steady.static)
+        sides.append(replace(steady, static=steady.static * level, coulomb=steady.coulomb * level,
+                             velocity=steady.velocity * off(steady.velocity),
+                             viscous=steady.viscous * off(steady.viscous)))
+    return replace(
+        robot, effects=(),
+        arm=replace(arm, mass=arm.mass * links, inertia=arm.inertia * links,
+                    motor_inertia=arm.motor_inertia * off(arm.motor_inertia),
+                    stiffness=arm.stiffness * off(arm.stiffness)),
+        friction=replace(friction, forward=sides[0], backward=sides[1],
+                         stiffness=friction.stiffness * off(friction.stiffness[:, :1]),
+                         attraction=friction.attraction * off(friction.attraction)))

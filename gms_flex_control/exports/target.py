@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 
 from gms_flex_control.effects import registry
 from gms_flex_control.effects.table import with_changes
-from gms_flex_control.errors import ConfigError
+from gms_flex_control.errors import ConfigError, did_you_mean
 from gms_flex_control.params.robot import RobotParams
-from gms_flex_control.suggest import did_you_mean
 import numpy as np
 
 # parts of the model that are no effects of the catalogue, and what is exported instead

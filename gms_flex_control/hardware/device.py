@@ -16,10 +16,12 @@ from abc import ABC, abstractmethod
 from importlib import metadata
 from typing import NamedTuple
 
-from gms_flex_control.errors import ConfigError, GmsFlexError
-from gms_flex_control.suggest import did_you_mean
+from gms_flex_control.errors import ConfigError, did_you_mean, GmsFlexError
 
 GROUP = 'gms_flex_control.devices'
+# the example, there in a source tree that is not installed as well
+_EXAMPLE = metadata.EntryPoint(
+    'serial_example', 'gms_flex_control.hardware.serial_device:SerialDevice', GROUP)
 
 
 class DeviceError(GmsFlexError):
@@ -86,12 +88,6 @@ class Device(ABC):
         return {}
 
 
-def _built_in():
-    """Return the example, which is there in a source tree that is not installed as well."""
-    from gms_flex_control.hardware.serial_device import SerialDevice
-    return {'serial_example': SerialDevice}
-
-
 def find(name, options, order):
     """
     Return a device made by the class of an entry point.
@@ -118,13 +114,12 @@ def find(name, options, order):
     wrong = [entry for entry in options if '=' not in entry]
     if wrong:
         raise ConfigError(f'bridge.device_options: {wrong[0]!r} must have the form name=value')
-    found = {entry.name: entry for entry in metadata.entry_points(group=GROUP)}
-    known = _built_in()
-    if name not in found and name not in known:
+    found = {entry.name: entry for entry in (_EXAMPLE, *metadata.entry_points(group=GROUP))}
+    if name not in found:
         raise ConfigError(f'bridge.device: no package offers {name!r} in the entry points '
-                          f'{GROUP}{did_you_mean(name, [*found, *known])}')
+                          f'{GROUP}{did_you_mean(name, found)}')
     try:
-        kind = found[name].load() if name in found else known[name]
+        kind = found[name].load()
     except (ImportError, AttributeError) as error:
         raise ConfigError(f'bridge.device: {name!r} cannot be loaded ({error})') from error
     if not (isinstance(kind, type) and issubclass(kind, Device)):

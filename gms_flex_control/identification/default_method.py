@@ -225,6 +225,8 @@ def _held_out_costs(bundle, joint, thetas, fits):
     for turn in range(FOLDS):
         objective = Objective(bundle, joint, thetas, held_out(bundle.period, turn))
         fitted = Objective(bundle, joint, thetas, train(bundle.period, turn))
+        if turn and not (objective.counts and fitted.counts):
+            continue
         evaluations = [objective.evaluate(coordinates, free if turn == 0 else refine(
             fitted, coordinates, free, prior_of(coordinates, free), roughly=True).free, 1.0)
             for coordinates, free in fits]

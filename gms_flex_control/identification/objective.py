@@ -214,6 +214,11 @@ class Objective:
         chosen[:round(SETTLE_TIME / self._bundle.period)] = False
         return chosen & np.isfinite(stretch.angle[:, self.joint])
 
+    @property
+    def counts(self):
+        """Return whether any sample counts."""
+        return any(self.counted(stretch).any() for stretch in self._bundle.stretches)
+
     def evaluate(self, coordinates, free, sharpness, floor=None, *, derivatives=True):
         """
         Return the Evaluation of free numbers.

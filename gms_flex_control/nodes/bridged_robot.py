@@ -8,14 +8,13 @@ import time
 
 from gms_flex_control.hardware.bridge import Bridge
 from gms_flex_control.hardware.merger import ReadingError
-from gms_flex_control.hardware.supervisor import Outcome
+from gms_flex_control.hardware.supervisor import Outcome, SupervisedRobot
 from gms_flex_control.nodes import messages, process, scheduling
 from gms_flex_control.nodes.direct import Outlet
 from gms_flex_control.nodes.health import ERROR, OK
 from gms_flex_control.nodes.inbox import Inbox
 from gms_flex_control.nodes.loop_timing import LATE, NOTABLE
 from gms_flex_control.nodes.robot_links import DeviceLink, TopicLink
-from gms_flex_control.nodes.supervised import SupervisedRobot
 from gms_flex_control.schema.bridge import bridge_from_values
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray

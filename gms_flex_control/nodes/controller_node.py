@@ -8,8 +8,11 @@ import sys
 import time
 
 from gms_flex_control.control.gain_conditions import violations
-from gms_flex_control.effect_compensation.feedforward import CompensatingController
-from gms_flex_control.effect_compensation.known import as_parameters, compensated
+from gms_flex_control.effect_compensation.feedforward import (
+    as_parameters,
+    compensated,
+    CompensatingController,
+)
 from gms_flex_control.hardware.command_watch import SourceWatch
 from gms_flex_control.nodes import messages, process, references, scheduling
 from gms_flex_control.nodes.direct import Direct, Outlet

@@ -23,7 +23,7 @@ from gms_flex_control.nodes.experiment_bag import (
 )
 from gms_flex_control.nodes.experiment_watch import Watch
 from gms_flex_control.nodes.parameters import NodeParameters
-from gms_flex_control.nodes.remote import RemoteNode
+from gms_flex_control.nodes.remote_parameters import RemoteNode
 from gms_flex_control.nodes.step_runner import StepRunner
 from gms_flex_control.recording import Phase
 from gms_flex_control.schema.build import controller_from_values, robot_from_values

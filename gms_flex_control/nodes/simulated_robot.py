@@ -11,14 +11,13 @@ from builtin_interfaces.msg import Time
 from gms_flex_control.errors import SimulationError
 from gms_flex_control.hardware import limits as limiting
 from gms_flex_control.hardware.command_watch import CommandWatch
-from gms_flex_control.hardware.supervisor import Supervisor
+from gms_flex_control.hardware.supervisor import SupervisedRobot, Supervisor
 from gms_flex_control.nodes import messages, process, scheduling
 from gms_flex_control.nodes.direct import Outlet
 from gms_flex_control.nodes.health import ERROR, now, OK
 from gms_flex_control.nodes.inbox import Inbox
 from gms_flex_control.nodes.loop_timing import LateSamples, LoopTiming
 from gms_flex_control.nodes.messages import NANOSECONDS
-from gms_flex_control.nodes.supervised import SupervisedRobot
 from gms_flex_control.schema.bridge import limits_from_values
 from gms_flex_control.schema.build import robot_from_values
 from gms_flex_control.simulation.stepped import SteppedPlant

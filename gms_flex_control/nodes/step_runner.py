@@ -7,7 +7,7 @@ from gms_flex_control.experiment.adaptation import Adaptation, LEAVING
 from gms_flex_control.experiment.identification_steps import BRAKING_TIME
 from gms_flex_control.experiment.journal import ExperimentError
 from gms_flex_control.nodes.messages import NANOSECONDS
-from gms_flex_control.nodes.remote import value_of
+from gms_flex_control.nodes.remote_parameters import value_of
 
 _LATENESS = 0.05  # a step may begin that much after the state at which its call was answered [s]
 

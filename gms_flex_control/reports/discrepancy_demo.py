@@ -11,11 +11,15 @@ from gms_flex_control.analysis.table4 import align
 from gms_flex_control.analysis.tracking import link_error, link_rms
 from gms_flex_control.answer import Answer, command, measured
 from gms_flex_control.discrepancy.result import Discrepancy
-from gms_flex_control.effect_compensation.known import compensated
-from gms_flex_control.hidden.written import described
+from gms_flex_control.effect_compensation.feedforward import compensated
 from gms_flex_control.reports.discrepancy import add_discrepancy, gap_numbers
 from gms_flex_control.reports.discrepancy_figures import WITH, WITHOUT
-from gms_flex_control.reports.discrepancy_values import plain, report_values, write_report_values
+from gms_flex_control.reports.discrepancy_values import (
+    described,
+    plain,
+    report_values,
+    write_report_values,
+)
 from gms_flex_control.reports.figures import (
     COLOURS,
     finished,

@@ -10,6 +10,7 @@ from textwrap import wrap
 from gms_flex_control import __version__
 from gms_flex_control.discrepancy.describe import named
 from gms_flex_control.discrepancy.residual_views import over_of
+from gms_flex_control.effects.registry import find
 from gms_flex_control.files import write_text
 from gms_flex_control.schema.files import save_robot
 import numpy as np
@@ -78,6 +79,13 @@ def finding_values(finding, joints):
         'confusable_with': finding.confusable_with, 'tells_apart': finding.tells_apart,
         'rms_before': by_joint(joints, finding.rms_before),
         'rms_after': by_joint(joints, finding.rms_after)}
+
+
+def described(spec):
+    """Return an EffectSpec as a dict of effect, joint and parameters by name."""
+    names = [parameter.name for parameter in find(spec.name).parameters]
+    return {'effect': spec.name, 'joint': spec.joint,
+            'parameters': dict(zip(names, spec.values, strict=True))}
 
 
 def over_values(one):

@@ -6,12 +6,11 @@
 import math
 
 from gms_flex_control.effects import registry
-from gms_flex_control.errors import ConfigError, ParameterError
+from gms_flex_control.errors import ConfigError, did_you_mean, ParameterError
 from gms_flex_control.params.robot import WHOLE_ARM
 from gms_flex_control.params.uncertainty import KINDS, LEAST, MOST
 from gms_flex_control.schema.key import Key, SMALLEST
 from gms_flex_control.schema.keys import all_keys
-from gms_flex_control.suggest import did_you_mean
 
 _NAMES = {'double': 'a number', 'integer': 'a whole number', 'string': 'a text',
           'boolean': 'true or false', 'double_array': 'a list of numbers',

@@ -1,0 +1,42 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""The tool `python -m bench`: verbs, errors and exit codes as those of `gms_flex`."""
+
+import sys
+
+from gms_flex_control.cli.main import main as run_tool
+from gms_flex_control.cli.main import parser_of
+
+PROG = 'python -m bench'
+GROUPS = {
+    'on this machine': {'speed': 'bench.speed.speed', 'faults': 'bench.faults.faults'},
+    'on robots that are simulated': {
+        'recover': 'bench.recover', 'coverage': 'bench.coverage',
+        'hide': 'bench.hidden_robots.hide', 'score': 'bench.hidden_robots.score'},
+    'on recordings of real ones': {'real-machines': 'bench.real_machines.real_machines'}}
+EXAMPLES = {verb: [f'{PROG} {verb} {options}'.rstrip() for options in each]
+            for verb, each in {
+    'speed': ('--quick', '--only loop step --json'),
+    'faults': ('--list', '--short --logs fault_logs'),
+    'recover': ('--seeds 3', '--seeds 20 --out recovery'),
+    'coverage': ('--seeds 100:104 --out coverage',),
+    'hide': ('--effect backlash --out hidden', '--kind single double --seeds 0:5 --out hidden'),
+    'score': ('--out quick', '--kind single --seeds 0:20 --no-peers --out singles'),
+    'real-machines': ('--first', 'kr300_axis1 --out bench_real_output')}.items()}
+
+
+def build_parser():
+    """Return the parser with all verbs."""
+    return parser_of(PROG, 'Measure the package: its speed, what faults do to its nodes, what it '
+                     'finds in hidden robots and in recordings of real machines.', GROUPS,
+                     EXAMPLES)
+
+
+def main(argv=None):
+    """Run one verb with arguments, default those of the command line; return the exit code."""
+    return run_tool(argv, PROG, build_parser)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

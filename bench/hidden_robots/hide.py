@@ -1,0 +1,183 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""`python -m bench hide`: bags of robots with a hidden effect, and the truth beside them."""
+
+from dataclasses import replace
+import json
+import os
+from pathlib import Path
+import shutil
+
+from bench.hidden_robots.cases import make_case
+from gms_flex_control.bags.experiment import write_recording
+from gms_flex_control.errors import ConfigError
+from gms_flex_control.files import write_text
+from gms_flex_control.reports.discrepancy_values import described
+from gms_flex_control.schema.files import save_robot, save_values
+from gms_flex_control.tuning.words import controller_values
+import numpy as np
+
+
+def add_parser(subparsers):
+    """Add the verb to the command line."""
+    parser = subparsers.add_parser(
+        'hide', help='bags of simulated robots in which an effect is hidden',
+        description='Draw robots in which something is hidden, drive them and write, for each, '
+                    'DIR/<kind>_<seed>[_<population>]/ with bag and held_out (two motions of '
+                    'the same robot), '
+                    'robot.yaml (what its user believes), controller.yaml and '
+                    'truth.json. The integrator is not the one of the workflow.')
+    parser.add_argument('--out', required=True, metavar='DIR')
+    parser.add_argument('--kind', nargs='+', default=['single'], metavar='KIND',
+                        help='single, clean, double, outside, clutter, deleted '
+                             '(default: single)')
+    parser.add_argument('--seeds', default='0:1', metavar='A:B',
+                        help='from A up to, not including, B; or a single one (default: 0:1)')
+    parser.add_argument('--population', default='home', metavar='NAME',
+                        help='which robots, see bench/hidden_robots/populations.py '
+                             '(default: home)')
+    parser.add_argument('--plant', metavar='NAME', help='soft or stiff; default: drawn')
+    parser.add_argument('--effect', metavar='NAME',
+                        help='hide this one instead of the one whose turn it is')
+    parser.add_argument('--duration', type=float, default=60.0, metavar='S',
+                        help='of each bag (default: %(default)g)')
+    parser.add_argument('--json', action='store_true', help='print the truths as JSON')
+    parser.set_defaults(run=run)
+
+
+def run(args):
+    """Write the cases; return 0."""
+    told, population = [], '' if args.population == 'home' else f'_{args.population}'
+    for kind in args.kind:
+        for seed in seeds_of(args.seeds):
+            folder = Path(args.out) / f'{kind}_{seed}{population}'
+            if folder.exists():
+                if not args.json:
+                    print(f'{folder}: exists, kept as it is')
+                continue
+            case = make_case(kind, seed, population=args.population, plant=args.plant,
+                             duration=args.duration, effect=args.effect)
+            write_case(case, folder)
+            told.append({'folder': str(folder), **truth_values(case.truth)})
+            if not args.json:
+                print(f'{folder}: {case.truth.population}, {case.truth.plant}')
+    if args.json:
+        print(json.dumps(told, indent=2))
+    return 0
+
+
+def seeds_of(text):
+    """
+    Return the seeds of ``A:B`` or of a single number.
+
+    Parameters
+    ----------
+    text : str
+        Such as '0:20' or '7'.
+
+    Returns
+    -------
+    range
+
+    Raises
+    ------
+    ConfigError
+        If it is neither.
+
+    """
+    first, colon, last = text.partition(':')
+    try:
+        begin = int(first)
+        end = int(last) if colon else begin + 1
+    except ValueError:
+        begin, end = 0, 0
+    if not 0 <= begin < end:
+        raise ConfigError(f'--seeds {text!r} must be a number or A:B with 0 <= A < B')
+    return range(begin, end)
+
+
+def write_case(case, folder):
+    """
+    Write a case as its user would have it, and the truth, whole or not at all.
+
+    Parameters
+    ----------
+    case : Case
+        From cases.
+    folder : Path
+        To be made.
+
+    Raises
+    ------
+    BagError
+        If the disk refuses.
+
+    """
+    part = folder.with_name(f'.{folder.name}.{os.getpid()}')
+    part.mkdir(parents=True)
+    try:
+        for name, recording in (('bag', case.recording), ('held_out', case.held_out)):
+            write_recording(part / name, *as_named(recording, case.nominal.motors))
+        save_robot(case.nominal, part / 'robot.yaml')
+        if case.gains is not None:
+            save_values(controller_values(case.gains, case.nominal.joints),
+                        part / 'controller.yaml')
+        write_text(part / 'truth.json', json.dumps(truth_values(case.truth), indent=2) + '\n')
+        os.replace(part, folder)
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+
+
+def truth_values(truth):
+    """
+    Return a Truth as plain values.
+
+    Parameters
+    ----------
+    truth : Truth
+        Of a case, see cases.
+
+    Returns
+    -------
+    dict
+        Kind, seed, population, plant, motion, ``effects`` (main ones), ``clutter``,
+        ``outsider``, ``belief_errors`` (joint -> kind -> relative error), ``torque_noise``.
+
+    """
+    outsider = None
+    if truth.outsider is not None:
+        outsider = {'name': truth.outsider, 'joint': truth.outsider_joint}
+    return {'kind': truth.kind, 'seed': truth.seed, 'population': truth.population,
+            'plant': truth.plant,
+            'motion': truth.motion, 'effects': [described(spec) for spec in truth.effects],
+            'clutter': [described(spec) for spec in truth.clutter], 'outsider': outsider,
+            'belief_errors': {joint: {
+                kind: float(error[j]) for kind, error in truth.belief_errors.items()}
+                for j, joint in enumerate(truth.robot.joints)},
+            'torque_noise': truth.torque_noise.tolist()}
+
+
+def as_named(recording, motors):
+    """
+    Return a Recording as a bag has it, and the motor names of its joints.
+
+    Parameters
+    ----------
+    recording : Recording
+        Of a case.
+    motors : sequence of str
+        Of its joints.
+
+    Returns
+    -------
+    recording : Recording
+        With the motors for joints where nobody sees the links.
+    motors : sequence of str
+
+    """
+    if np.isfinite(recording.q_link).any():
+        return recording, motors
+    nothing = np.full_like(recording.q_motor, np.nan)
+    return replace(recording, joints=tuple(motors), q_link=recording.q_motor, q_motor=nothing,
+                   dq_link=recording.dq_motor, dq_motor=nothing), [''] * len(motors)

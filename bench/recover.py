@@ -1,0 +1,285 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""`python -m bench recover`: what an experiment tells, tried on a simulated robot many times."""
+
+from dataclasses import replace
+import hashlib
+import json
+import math
+from pathlib import Path
+from typing import NamedTuple
+
+from gms_flex_control.analysis.table4 import align
+from gms_flex_control.batches.batch import run_batch
+from gms_flex_control.batches.executor import open_executor
+from gms_flex_control.batches.journal import fingerprint, Journal
+from gms_flex_control.cli.output import add_batch_options
+from gms_flex_control.errors import ConfigError
+from gms_flex_control.experiment.believed import scaled_friction
+from gms_flex_control.experiment.identification_plan import read_identification_plan
+from gms_flex_control.experiment.identification_simulated import simulate_identification
+from gms_flex_control.files import write_text
+from gms_flex_control.identification.beside import known_values, presliding_difference
+from gms_flex_control.identification.identify import identify
+from gms_flex_control.identification.result import Estimate, Interval
+from gms_flex_control.resources import controller_file, robot_file, share_path
+from gms_flex_control.schema.build import robot_values
+from gms_flex_control.schema.files import load_controller, load_robot
+from gms_flex_control.tuning.words import controller_values
+import numpy as np
+
+# what is asked of the identification, by the last part of a parameter's name (largest error)
+ASKED = {'static': 0.03, 'coulomb': 0.03, 'viscous': 0.03, 'velocity': 0.15, 'attraction': 0.10}
+CURVE = 0.02  # of F_s, at every displacement
+# what an outcome depends on
+SOURCES = ('params', 'friction', 'effects', 'dynamics', 'trajectory', 'control',
+           'effect_compensation', 'simulation', 'experiment', 'identification')
+
+
+def add_parser(subparsers):
+    """Add the verb to the command line."""
+    parser = subparsers.add_parser(
+        'recover', help='identify a simulated robot many times and compare with the truth',
+        description='Simulate the identification experiment and identify it, once per seed, and '
+                    'print how each parameter comes out, how often its 95 % interval holds the '
+                    'truth, and how far the presliding curve is off. A killed run goes on when '
+                    'started again with the same --out. Exit code 1 if what is asked of the '
+                    'identification is missed.')
+    parser.add_argument('--robot', nargs='+', metavar='FILE',
+                        help='the truth, later files winning; default: the arm of the paper')
+    parser.add_argument('--controller', metavar='FILE', help='default: the gains of the paper')
+    parser.add_argument('--plan', metavar='FILE',
+                        help='default: config/identification.yaml')
+    parser.add_argument('--believed', type=float, default=0.8, metavar='FACTOR',
+                        help='friction believed before, times the true one (default: %(default)s)')
+    parser.add_argument('--seeds', type=int, default=20, metavar='N', help='default: %(default)s')
+    parser.add_argument('--rate', type=float, default=500.0, metavar='HZ',
+                        help='samples per second (default: %(default)s)')
+    parser.add_argument('--torque-noise', type=float, default=1e-3, metavar='NM',
+                        help='of the recorded torque [N m] (default: %(default)s)')
+    parser.add_argument('--first', type=int, default=0, metavar='SEED',
+                        help='the first seed (default: %(default)s)')
+    add_batch_options(parser)
+    parser.add_argument('--out', default='recovery', metavar='DIR',
+                        help='recovery.json, journal of the seeds (default: %(default)s)')
+    parser.add_argument('--json', action='store_true', help='print the figures as JSON')
+    parser.set_defaults(run=run)
+
+
+def run(args):
+    """Try, print and compare; return 1 if what is asked was missed, else 0."""
+    if args.seeds < 1:
+        raise ConfigError(f'--seeds {args.seeds}: at least one is needed')
+    robot = load_robot(args.robot or robot_file())
+    gains = load_controller(args.controller or controller_file(), robot)
+    believed = replace(robot, friction=scaled_friction(robot.friction, args.believed))
+    plan = read_identification_plan(
+        [args.plan or share_path() / 'config' / 'identification.yaml'], believed, gains)
+    trials = trials_of(args, (plan, robot, believed, gains))
+    rows = recovered(trials)
+    missed = missed_of(rows, trials)
+    figures = json.dumps({
+        'seeds': [one.seed for one in trials], 'rate': args.rate,
+        'torque_noise': args.torque_noise,
+        'parameters': [{**row._asdict(), 'covered': row.covered if row.told else None}
+                       for row in rows],
+        'curve': [[value if math.isfinite(value) else None for value in one.curve]
+                  for one in trials], 'blocks': [one.blocks for one in trials],
+        'missed': missed}, indent=2, allow_nan=False)
+    write_text(Path(args.out) / 'recovery.json', figures + '\n')
+    print(figures if args.json else '\n'.join([
+        table(rows), summary(rows, trials), *(f'MISSED: {sentence}' for sentence in missed)]))
+    return int(bool(missed))
+
+
+def trials_of(args, setting):
+    """Return the Trial of each seed; those in the journal of --out are not done again."""
+    plan, robot, _, gains = setting
+    asked = json.dumps([robot_values(robot), controller_values(gains, robot.joints), vars(plan),
+                        args.believed, args.rate, args.torque_noise],
+                       default=np.ndarray.tolist)
+    own = fingerprint(('recover.py',), Path(__file__).parent)
+    journal = Journal(args.out, f'{fingerprint(SOURCES)} {own} '
+                      f'{hashlib.sha256(asked.encode()).hexdigest()[:16]}')
+    items = {f'seed {seed}': TrialItem(*setting, seed, args.rate, args.torque_noise)
+             for seed in range(args.first, args.first + args.seeds)}
+    with open_executor(args.workers, args.scheduler) as executor:
+        found = run_batch(try_item, items, executor=executor, journal=journal, label='seeds')
+    return [from_values(values) for values in found.values()]
+
+
+def table(rows):
+    """Return the rows as aligned text."""
+    return align(['parameter', 'true', 'median', 'worst error', 'interval holds',
+                  'has interval'],
+                 [[row.name.removeprefix('friction.'), f'{row.true:.5g}', f'{row.middle:.5g}',
+                   f'{100 * row.worst:.2f} %',
+                   f'{100 * row.covered:.0f} %' if row.told else '-', f'{100 * row.told:.0f} %']
+                  for row in rows])
+
+
+def summary(rows, trials):
+    """Return coverage and the presliding curve in two lines."""
+    counts = np.array([row.trials * row.told for row in rows])
+    holds = np.nansum([row.covered for row in rows] * counts)
+    covered = 100 * holds / max(counts.sum(), 1.0)
+    curves = 100 * np.array([one.curve for one in trials])
+    worst = ', '.join(f'{value:.2f} %' for value in curves.max(axis=0))
+    return (f'95 % intervals hold the truth in {covered:.1f} % of cases\npresliding curve at most '
+            f'{worst} of F_s off, any displacement, any seed')
+
+
+def missed_of(rows, trials):
+    """Return a sentence for each thing that was asked and missed."""
+    missed = [f'{row.name}: {100 * row.worst:.1f} % off, asked {100 * ASKED[kind]:.0f} %'
+              for row in rows if (kind := row.name.rsplit('.', 1)[-1]) in ASKED
+              and row.worst > ASKED[kind]]
+    curves = [value for one in trials for value in one.curve]
+    if not all(map(math.isfinite, curves)):
+        missed.append('presliding curve: no stiffness of a joint is identifiable')
+    worst = max(filter(math.isfinite, curves), default=0.0)
+    if worst > CURVE:
+        missed.append(f'presliding curve: {100 * worst:.1f} % of F_s off, asked '
+                      f'{100 * CURVE:.0f} %')
+    return missed
+
+
+class Trial(NamedTuple):
+    """One identification of a robot that is known."""
+
+    seed: int
+    estimates: tuple   # of (Estimate, true value), those of friction of all joints
+    blocks: tuple      # number of blocks chosen for each joint
+    curve: tuple       # largest error of the presliding curve of each joint, over F_s
+    seconds: float
+
+
+class Recovered(NamedTuple):
+    """One parameter over all trials."""
+
+    name: str
+    true: float
+    middle: float      # median estimate
+    worst: float       # largest relative error
+    covered: float     # share of intervals that hold the truth; NaN without any
+    told: float        # share of trials with an interval
+    trials: int
+
+
+class TrialItem(NamedTuple):
+    """A trial to be done, perhaps in another process; see `trial`."""
+
+    plan: object
+    robot: object
+    believed: object
+    gains: object
+    seed: int
+    rate: float
+    torque_noise: float
+
+
+def try_item(item):
+    """Return the Trial of a TrialItem as `as_values` does."""
+    *setting, seed, rate, torque_noise = item
+    return as_values(trial(*setting, seed, rate=rate, torque_noise=torque_noise))
+
+
+def as_values(one):
+    """Return a Trial as plain values for JSON, from which `from_values` makes it again."""
+    pairs = [[*estimate._replace(value=_written(estimate.value),
+                                 interval=[*map(_written, estimate.interval)]), _written(true)]
+             for estimate, true in one.estimates]
+    return {**one._asdict(), 'estimates': pairs, 'blocks': [*map(int, one.blocks)],
+            'curve': [*map(_written, one.curve)]}
+
+
+def _written(number):
+    """Return a float; as text what JSON has no number for."""
+    return float(number) if math.isfinite(number) else str(float(number))
+
+
+def from_values(values):
+    """Return the Trial of what `as_values` returned."""
+    pairs = []
+    for *fields, true in values['estimates']:
+        estimate = Estimate(*fields)
+        pairs.append((estimate._replace(
+            value=float(estimate.value), interval=Interval(*map(float, estimate.interval)),
+            flags=tuple(estimate.flags)), float(true)))
+    return Trial(**{**values, 'estimates': tuple(pairs), 'blocks': tuple(values['blocks']),
+                    'curve': tuple(map(float, values['curve']))})
+
+
+def trial(plan, robot, believed, gains, seed, *, rate, torque_noise, options=None):
+    """
+    Simulate an experiment and identify it.
+
+    Parameters
+    ----------
+    plan : IdentificationPlan
+        The experiment.
+    robot, believed : RobotParams
+        The robot as it is, and as controller and identification believe it to be.
+    gains : ControllerParams
+        Of the controller.
+    seed : int
+        Of noise and of where within a count the links begin.
+    rate : float
+        Samples per second [Hz].
+    torque_noise : float
+        Of the recorded torque [N m].
+    options : Options, optional
+        Of the identification.
+
+    Returns
+    -------
+    Trial
+
+    """
+    take = simulate_identification(plan, robot, gains, seed, rate=rate,
+                                   torque_noise=torque_noise, model=believed)
+    found = identify([take], believed, options=options)
+    pairs = []
+    for result in found.joints:
+        known = known_values(robot, found.robot, result.joint)
+        pairs += [(estimate, known[estimate.name]) for estimate in result.estimates
+                  if estimate.name in known]
+    return Trial(seed, tuple(pairs),
+                 tuple(next(c.n_blocks for c in result.candidates if c.chosen)
+                       for result in found.joints),
+                 tuple(presliding_difference(result, robot)[0] for result in found.joints),
+                 found.seconds)
+
+
+def recovered(trials):
+    """
+    Return how each parameter came out over all trials.
+
+    Parameters
+    ----------
+    trials : sequence of Trial
+        At least one.
+
+    Returns
+    -------
+    tuple of Recovered
+        Block stiffnesses only from trials with as many blocks as the truth.
+
+    """
+    groups = {}
+    for one in trials:
+        for estimate, true in one.estimates:
+            groups.setdefault(estimate.name, []).append((estimate, true))
+    rows = []
+    for name, pairs in groups.items():
+        values = np.array([estimate.value for estimate, _ in pairs])
+        truth = np.array([true for _, true in pairs])
+        holds = [e.interval.low <= true <= e.interval.high for e, true in pairs
+                 if np.isfinite(e.interval).all()]
+        rows.append(Recovered(
+            name, float(truth[0]), float(np.median(values)),
+            float(np.max(np.abs(values / truth - 1.0))),
+            float(np.mean(holds)) if len(holds) else np.nan, len(holds) / len(pairs),
+            len(pairs)))
+    return tuple(rows)

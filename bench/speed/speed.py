@@ -1,0 +1,107 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""`python -m bench speed`: how fast everything is on this machine, beside MuJoCo and numpy."""
+
+from dataclasses import asdict
+from importlib import import_module
+import json
+import sys
+
+# suite: module and function (robot, gains, quick) -> list of Measurement
+SUITES = {
+    'loop': ('simulation', 'measure_loop'),
+    'step': ('simulation', 'measure_step'),
+    'tick': ('simulation', 'measure_tick'),
+    'ros': ('ros_loop', 'measure'),
+    'view': ('view_live', 'measure'),
+    'fit': ('fit', 'measure_fit'),
+    'identify': ('fit', 'measure_identification'),
+    'effects': ('effect_dispatch', 'measure'),
+    'arguments': ('kernel_arguments', 'measure'),
+    'batches': ('batches', 'measure'),
+    'export': ('mujoco_export', 'measure'),
+}
+# the others support decisions in docs/decisions
+DEFAULT = ('loop', 'step', 'tick', 'ros', 'fit', 'identify')
+
+
+def add_parser(subparsers):
+    """Add the verb to the tool's parser."""
+    parser = subparsers.add_parser(
+        'speed', help='speed on this machine, beside MuJoCo and numpy',
+        description='Measure speed: medians of interleaved repetitions. Compare figures of one '
+                    'run only. MuJoCo is measured where the extra "bench" is installed. The '
+                    'suites "effects", "arguments" and "batches" are those of docs/decisions '
+                    'and docs/scale.md, "export" compares free runs of the exported MJCF with our '
+                    'own, effect by effect (docs/export.md), "view" the late samples of the loop '
+                    'with and without the page of view live; these run only when asked for.')
+    parser.add_argument('--quick', action='store_true', help='rough figures in a few seconds')
+    parser.add_argument('--json', action='store_true', help='print JSON')
+    parser.add_argument('--only', nargs='+', choices=SUITES, metavar='SUITE',
+                        help=f'some of: {", ".join(SUITES)}')
+    parser.add_argument('--robot', nargs='+', metavar='FILE',
+                        help='robot files, later ones winning; default: the arm of the paper')
+    parser.add_argument('--controller', metavar='FILE', help='default: the gains of the paper')
+    parser.set_defaults(run=run)
+
+
+def run(args):
+    """Measure and print; return 0, or 1 where a target was missed."""
+    from bench.speed import mujoco_arm
+    from gms_flex_control.resources import controller_file, robot_file
+    from gms_flex_control.schema.files import load_controller, load_robot
+
+    robot = load_robot(args.robot or robot_file())
+    gains = load_controller(args.controller or controller_file(), robot)
+    found = list(measured(args.only or DEFAULT, robot, gains, args.quick))
+    if args.json:
+        print(json.dumps([{**asdict(m), 'verdict': m.verdict} for m in found], indent=2))
+    else:
+        print(table(found))
+        if not mujoco_arm.available():
+            print("\nMuJoCo is not installed; pip install '.[bench]' in the clone adds it",
+                  file=sys.stderr)
+    return 1 if any(m.verdict == 'missed' for m in found) else 0
+
+
+def measured(names, robot, gains, quick=False):
+    """
+    Yield the figures of suites, one suite after the other.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Keys of SUITES.
+    robot : RobotParams
+        The robot.
+    gains : ControllerParams
+        Of its controller.
+    quick : bool
+        Rough figures in a few seconds.
+
+    Yields
+    ------
+    Measurement
+
+    """
+    for name in names:
+        module, function = SUITES[name]
+        yield from getattr(import_module(f'bench.speed.{module}'), function)(robot, gains, quick)
+
+
+def table(measurements):
+    """Return Measurements as aligned lines of text."""
+    rows = [(m.suite, m.name, f'{m.value:.4g}', m.unit, _target(m), m.note)
+            for m in measurements]
+    rows.insert(0, ('suite', 'what', 'value', 'unit', 'target', ''))
+    widths = [max(len(row[i]) for row in rows) for i in range(5)]
+    return '\n'.join(
+        f'{row[0]:<{widths[0]}}  {row[1]:<{widths[1]}}  {row[2]:>{widths[2]}} '
+        f'{row[3]:<{widths[3]}}  {row[4]:<{widths[4]}}  {row[5]}'.rstrip() for row in rows)
+
+
+def _target(m):
+    if m.target is None:
+        return ''
+    return f'{">=" if m.at_least else "<="} {m.target:g} {m.verdict}'
