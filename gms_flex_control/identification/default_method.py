@@ -183,14 +183,14 @@ def choose(bundle, joint, thetas, fits, blocks):
     candidates : tuple of Candidate
         Those that may be chosen: of each number of blocks the best.
     chosen : Candidate
-        The fewest blocks within one standard error of the best; the best where data are few.
+        The fewest blocks within one standard error of the best.
     rivals : tuple of ndarray
         Parameters of all others that are no worse beyond one standard error of the difference,
         by Student's distribution for so many blocks.
 
     """
     fits = sorted(fits, key=_size_of)
-    costs, count, few = _held_out_costs(bundle, joint, thetas, fits)
+    costs, count = _held_out_costs(bundle, joint, thetas, fits)
     order = sorted(range(len(fits)), key=lambda k: (_size_of(fits[k]), costs[k].sum()))
     fits, costs = [fits[k] for k in order], costs[order]
     offered = np.array([coordinates.n_blocks in blocks for coordinates, _ in fits])
@@ -199,7 +199,7 @@ def choose(bundle, joint, thetas, fits, blocks):
         Candidate(coordinates.n_blocks, coordinates.free_weights, float(cost.sum() / count),
                   float(error / count), coordinates, free)
         for (coordinates, free), cost, error in zip(fits, costs, errors, strict=True))
-    chosen = int(np.flatnonzero(offered & (off <= (0.0 if few else errors)))[0])
+    chosen = int(np.flatnonzero(offered & (off <= errors))[0])
     off, errors = _above(costs, chosen)
     blocks_out = costs.shape[1]
     # of few blocks the scatter is hardly known, of one not at all
@@ -216,7 +216,7 @@ def choose(bundle, joint, thetas, fits, blocks):
 
 def _held_out_costs(bundle, joint, thetas, fits):
     """
-    Return the cost of each fit in each block of time held out (K, B), samples, and if it is few.
+    Return the cost of each fit in each block of time held out (K, B), and samples in all.
 
     Where one turn holds few blocks out, all turns do: then each fit goes on from where it is
     without the data that judge it.
@@ -235,7 +235,7 @@ def _held_out_costs(bundle, joint, thetas, fits):
         count += evaluations[0].count.sum()
         if len(evaluations[0].count) >= _FEW_OUT:
             break
-    return np.concatenate(costs, axis=1), count, len(costs) > 1
+    return np.concatenate(costs, axis=1), count
 
 
 def _size_of(fit):
