@@ -32,6 +32,7 @@ CANDIDATES = (1, 2, 4, 6, 8)  # numbers of blocks that are tried
 _SPREAD_SHARPNESS = (3.0, 1.0)
 _SHARPNESS = (2.0, 1.0)
 FOLDS = 4             # one in so many blocks of time is held out
+_AWAY = 2.0           # times the largest cost of a block
 _FEW_OUT = 6          # blocks held out, fewer of which hardly tell their scatter
 _STEADY_DOUBT, _BLOCK_DOUBT = 1.0, 3.0  # spread of the prior, of logarithms
 _EXTRA_DOUBT = 1.0    # of corrections, in their units
@@ -235,7 +236,9 @@ def _held_out_costs(bundle, joint, thetas, fits):
         count += evaluations[0].count.sum()
         if len(evaluations[0].count) >= _FEW_OUT:
             break
-    return np.concatenate(costs, axis=1), count
+    costs = np.concatenate(costs, axis=1)
+    away = ~np.isfinite(costs)  # predictions that run away are worse than any other
+    return np.where(away, _AWAY * np.max(costs, where=~away, initial=0.0), costs), count
 
 
 def _size_of(fit):
