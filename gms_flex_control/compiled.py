@@ -9,6 +9,7 @@ in another file does. The cache folder is therefore named after a hash of every 
 """
 
 from contextlib import contextmanager
+from functools import wraps
 import hashlib
 import os
 from pathlib import Path
@@ -18,7 +19,7 @@ from threading import RLock
 import numba
 from numba import types
 from numba.core import config
-from numba.extending import intrinsic
+from numba.extending import intrinsic, overload
 
 _PACKAGE = Path(__file__).parent
 _KERNEL_FOLDERS = ('friction', 'effects', 'dynamics', 'trajectory', 'control', 'simulation',
@@ -84,6 +85,25 @@ def compiled(function):
     """
     with _cache_location() as cache:
         return numba.njit(cache=cache, nogil=True, error_model='numpy')(function)
+
+
+def compiled_choice(choose):
+    """
+    Compile a function that stands for one of several kernels, chosen when it is compiled.
+
+    ``choose`` gets the types (numba.types) of its arguments and returns the kernel, whose
+    arguments have the same names.
+    """
+    @wraps(choose)
+    def from_python(*args):
+        choose(*(numba.typeof(value) for value in args))(*args)
+
+    @wraps(choose)
+    def kernel_of(*types_of_arguments):
+        return choose(*types_of_arguments).py_func
+
+    overload(from_python, jit_options={'error_model': 'numpy', 'nogil': True})(kernel_of)
+    return from_python
 
 
 def compiled_effect(function):

@@ -36,7 +36,7 @@ def test_the_rigid_body_along_a_path_is_that_of_inverse_dynamics(n):
     links, work = chain.constants_of(arm), plant.workspace(n).chain
     for q, dq, ddq in rng.standard_normal((5, 3, n)):
         bias, inertial = np.empty((2, n))
-        equations.rigid_body(q, dq, ddq, links, work, bias, inertial)
+        chain.rigid_body(q, dq, ddq, links, work, bias, inertial)
         np.testing.assert_allclose(bias + inertial, chain.inverse_dynamics(q, dq, ddq, arm),
                                    rtol=1e-12, atol=1e-12)
         np.testing.assert_allclose(bias, chain.inverse_dynamics(q, dq, 0.0 * q, arm),

@@ -19,6 +19,7 @@ from gms_flex_control.discrepancy.motion import (
     seen,
     smoothing,
 )
+from gms_flex_control.dynamics import chain
 from gms_flex_control.effects.base import Stage
 from gms_flex_control.identification.smoothing import derivatives, low_pass
 from gms_flex_control.simulation import plant
@@ -198,8 +199,8 @@ def _friction(motion, states, constants, work):
 def _rigid_body(states, second, constants, work):
     """Return ``C dq + g`` and ``M second``, (S, n) each [N m]."""
     bias, inertial = np.empty((2, len(states), states.shape[2]))
-    equations.rigid_body_along(states, np.ascontiguousarray(second[:, 0]), constants.chain,
-                               work.chain, bias, inertial)
+    chain.rigid_body_along(states, np.ascontiguousarray(second[:, 0]), constants.chain,
+                           work.chain, bias, inertial)
     return bias, inertial
 
 
