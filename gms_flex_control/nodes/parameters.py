@@ -99,10 +99,10 @@ class NodeParameters:
     def _value(key, given):
         if key.name in given:
             return checked(key, given[key.name])
-        if key.default is REQUIRED:
+        if key.default_beside(given) is REQUIRED:
             raise ConfigError(f'parameter {key.name} is missing ({key.description}); give it in '
                               'a file after --ros-args --params-file')
-        return key.default
+        return key.default_beside(given)
 
     def watch(self, judge, apply, guard=lambda callback: callback):
         """
