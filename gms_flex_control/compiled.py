@@ -91,12 +91,12 @@ def compiled_choice(choose):
     """
     Compile a function that stands for one of several kernels, chosen when it is compiled.
 
-    ``choose`` gets the types (numba.types) of its arguments and returns the kernel, whose
-    arguments have the same names.
+    ``choose`` gets the arguments, or in a kernel their types (numba.types), and returns the
+    kernel, whose arguments have the same names.
     """
     @wraps(choose)
     def from_python(*args):
-        choose(*(numba.typeof(value) for value in args))(*args)
+        choose(*args)(*args)
 
     @wraps(choose)
     def kernel_of(*types_of_arguments):

@@ -17,7 +17,10 @@ from gms_flex_control import records
 from gms_flex_control.compiled import compiled, compiled_choice
 from gms_flex_control.dynamics import planar, spatial
 from gms_flex_control.records import FLOAT
+from numba import types
 import numpy as np
+
+_SLIDE = 0.5  # [m]
 
 
 class ChainMatrices(NamedTuple):
@@ -66,8 +69,9 @@ def work_layout(n):
 
 
 def _kernels(links, name):
-    """Return the kernel ``name`` for the type of a record (numba.types.Record)."""
-    return getattr(spatial if 'rotation' in links.fields else planar, name)
+    """Return the kernel ``name`` for a record, or for the type of one (numba.types.Record)."""
+    fields = links.fields if isinstance(links, types.Record) else links.dtype.names
+    return getattr(spatial if 'rotation' in fields else planar, name)
 
 
 @compiled_choice
@@ -156,21 +160,10 @@ def matrices(q, dq, ddq, d3q, arm):
     links = constants_of(arm)
     if arm.frames is None:
         return ChainMatrices(*planar.matrices(q, dq, ddq, d3q, links))
-    q, dq, ddq, d3q = (np.array(x, dtype=float) for x in (q, dq, ddq, d3q))
-    n, still = arm.n_joints, np.zeros((3, arm.n_joints))
-    work = records.build(work_layout(n))
-    accelerations(q, dq, links, work)
-
-    def torque(velocity, acceleration):
-        out = np.empty((3, n))
-        reference_torque(dq, ddq, d3q, velocity, acceleration, links, work, out)
-        return out
-
-    gravity = torque(still, still)
-    unit = np.zeros((n, 3, n))
-    unit[:, 0] = np.eye(n)
-    mass, coriolis = (np.stack([column - gravity for column in columns], axis=2) for columns in (
-        [torque(still, one) for one in unit], [torque(one, still) for one in unit]))
+    n = arm.n_joints
+    gravity, mass, coriolis = np.empty((3, n)), np.empty((3, n, n)), np.empty((3, n, n))
+    spatial.matrices(*(np.array(x, dtype=float) for x in (q, dq, ddq, d3q)), links,
+                     records.build(work_layout(n)), mass, coriolis, gravity)
     return ChainMatrices(*mass, *coriolis, *gravity)
 
 
@@ -205,6 +198,85 @@ def inverse_dynamics(q, dq, ddq, arm):
     rigid_body_along(states, ddq.reshape(-1, n).copy(), links, records.build(work_layout(n)),
                      bias, inertial)
     return (bias + inertial).reshape(shape)
+
+
+def mass_matrices(q, arm):
+    """
+    Return M at many poses.
+
+    Parameters
+    ----------
+    q : ndarray, shape (m, n_joints)
+        Link angles.
+    arm : ArmParams
+        The arm; motor inertia of rigid joints is part of M.
+
+    Returns
+    -------
+    ndarray, shape (m, n_joints, n_joints)
+        [kg m^2]
+
+    """
+    q = np.asarray(q, dtype=float)
+    m, n = q.shape
+    states = np.repeat(np.stack([q, np.zeros((m, n))], axis=1), n, axis=0)
+    bias, columns = np.empty((2, m * n, n))
+    rigid_body_along(states, np.tile(np.eye(n), (m, 1)), constants_of(arm),
+                     records.build(work_layout(n)), bias, columns)
+    return columns.reshape(m, n, n).swapaxes(1, 2)
+
+
+def own_inertia(links):
+    """
+    Return the inertia about each joint of all it carries, and that of its motor where rigid.
+
+    Parameters
+    ----------
+    links : numpy.record
+        Of `constants_of`; a planar chain is taken as folded around each joint, one in space with
+        all joints at 0.
+
+    Returns
+    -------
+    ndarray, shape (2, n_joints)
+        [kg m^2]
+
+    """
+    if 'coupling' in links.dtype.names:
+        return np.stack([np.diag(links.coupling), np.diag(links.rigid_inertia)])
+    n = len(links.motor_inertia)
+    work, motors = records.build(work_layout(n)), links.motor_inertia * (1.0 - links.flexible)
+    spatial.pose(np.zeros(n), links, work)
+    spatial.mass_matrix(links, work)
+    return np.stack([np.diag(work.matrix) - motors, motors])
+
+
+def configurations(arm, count):
+    """
+    Return poses spread evenly over the ranges of the joints of a chain in space.
+
+    Parameters
+    ----------
+    arm : ArmParams
+        Of kind urdf; a joint without a range turns once, or slides `_SLIDE` either way.
+    count : int
+        How many.
+
+    Returns
+    -------
+    ndarray, shape (count, n_joints)
+        The first with all joints at 0, the others an additive recurrence.
+
+    """
+    n, frames = arm.n_joints, arm.frames
+    wide = np.where(frames.prismatic, _SLIDE, np.pi)
+    lower, upper = np.maximum(frames.lower, -wide), np.minimum(frames.upper, wide)
+    root = 2.0
+    for _ in range(50):  # of x^(n + 1) = x + 1
+        root = (1.0 + root) ** (1.0 / (n + 1))
+    steps = np.arange(1, count)[:, None] * root ** -np.arange(1.0, n + 1.0)
+    spread = lower + (upper - lower) * ((0.5 + steps) % 1.0)
+    return np.concatenate([np.zeros((1, n)), spread])
 
 
 def energy(q_link, dq_link, q_motor, dq_motor, arm):

@@ -248,12 +248,12 @@ def inverse_dynamics(q, dq, ddq, chain):
     turn = chain.orientation.T
     theta, omega, alpha = (np.asarray(x, dtype=float) @ turn for x in (q, dq, ddq))
     theta = theta + chain.offset
-    between = theta[..., :, None] - theta[..., None, :]
-    inertia = chain.coupling * np.cos(between) + chain.rigid_inertia
     gx, gy = chain.gravity
-    torque = (np.einsum('...ij,...j->...i', inertia, alpha)
-              + np.einsum('...ij,...j->...i', chain.coupling * np.sin(between), omega ** 2)
-              + chain.moment * (gx * np.sin(theta) - gy * np.cos(theta)))
+    torque = chain.moment * (gx * np.sin(theta) - gy * np.cos(theta))
+    for i in range(len(chain.moment)):
+        between = theta[..., i, None] - theta
+        torque[..., i] += ((chain.coupling[i] * np.cos(between) + chain.rigid_inertia[i]) * alpha
+                           + chain.coupling[i] * np.sin(between) * omega ** 2).sum(-1)
     return torque @ chain.orientation
 
 

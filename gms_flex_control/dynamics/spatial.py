@@ -320,6 +320,26 @@ def _about_frame(m, c, own):
                       half - about[5])
 
 
+@compiled
+def matrices(q, dq, ddq, d3q, links, work, mass, coriolis, gravity):
+    """
+    Write M and C, (3, n, n) each, and g (3, n), with two time derivatives, column by column.
+
+    Angles and their derivatives are arrays (n,).
+    """
+    n = q.shape[0]
+    pose(q, links, work)
+    still, unit, column = np.zeros((3, n)), np.zeros((3, n)), np.empty((3, n))
+    reference_torque(dq, ddq, d3q, still, still, links, work, gravity)
+    for j in range(n):
+        unit[0, j] = 1.0
+        reference_torque(dq, ddq, d3q, still, unit, links, work, column)
+        mass[:, :, j] = column - gravity
+        reference_torque(dq, ddq, d3q, unit, still, links, work, column)
+        coriolis[:, :, j] = column - gravity
+        unit[0, j] = 0.0
+
+
 def link_energy(q, dq, links, work):
     """Return the energy of the links and their weight [J]."""
     pose(np.asarray(q, dtype=float), links, work)

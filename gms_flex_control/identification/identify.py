@@ -30,6 +30,7 @@ from gms_flex_control.identification.steady import friction_map, repeatability
 from gms_flex_control.identification.stretches import (
     drive_sides,
     half_count,
+    one_by_one,
     rigid_where,
     stretches_of,
 )
@@ -159,6 +160,7 @@ class Data:
         self.robot = rigid_where(robot, self.sides)
         pieces = [stretches_of(take, robot, self.sides, phases, period)
                   for take, phases in ordered]
+        pieces, self.robot = one_by_one(pieces, self.robot)
         if whole:
             pieces = [[without(piece, self.arm_fit.constant) for piece in part]
                       for part in pieces]

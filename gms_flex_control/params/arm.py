@@ -3,7 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Inertia, stiffness and gravity of an arm with flexible or rigid joints."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from gms_flex_control.errors import ParameterError
 from gms_flex_control.params.checks import freeze_arrays, require_finite, require_shape
@@ -145,8 +145,7 @@ class ArmParams:
                                  f'got {self.motor_inertia}; a rigid joint has stiffness .inf')
 
     def _require_inertia(self):
-        about_joint = self.inertia + self.mass * self.com ** 2
-        about_joint = about_joint + np.where(self.rigid, self.motor_inertia, 0.0)
+        about_joint = self.link_inertia + np.where(self.rigid, self.motor_inertia, 0.0)
         if np.any(about_joint <= 0.0):
             raise ParameterError(f'each link needs inertia or mass away from its joint, '
                                  f'got inertia {self.inertia}, mass {self.mass}, com {self.com}')
@@ -159,6 +158,18 @@ class ArmParams:
     def n_joints(self):
         """Return the number of joints."""
         return len(self.stiffness)
+
+    @property
+    def link_inertia(self):
+        """Return the inertia of each link about its joint, of what it carries none (n_joints,)."""
+        if self.frames is None:
+            return self.inertia + self.mass * self.com ** 2
+        turning = self.inertia[:, 2, 2] + self.mass * np.sum(self.com[:, :2] ** 2, axis=1)
+        return np.where(self.frames.prismatic, self.mass, turning)
+
+    def scaled(self, factor):
+        """Return the arm with mass and inertia of its links times ``factor`` (n_joints,)."""
+        return replace(self, mass=self.mass * factor, inertia=(self.inertia.T * factor).T)
 
     @property
     def rigid(self):
