@@ -6,7 +6,6 @@
 from dataclasses import replace
 
 from discrepancy_runs import driven_motion
-from gms_flex_control.discrepancy import equations
 from gms_flex_control.discrepancy.motion import make_motion
 from gms_flex_control.discrepancy.null_simulation import null_simulation
 from gms_flex_control.discrepancy.residuals import (

@@ -149,9 +149,14 @@ def test_the_robot_is_saved_and_read_back(tmp_path):
     again = load_robot(tmp_path / 'other' / 'robot.yaml')
     for name in ('mass', 'com', 'inertia', 'gravity', 'stiffness', 'motor_inertia'):
         np.testing.assert_array_equal(getattr(again.arm, name), getattr(robot.arm, name))
-    heavier = replace(robot, arm=replace(robot.arm, mass=1.1 * robot.arm.mass))
-    with pytest.raises(ParameterError, match='mass of the links is not that of'):
-        save_robot(heavier, tmp_path / 'heavier.yaml')
+    heavier = replace(robot, arm=robot.arm.scaled(np.linspace(0.5, 2.0, 7)))
+    save_robot(heavier, tmp_path / 'heavier.yaml')
+    for name in ('mass', 'inertia'):
+        np.testing.assert_allclose(getattr(load_robot(tmp_path / 'heavier.yaml').arm, name),
+                                   getattr(heavier.arm, name), rtol=1e-14)
+    shifted = replace(robot, arm=replace(robot.arm, com=1.1 * robot.arm.com))
+    with pytest.raises(ParameterError, match='another centre of mass'):
+        save_robot(shifted, tmp_path / 'shifted.yaml')
 
 
 def test_an_offset_is_where_a_joint_reads_zero(tmp_path):

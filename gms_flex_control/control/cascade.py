@@ -77,7 +77,8 @@ def constants_of(gains, robot):
     values, links = {name: getattr(gains, name) for name in _GAINS}, chain.constants_of(robot.arm)
     return records.build(
         constants_layout(links.dtype, *robot.friction.stiffness.shape), **values,
-        compensation=COMPENSATIONS.index(gains.compensation), chain=links, friction=gms.constants_of(robot.friction))
+        compensation=COMPENSATIONS.index(gains.compensation), chain=links,
+        friction=gms.constants_of(robot.friction))
 
 
 def init(robot):

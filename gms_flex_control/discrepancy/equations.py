@@ -14,7 +14,6 @@ from gms_flex_control.effects import table as effect_table
 from gms_flex_control.effects.base import Stage
 from gms_flex_control.friction import gms
 from gms_flex_control.simulation import plant
-import numpy as np
 
 _ACTUATOR, _, _, _FRICTION, _LINK, _MOTOR, _ = (int(stage) for stage in Stage)
 _SUBSTEPS = 4  # of a sample, where an actuator changes what it is told

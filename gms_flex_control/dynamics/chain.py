@@ -300,7 +300,10 @@ def energy(q_link, dq_link, q_motor, dq_motor, arm):
     flexible = ~arm.rigid
     twist = (q_motor - q_link)[flexible]
     motors = arm.motor_inertia[flexible] * np.asarray(dq_motor)[flexible] ** 2
-    moving = (planar.link_energy(q_link, dq_link, links) if arm.frames is None else
-              spatial.link_energy(q_link, dq_link, links, records.build(work_layout(arm.n_joints))))
+    if arm.frames is None:
+        moving = planar.link_energy(q_link, dq_link, links)
+    else:
+        work = records.build(work_layout(arm.n_joints))
+        moving = spatial.link_energy(q_link, dq_link, links, work)
     return float(moving + 0.5 * np.sum(motors)
                  + 0.5 * np.sum(arm.stiffness[flexible] * twist ** 2))

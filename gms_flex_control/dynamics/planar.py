@@ -95,7 +95,7 @@ def mass_matrix(links, work):
 
 @compiled
 def accelerations(q, dq, links, work):
-    """Write the accelerations under ``work.tau`` into ``work.acceleration``; see dynamics.chain."""
+    """Write accelerations under ``work.tau`` into ``work.acceleration``; see dynamics.chain."""
     n = links.moment.shape[0]  # known when compiled, as every shape in a record
     omega, cosine, sine, right = work.omega, work.cosine, work.sine, work.right
     pose(q, links, work)

@@ -167,7 +167,7 @@ def _swung(omega, alpha, arm):
 
 @compiled
 def accelerations(q, dq, links, work):
-    """Write the accelerations under ``work.tau`` into ``work.acceleration``; see dynamics.chain."""
+    """Write accelerations under ``work.tau`` into ``work.acceleration``; see dynamics.chain."""
     pose(q, links, work)
     mass_matrix(links, work)
     bias_torque(dq, links, work, work.right)

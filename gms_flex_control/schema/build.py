@@ -21,6 +21,7 @@ import numpy as np
 
 _ARM = ('mass', 'length', 'com', 'inertia', 'motor_inertia', 'stiffness', 'damping', 'offset')
 _OF_LINKS = ('mass', 'length', 'com', 'inertia')  # which a URDF states
+_FACTORS = ('mass_factor', 'inertia_factor')  # on what a URDF states
 MOST_JOINTS = 7
 _STRIBECK = ('static', 'coulomb', 'velocity', 'viscous')
 _GAINS = ('kd_link', 'lambda_link', 'kd_motor', 'lambda_motor', 'observer_gain', 'sign_slope',
@@ -85,6 +86,8 @@ def robot_from_values(values):
                                for name in ('counts', 'noise', 'velocity_cutoff')})
     effects = _effects({name: checked(known[name], value) for name, value in values.items()
                         if name.startswith('effects.')})
+    if arm.frames is not None:
+        _refuse_planar(effects)
     uncertainty = {(name.split('.')[2], name.split('.')[1]): checked(known[name], value)
                    for name, value in values.items() if name.startswith('uncertainty.')}
     return RobotParams(joints=joints, motors=tuple(motors), arm=arm, encoder=encoder,
@@ -104,9 +107,26 @@ def _require_links(kind, joints, values):
                           'link and the length of all but the last')
 
 
+def _refuse_planar(effects):
+    """Refuse effects that a chain in space cannot have."""
+    for spec in effects:
+        if registry.find(spec.name).needs_planar:
+            raise ConfigError(
+                f'effects.{spec.joint}.{spec.name} goes with planar arms, this is arm.kind urdf: '
+                'put a payload into the URDF as a link on a fixed joint, a tilt into '
+                'arm.gravity_vector')
+
+
 def _links(flat, joints):
     """Return gravity and, of a URDF, the links (dict) as fields of ArmParams."""
+    factors = {name: np.array([flat[f'arm.{joint}.{name}'] for joint in joints])
+               for name in _FACTORS}
     if flat['arm.kind'] != 'urdf':
+        for joint in joints:
+            for name in _FACTORS:
+                if flat[f'arm.{joint}.{name}'] != 1.0:
+                    raise ConfigError(f'arm.{joint}.{name} goes with arm.kind urdf, this is '
+                                      f"{flat['arm.kind']}")
         for name in ('arm.urdf', 'arm.base', 'arm.tip'):
             if flat[name]:
                 raise ConfigError(f"{name} goes with arm.kind urdf, this is {flat['arm.kind']}")
@@ -131,8 +151,9 @@ def _links(flat, joints):
         raise ConfigError(f'joints names {len(joints)}; a chain of a URDF has at most '
                           f'{MOST_JOINTS}')
     links = read_links(flat['arm.urdf'], joints, flat['arm.base'], flat['arm.tip'])
-    return {'gravity': flat['arm.gravity_vector'], 'frames': links.frames, 'mass': links.mass,
-            'com': links.com, 'inertia': links.inertia}
+    return {'gravity': flat['arm.gravity_vector'], 'frames': links.frames,
+            'mass': links.mass * factors['mass_factor'], 'com': links.com,
+            'inertia': links.inertia * factors['inertia_factor'][:, None, None]}
 
 
 @contextmanager
@@ -266,11 +287,16 @@ def _link_values(robot):
                                  f'effects.arm.{GravityTilt.name}')
         return {'arm.gravity': -float(arm.gravity[1]) + 0.0}
     links = read_links(frames.source, robot.joints, frames.base, frames.tip)
-    for name in ('mass', 'com', 'inertia'):
-        if not np.array_equal(getattr(links, name), getattr(arm, name)):
-            raise ParameterError(f'{name} of the links is not that of {frames.source}, and a '
-                                 'robot file names the URDF only; describe the difference as '
-                                 'effects of the joints')
+    of_inertia = np.trace(arm.inertia, axis1=1, axis2=2) / np.trace(links.inertia, axis1=1,
+                                                                   axis2=2)
+    if not (np.allclose(arm.com, links.com, rtol=1e-9, atol=1e-12) and np.allclose(
+            arm.inertia, links.inertia * of_inertia[:, None, None], rtol=1e-9, atol=1e-12)):
+        raise ParameterError('a link has another centre of mass or shape than in '
+                             f'{frames.source}, and a robot file scales mass and inertia only: '
+                             'change the URDF')
     values = {'arm.gravity_vector': arm.gravity.tolist(), 'arm.urdf': frames.source}
+    for name, factors in zip(_FACTORS, (arm.mass / links.mass, of_inertia), strict=True):
+        values |= {f'arm.{joint}.{name}': float(factor)
+                   for joint, factor in zip(robot.joints, factors, strict=True)}
     return values | {f'arm.{name}': getattr(frames, name) for name in ('base', 'tip')
                      if getattr(frames, name)}

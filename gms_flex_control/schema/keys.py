@@ -30,6 +30,10 @@ def _arm_keys(joint):
         Key(prefix + 'damping', 'double', 'damping of the joint', 'N m s/rad', 0.0, 0.0),
         Key(prefix + 'offset', 'double', 'angle of the link where the joint reads 0, from the x '
             'axis or the link before it', 'rad', 0.0),
+        Key(prefix + 'mass_factor', 'double', 'mass of the link over that of the URDF', '1', 1.0,
+            SMALLEST),
+        Key(prefix + 'inertia_factor', 'double', 'inertia of the link about its centre of mass '
+            'over that of the URDF', '1', 1.0, SMALLEST),
     )
 
 
