@@ -6,12 +6,21 @@
 from dataclasses import replace
 from pathlib import Path
 
-from gms_flex_control import load_robot, records, save_robot
+from gms_flex_control import load_robot, read_plan, records, save_robot
+from gms_flex_control.cli.main import main
+from gms_flex_control.discrepancy.nuisance import nuisances_of, PRIOR, tuned, with_nuisances
 from gms_flex_control.dynamics import chain
-from gms_flex_control.errors import ConfigError, ParameterError
+from gms_flex_control.errors import ConfigError, IdentificationError, ParameterError
+from gms_flex_control.experiment.simulated import run_plan
+from gms_flex_control.identification.identify import identify, Options
+from gms_flex_control.identification.steady import friction_torque
+from gms_flex_control.identification.stretches import one_by_one, Stretch
+from gms_flex_control.params.friction import StribeckParams
+from gms_flex_control.params.robot import EffectSpec
 from gms_flex_control.resources import robot_file
 from gms_flex_control.schema.urdf import robot_urdf
 from gms_flex_control.schema.urdf_arm import read_links
+from gms_flex_control.simulation import plant
 import numpy as np
 import pytest
 
@@ -68,6 +77,7 @@ def test_a_thousand_states_agree_with_mujoco(name, crooked_arm):
     """MuJoCo reads the URDF itself and merges fixed links its own way."""
     mujoco = pytest.importorskip('mujoco', reason="MuJoCo is the extra 'bench'")
     arm = crooked_arm if name == 'crooked_arm' else load_robot(ARMS[name]).arm
+    arm = replace(arm, stiffness=np.ones(arm.n_joints))  # no motor is part of M
     n, rng = arm.n_joints, np.random.default_rng(3)
     model = mujoco.MjModel.from_xml_string(Path(arm.frames.source).read_text())
     model.opt.gravity[:] = arm.gravity
@@ -243,7 +253,7 @@ def test_the_chain_is_chosen_by_joints_base_and_tip(tmp_path):
     ('gravity_vector: [0.0, 0.0, -9.81]', 'gravity: 9.81', 'give arm.gravity_vector'),
     ('gravity_vector: [0.0, 0.0, -9.81]', 'gravity_vector: [9.81]', 'must have three numbers'),
     ('kind: urdf', 'kind: planar', r'arm.joint1.inertia is missing'),
-    ('stiffness: 12000.0', 'mass: 3.0\n        stiffness: 12000.0', 'the URDF states it')])
+    ('stiffness: 1500.0', 'mass: 3.0\n        stiffness: 1500.0', 'the URDF states it')])
 def test_a_robot_file_that_contradicts_its_urdf_is_refused(old, new, sentence, tmp_path):
     text = ARMS['light_arm'].read_text()
     assert old in text
@@ -252,3 +262,101 @@ def test_a_robot_file_that_contradicts_its_urdf_is_refused(old, new, sentence, t
     (tmp_path / 'robot.yaml').write_text(text.replace(old, new, 1))
     with pytest.raises((ConfigError, ParameterError), match=sentence):
         load_robot(tmp_path / 'robot.yaml')
+
+
+def test_friction_is_what_the_links_leave_of_the_torque(crooked_arm):
+    """Of a motion that MuJoCo gives the torque of, friction added: it comes back, joint by joint."""
+    mujoco = pytest.importorskip('mujoco', reason="MuJoCo is the extra 'bench'")
+    model = mujoco.MjModel.from_xml_string(Path(crooked_arm.frames.source).read_text())
+    model.opt.gravity[:] = crooked_arm.gravity
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT  # limits of joints
+    data, time = mujoco.MjData(model), np.arange(2000) / 500.0
+    speed, phase = np.linspace(1.0, 2.5, 6), np.arange(6.0)
+    q, dq, ddq = (speed ** k * np.sin(speed * time[:, None] + phase + 0.5 * np.pi * k)
+                  for k in range(3))
+    friction, needed = 3.0 * np.sign(dq) + 0.5 * dq, np.empty(q.shape)
+    for k in range(len(time)):
+        data.qpos[:], data.qvel[:], data.qacc[:] = q[k], dq[k], ddq[k]
+        mujoco.mj_inverse(model, data)
+        needed[k] = data.qfrc_inverse
+    drive = needed + friction
+    drive[:-1] = 0.5 * (drive[1:] + drive[:-1])  # of the sample
+    piece = Stretch(begin=0.0, angle=q, rate=dq, acceleration=ddq, torque=drive, source='made',
+                    tested=np.ones(q.shape, dtype=bool), phase=np.full(len(q), ''))
+    robot = replace(load_robot(ARMS['industrial_arm']), arm=crooked_arm)
+    ((alone,),), axes = one_by_one([[piece]], robot)
+    assert axes.arm.kind == 'decoupled'
+    smooth = np.abs(dq).min(axis=1) > 0.05  # no reversal within the samples that are averaged
+    found = friction_torque(alone, axes.arm)
+    np.testing.assert_allclose(found[smooth], friction[smooth], atol=2e-3 * np.abs(needed).max())
+
+
+def test_a_free_swing_keeps_its_energy():
+    """Springs, motors and gravity of the six-joint arm, friction next to none."""
+    robot = load_robot(ARMS['industrial_arm'])
+    none, n = np.full(6, 1e-9), 6
+    steady = StribeckParams(static=none, coulomb=none, velocity=none, viscous=0.0 * none)
+    robot = replace(robot, friction=replace(robot.friction, forward=steady, backward=steady,
+                                            stiffness=1e-9 * robot.friction.stiffness))
+    state, constants = plant.init(robot, np.linspace(-0.5, 0.5, n)), plant.constants_of(robot)
+    energies = []
+    for k in range(40):
+        energies.append(chain.energy(state.q_link, state.dq_link, state.q_motor, state.dq_motor,
+                                     robot.arm))
+        plant.advance(state, np.zeros(n), 0.01 * k, 0.01, 200, constants, plant.workspace(n))
+    moving = state.dq_motor @ np.diag(robot.arm.motor_inertia) @ state.dq_motor
+    assert moving > 10.0  # it fell
+    np.testing.assert_allclose(energies, energies[0], rtol=0, atol=2e-3 * moving)
+
+
+def test_the_closed_loop_follows_a_motion_of_all_joints():
+    """Model, gravity and friction compensation together: what is left is a hundredth of it."""
+    files = [ARMS['industrial_arm'].with_name(f'{name}.yaml')
+             for name in ('robot', 'controller', 'trajectory')]
+    run = run_plan(read_plan(files, duration=4.0))
+    error = run.true[:, 0] - run.reference[:, 0]
+    assert np.ptp(run.reference[:, 0], axis=0).min() > 0.4
+    assert np.abs(error).max() < 0.004
+
+
+@pytest.mark.parametrize('effects', [(), (EffectSpec(
+    name='link_inertia_error', joint='joint4', values=(0.3,)),)])
+def test_what_a_search_retunes_of_the_links_is_what_is_written(effects, tmp_path):
+    robot = replace(load_robot(ARMS['light_arm']), effects=effects)
+    base = plant.constants_of(robot)
+    nuisances = nuisances_of(base, PRIOR)
+    x = np.random.default_rng(0).uniform(-0.04, 0.04, len(nuisances))
+    save_robot(with_nuisances(robot, nuisances, x), tmp_path / 'robot.yaml')
+    made = plant.constants_of(load_robot(tmp_path / 'robot.yaml')).chain
+    asked = tuned(base, nuisances, x).chain
+    for name in asked.dtype.names:
+        np.testing.assert_allclose(made[name], asked[name], rtol=1e-9, atol=1e-15, err_msg=name)
+    assert not np.allclose(asked.mass, base.chain.mass, rtol=1e-3)
+
+
+def test_poses_lie_within_the_ranges_and_show_the_inertias():
+    arm = load_robot(ARMS['industrial_arm']).arm
+    q = chain.configurations(arm, 500)
+    assert np.all((q >= arm.frames.lower) & (q <= arm.frames.upper))
+    assert np.all(np.ptp(q, axis=0) > 1.9 * np.minimum(arm.frames.upper, np.pi))
+    masses = chain.mass_matrices(q, arm)
+    still = np.zeros(6)
+    for k in (0, 7, 123):
+        np.testing.assert_allclose(masses[k], chain.matrices(q[k], still, still, still, arm).mass,
+                                   rtol=1e-11, atol=1e-12)
+    own, motors = chain.own_inertia(chain.constants_of(arm))
+    np.testing.assert_allclose(own + motors, np.diag(masses[0]), rtol=1e-12)
+
+
+def test_what_does_not_know_such_an_arm_says_so(tmp_path, capsys):
+    robot = str(ARMS['light_arm'])
+    assert main(['urdf', '--robot', robot]) == 0
+    assert capsys.readouterr().out == ARMS['light_arm'].with_name('light_arm.urdf').read_text()
+    assert main(['export', '--to', 'mujoco', '--robot', robot]) != 0
+    assert 'MuJoCo reads' in capsys.readouterr().err
+    payload = tmp_path / 'payload.yaml'
+    payload.write_text('/**:\n  ros__parameters:\n    effects.arm.tip_payload.mass: 1.0\n')
+    with pytest.raises(ConfigError, match=r'payload.yaml:3: .*put a payload into the URDF'):
+        load_robot([robot, payload])
+    with pytest.raises(IdentificationError, match='leave --estimate all out'):
+        identify([], load_robot(robot), options=Options(estimate='all'))

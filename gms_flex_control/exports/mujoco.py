@@ -166,9 +166,6 @@ def mjcf(robot: RobotParams, without: tuple = (), timestep: float = TIMESTEP) ->
         If the time step is too long for the stiffest spring.
 
     """
-    if robot.arm.frames:
-        raise ConfigError(f'MuJoCo reads {robot.arm.frames.source} itself; of kind urdf only '
-                          'friction is exported: --to urdf, ros2_control or csv')
     joints = [_joint(robot, j, 'presliding' in without) for j in range(robot.n_joints)]
     for spec in robot.effects:
         EFFECTS[spec.name](joints[robot.joints.index(spec.joint)], *spec.values)
