@@ -350,8 +350,13 @@ def test_poses_lie_within_the_ranges_and_show_the_inertias():
 
 def test_what_does_not_know_such_an_arm_says_so(tmp_path, capsys):
     robot = str(ARMS['light_arm'])
-    assert main(['urdf', '--robot', robot]) == 0
-    assert capsys.readouterr().out == ARMS['light_arm'].with_name('light_arm.urdf').read_text()
+    assert main(['urdf', '--robot', robot, '--out', str(tmp_path / 'arm.urdf')]) == 0
+    names = load_robot(robot).joints
+    np.testing.assert_array_equal(read_links(tmp_path / 'arm.urdf', names).inertia,
+                                  load_robot(robot).arm.inertia)
+    assert '<dynamics damping="6.0" friction="7.0" />' in (tmp_path / 'arm.urdf').read_text()
+    assert main(['urdf', '--robot', robot, '--ros2-control', 'x/Y']) != 0
+    assert 'belong into that file' in capsys.readouterr().err
     assert main(['export', '--to', 'mujoco', '--robot', robot]) != 0
     assert 'MuJoCo reads' in capsys.readouterr().err
     payload = tmp_path / 'payload.yaml'
