@@ -6,9 +6,10 @@ How fast arms in space are simulated as joints are added, beside planar chains a
 
     .venv/bin/python -m bench.joints
 
-Chains of 1 to 7 flexible joints with six Maxwell blocks each, axes turned by 90 degrees from joint
-to joint (planar chains: all alike), at 1 kHz with 10 substeps: plant, encoders and controller. MuJoCo
-steps the same links, motors and springs, ten steps a millisecond, without friction and controller.
+Chains of 1 to 7 flexible joints with six Maxwell blocks each, axes turned by 90 degrees from one
+joint to the next (planar chains: all alike), at 1 kHz with 10 substeps: plant, encoders and
+controller. MuJoCo steps the same links, motors and springs, ten steps a millisecond, without
+friction and controller.
 """
 
 from dataclasses import replace
@@ -49,7 +50,7 @@ def planar_robot(n):
 
 
 def spatial_robot(robot, path):
-    """Return a planar robot with its axes turned out of the plane, its URDF written to ``path``."""
+    """Return a planar robot with its axes turned out of the plane, its URDF in ``path``."""
     path.write_text(robot_urdf(robot, motors=False).replace(*_TURN))
     links, n = read_links(path, robot.joints), robot.n_joints
     return replace(robot, arm=replace(
