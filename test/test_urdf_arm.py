@@ -74,7 +74,7 @@ def crooked_arm(tmp_path):
 
 @pytest.mark.parametrize('name', [*ARMS, 'crooked_arm'])
 def test_a_thousand_states_agree_with_mujoco(name, crooked_arm):
-    """MuJoCo reads the URDF itself and merges fixed links its own way."""
+    """The URDF is read by MuJoCo itself, which merges fixed links its own way."""
     mujoco = pytest.importorskip('mujoco', reason="MuJoCo is the extra 'bench'")
     arm = crooked_arm if name == 'crooked_arm' else load_robot(ARMS[name]).arm
     arm = replace(arm, stiffness=np.ones(arm.n_joints))  # no motor is part of M
@@ -265,7 +265,7 @@ def test_a_robot_file_that_contradicts_its_urdf_is_refused(old, new, sentence, t
 
 
 def test_friction_is_what_the_links_leave_of_the_torque(crooked_arm):
-    """MuJoCo gives the torque of a motion; the friction added to it comes back."""
+    """The torque of a motion is MuJoCo's; the friction added to it comes back."""
     mujoco = pytest.importorskip('mujoco', reason="MuJoCo is the extra 'bench'")
     model = mujoco.MjModel.from_xml_string(Path(crooked_arm.frames.source).read_text())
     model.opt.gravity[:] = crooked_arm.gravity

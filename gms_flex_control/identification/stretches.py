@@ -16,6 +16,7 @@ from gms_flex_control.identification.smoothing import (
     noise_of,
     smoothing_window,
 )
+from gms_flex_control.identification.steady import filled
 from gms_flex_control.params.arm import ArmParams
 import numpy as np
 
@@ -241,18 +242,18 @@ def _stretch(recording, robot, sides, phases, rows, period, even):
     angle = np.full((len(grid), n), np.nan)
     if even:
         angle[slots] = recording.q_link[rows]
-    filled = np.stack([_interpolated(grid, time, recording.q_link[rows, j]) for j in range(n)], 1)
+    whole = np.stack([_interpolated(grid, time, recording.q_link[rows, j]) for j in range(n)], 1)
     if not even:
-        angle[:] = filled
+        angle[:] = whole
     torque = np.stack([
-        _spring(recording, robot, j, grid, time, rows, filled[:, j]) if side == 'spring'
+        _spring(recording, robot, j, grid, time, rows, whole[:, j]) if side == 'spring'
         else _motor(recording, j, grid, time, rows) for j, side in enumerate(sides)], axis=1)
-    torque += effect_torque(robot, sides, grid - recording.time[0], filled,
+    torque += effect_torque(robot, sides, grid - recording.time[0], whole,
                             _motors(recording, grid, time, rows), torque, period)
     windows = [smoothing_window(period, noise_of(recording.q_link[:, j]), inertia,
                                 np.std(torque[:, j]))
                for j, inertia in enumerate(own_inertias(rigid_where(robot, sides).arm))]
-    smooth = [derivatives(filled[:, j], period, window) for j, window in enumerate(windows)]
+    smooth = [derivatives(whole[:, j], period, window) for j, window in enumerate(windows)]
     tested, phase = _tested(phases, recording, grid, robot.joints)
     return Stretch(begin=float(time[0]), angle=angle, rate=np.stack([s[1] for s in smooth], 1),
                    acceleration=np.stack([s[2] for s in smooth], 1), torque=torque,
@@ -285,11 +286,11 @@ def one_by_one(pieces, robot):
     arm, n = robot.arm, robot.n_joints
     if arm.frames is None:
         return pieces, robot
-    poses = np.concatenate([_filled(one.angle)[::_THIN] for part in pieces for one in part])
+    poses = np.concatenate([filled(one.angle)[::_THIN] for part in pieces for one in part])
     inertia = np.median(np.diagonal(mass_matrices(poses, arm), axis1=1, axis2=2), axis=0)
 
     def alone(piece):
-        taken = inverse_dynamics(_filled(piece.angle), piece.rate, piece.acceleration, arm)
+        taken = inverse_dynamics(filled(piece.angle), piece.rate, piece.acceleration, arm)
         taken -= inertia * piece.acceleration
         taken[:-1] = 0.5 * (taken[1:] + taken[:-1])  # a mean of the sample, as the drive is
         return replace(piece, torque=piece.torque - taken)
@@ -300,12 +301,6 @@ def one_by_one(pieces, robot):
                      motor_inertia=arm.motor_inertia, stiffness=arm.stiffness,
                      damping=arm.damping)
     return [[alone(piece) for piece in part] for part in pieces], replace(robot, arm=axes)
-
-
-def _filled(angle):
-    """Return angles (T, n) with gaps interpolated."""
-    at = np.arange(len(angle))
-    return np.stack([np.interp(at, at[np.isfinite(q)], q[np.isfinite(q)]) for q in angle.T], 1)
 
 
 def own_inertias(arm):
