@@ -25,6 +25,8 @@ setup(
         ('share/' + package_name + '/examples', ['examples/README.md']),
         ('share/' + package_name + '/examples/arm_with_play',
          sorted(glob('examples/arm_with_play/*'))),
+        *((f'share/{package_name}/examples/{name}', sorted(glob(f'examples/{name}/*')))
+          for name in ('industrial_arm', 'light_arm')),
         ('share/' + package_name + '/sros2', sorted(glob('sros2/*.xml'))),
     ],
     zip_safe=False,

@@ -9,6 +9,7 @@ in another file does. The cache folder is therefore named after a hash of every 
 """
 
 from contextlib import contextmanager
+from functools import wraps
 import hashlib
 import os
 from pathlib import Path
@@ -18,7 +19,7 @@ from threading import RLock
 import numba
 from numba import types
 from numba.core import config
-from numba.extending import intrinsic
+from numba.extending import intrinsic, overload
 
 _PACKAGE = Path(__file__).parent
 _KERNEL_FOLDERS = ('friction', 'effects', 'dynamics', 'trajectory', 'control', 'simulation')
@@ -96,6 +97,25 @@ def compiled(function, folder=_CACHE_FOLDER):
     """
     with _cached_in(folder) as cache:
         return numba.njit(cache=cache, nogil=True, error_model='numpy')(function)
+
+
+def compiled_choice(choose):
+    """
+    Compile a function that stands for one of several kernels, chosen when it is compiled.
+
+    ``choose`` gets the arguments, or in a kernel their types (numba.types), and returns the
+    kernel, whose arguments have the same names.
+    """
+    @wraps(choose)
+    def from_python(*args):
+        choose(*args)(*args)
+
+    @wraps(choose)
+    def kernel_of(*types_of_arguments):
+        return choose(*types_of_arguments).py_func
+
+    overload(from_python, jit_options={'error_model': 'numpy', 'nogil': True})(kernel_of)
+    return from_python
 
 
 def compiled_effect(function):

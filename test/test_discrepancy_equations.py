@@ -6,7 +6,6 @@
 from dataclasses import replace
 
 from discrepancy_runs import driven_motion
-from gms_flex_control.discrepancy import equations
 from gms_flex_control.discrepancy.motion import make_motion
 from gms_flex_control.discrepancy.null_simulation import null_simulation
 from gms_flex_control.discrepancy.residuals import (
@@ -36,7 +35,7 @@ def test_the_rigid_body_along_a_path_is_that_of_inverse_dynamics(n):
     links, work = chain.constants_of(arm), plant.workspace(n).chain
     for q, dq, ddq in rng.standard_normal((5, 3, n)):
         bias, inertial = np.empty((2, n))
-        equations.rigid_body(q, dq, ddq, links, work, bias, inertial)
+        chain.rigid_body(q, dq, ddq, links, work, bias, inertial)
         np.testing.assert_allclose(bias + inertial, chain.inverse_dynamics(q, dq, ddq, arm),
                                    rtol=1e-12, atol=1e-12)
         np.testing.assert_allclose(bias, chain.inverse_dynamics(q, dq, 0.0 * q, arm),

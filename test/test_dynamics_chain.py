@@ -6,7 +6,6 @@
 from dataclasses import replace
 
 from gms_flex_control import records
-from gms_flex_control.control import feedforward
 from gms_flex_control.dynamics import chain
 from gms_flex_control.errors import ParameterError
 from gms_flex_control.params.arm import ArmParams
@@ -129,13 +128,10 @@ def test_the_controllers_inverse_dynamics_and_its_derivatives_agree_with_the_mat
         m = chain.matrices(q, dq, ddq, d3q, arm)
         return m.mass @ ref(t)[1] + m.coriolis @ ref(t)[0] + m.gravity
     t, step = 0.6, 1e-4
-    links, orientation = chain.constants_of(arm), np.tril(np.ones((n, n)))
-    theta, omega, alpha, jerk = real(t) @ orientation.T
-    theta = theta + orientation @ arm.offset
-    work = records.build(feedforward.layout(n), cosine=np.cos(theta), sine=np.sin(theta),
-                         omega=omega, alpha=alpha, jerk=jerk, ref=ref(t) @ orientation.T)
-    feedforward.inverse_dynamics(links, work)
-    found = work.torque @ orientation
+    links, (q, dq, ddq, d3q) = chain.constants_of(arm), real(t)
+    work, found = records.build(chain.work_layout(n)), np.empty((3, n))
+    chain.accelerations(q, dq, links, work)
+    chain.reference_torque(dq, ddq, d3q, ref(t)[:3], ref(t)[1:], links, work, found)
     before, now, after = (torque(t + k * step) for k in (-1, 0, 1))
     np.testing.assert_allclose(found[0], now, rtol=1e-12)
     np.testing.assert_allclose(found[1], (after - before) / (2 * step), rtol=1e-5, atol=1e-5)
@@ -220,7 +216,7 @@ def test_decoupled_axes_do_not_feel_each_other():
 
 
 @pytest.mark.parametrize(('changes', 'sentence'), [
-    ({'kind': 'spatial'}, r"arm.kind must be one of planar, decoupled, got 'spatial'"),
+    ({'kind': 'spatial'}, r"arm.kind must be one of planar, decoupled, urdf, got 'spatial'"),
     ({'inertia': [-0.1, 0.1]}, r'inertia must be at least 0, got'),
     ({'mass': [np.nan, 1.0]}, r'mass must be finite, got \[nan'),
     ({'mass': [1.0, 1.0, 1.0]}, r'mass must have shape \(2,\) \(one entry per joint\)'),

@@ -4,6 +4,7 @@
 """Three processes in lockstep over DDS give the numbers of one process, to the last bit."""
 
 from dataclasses import fields
+from pathlib import Path
 
 from gms_flex_control.bags.cdr import unpack_joint_state
 from gms_flex_control.bags.reader import read_recording
@@ -29,6 +30,7 @@ from node_harness import (
 import numpy as np
 import pytest
 
+EXAMPLES = Path(__file__).parents[1] / 'examples' / 'light_arm'
 RIGID = """
 motors: ['', '']
 arm:
@@ -142,3 +144,14 @@ def test_a_robot_of_one_decoupled_axis_runs(tmp_path, monkeypatch):
     robot = write_parameters(tmp_path / 'robot.yaml', ONE_AXIS)
     driven = assert_moves_alike(tmp_path, monkeypatch, [robot])
     assert np.all(np.isfinite(driven.q_motor))
+
+
+def test_an_arm_of_a_urdf_runs(tmp_path, monkeypatch):
+    """The nodes find the URDF beside the parameter file that names it; its springs carry links."""
+    files = [EXAMPLES / name for name in ('robot.yaml', 'controller.yaml', 'trajectory.yaml')]
+    extra = write_parameters(tmp_path / 'extra.yaml', 'trajectory: {ramp_time: 0.3}')
+    driven, simulated, _ = both(tmp_path, monkeypatch, [*files, extra], duration=0.8,
+                                compensation='gms', rate=1000.0)
+    assert len(driven.time) == 800
+    assert np.abs(driven.tau_motor[:, 1]).max() > 10.0  # gravity
+    assert_equal(driven, simulated)

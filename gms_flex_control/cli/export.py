@@ -49,6 +49,10 @@ def _text_of(robot, args):
     if args.timestep is not None and (args.to != 'mujoco' or not 0.0 < args.timestep < 1.0):
         raise ConfigError(f'--timestep {args.timestep:g} --to {args.to}: give an integration step '
                           'above 0 s and below 1 s, to mujoco only')
+    if args.to == 'mujoco' and robot.arm.frames:
+        raise ConfigError(f'--to mujoco: MuJoCo reads {robot.arm.frames.source} itself; of '
+                          'arm.kind urdf friction alone is exported, --to urdf, ros2_control or '
+                          'csv')
     if args.to == 'csv':
         if args.without:
             raise ConfigError('--without: csv holds every parameter; leave the option out')

@@ -29,11 +29,15 @@ def add_parser(subparsers):
 
 def run(args):
     """Write or print; return 0."""
+    from gms_flex_control.errors import ConfigError
     from gms_flex_control.resources import robot_file
     from gms_flex_control.schema.files import load_limits, load_robot
     from gms_flex_control.schema.urdf import robot_urdf
 
     robot = load_robot(args.robot or robot_file())
+    if robot.arm.frames and (args.limits or args.ros2_control):
+        raise ConfigError(f'the URDF of this robot is {robot.arm.frames.source}: limits and '
+                          '<ros2_control> belong into that file')
     limits = load_limits(args.limits, robot.joints) if args.limits else None
     text = robot_urdf(robot, name=args.name, motors=not args.links_only, limits=limits,
                       plugin=args.ros2_control)

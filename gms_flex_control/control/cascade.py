@@ -13,7 +13,7 @@ from functools import cache, lru_cache
 
 from gms_flex_control import records
 from gms_flex_control.compiled import compiled
-from gms_flex_control.control import feedforward, observer
+from gms_flex_control.control import observer
 from gms_flex_control.control.compensation import choice
 from gms_flex_control.control.compensation.choice import GMS, GMS_PAPER
 from gms_flex_control.dynamics import chain
@@ -50,11 +50,11 @@ def state_layout(n, n_blocks):
 
 
 @cache
-def constants_layout(n, n_blocks):
-    """Return the dtype of gains and model as the controller's kernels take them."""
+def constants_layout(links, n, n_blocks):
+    """Return the dtype of gains and model, ``links`` its arm's, as the kernels take them."""
     return records.layout(
         ('compensation', np.intp, (1,)), *((name, FLOAT, (n,)) for name in _GAINS),
-        ('chain', chain.constants_layout(n)), ('friction', gms.constants_layout(n, n_blocks)))
+        ('chain', links), ('friction', gms.constants_layout(n, n_blocks)))
 
 
 _VECTORS = ('displacement', 'sliding', 'dq_ref', 'ddq_ref', 'correction', 'correction_rate',
@@ -67,18 +67,18 @@ def work_layout(n):
     """Return the dtype of the work space of `tick`; nothing in it outlives a tick."""
     return records.layout(
         *((name, FLOAT, (n,)) for name in _VECTORS), ('torque', FLOAT, (3, n)),
-        ('estimate', FLOAT, (3, n)), ('motion', feedforward.layout(n)),
+        ('estimate', FLOAT, (3, n)), ('ref', FLOAT, (4, n)), ('rigid', FLOAT, (3, n)),
         ('chain', chain.work_layout(n)))
 
 
 @lru_cache(maxsize=256)
 def constants_of(gains, robot):
     """Return ControllerParams and the model of RobotParams as the record `tick` takes."""
-    values = {name: getattr(gains, name) for name in _GAINS}
+    values, links = {name: getattr(gains, name) for name in _GAINS}, chain.constants_of(robot.arm)
     return records.build(
-        constants_layout(*robot.friction.stiffness.shape), **values,
-        compensation=COMPENSATIONS.index(gains.compensation),
-        chain=chain.constants_of(robot.arm), friction=gms.constants_of(robot.friction))
+        constants_layout(links.dtype, *robot.friction.stiffness.shape), **values,
+        compensation=COMPENSATIONS.index(gains.compensation), chain=links,
+        friction=gms.constants_of(robot.friction))
 
 
 def init(robot):
@@ -133,7 +133,7 @@ def spring_torques(state, measured, constants, work):
 def model_motion(state, measured, constants, work):
     """Form acceleration and jerk of the model, and the derivatives of F_hat on the way."""
     n = constants.kd_link.shape[0]
-    links, motion, out = constants.chain, work.motion, work.estimate
+    links, out = constants.chain, work.estimate
     for j in range(n):
         work.chain.tau[j] = work.spring[j] - out[0, j]
     chain.accelerations(measured.q_link, measured.dq_link, links, work.chain)
@@ -141,22 +141,14 @@ def model_motion(state, measured, constants, work):
     if constants.compensation[0] == GMS_PAPER:
         observer.first_derivative(state.observer.blocks, measured.dq_link, work.acceleration,
                                   work.smooth, work.correction, constants.friction, out[1])
-    motion.cosine[:] = work.chain.cosine
-    motion.sine[:] = work.chain.sine
-    chain.multiply(links.orientation, measured.dq_link, motion.omega)
-    chain.multiply(links.orientation, work.acceleration, motion.alpha)
-    motion.jerk[:] = 0.0
-    motion.ref[0], motion.ref[1] = motion.omega, motion.alpha
-    motion.ref[2], motion.ref[3] = 0.0, 0.0
-    feedforward.inverse_dynamics(links, motion)
+    work.jerk[:] = 0.0
+    work.ref[0], work.ref[1], work.ref[2], work.ref[3] = (measured.dq_link, work.acceleration,
+                                                          work.jerk, work.jerk)
+    chain.reference_torque(measured.dq_link, work.acceleration, work.jerk, work.ref[:3],
+                           work.ref[1:], links, work.chain, work.rigid)
     for j in range(n):
-        work.chain.tau[j] = work.spring_rate[j] - out[1, j]
-    chain.multiply_transposed(links.inverse, work.chain.tau, motion.jerk)
-    for j in range(n):
-        motion.jerk[j] -= motion.torque[1, j]
-    chain.mass_matrix(links, work.chain)
-    chain.solve_in_place(work.chain.matrix, motion.jerk)
-    chain.multiply(links.inverse, motion.jerk, work.jerk)
+        work.scratch[j] = work.spring_rate[j] - out[1, j] - work.rigid[1, j]
+    chain.mass_solve(work.scratch, links, work.chain, work.jerk)
 
 
 @compiled
@@ -175,26 +167,21 @@ def friction_derivatives(state, measured, constants, work):
 @compiled
 def elastic_torque(measured, reference, constants, work):
     """Write u_ed and its first two derivatives into work.torque, Eq. (11)."""
-    links, motion = constants.chain, work.motion
-    n = constants.kd_link.shape[0]
-    chain.multiply(links.orientation, work.dq_ref, motion.ref[0])
-    chain.multiply(links.orientation, work.ddq_ref, motion.ref[1])
+    n, ref = constants.kd_link.shape[0], work.ref
     for j in range(n):
-        work.scratch[j] = reference[3, j] - constants.lambda_link[j] * (
+        ref[0, j], ref[1, j] = work.dq_ref[j], work.ddq_ref[j]
+        ref[2, j] = reference[3, j] - constants.lambda_link[j] * (
             work.acceleration[j] - reference[2, j])
-    chain.multiply(links.orientation, work.scratch, motion.ref[2])
-    for j in range(n):  # rates of the sliding variable, before scratch is used again
+        ref[3, j] = reference[4, j] - constants.lambda_link[j] * (work.jerk[j] - reference[3, j])
+    chain.reference_torque(measured.dq_link, work.acceleration, work.jerk, ref[:3], ref[1:],
+                           constants.chain, work.chain, work.rigid)
+    for j in range(n):  # rates of the sliding variable
         work.torque[0, j] = -constants.kd_link[j] * work.sliding[j]
         work.torque[1, j] = -constants.kd_link[j] * (work.acceleration[j] - work.ddq_ref[j])
-        work.torque[2, j] = -constants.kd_link[j] * (work.jerk[j] - work.scratch[j])
-        work.scratch[j] = reference[4, j] - constants.lambda_link[j] * (
-            work.jerk[j] - reference[3, j])
-    chain.multiply(links.orientation, work.scratch, motion.ref[3])
-    feedforward.inverse_dynamics(links, motion)
+        work.torque[2, j] = -constants.kd_link[j] * (work.jerk[j] - ref[2, j])
     for k in range(3):
-        chain.multiply_transposed(links.orientation, motion.torque[k], work.scratch)
         for j in range(n):
-            work.torque[k, j] += work.scratch[j] + work.estimate[k, j]
+            work.torque[k, j] += work.rigid[k, j] + work.estimate[k, j]
 
 
 @compiled

@@ -11,6 +11,7 @@ gms at rest.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 import math
 
 from gms_flex_control.dynamics import chain
@@ -256,6 +257,7 @@ def disturbance_bound(gains, robot):
     return math.sqrt(total)
 
 
+@lru_cache(maxsize=16)
 def mass_matrices(arm):
     """
     Return M(q) over the configurations of an arm.
@@ -268,11 +270,14 @@ def mass_matrices(arm):
     Returns
     -------
     ndarray, shape (m, n_joints, n_joints)
-        On a grid of the relative angles, which holds the stretched and the folded arm;
-        [kg m^2].
+        On a grid of the relative angles, which holds the stretched and the folded arm, or spread
+        over the ranges of a chain in space; [kg m^2].
 
     """
-    terms, n = chain.constants_of(arm), arm.n_joints
+    n = arm.n_joints
+    if arm.kind == 'urdf':
+        return chain.mass_matrices(chain.configurations(arm, _CONFIGURATIONS), arm)
+    terms = chain.constants_of(arm)
     if arm.kind != 'planar' or n == 1:
         theta = np.zeros((1, n))
     else:

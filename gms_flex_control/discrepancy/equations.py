@@ -9,13 +9,11 @@ needs no second description to be looked for: what it adds here is what it would
 """
 
 from gms_flex_control.compiled import compiled
-from gms_flex_control.dynamics import chain
 from gms_flex_control.effects import signals as sig
 from gms_flex_control.effects import table as effect_table
 from gms_flex_control.effects.base import Stage
 from gms_flex_control.friction import gms
 from gms_flex_control.simulation import plant
-import numpy as np
 
 _ACTUATOR, _, _, _FRICTION, _LINK, _MOTOR, _ = (int(stage) for stage in Stage)
 _SUBSTEPS = 4  # of a sample, where an actuator changes what it is told
@@ -49,30 +47,6 @@ def replay_friction(k, states, period, constants, state, work):
 
 
 @compiled
-def rigid_body(q, dq, ddq, links, work, bias, inertial):
-    """Write ``C dq + g`` into ``bias`` and ``M ddq`` into ``inertial``, both (n,) [N m]."""
-    n = q.shape[0]
-    chain.multiply(links.orientation, q, work.tau)
-    for i in range(n):
-        theta = work.tau[i] + links.offset[i]
-        work.cosine[i], work.sine[i] = np.cos(theta), np.sin(theta)
-    chain.multiply(links.orientation, dq, work.omega)
-    chain.multiply(links.orientation, ddq, work.right)
-    for i in range(n):
-        held = links.moment[i] * (links.gravity[0] * work.sine[i]
-                                  - links.gravity[1] * work.cosine[i])
-        moved = 0.0
-        for k in range(n):
-            cosine = work.cosine[i] * work.cosine[k] + work.sine[i] * work.sine[k]
-            sine = work.sine[i] * work.cosine[k] - work.cosine[i] * work.sine[k]
-            held += links.coupling[i, k] * sine * work.omega[k] * work.omega[k]
-            moved += (links.coupling[i, k] * cosine + links.rigid_inertia[i, k]) * work.right[k]
-        work.tau[i], work.acceleration[i] = held, moved
-    chain.multiply_transposed(links.orientation, work.tau, bias)
-    chain.multiply_transposed(links.orientation, work.acceleration, inertial)
-
-
-@compiled
 def friction_along(states, period, constants, state, work, friction):
     """Fill ``friction`` (T, n) [N m] along a motion (T, 6, n); state and work are overwritten."""
     for k in range(states.shape[0]):
@@ -81,13 +55,6 @@ def friction_along(states, period, constants, state, work, friction):
         replay_friction(k, states, period, constants, state, work)
         for j in range(states.shape[2]):
             friction[k, j] = work.friction[j]
-
-
-@compiled
-def rigid_body_along(states, second, links, work, bias, inertial):
-    """Fill ``C dq + g`` and ``M second``, (T, n) each [N m], along a motion (T, 6, n)."""
-    for k in range(states.shape[0]):
-        rigid_body(states[k, 0], states[k, 1], second[k], links, work, bias[k], inertial[k])
 
 
 @compiled
@@ -111,7 +78,7 @@ def torques_along(states, friction, command, time, period, constants, state, wor
         From simulation.plant; the state is overwritten.
     link, motor : ndarray, shape (T, n)
         Filled: all torques at sample k that move link and motor, but those of the actuators and
-        of `rigid_body_along`.
+        of dynamics.chain.rigid_body_along.
 
     """
     s, links, effects = work.signals, constants.chain, constants.effects

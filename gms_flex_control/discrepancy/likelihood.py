@@ -585,7 +585,7 @@ def scales_of(motions, robot):
                 robot.friction.forward, robot.friction.backward)])),
             torque=float(np.abs(torque).max()), spring=spring, twist=twist, speed=speed,
             inertia=float(arm.motor_inertia[j]),
-            link_inertia=float(arm.inertia[j] + arm.mass[j] * arm.com[j] ** 2),
+            link_inertia=float(arm.link_inertia[j]),
             mass=float(arm.mass.sum()),
             lowest=float(link.min()), highest=float(link.max()), turned=float(np.ptp(motor)),
             duration=float(max(one.time[-1] - one.time[0] for one in motions)),

@@ -20,7 +20,7 @@ import numpy as np
 PRIOR = {kind: one.sd for kind, one in KINDS.items()}  # relative standard deviations
 LARGEST = 0.8     # relative change: nothing that a model has vanishes altogether
 OF_SHAPE = ('static', 'velocity', 'attraction', 'blocks')  # residuals are not linear in them
-_CARRIED = ('coupling', 'moment')  # of links
+_CARRIED = {'planar': ('coupling', 'moment'), 'urdf': ('mass', 'inertia')}  # of links
 _PROBE = 0.01     # relative change that shows what effects make of them
 
 
@@ -176,8 +176,12 @@ def nuisances_of(constants, prior, stated=None):
     def add(kind, joint, *fields, signs=None):
         found.append(Nuisance(kind, joint, sd(kind, joint), fields, signs or (1,) * len(fields)))
 
+    planar = 'coupling' in chain.dtype.names
     heavy = np.any(chain.gravity != 0.0)
-    for i in range(n):
+    for i in range(0 if planar else n):
+        add('gravity' if heavy else 'inertia', i, ('chain', 'mass', i))
+        add('inertia', i, ('chain', 'inertia', i))
+    for i in range(n if planar else 0):
         # what link i has of mass times distance: gravity and its coupling to every link before
         moment = [('chain', 'coupling', pair) for k in range(i) if chain.coupling[k, i] != 0.0
                   for pair in ((k, i), (i, k))]
@@ -190,6 +194,8 @@ def nuisances_of(constants, prior, stated=None):
     for j in range(n):
         if chain.flexible[j]:
             add('stiffness', j, ('chain', 'stiffness', j))
+            add('motor_inertia', j, ('chain', 'motor_inertia', j))
+        elif chain.motor_inertia[j] > 0.0 and not planar:
             add('motor_inertia', j, ('chain', 'motor_inertia', j))
         elif chain.motor_inertia[j] > 0.0:
             found.append(RotorNuisance(j, sd('motor_inertia', j)))
@@ -243,9 +249,10 @@ def with_nuisances(robot, nuisances, x):
     # a nuisance parameter scales what a link carries with all that effects make of it, such as
     # a payload's share; what they make of it is affine in what it is without them
     whole, other = _carried(robot, record), record.copy()
-    for name in _CARRIED:
+    names = _CARRIED['urdf' if robot.arm.frames else 'planar']
+    for name in names:
         getattr(other.chain, name)[...] *= 1.0 + _PROBE
-    for name, one, two in zip(_CARRIED, whole, _carried(robot, other), strict=True):
+    for name, one, two in zip(names, whole, _carried(robot, other), strict=True):
         own = getattr(record.chain, name)
         slope = np.divide(two - one, _PROBE * own, out=np.ones_like(own), where=own != 0.0)
         own += (getattr(wanted, name) - one) / slope
@@ -255,7 +262,8 @@ def with_nuisances(robot, nuisances, x):
 def _carried(robot, record):
     """Return what links carry with the effects of a robot whose own parameters are a record's."""
     chain = plant.constants_of(_with_record(robot, record)).chain
-    return [np.array(getattr(chain, name)) for name in _CARRIED]
+    return [np.array(getattr(chain, name))
+            for name in _CARRIED['urdf' if robot.arm.frames else 'planar']]
 
 
 def _with_record(robot, record):
@@ -281,6 +289,11 @@ def _with_record(robot, record):
 
 def with_base(arm, links):
     """Return an arm whose links have the inertia and moments of the kernels' record."""
+    if arm.frames:
+        rows, columns = np.triu_indices(3)
+        tensor = np.empty(arm.inertia.shape)
+        tensor[:, rows, columns] = tensor[:, columns, rows] = links.inertia
+        return replace(arm, mass=np.array(links.mass), inertia=tensor)
     mass, com, inertia = arm.mass.copy(), arm.com.copy(), arm.inertia.copy()
     planar = arm.kind == 'planar'
     for i in range(arm.n_joints - 1, -1, -1):

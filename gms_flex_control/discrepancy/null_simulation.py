@@ -17,6 +17,7 @@ from gms_flex_control.analysis.signals import quantum
 from gms_flex_control.compiled import compiled
 from gms_flex_control.discrepancy.motion import encoder_step, make_motion
 from gms_flex_control.discrepancy.residuals import fresh_state
+from gms_flex_control.dynamics.chain import own_inertia
 from gms_flex_control.effects import signals as sig
 from gms_flex_control.errors import SimulationError
 from gms_flex_control.simulation import plant
@@ -81,9 +82,9 @@ def null_simulation(motion, constants, rng):
 
     """
     links, n = constants.chain, len(motion.joints)
-    inertia = np.where(links.flexible, links.motor_inertia,
-                       np.diag(links.coupling) + np.diag(links.rigid_inertia))
-    own, bandwidth = np.diag(links.coupling) * links.flexible, np.full(n, BANDWIDTH)
+    carried, motors = own_inertia(links)
+    inertia = np.where(links.flexible, links.motor_inertia, carried + motors)
+    own, bandwidth = carried * links.flexible, np.full(n, BANDWIDTH)
     for link in motion.unseen:
         own[link.joint] = 0.0
         bandwidth[link.joint] = np.clip(_OF_RATE / motion.fine_period, BANDWIDTH, _ALONE)

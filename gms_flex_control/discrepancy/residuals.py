@@ -19,6 +19,7 @@ from gms_flex_control.discrepancy.motion import (
     seen,
     smoothing,
 )
+from gms_flex_control.dynamics import chain
 from gms_flex_control.effects.base import Stage
 from gms_flex_control.identification.smoothing import derivatives, low_pass
 from gms_flex_control.simulation import plant
@@ -30,7 +31,10 @@ _CLEARINGS = 3        # of a motion from errors of its encoders
 _OF_SLOPE = 2000      # moments that tell the slope of a spring
 _TOLD = 1e-3          # of the largest shift: with less, no stiffness is told by it
 _STIFFEST = 6.0       # times a spring's stiffness, at most
-_OF_BODIES = ('orientation', 'offset', 'moment', 'coupling', 'rigid_inertia', 'gravity')
+_OF_BODIES = {  # by a field that the record of that kind of arm has
+    'coupling': ('orientation', 'offset', 'moment', 'coupling', 'rigid_inertia', 'gravity'),
+    'rotation': ('rotation', 'position', 'offset', 'mass', 'com', 'inertia', 'gravity',
+                 'motor_inertia')}
 _OF_SPRINGS = int(Stage.TWIST), int(Stage.SPRING)
 _BEFORE_LINKS = ACTUATOR, *_OF_SPRINGS, int(Stage.MOTOR)
 
@@ -102,7 +106,7 @@ def _of_springs(motion, constants):
     if not motion.unseen:
         return ()
     key = _key(constants, _BEFORE_LINKS, 'stiffness', 'damping', 'motor_inertia')
-    return ('unseen', *key, *(_key(constants, (SENSOR,), 'friction', *_OF_BODIES)
+    return ('unseen', *key, *(_key(constants, (SENSOR,), 'friction', *_of_bodies(constants))
                               if acts(constants, SENSOR) else ()))
 
 
@@ -161,7 +165,7 @@ def _residuals(motion, constants, work, drive, states, second, way=None):
     equations.torques_along(
         states, kept((*way, *friction), partial(_friction, motion, states, constants, work)),
         drive, motion.time, motion.period, constants, fresh_state(constants), work, link, motor)
-    bias, inertial = kept((*way, *_key(constants, (), *_OF_BODIES)), partial(
+    bias, inertial = kept((*way, *_key(constants, (), *_of_bodies(constants))), partial(
         _rigid_body, states, second, constants, work))
     weight = sampled_weight(motion.factor)
     unsmoothed = constants.chain.stiffness * motion.twist_rest  # what smoothing took of the spring
@@ -171,6 +175,12 @@ def _residuals(motion, constants, work, drive, states, second, way=None):
     on_motor = flexible * (constants.chain.motor_inertia * second[:, 1]
                            - seen(motor, weight) + unsmoothed - drive)
     return np.stack([on_link, on_motor])
+
+
+def _of_bodies(constants):
+    """Return the names of the fields that rigid-body terms depend on, tuple of str."""
+    names = constants.chain.dtype.names
+    return next(fields for field, fields in _OF_BODIES.items() if field in names)
 
 
 def _key(constants, stages, *fields):
@@ -198,8 +208,8 @@ def _friction(motion, states, constants, work):
 def _rigid_body(states, second, constants, work):
     """Return ``C dq + g`` and ``M second``, (S, n) each [N m]."""
     bias, inertial = np.empty((2, len(states), states.shape[2]))
-    equations.rigid_body_along(states, np.ascontiguousarray(second[:, 0]), constants.chain,
-                               work.chain, bias, inertial)
+    chain.rigid_body_along(states, np.ascontiguousarray(second[:, 0]), constants.chain,
+                           work.chain, bias, inertial)
     return bias, inertial
 
 

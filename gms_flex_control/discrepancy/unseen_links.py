@@ -11,6 +11,7 @@ leaves. What remains is one equation per joint, that of link and motor together.
 
 from typing import NamedTuple
 
+from gms_flex_control.dynamics.chain import own_inertia
 from gms_flex_control.identification.smoothing import low_pass, low_pass_window, noise_of
 from gms_flex_control.simulation import plant
 import numpy as np
@@ -30,14 +31,14 @@ class UnseenLink(NamedTuple):
 
 def unseen_links(recording, robot):
     """Return the flexible joints of which only the motor was recorded, tuple of UnseenLink."""
-    arm, found, coupling = robot.arm, [], plant.constants_of(robot).chain.coupling
+    arm, found, inertias = robot.arm, [], own_inertia(plant.constants_of(robot).chain)[0]
     for j in range(robot.n_joints):
         if (arm.rigid[j] or np.isfinite(recording.q_link[:, j]).any()
                 or not np.isfinite(recording.q_motor[:, j]).any()):
             continue
         stiffness, inertia = float(arm.stiffness[j]), float(arm.motor_inertia[j])
         noise = noise_of(recording.q_motor[:, j])
-        carried = coupling[j, j] * inertia / stiffness
+        carried = inertias[j] * inertia / stiffness
         found.append(UnseenLink(j, stiffness, inertia, _window(
             recording.period, noise, carried, _usual(recording, j))))
     return tuple(found)

@@ -2,42 +2,25 @@
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """
-Rigid-body terms of a planar chain, and their time derivatives, in closed form.
+Rigid-body terms of an arm: ``M(q) ddq + C(q, dq) dq + g(q)``, and their time derivatives.
 
-With absolute link angles ``theta = T q`` the mass matrix of a planar chain is
-``A_ij cos(theta_i - theta_j)`` and the Coriolis matrix of the Christoffel symbols is
-``A_ij sin(theta_i - theta_j) dtheta_j``, for any number of links. ``T`` holds ones on and below
-the diagonal; decoupled axes are the same formulas with ``T = I`` and a diagonal ``A``.
-In joint coordinates ``M = T' M_theta T``, ``C = T' C_theta T`` and ``g = T' g_theta``. Where
-joints read 0 at other angles than along the x axis, ``theta = T (q + offset)``.
+Two kinds of arm share this interface. Chains in a plane and decoupled axes have a closed form
+(dynamics.planar), which is faster than the recursion for chains in space (dynamics.spatial). A
+kernel is compiled for the kind whose record it gets. The pose is the one of the last
+`accelerations`, in the work space.
 """
 
 from functools import cache, lru_cache
 from typing import NamedTuple
 
 from gms_flex_control import records
-from gms_flex_control.compiled import compiled
+from gms_flex_control.compiled import compiled, compiled_choice
+from gms_flex_control.dynamics import planar, spatial
 from gms_flex_control.records import FLOAT
+from numba import types
 import numpy as np
 
-
-@cache
-def constants_layout(n):
-    """
-    Return the dtype of an arm of n joints as kernels take it.
-
-    ``orientation`` T and ``inverse`` T^-1; ``offset`` of theta [rad]; ``coupling`` A [kg m^2];
-    ``rigid_inertia``, motor inertia of rigid joints seen in theta [kg m^2]; ``moment``, mass
-    moment about each joint [kg m]; ``gravity`` [m/s^2]; ``motor_inertia`` J [kg m^2];
-    ``flexible``, 1 or 0; ``stiffness`` K [N m/rad] and ``damping`` [N m s/rad], 0 where rigid.
-    """
-    square, vector = (n, n), (n,)
-    return records.layout(
-        ('orientation', FLOAT, square), ('inverse', FLOAT, square), ('offset', FLOAT, vector),
-        ('coupling', FLOAT, square), ('rigid_inertia', FLOAT, square),
-        ('moment', FLOAT, vector), ('gravity', FLOAT, (2,)),
-        ('motor_inertia', FLOAT, vector), ('flexible', FLOAT, vector),
-        ('stiffness', FLOAT, vector), ('damping', FLOAT, vector))
+_SLIDE = 0.5  # [m]
 
 
 class ChainMatrices(NamedTuple):
@@ -69,111 +52,88 @@ class ChainMatrices(NamedTuple):
 @lru_cache(maxsize=256)
 def constants_of(arm):
     """Return an ArmParams as the record the kernels take."""
-    n = arm.n_joints
-    planar = arm.kind == 'planar'
-    orientation = np.tril(np.ones((n, n))) if planar else np.eye(n)
-    inverse = np.linalg.inv(orientation)
-    carried = np.array([arm.mass[i + 1:].sum() for i in range(n)]) if planar else np.zeros(n)
-    moment = arm.mass * arm.com + carried * arm.length
-    coupling = np.diag(arm.inertia + arm.mass * arm.com ** 2 + carried * arm.length ** 2)
-    if planar:
-        for i in range(n):
-            for j in range(i + 1, n):
-                coupling[i, j] = coupling[j, i] = arm.length[i] * moment[j]
-    rigid_inertia = inverse.T @ np.diag(np.where(arm.rigid, arm.motor_inertia, 0.0)) @ inverse
-    return records.build(
-        constants_layout(n), orientation=orientation, inverse=inverse,
-        offset=orientation @ arm.offset, coupling=coupling,
-        rigid_inertia=rigid_inertia, moment=moment, gravity=arm.gravity,
-        motor_inertia=arm.motor_inertia, flexible=~arm.rigid,
-        stiffness=np.where(arm.rigid, 0.0, arm.stiffness),
-        damping=np.where(arm.rigid, 0.0, arm.damping))
-
-
-@compiled
-def multiply(matrix, vector, out):
-    """Write ``matrix`` (n, n) times ``vector`` (n,) into ``out`` (n,)."""
-    n = matrix.shape[0]
-    for i in range(n):
-        total = 0.0  # a local sum: the compiler cannot keep out[i] in a register
-        for j in range(n):
-            total += matrix[i, j] * vector[j]
-        out[i] = total
-
-
-@compiled
-def multiply_transposed(matrix, vector, out):
-    """Write the transpose of ``matrix`` (n, n) times ``vector`` (n,) into ``out`` (n,)."""
-    n = matrix.shape[0]
-    for i in range(n):
-        total = 0.0
-        for j in range(n):
-            total += matrix[j, i] * vector[j]
-        out[i] = total
-
-
-@compiled
-def solve_in_place(matrix, vector):
-    """Solve a symmetric positive definite system given by its upper triangle, in place."""
-    n = matrix.shape[0]
-    for i in range(n):
-        reciprocal = 1.0 / matrix[i, i]
-        for k in range(i + 1, n):
-            factor = matrix[i, k] * reciprocal
-            for j in range(k, n):
-                matrix[k, j] -= factor * matrix[i, j]
-            vector[k] -= factor * vector[i]
-        matrix[i, i] = reciprocal
-    for i in range(n - 1, -1, -1):
-        total = vector[i]
-        for j in range(i + 1, n):
-            total -= matrix[i, j] * vector[j]
-        vector[i] = total * matrix[i, i]
+    return spatial.constants_of(arm) if arm.frames is not None else planar.constants_of(arm)
 
 
 @cache
 def work_layout(n):
-    """Return the dtype of the work space of `accelerations`."""
+    """
+    Return the dtype of the kernels' work space, of any kind of arm with n joints.
+
+    ``tau`` (n,), torques on the links [N m], and ``acceleration`` (n,), what they cause
+    [rad/s^2]; the rest is the kernels' own.
+    """
     return records.layout(
-        *((name, FLOAT, (n,)) for name in ('tau', 'acceleration', 'omega', 'cosine', 'sine',
-                                           'right')),
-        ('matrix', FLOAT, (n, n)))
+        *((name, FLOAT, (n,)) for name in ('tau', 'acceleration', 'cosine', 'sine', 'right')),
+        ('matrix', FLOAT, (n, n)), *planar.work_fields(n), *spatial.work_fields(n))
 
 
-@compiled
-def mass_matrix(chain, work):
-    """Write the upper triangle of M in absolute angles, from the work's cosines and sines."""
-    cosine, sine = work.cosine, work.sine
-    for i in range(chain.moment.shape[0]):
-        for j in range(i + 1):
-            cos_ij = cosine[i] * cosine[j] + sine[i] * sine[j]
-            work.matrix[j, i] = chain.coupling[i, j] * cos_ij + chain.rigid_inertia[i, j]
+def _kernels(links, name):
+    """Return the kernel ``name`` for a record, or for the type of one (numba.types.Record)."""
+    fields = links.fields if isinstance(links, types.Record) else links.dtype.names
+    return getattr(spatial if 'rotation' in fields else planar, name)
 
 
-@compiled
-def accelerations(q, dq, chain, work):
+@compiled_choice
+def accelerations(q, dq, links, work):
     """
     Write the joint accelerations under the torques ``work.tau`` into ``work.acceleration``.
 
-    ``M ddq + C dq + g = tau`` at angles and rates ``q``, ``dq`` (n,), solved in absolute angles.
+    ``M ddq + C dq + g = tau`` at angles and rates ``q``, ``dq`` (n,); motor inertia of rigid
+    joints is part of M.
     """
-    n = chain.moment.shape[0]  # known when compiled, as every shape in a record
-    omega, cosine, sine, right = work.omega, work.cosine, work.sine, work.right
-    multiply(chain.orientation, q, omega)
-    for i in range(n):
-        theta = omega[i] + chain.offset[i]
-        cosine[i], sine[i] = np.cos(theta), np.sin(theta)
-    multiply(chain.orientation, dq, omega)
-    multiply_transposed(chain.inverse, work.tau, right)
-    for i in range(n):
-        right[i] -= chain.moment[i] * (chain.gravity[0] * sine[i] - chain.gravity[1] * cosine[i])
-        for j in range(i):
-            moved = chain.coupling[i, j] * (sine[i] * cosine[j] - cosine[i] * sine[j])
-            right[i] -= moved * omega[j] * omega[j]
-            right[j] += moved * omega[i] * omega[i]
-    mass_matrix(chain, work)
-    solve_in_place(work.matrix, right)
-    multiply(chain.inverse, right, work.acceleration)
+    return _kernels(links, 'accelerations')
+
+
+@compiled_choice
+def mass_times(vector, links, work, out):
+    """Write M of the pose in ``work`` times ``vector`` (n,) into ``out`` (n,)."""
+    return _kernels(links, 'mass_times')
+
+
+@compiled_choice
+def mass_solve(vector, links, work, out):
+    """Write the inverse of M, at the pose of `accelerations`, times ``vector`` into ``out``."""
+    return _kernels(links, 'mass_solve')
+
+
+@compiled_choice
+def mass_between(carried, links, work, out):
+    """Write the rows and columns ``carried`` (m,) of M at the pose in ``work`` into ``out``."""
+    return _kernels(links, 'mass_between')
+
+
+@compiled_choice
+def rigid_body(q, dq, ddq, links, work, bias, inertial):
+    """Write ``C dq + g`` into ``bias`` and ``M ddq`` into ``inertial``, both (n,) [N m]."""
+    return _kernels(links, 'rigid_body')
+
+
+@compiled_choice
+def reference_torque(dq, ddq, d3q, velocity, acceleration, links, work, out):
+    """
+    Write ``M dr + C r + g`` and its first and second time derivative into ``out`` (3, n).
+
+    Parameters
+    ----------
+    dq, ddq, d3q : ndarray, shape (n,)
+        True motion; the angles are those of the pose in ``work``.
+    velocity, acceleration : ndarray, shape (3, n)
+        r and dr, each with two time derivatives; (3, n) rows of one array may be both.
+    links, work : numpy.record
+        From `constants_of`; of `work_layout`.
+    out : ndarray, shape (3, n)
+        Filled [N m].
+
+    """
+    return _kernels(links, 'reference_torque')
+
+
+@compiled
+def rigid_body_along(states, second, links, work, bias, inertial):
+    """Fill ``C dq + g`` and ``M second``, (T, n) each [N m], along a motion (T, >= 2, n)."""
+    for k in range(states.shape[0]):
+        rigid_body(states[k, 0], states[k, 1], second[k], links, work, bias[k], inertial[k])
 
 
 def matrices(q, dq, ddq, d3q, arm):
@@ -194,27 +154,17 @@ def matrices(q, dq, ddq, d3q, arm):
 
     Notes
     -----
-    Left side of the link equation (1); derivatives by the product rule on the closed form.
+    Left side of the link equation (1).
 
     """
-    chain = constants_of(arm)
-    transform = chain.orientation
-    theta, omega, alpha, jerk = (transform @ np.asarray(x, dtype=float)
-                                 for x in (q, dq, ddq, d3q))
-    theta = theta + chain.offset
-    phi, dphi, ddphi = (x[:, None] - x[None, :] for x in (theta, omega, alpha))
-    a, cos, sin = chain.coupling, np.cos(phi), np.sin(phi)
-    rate = dphi * cos  # d/dt sin(phi)
-    squares = (
-        a * cos + chain.rigid_inertia, -a * sin * dphi, -a * (rate * dphi + sin * ddphi),
-        a * sin * omega, a * (rate * omega + sin * alpha),
-        a * ((cos * ddphi - sin * dphi ** 2) * omega + 2 * rate * alpha + sin * jerk))
-    gx, gy = chain.gravity
-    pull = chain.moment * (gx * np.sin(theta) - gy * np.cos(theta))
-    slope = chain.moment * (gx * np.cos(theta) + gy * np.sin(theta))
-    vectors = (pull, slope * omega, slope * alpha - pull * omega ** 2)
-    return ChainMatrices(*(transform.T @ square @ transform for square in squares),
-                         *(transform.T @ vector for vector in vectors))
+    links = constants_of(arm)
+    if arm.frames is None:
+        return ChainMatrices(*planar.matrices(q, dq, ddq, d3q, links))
+    n = arm.n_joints
+    gravity, mass, coriolis = np.empty((3, n)), np.empty((3, n, n)), np.empty((3, n, n))
+    spatial.matrices(*(np.array(x, dtype=float) for x in (q, dq, ddq, d3q)), links,
+                     records.build(work_layout(n)), mass, coriolis, gravity)
+    return ChainMatrices(*mass, *coriolis, *gravity)
 
 
 def inverse_dynamics(q, dq, ddq, arm):
@@ -235,20 +185,98 @@ def inverse_dynamics(q, dq, ddq, arm):
 
     Notes
     -----
-    Left side of the link equation (1), in absolute angles.
+    Left side of the link equation (1).
 
     """
-    chain = constants_of(arm)
-    turn = chain.orientation.T
-    theta, omega, alpha = (np.asarray(x, dtype=float) @ turn for x in (q, dq, ddq))
-    theta = theta + chain.offset
-    between = theta[..., :, None] - theta[..., None, :]
-    inertia = chain.coupling * np.cos(between) + chain.rigid_inertia
-    gx, gy = chain.gravity
-    torque = (np.einsum('...ij,...j->...i', inertia, alpha)
-              + np.einsum('...ij,...j->...i', chain.coupling * np.sin(between), omega ** 2)
-              + chain.moment * (gx * np.sin(theta) - gy * np.cos(theta)))
-    return torque @ chain.orientation
+    links = constants_of(arm)
+    if arm.frames is None:
+        return planar.inverse_dynamics(q, dq, ddq, links)
+    q, dq, ddq = np.broadcast_arrays(*(np.asarray(x, dtype=float) for x in (q, dq, ddq)))
+    shape, n = q.shape, arm.n_joints
+    states = np.stack([q.reshape(-1, n), dq.reshape(-1, n)], axis=1)
+    bias, inertial = np.empty((2, len(states), n))
+    rigid_body_along(states, ddq.reshape(-1, n).copy(), links, records.build(work_layout(n)),
+                     bias, inertial)
+    return (bias + inertial).reshape(shape)
+
+
+def mass_matrices(q, arm):
+    """
+    Return M at many poses.
+
+    Parameters
+    ----------
+    q : ndarray, shape (m, n_joints)
+        Link angles.
+    arm : ArmParams
+        The arm; motor inertia of rigid joints is part of M.
+
+    Returns
+    -------
+    ndarray, shape (m, n_joints, n_joints)
+        [kg m^2]
+
+    """
+    q = np.asarray(q, dtype=float)
+    m, n = q.shape
+    states = np.repeat(np.stack([q, np.zeros((m, n))], axis=1), n, axis=0)
+    bias, columns = np.empty((2, m * n, n))
+    rigid_body_along(states, np.tile(np.eye(n), (m, 1)), constants_of(arm),
+                     records.build(work_layout(n)), bias, columns)
+    return columns.reshape(m, n, n).swapaxes(1, 2)
+
+
+def own_inertia(links):
+    """
+    Return the inertia about each joint of all it carries, and that of its motor where rigid.
+
+    Parameters
+    ----------
+    links : numpy.record
+        Of `constants_of`; a planar chain is taken as folded around each joint, one in space with
+        all joints at 0.
+
+    Returns
+    -------
+    ndarray, shape (2, n_joints)
+        [kg m^2]
+
+    """
+    if 'coupling' in links.dtype.names:
+        return np.stack([np.diag(links.coupling), np.diag(links.rigid_inertia)])
+    n = len(links.motor_inertia)
+    work, motors = records.build(work_layout(n)), links.motor_inertia * (1.0 - links.flexible)
+    spatial.pose(np.zeros(n), links, work)
+    spatial.mass_matrix(links, work)
+    return np.stack([np.diag(work.matrix) - motors, motors])
+
+
+def configurations(arm, count):
+    """
+    Return poses spread evenly over the ranges of the joints of a chain in space.
+
+    Parameters
+    ----------
+    arm : ArmParams
+        Of kind urdf; a joint without a range turns once, or slides `_SLIDE` either way.
+    count : int
+        How many.
+
+    Returns
+    -------
+    ndarray, shape (count, n_joints)
+        The first with all joints at 0, the others an additive recurrence.
+
+    """
+    n, frames = arm.n_joints, arm.frames
+    wide = np.where(frames.prismatic, _SLIDE, np.pi)
+    lower, upper = np.maximum(frames.lower, -wide), np.minimum(frames.upper, wide)
+    root = 2.0
+    for _ in range(50):  # of x^(n + 1) = x + 1
+        root = (1.0 + root) ** (1.0 / (n + 1))
+    steps = np.arange(1, count)[:, None] * root ** -np.arange(1.0, n + 1.0)
+    spread = lower + (upper - lower) * ((0.5 + steps) % 1.0)
+    return np.concatenate([np.zeros((1, n)), spread])
 
 
 def energy(q_link, dq_link, q_motor, dq_motor, arm):
@@ -265,16 +293,17 @@ def energy(q_link, dq_link, q_motor, dq_motor, arm):
     Returns
     -------
     float
-        Energy [J]; gravity counts from the height of the first joint.
+        Energy [J]; gravity counts from the height of the first joint, or of the URDF's base.
 
     """
-    chain = constants_of(arm)
-    theta = chain.orientation @ q_link + chain.offset
-    omega = chain.orientation @ dq_link
-    mass = chain.coupling * np.cos(theta[:, None] - theta[None, :]) + chain.rigid_inertia
-    height = np.stack([np.cos(theta), np.sin(theta)])
+    links = constants_of(arm)
     flexible = ~arm.rigid
     twist = (q_motor - q_link)[flexible]
     motors = arm.motor_inertia[flexible] * np.asarray(dq_motor)[flexible] ** 2
-    return float(0.5 * omega @ mass @ omega - chain.gravity @ height @ chain.moment
-                 + 0.5 * np.sum(motors) + 0.5 * np.sum(arm.stiffness[flexible] * twist ** 2))
+    if arm.frames is None:
+        moving = planar.link_energy(q_link, dq_link, links)
+    else:
+        work = records.build(work_layout(arm.n_joints))
+        moving = spatial.link_energy(q_link, dq_link, links, work)
+    return float(moving + 0.5 * np.sum(motors)
+                 + 0.5 * np.sum(arm.stiffness[flexible] * twist ** 2))

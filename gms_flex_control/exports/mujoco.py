@@ -224,7 +224,7 @@ def _joint(robot, j, dry):
 def _require_short(robot, joints, timestep):
     """Raise ConfigError if a step is too long for the springs of a joint."""
     arm = robot.arm
-    link = arm.inertia + arm.mass * arm.com ** 2 + np.where(arm.rigid, arm.motor_inertia, 0.0)
+    link = arm.link_inertia + np.where(arm.rigid, arm.motor_inertia, 0.0)
     for j, joint in enumerate(joints):
         on_link = joint.bristle + sum(element[0] for element in joint.elements) + sum(
             stop[1] for stop in joint.stops)

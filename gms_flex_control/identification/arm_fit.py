@@ -27,6 +27,7 @@ from gms_flex_control.identification.rigid_body import (
     spring_torque,
     STANDARD_GRAVITY,
 )
+from gms_flex_control.identification.steady import filled
 from gms_flex_control.params.robot import EffectSpec
 import numpy as np
 
@@ -71,14 +72,6 @@ class ArmFit(NamedTuple):
 def is_chain(arm):
     """Return whether the links act on each other."""
     return arm.kind == 'planar' and arm.n_joints > 1
-
-
-def filled(angle):
-    """Return angles (T, n) with gaps interpolated."""
-    if np.isfinite(angle).all():
-        return angle
-    at = np.arange(len(angle))
-    return np.stack([np.interp(at, at[np.isfinite(q)], q[np.isfinite(q)]) for q in angle.T], 1)
 
 
 def axis_regressors(angle, rate, acceleration):

@@ -69,7 +69,7 @@ def coupling_sentences(objective, bundle, theta, names, chosen, apart=()):
             f'with the motion of {", ".join(names[k] for k in others)}: the axes act on each '
             'other (inertia, gravity), which a model of single axes lacks, so inertia, gravity '
             'and friction hold for this motion only; move one axis at a time, or describe the '
-            'links as a planar arm',)
+            'links as a planar arm or by a URDF whose masses are right',)
 
 
 def _left(objective, bundle, theta, stretch, others):

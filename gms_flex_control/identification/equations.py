@@ -19,7 +19,7 @@ from gms_flex_control.analysis.signals import (
     sign_fit,
     smoothed,
 )
-from gms_flex_control.dynamics.chain import constants_of
+from gms_flex_control.dynamics.chain import inverse_dynamics
 import numpy as np
 
 FEWEST = 40   # rows of a fit
@@ -77,17 +77,8 @@ def rigid_torque(motion, arm, order=None):
     ``M(q) ddq + C dq + g`` along a Motion, as in dynamics.chain; with ``order`` the recorded
     joints are taken as the robot's in that order.
     """
-    chain = constants_of(arm)
     order = np.arange(arm.n_joints) if order is None else np.asarray(order)
-    theta, omega, alpha = (values[:, order] @ chain.orientation.T for values in motion[:3])
-    theta = theta + chain.offset
-    gx, gy = chain.gravity
-    torque = chain.moment * (gx * np.sin(theta) - gy * np.cos(theta))
-    for i in range(arm.n_joints):
-        difference = theta[:, i, None] - theta
-        torque[:, i] += ((chain.coupling[i] * np.cos(difference) + chain.rigid_inertia[i])
-                         * alpha + chain.coupling[i] * np.sin(difference) * omega ** 2).sum(1)
-    return torque @ chain.orientation
+    return inverse_dynamics(*(values[:, order] for values in motion[:3]), arm)
 
 
 def total_torque(motion, robot):

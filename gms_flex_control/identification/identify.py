@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import time
 import warnings
 
-from gms_flex_control.errors import own_warnings
+from gms_flex_control.errors import IdentificationError, own_warnings
 from gms_flex_control.friction.stribeck import steady_friction
 from gms_flex_control.identification import default_method
 from gms_flex_control.identification import held_out as errors
@@ -30,6 +30,7 @@ from gms_flex_control.identification.steady import friction_map, repeatability
 from gms_flex_control.identification.stretches import (
     drive_sides,
     half_count,
+    one_by_one,
     rigid_where,
     stretches_of,
 )
@@ -109,6 +110,10 @@ def identify(takes: Sequence, robot: RobotParams, *, holdouts: Sequence = (),
     with own_warnings() as caught:
         say('checking the data')
         whole = options.estimate == 'all'
+        if whole and robot.arm.frames:
+            raise IdentificationError(
+                '--estimate all knows planar chains and single axes; of arm.kind urdf friction is '
+                'identified, its links as the URDF has them: leave --estimate all out')
         model = believed_model(robot, whole, options.force)
         for recording, _ in (*takes, *holdouts):
             for finding in require(recording, model, force=options.force, rough=whole):
@@ -159,6 +164,7 @@ class Data:
         self.robot = rigid_where(robot, self.sides)
         pieces = [stretches_of(take, robot, self.sides, phases, period)
                   for take, phases in ordered]
+        pieces, self.robot = one_by_one(pieces, self.robot)
         if whole:
             pieces = [[without(piece, self.arm_fit.constant) for piece in part]
                       for part in pieces]

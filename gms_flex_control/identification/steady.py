@@ -55,19 +55,20 @@ def friction_torque(stretch, arm):
     Eq. (1), link: ``F_f = K (q2 - q1) - M q1'' - C q1' - g``.
 
     """
-    angle = _filled(stretch.angle)
+    angle = filled(stretch.angle)
     torque = 0.5 * (stretch.torque + np.roll(stretch.torque, 1, axis=0))  # at the sample
     torque[0] = stretch.torque[0]
     return torque - inverse_dynamics(angle, stretch.rate, stretch.acceleration, arm)
 
 
-def _filled(angle):
-    filled = angle.copy()
+def filled(angle):
+    """Return angles (T, n) with gaps interpolated."""
+    found = angle.copy()
     rows = np.arange(len(angle))
     for j in range(angle.shape[1]):
         lost = ~np.isfinite(angle[:, j])
-        filled[lost, j] = np.interp(rows[lost], rows[~lost], angle[~lost, j])
-    return filled
+        found[lost, j] = np.interp(rows[lost], rows[~lost], angle[~lost, j])
+    return found
 
 
 def friction_map(stretches, arm, joint, period, half):
@@ -97,7 +98,7 @@ def friction_map(stretches, arm, joint, period, half):
     for stretch in stretches:
         torque = friction_torque(stretch, arm)[:, joint]
         rate, tested = stretch.rate[:, joint], stretch.tested[:, joint]
-        angle = _filled(stretch.angle[:, joint:joint + 1])[:, 0]
+        angle = filled(stretch.angle[:, joint:joint + 1])[:, 0]
         count = len(rate) // size
         if not count:
             continue

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import warnings
 
 from gms_flex_control.analysis.signals import quantum
-from gms_flex_control.dynamics.chain import matrices
+from gms_flex_control.dynamics.chain import inverse_dynamics, mass_matrices, matrices
 from gms_flex_control.errors import IdentificationError
 from gms_flex_control.identification.known_effects import effect_torque
 from gms_flex_control.identification.smoothing import (
@@ -16,6 +16,8 @@ from gms_flex_control.identification.smoothing import (
     noise_of,
     smoothing_window,
 )
+from gms_flex_control.identification.steady import filled
+from gms_flex_control.params.arm import ArmParams
 import numpy as np
 
 SHORTEST = 2.0         # a piece below this is left out [s]
@@ -24,6 +26,7 @@ _SPRING_DOUBT = 0.5    # of the torque's rms: a spring torque further off is not
 _AGREE_WINDOW = 0.2    # at least, where spring and motor torque are compared: a controller answers
 #                        the steps of encoders with torque that is over before one sees it move [s]
 _DAMPING_WINDOW = 0.05  # for the rate of twist [s]
+_THIN = 20             # samples from one pose to the next whose inertia is looked at
 _EVEN = 0.02           # stamps within this part of a period of an even grid count as even
 
 
@@ -239,22 +242,65 @@ def _stretch(recording, robot, sides, phases, rows, period, even):
     angle = np.full((len(grid), n), np.nan)
     if even:
         angle[slots] = recording.q_link[rows]
-    filled = np.stack([_interpolated(grid, time, recording.q_link[rows, j]) for j in range(n)], 1)
+    whole = np.stack([_interpolated(grid, time, recording.q_link[rows, j]) for j in range(n)], 1)
     if not even:
-        angle[:] = filled
+        angle[:] = whole
     torque = np.stack([
-        _spring(recording, robot, j, grid, time, rows, filled[:, j]) if side == 'spring'
+        _spring(recording, robot, j, grid, time, rows, whole[:, j]) if side == 'spring'
         else _motor(recording, j, grid, time, rows) for j, side in enumerate(sides)], axis=1)
-    torque += effect_torque(robot, sides, grid - recording.time[0], filled,
+    torque += effect_torque(robot, sides, grid - recording.time[0], whole,
                             _motors(recording, grid, time, rows), torque, period)
     windows = [smoothing_window(period, noise_of(recording.q_link[:, j]), inertia,
                                 np.std(torque[:, j]))
                for j, inertia in enumerate(own_inertias(rigid_where(robot, sides).arm))]
-    smooth = [derivatives(filled[:, j], period, window) for j, window in enumerate(windows)]
+    smooth = [derivatives(whole[:, j], period, window) for j, window in enumerate(windows)]
     tested, phase = _tested(phases, recording, grid, robot.joints)
     return Stretch(begin=float(time[0]), angle=angle, rate=np.stack([s[1] for s in smooth], 1),
                    acceleration=np.stack([s[2] for s in smooth], 1), torque=torque,
                    tested=tested, phase=phase, source=recording.source, window=max(windows))
+
+
+def one_by_one(pieces, robot):
+    """
+    Return what was measured of a chain in space as that of axes which do not act on each other.
+
+    The links are known: the torque that the measured motion of all joints takes, but for an
+    inertia of each joint's own, comes off its drive. What is left moves that inertia against
+    friction.
+
+    Parameters
+    ----------
+    pieces : list of list of Stretch
+        Of each recording.
+    robot : RobotParams
+        Of `rigid_where`; returned as it is unless its links are those of a URDF.
+
+    Returns
+    -------
+    pieces : list of list of Stretch
+        With the torques of the axes.
+    robot : RobotParams
+        Its arm that of the axes.
+
+    """
+    arm, n = robot.arm, robot.n_joints
+    if arm.frames is None:
+        return pieces, robot
+    poses = np.concatenate([filled(one.angle)[::_THIN] for part in pieces for one in part])
+    inertia = np.median(np.diagonal(mass_matrices(poses, arm), axis1=1, axis2=2), axis=0)
+
+    def alone(piece):
+        taken = inverse_dynamics(filled(piece.angle), piece.rate, piece.acceleration, arm)
+        taken -= inertia * piece.acceleration
+        taken[:-1] = 0.5 * (taken[1:] + taken[:-1])  # a mean of the sample, as the drive is
+        return replace(piece, torque=piece.torque - taken)
+
+    nothing = np.zeros(n)
+    axes = ArmParams(kind='decoupled', mass=nothing, length=nothing, com=nothing,
+                     inertia=inertia - np.where(arm.rigid, arm.motor_inertia, 0.0),
+                     motor_inertia=arm.motor_inertia, stiffness=arm.stiffness,
+                     damping=arm.damping)
+    return [[alone(piece) for piece in part] for part in pieces], replace(robot, arm=axes)
 
 
 def own_inertias(arm):

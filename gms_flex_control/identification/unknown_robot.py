@@ -79,7 +79,7 @@ def only_joints(robot, joints):
         raise IdentificationError(f'--joints {unknown[0]}: the robot has '
                                   f'{", ".join(robot.joints)}')
     if robot.arm.kind != 'decoupled' and tuple(joints) != robot.joints:
-        raise IdentificationError('the links of a planar arm act on each other: identify all '
+        raise IdentificationError('the links of an arm act on each other: identify all '
                                   'its joints together, or describe it as decoupled axes')
     order = [robot.joints.index(joint) for joint in joints]
     friction = robot.friction

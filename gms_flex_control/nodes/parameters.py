@@ -3,7 +3,10 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Node parameters from the schema: declared, coerced, judged, applied."""
 
+from itertools import pairwise
 import math
+from pathlib import Path
+import sys
 
 from gms_flex_control.errors import ConfigError, GmsFlexError
 from gms_flex_control.schema import build
@@ -76,6 +79,8 @@ class NodeParameters:
         given = {name: parameter.value
                  for name, parameter in node.get_parameters_by_prefix('').items()
                  if not name.startswith(_BUILT_IN)}
+        if given.get('arm.urdf'):
+            given['arm.urdf'] = _beside_parameters(given['arm.urdf'])
         if 'joints' not in given:
             raise ConfigError('joints is missing: no robot file was read; is the path of its '
                               '--params-file right? ros2 launch leaves out a file that is not '
@@ -99,10 +104,10 @@ class NodeParameters:
     def _value(key, given):
         if key.name in given:
             return checked(key, given[key.name])
-        if key.default is REQUIRED:
+        if key.default_beside(given) is REQUIRED:
             raise ConfigError(f'parameter {key.name} is missing ({key.description}); give it in '
                               'a file after --ros-args --params-file')
-        return key.default
+        return key.default_beside(given)
 
     def watch(self, judge, apply, guard=lambda callback: callback):
         """
@@ -194,6 +199,14 @@ class NodeParameters:
             self._apply(judged)
         self._offer(parameter.name for parameter in parameters if parameter.name in self._keys)
         self._open = ()
+
+
+def _beside_parameters(name):
+    """Return the path of a file that a parameter file names relative to itself."""
+    files = [file for flag, file in pairwise(sys.argv) if flag == '--params-file']
+    found = [path for file in reversed(files)
+             if (path := Path(file).absolute().parent / str(name)).is_file()]
+    return str(found[0]) if found else name
 
 
 def _ros_value(key, value):

@@ -3,14 +3,54 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Inertia, stiffness and gravity of an arm with flexible or rigid joints."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from gms_flex_control.errors import ParameterError
 from gms_flex_control.params.checks import freeze_arrays, require_finite, require_shape
 import numpy as np
 
-KINDS = ('planar', 'decoupled')
+KINDS = ('planar', 'decoupled', 'urdf')
 AXES = ('rotary', 'linear')
+_ROUNDING = 1e-3  # of a principal moment of inertia: files round their numbers
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Frames:
+    """
+    Where the joints of a chain in space are, read from a URDF.
+
+    Parameters
+    ----------
+    rotation : ndarray, shape (n_joints, 3, 3)
+        Of each joint's frame in that of the link before, the joint at 0; its axis is z.
+    position : ndarray, shape (n_joints, 3)
+        Of its origin there [m].
+    prismatic : ndarray of bool, shape (n_joints,)
+        Which joints slide; of these m stands for rad, N for N m, kg for kg m^2.
+    lower, upper, velocity, effort : ndarray, shape (n_joints,)
+        Limits of the URDF; infinite where it has none.
+    source, base, tip : str
+        The URDF file, and the links the chain begins and ends with.
+
+    """
+
+    rotation: np.ndarray
+    position: np.ndarray
+    prismatic: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    velocity: np.ndarray
+    effort: np.ndarray
+    source: str = ''
+    base: str = ''
+    tip: str = ''
+
+    def __post_init__(self):
+        freeze_arrays(self, skip=('source', 'base', 'tip', 'prismatic'))
+        object.__setattr__(self, 'prismatic', np.array(self.prismatic, dtype=bool))
+        n = len(self.prismatic)
+        require_shape('rotation', self.rotation, (n, 3, 3))
+        require_shape('position', self.position, (n, 3))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -20,12 +60,13 @@ class ArmParams:
 
     Parameters
     ----------
-    kind : {'planar', 'decoupled'}
-        A chain of links in one plane, or axes that do not act on each other.
+    kind : {'planar', 'decoupled', 'urdf'}
+        A chain of links in one plane, axes that do not act on each other, or a chain in space.
     mass, length, com, inertia : ndarray, shape (n_joints,)
         Of each link: mass [kg], distance to the next joint [m], distance of its centre of mass
         from its own joint [m], inertia about the centre of mass [kg m^2]. A decoupled axis may
-        give its whole inertia with mass 0.
+        give its whole inertia with mass 0. In space ``com`` is (n_joints, 3) and ``inertia``
+        (n_joints, 3, 3), in the frame of the link, which lies at its joint; ``length`` is 0.
     motor_inertia : ndarray, shape (n_joints,)
         J, reflected to the joint [kg m^2].
     stiffness, damping : ndarray, shape (n_joints,)
@@ -33,12 +74,14 @@ class ArmParams:
         rigid joint, which has no motor side of its own.
     gravity : ndarray, shape (2,) or float
         Gravity in the plane (x, y) [m/s^2]; a number g stands for (0, -g). 0 is a horizontal
-        plane.
+        plane. In space, shape (3,), in the frame of the base.
     offset : ndarray, shape (n_joints,), optional
         Where a joint reads 0: angle of its link from the x axis, or in a chain from the link
         before it [rad]. Zeros by default.
     axes : {'rotary', 'linear'}
         What decoupled axes are; of linear ones m stands for rad, N for N m, kg for kg m^2.
+    frames : Frames, optional
+        Of a chain in space.
 
     Raises
     ------
@@ -58,6 +101,7 @@ class ArmParams:
     gravity: np.ndarray = 0.0
     offset: np.ndarray | None = None
     axes: str = 'rotary'
+    frames: Frames | None = None
 
     def __post_init__(self):
         if self.kind not in KINDS:
@@ -68,20 +112,30 @@ class ArmParams:
             raise ParameterError(f'arm.axes linear needs arm.kind decoupled, got {self.kind}')
         if self.offset is None:
             object.__setattr__(self, 'offset', np.zeros(np.shape(self.stiffness)))
-        freeze_arrays(self, skip=('kind', 'axes'))
+        if (self.frames is None) == (self.kind == 'urdf'):
+            raise ParameterError(f'arm.kind urdf goes with frames, got {self.kind} '
+                                 f"{'without' if self.frames is None else 'with'} them")
+        freeze_arrays(self, skip=('kind', 'axes', 'frames'))
         if self.gravity.shape == ():
             object.__setattr__(self, 'gravity', np.array([0.0, -float(self.gravity)]))
-        require_shape('gravity', self.gravity, (2,))
-        require_finite('gravity', self.gravity)
-        for name in ('mass', 'length', 'com', 'inertia', 'motor_inertia', 'damping', 'offset'):
-            require_shape(name, getattr(self, name), self.stiffness.shape)
-        for name in ('mass', 'length', 'inertia', 'motor_inertia', 'damping'):
+        n, space = self.stiffness.shape, () if self.frames is None else (3,)
+        require_shape('gravity', self.gravity, space or (2,))
+        for name in ('mass', 'length', 'motor_inertia', 'damping', 'offset'):
+            require_shape(name, getattr(self, name), n)
+        require_shape('com', self.com, n + space)
+        require_shape('inertia', self.inertia, n + 2 * space)
+        for name in ('mass', 'length', 'motor_inertia', 'damping'):
             require_finite(name, getattr(self, name), at_least=0.0)
-        require_finite('com', self.com)
-        require_finite('offset', self.offset)
-        self._require_inertia()
+        for name in ('gravity', 'com', 'offset', 'inertia'):
+            require_finite(name, getattr(self, name))
+        self._require_motors()
+        if self.frames is None:
+            require_finite('inertia', self.inertia, at_least=0.0)
+            self._require_inertia()
+        else:
+            self._require_bodies()
 
-    def _require_inertia(self):
+    def _require_motors(self):
         if not np.all(self.stiffness > 0.0):
             raise ParameterError(f'stiffness must be above 0 (.inf for a rigid joint), '
                                  f'got {self.stiffness}')
@@ -89,11 +143,16 @@ class ArmParams:
         if np.any(self.motor_inertia[flexible] == 0.0):
             raise ParameterError(f'motor_inertia must be above 0 where the joint is flexible, '
                                  f'got {self.motor_inertia}; a rigid joint has stiffness .inf')
-        about_joint = self.inertia + self.mass * self.com ** 2
-        about_joint = about_joint + np.where(self.rigid, self.motor_inertia, 0.0)
+
+    def _require_inertia(self):
+        about_joint = self.link_inertia + np.where(self.rigid, self.motor_inertia, 0.0)
         if np.any(about_joint <= 0.0):
             raise ParameterError(f'each link needs inertia or mass away from its joint, '
                                  f'got inertia {self.inertia}, mass {self.mass}, com {self.com}')
+
+    def _require_bodies(self):
+        for j in range(self.n_joints):
+            require_body(f'link of joint {j + 1}', self.mass[j], self.inertia[j])
 
     @property
     def n_joints(self):
@@ -101,6 +160,45 @@ class ArmParams:
         return len(self.stiffness)
 
     @property
+    def link_inertia(self):
+        """Return the inertia of each link about its joint, of what it carries none (n_joints,)."""
+        if self.frames is None:
+            return self.inertia + self.mass * self.com ** 2
+        turning = self.inertia[:, 2, 2] + self.mass * np.sum(self.com[:, :2] ** 2, axis=1)
+        return np.where(self.frames.prismatic, self.mass, turning)
+
+    def scaled(self, factor):
+        """Return the arm with mass and inertia of its links times ``factor`` (n_joints,)."""
+        return replace(self, mass=self.mass * factor, inertia=(self.inertia.T * factor).T)
+
+    @property
     def rigid(self):
         """Return which joints have no motor side of their own, bool (n_joints,)."""
         return np.isinf(self.stiffness)
+
+
+def require_body(name, mass, inertia):
+    """
+    Raise ParameterError unless a body can have this mass and inertia.
+
+    Parameters
+    ----------
+    name : str
+        What the sentence is about.
+    mass : float
+        [kg]
+    inertia : ndarray, shape (3, 3)
+        About the centre of mass [kg m^2].
+
+    """
+    if not mass > 0.0:
+        raise ParameterError(f'{name} has mass {mass:g} kg: give a mass above 0')
+    moments = np.linalg.eigvalsh(inertia)
+    shown = ', '.join(f'{moment:.4g}' for moment in moments)
+    if not moments[0] > 0.0:
+        raise ParameterError(f'{name} has principal moments of inertia {shown} kg m^2: each must '
+                             'be above 0; were ixx to izz swapped or given in other units?')
+    if moments[2] > (1.0 + _ROUNDING) * (moments[0] + moments[1]):
+        raise ParameterError(f'{name} has principal moments of inertia {shown} kg m^2: no body '
+                             'has one above the sum of the other two; are they about the centre '
+                             'of mass, as URDF wants them?')

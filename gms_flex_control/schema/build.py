@@ -14,11 +14,15 @@ from gms_flex_control.params.friction import FrictionParams, StribeckParams, WEI
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.robot import EffectSpec, RobotParams
 from gms_flex_control.schema.key import REQUIRED
-from gms_flex_control.schema.keys import controller_keys, robot_keys
+from gms_flex_control.schema.keys import controller_keys, robot_keys, STANDARD_GRAVITY
+from gms_flex_control.schema.urdf_arm import read_links
 from gms_flex_control.schema.values import checked, known_keys
 import numpy as np
 
 _ARM = ('mass', 'length', 'com', 'inertia', 'motor_inertia', 'stiffness', 'damping', 'offset')
+_OF_LINKS = ('mass', 'length', 'com', 'inertia')  # which a URDF states
+_FACTORS = ('mass_factor', 'inertia_factor')  # on what a URDF states
+MOST_JOINTS = 7
 _STRIBECK = ('static', 'coulomb', 'velocity', 'viscous')
 _GAINS = ('kd_link', 'lambda_link', 'kd_motor', 'lambda_motor', 'observer_gain', 'sign_slope',
           'filter_bandwidth', 'torque_limit')
@@ -30,11 +34,11 @@ def complete(keys, values):
     for key in keys:
         if key.name in values:
             flat[key.name] = checked(key, values[key.name])
-        elif key.default is REQUIRED:
+        elif key.default_beside(values) is REQUIRED:
             raise ConfigError(f'{key.name} is missing: {key.description}'
                               f'{f" [{key.unit}]" if key.unit else ""}')
         else:
-            flat[key.name] = key.default
+            flat[key.name] = key.default_beside(values)
     return flat
 
 
@@ -75,12 +79,15 @@ def robot_from_values(values):
     flat = complete(robot_keys(joints), values)
     _require_links(flat['arm.kind'], joints, values)
     motors = flat['motors'] or ('',) * len(joints)
-    arm = ArmParams(kind=flat['arm.kind'], gravity=flat['arm.gravity'], axes=flat['arm.axes'],
-                    **{name: [flat[f'arm.{joint}.{name}'] for joint in joints] for name in _ARM})
+    columns = {name: [flat[f'arm.{joint}.{name}'] for joint in joints] for name in _ARM}
+    arm = ArmParams(kind=flat['arm.kind'], axes=flat['arm.axes'],
+                    **columns | _links(flat, joints))
     encoder = EncoderParams(**{name: flat[f'encoder.{name}']
                                for name in ('counts', 'noise', 'velocity_cutoff')})
     effects = _effects({name: checked(known[name], value) for name, value in values.items()
                         if name.startswith('effects.')})
+    if arm.frames is not None:
+        _refuse_planar(effects)
     uncertainty = {(name.split('.')[2], name.split('.')[1]): checked(known[name], value)
                    for name, value in values.items() if name.startswith('uncertainty.')}
     return RobotParams(joints=joints, motors=tuple(motors), arm=arm, encoder=encoder,
@@ -98,6 +105,55 @@ def _require_links(kind, joints, values):
     if missing:
         raise ConfigError(f'{missing[0]} is missing: a planar chain needs mass and com of each '
                           'link and the length of all but the last')
+
+
+def _refuse_planar(effects):
+    """Refuse effects that a chain in space cannot have."""
+    for spec in effects:
+        if registry.find(spec.name).needs_planar:
+            raise ConfigError(
+                f'effects.{spec.joint}.{spec.name} goes with planar arms, this is arm.kind urdf: '
+                'put a payload into the URDF as a link on a fixed joint, a tilt into '
+                'arm.gravity_vector')
+
+
+def _links(flat, joints):
+    """Return gravity and, of a URDF, the links (dict) as fields of ArmParams."""
+    factors = {name: np.array([flat[f'arm.{joint}.{name}'] for joint in joints])
+               for name in _FACTORS}
+    if flat['arm.kind'] != 'urdf':
+        for joint in joints:
+            for name in _FACTORS:
+                if flat[f'arm.{joint}.{name}'] != 1.0:
+                    raise ConfigError(f'arm.{joint}.{name} goes with arm.kind urdf, this is '
+                                      f"{flat['arm.kind']}")
+        for name in ('arm.urdf', 'arm.base', 'arm.tip'):
+            if flat[name]:
+                raise ConfigError(f"{name} goes with arm.kind urdf, this is {flat['arm.kind']}")
+        if flat['arm.gravity_vector'] != STANDARD_GRAVITY:
+            raise ConfigError(f"arm.gravity_vector goes with arm.kind urdf, this is "
+                              f"{flat['arm.kind']}: give arm.gravity")
+        return {'gravity': flat['arm.gravity']}
+    if flat['arm.gravity'] != 0.0:
+        raise ConfigError('arm.gravity does not go with arm.kind urdf: give '
+                          'arm.gravity_vector: [x, y, z] in the frame of the base')
+    if len(flat['arm.gravity_vector']) != 3:
+        raise ConfigError('arm.gravity_vector must have three numbers x, y, z, got '
+                          f"{list(flat['arm.gravity_vector'])}")
+    if not flat['arm.urdf']:
+        raise ConfigError('arm.urdf is missing: arm.kind urdf needs the path of a URDF file')
+    for joint in joints:
+        for name in _OF_LINKS:
+            if flat[f'arm.{joint}.{name}'] != 0.0:
+                raise ConfigError(f'arm.{joint}.{name} does not go with arm.kind urdf: the URDF '
+                                  'states it')
+    if len(joints) > MOST_JOINTS:
+        raise ConfigError(f'joints names {len(joints)}; a chain of a URDF has at most '
+                          f'{MOST_JOINTS}')
+    links = read_links(flat['arm.urdf'], joints, flat['arm.base'], flat['arm.tip'])
+    return {'gravity': flat['arm.gravity_vector'], 'frames': links.frames,
+            'mass': links.mass * factors['mass_factor'], 'com': links.com,
+            'inertia': links.inertia * factors['inertia_factor'][:, None, None]}
 
 
 @contextmanager
@@ -195,18 +251,15 @@ def robot_values(robot):
     dict of str to object
 
     """
-    if robot.arm.gravity[0] != 0.0:
-        raise ParameterError('a robot file states gravity along -y only, got '
-                             f'{robot.arm.gravity}; describe a tilt as '
-                             f'effects.arm.{GravityTilt.name}')
     values = {'joints': list(robot.joints), 'motors': list(robot.motors),
-              'arm.kind': robot.arm.kind, 'arm.gravity': -float(robot.arm.gravity[1]) + 0.0}
+              'arm.kind': robot.arm.kind} | _link_values(robot)
     if robot.arm.axes != 'rotary':
         values['arm.axes'] = robot.arm.axes
     for name in ('counts', 'noise', 'velocity_cutoff'):
         values[f'encoder.{name}'] = float(getattr(robot.encoder, name))
     for j, joint in enumerate(robot.joints):
-        values |= {f'arm.{joint}.{name}': float(getattr(robot.arm, name)[j]) for name in _ARM}
+        values |= {f'arm.{joint}.{name}': float(getattr(robot.arm, name)[j]) for name in _ARM
+                   if robot.arm.frames is None or name not in _OF_LINKS}
         for direction in ('forward', 'backward'):
             steady = getattr(robot.friction, direction)
             values |= {f'friction.{joint}.{direction}.{name}': float(getattr(steady, name)[j])
@@ -222,3 +275,28 @@ def robot_values(robot):
     values |= {f'uncertainty.{joint}.{kind}': float(sd)
                for (kind, joint), sd in robot.uncertainty.items()}
     return values
+
+
+def _link_values(robot):
+    """Return gravity, and where the links of a URDF stand (dict)."""
+    arm, frames = robot.arm, robot.arm.frames
+    if frames is None:
+        if arm.gravity[0] != 0.0:
+            raise ParameterError('a robot file states gravity along -y only, got '
+                                 f'{arm.gravity}; describe a tilt as '
+                                 f'effects.arm.{GravityTilt.name}')
+        return {'arm.gravity': -float(arm.gravity[1]) + 0.0}
+    links = read_links(frames.source, robot.joints, frames.base, frames.tip)
+    of_inertia = np.trace(arm.inertia, axis1=1, axis2=2) / np.trace(links.inertia, axis1=1,
+                                                                   axis2=2)
+    if not (np.allclose(arm.com, links.com, rtol=1e-9, atol=1e-12) and np.allclose(
+            arm.inertia, links.inertia * of_inertia[:, None, None], rtol=1e-9, atol=1e-12)):
+        raise ParameterError('a link has another centre of mass or shape than in '
+                             f'{frames.source}, and a robot file scales mass and inertia only: '
+                             'change the URDF')
+    values = {'arm.gravity_vector': arm.gravity.tolist(), 'arm.urdf': frames.source}
+    for name, factors in zip(_FACTORS, (arm.mass / links.mass, of_inertia), strict=True):
+        values |= {f'arm.{joint}.{name}': float(factor)
+                   for joint, factor in zip(robot.joints, factors, strict=True)}
+    return values | {f'arm.{name}': getattr(frames, name) for name in ('base', 'tip')
+                     if getattr(frames, name)}

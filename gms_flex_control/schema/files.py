@@ -85,6 +85,8 @@ def read_values(paths, node=None):
     values, places = {}, {}
     for path in paths:
         for name, (value, line) in read_parameters(path, node).items():
+            if name == 'arm.urdf' and isinstance(value, str) and value:
+                value = str(Path(path).absolute().parent / value)
             values[name], places[name] = value, f'{path}:{line}'
     return values, places
 

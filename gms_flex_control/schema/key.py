@@ -32,6 +32,9 @@ class Key:
         Allowed values of a string; empty if any.
     live : bool
         Whether it may change while the node runs.
+    unless : tuple of (str, str)
+        Of a parameter that must be given: name and value of another beside which it need not,
+        and is 0 then.
 
     """
 
@@ -44,3 +47,10 @@ class Key:
     upper: float = math.inf
     choices: tuple = ()
     live: bool = False
+    unless: tuple = ()
+
+    def default_beside(self, given):
+        """Return the default beside the values ``given`` (dict), REQUIRED if it has none."""
+        if self.unless and given.get(self.unless[0]) == self.unless[1]:
+            return 0.0
+        return self.default

@@ -12,6 +12,7 @@ EXPERIMENTS = ('constant_velocity', 'break_away', 'presliding', 'sliding')
 TRAJECTORIES = ('hold', 'sinusoid', 'polynomial', 'via_points', 'constant_velocity',
                 'velocity_levels', 'torque_ramp', 'torque_levels', 'sliding')
 MODES = ('realtime', 'lockstep')
+STANDARD_GRAVITY = (0.0, 0.0, -9.80665)  # conventional value (3rd CGPM, 1901) [m/s^2]
 
 
 def _arm_keys(joint):
@@ -21,7 +22,7 @@ def _arm_keys(joint):
         Key(prefix + 'length', 'double', 'distance to the next joint', 'm', 0.0, 0.0),
         Key(prefix + 'com', 'double', 'centre of mass from the joint', 'm', 0.0),
         Key(prefix + 'inertia', 'double', 'inertia about the centre of mass; of a decoupled axis '
-            'the whole inertia', 'kg m^2', lower=0.0),
+            'the whole inertia', 'kg m^2', lower=0.0, unless=('arm.kind', 'urdf')),
         Key(prefix + 'motor_inertia', 'double', 'motor inertia reflected to the joint',
             'kg m^2', lower=0.0),
         Key(prefix + 'stiffness', 'double', 'stiffness of the joint; .inf for a rigid one',
@@ -29,6 +30,10 @@ def _arm_keys(joint):
         Key(prefix + 'damping', 'double', 'damping of the joint', 'N m s/rad', 0.0, 0.0),
         Key(prefix + 'offset', 'double', 'angle of the link where the joint reads 0, from the x '
             'axis or the link before it', 'rad', 0.0),
+        Key(prefix + 'mass_factor', 'double', 'mass of the link over that of the URDF', '1', 1.0,
+            SMALLEST),
+        Key(prefix + 'inertia_factor', 'double', 'inertia of the link about its centre of mass '
+            'over that of the URDF', '1', 1.0, SMALLEST),
     )
 
 
@@ -57,12 +62,21 @@ def robot_keys(joints):
         Key('joints', 'string_array', 'names of the link sides, from the base outwards'),
         Key('motors', 'string_array', "names of the motor sides; '' for a rigid joint",
             default=()),
-        Key('arm.kind', 'string', 'chain in a plane, or axes without effect on each other',
+        Key('arm.kind', 'string', 'chain in a plane, axes without effect on each other, or the '
+            'chain of a URDF',
             default='planar', choices=KINDS),
         Key('arm.axes', 'string', 'whether decoupled axes turn or slide', default='rotary',
             choices=AXES),
         Key('arm.gravity', 'double', 'gravity along -y of the plane; 0 if it is horizontal',
             'm/s^2', 0.0),
+        Key('arm.gravity_vector', 'double_array', 'gravity x, y, z in the frame of the base, of '
+            'kind urdf', 'm/s^2', STANDARD_GRAVITY),
+        Key('arm.urdf', 'string', 'URDF file with the links, relative to the robot file',
+            default=''),
+        Key('arm.base', 'string', 'link of the URDF where the chain begins; default: the root',
+            default=''),
+        Key('arm.tip', 'string', 'link of the URDF where the chain ends; what moves beyond or '
+            'beside it is held at 0', default=''),
         Key('encoder.counts', 'double', 'counts per revolution; 0 is ideal', '1', 0.0, 0.0),
         Key('encoder.noise', 'double', 'standard deviation before counting', 'rad', 0.0, 0.0),
         Key('encoder.velocity_cutoff', 'double', 'low-pass on the differenced angle; 0 reads '

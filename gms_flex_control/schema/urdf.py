@@ -31,7 +31,8 @@ def robot_urdf(robot, *, name='arm', motors=True, limits=None, plugin=''):
     Parameters
     ----------
     robot : RobotParams
-        A planar chain, or decoupled axes, which are put side by side.
+        A planar chain, or decoupled axes, which are put side by side. A robot that has a URDF
+        gets that one back, friction put in; links and limits are its own.
     name : str
         Of the robot.
     motors : bool
@@ -48,6 +49,8 @@ def robot_urdf(robot, *, name='arm', motors=True, limits=None, plugin=''):
         its range is limited, else ``continuous``.
 
     """
+    if robot.arm.frames is not None:
+        return _with_friction(robot)
     root = ElementTree.Element('robot', name=name)
     root.append(ElementTree.Comment(_NOTE.format(
         gravity=' '.join(f'{value + 0.0:g}' for value in robot.arm.gravity),
@@ -70,6 +73,27 @@ def robot_urdf(robot, *, name='arm', motors=True, limits=None, plugin=''):
     return f'<?xml version="1.0"?>\n{ElementTree.tostring(root, encoding="unicode")}\n'
 
 
+def _with_friction(robot):
+    """Return the URDF that a robot comes from with its friction in it."""
+    parser = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
+    root = ElementTree.parse(robot.arm.frames.source, parser).getroot()
+    for joint in root.findall('joint'):
+        if joint.get('name') in robot.joints:
+            for old in joint.findall('dynamics'):
+                joint.remove(old)
+            _dynamics(joint, robot, robot.joints.index(joint.get('name')))
+    ElementTree.indent(root)
+    return f'<?xml version="1.0"?>\n{ElementTree.tostring(root, encoding="unicode")}\n'
+
+
+def _dynamics(joint, robot, j):
+    """Write the mean friction of both directions."""
+    forward, backward = robot.friction.forward, robot.friction.backward
+    ElementTree.SubElement(
+        joint, 'dynamics', damping=_text((forward.viscous[j] + backward.viscous[j]) / 2),
+        friction=_text((forward.coulomb[j] + backward.coulomb[j]) / 2))
+
+
 def _sizes(arm):
     """Return a drawn length for each link (n_joints,) [m]."""
     told = np.where(arm.length > 0.0, arm.length, 2.0 * np.abs(arm.com))
@@ -90,7 +114,7 @@ def _link_name(robot, j):
 
 
 def _add_link(root, robot, j, size):
-    arm, friction = robot.arm, robot.friction
+    arm = robot.arm
     parent, place = _frame(robot, j, size)
     link = ElementTree.SubElement(root, 'link', name=_link_name(robot, j))
     _visual(link, 'link', {'box': {'size': _text(size[j], 0.12 * size[j], 0.02)}},
@@ -101,10 +125,7 @@ def _add_link(root, robot, j, size):
     if arm.rigid[j] and arm.motor_inertia[j] > 0.0:
         joint.append(ElementTree.Comment(
             f' rigid joint: motor inertia {arm.motor_inertia[j]:g} kg m^2 comes on top '))
-    forward, backward = friction.forward, friction.backward
-    ElementTree.SubElement(
-        joint, 'dynamics', damping=_text((forward.viscous[j] + backward.viscous[j]) / 2),
-        friction=_text((forward.coulomb[j] + backward.coulomb[j]) / 2))
+    _dynamics(joint, robot, j)
 
 
 def _add_motor(root, robot, j, size):

@@ -39,9 +39,9 @@ def state_layout(n, n_blocks):
 
 
 @cache
-def constants_layout(n, n_blocks):
-    """Return the dtype of a robot as the plant's kernels take it."""
-    return records.layout(('chain', chain.constants_layout(n)),
+def constants_layout(links, n, n_blocks):
+    """Return the dtype of a robot, ``links`` its arm's, as the plant's kernels take it."""
+    return records.layout(('chain', links),
                           ('friction', gms.constants_layout(n, n_blocks)),
                           ('effects', effect_table.LAYOUT))
 
@@ -62,9 +62,10 @@ def work_layout(n):
 def constants_of(robot):
     """Return a RobotParams as the record the kernels take, its effects included."""
     changed = effect_table.with_changes(robot)
+    links = chain.constants_of(changed.arm)
     return records.build(
-        constants_layout(*robot.friction.stiffness.shape),
-        chain=chain.constants_of(changed.arm), friction=gms.constants_of(changed.friction),
+        constants_layout(links.dtype, *robot.friction.stiffness.shape), chain=links,
+        friction=gms.constants_of(changed.friction),
         effects=effect_table.build(changed.effects, changed.joints))
 
 
@@ -116,7 +117,7 @@ def springs(state, dt, constants, work):
     """Write twists and what drives each link into the signals, effects included."""
     s, links, effects = work.signals, constants.chain, constants.effects
     effect_table.run_stage(_TWIST, s, state.memory, dt, effects)
-    for j in range(links.moment.shape[0]):
+    for j in range(links.motor_inertia.shape[0]):
         s[j, sig.SPRING] = s[j, sig.TORQUE] - links.motor_inertia[j] * s[j, sig.DDQ_LINK]
         if links.flexible[j]:
             s[j, sig.SPRING] = (links.stiffness[j] * s[j, sig.TWIST]
@@ -195,7 +196,7 @@ def substep(state, command, time, dt, constants, work):
     fill_signals(state, command, time, work)
     torques(state, dt, constants, work)
     chain.accelerations(state.q_link, state.dq_link, links, work.chain)
-    for j in range(links.moment.shape[0]):
+    for j in range(links.motor_inertia.shape[0]):
         s[j, sig.DDQ_LINK] = work.chain.acceleration[j]
         state.dq_link[j] += dt * work.chain.acceleration[j]
         work.displacement[j] = dt * state.dq_link[j]

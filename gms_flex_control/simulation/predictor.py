@@ -148,17 +148,8 @@ def advance_tangents(j, a, displacement, d_displacement, velocity, d_dq, dt, sta
 @compiled
 def mobility(carried, links, work, out):
     """Write the inverse of M between the ``carried`` joints, all others held, to ``out``."""
-    m, n = carried.shape[0], links.moment.shape[0]
-    for a in range(m):
-        for b in range(m):
-            out[a, b] = 0.0
-            for i in range(n):
-                for k in range(n):
-                    part = links.orientation[i, carried[a]] * links.orientation[k, carried[b]]
-                    if part != 0.0:
-                        cos_ik = (work.cosine[i] * work.cosine[k] + work.sine[i] * work.sine[k])
-                        out[a, b] += part * (links.coupling[i, k] * cos_ik
-                                             + links.rigid_inertia[i, k])
+    m = carried.shape[0]
+    chain.mass_between(carried, links, work, out)
     for pivot in range(m):  # Gauss-Jordan; M is positive definite
         reciprocal = 1.0 / out[pivot, pivot]
         out[pivot, pivot] = 1.0

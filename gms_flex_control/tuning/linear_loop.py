@@ -109,7 +109,7 @@ def _mass_and_pull(arm, pose):
     rest = np.zeros(arm.n_joints)
 
     def gravity(q):
-        return chain.matrices(q, rest, rest, rest, arm).gravity
+        return chain.inverse_dynamics(q, rest, rest, arm)
 
     steps = _STEP * np.eye(arm.n_joints)
     pull = np.stack([(gravity(pose + step) - gravity(pose - step)) / (2.0 * _STEP)

@@ -6,6 +6,7 @@
 from itertools import product
 from typing import NamedTuple
 
+from gms_flex_control.dynamics import chain
 from gms_flex_control.tuning.linear_loop import law_of, linear_loop
 import numpy as np
 from scipy.linalg import solve_discrete_lyapunov
@@ -15,6 +16,7 @@ _LOWEST = 0.05           # of them [rad/s]
 _MOST_SAMPLES = 50.0     # of delay that are looked at
 _HALVINGS = 12
 _MOST_POSES = 27
+_POSES_IN_SPACE = 6  # each takes seconds with seven joints
 
 
 class JointMargins(NamedTuple):
@@ -54,10 +56,13 @@ def poses(arm):
     -------
     list of ndarray, shape (n_joints,)
         Angles of a coarse grid from stretched to folded [rad]; where there is gravity the
-        first joint turns too. Decoupled axes without gravity have one pose.
+        first joint turns too. Decoupled axes without gravity have one pose, chains in space a few
+        spread over the ranges of their joints.
 
     """
     n = arm.n_joints
+    if arm.kind == 'urdf':
+        return list(chain.configurations(arm, _POSES_IN_SPACE))
     turning = [arm.kind == 'planar'] * n
     turning[0] = False
     if np.any(arm.gravity != 0.0):

@@ -24,7 +24,8 @@ SPREADS = {'friction level': 0.3, 'viscous friction': 0.3, 'presliding stiffness
            'joint stiffness': 0.2, 'link mass': 0.3, 'motor inertia': 0.3}
 GROUPS = {'static': 'friction level', 'coulomb': 'friction level',
           'viscous': 'viscous friction', 'stiffness': 'presliding stiffness',
-          'mass': 'link mass', 'inertia': 'link mass', 'motor_inertia': 'motor inertia'}
+          'mass': 'link mass', 'inertia': 'link mass', 'mass_factor': 'link mass',
+          'inertia_factor': 'link mass', 'motor_inertia': 'motor inertia'}
 _BLOCK = re.compile(r'(.+)\[(\d+)\]')
 
 

@@ -64,16 +64,19 @@ def scene_of(robot):
     Return the Scene of a RobotParams.
 
     A link whose ``length`` is 0 (the last of a chain may leave it out) is drawn twice as long as
-    its centre of mass is far from the joint, else as long as the mean of the others.
+    its centre of mass is far from the joint, else as long as the mean of the others. Joints of a
+    chain in space are drawn one by one, as decoupled axes are.
     """
     arm, friction = robot.arm, robot.friction
-    length = np.where(arm.length > 0.0, arm.length, 2.0 * np.abs(arm.com))
+    com = np.abs(arm.com) if arm.frames is None else np.linalg.norm(arm.com, axis=1)
+    length = np.where(arm.length > 0.0, arm.length, 2.0 * com)
     length = np.where(length > 0.0, length, length[length > 0.0].mean() if np.any(length) else
                       _LENGTH)
     static = 0.5 * (friction.forward.static + friction.backward.static)
     return Scene(
-        joints=tuple(robot.joints), kind=arm.kind, length=tuple(length.tolist()),
-        offset=tuple(arm.offset.tolist()), rigid=tuple(arm.rigid.tolist()),
+        joints=tuple(robot.joints), kind='decoupled' if arm.frames else arm.kind,
+        length=tuple(length.tolist()), offset=tuple(arm.offset.tolist()),
+        rigid=tuple(arm.rigid.tolist()),
         stiffness=tuple(np.where(arm.rigid, 0.0, arm.stiffness).tolist()),
         limits=tuple(map(tuple, (friction.weight * static[:, None]).tolist())),
         units={unit: in_units(arm, unit) for unit in _UNITS})

@@ -32,12 +32,7 @@ def estimate(state, measured, reference, dt, constants, work):
         found.missing[j] += (1.0 - pole) ** 2 / dt * error
         found.velocity[j] += 2.0 * (1.0 - pole) * error + dt * (
             work.chain.acceleration[j] + found.missing[j])
-    chain.mass_matrix(links, work.chain)  # solving the accelerations has used it up
-    chain.multiply(links.orientation, found.missing, work.scratch)
-    for i in range(n):
-        total = 0.0
-        for j in range(n):
-            total += work.chain.matrix[min(i, j), max(i, j)] * work.scratch[j]
-        work.estimate[1, i] = -total
-    chain.multiply_transposed(links.orientation, work.estimate[1], work.estimate[0])
+    chain.mass_times(found.missing, links, work.chain, work.scratch)
+    for j in range(n):
+        work.estimate[0, j] = -work.scratch[j]
     common.filter_derivatives(state, dt, constants, work)

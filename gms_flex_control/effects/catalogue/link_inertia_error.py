@@ -43,6 +43,4 @@ class LinkInertiaError(Change):
         """Return the robot with the effect in it."""
         factor = np.ones(robot.n_joints)
         factor[joint] += values[0]
-        arm = robot.arm
-        return replace(robot, arm=replace(arm, mass=arm.mass * factor,
-                                          inertia=arm.inertia * factor))
+        return replace(robot, arm=robot.arm.scaled(factor))

@@ -1,0 +1,372 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Arms of a URDF: rigid-body terms against MuJoCo and the planar closed form; what is refused."""
+
+from dataclasses import replace
+from pathlib import Path
+
+from gms_flex_control import load_robot, read_plan, records, save_robot
+from gms_flex_control.cli.main import main
+from gms_flex_control.discrepancy.nuisance import nuisances_of, PRIOR, tuned, with_nuisances
+from gms_flex_control.dynamics import chain
+from gms_flex_control.errors import ConfigError, IdentificationError, ParameterError
+from gms_flex_control.experiment.simulated import run_plan
+from gms_flex_control.identification.identify import identify, Options
+from gms_flex_control.identification.steady import friction_torque
+from gms_flex_control.identification.stretches import one_by_one, Stretch
+from gms_flex_control.params.friction import StribeckParams
+from gms_flex_control.params.robot import EffectSpec
+from gms_flex_control.resources import robot_file
+from gms_flex_control.schema.urdf import robot_urdf
+from gms_flex_control.schema.urdf_arm import read_links
+from gms_flex_control.simulation import plant
+import numpy as np
+import pytest
+
+EXAMPLES = Path(__file__).parents[1] / 'examples'
+ARMS = {name: EXAMPLES / name / 'robot.yaml' for name in ('industrial_arm', 'light_arm')}
+JOINTS = ('lift', 'turn', 'reach', 'bend', 'twist', 'tip')
+LINK = """<link name="{0}"><inertial><origin xyz="{1}" rpy="{2}"/><mass value="{3}"/>
+<inertia ixx="0.05" ixy="0.004" ixz="-0.003" iyy="0.04" iyz="0.002" izz="0.03"/></inertial></link>
+"""
+JOINT = """<joint name="{0}" type="{1}"><parent link="{2}"/><child link="{3}"/>
+<origin xyz="{4}" rpy="{5}"/><axis xyz="{6}"/><limit lower="-3" upper="3" velocity="2" effort="9"/>
+</joint>
+"""
+
+
+def crooked(seed=1):
+    """Return the URDF of an arm of askew axes, two of them prismatic, with fixed links between."""
+    rng = np.random.default_rng(seed)
+
+    def three(size):
+        return ' '.join(repr(float(x)) for x in rng.uniform(-size, size, 3))
+    kinds = {'lift': 'prismatic', 'reach': 'prismatic', 'twist': 'continuous'}
+    text, last = LINK.format('root', '0 0 0', '0 0 0', 5.0), 'root'
+    for name in JOINTS:
+        text += LINK.format(f'{name}_link', three(0.2), three(1.0), rng.uniform(0.5, 3.0))
+        text += JOINT.format(name, kinds.get(name, 'revolute'), last, f'{name}_link', three(0.4),
+                             three(1.5), three(1.0))
+        text += LINK.format(f'{name}_box', three(0.1), three(1.0), rng.uniform(0.1, 1.0))
+        text += JOINT.format(f'{name}_screws', 'fixed', f'{name}_link', f'{name}_box', three(0.1),
+                             three(1.0), '0 0 1')
+        last = f'{name}_box' if name == 'bend' else f'{name}_link'
+    return f'<robot name="crooked">{text}<link name="tool"/>' + JOINT.format(
+        'tool_mount', 'fixed', last, 'tool', '0 0 0.1', '0 0 0', '0 0 1') + '</robot>'
+
+
+def arm_of(path, joints, like):
+    """Return the links of a URDF with the motors of an ArmParams, the first ones."""
+    links, n = read_links(path, joints), len(joints)
+    return replace(like, frames=links.frames, mass=links.mass, com=links.com,
+                   inertia=links.inertia, **{name: np.resize(getattr(like, name), n) for name in (
+                       'length', 'motor_inertia', 'stiffness', 'damping', 'offset')})
+
+
+@pytest.fixture
+def crooked_arm(tmp_path):
+    """Return the crooked arm, gravity along none of its axes."""
+    (tmp_path / 'arm.urdf').write_text(crooked())
+    like = replace(load_robot(ARMS['industrial_arm']).arm, gravity=[1.0, -2.0, -9.0])
+    return arm_of(tmp_path / 'arm.urdf', JOINTS, like)
+
+
+@pytest.mark.parametrize('name', [*ARMS, 'crooked_arm'])
+def test_a_thousand_states_agree_with_mujoco(name, crooked_arm):
+    """The URDF is read by MuJoCo itself, which merges fixed links its own way."""
+    mujoco = pytest.importorskip('mujoco', reason="MuJoCo is the extra 'bench'")
+    arm = crooked_arm if name == 'crooked_arm' else load_robot(ARMS[name]).arm
+    arm = replace(arm, stiffness=np.ones(arm.n_joints))  # no motor is part of M
+    n, rng = arm.n_joints, np.random.default_rng(3)
+    model = mujoco.MjModel.from_xml_string(Path(arm.frames.source).read_text())
+    model.opt.gravity[:] = arm.gravity
+    data, full = mujoco.MjData(model), np.zeros((n, n))
+    q, dq, ddq = rng.uniform(-2.0, 2.0, (3, 1000, n))
+    needed = chain.inverse_dynamics(q, dq, ddq, arm)
+    work, links = records.build(chain.work_layout(n)), chain.constants_of(arm)
+    for k in range(1000):
+        data.qpos[:], data.qvel[:], data.qacc[:] = q[k], dq[k], ddq[k]
+        mujoco.mj_forward(model, data)
+        mujoco.mj_fullM(model, data, full)
+        expected = full @ ddq[k] + data.qfrc_bias
+        np.testing.assert_allclose(needed[k], expected, rtol=0,
+                                   atol=1e-10 * np.abs(expected).max())
+        work.tau[:] = needed[k]
+        chain.accelerations(q[k], dq[k], links, work)
+        np.testing.assert_allclose(work.acceleration, ddq[k], rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize('n', [1, 6])
+def test_a_planar_chain_written_as_urdf_has_the_terms_of_the_closed_form(n, tmp_path):
+    """M, C and g with both time derivatives; C is that of the Christoffel symbols in both."""
+    rng = np.random.default_rng(n)
+    paper = load_robot(robot_file())
+    planar = replace(paper.arm, gravity=[1.5, -9.0], **{
+        name: rng.uniform(0.2, 1.0, n) for name in (
+            'mass', 'length', 'com', 'inertia', 'motor_inertia', 'damping', 'offset')},
+        stiffness=np.r_[np.inf, np.full(n - 1, 9.0)])
+    joints = tuple(f'j{j}' for j in range(n))
+    path = tmp_path / 'planar.urdf'
+    friction = paper.friction
+    steady = {way: replace(getattr(friction, way), **{
+        name: np.resize(getattr(getattr(friction, way), name), n)
+        for name in ('static', 'coulomb', 'velocity', 'viscous')})
+        for way in ('forward', 'backward')}
+    friction = replace(friction, **steady, stiffness=np.ones((n, 1)), weight=np.ones((n, 1)),
+                       attraction=np.ones(n))
+    path.write_text(robot_urdf(replace(
+        paper, joints=joints, motors=('',) + tuple(f'm{j}' for j in range(1, n)), arm=planar,
+        friction=friction), motors=False))
+    links = read_links(path, joints)  # offsets are in the URDF
+    lifted = replace(planar, kind='urdf', frames=links.frames, mass=links.mass, com=links.com,
+                     inertia=links.inertia, length=np.zeros(n), offset=np.zeros(n),
+                     gravity=[1.5, -9.0, 0.0])
+    q, dq, ddq, d3q = rng.uniform(-2.0, 2.0, (4, n))
+    for one, other in zip(chain.matrices(q, dq, ddq, d3q, planar),
+                          chain.matrices(q, dq, ddq, d3q, lifted), strict=True):
+        np.testing.assert_allclose(other, one, rtol=0, atol=1e-12 * max(1.0, np.abs(one).max()))
+    work, m = [records.build(chain.work_layout(n), tau=ddq) for _ in range(2)], []
+    for arm, space in zip((planar, lifted), work, strict=True):
+        terms, out, between = chain.constants_of(arm), np.empty((2, n)), np.empty((n, n))
+        chain.accelerations(q, dq, terms, space)
+        chain.mass_times(ddq, terms, space, out[0])
+        chain.mass_solve(ddq, terms, space, out[1])
+        chain.mass_between(np.arange(n), terms, space, between)
+        energy = chain.energy(q, dq, q, dq, arm)
+        m.append([space.acceleration.copy(), *out, *between, energy])
+    for one, other in zip(*m, strict=True):
+        np.testing.assert_allclose(other, one, rtol=1e-11)
+
+
+def test_derivatives_are_those_of_finite_differences(crooked_arm):
+    def at(t):
+        return [2.0 ** k * np.sin(2.0 * t + np.arange(6) + 0.5 * np.pi * k) for k in range(4)]
+    t, step = 0.4, 1e-5
+    before, now, after = (chain.matrices(*at(t + k * step), crooked_arm) for k in (-1, 0, 1))
+    for name in ('mass', 'coriolis', 'gravity'):
+        for lower, upper in (('', 'd'), ('d', 'dd')):
+            told = getattr(now, upper + name)
+            slope = (getattr(after, lower + name) - getattr(before, lower + name)) / (2 * step)
+            np.testing.assert_allclose(told, slope, rtol=0, atol=1e-7 * np.abs(slope).max())
+    skew = now.dmass - 2.0 * now.coriolis
+    np.testing.assert_allclose(skew, -skew.T, atol=1e-11)
+
+
+def test_the_robot_is_saved_and_read_back(tmp_path):
+    robot = load_robot(ARMS['light_arm'])
+    save_robot(robot, tmp_path / 'other' / 'robot.yaml')
+    again = load_robot(tmp_path / 'other' / 'robot.yaml')
+    for name in ('mass', 'com', 'inertia', 'gravity', 'stiffness', 'motor_inertia'):
+        np.testing.assert_array_equal(getattr(again.arm, name), getattr(robot.arm, name))
+    heavier = replace(robot, arm=robot.arm.scaled(np.linspace(0.5, 2.0, 7)))
+    save_robot(heavier, tmp_path / 'heavier.yaml')
+    for name in ('mass', 'inertia'):
+        np.testing.assert_allclose(getattr(load_robot(tmp_path / 'heavier.yaml').arm, name),
+                                   getattr(heavier.arm, name), rtol=1e-14)
+    shifted = replace(robot, arm=replace(robot.arm, com=1.1 * robot.arm.com))
+    with pytest.raises(ParameterError, match='another centre of mass'):
+        save_robot(shifted, tmp_path / 'shifted.yaml')
+
+
+def test_an_offset_is_where_a_joint_reads_zero(tmp_path):
+    arm = load_robot(ARMS['light_arm']).arm
+    q, shift = np.linspace(-1.0, 1.0, 7), np.linspace(0.2, 0.8, 7)
+    still = np.zeros(7)
+    np.testing.assert_allclose(
+        chain.inverse_dynamics(q, still, still, replace(arm, offset=shift)),
+        chain.inverse_dynamics(q + shift, still, still, arm), rtol=1e-12)
+
+
+INERTIAL = '<inertial><mass value="{}"/><inertia ixx="{}" ixy="0" ixz="0" iyy="{}" iyz="0" ' \
+           'izz="{}"/></inertial>'
+GOOD = INERTIAL.format(1, 0.1, 0.1, 0.1)
+TWO = ('<robot name="r"><link name="base"/><link name="a">{a}</link><link name="b">{b}</link>'
+       '<joint name="j1" type="{kind}"><parent link="base"/><child link="a"/>'
+       '<axis xyz="{axis}"/><limit lower="{lower}" upper="2" effort="1" velocity="1"/></joint>'
+       '<joint name="j2" type="revolute"><parent link="a"/><child link="b"/>'
+       '<axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>'
+       '{more}</robot>')
+BRANCH = ('<link name="c">' + GOOD + '</link><joint name="finger" type="prismatic"><parent '
+          'link="a"/><child link="c"/><axis xyz="1 0 0"/></joint>')
+
+
+def two(**changes):
+    """Return a URDF of two joints with other texts in it."""
+    return TWO.format(**{'a': GOOD, 'b': GOOD, 'kind': 'revolute', 'axis': '0 1 0', 'lower': -2,
+                         'more': ''} | changes)
+
+
+@pytest.mark.parametrize(('text', 'sentence'), [
+    (two(b=''), "link 'b', which joint 'j2' moves, has no <inertial>: give it mass and inertia"),
+    (two(a='<visual/>'), "link 'a' has a shape but no <inertial>"),
+    (two(a=INERTIAL.format(-1, 0.1, 0.1, 0.1)), "link 'a' has mass -1 kg: give a mass above 0"),
+    (two(a=INERTIAL.format(1, 0.1, 0.1, -0.1)), 'each must be above 0'),
+    (two(a=INERTIAL.format(1, 0.1, 0.1, 0.3)), 'no body has one above the sum of the other two'),
+    (two(a=INERTIAL.format(1, 'x', 0.1, 0.1)), "ixx of <inertia> must be a number, got 'x'"),
+    (two(a='<inertial><mass value="1"/></inertial>'), "link 'a' lacks ixx of <inertia>"),
+    (two(kind='floating'), 'name the link beyond it with arm.base'),
+    (two(kind='fixed'), "joint 'j1' is fixed and cannot be one of 'joints'"),
+    (two(kind='revolut'), "has the type 'revolut'; did you mean 'revolute'"),
+    (two(axis='0 0 0'), 'axis 0 0 0: give its direction'),
+    (two(axis='0 1'), "xyz of <axis> must be 3 numbers, got '0 1'"),
+    (two(lower=-120), 'they look like degrees'),
+    (two(more='<joint name="loop" type="fixed"><parent link="base"/><child link="b"/></joint>'),
+     "link 'b' is moved by two joints, 'j2' and 'loop': closed chains are not supported"),
+    (two(more='<joint name="on" type="fixed"><parent link="b"/><child link="hand"/></joint>'),
+     "names the link 'hand', which is not there"),
+    (two(more=BRANCH), "'finger' is a branch or goes on beyond the chain.*set arm.tip: b"),
+    (two().replace('j2', 'elbow'), "has no joint 'j2' that 'joints' of the robot file names; it "
+                                   'has j1, elbow'),
+    ('<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:arm/></robot>',
+     'has xacro that is not expanded; expand it with: xacro arm.urdf > arm_expanded.urdf'),
+    ('<sdf/>', 'its root is <sdf>, not <robot>'),
+    ('<robot>', 'is not XML'),
+])
+def test_a_urdf_that_is_no_arm_is_refused_in_a_sentence(text, sentence, tmp_path):
+    (tmp_path / 'arm.urdf').write_text(text)
+    with pytest.raises(ConfigError, match=sentence):
+        read_links(tmp_path / 'arm.urdf', ('j1', 'j2'))
+
+
+def test_the_chain_is_chosen_by_joints_base_and_tip(tmp_path):
+    """What is held at 0 beside the chain is carried; what lies before the base is not."""
+    path = tmp_path / 'arm.urdf'
+    path.write_text(two(more=BRANCH))
+    np.testing.assert_array_equal(read_links(path, ('j1', 'j2'), tip='b').mass, [2.0, 1.0])
+    np.testing.assert_array_equal(read_links(path, ('j1', 'finger'), tip='c').mass, [2.0, 1.0])
+    np.testing.assert_array_equal(read_links(path, ('j2',), base='a', tip='b').mass, [1.0])
+    for joints, options, sentence in (
+            (('j2', 'j1'), {'tip': 'b'}, r'from the base outwards: \[j1, j2\]'),
+            (('j2',), {'tip': 'b'}, "joint 'j1' moves within the chain, but 'joints' does not"),
+            (('j1', 'j2', 'finger'), {}, 'it is a branch'),
+            (('j1',), {'tip': 'hand'}, "has no link 'hand' that arm.tip names"),
+            (('j2',), {'base': 'bass'}, "has no link 'bass' that arm.base names")):
+        with pytest.raises(ConfigError, match=sentence):
+            read_links(path, joints, **options)
+    with pytest.raises(ConfigError, match='cannot be read .No such file.*relative to the robot'):
+        read_links(tmp_path / 'none.urdf', ('j1',))
+
+
+@pytest.mark.parametrize(('old', 'new', 'sentence'), [
+    ('urdf: light_arm.urdf', 'urdf: lost.urdf', r'robot.yaml:\d+: arm.urdf .*lost.urdf: cannot'),
+    ('gravity_vector: [0.0, 0.0, -9.81]', 'gravity: 9.81', 'give arm.gravity_vector'),
+    ('gravity_vector: [0.0, 0.0, -9.81]', 'gravity_vector: [9.81]', 'must have three numbers'),
+    ('kind: urdf', 'kind: planar', r'arm.joint1.inertia is missing'),
+    ('stiffness: 6000.0', 'mass: 3.0\n        stiffness: 6000.0', 'the URDF states it')])
+def test_a_robot_file_that_contradicts_its_urdf_is_refused(old, new, sentence, tmp_path):
+    text = ARMS['light_arm'].read_text()
+    assert old in text
+    (tmp_path / 'light_arm.urdf').write_text(ARMS['light_arm'].with_name(
+        'light_arm.urdf').read_text())
+    (tmp_path / 'robot.yaml').write_text(text.replace(old, new, 1))
+    with pytest.raises((ConfigError, ParameterError), match=sentence):
+        load_robot(tmp_path / 'robot.yaml')
+
+
+def test_friction_is_what_the_links_leave_of_the_torque(crooked_arm):
+    """The torque of a motion is MuJoCo's; the friction added to it comes back."""
+    mujoco = pytest.importorskip('mujoco', reason="MuJoCo is the extra 'bench'")
+    model = mujoco.MjModel.from_xml_string(Path(crooked_arm.frames.source).read_text())
+    model.opt.gravity[:] = crooked_arm.gravity
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT  # limits of joints
+    data, time = mujoco.MjData(model), np.arange(2000) / 500.0
+    speed, phase = np.linspace(1.0, 2.5, 6), np.arange(6.0)
+    q, dq, ddq = (speed ** k * np.sin(speed * time[:, None] + phase + 0.5 * np.pi * k)
+                  for k in range(3))
+    friction, needed = 3.0 * np.sign(dq) + 0.5 * dq, np.empty(q.shape)
+    for k in range(len(time)):
+        data.qpos[:], data.qvel[:], data.qacc[:] = q[k], dq[k], ddq[k]
+        mujoco.mj_inverse(model, data)
+        needed[k] = data.qfrc_inverse
+    drive = needed + friction
+    drive[:-1] = 0.5 * (drive[1:] + drive[:-1])  # of the sample
+    piece = Stretch(begin=0.0, angle=q, rate=dq, acceleration=ddq, torque=drive, source='made',
+                    tested=np.ones(q.shape, dtype=bool), phase=np.full(len(q), ''))
+    robot = replace(load_robot(ARMS['industrial_arm']), arm=crooked_arm)
+    ((alone,),), axes = one_by_one([[piece]], robot)
+    assert axes.arm.kind == 'decoupled'
+    smooth = np.abs(dq).min(axis=1) > 0.05  # no reversal within the samples that are averaged
+    found = friction_torque(alone, axes.arm)
+    np.testing.assert_allclose(found[smooth], friction[smooth], atol=2e-3 * np.abs(needed).max())
+
+
+def test_a_free_swing_keeps_its_energy():
+    """Springs, motors and gravity of the six-joint arm, friction next to none."""
+    robot = load_robot(ARMS['industrial_arm'])
+    none, n = np.full(6, 1e-9), 6
+    steady = StribeckParams(static=none, coulomb=none, velocity=none, viscous=0.0 * none)
+    robot = replace(robot, friction=replace(robot.friction, forward=steady, backward=steady,
+                                            stiffness=1e-9 * robot.friction.stiffness))
+    state, constants = plant.init(robot, np.linspace(-0.5, 0.5, n)), plant.constants_of(robot)
+    energies = []
+    for k in range(40):
+        energies.append(chain.energy(state.q_link, state.dq_link, state.q_motor, state.dq_motor,
+                                     robot.arm))
+        plant.advance(state, np.zeros(n), 0.01 * k, 0.01, 200, constants, plant.workspace(n))
+    moving = state.dq_motor @ np.diag(robot.arm.motor_inertia) @ state.dq_motor
+    assert moving > 10.0  # it fell
+    np.testing.assert_allclose(energies, energies[0], rtol=0, atol=2e-3 * moving)
+
+
+def test_the_closed_loop_follows_a_motion_of_all_joints():
+    """Model, gravity and friction compensation together; gravity left out is missed."""
+    files = [ARMS['industrial_arm'].with_name(f'{name}.yaml')
+             for name in ('robot', 'controller', 'trajectory')]
+    plan = read_plan(files, duration=4.0)
+    light = replace(plan.model, arm=replace(plan.model.arm, gravity=np.zeros(3)))
+    errors = {}
+    for name, model in (('right', plan.model), ('without gravity', light)):
+        run = run_plan(replace(plan, model=model))
+        errors[name] = np.sqrt(np.mean((run.true[:, 0] - run.reference[:, 0]) ** 2, axis=0))
+    assert np.ptp(run.reference[:, 0], axis=0).min() > 0.4
+    assert errors['right'].max() < 0.002
+    assert errors['without gravity'][1] > 5.0 * errors['right'][1]
+
+
+@pytest.mark.parametrize('effects', [(), (EffectSpec(
+    name='link_inertia_error', joint='joint4', values=(0.3,)),)])
+def test_what_a_search_retunes_of_the_links_is_what_is_written(effects, tmp_path):
+    robot = replace(load_robot(ARMS['light_arm']), effects=effects)
+    base = plant.constants_of(robot)
+    nuisances = nuisances_of(base, PRIOR)
+    x = np.random.default_rng(0).uniform(-0.04, 0.04, len(nuisances))
+    save_robot(with_nuisances(robot, nuisances, x), tmp_path / 'robot.yaml')
+    made = plant.constants_of(load_robot(tmp_path / 'robot.yaml')).chain
+    asked = tuned(base, nuisances, x).chain
+    for name in asked.dtype.names:
+        np.testing.assert_allclose(made[name], asked[name], rtol=1e-9, atol=1e-15, err_msg=name)
+    assert not np.allclose(asked.mass, base.chain.mass, rtol=1e-3)
+
+
+def test_poses_lie_within_the_ranges_and_show_the_inertias():
+    arm = load_robot(ARMS['industrial_arm']).arm
+    q = chain.configurations(arm, 500)
+    assert np.all((q >= arm.frames.lower) & (q <= arm.frames.upper))
+    assert np.all(np.ptp(q, axis=0) > 1.9 * np.minimum(arm.frames.upper, np.pi))
+    masses = chain.mass_matrices(q, arm)
+    still = np.zeros(6)
+    for k in (0, 7, 123):
+        np.testing.assert_allclose(masses[k], chain.matrices(q[k], still, still, still, arm).mass,
+                                   rtol=1e-11, atol=1e-12)
+    own, motors = chain.own_inertia(chain.constants_of(arm))
+    np.testing.assert_allclose(own + motors, np.diag(masses[0]), rtol=1e-12)
+
+
+def test_what_does_not_know_such_an_arm_says_so(tmp_path, capsys):
+    robot = str(ARMS['light_arm'])
+    assert main(['urdf', '--robot', robot, '--out', str(tmp_path / 'arm.urdf')]) == 0
+    names = load_robot(robot).joints
+    np.testing.assert_array_equal(read_links(tmp_path / 'arm.urdf', names).inertia,
+                                  load_robot(robot).arm.inertia)
+    assert '<dynamics damping="6.0" friction="7.0" />' in (tmp_path / 'arm.urdf').read_text()
+    assert main(['urdf', '--robot', robot, '--ros2-control', 'x/Y']) != 0
+    assert 'belong into that file' in capsys.readouterr().err
+    assert main(['export', '--to', 'mujoco', '--robot', robot]) != 0
+    assert 'MuJoCo reads' in capsys.readouterr().err
+    payload = tmp_path / 'payload.yaml'
+    payload.write_text('/**:\n  ros__parameters:\n    effects.arm.tip_payload.mass: 1.0\n')
+    with pytest.raises(ConfigError, match=r'payload.yaml:3: .*put a payload into the URDF'):
+        load_robot([robot, payload])
+    with pytest.raises(IdentificationError, match='leave --estimate all out'):
+        identify([], load_robot(robot), options=Options(estimate='all'))
