@@ -10,7 +10,8 @@ from gms_flex_control.cli.main import parser_of
 
 PROG = 'python -m bench'
 GROUPS = {
-    'on this machine': {'speed': 'bench.speed.speed', 'faults': 'bench.faults.faults'},
+    'on this machine': {'speed': 'bench.speed.speed', 'joints': 'bench.joints',
+                        'faults': 'bench.faults.faults'},
     'on robots that are simulated': {
         'recover': 'bench.recover', 'coverage': 'bench.coverage',
         'hide': 'bench.hidden_robots.hide', 'score': 'bench.hidden_robots.score'},
@@ -18,6 +19,7 @@ GROUPS = {
 EXAMPLES = {verb: [f'{PROG} {verb} {options}'.rstrip() for options in each]
             for verb, each in {
     'speed': ('--quick', '--only loop step --json'),
+    'joints': ('',),
     'faults': ('--list', '--short --logs fault_logs'),
     'recover': ('--seeds 3', '--seeds 20 --out recovery'),
     'coverage': ('--seeds 100:104 --out coverage',),

@@ -4,7 +4,7 @@
 """
 How fast arms in space are simulated as joints are added, beside planar chains and MuJoCo.
 
-    .venv/bin/python -m bench.joints
+    .venv/bin/python -m bench joints
 
 Chains of 1 to 7 flexible joints with six Maxwell blocks each, axes turned by 90 degrees from one
 joint to the next (planar chains: all alike), at 1 kHz with 10 substeps: plant, encoders and
@@ -112,8 +112,17 @@ def best_of(run):
     return min(times)
 
 
-def main():
-    """Measure and print a table."""
+def add_parser(subparsers):
+    """Add the verb to the tool's parser."""
+    parser = subparsers.add_parser(
+        'joints', help='speed of arms in space as joints are added, beside MuJoCo',
+        description='Simulate planar chains and chains in space of 1 to 7 flexible joints, and '
+                    'the links of the latter with MuJoCo; print simulated seconds per second.')
+    parser.set_defaults(run=run)
+
+
+def run(_args):
+    """Measure and print a table; return 0."""
     print('simulated seconds per second, one core\n'
           'joints  planar  in space  MuJoCo, no friction and controller')
     with tempfile.TemporaryDirectory() as folder:
@@ -122,7 +131,4 @@ def main():
             robot = spatial_robot(planar, Path(folder) / f'{n}.urdf')
             print(f'{n:6d}  {loop_speed(planar):6.0f}  {loop_speed(robot):8.0f}  '
                   f'{mujoco_speed(robot):6.0f}', flush=True)
-
-
-if __name__ == '__main__':
-    main()
+    return 0

@@ -275,8 +275,8 @@ def test_tune_writes_what_the_controller_loads_and_goes_on_when_killed(
     assert journal.read_text().splitlines()[:2] == lines[:2]
 
 
-@pytest.mark.parametrize(('axes', 'length', 'force'), [('rotary', 'mrad', 'N m'),
-                                                      ('linear', 'mm', 'N')])
+@pytest.mark.parametrize(('axes', 'length', 'force'), [
+    ('rotary', 'mrad', 'N m'), ('linear', 'mm', 'N')])
 def test_tune_tells_the_error_to_expect_and_that_the_bound_is_none(
         tmp_path, axis_file, capsys, axes, length, force):
     """The larger of both motions, by simulation, beside what friction alone can hold."""

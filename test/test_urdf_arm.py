@@ -206,7 +206,7 @@ def two(**changes):
     (two(a=INERTIAL.format(1, 'x', 0.1, 0.1)), "ixx of <inertia> must be a number, got 'x'"),
     (two(a='<inertial><mass value="1"/></inertial>'), "link 'a' lacks ixx of <inertia>"),
     (two(kind='floating'), 'name the link beyond it with arm.base'),
-    (two(kind='fixed'), "joint 'j1' is fixed and cannot be one of 'joints'"),
+    (two(kind='fixed'), "joint 'j1' is fixed and cannot be one of joints"),
     (two(kind='revolut'), "has the type 'revolut'; did you mean 'revolute'"),
     (two(axis='0 0 0'), 'axis 0 0 0: give its direction'),
     (two(axis='0 1'), "xyz of <axis> must be 3 numbers, got '0 1'"),
@@ -238,7 +238,7 @@ def test_the_chain_is_chosen_by_joints_base_and_tip(tmp_path):
     np.testing.assert_array_equal(read_links(path, ('j2',), base='a', tip='b').mass, [1.0])
     for joints, options, sentence in (
             (('j2', 'j1'), {'tip': 'b'}, r'from the base outwards: \[j1, j2\]'),
-            (('j2',), {'tip': 'b'}, "joint 'j1' moves within the chain, but 'joints' does not"),
+            (('j2',), {'tip': 'b'}, "joint 'j1' moves within the chain, but joints does not"),
             (('j1', 'j2', 'finger'), {}, 'it is a branch'),
             (('j1',), {'tip': 'hand'}, "has no link 'hand' that arm.tip names"),
             (('j2',), {'base': 'bass'}, "has no link 'bass' that arm.base names")):

@@ -127,12 +127,13 @@ def _links(flat, joints):
                 if flat[f'arm.{joint}.{name}'] != 1.0:
                     raise ConfigError(f'arm.{joint}.{name} goes with arm.kind urdf, this is '
                                       f"{flat['arm.kind']}")
+        kind = flat['arm.kind']
         for name in ('arm.urdf', 'arm.base', 'arm.tip'):
             if flat[name]:
-                raise ConfigError(f"{name} goes with arm.kind urdf, this is {flat['arm.kind']}")
+                raise ConfigError(f'{name} goes with arm.kind urdf, this is {kind}')
         if flat['arm.gravity_vector'] != STANDARD_GRAVITY:
-            raise ConfigError(f"arm.gravity_vector goes with arm.kind urdf, this is "
-                              f"{flat['arm.kind']}: give arm.gravity")
+            raise ConfigError('arm.gravity_vector goes with arm.kind urdf, this is '
+                              f'{kind}: give arm.gravity')
         return {'gravity': flat['arm.gravity']}
     if flat['arm.gravity'] != 0.0:
         raise ConfigError('arm.gravity does not go with arm.kind urdf: give '
@@ -287,8 +288,8 @@ def _link_values(robot):
                                  f'effects.arm.{GravityTilt.name}')
         return {'arm.gravity': -float(arm.gravity[1]) + 0.0}
     links = read_links(frames.source, robot.joints, frames.base, frames.tip)
-    of_inertia = np.trace(arm.inertia, axis1=1, axis2=2) / np.trace(links.inertia, axis1=1,
-                                                                   axis2=2)
+    of_inertia = (np.trace(arm.inertia, axis1=1, axis2=2)
+                  / np.trace(links.inertia, axis1=1, axis2=2))
     if not (np.allclose(arm.com, links.com, rtol=1e-9, atol=1e-12) and np.allclose(
             arm.inertia, links.inertia * of_inertia[:, None, None], rtol=1e-9, atol=1e-12)):
         raise ParameterError('a link has another centre of mass or shape than in '

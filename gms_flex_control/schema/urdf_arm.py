@@ -214,11 +214,11 @@ class _Tree:
                                   f"{', '.join(_MOVES)} joints are supported; name the link "
                                   'beyond it with arm.base')
             if joint.name in names and joint.kind not in _MOVES:
-                raise ConfigError(f"joint {joint.name!r} is {joint.kind} and cannot be one of "
-                                  f"'joints'; they are {', '.join(_MOVES)}")
+                raise ConfigError(f'joint {joint.name!r} is {joint.kind} and cannot be one of '
+                                  f'joints: they are {", ".join(_MOVES)}')
             if joint.kind in _MOVES and joint.name not in names and not joint.mimics:
-                raise ConfigError(f"joint {joint.name!r} moves within the chain, but 'joints' "
-                                  "does not name it: name it, or make its type fixed")
+                raise ConfigError(f'joint {joint.name!r} moves within the chain, but joints '
+                                  'does not name it: name it, or make its type fixed')
         beside = [name for name in names if name not in on_path]
         if beside:
             raise ConfigError(
@@ -234,8 +234,8 @@ class _Tree:
                 if (joint.kind in _MOVES + _LOOSE and joint.name not in names
                         and not joint.mimics and self._hangs(joint, path)):
                     raise ConfigError(
-                        f"joint {joint.name!r} is a branch or goes on beyond the chain, and "
-                        "'joints' does not name it; to hold it at 0 set arm.tip: "
+                        f'joint {joint.name!r} is a branch or goes on beyond the chain, and '
+                        'joints does not name it; to hold it at 0 set arm.tip: '
                         f'{path[-1].child}')
 
     def _hangs(self, joint, path):
