@@ -13,10 +13,12 @@ friction and controller.
 """
 
 from dataclasses import replace
+import json
 from pathlib import Path
 import tempfile
 import time
 
+from gms_flex_control.analysis.table4 import align
 from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.params.encoder import EncoderParams
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
@@ -118,17 +120,19 @@ def add_parser(subparsers):
         'joints', help='speed of arms in space as joints are added, beside MuJoCo',
         description='Simulate planar chains and chains in space of 1 to 7 flexible joints, and '
                     'the links of the latter with MuJoCo; print simulated seconds per second.')
+    parser.add_argument('--json', action='store_true', help='print the numbers as JSON')
     parser.set_defaults(run=run)
 
 
-def run(_args):
-    """Measure and print a table; return 0."""
-    print('simulated seconds per second, one core\n'
-          'joints  planar  in space  MuJoCo, no friction and controller')
+def run(args):
+    """Measure and print simulated seconds per second, one core; return 0."""
+    rows = []
     with tempfile.TemporaryDirectory() as folder:
         for n in range(1, 8):
             planar = planar_robot(n)
             robot = spatial_robot(planar, Path(folder) / f'{n}.urdf')
-            print(f'{n:6d}  {loop_speed(planar):6.0f}  {loop_speed(robot):8.0f}  '
-                  f'{mujoco_speed(robot):6.0f}', flush=True)
+            rows.append({'joints': n, 'planar': loop_speed(planar), 'in space': loop_speed(robot),
+                         'MuJoCo, no friction and controller': mujoco_speed(robot)})
+    print(json.dumps(rows, indent=2) if args.json else align(
+        list(rows[0]), [[f'{value:.0f}' for value in row.values()] for row in rows]))
     return 0
