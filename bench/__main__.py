@@ -19,7 +19,7 @@ GROUPS = {
 EXAMPLES = {verb: [f'{PROG} {verb} {options}'.rstrip() for options in each]
             for verb, each in {
     'speed': ('--quick', '--only loop step --json'),
-    'joints': ('', '--json'),
+    'joints': ('', '--most 3 --json'),
     'faults': ('--list', '--short --logs fault_logs'),
     'recover': ('--seeds 3', '--seeds 20 --out recovery'),
     'coverage': ('--seeds 100:104 --out coverage',),

@@ -19,6 +19,7 @@ import tempfile
 import time
 
 from gms_flex_control.analysis.table4 import align
+from gms_flex_control.errors import ConfigError
 from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.params.encoder import EncoderParams
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
@@ -120,15 +121,19 @@ def add_parser(subparsers):
         'joints', help='speed of arms in space as joints are added, beside MuJoCo',
         description='Simulate planar chains and chains in space of 1 to 7 flexible joints, and '
                     'the links of the latter with MuJoCo; print simulated seconds per second.')
+    parser.add_argument('--most', type=int, default=7, metavar='N',
+                        help='joints at most, 1 to 7 (default: %(default)s)')
     parser.add_argument('--json', action='store_true', help='print the numbers as JSON')
     parser.set_defaults(run=run)
 
 
 def run(args):
     """Measure and print simulated seconds per second, one core; return 0."""
+    if not 1 <= args.most <= 7:
+        raise ConfigError(f'--most {args.most}: must be from 1 to 7')
     rows = []
     with tempfile.TemporaryDirectory() as folder:
-        for n in range(1, 8):
+        for n in range(1, args.most + 1):
             planar = planar_robot(n)
             robot = spatial_robot(planar, Path(folder) / f'{n}.urdf')
             rows.append({'joints': n, 'planar': loop_speed(planar), 'in space': loop_speed(robot),

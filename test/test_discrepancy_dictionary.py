@@ -131,13 +131,13 @@ def test_every_effect_is_looked_for_wherever_it_can_act(seed, plant_name):
 
 def test_what_filters_leave_at_reversals_is_no_stribeck_curve():
     """They leave the same of clean runs, whose mean is taken off."""
-    likelihood = likelihood_of(make_case('clean', 7))
+    likelihood = likelihood_of(make_case('clean', 3))
     model, columns = retuned_of(likelihood, PLAUSIBLE)
     dictionary, gains = Dictionary(likelihood, model), []
     for left in (model.rows, model.rows + likelihood.usual):
         other = replace(model, rows=left, sums=likelihood.sums(left, model.robot, model.x))
         gains.append(max((one.gain for one in dictionary.ranked(other, columns)
-                          if (one.spec.name, one.spec.joint) == ('stribeck_error', 'joint1')),
+                          if (one.spec.name, one.spec.joint) == ('stribeck_error', 'joint2')),
                          default=0.0))
     assert gains[0] < 10.0 and gains[1] > 20.0
 

@@ -168,7 +168,7 @@ WRONG = {
     'too few motors': ('motors: [joint1_motor, joint2_motor]', 'motors: [joint1_motor]',
                        'motors describes 1 joints, but joints names 2'),
     'an unknown kind': ('kind: planar', 'kind: planer', 'arm.kind must be one of planar, '
-                        "decoupled, got 'planer'; did you mean 'planar'?"),
+                        "decoupled, urdf, got 'planer'; did you mean 'planar'?"),
     'a tab': ('    arm:', '\tarm:', 'is not valid YAML (found character'),
     'a key twice': ('        length: 0.35 ', '        mass: 0.35 ',
                     'is not valid YAML (found duplicate key "mass"'),

@@ -263,10 +263,13 @@ def _best_predicting(likelihood, found, whole, measured, more):
 
     That with the effects found, unless another is clearly better: with fewer, or with such as
     only resemble what is missing. Where there is ``more`` than noise left, any of them together.
+    A known parameter beyond its prior takes no effect's place: that is a wrong belief, unnamed.
     """
     known, best = len(likelihood.robot.effects), {}
+    limit = np.maximum(PLAUSIBLE * likelihood.sd, np.abs(found.best.model.x))
     for state in sorted(found.tried, key=lambda state: -state.evidence):
-        best.setdefault(len(state.key(known)), state)
+        if np.all(np.abs(state.model.x) <= limit):
+            best.setdefault(len(state.key(known)), state)
     others = [state for state in (found.before, whole.best,
                                   *(best[size] for size in sorted(best)[:_SIZES]))
               if state is not found.best]
