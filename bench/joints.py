@@ -16,10 +16,10 @@ from dataclasses import replace
 import json
 from pathlib import Path
 import tempfile
-import time
 
+from bench.speed.timing import interleaved
 from gms_flex_control.analysis.table4 import align
-from gms_flex_control.errors import ConfigError
+from gms_flex_control.errors import ConfigError, SimulationError
 from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.params.encoder import EncoderParams
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
@@ -32,7 +32,7 @@ from gms_flex_control.trajectory import builders
 import numpy as np
 
 _BLOCKS, _PERIOD_NS, _SUBSTEPS = 6, 1_000_000, 10
-_DURATION, _REPEATS = 4.0, 5     # simulated [s], the best of so many
+_DURATION, _REPEATS = 4.0, 5     # simulated [s], the median of so many
 _TURN = 'rpy="0.0 0.0 0.0"', 'rpy="1.5707963267948966 0.0 0.0"'
 
 
@@ -61,8 +61,8 @@ def spatial_robot(robot, path):
         inertia=links.inertia, length=np.zeros(n), gravity=[0.0, -9.81, 0.0]))
 
 
-def loop_speed(robot):
-    """Return simulated seconds per second of the closed loop."""
+def loop_of(robot):
+    """Return a function that runs the closed loop once; raise SimulationError if it diverges."""
     one = np.ones(robot.n_joints)
     gains = ControllerParams(
         compensation='gms', kd_link=20.0 * one, lambda_link=10.0 * one, kd_motor=20.0 * one,
@@ -75,12 +75,12 @@ def loop_speed(robot):
                                period_ns=_PERIOD_NS, substeps=_SUBSTEPS)
     end = run().true[-1, 0]
     if not np.isfinite(end).all():
-        raise SystemExit(f'{robot.n_joints} joints: the simulation diverged')
-    return _DURATION / best_of(run)
+        raise SimulationError(f'{robot.n_joints} joints: the simulation diverged')
+    return run
 
 
-def mujoco_speed(robot):
-    """Return simulated seconds per second of MuJoCo: links, motors and springs alone."""
+def mujoco_of(robot):
+    """Return a function that runs MuJoCo once: links, motors and springs alone."""
     import mujoco
 
     spec = mujoco.MjSpec.from_file(robot.arm.frames.source)
@@ -102,17 +102,7 @@ def mujoco_speed(robot):
     def run():
         for _ in range(round(_DURATION * 1e9 / _PERIOD_NS)):
             mujoco.mj_step(model, data, nstep=_SUBSTEPS)
-    return _DURATION / best_of(run)
-
-
-def best_of(run):
-    """Return the shortest of several times of ``run`` [s]."""
-    times = []
-    for _ in range(_REPEATS):
-        begin = time.perf_counter()
-        run()
-        times.append(time.perf_counter() - begin)
-    return min(times)
+    return run
 
 
 def add_parser(subparsers):
@@ -136,8 +126,10 @@ def run(args):
         for n in range(1, args.most + 1):
             planar = planar_robot(n)
             robot = spatial_robot(planar, Path(folder) / f'{n}.urdf')
-            rows.append({'joints': n, 'planar': loop_speed(planar), 'in space': loop_speed(robot),
-                         'MuJoCo, no friction and controller': mujoco_speed(robot)})
+            times = interleaved({
+                'planar': loop_of(planar), 'in space': loop_of(robot),
+                'MuJoCo, no friction and controller': mujoco_of(robot)}, _REPEATS)
+            rows.append({'joints': n} | {name: _DURATION / each for name, each in times.items()})
     print(json.dumps(rows, indent=2) if args.json else align(
         list(rows[0]), [[f'{value:.0f}' for value in row.values()] for row in rows]))
     return 0

@@ -87,6 +87,15 @@ class Worth(NamedTuple):
             sigmas=self.gain.sigmas / caution).is_real
 
 
+def plausible_limit(likelihood, model):
+    """
+    Return how far known parameters may go where they stand for an effect of a model, (P,).
+
+    In standard deviations of their priors; as far as the model has them in any case.
+    """
+    return np.maximum(PLAUSIBLE, np.abs(model.x) / likelihood.sd)
+
+
 def worth_of(likelihood, found, i):
     """Return what the i-th effect of a search's end is worth."""
     model, columns, _ = found.best
@@ -95,7 +104,7 @@ def worth_of(likelihood, found, i):
     change = less.rows - model.rows
     own, loss = _beside(likelihood, model, less, others, change)
     anything = fit(likelihood, less.robot, model.x, others)
-    limit = np.maximum(PLAUSIBLE, np.abs(model.x) / likelihood.sd)
+    limit = plausible_limit(likelihood, model)
     plausible = fit(likelihood, less.robot, model.x, others, plausible=limit)
     gain = gain_of(likelihood, (model, columns), (plausible, others), change, limit)
     if is_at_limit(spec, model.robot) or (find(spec.name).of_feedback and not _predicts(
@@ -359,7 +368,7 @@ def findings_of(likelihood, found, worths, holdout=None):
     known = len(likelihood.robot.effects)
     models = posterior(found.tried, known)
     whole = max(found.before.model.cost - found.best.model.cost, 1e-12)
-    limit = np.maximum(PLAUSIBLE, np.abs(found.best.model.x) / likelihood.sd)
+    limit = plausible_limit(likelihood, found.best.model)
     after, out = held_out_torque(likelihood, found.best, holdout), []
     for one in worths:
         spec = found.best.model.robot.effects[one.index]

@@ -178,10 +178,11 @@ def nuisances_of(constants, prior, stated=None):
 
     planar = 'coupling' in chain.dtype.names
     heavy = np.any(chain.gravity != 0.0)
-    for i in range(0 if planar else n):
-        add('gravity' if heavy else 'inertia', i, ('chain', 'mass', i))
-        add('inertia', i, ('chain', 'inertia', i))
-    for i in range(n if planar else 0):
+    for i in range(n):
+        if not planar:
+            add('gravity' if heavy else 'inertia', i, ('chain', 'mass', i))
+            add('inertia', i, ('chain', 'inertia', i))
+            continue
         # what link i has of mass times distance: gravity and its coupling to every link before
         moment = [('chain', 'coupling', pair) for k in range(i) if chain.coupling[k, i] != 0.0
                   for pair in ((k, i), (i, k))]
@@ -248,22 +249,21 @@ def with_nuisances(robot, nuisances, x):
     record = tuned(plant.constants_of(replace(robot, effects=())), nuisances, x)
     # a nuisance parameter scales what a link carries with all that effects make of it, such as
     # a payload's share; what they make of it is affine in what it is without them
-    whole, other = _carried(robot, record), record.copy()
     names = _CARRIED['urdf' if robot.arm.frames else 'planar']
+    whole, other = _carried(names, robot, record), record.copy()
     for name in names:
         getattr(other.chain, name)[...] *= 1.0 + _PROBE
-    for name, one, two in zip(names, whole, _carried(robot, other), strict=True):
+    for name, one, two in zip(names, whole, _carried(names, robot, other), strict=True):
         own = getattr(record.chain, name)
         slope = np.divide(two - one, _PROBE * own, out=np.ones_like(own), where=own != 0.0)
         own += (getattr(wanted, name) - one) / slope
     return _with_record(robot, record)
 
 
-def _carried(robot, record):
-    """Return what links carry with the effects of a robot whose own parameters are a record's."""
+def _carried(names, robot, record):
+    """Return fields of links, with effects, of a robot whose own parameters are a record's."""
     chain = plant.constants_of(_with_record(robot, record)).chain
-    return [np.array(getattr(chain, name))
-            for name in _CARRIED['urdf' if robot.arm.frames else 'planar']]
+    return [np.array(getattr(chain, name)) for name in names]
 
 
 def _with_record(robot, record):

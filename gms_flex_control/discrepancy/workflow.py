@@ -15,6 +15,7 @@ from gms_flex_control.discrepancy.findings import (
     findings_of,
     is_noisy,
     judged,
+    plausible_limit,
     predicting_subset,
     predictive,
 )
@@ -266,9 +267,9 @@ def _best_predicting(likelihood, found, whole, measured, more):
     A known parameter beyond its prior takes no effect's place: that is a wrong belief, unnamed.
     """
     known, best = len(likelihood.robot.effects), {}
-    limit = np.maximum(PLAUSIBLE * likelihood.sd, np.abs(found.best.model.x))
+    limit = plausible_limit(likelihood, found.best.model)
     for state in sorted(found.tried, key=lambda state: -state.evidence):
-        if np.all(np.abs(state.model.x) <= limit):
+        if np.all(np.abs(state.model.x) / likelihood.sd <= limit):
             best.setdefault(len(state.key(known)), state)
     others = [state for state in (found.before, whole.best,
                                   *(best[size] for size in sorted(best)[:_SIZES]))

@@ -278,8 +278,7 @@ def fit_joint(bundle, joint, thetas, blocks):
     fits = [fit_candidate(bundle, joint, thetas, thetas[joint], n, n_extra)
             for n in sorted({*blocks, *CANDIDATES})]
     candidates, best, rivals = choose(bundle, joint, thetas, fits, blocks)
-    return JointFit(best.coordinates, best.free, prior_of(best.coordinates, best.free), None,
-                    best, candidates, False, np.zeros(len(best.free)), rivals, fits=tuple(fits))
+    return _unsearched(candidates, best, rivals)._replace(fits=tuple(fits))
 
 
 def fit_again(bundle, joint, thetas, fit, blocks):
@@ -304,8 +303,14 @@ def fit_again(bundle, joint, thetas, fit, blocks):
         *fit.fits, (fit.coordinates, fit.free), *again], blocks)
     if best.free is fit.free:
         return fit._replace(held_out=best, candidates=candidates, rivals=rivals)
-    return JointFit(best.coordinates, best.free, prior_of(best.coordinates, best.free), None,
-                    best, candidates, False, np.zeros(len(best.free)), rivals)
+    return _unsearched(candidates, best, rivals)
+
+
+def _unsearched(candidates, chosen, rivals):
+    """Return the JointFit of what `choose` returns, for a search to begin from."""
+    free = chosen.free
+    return JointFit(chosen.coordinates, free, prior_of(chosen.coordinates, free), None, chosen,
+                    candidates, False, np.zeros(len(free)), rivals)
 
 
 def fit_all(bundle, starts, extras, *, blocks=CANDIDATES, say=lambda text: None):
