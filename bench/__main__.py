@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """The tool `python -m bench`: verbs, errors and exit codes as those of `gms_flex`."""
 
+from importlib import import_module
 import sys
 
 from gms_flex_control.cli.main import main as run_tool
@@ -31,8 +32,10 @@ EXAMPLES = {verb: [f'{PROG} {verb} {options}'.rstrip() for options in each]
 def build_parser():
     """Return the parser with all verbs."""
     return parser_of(PROG, 'Measure the package: its speed, what faults do to its nodes, what it '
-                     'finds in hidden robots and in recordings of real machines.', GROUPS,
-                     EXAMPLES)
+                     'finds in hidden robots and in recordings of real machines.',
+                     {title: {verb: import_module(place).add_parser
+                              for verb, place in group.items()}
+                      for title, group in GROUPS.items()}, EXAMPLES)
 
 
 def main(argv=None):

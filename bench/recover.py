@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 from gms_flex_control.analysis.table4 import align
 from gms_flex_control.batches.batch import run_batch
-from gms_flex_control.batches.executor import open_executor
 from gms_flex_control.batches.journal import fingerprint, Journal
-from gms_flex_control.cli.output import add_batch_options
+from gms_flex_control.batches.workers import open_executor
+from gms_flex_control.cli.options import add_batch_options
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.experiment.believed import scaled_friction
 from gms_flex_control.experiment.identification_plan import read_identification_plan

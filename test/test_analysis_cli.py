@@ -3,14 +3,13 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """`gms_flex analyse` and `gms_flex import-csv` from arguments to files."""
 
-import argparse
 import json
 
 from gms_flex_control.analysis.csv_import import import_csv
 from gms_flex_control.bags.experiment import write_recording
 from gms_flex_control.bags.reader import read_recording
-from gms_flex_control.cli import analyse
-from gms_flex_control.cli import import_csv as import_verb
+from gms_flex_control.cli import recordings
+from gms_flex_control.cli.main import build_parser
 from gms_flex_control.errors import BagError, ImportDataError
 from gms_flex_control.params.gains import COMPENSATIONS
 from gms_flex_control.recording import Recording
@@ -35,11 +34,7 @@ joints:
 
 def call(*words):
     """Run a verb as the tool does; return its exit code."""
-    parser = argparse.ArgumentParser()
-    subparsers = parser.add_subparsers()
-    analyse.add_parser(subparsers)
-    import_verb.add_parser(subparsers)
-    args = parser.parse_args([str(word) for word in words])
+    args = build_parser().parse_args([str(word) for word in words])
     return args.run(args)
 
 
@@ -86,8 +81,8 @@ def test_findings_as_json(log, tmp_path, capsys):
 
 
 def test_a_shipped_map_is_found_by_its_name():
-    assert import_verb.find_map('import_kr300.yaml').is_file()
-    assert str(import_verb.find_map('no_such_map.yaml')) == 'no_such_map.yaml'
+    assert recordings.find_map('import_kr300.yaml').is_file()
+    assert str(recordings.find_map('no_such_map.yaml')) == 'no_such_map.yaml'
 
 
 def test_nothing_is_left_behind_by_a_refused_import(log, tmp_path):
@@ -99,9 +94,9 @@ def test_nothing_is_left_behind_by_a_refused_import(log, tmp_path):
 def test_labels_come_from_metadata_then_from_the_name(tmp_path):
     bag(tmp_path / 'run7', 0.1, custom={'trajectory': 'sinusoid', 'compensation': 'none'})
     bag(tmp_path / 'polynomial_gms_paper', 0.1)
-    assert analyse.bag_label(tmp_path / 'run7') == ('sinusoid', 'none')
-    assert analyse.bag_label(tmp_path / 'polynomial_gms_paper') == ('polynomial', 'gms_paper')
-    assert analyse.bag_label(tmp_path / 'anything') == ('anything', 'unlabelled')
+    assert recordings.bag_label(tmp_path / 'run7') == ('sinusoid', 'none')
+    assert recordings.bag_label(tmp_path / 'polynomial_gms_paper') == ('polynomial', 'gms_paper')
+    assert recordings.bag_label(tmp_path / 'anything') == ('anything', 'unlabelled')
 
 
 def test_bags_become_table_report_and_pictures(tmp_path, capsys):
@@ -128,7 +123,7 @@ def test_labels_on_the_command_line(tmp_path, capsys):
 
 @pytest.mark.parametrize('mode', COMPENSATIONS)
 def test_every_mode_of_the_controller_makes_a_label(mode):
-    assert analyse.given_label(f'my_motion_{mode}') == ('my_motion', mode)
+    assert recordings.given_label(f'my_motion_{mode}') == ('my_motion', mode)
 
 
 @pytest.mark.parametrize('label', ['bogus', 'sinusoid_bogus', '_gms'])

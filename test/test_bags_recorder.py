@@ -29,12 +29,10 @@ PERIOD = 0.002       # of the publisher [s]
 PROMISED = 0.2       # what kill -9 may take [s]
 PATIENCE = 30.0      # for anything that has to start [s]
 RECORD = """if True:
-    import argparse, sys
-    from gms_flex_control.cli import record
+    import sys
+    from gms_flex_control.cli.main import build_parser
     from gms_flex_control.errors import GmsFlexError
-    parser = argparse.ArgumentParser()
-    record.add_parser(parser.add_subparsers())
-    args = parser.parse_args(sys.argv[1:])
+    args = build_parser().parse_args(sys.argv[1:])
     try:
         sys.exit(args.run(args))
     except GmsFlexError as error:
@@ -177,7 +175,7 @@ def test_a_topic_that_never_comes_is_named_when_the_time_is_up(start):
 @pytest.mark.parametrize('options, sentence', [
     (('--topics', '/a'), 'exists already; bags are never overwritten'),
     (('--topics', '/a', '--duration', 'nan'),
-     'refused: --duration must be a positive number of seconds, got nan'),
+     'refused: --duration nan: must be at least 0.001 and finite'),
     ((), 'one of the arguments --topics --all is required')])
 def test_what_cannot_be_recorded_is_refused(start, tmp_path, options, sentence):
     (tmp_path / 'there').mkdir()

@@ -3,7 +3,6 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Killed, cut and flipped bags: what is sound comes back, what is gone is counted."""
 
-import argparse
 import json
 from pathlib import Path
 import re
@@ -16,7 +15,7 @@ from gms_flex_control.bags.repair import repair_bag
 from gms_flex_control.bags.source import Bag, BagWarning
 from gms_flex_control.bags.summary import summarise
 from gms_flex_control.bags.writer import BagWriter
-from gms_flex_control.cli import info, repair
+from gms_flex_control.cli.main import main
 from gms_flex_control.errors import BagError
 from mcap.reader import make_reader
 import numpy as np
@@ -145,13 +144,13 @@ def test_a_damaged_chunk_is_named_refused_and_repaired_around(tmp_path, capsys):
     pattern = r'bag_0\.mcap: chunk (\d+) \(at byte \d+\): fails its checksum; (\d+) messages lost'
     with pytest.raises(BagError, match=pattern + r"; run 'gms_flex repair .*' to keep the rest"):
         read_recording(tmp_path / 'bag')
-    code, printed = run(info, [str(tmp_path / 'bag'), '--json'], capsys)
+    code, printed = run(capsys, 'info', tmp_path / 'bag', '--json')
     assert code == 1
     summary = json.loads(printed)
     number, lost = map(int, re.match(pattern, summary['damage'][0]).groups())
     assert 1 < number and 10 < lost < 60
     assert summary['count'] == len(original) - lost and summary['checksums'] == 'damaged'
-    code, printed = run(repair, [str(tmp_path / 'bag'), '--out', str(tmp_path / 'new')], capsys)
+    code, printed = run(capsys, 'repair', tmp_path / 'bag', '--out', tmp_path / 'new')
     assert code == 1
     assert f'{len(original) - lost} messages kept, {lost} lost' in printed
     found, _ = contents(tmp_path / 'new')
@@ -159,11 +158,8 @@ def test_a_damaged_chunk_is_named_refused_and_repaired_around(tmp_path, capsys):
     check_with_others(tmp_path / 'new', found)
 
 
-def run(module, arguments, capsys):
-    parser = argparse.ArgumentParser()
-    module.add_parser(parser.add_subparsers())
-    args = parser.parse_args([module.__name__.rsplit('.', 1)[-1], *arguments])
-    code = args.run(args)
+def run(capsys, *arguments):
+    code = main([*map(str, arguments)])
     return code, capsys.readouterr().out
 
 

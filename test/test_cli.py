@@ -4,6 +4,7 @@
 """All verbs of both tools alike: help with examples, exit codes, JSON, colours, completion."""
 
 import ast
+from itertools import chain
 import json
 import os
 from pathlib import Path
@@ -19,6 +20,7 @@ import warnings
 from bench import __main__ as bench
 from gms_flex_control.bags.source import BagWarning
 from gms_flex_control.cli import main as tool
+from gms_flex_control.cli.verbs import GROUPS
 from gms_flex_control.effects import registry
 from gms_flex_control.errors import own_warnings
 import numpy as np
@@ -169,7 +171,7 @@ def test_warnings_of_numpy_stay_away_and_ours_are_sentences(monkeypatch, capsys)
         print(worker.stderr, end='')
         return 0
 
-    monkeypatch.setattr('gms_flex_control.cli.info.run', warns)
+    monkeypatch.setattr('gms_flex_control.cli.bag_files.info', warns)
     monkeypatch.setattr(sys, 'warnoptions', [])
     monkeypatch.delenv('PYTHONWARNINGS', raising=False)
     assert tool.main(['info', 'bag']) == tool.OK
@@ -228,7 +230,7 @@ def test_an_error_of_the_program_is_no_finding(monkeypatch, capsys):
     def broken(args):
         raise ZeroDivisionError('of the program')
 
-    monkeypatch.setattr('gms_flex_control.cli.info.run', broken)
+    monkeypatch.setattr('gms_flex_control.cli.bag_files.info', broken)
     assert tool.main(['info', 'bag']) == tool.OWN_ERROR
     told = capsys.readouterr().err
     assert 'ZeroDivisionError: of the program' in told
@@ -249,7 +251,8 @@ def test_ctrl_c_is_one_line_and_130(words, sentence, monkeypatch, capsys):
         except KeyboardInterrupt:
             raise ImportError('no module datetime') from None
 
-    monkeypatch.setattr(f'gms_flex_control.cli.{words.split()[0]}.run', cut_short)
+    verb = next(one for one in chain(*GROUPS.values()) if one.name == words.split()[0])
+    monkeypatch.setattr(f'gms_flex_control.cli.{verb.run}', cut_short)
     assert tool.main(words.split()) == tool.INTERRUPTED == 130
     assert capsys.readouterr().err == sentence
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler

@@ -207,7 +207,7 @@ def test_json_is_printed_and_nothing_else(folder, tmp_path, capsys, reversed_tor
 
 @pytest.mark.parametrize(('arguments', 'words'), [
     (['--without', 'backlsh'], "did you mean 'backlash'"),
-    (['--max-effects', '0'], '--max-effects 0: at least one')])
+    (['--max-effects', '0'], '--max-effects 0: must be at least 1')])
 def test_a_wrong_option_is_refused_before_anything_is_read(tmp_path, folder, capsys, arguments,
                                                            words):
     assert run(tmp_path, tmp_path / 'none', *arguments, robot=folder / 'robot.yaml') == 2

@@ -9,7 +9,7 @@ import re
 
 from core_runs import model_with_error
 from gms_flex_control.batches.batch import run_batch
-from gms_flex_control.batches.executor import open_executor
+from gms_flex_control.batches.workers import open_executor
 from gms_flex_control.cli.main import main
 from gms_flex_control.comparison import held_out, study, words
 from gms_flex_control.comparison.along import along, predicted

@@ -11,7 +11,7 @@ import subprocess
 import sys
 
 from gms_flex_control.bags import phases, reader, source
-from gms_flex_control.cli import demo_identify
+from gms_flex_control.cli import demos
 from gms_flex_control.cli.main import main
 from gms_flex_control.errors import IdentificationError
 import numpy as np
@@ -91,10 +91,10 @@ def test_the_fit_gets_recording_and_phases_of_a_bag_read_once(outcome, monkeypat
 
     for module in (reader, phases):
         monkeypatch.setattr(module, 'Bag', Counted)
-    monkeypatch.setattr('gms_flex_control.identification.identify.identify', stop)
+    monkeypatch.setattr('gms_flex_control.cli.demos.identify', stop)
     bag = outcome[0] / 'bag'
     with pytest.raises(IdentificationError, match='enough'):
-        demo_identify.fit(outcome[0], bag, demo_identify.read_experiment())
+        demos.fit_experiment(outcome[0], bag, demos.read_experiment())
     assert opened == [bag]
     (recording, found), = fitted
     assert found == phases.read_phases(bag)

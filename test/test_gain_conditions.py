@@ -3,13 +3,12 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Conditions on the gains against eigenvalues, simulation and the command line."""
 
-import argparse
 from dataclasses import replace
 import json
 from pathlib import Path
 import re
 
-from gms_flex_control.cli import check_gains
+from gms_flex_control.cli.main import main
 from gms_flex_control.control import gain_conditions
 from gms_flex_control.schema.files import load_controller, load_robot
 import numpy as np
@@ -149,10 +148,7 @@ def test_three_links_are_searched_over_all_configurations(robot):
 
 
 def tool(*arguments):
-    parser = argparse.ArgumentParser()
-    check_gains.add_parser(parser.add_subparsers())
-    args = parser.parse_args(['check-gains', *map(str, arguments)])
-    return args.run(args)
+    return main(['check-gains', *map(str, arguments)])
 
 
 def test_the_command_prints_condition_value_limit_and_verdict(capsys, tmp_path):

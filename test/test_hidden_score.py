@@ -376,7 +376,7 @@ def test_workers_of_a_killed_run_end_with_it(tmp_path):
         'import os, sys, time\n'
         'from concurrent.futures import ProcessPoolExecutor\n'
         'from multiprocessing import get_context\n'
-        'from gms_flex_control.batches.processes import end_with_parent\n'
+        'from gms_flex_control.batches.workers import end_with_parent\n'
         "if __name__ == '__main__':\n"
         '    pool = ProcessPoolExecutor(1, initializer=end_with_parent,\n'
         "                               mp_context=get_context('spawn'))\n"

@@ -98,8 +98,8 @@ def test_no_module_imports_itself_by_way_of_others():
 
 
 def test_a_cycle_is_found():
-    assert modules_imported('def f():\n    from gms_flex_control.cli.demo import warm_up',
-                            'experiment/plan.py') == {'cli/demo.py'}
+    assert modules_imported('def f():\n    from gms_flex_control.cli.demos import plan_of',
+                            'experiment/plan.py') == {'cli/demos.py'}
     with pytest.raises(CycleError):
         TopologicalSorter({'a.py': {'b.py'}, 'b.py': {'a.py'}}).prepare()
 
@@ -135,7 +135,7 @@ def test_an_allowed_import_passes(module, source):
 # examples of commands
 ALLOWED = {'discrepancy/nuisance.py': {'viscous_asymmetry'},
            'params/uncertainty.py': {'viscous_asymmetry'},
-           'exports/mujoco.py': set(registry.names()), 'cli/examples.py': set(registry.names())}
+           'exports/mujoco.py': set(registry.names()), 'cli/verbs.py': set(registry.names())}
 
 
 def effects_named(source):

@@ -3,14 +3,13 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """A first flexible-joint model of one axis: known axes are recovered, real data are told of."""
 
-import argparse
 import json
 from pathlib import Path
 
 from gms_flex_control.analysis.csv_import import import_csv
 from gms_flex_control.analysis.torsion import rms, study
 from gms_flex_control.bags.experiment import write_recording
-from gms_flex_control.cli import torsion
+from gms_flex_control.cli.main import main
 from gms_flex_control.errors import BagError
 from gms_flex_control.recording import Recording
 from gms_flex_control.reports.torsion import text, verdict, write_torsion_report
@@ -102,11 +101,8 @@ def test_a_torque_of_the_wrong_sign_fits_no_axis():
 
 def test_the_command_prints_numbers_and_writes_a_report(tmp_path, capsys):
     write_recording(tmp_path / 'bag', axis(delay=0.003), ('axis1_motor',))
-    parser = argparse.ArgumentParser()
-    torsion.add_parser(parser.add_subparsers())
     base = ['torsion', str(tmp_path / 'bag'), '--joint', 'axis1', '--stiffness', str(K)]
-    args = parser.parse_args([*base, '--out', str(tmp_path / 'out')])
-    assert args.run(args) == 0
+    assert main([*base, '--out', str(tmp_path / 'out')]) == 0
     out = capsys.readouterr().out
     for part in ('rms measured', 'rms error', 'relative error', 'delay [ms]', 'report.html'):
         assert part in out
@@ -115,8 +111,7 @@ def test_the_command_prints_numbers_and_writes_a_report(tmp_path, capsys):
     robot = load_robot(tmp_path / 'out' / 'robot.yaml')
     assert (robot.arm.kind, robot.arm.stiffness[0]) == ('decoupled', K)
     assert robot.arm.inertia[0] + robot.arm.motor_inertia[0] == pytest.approx(M + J, rel=0.02)
-    args = parser.parse_args([*base, '--json'])
-    assert args.run(args) == 0
+    assert main([*base, '--json']) == 0
     result = json.loads(capsys.readouterr().out)
     assert len(result['explanations']) == 4
     assert result['explanations'][1]['stiffness'] is None

@@ -13,8 +13,8 @@ from time import perf_counter, process_time
 
 from bench.speed.timing import Measurement
 from gms_flex_control.batches.batch import run_batch
-from gms_flex_control.batches.executor import open_executor
 from gms_flex_control.batches.journal import Journal
+from gms_flex_control.batches.workers import open_executor
 from gms_flex_control.comparison.contestants import Condition, NOMINAL
 from gms_flex_control.comparison.study import Cell, Setting, try_cell
 from gms_flex_control.errors import GmsFlexError

@@ -1,18 +1,21 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""A batch from beginning to end: what the journal lacks is worked on, and kept at once."""
+"""A function called for many items elsewhere, with a journal of what is finished."""
 
 import json
 import sys
 from time import monotonic
 
+from gms_flex_control.batches.journal import Journal
+from gms_flex_control.batches.workers import Executor, open_executor
 from gms_flex_control.errors import LostItemError
 
 _WIDTH, _LEAST_GAP = 30, 0.1  # characters; seconds between two drawings
 
 
-def run_batch(function, items, *, executor, journal=None, label='', lost=None):
+def run_batch(function, items: dict, *, executor: Executor, journal: Journal | None = None,
+              label: str = '', lost=None) -> dict:
     """
     Call a function for many items.
 
@@ -65,22 +68,20 @@ def run_batch(function, items, *, executor, journal=None, label='', lost=None):
     return {key: found[key] for key in items}
 
 
+def run_kept(function, items: dict, args, sources: str, label: str) -> dict:
+    """
+    Call a function for many items as `run_batch` does, with the options of a verb.
+
+    ``args`` has ``workers``, ``scheduler`` and ``out``, a folder whose journal keeps outcomes of
+    the same ``sources``, see Journal.
+    """
+    journal = Journal(args.out, sources)
+    with open_executor(args.workers, args.scheduler) as executor:
+        return run_batch(function, items, executor=executor, journal=journal, label=label)
+
+
 class Progress:
-    """
-    A bar of one line with count and time left.
-
-    Parameters
-    ----------
-    total : int
-        Items altogether.
-    done : int
-        Of these, finished before.
-    label : str
-        What they are.
-    stream : file, optional
-        Default standard error.
-
-    """
+    """A bar of one line with count and time left, drawn where ``stream`` is a terminal."""
 
     def __init__(self, total, done=0, label='', stream=None):
         self._total, self._first, self._done, self._label = total, done, done, label

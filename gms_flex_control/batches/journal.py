@@ -15,26 +15,15 @@ ROOT = Path(gms_flex_control.__file__).parent
 
 class Journal:
     """
-    The outcomes so far, in a folder.
+    The outcomes so far, in ``folder`` / outcomes.jsonl; the folder is made if need be.
 
-    Parameters
-    ----------
-    folder : Path
-        ``outcomes.jsonl`` lies in it; made if need be.
-    sources : str
-        What an outcome depends on beside its key, such as a hash of sources and options:
-        outcomes of others are not taken.
-
-    Raises
-    ------
-    ConfigError
-        If the folder cannot be written.
-
+    Outcomes of other ``sources``, a hash of all they depend on beside their key, are not taken.
+    ConfigError is raised if the folder cannot be written.
     """
 
     def __init__(self, folder, sources):
         self.path, self._sources = Path(folder) / 'outcomes.jsonl', sources
-        self.outcomes, self.stale = {}, 0
+        self.outcomes = {}
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             lines = self.path.read_text('utf-8').splitlines() if self.path.exists() else []
@@ -50,10 +39,8 @@ class Journal:
             key, sources = outcome['key'], outcome['sources']
         except (ValueError, KeyError, TypeError):
             return  # the line a killed run did not finish
-        if sources != self._sources:
-            self.stale += 1
-            return
-        self.outcomes[key] = outcome
+        if sources == self._sources:
+            self.outcomes[key] = outcome
 
     def add(self, outcome):
         """Keep an outcome (dict with 'key'), on disk at once."""
@@ -71,23 +58,8 @@ class Journal:
             return file.read(1) == b'\n'
 
 
-def fingerprint(parts=('.',), root=ROOT):
-    """
-    Return a hash of sources, of the package unless said otherwise.
-
-    Parameters
-    ----------
-    parts : sequence of str
-        Folders or modules within ``root``; default all of it.
-    root : Path
-        Where they stand.
-
-    Returns
-    -------
-    str
-        16 hexadecimal digits.
-
-    """
+def fingerprint(parts=('.',), root: Path = ROOT) -> str:
+    """Return a hash (16 digits) of folders or modules within ``root``, by default all."""
     digest = hashlib.sha256()
     for part in parts:
         path = root / part
@@ -96,13 +68,13 @@ def fingerprint(parts=('.',), root=ROOT):
     return digest.hexdigest()[:16]
 
 
-def content_of(bag):
+def content_of(bag) -> list:
     """Return names, sizes and times of a bag's files: another recording is not taken for it."""
     path = Path(bag)
     files = [path] if path.is_file() else sorted(one for one in path.rglob('*') if one.is_file())
     return [(one.name, one.stat().st_size, one.stat().st_mtime_ns) for one in files]
 
 
-def digest_of(values):
+def digest_of(values) -> str:
     """Return 16 hexadecimal digits that stand for plain values, told apart by their repr."""
     return hashlib.sha256(repr(values).encode()).hexdigest()[:16]

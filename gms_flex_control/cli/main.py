@@ -6,7 +6,6 @@
 
 import argparse
 from contextlib import contextmanager
-from importlib import import_module
 from itertools import chain
 import os
 import signal
@@ -17,21 +16,14 @@ import traceback
 import warnings
 
 from gms_flex_control import __version__
-from gms_flex_control.cli.completion import complete
-from gms_flex_control.cli.examples import add_examples, EXAMPLES
-from gms_flex_control.cli.output import goes_on
-from gms_flex_control.errors import did_you_mean, GmsFlexError
+from gms_flex_control.cli.options import add_examples, add_verb
+from gms_flex_control.cli.verbs import GROUPS
+from gms_flex_control.errors import ConfigError, did_you_mean, GmsFlexError
 
 OK, FINDING_SAYS_NO, BAD_INPUT = 0, 1, 2
 INTERRUPTED = 130  # as a shell reports SIGINT
 OWN_ERROR = 70  # EX_SOFTWARE of sysexits.h: never taken for a finding
-GROUPS = {
-    'for a robot and its recordings': (
-        'import-csv', 'info', 'view', 'identify', 'discrepancy', 'simulate', 'tune', 'compare',
-        'effects', 'export'),
-    'beside these': ('record', 'repair', 'analyse', 'torsion', 'check-gains', 'urdf', 'demo',
-                     'demo-identify', 'demo-discrepancy', 'completion')}
-VERBS = tuple(chain.from_iterable(GROUPS.values()))
+VERBS = tuple(verb.name for verb in chain.from_iterable(GROUPS.values()))
 
 
 class _Verbs:
@@ -45,34 +37,32 @@ class _Verbs:
         return self._subparsers.add_parser(name, **options)
 
 
-def build_parser():
+def build_parser() -> argparse.ArgumentParser:
     """Return the parser with all verbs."""
     parser = parser_of(
         'gms_flex', 'Simulate, record, analyse and compensate friction in robots with flexible '
-        'joints.', {title: {verb: f'gms_flex_control.cli.{verb.replace("-", "_")}'
-                            for verb in verbs} for title, verbs in GROUPS.items()}, EXAMPLES)
+        'joints.',
+        {title: {verb.name: lambda verbs, verb=verb: add_verb(verb, verbs) for verb in group}
+         for title, group in GROUPS.items()},
+        {verb.name: [one if 'gms_flex' in one else f'gms_flex {one}' for one in verb.examples]
+         for verb in chain.from_iterable(GROUPS.values())})
     parser.usage = 'gms_flex [-h] [--version] VERB ...'
     parser.add_argument('--version', action='version', version=__version__)
     return parser
 
 
-def parser_of(prog, description, groups, examples):
+def parser_of(prog: str, description: str, groups: dict, examples: dict):
     """
-    Return the parser of a tool.
+    Return the parser of a tool, with ``verbs``, a dict of str to the ArgumentParser of each.
 
     Parameters
     ----------
     prog, description : str
         What starts it, and what it is for.
-    groups : dict of str to dict of str to str
-        Title -> verb -> the module that adds its parser.
+    groups : dict of str to dict of str to callable
+        Title -> verb -> what adds its parser to an object with ``add_parser``.
     examples : dict of str to list of str
         Of each verb.
-
-    Returns
-    -------
-    ArgumentParser
-        With ``verbs``, a dict of str to the ArgumentParser of each.
 
     """
     parser = argparse.ArgumentParser(
@@ -81,8 +71,8 @@ def parser_of(prog, description, groups, examples):
     subparsers = parser.add_subparsers(dest='verb', required=True, prog=prog,
                                        help=argparse.SUPPRESS)
     verbs = _Verbs(subparsers)
-    for module in chain.from_iterable(group.values() for group in groups.values()):
-        import_module(module).add_parser(verbs)
+    for add in chain.from_iterable(group.values() for group in groups.values()):
+        add(verbs)
     parser.verbs = subparsers.choices
     add_examples(parser.verbs, examples)
     parser.epilog = _listing(prog, groups, verbs.help)
@@ -100,7 +90,7 @@ def _listing(prog, groups, helps):
                       'Ctrl-C.'])
 
 
-def parsed(parser, argv):
+def _parsed(parser, argv):
     """Return the arguments; None after the help, which is what the bare command asks for."""
     if not argv:
         parser.print_help()
@@ -112,42 +102,25 @@ def parsed(parser, argv):
     return args
 
 
-def main(argv=None, prog='gms_flex', build=build_parser):
-    """
-    Run one verb.
-
-    Parameters
-    ----------
-    argv : list of str, optional
-        Arguments; default those of the command line.
-    prog : str
-        What starts the tool.
-    build : callable
-        Returns its parser.
-
-    Returns
-    -------
-    int
-        Exit code.
-
-    """
-    with noted_interrupts() as seen:
+def main(argv: list | None = None, prog: str = 'gms_flex', build=build_parser) -> int:
+    """Run a verb of ``build()`` with arguments, default those given; return the exit code."""
+    with _noted_interrupts() as seen:
         try:
             parser = build()
-            complete(parser)
-            args = parsed(parser, sys.argv[1:] if argv is None else argv)
+            _complete(parser)
+            args = _parsed(parser, sys.argv[1:] if argv is None else argv)
         except (KeyboardInterrupt, Exception):
             if seen:
-                return interrupted(prog)
+                return _interrupted(prog)
             raise
         if args is None:
             return OK
-        with plain_warnings(args.command):
-            return run_verb(args, seen)
+        with _plain_warnings(args.command):
+            return _run_verb(args, seen)
 
 
 @contextmanager
-def plain_warnings(command):
+def _plain_warnings(command):
     """
     Print warnings of this package as a sentence, and none of numpy and scipy.
 
@@ -167,7 +140,7 @@ def plain_warnings(command):
             os.environ.pop('PYTHONWARNINGS', None)
 
 
-def run_verb(args, seen):
+def _run_verb(args, seen):
     """Return the exit code of a verb; whatever it raises becomes a sentence."""
     try:
         code = args.run(args)
@@ -181,7 +154,7 @@ def run_verb(args, seen):
               'duration or a lower rate', file=sys.stderr)
         return BAD_INPUT
     except KeyboardInterrupt:
-        return interrupted(args.command, goes_on(args))
+        return _interrupted(args.command, _goes_on(args))
     except BrokenPipeError:  # the reader, such as head, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return OK
@@ -191,7 +164,7 @@ def run_verb(args, seen):
         return BAD_INPUT
     except Exception:  # noqa: B902  its exit code 1 would say what a finding says
         if seen:
-            return interrupted(args.command, goes_on(args))
+            return _interrupted(args.command, _goes_on(args))
         traceback.print_exc()
         print(f'{args.command}: this is an error of the program; please report it with the '
               'lines above', file=sys.stderr)
@@ -199,7 +172,7 @@ def run_verb(args, seen):
 
 
 @contextmanager
-def noted_interrupts():
+def _noted_interrupts():
     """Yield a list that Ctrl-C fills: libraries it cuts short raise other errors than its own."""
     seen = []
     before = signal.getsignal(signal.SIGINT)
@@ -219,11 +192,39 @@ def noted_interrupts():
             signal.signal(signal.SIGINT, before)
 
 
-def interrupted(command, resumes=False):
+def _goes_on(args):
+    """Return whether the journal of --out keeps what a verb has done so far (bool)."""
+    return hasattr(args, 'scheduler') and getattr(args, 'verify', 1) != 0 and (
+        getattr(args, 'each', True))
+
+
+def _interrupted(command, resumes=False):
     """Say that Ctrl-C ended a command, and whether it goes on; return the exit code."""
     further = '; the same command goes on where it was' if resumes else ''
     print(f'{command}: interrupted{further}', file=sys.stderr)
     return INTERRUPTED
+
+
+def completion(args):
+    """Print the code of completion for one shell; return 0."""
+    try:
+        from argcomplete import shellcode
+    except ModuleNotFoundError as error:
+        raise ConfigError("argcomplete is not installed; 'pip install argcomplete' or "
+                          "'apt install python3-argcomplete' adds it") from error
+    print(shellcode(['gms_flex'], shell=args.shell))
+    return OK
+
+
+def _complete(parser):
+    """Answer a shell that asks for completions, and end; else do nothing."""
+    if '_ARGCOMPLETE' not in os.environ:
+        return
+    try:
+        from argcomplete import autocomplete
+    except ModuleNotFoundError:
+        return
+    autocomplete(parser)
 
 
 if __name__ == '__main__':

@@ -11,19 +11,21 @@ import sys
 from tempfile import TemporaryDirectory
 from textwrap import fill
 
+from gms_flex_control.analysis.table4 import align
+from gms_flex_control.answer import Answer, unbroken
 from gms_flex_control.errors import BagError, ConfigError
 from gms_flex_control.files import write_text
 
 _WIDTH = 96  # of what is printed as sentences
 
 
-def say(text):
+def say(text: str) -> None:
     """Print a line of progress, beside the results and on a terminal only."""
     if sys.stderr.isatty():
         print(text, file=sys.stderr, flush=True)
 
 
-def import_ros(module='rclpy', hint=''):
+def import_ros(module: str = 'rclpy', hint: str = ''):
     """Return a module that needs ROS 2; raise ConfigError, with a hint, where that is missing."""
     try:
         import_module('rclpy')
@@ -33,7 +35,7 @@ def import_ros(module='rclpy', hint=''):
                           f"pip install '.[ros]' in the clone{hint}") from error
 
 
-def write_or_print(text, out, told):
+def write_or_print(text: str, out, told: str) -> None:
     """Write a text to the file ``out`` and print its name with ``told``, or print it if None."""
     if out:
         write_text(out, text)
@@ -42,37 +44,22 @@ def write_or_print(text, out, told):
         print(text, end='')
 
 
-def conclude(answer, files, words=str) -> None:
-    """
-    Print where results are and, at last, the answer.
-
-    Parameters
-    ----------
-    answer : Answer
-        Of the verb.
-    files : dict of str to Path
-        What each holds.
-    words : callable
-        Applied to the answer, such as one that changes units.
-
-    """
+def conclude(answer: Answer, files: dict, words=str) -> None:
+    """Print what each of ``files`` holds and, at last, an Answer, ``words`` applied to it."""
     width = max(map(len, files))
     lines = [f'{name:<{width}}  {path}' for name, path in files.items()]
     print('\n'.join(['', *lines, '', answer_text(answer, words)]))
 
 
-def answer_text(answer, words=str) -> str:
+def answer_text(answer: Answer, words=str) -> str:
     """Return an Answer as lines of text, in which no arrow stands at an end."""
-    from gms_flex_control.analysis.table4 import align
-    from gms_flex_control.answer import unbroken
-
     sentence = fill(unbroken(words(answer.sentence)), _WIDTH, break_on_hyphens=False)
     rows = [[words(cell) for cell in one] for one in answer.numbers]
     return '\n\n'.join([sentence.replace('\u00a0→\u00a0', ' -> '), *(
         [align(answer.header, rows)] if rows else []), f'next: {answer.command}'])
 
 
-def refuse_unwritable(out):
+def refuse_unwritable(out) -> None:
     """Raise ConfigError if nothing could be written in the folder ``out``, which is not made."""
     there = Path(out).absolute()
     while not there.exists() and there != there.parent:
@@ -87,7 +74,7 @@ def refuse_unwritable(out):
                           'another folder') from error
 
 
-def refuse_fitted(bags, holdout):
+def refuse_fitted(bags, holdout) -> None:
     """Raise ConfigError if a bag that is fitted, or a copy of it, is also held out."""
     fitted = {}
     for bag in bags if holdout else ():
@@ -121,29 +108,19 @@ def _digest(bag):
     return sorted(hashlib.sha256(one.read_bytes()).digest() for one in _recorded(bag))
 
 
-def refuse_foreign(out, marker, verb):
+def refuse_foreign(out: Path, verb: str) -> None:
     """Raise BagError if the folder ``out`` holds anything but an earlier run of ``verb``."""
-    if out.exists() and not (out.is_dir() and ((out / marker).exists()
+    if out.exists() and not (out.is_dir() and (_marker(out, verb).exists()
                                                or not any(out.iterdir()))):
         raise BagError(f'{out} exists and was not made by gms_flex {verb}: name another --out')
 
 
-def prepare(out, marker):
-    """Make the folder ``out`` anew, marked as one that may be."""
+def prepare(out: Path, verb: str) -> None:
+    """Make the folder ``out`` anew, marked as one that ``verb`` may make anew."""
     shutil.rmtree(out, ignore_errors=True)
     out.mkdir(parents=True)
-    (out / marker).touch()
+    _marker(out, verb).touch()
 
 
-def add_batch_options(parser, workers=2, what='processes of this machine (default: 2)'):
-    """Add --workers, with its default and ``what`` they are, and --scheduler to a parser."""
-    parser.add_argument('--workers', type=int, default=workers, metavar='N', help=what)
-    parser.add_argument('--scheduler', metavar='ADDRESS',
-                        help='work on a running Dask cluster instead, such as '
-                             "tcp://host:8786 (pip install '.[dask]')")
-
-
-def goes_on(args):
-    """Return whether the journal of --out keeps what a verb has done so far (bool)."""
-    return hasattr(args, 'scheduler') and getattr(args, 'verify', 1) != 0 and (
-        getattr(args, 'each', True))
+def _marker(out, verb):
+    return out / f'.gms_flex_{verb.replace("-", "_")}'

@@ -1,91 +1,57 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""`gms_flex tune`: gains for a robot, judged, tried and written as controller.yaml."""
+"""The verbs on gains: `tune` proposes them, `check-gains` judges them."""
 
+from dataclasses import asdict, replace
 from functools import partial
+import json
+import math
 from pathlib import Path
 
-from gms_flex_control.cli.output import add_batch_options, conclude, refuse_unwritable
+from gms_flex_control import __version__
+from gms_flex_control.batches.batch import run_kept
+from gms_flex_control.batches.journal import digest_of, fingerprint
+from gms_flex_control.cli.output import conclude, refuse_unwritable
+from gms_flex_control.control.gain_conditions import check
+from gms_flex_control.errors import ConfigError
+from gms_flex_control.files import write_text
+from gms_flex_control.params.gains import ControllerParams
+from gms_flex_control.params.units import in_units
+from gms_flex_control.reports.figures import save_figure
+from gms_flex_control.reports.tuning_figure import tuning_figure
+from gms_flex_control.resources import controller_file, robot_file
+from gms_flex_control.schema.build import robot_values
+from gms_flex_control.schema.files import load_controller, load_robot, save_values
+from gms_flex_control.tuning import propose, uncertainty, words
+from gms_flex_control.tuning.linear_loop import Timing
+from gms_flex_control.tuning.propose import Demands
+from gms_flex_control.tuning.trial import MOTIONS, try_gains
+import numpy as np
 
 _MOST_AT_LIMIT = 0.02  # share of a motion that may be spent at the torque limit
 # what a simulated figure depends on
 SOURCES = ('params', 'friction', 'effects', 'dynamics', 'trajectory', 'control', 'simulation',
            'tuning')
+_KINDS = {'gershgorin': 'Gershgorin', 'exact': 'exact, N_2 > 0'}
 
 
-def add_parser(subparsers):
-    """Add the verb to the command line."""
-    parser = subparsers.add_parser(
-        'tune', help='gains for a robot: proposed, judged, tried, verified',
-        description='Propose the stiffest gains of the cascade controller that keep margins, '
-                    'encoder noise and the conditions (39), show margins and expected tracking '
-                    'error, and write controller.yaml. Exit code 1 if no gains meet the '
-                    'requirements, or a robot drawn by --verify is lost.')
-    parser.add_argument('--robot', nargs='+', metavar='FILE',
-                        help='robot files, later ones winning; default: the arm of the paper')
-    parser.add_argument('--controller', nargs='+', metavar='FILE',
-                        help='compensation, observer and torque limits; default: gms, k_e 1')
-    parser.add_argument('--torque-limit', nargs='+', type=float, metavar='NM',
-                        help='of each joint, or one for all; default: of --controller')
-    parser.add_argument('--rate', type=float, default=500.0, metavar='HZ',
-                        help='of the controller (default: %(default)g)')
-    parser.add_argument('--delay', type=float, default=0.0, metavar='MS',
-                        help='from measurement to torque (default: %(default)g)')
-    parser.add_argument('--bandwidth', nargs='+', type=float, metavar='RAD/S',
-                        help='of each link, or one for all; default: as much as margins allow')
-    parser.add_argument('--damping', type=float, default=1.0, metavar='D',
-                        help='of the pair of link poles, at least 1 (default: %(default)g)')
-    _add_demands(parser)
-    parser.add_argument('--amplitude', type=float, default=1.0, metavar='RAD',
-                        help='of the motions simulated (default: %(default)g)')
-    parser.add_argument('--verify', type=int, default=0, metavar='N',
-                        help='try the gains on N robots drawn from the uncertainty')
-    parser.add_argument('--intervals', metavar='FILE',
-                        help='report.json of gms_flex identify: draw from its intervals; what '
-                             'has none: friction and M 30 %%, K 20 %%')
-    parser.add_argument('--seed', type=int, default=0, metavar='N', help='of the draws')
-    add_batch_options(parser)
-    parser.add_argument('--out', required=True, metavar='DIR',
-                        help='controller.yaml, tuning.json, tuning.png, journal of --verify')
-    parser.add_argument('--json', action='store_true', help='print the result as JSON')
-    parser.set_defaults(run=run)
-
-
-def _add_demands(parser):
-    parser.add_argument('--gain-margin', type=float, default=2.0, metavar='TIMES',
-                        help='factor on the torque, up and down (default: %(default)g)')
-    parser.add_argument('--phase-margin', type=float, default=30.0, metavar='DEG',
-                        help='default: %(default)g')
-    parser.add_argument('--delay-margin', type=float, metavar='MS',
-                        help='further delay that the loop must tolerate (default: one sample)')
-    parser.add_argument('--noise', type=float, default=0.1, metavar='SHARE',
-                        help='of the torque limit that encoder noise may take as rms torque '
-                             '(default: %(default)g)')
-
-
-def run(args):
+def tune(args) -> int:
     """Propose, try, write, verify; return 1 where something asked is not met, else 0."""
-    import json
-
-    from gms_flex_control.files import write_text
-    from gms_flex_control.params.units import in_units
-    from gms_flex_control.tuning import words
-
-    robot, base, demands = asked(args)
-    intervals = intervals_asked(args)
+    robot, base, demands = _asked(args)
+    intervals = _intervals_asked(args)
     refuse_unwritable(args.out)
-    proposal, trials = proposed(robot, base, demands, args.amplitude)
+    proposal, trials = _proposed(robot, base, demands, args.amplitude)
     values = words.as_values(proposal, robot, demands.timing, trials)
     units = partial(in_units, robot.arm)
     if not args.json:
-        print(units(text_of(proposal, trials, robot, demands)))
+        print(units(_text_of(proposal, trials, robot, demands)))
     if not proposal.unmet:
         if args.verify:
-            values['verify'] = verified(robot, proposal.gains, demands, intervals, args)
+            values['verify'] = _verified(robot, proposal.gains, demands, intervals, args)
             if not args.json:
                 print(units(f"\n{words.verify_text(values['verify'], robot)}"))
-        write(args, robot, proposal, demands)
+        _write(args, robot, proposal, demands)
     write_text(Path(args.out) / 'tuning.json', json.dumps(values, indent=2) + '\n')
     if args.json:
         print(json.dumps(values, indent=2))
@@ -97,30 +63,11 @@ def run(args):
     return int(bool(proposal.unmet or found['lost'] or found['unstable']))
 
 
-def asked(args):
+def _asked(args):
     """Return robot, the controller to begin with, and the Demands of the command line."""
-    import math
-
-    from gms_flex_control.errors import ConfigError
-    from gms_flex_control.params.gains import ControllerParams
-    from gms_flex_control.resources import controller_file, robot_file
-    from gms_flex_control.schema.files import load_controller, load_robot
-    from gms_flex_control.tuning.linear_loop import Timing
-    from gms_flex_control.tuning.propose import Demands
-    import numpy as np
-
-    for name, value, least in (('rate', args.rate, 1.0), ('delay', args.delay, 0.0),
-                               ('damping', args.damping, 1.0), ('noise', args.noise, 1e-6),
-                               ('gain-margin', args.gain_margin, 1.0),
-                               ('phase-margin', args.phase_margin, 0.0),
-                               ('verify', args.verify, 0), ('amplitude', args.amplitude, 1e-6)):
-        if not least <= value < math.inf:
-            raise ConfigError(f'--{name} {value:g}: must be at least {least:g} and finite')
-    if args.delay > 50.0:
-        raise ConfigError(f'--delay {args.delay:g}: in milliseconds, at most 50')
     robot = load_robot(args.robot or robot_file())
     n = robot.n_joints
-    limit = per_joint('torque-limit', args.torque_limit, n)
+    limit = _per_joint('torque-limit', args.torque_limit, n)
     if args.controller or not args.robot:
         base = load_controller(args.controller or controller_file(), robot)
     elif limit is None:
@@ -136,29 +83,23 @@ def asked(args):
     further = timing.period if args.delay_margin is None else 1e-3 * args.delay_margin
     return robot, base, Demands(
         timing=timing, torque_limit=base.torque_limit if limit is None else limit,
-        damping=args.damping, bandwidth=per_joint('bandwidth', args.bandwidth, n),
+        damping=args.damping, bandwidth=_per_joint('bandwidth', args.bandwidth, n),
         gain=args.gain_margin, phase=math.radians(args.phase_margin), delay=further,
         noise=args.noise)
 
 
-def intervals_asked(args):
+def _intervals_asked(args):
     """Return the intervals to draw from (dict); raise ConfigError if nothing would be drawn."""
-    from gms_flex_control.errors import ConfigError
-    from gms_flex_control.tuning.uncertainty import read_intervals
-
     if not args.intervals:
         return {}
     if not args.verify:
         raise ConfigError(f'--intervals {args.intervals}: concerns the robots that --verify '
                           'draws; give --verify N as well, or leave it out')
-    return read_intervals(args.intervals)
+    return uncertainty.read_intervals(args.intervals)
 
 
-def per_joint(name, values, n):
+def _per_joint(name, values, n):
     """Return an option's values as (n,), one given value for all joints; None if not given."""
-    from gms_flex_control.errors import ConfigError
-    import numpy as np
-
     if values is None:
         return None
     if len(values) not in (1, n) or not all(0.0 < value < np.inf for value in values):
@@ -167,15 +108,9 @@ def per_joint(name, values, n):
     return np.broadcast_to(np.array(values, dtype=float), (n,)).copy()
 
 
-def proposed(robot, base, demands, amplitude):
+def _proposed(robot, base, demands, amplitude):
     """Return the Proposal, completed by what simulation shows, and Trials by mode and motion."""
-    from dataclasses import replace
-
-    from gms_flex_control.tuning.propose import propose
-    from gms_flex_control.tuning.trial import MOTIONS, try_gains
-    import numpy as np
-
-    proposal = propose(robot, base, demands)
+    proposal = propose.propose(robot, base, demands)
     reach, trials, unmet = np.full(robot.n_joints, amplitude), {}, []
     for mode in dict.fromkeys(('none', base.compensation)):
         gains = replace(proposal.gains, compensation=mode)
@@ -186,66 +121,46 @@ def proposed(robot, base, demands, amplitude):
             if trial.lost:
                 unmet.append(f'{motion}, compensation {mode}: the simulated robot was lost')
             else:
-                unmet += at_limit(run, robot, demands.torque_limit,
+                unmet += _at_limit(run, robot, demands.torque_limit,
                                   f'{motion}, compensation {mode}')
     return proposal._replace(unmet=tuple(dict.fromkeys([*proposal.unmet, *unmet]))), trials
 
 
-def at_limit(run, robot, limit, motion):
+def _at_limit(run, robot, limit, motion):
     """Return a sentence for each joint whose torque limit is met too often in a Run."""
-    import numpy as np
-
     share = np.mean(np.abs(run.command) >= limit, axis=0)
     return [f'{joint}: at the torque limit for {100 * share[j]:.0f} % of the {motion}; give a '
             'smaller --amplitude or a larger --torque-limit'
             for j, joint in enumerate(robot.joints) if share[j] > _MOST_AT_LIMIT]
 
 
-def text_of(proposal, trials, robot, demands):
+def _text_of(proposal, trials, robot, demands):
     """Return gains, margins, conditions and expected errors as lines of text."""
-    from gms_flex_control.cli import check_gains
-    from gms_flex_control.tuning import words
-
     return '\n'.join([
         words.gains_table(proposal.gains, robot),
         '\nMargins of the sampled loop, worst of all poses',
         words.margins_table(proposal.judgement, robot),
         *words.loop_lines(proposal.judgement, robot, demands.timing),
-        f'\n{check_gains.text(proposal.judgement.conditions)}',
+        f'\n{gains_text(proposal.judgement.conditions)}',
         f'\nSimulated, exact model\n{words.trials_table(trials, robot)}',
         *words.expected_lines(trials, proposal.judgement, robot),
         *(f'NOT MET: {sentence}' for sentence in proposal.unmet)])
 
 
-def verified(robot, gains, demands, intervals, args):
+def _verified(robot, gains, demands, intervals, args):
     """Return the summary of the draws asked for; finished ones are kept in --out."""
-    from gms_flex_control.batches.batch import run_batch
-    from gms_flex_control.batches.executor import open_executor
-    from gms_flex_control.batches.journal import digest_of, fingerprint, Journal
-    from gms_flex_control.schema.build import robot_values
-    from gms_flex_control.tuning import uncertainty, words
-    import numpy as np
-
     amplitude = np.full(robot.n_joints, args.amplitude)
     items = {f'draw {k}': uncertainty.Drawn(robot, gains, demands.timing, amplitude, intervals,
                                             args.seed, k) for k in range(args.verify)}
     digest = digest_of((robot_values(robot), words.controller_values(gains, robot.joints),
                         demands.timing, args.amplitude, intervals, args.seed))
-    journal = Journal(args.out, f'{fingerprint(SOURCES)} {digest}')
-    with open_executor(args.workers, args.scheduler) as executor:
-        found = run_batch(uncertainty.try_drawn, items, executor=executor, journal=journal,
-                          label='robots')
+    found = run_kept(uncertainty.try_drawn, items, args, f'{fingerprint(SOURCES)} {digest}',
+                     'robots')
     return uncertainty.summary(list(found.values()))
 
 
-def write(args, robot, proposal, demands):
+def _write(args, robot, proposal, demands):
     """Write controller.yaml and tuning.png."""
-    from gms_flex_control import __version__
-    from gms_flex_control.reports.figures import save_figure
-    from gms_flex_control.reports.tuning_figure import tuning_figure
-    from gms_flex_control.schema.files import save_values
-    from gms_flex_control.tuning import words
-
     out = Path(args.out)
     comment = '\n'.join([
         f'Gains proposed by gms_flex tune {__version__} for {args.rate:g} Hz and '
@@ -255,3 +170,66 @@ def write(args, robot, proposal, demands):
     save_values(words.controller_values(proposal.gains, robot.joints), out / 'controller.yaml',
                 comment=comment)
     save_figure(tuning_figure(robot, proposal.gains, demands.timing), out / 'tuning.png')
+
+
+def check_gains(args) -> int:
+    """Print the conditions on the gains; return 0, or 1 where one does not hold."""
+    robot = load_robot(args.robot or robot_file())
+    report = check(load_controller(args.controller or controller_file(), robot), robot)
+    if args.json:
+        print(json.dumps(_gains_values(report), indent=2, allow_nan=False))
+    else:
+        print(gains_text(report))
+    return 0 if report.met else 1
+
+
+def _gains_values(report):
+    """Return a GainReport as plain values; an infinite bound becomes None."""
+    conditions = [{**asdict(c), 'met': c.met} for c in report.conditions]
+    return {'met': report.met, 'conditions': conditions,
+            'alpha': dict(zip(report.joints, report.alpha.tolist(), strict=True)),
+            'mass_eigenvalues': report.mass_range, 'n1_eigenvalues': report.energy_range,
+            'disturbance_bound': report.disturbance,
+            'residual_bound': report.residual if math.isfinite(report.residual) else None}
+
+
+def gains_text(report) -> str:
+    """Return a GainReport as a table and a few lines."""
+    rows = [('joint', 'condition', 'value', 'limit', 'verdict')]
+    for c in report.conditions:
+        verdict = 'ok' if c.met else 'VIOLATED'
+        if not c.met and c.kind == 'gershgorin':
+            verdict = 'not met (sufficient only)'
+        rows.append((c.joint, f'{c.condition}  ({_KINDS[c.kind]})', f'{c.value:.5g}',
+                     f'{c.limit:.5g}', verdict))
+    widths = [max(len(row[i]) for row in rows) for i in range(5)]
+    lines = [f'{row[0]:<{widths[0]}}  {row[1]:<{widths[1]}}  {row[2]:>{widths[2]}}  '
+             f'{row[3]:>{widths[3]}}  {row[4]}'.rstrip() for row in rows]
+    alphas = ', '.join(f'{joint} {alpha:.5g}'
+                       for joint, alpha in zip(report.joints, report.alpha, strict=True))
+    low, high = report.mass_range
+    bottom, top = report.energy_range
+    return '\n'.join([
+        *lines, '',
+        f'alpha, smallest eigenvalue of N_2 (37): {alphas}',
+        f'eigenvalues over all configurations: M {low:.5g} to {high:.5g} kg m^2, '
+        f'N_1 (34) {bottom:.5g} to {top:.5g}',
+        *_bound_lines(report)])
+
+
+def _bound_lines(report):
+    """Return the residual set (43) of a GainReport, and what it is worth, as lines of text."""
+    if not math.isfinite(report.residual):
+        return ['residual set (43): none, because N_2 is not positive definite; stability is not '
+                'guaranteed']
+    bottom, top = report.energy_range
+    pushed, spread = report.disturbance / report.alpha.min(), math.sqrt(top / bottom)
+    return [
+        'residual set (43): the norm of all errors together (angles, rates, block torques) ends '
+        f'below {report.residual:.4g}.',
+        '  Not a prediction: it assumes the largest error of all friction, at once and for ever, '
+        'against the weakest',
+        f'  damping (D_bar / alpha = {report.disturbance:.4g} / {report.alpha.min():.4g} = '
+        f'{pushed:.3g}), and all of that energy in the lightest',
+        f'  error (sqrt(lmax / lmin of N_1) = {spread:.3g}). Simulate what to expect: gms_flex '
+        'tune, simulate']

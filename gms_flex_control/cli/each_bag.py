@@ -2,21 +2,31 @@
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Many bags, each by itself: a folder of its own for each, whole or not there, and a journal."""
-
 from collections import Counter
 from contextlib import contextmanager
 from functools import partial
+import json
 import os
 from pathlib import Path
 import shutil
+import traceback
 from typing import NamedTuple
 from uuid import uuid4
 
+from gms_flex_control.batches.batch import run_batch
+from gms_flex_control.batches.journal import content_of, digest_of, Journal
+from gms_flex_control.batches.workers import open_executor
+from gms_flex_control.blas import alone_in_one_thread
 from gms_flex_control.cli.output import conclude
+from gms_flex_control.errors import BatchError, ConfigError, GmsFlexError, own_warnings
 from gms_flex_control.files import write_text
+from gms_flex_control.identification.over_bags import over_bags
+from gms_flex_control.reports.over_bags import bags_csv, over_bags_answer, spread_csv, summary
 
 MARK = '.gms_flex_each'  # in a folder of results: what they are the results of
 _UNFINISHED = 'unfinished'
+ONLY_WITH_EACH = ('--workers and --scheduler divide many bags; add --each, or leave them out: '
+                  'bags analysed together are one problem')
 
 
 class Place(NamedTuple):
@@ -48,28 +58,14 @@ def _set_mark(folder, mark, files):
     write_text(folder / MARK, '\n'.join([mark, *sorted(files)]) + '\n')
 
 
-def names_of(bags):
+def names_of(bags) -> dict:
     """
-    Return a name for each bag that no other bag has.
+    Return absolute paths of bags by a name that no other bag has.
 
-    Parameters
-    ----------
-    bags : sequence of str
-        Paths.
-
-    Returns
-    -------
-    dict of str to str
-        Absolute paths by name: that of the folder, or of the file without suffix; where two have
-        it in common, with the folders above in front, such as ``monday_run`` and ``friday_run``.
-
-    Raises
-    ------
-    ConfigError
-        If a bag was given twice, or no folder above tells two apart.
-
+    It is that of the folder, or of the file without suffix; where two have it in common, with
+    the folders above in front, such as ``monday_run`` and ``friday_run``. ConfigError is raised
+    if a bag was given twice, or no folder above distinguishes two.
     """
-    from gms_flex_control.errors import ConfigError
     paths = [os.path.abspath(bag) for bag in bags]
     if again := _twice(paths):
         raise ConfigError(f'{paths[again[-1]]} was given twice; name each bag once')
@@ -91,35 +87,18 @@ def _name(path, depth):
 
 
 def _twice(values):
-    """Return the places of values that stand elsewhere as well."""
+    """Return the indices of values that occur more than once."""
     count = Counter(values)
     return [place for place, value in enumerate(values) if count[value] > 1]
 
 
-def places_of(bags, out, asked):
+def places_of(bags, out: str, asked: str) -> dict:
     """
-    Return where the results of each bag go, by a key that changes when the bag does.
+    Return the Place of each bag, by a key that changes when the bag does.
 
-    Parameters
-    ----------
-    bags : sequence of str
-        Paths.
-    out : str
-        Folder of all results.
-    asked : str
-        What results depend on beside the bag.
-
-    Returns
-    -------
-    dict of str to Place
-
-    Raises
-    ------
-    ConfigError
-        If two bags cannot be told apart, or a folder of that name is somebody else's.
-
+    ``out`` is the folder of all results, ``asked`` what they depend on beside the bag.
+    ConfigError is raised if two bags have one name, or a folder of that name is somebody else's.
     """
-    from gms_flex_control.batches.journal import content_of, digest_of
     places = {}
     for name, bag in names_of(bags).items():
         key = f'{name} {digest_of((bag, content_of(bag)))}'
@@ -130,7 +109,6 @@ def places_of(bags, out, asked):
 
 
 def _refuse_foreign(folder):
-    from gms_flex_control.errors import ConfigError
     if folder.exists() and not (folder.is_dir() and (
             _marked(folder) or not any(folder.iterdir()))):
         raise ConfigError(f'{folder} exists and holds no results of --each: name another --out')
@@ -168,15 +146,15 @@ def _replace_files(made, place, files):
     _set_mark(place.folder, place.mark, files)
 
 
-def remove_parts(out):
+def _remove_parts(out):
     """Remove what workers that were killed had begun to write."""
     for part in Path(out).glob(f'.*.{"[0-9a-f]" * 32}.part'):
         shutil.rmtree(part, ignore_errors=True)
 
 
-def run_each(args, function, items, asked):
+def run_each(args, function, items: dict, asked: str) -> dict:
     """
-    Return what a function says of each bag; a bag whose results are there is not done again.
+    Return what a function says of each bag, by name; a bag whose results are there is skipped.
 
     Parameters
     ----------
@@ -190,15 +168,7 @@ def run_each(args, function, items, asked):
     asked : str
         As `places_of`.
 
-    Returns
-    -------
-    dict of str to dict
-        By the names of the bags, in their order.
-
     """
-    from gms_flex_control.batches.batch import run_batch
-    from gms_flex_control.batches.executor import open_executor
-    from gms_flex_control.batches.journal import Journal
     workers = 2 if args.workers is None else args.workers
     with open_executor(workers, args.scheduler) as executor:
         journal = Journal(args.out, asked)
@@ -212,36 +182,17 @@ def run_each(args, function, items, asked):
                               journal=journal, label='bags',
                               lost=lambda error: {'reason': str(error)})
         finally:
-            remove_parts(args.out)
+            _remove_parts(args.out)
     return {items[key].place.name: values for key, values in found.items()}
 
 
-def reason_or(function, item):
+def reason_or(function, item) -> dict:
     """
-    Return what a function says of the bag of an item, or why it says nothing.
+    Return what a function says of the bag of an item, or why it says nothing, as ``reason``.
 
-    Parameters
-    ----------
-    function : callable
-        Takes the item, returns a dict.
-    item : object
-        With its Place as ``place``.
-
-    Returns
-    -------
-    dict
-        With ``warnings`` of reading before those of the function; or with ``reason`` alone.
-
-    Raises
-    ------
-    BatchError
-        If the folder of all results is not to be seen from here: no bag could be written.
-
+    ``warnings`` of reading come before those of the function. BatchError is raised if the folder
+    of all results is not visible from here: no bag could be written.
     """
-    import traceback
-
-    from gms_flex_control.errors import BatchError, GmsFlexError
-
     if not Path(item.place.out).is_dir():
         raise BatchError(f'--out {item.place.out}: a worker of the cluster does not see this '
                          'folder; name one on a disk that all machines share')
@@ -257,38 +208,14 @@ def reason_or(function, item):
 
 
 def _with_warnings(function, item):
-    from gms_flex_control.blas import alone_in_one_thread
-    from gms_flex_control.errors import own_warnings
     with alone_in_one_thread(), own_warnings() as caught:
         values = function(item)
     told = [*(str(one.message) for one in caught), *values.get('warnings', ())]
     return values | {'warnings': list(dict.fromkeys(told))}
 
 
-def write_summary(args, found, text):
-    """
-    Write all bags side by side into --out, and print them.
-
-    Parameters
-    ----------
-    args : Namespace
-        Of the verb: out, json.
-    found : dict of str to dict
-        From `run_each`.
-    text : callable
-        Takes ``found`` and rows of OverBags, returns what is printed without --json.
-
-    """
-    import json
-
-    from gms_flex_control.identification.over_bags import over_bags
-    from gms_flex_control.reports.over_bags import (
-        bags_csv,
-        over_bags_answer,
-        spread_csv,
-        summary,
-    )
-
+def write_summary(args, found: dict, text) -> None:
+    """Write all bags of `run_each` side by side into --out; print ``text(found, rows)``."""
     rows = over_bags({name: values for name, values in found.items()
                       if values['reason'] is None})
     values, out = summary(found, rows), Path(args.out)

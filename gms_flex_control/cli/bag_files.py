@@ -1,0 +1,47 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""The verbs on bag files: `info`, `record`, `repair`."""
+
+import json
+import sys
+
+from gms_flex_control.cli.output import import_ros
+
+
+def info(args) -> int:
+    """Print the summary of a bag; return 0, or 1 for a damaged bag."""
+    from gms_flex_control.bags.summary import summarise
+    summary = summarise(args.bag)
+    print(json.dumps(summary.as_dict(), indent=2) if args.json else summary.text())
+    return 0 if summary.sound else 1
+
+
+def repair(args) -> int:
+    """Repair a bag and print what was done; return 0, or 1 if messages were lost."""
+    from gms_flex_control.bags.repair import repair_bag
+    result = repair_bag(args.bag, args.out)
+    print(json.dumps(result.as_dict(), indent=2) if args.json else result.text())
+    return 0 if result.lost == 0 else 1
+
+
+def record(args) -> int:
+    """Record topics and print the counts; return 0, or 1 if nothing was received."""
+    recorder = import_ros('gms_flex_control.nodes.recorder')
+    counts = recorder.record(args.out, None if args.all else args.topics, duration=args.duration,
+                             say=(lambda _: None) if args.json else _say)
+    total = sum(counts.values())
+    if args.json:
+        print(json.dumps({'bag': args.out, 'messages': counts}, indent=2))
+    else:
+        for name, count in counts.items():
+            _say(f'  {name}  {count}')
+        _say(f'{args.out}: {total} messages')
+    if not total:
+        print('gms_flex record: nothing was received; are the publishers running, in this '
+              'ROS_DOMAIN_ID, under these names? (ros2 topic list)', file=sys.stderr)
+    return 0 if total else 1
+
+
+def _say(text):
+    print(text, flush=True)

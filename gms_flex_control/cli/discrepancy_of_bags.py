@@ -1,0 +1,219 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""The verb `discrepancy`: what a model lacks, from bags together or each by itself."""
+
+from argparse import Namespace
+import json
+import os
+from pathlib import Path
+import sys
+from textwrap import fill
+from typing import NamedTuple
+
+from gms_flex_control.batches.journal import content_of, digest_of, fingerprint
+from gms_flex_control.cli import each_bag
+from gms_flex_control.cli.identify_bags import read_take
+from gms_flex_control.cli.output import conclude, refuse_fitted, refuse_unwritable, say
+from gms_flex_control.discrepancy.closed_loop import stretch_of, with_closed_loop
+from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE
+from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
+from gms_flex_control.effects import registry
+from gms_flex_control.errors import BagError, ConfigError
+from gms_flex_control.reports import discrepancy_values as files
+from gms_flex_control.reports.discrepancy import (
+    discrepancy_answer,
+    units_of,
+    write_discrepancy_report,
+)
+from gms_flex_control.reports.model_comparison import as_found, compare, comparison_text
+from gms_flex_control.reports.over_bags import discrepancy_text
+from gms_flex_control.schema.files import load_controller, load_robot
+import numpy as np
+
+_WIDTH = 96
+_MADE = ('robot.yaml', 'gap.png', 'evidence_*.png', 'map_*.png', 'over_*.png')  # not by every run
+_FILES = ('robot', 'models', 'controller', 'holdout')  # options that name files
+_OPTIONS = ('max_effects', 'without', 'doubt', 'force')
+
+
+def discrepancy_verb(args) -> int:
+    """Compare, write and print; return the exit code of the verdict."""
+    _refuse_out(Path(args.out), args)
+    refuse_fitted(args.bags, args.holdout)
+    _options_of(args)
+    if args.each:
+        return _run_each(args)
+    if args.workers is not None or args.scheduler is not None:
+        raise ConfigError(each_bag.ONLY_WITH_EACH)
+    result, compared, holdout = _answered(args)
+    values = _write_files(result, compared, holdout, args)
+    return _printed(result, compared, values, args)
+
+
+def _answered(args):
+    """Return the Discrepancy of --robot with bags, Compared models, recordings held out."""
+    options, robot = _options_of(args), load_robot(args.robot)
+    others = _models_of(args, robot)
+    takes, holdout = ([read_take(path, robot)[0] for path in paths]
+                      for paths in (args.bags, args.holdout))
+    result = _looped(args, robot, holdout or takes,
+                    lambda: _searched(takes, robot, options, holdout, args))
+    compared = ()
+    if others and result.behind is not None:
+        compared = compare(result, [('as given', robot), ('with what was found', as_found(result)),
+                                    *others], holdout)
+    return result, compared, holdout
+
+
+def _searched(takes, robot, options, holdout, args):
+    """Return the Discrepancy; raise BagError where forced data leave no number to go on with."""
+    try:
+        return find_discrepancy(takes, robot, options, holdout=holdout, say=_progress(args))
+    except (np.linalg.LinAlgError, ValueError) as error:
+        if not args.force:
+            raise
+        raise BagError(f'{", ".join(args.bags)}: no model can be fitted to these data ({error}); '
+                       'without --force their faults are listed; correct those first') from error
+
+
+def _looped(args, robot, recordings, search):
+    """Return what ``search`` finds, with the closed loop of --controller; refuse before it."""
+    if not args.controller:
+        return search()
+    gains = load_controller(args.controller, robot)
+    for recording in recordings:
+        stretch_of(recording)
+    return with_closed_loop(search(), recordings, gains)
+
+
+def _write_files(result, compared, holdout, args):
+    """Write all files into --out; return the values of report.json."""
+    out = Path(args.out)
+    values = files.report_values(result, holdout=args.holdout, models=compared)
+    earlier = _earlier(out)
+    written = write_discrepancy_report(result, out, holdout=holdout, models=compared)
+    if result.robot is not None:
+        files.write_robot(result, out / 'robot.yaml')
+        written.append(out / 'robot.yaml')
+    for path in set(earlier) - set(written):  # no longer true
+        path.unlink()
+    files.write_report_values(values, out / 'report.json')  # at last
+    return values
+
+
+def _earlier(out):
+    """Return the files in ``out`` that an earlier run of this verb has made."""
+    try:
+        told = json.loads((out / 'report.json').read_text())
+    except (OSError, ValueError):
+        return []
+    if not isinstance(told, dict) or 'verdict' not in told:  # of another verb
+        return []
+    return [path for pattern in _MADE for path in out.glob(pattern)]
+
+
+def _printed(result, compared, values, args):
+    """Print the words or the report; return the exit code."""
+    out, bad, words = Path(args.out), result.verdict == BAD_DATA, units_of(result)(result.words)
+    if args.json:
+        print(files.as_json(values))
+    else:
+        stream = sys.stderr if bad else sys.stdout
+        print(fill(f'gms_flex discrepancy: {words}' if bad else words, _WIDTH,
+                   break_on_hyphens=False), file=stream)
+    if not args.json and not bad:
+        if compared:
+            print(units_of(result)(f'\n{comparison_text(compared, result.gap.joints)}'))
+        conclude(discrepancy_answer(result, out), {
+            'model': out / 'robot.yaml', 'report': out / 'report.html',
+            'numbers': out / 'report.json'}, units_of(result))
+    return 2 if bad else int(result.verdict != COMPLETE)
+
+
+def _options_of(args):
+    """Return the Options that the arguments ask for."""
+    chosen = {'force': args.force, 'doubt': args.doubt, 'without': tuple(args.without)}
+    for name in args.without:
+        registry.find(name)
+    if args.max_effects is not None:
+        chosen['most'] = args.max_effects
+    return Options(**chosen)
+
+
+def _refuse_out(out, args):
+    """Raise ConfigError if the results cannot go to ``out``."""
+    refuse_unwritable(out)
+    target = (out / 'robot.yaml').resolve()
+    for file in (*args.robot, *args.models):
+        if Path(file).resolve() == target:
+            raise ConfigError(f'{file} would be overwritten by the model that is found; name '
+                              'another folder as --out')
+
+
+def _models_of(args, robot):
+    """Return name and model of each file of --models."""
+    models = []
+    for file in args.models:
+        model = load_robot(file)
+        if model.joints != robot.joints or tuple(model.arm.rigid) != tuple(robot.arm.rigid):
+            raise ConfigError(f'{file}: its joints {", ".join(model.joints)}, flexible or rigid, '
+                              f'are not those of --robot ({", ".join(robot.joints)})')
+        models.append((str(file), model))
+    return models
+
+
+def _progress(args):
+    """Return what tells progress: on a terminal only, and beside the results."""
+    return (lambda text: None) if args.json else lambda text: say(f'  {text} ...')
+
+
+class BagItem(NamedTuple):
+    """A bag to be asked, perhaps in another process."""
+
+    place: each_bag.Place
+    asked: dict  # options of the verb by name, files as absolute paths
+
+
+def _run_each(args):
+    """Ask each bag, write, print; return 1 if one finds something or is bad, else 0."""
+    items, asked = items_of(args)
+    found = each_bag.run_each(args, ask_bag, items, asked)
+    each_bag.write_summary(args, found, discrepancy_text)
+    return int(any(values.get('verdict') != COMPLETE for values in found.values()))
+
+
+def items_of(args) -> tuple[dict, str]:
+    """Return the items of a batch by key, and what their results depend on beside the bag."""
+    robot = load_robot(args.robot)  # says now what is wrong with it
+    _models_of(args, robot)
+    if args.controller:
+        load_controller(args.controller, robot)
+    options = {name: getattr(args, name) for name in (*_FILES, *_OPTIONS)}
+    for name in _FILES:
+        options[name] = [os.path.abspath(path) for path in options[name]]
+    contents = [(path, content_of(path)) for name in _FILES for path in options[name]]
+    asked = f'{fingerprint()} {digest_of((sorted(options.items()), contents))}'
+    places = each_bag.places_of(args.bags, args.out, asked)
+    _refuse_own(places.values(), options)
+    return {key: BagItem(place, options) for key, place in places.items()}, asked
+
+
+def _refuse_own(places, options):
+    """Raise ConfigError if a file that is asked with is one that the results replace."""
+    folders = {place.folder.resolve() for place in places}
+    for name in _FILES:
+        for file in options[name]:
+            if folders & set(Path(file).resolve().parents):
+                raise ConfigError(f'{file} lies in the folder of results of a bag, which may '
+                                  'replace it; copy it elsewhere, or name another folder as --out')
+
+
+def ask_bag(item: BagItem) -> dict:
+    """Ask the bag of a BagItem what the model lacks, write the results, return them (dict)."""
+    args = Namespace(**item.asked, bags=[item.place.bag], json=True)
+    result, compared, holdout = _answered(args)
+    with each_bag.whole(item.place) as folder:
+        args.out = folder
+        _write_files(result, compared, holdout, args)
+    return files.over_bags_values(result)

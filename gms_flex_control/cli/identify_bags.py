@@ -1,0 +1,154 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""The verb `identify`: friction parameters from bags, together or each by itself."""
+
+from dataclasses import replace
+from functools import partial
+import json
+import os
+from pathlib import Path
+from typing import NamedTuple
+
+from gms_flex_control.bags.names import link_names, MOTOR_SUFFIX
+from gms_flex_control.bags.phases import read_experiment
+from gms_flex_control.bags.reader import joint_names
+from gms_flex_control.batches.journal import content_of, digest_of, fingerprint
+from gms_flex_control.cli import each_bag
+from gms_flex_control.cli.output import conclude, refuse_fitted, refuse_unwritable, say
+from gms_flex_control.errors import ConfigError
+from gms_flex_control.identification.coordinates import MOST_BLOCKS
+from gms_flex_control.identification.identify import identify, Options
+from gms_flex_control.identification.output import report_json, write_friction, write_report_json
+from gms_flex_control.identification.over_bags import bag_values
+from gms_flex_control.identification.unknown_robot import only_joints, rigid_joints
+from gms_flex_control.params.units import in_units
+from gms_flex_control.reports import over_bags
+from gms_flex_control.reports.identification import (
+    identification_answer,
+    write_identification_report,
+)
+from gms_flex_control.reports.identification_text import identification_text
+from gms_flex_control.schema.build import robot_values
+from gms_flex_control.schema.files import load_robot
+
+
+def identify_verb(args) -> int:
+    """Identify, write and print; return 0, with --each 1 if a bag could not be identified."""
+    refuse_unwritable(args.out)
+    refuse_fitted(args.bags, args.holdout)
+    if args.each:
+        return _run_each(args)
+    if args.workers is not None or args.scheduler is not None:
+        raise ConfigError(each_bag.ONLY_WITH_EACH)
+    robot, options, out = _robot_of(args), _options_of(args), Path(args.out)
+    found = _identified(args.bags, args.holdout, robot, options, args.robot is not None,
+                       say=(lambda _: None) if args.json else say)
+    _write_results(found, out, args.robot or ())
+    if args.json:
+        print(json.dumps(report_json(found), indent=2, allow_nan=False))
+        return 0
+    words = partial(in_units, found.robot.arm)
+    print(words(identification_text(found)))
+    conclude(identification_answer(found, out, args.robot or ()), {
+        'parameters': out / 'friction.yaml', 'report': out / 'report.html',
+        'numbers': out / 'report.json'}, words)
+    return 0
+
+
+def _identified(bags, holdouts, robot, options, described, **further):
+    """Return the Identification of bags fitted together; ``further`` as that of `identify`."""
+    takes, apart = ([read_take(path, robot, not described) for path in paths]
+                    for paths in (bags, holdouts))
+    found = identify(takes, robot, holdouts=apart, options=options, **further)
+    return replace(found, described=described)
+
+
+def _write_results(found, out, robot=()):
+    """Write all files of an Identification of a robot file into the folder ``out``."""
+    write_friction(found, out / 'friction.yaml')
+    write_report_json(found, out / 'report.json')
+    write_identification_report(found, out, robot=robot)
+
+
+def _options_of(args):
+    """Return the Options that the arguments ask for."""
+    chosen = {'method': args.method, 'force': args.force,
+              'estimate': 'all' if args.robot is None else args.estimate}
+    if args.blocks:
+        wrong = [n for n in args.blocks if not 1 <= n <= MOST_BLOCKS]
+        if wrong:
+            raise ConfigError(f'--blocks {wrong[0]}: give numbers from 1 to {MOST_BLOCKS}')
+        chosen['blocks'] = tuple(sorted(set(args.blocks)))
+    return Options(**chosen)
+
+
+def _robot_of(args):
+    """Return the robot of the arguments; without a file, rigid axes named as in the bag."""
+    if args.robot is None:
+        return _robot_in(args.bags[0], args.joints)
+    robot = load_robot(args.robot)
+    return only_joints(robot, args.joints) if args.joints else robot
+
+
+def _robot_in(bag, joints=None):
+    """Return rigid axes of unknown inertia, as many as the bag has links or ``joints`` name."""
+    return rigid_joints(joints or link_names(joint_names(bag)))
+
+
+def read_take(path, robot, guess_motors: bool = False) -> tuple:
+    """Return a bag as (Recording, phases), motors by their names in the bag if to be guessed."""
+    return read_experiment(path, robot.joints, None if guess_motors else motors_in(path, robot))
+
+
+def motors_in(path, robot) -> tuple[str, ...]:
+    """
+    Return the motor names of the robot that the bag has, '' for the others.
+
+    A rigid joint needs none, but a bag may still give its torque as that of a motor.
+    """
+    names = joint_names(path)
+    wanted = (motor or joint + MOTOR_SUFFIX
+              for joint, motor in zip(robot.joints, robot.motors, strict=True))
+    return tuple(motor if motor in names else '' for motor in wanted)
+
+
+class BagItem(NamedTuple):
+    """A bag to be identified, perhaps in another process."""
+
+    place: each_bag.Place
+    robot: object     # RobotParams; None: rigid axes named as in the bag
+    joints: tuple     # to take from the bag; empty: all
+    holdouts: tuple   # of str, absolute paths
+    options: object   # identification.identify.Options
+
+
+def _run_each(args):
+    """Identify each bag, write, print; return 1 if one could not be identified, else 0."""
+    items, asked = items_of(args)
+    found = each_bag.run_each(args, identify_bag, items, asked)
+    each_bag.write_summary(args, found, over_bags.identification_text)
+    return int(any(values['reason'] is not None for values in found.values()))
+
+
+def items_of(args) -> tuple[dict, str]:
+    """Return the items of a batch by key, and what their results depend on beside the bag."""
+    options = _options_of(args)
+    robot = None if args.robot is None else _robot_of(args)
+    holdouts = tuple(os.path.abspath(path) for path in args.holdout)
+    joints = tuple(args.joints or ())
+    asked = f'{fingerprint()} ' + digest_of((
+        robot and robot_values(robot), joints, options,
+        [(path, content_of(path)) for path in holdouts]))
+    return {key: BagItem(place, robot, joints, holdouts, options)
+            for key, place in each_bag.places_of(args.bags, args.out, asked).items()}, asked
+
+
+def identify_bag(item: BagItem) -> dict:
+    """Identify the bag of a BagItem and write its results; return `bag_values` (dict)."""
+    place, described = item.place, item.robot is not None
+    robot = item.robot if described else _robot_in(place.bag, item.joints)
+    found = _identified([place.bag], item.holdouts, robot, item.options, described)
+    with each_bag.whole(place) as folder:
+        _write_results(found, folder)
+    return {'reason': None, **bag_values(found)}

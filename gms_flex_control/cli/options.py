@@ -1,0 +1,156 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Options that verbs share, and how a verb of the table becomes a parser."""
+
+from argparse import RawDescriptionHelpFormatter
+from functools import partial
+from importlib import import_module
+import textwrap
+from typing import NamedTuple
+
+from gms_flex_control.errors import ConfigError
+
+_WIDTH = 79
+
+
+class Option(NamedTuple):
+    """One argument of a verb; see `option`."""
+
+    names: tuple
+    settings: dict      # of ArgumentParser.add_argument
+    least: float | None
+    most: float | None
+    completer: object
+
+
+class OneOf(NamedTuple):
+    """Options of which exactly one is given."""
+
+    options: tuple
+
+
+class Verb(NamedTuple):
+    """A verb of the tool."""
+
+    name: str
+    run: str             # 'module.function' below gms_flex_control.cli, takes the arguments
+    help: str
+    description: str
+    options: tuple       # of Option or OneOf
+    examples: tuple      # of str, without the name of the tool
+
+
+def option(*names: str, least: float | None = None, most: float | None = None,
+           completer=None, **settings) -> Option:
+    """
+    Return an argument of a verb.
+
+    Parameters
+    ----------
+    *names, **settings
+        As of ``ArgumentParser.add_argument``.
+    least, most : float, optional
+        Closed range of a number, or of each of several.
+    completer : callable, optional
+        Returns what argcomplete offers, which offers files otherwise.
+
+    """
+    return Option(names, settings, least, most, completer)
+
+
+ROBOT = option('--robot', nargs='+', metavar='FILE',
+               help='robot files, later ones winning, such as robot.yaml friction.yaml; default: '
+                    'the arm of the paper')
+CONTROLLER = option('--controller', nargs='+', metavar='FILE',
+                    help='controller files, such as of gms_flex tune; default: the gains of the '
+                         'paper')
+BAG = option('bag', help='bag folder or file (mcap or sqlite3, plain or zstd)')
+LINKS = option('--joints', nargs='+', metavar='NAME', help='link names in the bags')
+MOTORS = option('--motors', nargs='+', metavar='NAME', help='motor names in the bags')
+OUT_FILE = option('--out', metavar='FILE', help='default: print it')
+FORCE = option('--force', action='store_true', help='go on in spite of faults in the data')
+JSON = option('--json', action='store_true', help='print the result as JSON instead of text')
+SCHEDULER = option('--scheduler', metavar='ADDRESS',
+                   help='work on a running Dask cluster instead, such as tcp://host:8786 '
+                        "(pip install '.[dask]')")
+BATCH = (option('--workers', type=int, default=2, metavar='N',
+                help='processes of this machine (default: 2)'), SCHEDULER)
+BATCH_OF_EACH = (option('--workers', type=int, metavar='N',
+                        help='of --each: processes of this machine (default: 2)'), SCHEDULER)
+
+
+def out_folder(what: str, default: str | None = None) -> Option:
+    """Return the option --out of a folder that holds ``what``, required without a default."""
+    if default is None:
+        return option('--out', required=True, metavar='DIR', help=what)
+    return option('--out', default=default, metavar='DIR', help=f'{what} (default: {default})')
+
+
+def each_bag(more: str = '') -> Option:
+    """Return the option --each; its help ends with ``more``."""
+    return option('--each', action='store_true',
+                  help='each bag by itself into DIR/NAME OF THE BAG, all side by side in '
+                       f'DIR/summary.json, summary.csv and spread.csv{more}')
+
+
+def add_options(parser, options) -> None:
+    """Add Options and OneOfs to a parser or group."""
+    for one in options:
+        if isinstance(one, OneOf):
+            add_options(parser.add_mutually_exclusive_group(required=True), one.options)
+            continue
+        action = parser.add_argument(*one.names, **one.settings)
+        if one.completer is not None:
+            action.completer = one.completer
+        if one.least is not None or one.most is not None:
+            parser.set_defaults(ranges=(*(parser.get_default('ranges') or ()), (action, one)))
+
+
+def add_verb(verb: Verb, subparsers) -> None:
+    """Add the parser of a verb, which imports the verb's module when it runs."""
+    parser = subparsers.add_parser(verb.name, help=verb.help, description=verb.description)
+    add_options(parser, verb.options)
+    parser.set_defaults(run=partial(_run, verb.run))
+
+
+def _run(place, args):
+    """Run a verb with its arguments; return the exit code."""
+    module, _, function = place.partition('.')
+    for action, one in getattr(args, 'ranges', ()):
+        _require_range(action.option_strings[0], getattr(args, action.dest), one.least, one.most)
+    return getattr(import_module(f'gms_flex_control.cli.{module}'), function)(args)
+
+
+def _require_range(name, value, least, most):
+    """Raise ConfigError unless a number, or each of several, is in its range and finite."""
+    for number in value if isinstance(value, list) else [value]:
+        if number is None:
+            continue
+        if (not float('-inf') < number < float('inf') or least is not None and number < least
+                or most is not None and number > most):
+            allowed = ' and '.join([*([f'at least {least:g}'] if least is not None else []),
+                                    f'at most {most:g}' if most is not None else 'finite'])
+            raise ConfigError(f'{name} {number:g}: must be {allowed}')
+
+
+def add_examples(parsers: dict, examples: dict) -> None:
+    """Put examples, commands by verb, at the end of the help of verbs; parsers by verb."""
+    for name, parser in parsers.items():
+        lines = [line for example in examples.get(name, ()) for line in _broken(example)]
+        if lines:
+            parser.description = textwrap.fill(parser.description, _WIDTH)
+            parser.epilog = '\n'.join(['examples:', *(f'  {line}' for line in lines)])
+            parser.formatter_class = RawDescriptionHelpFormatter
+
+
+def _broken(example):
+    """Return a command in lines that a shell takes as they are."""
+    lines = textwrap.wrap(example, _WIDTH - 4, subsequent_indent='    ', break_on_hyphens=False,
+                          break_long_words=False)
+    return [f'{line} \\' for line in lines[:-1]] + lines[-1:]
+
+
+def add_batch_options(parser) -> None:
+    """Add --workers and --scheduler to a parser."""
+    add_options(parser, BATCH)

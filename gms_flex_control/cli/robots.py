@@ -1,0 +1,139 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""The verbs on robot files: `simulate`, `effects`, `export`, `urdf`."""
+
+from itertools import product
+import json
+from pathlib import Path
+
+from gms_flex_control.answer import command
+from gms_flex_control.cli.output import write_or_print
+from gms_flex_control.effects import registry
+from gms_flex_control.errors import ConfigError
+from gms_flex_control.experiment.plan import read_plan
+from gms_flex_control.experiment.simulated import simulate_to_bag
+from gms_flex_control.exports import friction, mujoco, target
+from gms_flex_control.params.units import in_units
+from gms_flex_control.resources import controller_file, robot_file, share_path
+from gms_flex_control.schema.files import load_limits, load_robot
+from gms_flex_control.schema.urdf import robot_urdf
+import numpy as np
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
+
+
+def simulate(args) -> int:
+    """Simulate, write the bags and print the tracking errors; return 0."""
+    overrides = dict(parse_override(text) for text in args.overrides)
+    modes = args.compensation or [None]
+    several = len(args.trajectory) * len(modes) > 1
+    results = []
+    for motion, mode in product(args.trajectory, modes):
+        files = [*(args.robot or [robot_file()]), args.controller or controller_file(),
+                 trajectory_file(motion)]
+        chosen = overrides | ({'compensation': mode} if mode else {})
+        plan = read_plan(files, model=args.model, overrides=chosen, duration=args.duration)
+        name = f'{Path(motion).stem}_{plan.gains.compensation}'
+        bag = Path(args.out) / name if several else Path(args.out)
+        outcome = simulate_to_bag(plan, bag)
+        error = outcome.q_link - outcome.reference[:, 0]
+        results.append({'bag': str(bag), 'trajectory': plan.motion,
+                        'compensation': plan.gains.compensation, 'duration': plan.duration,
+                        'mse': np.mean(error ** 2, axis=0).tolist()})
+        if not args.json:
+            shown = '  '.join(f'{value:.3g}' for value in results[-1]['mse'])
+            square = in_units(plan.robot.arm, 'rad^2')
+            print(f'{bag}: {plan.motion}, {plan.gains.compensation}, {plan.duration:g} s, '
+                  f'MSE per link [{square}]  {shown}')
+    if args.json:
+        print(json.dumps(results, indent=2))
+        return 0
+    bags = [one['bag'] for one in results]
+    again = ('analyse', *bags, '--out', Path(args.out) / 'results') if several else ('view', *bags)
+    print(f'\nnext: {command(*again)}')
+    return 0
+
+
+def parse_override(text: str) -> tuple:
+    """Return name and value of ``name=value``, the value read as YAML; raise ConfigError."""
+    name, equals, value = text.partition('=')
+    if not equals or not name:
+        raise ConfigError(f'--set {text!r} must have the form NAME=VALUE')
+    try:
+        return name, YAML(typ='safe').load(value)
+    except YAMLError as error:
+        raise ConfigError(f'--set {name}: {value!r} is not a YAML value') from error
+
+
+def trajectory_file(name) -> Path:
+    """Return the path of a trajectory file given as a path or as a name from config/."""
+    if Path(name).suffix:
+        return Path(name)
+    path = share_path() / 'config' / f'{name}.yaml'
+    if not path.is_file():
+        raise ConfigError(f'--trajectory {name}: no such file in {path.parent}; give a path or '
+                          'one of sinusoid, polynomial')
+    return path
+
+
+def effects(args) -> int:
+    """Print the effects of the catalogue; return 0."""
+    found = [_effect_values(registry.find(name)) for name in args.names or registry.names()]
+    if args.json:
+        print(json.dumps(found, indent=2))
+        return 0
+    for entry in found:
+        print(f'{entry["name"]}: {entry["what"]}')
+        for one in entry['parameters']:
+            print(f'    {one["key"]}  [{one["unit"]}]  {one["meaning"]}')
+    return 0
+
+
+def _effect_values(kind):
+    """Return what is printed of an effect class, dict; JSON has no infinity."""
+    place = 'arm' if kind.whole_arm else '<joint>'
+    return {'name': kind.name, 'what': registry.in_words(kind.name), 'parameters': [
+        {'key': f'effects.{place}.{kind.name}.{one.name}', 'unit': one.unit,
+         'meaning': one.description} | {
+            name: bound if np.isfinite(bound) else None
+            for name, bound in (('lower', one.lower), ('upper', one.upper))}
+        for one in kind.parameters]}
+
+
+def export(args) -> int:
+    """Write or print a robot for another program; return 0."""
+    robot = load_robot(args.robot or robot_file())
+    write_or_print(_exported(robot, args), args.out, f'{robot.n_joints} joints')
+    return 0
+
+
+def _exported(robot, args):
+    if args.timestep is not None and (args.to != 'mujoco' or not 0.0 < args.timestep < 1.0):
+        raise ConfigError(f'--timestep {args.timestep:g} --to {args.to}: give an integration step '
+                          'above 0 s and below 1 s, to mujoco only')
+    if args.to == 'mujoco' and robot.arm.frames:
+        raise ConfigError(f'--to mujoco: MuJoCo reads {robot.arm.frames.source} itself; of '
+                          'arm.kind urdf friction alone is exported, --to urdf, ros2_control or '
+                          'csv')
+    if args.to == 'csv':
+        if args.without:
+            raise ConfigError('--without: csv holds every parameter; leave the option out')
+        return friction.table(robot)
+    step = {} if args.timestep is None else {'timestep': args.timestep}
+    chosen = {'mujoco': mujoco.target(**step), 'urdf': friction.URDF,
+              'ros2_control': friction.ROS2_CONTROL}
+    return target.export(robot, chosen[args.to], args.without)
+
+
+def urdf(args) -> int:
+    """Write or print a robot as URDF; return 0."""
+    robot = load_robot(args.robot or robot_file())
+    if robot.arm.frames and (args.limits or args.ros2_control):
+        raise ConfigError(f'the URDF of this robot is {robot.arm.frames.source}: limits and '
+                          '<ros2_control> belong into that file')
+    limits = load_limits(args.limits, robot.joints) if args.limits else None
+    text = robot_urdf(robot, name=args.name, motors=not args.links_only, limits=limits,
+                      plugin=args.ros2_control)
+    write_or_print(text, args.out, f'{robot.n_joints} joints')
+    return 0

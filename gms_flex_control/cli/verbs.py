@@ -1,0 +1,405 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""
+The verbs of `gms_flex`: one entry of the table each, whose module is imported when it runs.
+
+A new verb is an entry here and a function that takes the arguments and returns the exit code.
+"""
+
+from gms_flex_control.cli.options import (
+    BAG,
+    BATCH,
+    BATCH_OF_EACH,
+    CONTROLLER,
+    each_bag,
+    FORCE,
+    JSON,
+    LINKS,
+    MOTORS,
+    OneOf,
+    option,
+    OUT_FILE,
+    out_folder,
+    ROBOT,
+    Verb,
+)
+from gms_flex_control.params.gains import COMPENSATIONS
+
+# options of one way to compare alone, and their values where none was given
+OF_A_PLANT = {'draws': 50, 'rate': 500.0, 'amplitude': 1.0, 'seed': 0}
+OF_A_BAG = {'fit': 0.5}
+EXPORTS = ('mujoco', 'urdf', 'ros2_control', 'csv')
+SHELLS = ('bash', 'zsh', 'fish')
+DEMO_MOTIONS, DEMO_MODES = ('sinusoid', 'polynomial'), ('none', 'gms_paper', 'gms')
+BELIEVED_FRICTION = 0.8  # of the true one, before the identification of the demo
+ALLOWED = 1.5  # rms error of tracking, identified over true, medians of robots alike
+PORT = 8642    # of the page of `view`
+
+_IMPORT_CSV = Verb(
+    'import-csv', 'recordings.import_csv', 'turn a text log into a bag',
+    'Read a CSV or similar log as a map file says (columns, units, signs, gear ratios) and write '
+    'it as a bag; say what looks wrong in it.', (
+        option('file', help='the log, UTF-8 text'),
+        option('--map', required=True, dest='map_file', metavar='FILE',
+               help='YAML map; a bare name is looked for in the package too, for instance '
+                    'import_kr300.yaml'),
+        out_folder('folder of the bag, must not exist'),
+        option('--resample', type=float, metavar='HZ',
+               help='put all on a fixed rate; by default the stamps stay as they are'), JSON),
+    ('import-csv rec_A.csv --map import_kr300.yaml --out kr300',
+     'import-csv log.csv --map my_map.yaml --resample 500 --out log_bag'))
+
+_INFO = Verb(
+    'info', 'bag_files.info', 'topics, rates, gaps, joints and checksums of a bag',
+    'Read a whole bag and list what is in it. Exit code 1 if messages are lost or damaged.',
+    (BAG, JSON), ('info my_bag', 'info my_bag --json'))
+
+_VIEW = Verb(
+    'view', 'view.view', 'the arm moving in a browser, from a bag or live',
+    'Serve a page that shows the arm, its spring deflection, tracking error, torque and friction '
+    'blocks: a bag to play and scrub, or the running loop with sliders for the gains of the '
+    'controller. Everything comes from this one process and stays on this machine. Ctrl-C ends '
+    'it.', (
+        option('what', metavar='BAG|live', nargs='+',
+               help='bags, the others drawn pale over the first, such as with and without '
+                    'compensation; or the word live (needs ROS)'),
+        option('--robot', nargs='+', metavar='FILE',
+               help='robot file of the bag, and others that complete it, such as friction.yaml; '
+                    'default: that of the package where the joints have the same names'),
+        LINKS, MOTORS,
+        option('--namespace', default='', metavar='NS',
+               help='namespace of the running nodes, such as /left'),
+        option('--controller', metavar='NODE',
+               help='full name of the controller node; default: /cascade_controller in the '
+                    'namespace'),
+        option('--port', type=int, default=PORT, least=0, most=65535,
+               help=f'0 takes a free one (default: {PORT})'),
+        option('--host', default='127.0.0.1', metavar='ADDRESS',
+               help='address to listen on (default: this machine alone)'),
+        option('--allow-set', action='store_true',
+               help='with --host: gains may be set from other machines too'),
+        option('--open', action='store_true', help='open the page in a browser')),
+    ('view my_bag --robot config/robot.yaml', 'view sinusoid_gms sinusoid_none', 'view live'))
+
+_IDENTIFY = Verb(
+    'identify', 'identify_bags.identify_verb',
+    'friction parameters from bags, with intervals and a report',
+    'Fit the friction of a robot to bags of identification_node, of `ros2 bag record` or of '
+    'import-csv. Writes friction.yaml, which plant and controller take as it is, report.json, '
+    'report.html and pictures. Inertia, stiffness and gravity of the robot file are relied on '
+    'unless --estimate all. With --each every bag is identified by itself, and each parameter is '
+    'compared over the bags; exit code 1 if a bag could not be identified; a killed run goes on '
+    'when started again with the same --out.', (
+        option('bags', nargs='+', metavar='BAG',
+               help='bags of one robot, fitted together; with --each of any number'),
+        each_bag(),
+        option('--robot', metavar='FILE', nargs='+',
+               help='robot parameters, later files winning; by default each joint of the bag is '
+                    'a rigid axis of its own and all is estimated'),
+        out_folder('folder for the results'),
+        option('--holdout', nargs='+', default=[], metavar='BAG',
+               help='bags that are only predicted; default: every fourth block of 2 s'),
+        option('--method', choices=('default', 'paper'), default='default',
+               help='default: all parameters together; paper: its section 4'),
+        option('--estimate', choices=('friction', 'all'), default='friction',
+               help='all: inertia, gravity, stiffness, motor inertia as well'),
+        option('--blocks', type=int, nargs='+', metavar='N',
+               help='numbers of Maxwell blocks to choose from'),
+        option('--joints', nargs='+', metavar='NAME',
+               help='joints to take from the bags; default: all of the robot'),
+        FORCE, JSON, *BATCH_OF_EACH),
+    ('identify my_bag --robot robot.yaml --out results',
+     'identify first second --robot robot.yaml --holdout third --out results',
+     'identify my_bag --out results',
+     'identify bags/* --each --robot robot.yaml --workers 4 --out each',
+     'identify bags/* --each --robot robot.yaml --scheduler tcp://host:8786 --out /shared/each'))
+
+_DISCREPANCY = Verb(
+    'discrepancy', 'discrepancy_of_bags.discrepancy_verb',
+    'find what a model lacks, name it, add it, show the gap shrink',
+    'Compare a model with bags of its robot, recorded or simulated; name the physical effects it '
+    'lacks, write them into DIR/robot.yaml, and show on held-out data how much better it '
+    'predicts: report.json, report.html, pictures. Exit codes: 0 nothing is missing, 1 effects '
+    'were found or something is unexplained, 2 the data or the input are bad. With --each every '
+    'bag is analysed by itself, and names are counted over the bags; a killed run goes on when '
+    'started again with the same --out.', (
+        option('bags', nargs='+', metavar='BAG', help='bags of one robot'),
+        each_bag('; exit code 1 also where the data of a bag are bad'),
+        option('--robot', metavar='FILE', nargs='+', required=True,
+               help='the model one believes in, later files winning'),
+        out_folder('folder for the results'),
+        option('--holdout', nargs='+', default=[], metavar='BAG',
+               help='bags on which the gap is measured; default: blocks of 2 s, each predicted '
+                    'from the others'),
+        option('--max-effects', type=int, metavar='N', least=1,
+               help='how many effects may be added (default: 20)'),
+        option('--without', nargs='+', default=[], metavar='EFFECT',
+               help='effects of the catalogue that are not considered'),
+        option('--doubt', type=float, default=1.0, metavar='TIMES', least=1e-6, most=100.0,
+               help='standard deviations of known parameters, as a multiple of the usual ones: '
+                    '1.5 %% of inertia and stiffness, 2 %% of friction (default: 1)'),
+        option('--models', nargs='+', default=[], metavar='FILE',
+               help='further models of the robot to compare on the same bags'),
+        option('--controller', nargs='+', default=[], metavar='FILE',
+               help='the controller that drove the robot while it believed --robot: its closed '
+                    'loop is simulated along the recorded /reference, too'),
+        FORCE, JSON, *BATCH_OF_EACH),
+    ('discrepancy my_bag --robot robot.yaml --out results',
+     'discrepancy my_bag --robot robot.yaml friction.yaml --holdout another_bag --out results',
+     'discrepancy bags/* --each --robot robot.yaml --workers 4 --out each'))
+
+_SIMULATE = Verb(
+    'simulate', 'robots.simulate', 'the closed loop without ROS, as a bag',
+    'Simulate plant, controller and reference in this process from the parameter files of the '
+    'nodes and write the same bag they would. Several trajectories or compensations make one bag '
+    'each, in the folder --out, named <trajectory>_<compensation>.', (
+        ROBOT,
+        option('--model', nargs='+', metavar='FILE',
+               help='robot files the controller believes in; default: --robot'),
+        option('--controller', metavar='FILE', help='default: the gains of the paper'),
+        option('--trajectory', nargs='+', default=['sinusoid'], metavar='FILE',
+               help='file with trajectory parameters, or the name of one of config/'),
+        option('--compensation', nargs='+', metavar='MODE', completer=lambda **_: COMPENSATIONS,
+               help=f'any of {", ".join(COMPENSATIONS)}; default: that of the controller file'),
+        option('--set', nargs='+', default=[], metavar='NAME=VALUE', dest='overrides',
+               help='single parameters, such as gains.joint1.kd_link=1.0'),
+        option('--duration', type=float, metavar='S',
+               help='default: until the trajectory ends, 20 s if it has no end'),
+        out_folder('the bag, or their folder'), JSON),
+    ('simulate --out my_bag',
+     'simulate --compensation none gms --trajectory sinusoid polynomial --out bags',
+     'simulate --robot robot.yaml results/friction.yaml --set gains.joint1.kd_link=1.0 --out '
+     'my_bag'))
+
+_TUNE = Verb(
+    'tune', 'tune.tune', 'gains for a robot: proposed, judged, tried, verified',
+    'Propose the stiffest gains of the cascade controller that keep margins, encoder noise and '
+    'the conditions (39), show margins and expected tracking error, and write controller.yaml. '
+    'Exit code 1 if no gains meet the requirements, or a robot drawn by --verify is lost.', (
+        ROBOT,
+        option('--controller', nargs='+', metavar='FILE',
+               help='compensation, observer and torque limits; default: gms, k_e 1'),
+        option('--torque-limit', nargs='+', type=float, metavar='NM',
+               help='of each joint, or one for all; default: of --controller'),
+        option('--rate', type=float, default=500.0, metavar='HZ', least=1.0,
+               help='of the controller (default: %(default)g)'),
+        option('--delay', type=float, default=0.0, metavar='MS', least=0.0, most=50.0,
+               help='from measurement to torque (default: %(default)g)'),
+        option('--bandwidth', nargs='+', type=float, metavar='RAD/S',
+               help='of each link, or one for all; default: as much as margins allow'),
+        option('--damping', type=float, default=1.0, metavar='D', least=1.0,
+               help='of the pair of link poles, at least 1 (default: %(default)g)'),
+        option('--gain-margin', type=float, default=2.0, metavar='TIMES', least=1.0,
+               help='factor on the torque, up and down (default: %(default)g)'),
+        option('--phase-margin', type=float, default=30.0, metavar='DEG', least=0.0,
+               help='default: %(default)g'),
+        option('--delay-margin', type=float, metavar='MS',
+               help='further delay that the loop must tolerate (default: one sample)'),
+        option('--noise', type=float, default=0.1, metavar='SHARE', least=1e-6,
+               help='of the torque limit that encoder noise may take as rms torque (default: '
+                    '%(default)g)'),
+        option('--amplitude', type=float, default=1.0, metavar='RAD', least=1e-6,
+               help='of the motions simulated (default: %(default)g)'),
+        option('--verify', type=int, default=0, metavar='N', least=0,
+               help='try the gains on N robots drawn from the uncertainty'),
+        option('--intervals', metavar='FILE',
+               help='report.json of gms_flex identify: draw from its intervals; what has none: '
+                    'friction and M 30 %%, K 20 %%'),
+        option('--seed', type=int, default=0, metavar='N', help='of the draws'),
+        *BATCH, out_folder('controller.yaml, tuning.json, tuning.png, journal of --verify'),
+        JSON),
+    ('tune --out tuned',
+     'tune --robot robot.yaml results/friction.yaml --torque-limit 2 --delay 1 --verify 200 '
+     '--intervals results/report.json --out tuned'))
+
+_COMPARE = Verb(
+    'compare', 'compare.compare_verb', 'friction compensations side by side',
+    'Compare eight ways to compensate friction: none, static Stribeck, LuGre, four kinds of GMS '
+    '(of the paper, improved, of the desired motion, adaptive) and a disturbance observer. On a '
+    'plant (a robot file) each drives it in simulation, also with friction, K and M that differ '
+    'from the belief, with coarse and fine encoders, and at other rates. Along a bag they predict '
+    'the friction torque, fitted to its first part and judged on the rest. A killed run goes on '
+    'when started again with the same --out.', (
+        option('source', nargs='*', metavar='BAG|PLANT',
+               help='a bag, or robot files, later ones winning; default: --robot'),
+        option('--robot', nargs='+', metavar='FILE',
+               help='robot files, later ones winning: of a bag, or the plant if none is named '
+                    'before; default: the arm of the paper'),
+        CONTROLLER,
+        option('--draws', type=int, metavar='N', least=0,
+               help='of a plant: robots with all parameters off at once (default: '
+                    f'{OF_A_PLANT["draws"]})'),
+        option('--rate', type=float, metavar='HZ', least=1e-3, most=1e4,
+               help=f'of a plant: that of the controller (default: {OF_A_PLANT["rate"]:g})'),
+        option('--amplitude', type=float, metavar='RAD', least=1e-6, most=100.0,
+               help=f'of a plant: of the motions (default: {OF_A_PLANT["amplitude"]:g})'),
+        option('--seed', type=int, metavar='N', least=0, help='of a plant: of the draws'),
+        option('--fit', type=float, metavar='SHARE', least=0.05, most=0.95,
+               help=f'of a bag: its first part, that is fitted (default: {OF_A_BAG["fit"]:g})'),
+        *BATCH, out_folder('report.html, comparison.json, journal', 'comparison'), JSON),
+    ('compare', 'compare robot.yaml --controller tuned/controller.yaml --out comparison',
+     'compare robot.yaml results/friction.yaml --draws 20',
+     'compare my_bag --robot robot.yaml --out along_bag'))
+
+_EFFECTS = Verb(
+    'effects', 'robots.effects', 'the effects a robot file can have, with their parameters',
+    'List the effects of the catalogue: what each is, how to write it in a robot file, and its '
+    'parameters with their units. With names, only those effects.',
+    (option('names', nargs='*', metavar='EFFECT', help='default: all of them'), JSON),
+    ('effects', 'effects backlash end_stop --json'))
+
+_EXPORT = Verb(
+    'export', 'robots.export',
+    'the identified robot for MuJoCo, URDF, ros2_control, or as a table',
+    'Write a robot with its friction and effects for another program. What that program cannot '
+    'express is refused by name; --without exports the robot without it. mujoco: MJCF with '
+    'springs, friction blocks, limits and delay of the actuators. urdf: a rigid robot with '
+    '<dynamics>. ros2_control: viscous and Coulomb friction of each joint as ROS parameters. csv: '
+    'every parameter with its unit.', (
+        option('--to', required=True, choices=EXPORTS, help=', '.join(EXPORTS), metavar='TARGET'),
+        ROBOT,
+        option('--without', nargs='+', default=[], metavar='NAME',
+               help='parts of the model or effects to leave out'),
+        option('--timestep', type=float, metavar='S', help='integration step of MuJoCo [s]'),
+        OUT_FILE),
+    ('export --to mujoco --robot robot.yaml friction.yaml --out arm.xml',
+     'export --to mujoco --without attraction stribeck_direction --out arm.xml',
+     'export --to csv --robot results/robot.yaml --out parameters.csv'))
+
+_RECORD = Verb(
+    'record', 'bag_files.record', 'record topics into a bag',
+    'Record topics, each as soon as it has a publisher, until Ctrl-C, SIGTERM or --duration. At '
+    'most 0.2 s are lost if the recorder is killed; "gms_flex repair" then completes the bag. '
+    'Exit code 1 if nothing was received.', (
+        OneOf((option('--topics', nargs='+', metavar='TOPIC', help='what to record'),
+               option('--all', action='store_true', help='every topic that is not hidden'))),
+        out_folder('the bag to be made'),
+        option('--duration', type=float, metavar='S', least=1e-3, help='stop after S seconds'),
+        JSON),
+    ('record --all --out my_bag',
+     'record --topics /joint_states /effort_controller/commands /reference --duration 60 --out '
+     'my_bag'))
+
+_REPAIR = Verb(
+    'repair', 'bag_files.repair', 'recover a killed, cut off or damaged bag',
+    'Write every sound message of a bag to a new one, name what is lost. The old bag is not '
+    'touched. Exit code 1 if messages were lost.',
+    (BAG, option('--out', metavar='DIR', help='the new bag (default: BAG_repaired)'), JSON),
+    ('repair my_bag', 'repair my_bag/my_bag_0.mcap --out mended'))
+
+_ANALYSE = Verb(
+    'analyse', 'recordings.analyse', "the paper's Table 4 and a report from bags",
+    'Compare bags of one robot with and without friction compensation: table4.json, report.html '
+    'and PNGs in one folder.', (
+        option('bags', nargs='+', metavar='BAG',
+               help='bag folder; its trajectory and compensation are taken from its metadata, '
+                    'else from a name like sinusoid_none'),
+        out_folder('folder for the results'),
+        option('--label', action='append', default=[], metavar='TRAJECTORY_COMPENSATION',
+               help='label of a bag, once per bag and in their order'),
+        LINKS, MOTORS, JSON),
+    ('analyse sinusoid_none sinusoid_gms --out results',
+     'analyse before after --label sinusoid_none --label sinusoid_gms --out results'))
+
+_TORSION = Verb(
+    'torsion', 'recordings.torsion', 'a first flexible-joint model of one recorded axis',
+    'Fit inertia, Coulomb and viscous friction to the torque of one axis, divide the torque by a '
+    'given stiffness, and compare with the measured difference of motor and link encoder. For '
+    'axes that do not act on each other and carry no gravity.', (
+        option('bag', help='bag with angles of both sides and the torque of the motor'),
+        option('--joint', required=True, help='link name'),
+        option('--stiffness', required=True, type=float, metavar='K',
+               help='of the joint [N m/rad]'),
+        option('--motor-inertia', type=float, default=0.0, metavar='J',
+               help='reflected to the joint [kg m^2]; default 0, not known'),
+        option('--out', metavar='DIR', help='folder for report.html, pictures and robot.yaml'),
+        JSON),
+    ('torsion kr300 --joint axis1 --stiffness 4.58e6 --out torsion',))
+
+_CHECK_GAINS = Verb(
+    'check-gains', 'tune.check_gains', 'conditions on the gains: value, limit, verdict',
+    'Check the gains against Eq. (39), all rows, against the exact condition per joint, and bound '
+    'the residual set (43). Exit code 1 if a condition fails.', (ROBOT, CONTROLLER, JSON),
+    ('check-gains',
+     'check-gains --robot robot.yaml friction.yaml --controller controller.yaml --json'))
+
+_URDF = Verb(
+    'urdf', 'robots.urdf', 'the robot as URDF, for RViz, robot_state_publisher and simulators',
+    'Describe links, motors and inertias of a robot file as URDF. Springs, which URDF cannot '
+    'express, become comments; friction is written as far as URDF has it.', (
+        ROBOT, OUT_FILE,
+        option('--name', default='arm', help='of the robot (default: %(default)s)'),
+        option('--links-only', action='store_true', help='leave out the motors: a rigid robot'),
+        option('--limits', nargs='+', metavar='FILE',
+               help='files with limits.<joint>, such as config/bridge.yaml'),
+        option('--ros2-control', metavar='PLUGIN', default='',
+               help='add a <ros2_control> block with this hardware interface, such as '
+                    'mock_components/GenericSystem')),
+    ('urdf --robot robot.yaml --out arm.urdf',
+     'urdf --robot robot.yaml --links-only --out rigid.urdf'))
+
+_DEMO = Verb(
+    'demo', 'demos.demo', "the paper's experiment over ROS 2, with table and report",
+    'Start plant, controller and trajectory as three processes for every trajectory and '
+    "compensation of the paper's section 6, record them into bags, and write Table 4, a report "
+    'and pictures. The controller believes a robot with friction x 0.85, stiffness x 1.05 and '
+    'masses x 0.93; the same with the exact model is simulated in this process for comparison.', (
+        out_folder('folder for everything; made anew', 'demo_output'),
+        option('--motions', nargs='+', default=DEMO_MOTIONS, choices=DEMO_MOTIONS,
+               help='trajectories (default: all)'),
+        option('--modes', nargs='+', default=DEMO_MODES, choices=DEMO_MODES,
+               help='compensations (default: all)'),
+        option('--duration', type=float, metavar='S',
+               help='simulated length of each run (default: sinusoid 20, polynomial to its end)'),
+        JSON),
+    ('demo', 'demo --motions sinusoid --modes none gms --duration 6 --out short'))
+
+_DEMO_IDENTIFY = Verb(
+    'demo-identify', 'demos.demo_identify', 'the identification experiment over ROS 2',
+    'Start plant, controller, trajectory and identification node as processes in lockstep, faster '
+    'than real time, record the identification experiment (controller and experiment believe '
+    f'friction x {BELIEVED_FRICTION:g}), fit the friction, and track the trajectories of the '
+    'paper with the friction believed before, identified, and true. Exit code 1 if tracking with '
+    f'identified friction is more than {ALLOWED:g} times worse than with the true one.', (
+        out_folder('folder for everything; made anew', 'demo_identify_output'),
+        option('--plan', metavar='YAML',
+               help='parameters of the experiment (default: config/identification_demo.yaml)'),
+        JSON),
+    ('demo-identify --out demo_identify_output',))
+
+_DEMO_DISCREPANCY = Verb(
+    'demo-discrepancy', 'demos.demo_discrepancy',
+    'hide an effect, find it over ROS 2, drive with it known',
+    'Hide an effect, drawn by a seed, in the simulated robot; drive it with plant, controller and '
+    'trajectory as three processes in lockstep and record a bag; find what the model believed in '
+    'lacks (the tool gets no more than bag and robot file, every parameter 1 to 3 % off); drive '
+    'the same motion with what was found, and with the true model. Exit code 0 if the name is '
+    'right and the gap shrank, 1 if not.', (
+        out_folder('folder for everything; made anew', 'demo_discrepancy_output'),
+        option('--seed', type=int, default=0, metavar='N', least=0,
+               help='of effect, joint, size, errors of the model and motion (default: '
+                    '%(default)s)'),
+        option('--effect', metavar='NAME',
+               help='hide this one of the catalogue; default: one is drawn that a controller can '
+                    'compensate'),
+        option('--duration', type=float, default=60.0, metavar='S',
+               help='of the motion, simulated (default: %(default)g)'), JSON),
+    ('demo-discrepancy --seed 3',
+     'demo-discrepancy --effect position_friction --duration 30 --out found'))
+
+_COMPLETION = Verb(
+    'completion', 'main.completion',
+    'complete verbs, options and files by TAB in bash, zsh and fish',
+    'Print what a shell reads to complete commands of gms_flex; put the line of the example into '
+    '~/.bashrc or ~/.zshrc. Needs argcomplete, which comes with ros2 and colcon.',
+    (option('shell', choices=SHELLS),),
+    ('eval "$(gms_flex completion bash)"',
+     'completion fish > ~/.config/fish/completions/gms_flex.fish'))
+
+GROUPS = {
+    'for a robot and its recordings': (
+        _IMPORT_CSV, _INFO, _VIEW, _IDENTIFY, _DISCREPANCY, _SIMULATE, _TUNE, _COMPARE, _EFFECTS,
+        _EXPORT),
+    'beside these': (_RECORD, _REPAIR, _ANALYSE, _TORSION, _CHECK_GAINS, _URDF, _DEMO,
+                     _DEMO_IDENTIFY, _DEMO_DISCREPANCY, _COMPLETION)}
