@@ -23,7 +23,7 @@ class Journal:
 
     def __init__(self, folder, sources):
         self.path, self._sources = Path(folder) / 'outcomes.jsonl', sources
-        self.outcomes = {}
+        self.outcomes, self.stale = {}, 0
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             lines = self.path.read_text('utf-8').splitlines() if self.path.exists() else []
@@ -39,8 +39,10 @@ class Journal:
             key, sources = outcome['key'], outcome['sources']
         except (ValueError, KeyError, TypeError):
             return  # the line a killed run did not finish
-        if sources == self._sources:
-            self.outcomes[key] = outcome
+        if sources != self._sources:
+            self.stale += 1
+            return
+        self.outcomes[key] = outcome
 
     def add(self, outcome):
         """Keep an outcome (dict with 'key'), on disk at once."""

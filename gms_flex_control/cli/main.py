@@ -44,7 +44,7 @@ def build_parser() -> argparse.ArgumentParser:
         'joints.',
         {title: {verb.name: lambda verbs, verb=verb: add_verb(verb, verbs) for verb in group}
          for title, group in GROUPS.items()},
-        {verb.name: [one if 'gms_flex' in one else f'gms_flex {one}' for one in verb.examples]
+        {verb.name: [one if one.startswith('eval') else f'gms_flex {one}' for one in verb.examples]
          for verb in chain.from_iterable(GROUPS.values())})
     parser.usage = 'gms_flex [-h] [--version] VERB ...'
     parser.add_argument('--version', action='version', version=__version__)
