@@ -17,7 +17,7 @@ from gms_flex_control.bags.reader import read_recording
 from gms_flex_control.experiment.driven import private_environment
 from gms_flex_control.files import read_yaml
 from gms_flex_control.params.gains import COMPENSATIONS
-from gms_flex_control.schema.values import known_keys
+from gms_flex_control.schema.keys import known_keys
 import launch_stand_in
 import numpy as np
 import pytest

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from gms_flex_control.dynamics import chain
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.friction.stribeck import steady_friction
-from gms_flex_control.schema.keys import EXPERIMENTS, trajectory_keys
 from gms_flex_control.schema.motion import trajectory_from_values
+from gms_flex_control.schema.node_keys import EXPERIMENTS, trajectory_keys
 import numpy as np
 
 __all__ = ['EXPERIMENTS', 'Limits', 'Planner']

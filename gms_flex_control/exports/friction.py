@@ -12,8 +12,8 @@ from gms_flex_control.exports.target import Target
 from gms_flex_control.params.robot import RobotParams, WHOLE_ARM
 from gms_flex_control.params.units import in_units
 from gms_flex_control.schema.build import robot_values
+from gms_flex_control.schema.keys import known_keys
 from gms_flex_control.schema.urdf import robot_urdf
-from gms_flex_control.schema.values import known_keys
 from ruamel.yaml import YAML
 
 _DRY = ('presliding', 'stribeck', 'direction')

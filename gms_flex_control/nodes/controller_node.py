@@ -24,7 +24,8 @@ from gms_flex_control.nodes.parameters import NodeParameters
 from gms_flex_control.nodes.references import Handover, Reference, References
 from gms_flex_control.nodes.refusal import all_finite
 from gms_flex_control.schema.build import controller_from_values, robot_from_values
-from gms_flex_control.schema.keys import controller_keys, controller_node_keys, robot_keys
+from gms_flex_control.schema.keys import controller_keys, robot_keys
+from gms_flex_control.schema.node_keys import controller_node_keys
 from gms_flex_control.trajectory.segments import extrapolate
 import numpy as np
 from rclpy.duration import Duration

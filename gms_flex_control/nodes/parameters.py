@@ -10,9 +10,8 @@ import sys
 
 from gms_flex_control.errors import ConfigError, GmsFlexError
 from gms_flex_control.schema import build
-from gms_flex_control.schema.key import REQUIRED
-from gms_flex_control.schema.offered import offered_range
-from gms_flex_control.schema.values import checked, known_keys, range_in_words
+from gms_flex_control.schema.key import checked, offered_range, range_in_words, REQUIRED
+from gms_flex_control.schema.keys import known_keys
 from rcl_interfaces.msg import (
     FloatingPointRange,
     IntegerRange,

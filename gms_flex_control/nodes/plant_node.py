@@ -12,8 +12,8 @@ from gms_flex_control.nodes.health import Health
 from gms_flex_control.nodes.parameters import NodeParameters
 from gms_flex_control.nodes.safety import Safety
 from gms_flex_control.nodes.simulated_robot import SimulatedRobot
-from gms_flex_control.schema.bridge_keys import bridge_keys, safety_keys
-from gms_flex_control.schema.keys import plant_node_keys, robot_keys
+from gms_flex_control.schema.keys import robot_keys
+from gms_flex_control.schema.node_keys import bridge_keys, plant_node_keys, safety_keys
 from rclpy.node import Node
 
 

@@ -15,8 +15,9 @@ from gms_flex_control.nodes.inbox import Inbox
 from gms_flex_control.nodes.joint_trajectory import read_joint_trajectory
 from gms_flex_control.nodes.messages import NANOSECONDS
 from gms_flex_control.nodes.parameters import NodeParameters
-from gms_flex_control.schema.keys import robot_keys, trajectory_keys
+from gms_flex_control.schema.keys import robot_keys
 from gms_flex_control.schema.motion import trajectory_from_values
+from gms_flex_control.schema.node_keys import trajectory_keys
 from gms_flex_control.trajectory import builders, levels
 import numpy as np
 from rclpy.node import Node

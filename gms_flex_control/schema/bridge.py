@@ -7,64 +7,27 @@ from gms_flex_control.errors import ConfigError, ParameterError
 from gms_flex_control.hardware.bridge import BridgeParams
 from gms_flex_control.hardware.limits import Limits, UNLIMITED
 from gms_flex_control.hardware.mapping import Actuation, JointMap, Reading
-from gms_flex_control.schema.bridge_keys import bridge_keys, safety_keys
 from gms_flex_control.schema.build import complete
+from gms_flex_control.schema.node_keys import bridge_keys, LIMITS, safety_keys
 
-_LIMITS = ('torque', 'torque_rate', 'velocity', 'velocity_margin', 'lower', 'upper',
-           'position_margin', 'twist')
 _NEEDED = ('torque', 'torque_rate', 'velocity', 'lower', 'upper')
 
 
 def limits_from_values(values, joints):
-    """
-    Build the limits of a plant node from flat parameters.
-
-    Parameters
-    ----------
-    values : dict of str to object
-        Such as ``{'limits.joint1.torque': 2.0, ...}``.
-    joints : sequence of str
-        Link names.
-
-    Returns
-    -------
-    Limits or None
-        None if nothing is limited.
-
-    Raises
-    ------
-    ConfigError, ParameterError
-        If a value has the wrong type or range, or a range is empty.
-
-    """
+    """Return Limits of ``joints`` from flat parameters of a plant; None if nothing is limited."""
     flat = complete(safety_keys(joints), values)
     if all(abs(flat[f'limits.{joint}.{name}']) >= UNLIMITED for joint in joints
            for name in (*_NEEDED, 'twist')):
         return None
     return Limits(**{name: [flat[f'limits.{joint}.{name}'] for joint in joints]
-                     for name in _LIMITS})
+                     for name in (key.name for key in LIMITS)})
 
 
 def bridge_from_values(values, joints, motors):
     """
-    Build what a bridge needs to know from flat parameters.
+    Return BridgeParams from flat parameters, links ``joints`` and their ``motors`` ('' if rigid).
 
-    Parameters
-    ----------
-    values : dict of str to object
-        Such as ``{'mapping.joint1.link.sign': -1.0, 'limits.joint1.torque': 2.0, ...}``.
-    joints, motors : sequence of str
-        Names of the links and of their motor sides, '' for a rigid joint.
-
-    Returns
-    -------
-    BridgeParams
-
-    Raises
-    ------
-    ConfigError, ParameterError
-        If a value has the wrong type or range, or a limit is missing.
-
+    ConfigError or ParameterError if a value has the wrong type or range, or a limit is missing.
     """
     flat = complete((*safety_keys(joints), *bridge_keys(joints)), values)
     for joint in joints:

@@ -13,22 +13,28 @@ from gms_flex_control.params.encoder import EncoderParams
 from gms_flex_control.params.friction import FrictionParams, StribeckParams, WEIGHT_TOLERANCE
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.robot import EffectSpec, RobotParams
-from gms_flex_control.schema.key import REQUIRED
-from gms_flex_control.schema.keys import controller_keys, robot_keys, STANDARD_GRAVITY
+from gms_flex_control.schema.key import checked, REQUIRED
+from gms_flex_control.schema.keys import (
+    ARM,
+    controller_keys,
+    GAINS,
+    known_keys,
+    robot_keys,
+    STANDARD_GRAVITY,
+    STRIBECK,
+)
 from gms_flex_control.schema.urdf_arm import read_links
-from gms_flex_control.schema.values import checked, known_keys
 import numpy as np
 
-_ARM = ('mass', 'length', 'com', 'inertia', 'motor_inertia', 'stiffness', 'damping', 'offset')
 _OF_LINKS = ('mass', 'length', 'com', 'inertia')  # which a URDF states
-_FACTORS = ('mass_factor', 'inertia_factor')  # on what a URDF states
+_FACTORS = ('mass_factor', 'inertia_factor')      # on what a URDF states
 MOST_JOINTS = 7
-_STRIBECK = ('static', 'coulomb', 'velocity', 'viscous')
-_GAINS = ('kd_link', 'lambda_link', 'kd_motor', 'lambda_motor', 'observer_gain', 'sign_slope',
-          'filter_bandwidth', 'torque_limit')
+_ARM = tuple(key.name for key in ARM if key.name not in _FACTORS)
+_STRIBECK = tuple(key.name for key in STRIBECK)
+_GAINS = tuple(key.name for key in GAINS)
 
 
-def complete(keys, values):
+def complete(keys, values: dict) -> dict:
     """Return checked values of all ``keys``, defaults filled in."""
     flat = {}
     for key in keys:
@@ -42,7 +48,7 @@ def complete(keys, values):
     return flat
 
 
-def joint_names(values):
+def joint_names(values: dict) -> tuple[str, ...]:
     """Return the link names of a flat parameter dict; ConfigError if there are none."""
     key = robot_keys(())[0]
     if key.name not in values:
@@ -53,26 +59,12 @@ def joint_names(values):
     return joints
 
 
-def robot_from_values(values):
+def robot_from_values(values: dict) -> RobotParams:
     """
-    Build the robot from flat parameters.
+    Build the robot from flat parameters, such as ``{'arm.joint1.mass': 1.5, ...}``.
 
-    Parameters
-    ----------
-    values : dict of str to object
-        Such as ``{'arm.joint1.mass': 1.5, ...}``; keys of other nodes are left alone.
-
-    Returns
-    -------
-    RobotParams
-
-    Raises
-    ------
-    ConfigError
-        If a key is unknown or missing, or a value has the wrong type or range.
-    ParameterError
-        If the values together make no robot.
-
+    Keys of other nodes are left alone. ConfigError if a key is unknown or missing, or a value has
+    the wrong type or range; ParameterError if the values together make no robot.
     """
     joints = joint_names(values)
     known = known_keys(values, joints)
@@ -208,27 +200,8 @@ def _effects(values):
             given, f'effects.{joint}.{effect}')) for (joint, effect), given in grouped.items())
 
 
-def controller_from_values(values, joints):
-    """
-    Build the controller's gains from flat parameters.
-
-    Parameters
-    ----------
-    values : dict of str to object
-        Such as ``{'compensation': 'gms', 'gains.joint1.kd_link': 0.8, ...}``.
-    joints : sequence of str
-        Link names.
-
-    Returns
-    -------
-    ControllerParams
-
-    Raises
-    ------
-    ConfigError, ParameterError
-        As `robot_from_values`.
-
-    """
+def controller_from_values(values: dict, joints) -> ControllerParams:
+    """Build the gains of ``joints`` from flat parameters; errors as of `robot_from_values`."""
     flat = complete(controller_keys(joints), values)
     try:
         return ControllerParams(
@@ -238,20 +211,8 @@ def controller_from_values(values, joints):
         raise ParameterError(f"gains of {', '.join(joints)}: {error}") from error
 
 
-def robot_values(robot):
-    """
-    Return a robot as flat parameters, the inverse of `robot_from_values`.
-
-    Parameters
-    ----------
-    robot : RobotParams
-        Gravity must lie along -y, as files state it.
-
-    Returns
-    -------
-    dict of str to object
-
-    """
+def robot_values(robot: RobotParams) -> dict:
+    """Return a robot as flat parameters, the inverse of `robot_from_values`."""
     values = {'joints': list(robot.joints), 'motors': list(robot.motors),
               'arm.kind': robot.arm.kind} | _link_values(robot)
     if robot.arm.axes != 'rotary':

@@ -12,7 +12,7 @@ from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.robot import RobotParams
 from gms_flex_control.schema import build
 from gms_flex_control.schema.bridge import limits_from_values
-from gms_flex_control.schema.values import known_keys
+from gms_flex_control.schema.keys import known_keys
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
@@ -20,27 +20,12 @@ _WRAPPER = 'ros__parameters'
 _UNBROKEN = 4096           # characters: a line of a written file is never wrapped
 
 
-def read_parameters(path, node=None):
+def read_parameters(path, node: str | None = None) -> dict:
     """
-    Read a ROS parameter file.
+    Read a ROS parameter file: flat name to value and line number (from 1).
 
-    Parameters
-    ----------
-    path : str or Path
-        The file.
-    node : str, optional
-        Take the section of this node as well as ``/**``; default ``/**`` alone.
-
-    Returns
-    -------
-    dict of str to (object, int)
-        Flat name to value and line number (from 1).
-
-    Raises
-    ------
-    ConfigError
-        If it cannot be read or is not a ROS parameter file.
-
+    Taken is the section ``/**``, and that of ``node``. ConfigError if the file cannot be read or
+    is no ROS parameter file.
     """
     path = Path(path)
     try:
@@ -80,7 +65,7 @@ def _flatten(mapping, prefix, flat):
             flat[f'{prefix}{name}'] = (value, line)
 
 
-def read_values(paths, node=None):
+def read_values(paths, node: str | None = None) -> tuple[dict, dict]:
     """Return merged flat values of files, later ones winning, and ``file:line`` of each."""
     values, places = {}, {}
     for path in paths:
@@ -114,40 +99,17 @@ def load_robot(paths) -> RobotParams:
     """
     Read the robot from one or more parameter files, later ones winning.
 
-    Parameters
-    ----------
-    paths : str, Path or sequence of them
-        Such as ``config/robot.yaml``, perhaps followed by an identified ``friction.yaml``.
-
-    Returns
-    -------
-    RobotParams
-
-    Raises
-    ------
-    ConfigError, ParameterError
-        One sentence that begins with file and line.
-
+    Such as ``config/robot.yaml``, perhaps followed by an identified ``friction.yaml``. ConfigError
+    or ParameterError is one sentence that begins with file and line.
     """
     return _built(paths, build.robot_from_values)
 
 
 def load_limits(paths, joints):
     """
-    Read the limits of joints from one or more parameter files, such as ``config/bridge.yaml``.
+    Read the Limits of ``joints`` from parameter files, such as ``config/bridge.yaml``.
 
-    Parameters
-    ----------
-    paths : str, Path or sequence of them
-        Later ones win.
-    joints : sequence of str
-        Link names.
-
-    Returns
-    -------
-    Limits or None
-        None if nothing is limited.
-
+    Later ones win; None if nothing is limited.
     """
     def limits(values):
         return limits_from_values({name: value for name, value in values.items()
@@ -156,26 +118,7 @@ def load_limits(paths, joints):
 
 
 def load_controller(paths, robot: RobotParams) -> ControllerParams:
-    """
-    Read the controller's gains for the joints of ``robot``.
-
-    Parameters
-    ----------
-    paths : str, Path or sequence of them
-        Such as ``config/controller.yaml``.
-    robot : RobotParams
-        Names the joints.
-
-    Returns
-    -------
-    ControllerParams
-
-    Raises
-    ------
-    ConfigError, ParameterError
-        One sentence that begins with file and line.
-
-    """
+    """Read the gains for the joints of ``robot``; files and errors as of `load_robot`."""
     def make(values):
         known_keys(values, robot.joints)
         return build.controller_from_values(values, robot.joints)
@@ -187,33 +130,13 @@ def save_robot(robot: RobotParams, path, *, comment: str = '') -> None:
     """
     Write a robot as a ROS parameter file that nodes and tools read back as it is.
 
-    Parameters
-    ----------
-    robot : RobotParams
-        What to write.
-    path : str or Path
-        Where to.
-    comment : str
-        First lines of the file, without the '#'.
-
+    ``comment`` is the first lines of the file, without the '#'.
     """
     save_values(build.robot_values(robot), path, comment=comment)
 
 
-def save_values(values, path, *, comment=''):
-    """
-    Write flat parameters as a ROS parameter file for any node.
-
-    Parameters
-    ----------
-    values : dict of str to object
-        Such as ``{'arm.joint1.mass': 1.5, ...}``.
-    path : str or Path
-        Where to.
-    comment : str
-        First lines of the file, without the '#'.
-
-    """
+def save_values(values: dict, path, *, comment: str = '') -> None:
+    """Write flat parameters as a ROS parameter file for any node; see `save_robot`."""
     tree = {}
     for name, value in values.items():
         branch = tree

@@ -1,56 +1,132 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""What is known of one parameter."""
+"""What one parameter of a node or file is, and whether a value fits it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 from typing import Any
 
+from gms_flex_control.errors import ConfigError, did_you_mean
+
 REQUIRED = object()
 SMALLEST = 1e-12  # of what must be above zero
+_NAMES = {'double': 'a number', 'integer': 'a whole number', 'string': 'a text',
+          'boolean': 'true or false', 'double_array': 'a list of numbers',
+          'string_array': 'a list of texts'}
+# of what a slider is offered
+REACH = 5.0             # times the value, at least
+_ENDS = (1.0, 2.0, 5.0, 10.0)
+_ROUNDING = 1.0 - 1e-9  # five times 0.2 ends at 1, whatever the last bit says
 
 
 @dataclass(frozen=True)
 class Key:
-    """
-    One parameter.
+    """One parameter."""
 
-    Parameters
-    ----------
-    name : str
-        Full name, such as ``gains.joint1.kd_link``.
-    kind : {'double', 'integer', 'string', 'double_array', 'string_array', 'boolean'}
-        Its ROS type.
-    description, unit : str
-        What it is, and in what unit.
-    default : object
-        ``REQUIRED`` if a file must give it.
-    lower, upper : float
-        Closed range of numbers.
-    choices : tuple of str
-        Allowed values of a string; empty if any.
-    live : bool
-        Whether it may change while the node runs.
-    unless : tuple of (str, str)
-        Of a parameter that must be given: name and value of another beside which it need not,
-        and is 0 then.
-
-    """
-
-    name: str
-    kind: str
+    name: str            # full, such as gains.joint1.kd_link
+    kind: str            # its ROS type: double, integer, boolean, string, double_array, ...
     description: str
     unit: str = ''
-    default: Any = REQUIRED
-    lower: float = -math.inf
+    default: Any = REQUIRED     # REQUIRED if a file must give it
+    lower: float = -math.inf    # closed range of numbers
     upper: float = math.inf
-    choices: tuple = ()
-    live: bool = False
-    unless: tuple = ()
+    choices: tuple = ()  # of a string; empty if any
+    live: bool = False   # whether it may change while the node runs
+    unless: tuple = ()   # name and value of another beside which it need not be given, and is 0
 
     def default_beside(self, given):
         """Return the default beside the values ``given`` (dict), REQUIRED if it has none."""
         if self.unless and given.get(self.unless[0]) == self.unless[1]:
             return 0.0
         return self.default
+
+
+def below(prefix: str, keys) -> tuple[Key, ...]:
+    """Return keys with ``prefix`` and a dot before their names."""
+    return tuple(replace(key, name=f'{prefix}.{key.name}') for key in keys)
+
+
+def _is_number(value):
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+
+def _typed(kind, value):
+    """Return ``value`` as its Python type, or None where it is of another type."""
+    if kind == 'double' and _is_number(value):
+        try:
+            return float(value)
+        except OverflowError:  # a whole number beyond all doubles
+            return math.inf if value > 0 else -math.inf
+    if kind == 'integer' and isinstance(value, int) and not isinstance(value, bool):
+        return int(value)
+    if kind == 'boolean' and isinstance(value, bool):
+        return value
+    if kind == 'string' and isinstance(value, str):
+        return str(value)
+    if not kind.endswith('_array') or isinstance(value, (str, bytes)):
+        return None
+    try:
+        items = tuple(_typed(kind.removesuffix('_array'), item) for item in value)
+    except TypeError:
+        return None
+    return None if None in items else items
+
+
+def checked(key: Key, value):
+    """
+    Return a value as the type of its key: float, int, str, bool, or a tuple of float or str.
+
+    ConfigError begins with the key if type, range or choice does not fit; whole numbers are taken
+    for doubles.
+    """
+    typed = _typed(key.kind, value)
+    if typed is None:
+        raise ConfigError(f'{key.name} must be {_NAMES[key.kind]}'
+                          f'{f" [{key.unit}]" if key.unit else ""}, got {value!r}')
+    if key.choices and typed not in key.choices:
+        raise ConfigError(f"{key.name} must be one of {', '.join(key.choices)}, got {typed!r}"
+                          f'{did_you_mean(typed, key.choices)}')
+    if key.kind in ('double', 'integer', 'double_array'):
+        for number in typed if key.kind == 'double_array' else (typed,):
+            _check_range(key, number)
+    return typed
+
+
+def _check_range(key, number):
+    infinite_allowed = key.name.startswith('arm.') and key.name.endswith('.stiffness')
+    if math.isnan(number) or (math.isinf(number) and not infinite_allowed):
+        raise ConfigError(f'{key.name} must be finite, got {number}')
+    if not key.lower <= number <= key.upper:
+        raise ConfigError(f'{key.name} must be {range_in_words(key)}'
+                          f'{f" {key.unit}" if key.unit else ""}, got {number:g}')
+
+
+def range_in_words(key: Key) -> str:
+    """Return what numbers a key allows, without the unit (str)."""
+    if math.isfinite(key.upper):
+        return f'from {key.lower:g} to {key.upper:g}'
+    return 'above 0' if key.lower == SMALLEST else f'at least {key.lower:g}'
+
+
+def offered_range(key: Key, value: float) -> tuple[float, float] | None:
+    """
+    Return the range that a slider for a live number is offered.
+
+    From the least value allowed to 5 to 12.5 times the present one, rounded to 1, 2 or 5 times a
+    power of ten, or to the largest allowed; to infinity where the value is 0 and so says nothing
+    of its size. None for what may be negative without bound, such as an angle.
+
+    What is allowed has to fit a finger and a crane, eight powers of ten apart, and the sliders
+    of rqt_reconfigure are linear, of 100 positions; where one end is infinite they follow the
+    arc tangent, which resolves 0.02 to 60.
+    """
+    if math.isinf(key.lower):
+        return None
+    return key.lower, min(_above(REACH * value), key.upper) if value > 0.0 else math.inf
+
+
+def _above(number):
+    """Return the next 1, 2 or 5 times a power of ten."""
+    power = 10.0 ** math.floor(math.log10(number))
+    return next(end * power for end in _ENDS if end * power >= _ROUNDING * number)

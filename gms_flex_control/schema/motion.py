@@ -9,25 +9,10 @@ from gms_flex_control.trajectory import builders, levels
 
 def trajectory_from_values(values, joints):
     """
-    Build the trajectory chosen by ``trajectory.type``.
+    Return the Trajectory chosen by ``trajectory.type``, its own time beginning at 0.
 
-    Parameters
-    ----------
-    values : dict of str to object
-        All trajectory parameters, see schema.keys.trajectory_keys.
-    joints : sequence of str
-        Link names.
-
-    Returns
-    -------
-    Trajectory
-        Its own time begins at 0.
-
-    Raises
-    ------
-    ConfigError
-        If the parameters make no trajectory; the sentence names the type.
-
+    ``values`` holds all of schema.node_keys.trajectory_keys of ``joints``. ConfigError, which
+    names the type, if they make no trajectory.
     """
     kind = values['trajectory.type']
     try:
