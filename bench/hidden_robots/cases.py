@@ -131,7 +131,7 @@ def require_duration(duration):
 
 
 def make_case(kind, seed, *, population='home', motion=None, plant=None, duration=DURATION,
-              effect=None, gravity=False):
+              effect=None, gravity=False, healthy=False):
     """
     Draw a case.
 
@@ -155,6 +155,8 @@ def make_case(kind, seed, *, population='home', motion=None, plant=None, duratio
         Main effect, or outsider, instead of the one whose turn it is.
     gravity : bool
         Whether the plane is tilted in any case.
+    healthy : bool
+        Whether the disturbance of kind 'outside' is left out, all else the same.
 
     Returns
     -------
@@ -188,7 +190,8 @@ def make_case(kind, seed, *, population='home', motion=None, plant=None, duratio
     plant = plant or drawn_plant
     for softer in row.softness * _SOFTER ** np.arange(_TRIES):
         try:
-            case = _draw(rng, own, kind, seed, row, plant, duration, effect, softer)
+            case = _draw(rng, own, kind, seed, row, plant, duration, effect, softer,
+                         healthy)
         except SimulationError:  # cannot be driven with that in it: another one, more gently
             continue
         case = replace(case, truth=replace(case.truth, population=population))
@@ -196,7 +199,7 @@ def make_case(kind, seed, *, population='home', motion=None, plant=None, duratio
     raise SimulationError(f'{kind} {seed}: none of {_TRIES} draws could be driven')
 
 
-def _draw(rng, own, kind, seed, population, plant, duration, effect, softer):
+def _draw(rng, own, kind, seed, population, plant, duration, effect, softer, healthy):
     period = 1.0 / population.rate
     time = np.arange(round(duration / period)) * period
     robot, gains = plants.draw_robot(rng, plant)
@@ -221,6 +224,7 @@ def _draw(rng, own, kind, seed, population, plant, duration, effect, softer):
         first = outsiders.draw_disturbance(rng, name, joint, figures[joint], len(time), period)
         disturbances = first, first._replace(
             drawn=outsiders.draw_course(rng, name, len(time), period))
+        disturbances = (None, None) if healthy else disturbances
     elif kind != 'clean':
         names = [name for name in available_effects() if name not in population.without]
         chosen = _names(rng, 2 if kind == 'double' else 1, effect or in_turn(seed), names)

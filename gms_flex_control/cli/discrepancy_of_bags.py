@@ -16,6 +16,7 @@ from gms_flex_control.cli import each_bag
 from gms_flex_control.cli.identify_bags import read_take
 from gms_flex_control.cli.output import conclude, refuse_fitted, refuse_unwritable, say
 from gms_flex_control.discrepancy.closed_loop import stretch_of, with_closed_loop
+from gms_flex_control.discrepancy.learning import learn
 from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE
 from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
 from gms_flex_control.effects import registry
@@ -34,7 +35,7 @@ import numpy as np
 _WIDTH = 96
 _MADE = ('robot.yaml', 'gap.png', 'evidence_*.png', 'map_*.png', 'over_*.png')  # not by every run
 _FILES = ('robot', 'models', 'controller', 'holdout')  # options that name files
-_OPTIONS = ('max_effects', 'without', 'doubt', 'force')
+_OPTIONS = ('max_effects', 'without', 'learn', 'doubt', 'force')
 
 
 def discrepancy_verb(args) -> int:
@@ -69,7 +70,8 @@ def _answered(args):
 def _searched(takes, robot, options, holdout, args):
     """Return the Discrepancy; raise BagError where forced data leave no number to go on with."""
     try:
-        return find_discrepancy(takes, robot, options, holdout=holdout, say=_progress(args))
+        found = find_discrepancy(takes, robot, options, holdout=holdout, say=_progress(args))
+        return learn(found, holdout=holdout, say=_progress(args)) if args.learn else found
     except (np.linalg.LinAlgError, ValueError) as error:
         if not args.force:
             raise

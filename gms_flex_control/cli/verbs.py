@@ -136,6 +136,10 @@ _DISCREPANCY = Verb(
                help='how many effects may be added (default: 20)'),
         option('--without', nargs='+', default=[], metavar='EFFECT',
                help='effects of the catalogue that are not considered'),
+        option('--learn', action='store_true',
+               help='where something remains unexplained, learn a term for it that physics '
+                    'allows, without a name, and add it to the model if it predicts held-out '
+                    'data better'),
         option('--doubt', type=float, default=1.0, metavar='TIMES', least=1e-6, most=100.0,
                help='standard deviations of known parameters, as a multiple of the usual ones: '
                     '1.5 %% of inertia and stiffness, 2 %% of friction (default: 1)'),

@@ -155,6 +155,17 @@ class Signature(NamedTuple):
         return finding.joint == self.joint and find(finding.effect).evidence in self.variable
 
 
+class LearnedTerm(NamedTuple):
+    """A term without a name that was learned, see learning.py."""
+
+    effect: str          # of effects.learned
+    joint: str
+    formula: str         # what it looks like, in words
+    error: float         # of these, over rms of its curve; NaN where it is no curve
+    freedom: float       # effective parameters
+    held_out: object     # Gain on blocks left out
+
+
 class Tried(NamedTuple):
     """One hypothesis of the first scan."""
 
@@ -201,6 +212,8 @@ class Discrepancy:
         Torque noise of the recordings.
     unexplained : Signature or None
         What is left, where it matters.
+    learned : tuple of LearnedTerm
+        Terms of ``robot`` that were learned for it, where that was asked for.
     gap : Gap or None
         None where the data are bad.
     robot : RobotParams or None
@@ -231,6 +244,7 @@ class Discrepancy:
     models: tuple = ()
     noise: tuple = ()
     unexplained: Signature | None = None
+    learned: tuple = ()
     gap: Gap | None = None
     robot: object = None
     retuned: tuple = ()

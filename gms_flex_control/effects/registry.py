@@ -14,7 +14,7 @@ from importlib import import_module, metadata
 import inspect
 import pkgutil
 
-from gms_flex_control.effects import catalogue
+from gms_flex_control.effects import catalogue, learned
 from gms_flex_control.effects.base import Change, Effect, Term
 from gms_flex_control.errors import did_you_mean, ParameterError
 
@@ -41,7 +41,9 @@ def names() -> tuple[str, ...]:
 
 def in_words(name: str) -> str:
     """Return what an effect of the catalogue is, such as 'Play in the transmission'."""
-    return inspect.getdoc(inspect.getmodule(find(name))).splitlines()[0].rstrip('.')
+    kind = find(name)
+    told = kind if name in learned.KINDS else inspect.getmodule(kind)
+    return inspect.getdoc(told).splitlines()[0].rstrip('.')
 
 
 @cache
@@ -66,6 +68,8 @@ def find(name: str) -> type[Effect]:
         cannot be loaded, is no effect or has a name that is taken.
 
     """
+    if name in learned.KINDS:
+        return learned.KINDS[name]
     if name not in names():
         raise ParameterError(
             f'effect {name!r} is not in the catalogue{did_you_mean(name, names())}')

@@ -88,9 +88,15 @@ def discrepancy_answer(result, folder) -> Answer:
                       command('info', *result.sources))
     torque, angle = gap_numbers(result.gap)
     numbers = [torque[0], angle[0], *_values(result), *torque[1:], *angle[1:]]
-    return Answer(_sentence(result), COLUMNS, tuple(numbers[:3]), command(
-        'identify', *result.sources, '--robot', Path(folder) / 'robot.yaml', '--out',
-        Path(folder) / 'friction'))
+    if result.unexplained is None:
+        after = ('identify', *result.sources, '--robot', Path(folder) / 'robot.yaml', '--out',
+                 Path(folder) / 'friction')
+    elif not result.learned:
+        after = ('discrepancy', *result.sources, '--robot', Path(folder) / 'robot.yaml',
+                 '--learn', '--out', Path(folder) / 'learned')
+    else:
+        after = 'simulate', '--robot', Path(folder) / 'robot.yaml', '--out', 'simulated'
+    return Answer(_sentence(result), COLUMNS, tuple(numbers[:3]), command(*after))
 
 
 def gap_numbers(gap):
@@ -313,6 +319,11 @@ def _add_left(report, result):
     report.note(left.sentence, warning=True)
     report.table(('share of what was missing', 'equation', 'joint', 'depends most on'),
                  [(f'{100.0 * left.share:.1f} %', left.equation, left.joint, left.variable)])
+    if result.learned:
+        report.heading('What was learned instead')
+        report.table(('term', 'looks like', 'effective parameters', 'held-out log likelihood'), [
+            (f'{one.effect} of {one.joint}', one.formula, f'{one.freedom:.0f}',
+             f'+{one.held_out.nats:.3g}') for one in result.learned])
 
 
 def _add_residuals(report, along, behind, picture):

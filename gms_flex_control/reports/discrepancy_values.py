@@ -56,6 +56,9 @@ def report_values(result, *, holdout=(), models=()):
                       for one in result.stand_ins],
         'noise': [one._asdict() for one in result.noise],
         'unexplained': result.unexplained._asdict() if result.unexplained else None,
+        'learned': [{'effect': one.effect, 'joint': one.joint, 'formula': one.formula,
+                     'error': one.error, 'effective_parameters': one.freedom,
+                     'nats': one.held_out.nats} for one in result.learned],
         'gap': gap_values(result.gap) if result.gap is not None else None,
         'recordings': list(result.recordings),
         'retuned': [{'parameter': name, 'joint': joint, 'change': change}
@@ -204,6 +207,9 @@ def _comment(result):
                               ('Small effects', result.minor)):
         if findings:
             lines.append(f'{heading}: ' + '; '.join(named(one) for one in findings) + '.')
+    if result.learned:
+        lines.append('Learned for what is unexplained: '
+                     + '; '.join(one.formula for one in result.learned) + '.')
     changes = [f'{name} of {joint} {100.0 * change:+.2f} %'
                for name, joint, change in result.retuned if abs(change) >= _LEAST]
     if changes:

@@ -1,0 +1,280 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""`python -m bench learn`: learned terms on hidden robots, clean ones and real machines."""
+
+from dataclasses import replace
+import json
+from pathlib import Path
+import time
+from typing import NamedTuple
+
+from bench.hidden_robots.cases import make_case
+from bench.hidden_robots.hide import seeds_of
+from bench.real_machines.machines import BAND, MACHINES
+from bench.real_machines.motion import low_pass, motion_of, residual_torque, rms
+from bench.real_machines.split import identified, model_rms, parts_of
+from gms_flex_control.analysis.table4 import align
+from gms_flex_control.batches.batch import run_batch
+from gms_flex_control.batches.executor import open_executor
+from gms_flex_control.batches.journal import fingerprint, Journal
+from gms_flex_control.cli.options import add_batch_options
+from gms_flex_control.discrepancy import motion as measured
+from gms_flex_control.discrepancy.fitting import retuned
+from gms_flex_control.discrepancy.free_run import HORIZON, STRIDE
+from gms_flex_control.discrepancy.learning import learn
+from gms_flex_control.discrepancy.likelihood import Likelihood
+from gms_flex_control.discrepancy.residuals import fresh_state
+from gms_flex_control.discrepancy.result import Signature
+from gms_flex_control.discrepancy.thresholds import PLAUSIBLE
+from gms_flex_control.discrepancy.validation import torque_rms
+from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
+from gms_flex_control.files import write_text
+from gms_flex_control.simulation import plant
+import numpy as np
+
+STATE = ('local_bump', 'stick_at_angle', 'speed_band')  # outsiders that are functions of state
+OTHERS = ('friction_step', 'periodic_link_torque', 'random_link_torque', 'sliding_cogging')
+REAL = ('emps', 'xl330', 'kr300_axis2', 'arts_friction_damper')
+ASKED_TORQUE, ASKED_FREE = 0.3, 0.6  # held-out energy above the floor, free-run error: at most
+_SAMPLES = 800        # that a Gaussian process or a network is fitted to
+_AWAY = 10.0          # times the error of the identified model: such a free run has run away
+_STEP = 4e-4          # of integration [s]
+_SOURCES = ('discrepancy', 'effects', 'identification', 'simulation')
+
+
+class Item(NamedTuple):
+    """One robot or machine to be tried."""
+
+    kind: str        # of bench.hidden_robots.cases.KINDS, or 'real'
+    name: str        # of an outsider or a machine
+    seed: int
+    duration: float  # of each recording [s]
+
+
+def add_parser(subparsers):
+    """Add the verb to the command line."""
+    parser = subparsers.add_parser(
+        'learn', help='learned terms on hidden robots, clean ones and real machines',
+        description='Hide disturbances that no effect of the catalogue explains, learn a term for '
+                    'each, and compare held-out torque and free runs before and after; the same '
+                    'for clean robots and for recordings of real machines, there beside a '
+                    'Gaussian process and a neural network. A killed run goes on.')
+    parser.add_argument('--seeds', default='0:3', metavar='A:B',
+                        help='of each disturbance (default: %(default)s)')
+    parser.add_argument('--clean', default='0:20', metavar='A:B',
+                        help='of clean robots (default: %(default)s)')
+    parser.add_argument('--machines', nargs='*', default=list(REAL), metavar='MACHINE',
+                        help=f'real ones (default: {" ".join(REAL)})')
+    parser.add_argument('--duration', type=float, default=30.0, metavar='S',
+                        help='of each recording (default: %(default)g)')
+    add_batch_options(parser)
+    parser.add_argument('--out', default='learned', metavar='DIR',
+                        help='learned.json, journal (default: %(default)s)')
+    parser.set_defaults(run=run)
+
+
+def run(args):
+    """Try all, write and print the figures; return 0."""
+    items = [Item('outside', name, seed, args.duration) for seed in seeds_of(args.seeds)
+             for name in STATE]
+    items += [Item('outside', name, 0, args.duration) for name in OTHERS]
+    items += [Item('real', name, 0, 0.0) for name in args.machines
+              if not MACHINES[name].absent()]
+    items += [Item('clean', '', seed, args.duration) for seed in seeds_of(args.clean)]
+    journal = Journal(args.out, fingerprint(_SOURCES)
+                      + fingerprint(('learn.py',), Path(__file__).parent))
+    with open_executor(args.workers, args.scheduler) as executor:
+        found = run_batch(tried, {'/'.join(map(str, item)): item for item in items},
+                          executor=executor, journal=journal, label='robots')
+    rows = list(found.values())
+    write_text(Path(args.out) / 'learned.json', json.dumps(rows, indent=2) + '\n')
+    print('\n\n'.join(text_of(rows)))
+    return 0
+
+
+def tried(item):
+    """Return the figures of one Item as plain values."""
+    return {**item._asdict(), **(of_machine(item) if item.kind == 'real' else of_robot(item))}
+
+
+# --- hidden robots ------------------------------------------------------------------------------
+
+
+def of_robot(item):
+    """Return what is learned of a hidden robot: terms, changes of held-out torque and free run."""
+    case = make_case(item.kind, item.seed, effect=item.name or None, duration=item.duration)
+    recordings, holdout = [case.recording], [case.held_out]
+    found = find_discrepancy(recordings, case.nominal, holdout=holdout)
+    given = found
+    if found.unexplained is None and found.behind is not None:  # asked for all the same
+        given = replace(found, unexplained=Signature(0.0, 'link', '', '', ''))
+    begun = time.monotonic()
+    result = learn(given, holdout=holdout)
+    seconds = time.monotonic() - begun
+    floor = healthy_torque(item) if item.kind == 'outside' else found.gap.floor
+    before, after = (np.sum(np.maximum(one ** 2 - floor ** 2, 0.0)) for one in (
+        found.gap.retuned, result.gap.after))
+    free = [float(np.sum(one ** 2)) for one in (found.gap.free_before, result.gap.free_after)]
+    return {'verdict': found.verdict, 'joint': case.truth.outsider_joint,
+            'terms': [[one.effect, one.joint, one.formula] for one in result.learned],
+            'energy': float(after / before) if before > 0.0 else 1.0,
+            'free': float(np.sqrt(free[1] / free[0])), 'seconds': seconds}
+
+
+def healthy_torque(item):
+    """Return the held-out residual of the same robot without the disturbance, rms (n,) [N m]."""
+    case = make_case(item.kind, item.seed, effect=item.name, duration=item.duration,
+                     healthy=True)
+    likelihood = Likelihood([measured.motion_of(case.recording, case.nominal)], case.nominal)
+    model, _ = retuned(likelihood, case.nominal, np.zeros(len(likelihood.nuisances)), PLAUSIBLE)
+    held = Likelihood([measured.motion_of(case.held_out, case.nominal)], case.nominal,
+                      held_out=True)
+    return torque_rms(held, model)
+
+
+# --- real machines ------------------------------------------------------------------------------
+
+
+def of_machine(item):
+    """Return held-out torque and free runs of a machine's models, learned ones of others too."""
+    machine = MACHINES[item.name]
+    split = machine.splits[0]
+    fitted, held = ([machine.recording(piece) for piece in pieces]
+                    for pieces in (split.fitted, split.held_out))
+    robot, _ = identified(machine, fitted)
+    found = find_discrepancy(fitted, robot, Options(force=True), holdout=held)
+    begun = time.monotonic()
+    result = learn(found, holdout=held)
+    rows = {'as found': (model_rms(held, found.robot, BAND), *free_error(held, found.robot), 0.0),
+            'learned term': (model_rms(held, result.robot, BAND),
+                             *free_error(held, result.robot), time.monotonic() - begun)}
+    for name, make in (('Gaussian process', gaussian_process), ('neural network', network)):
+        begun = time.monotonic()
+        inputs, torque = (np.concatenate(one) for one in zip(
+            *(along(one, found.robot) for one in fitted), strict=True))
+        peer = _Peer(make, inputs, torque)
+        left = np.concatenate([
+            low_pass(residual_torque(one, found.robot) - peer.of(along(one, found.robot)[0]),
+                     BAND, motion.period)[mask]
+            for one, (motion, mask) in zip(held, parts_of(held, BAND), strict=True)])
+        seconds = time.monotonic() - begun
+        rows[name] = (rms(left), *free_error(held, found.robot, peer), seconds)
+    return {'verdict': found.verdict, 'models': rows, 'unit': machine.unit,
+            'factor': machine.factor, 'length': list(machine.length),
+            'terms': [[one.effect, one.joint, one.formula] for one in result.learned]}
+
+
+def along(recording, robot):
+    """Return the inputs (S, 4) of a peer along a recording, and the torque it is to learn (S,)."""
+    motion = motion_of(recording)
+    return inputs_of(motion.angle, motion.rate, motion.torque, rms(motion.rate)), residual_torque(
+        recording, robot)
+
+
+def inputs_of(angle, rate, torque, usual):
+    """Return angle, rate, direction and torque as the inputs (S, 4) of a peer."""
+    return np.stack([angle, rate, np.tanh(rate / (0.03 * usual)), torque], axis=1)
+
+
+class _Peer:
+    """A regression of a residual torque on the state, inputs scaled."""
+
+    def __init__(self, make, inputs, torque):
+        self._middle, self._width = inputs.mean(axis=0), inputs.std(axis=0) + 1e-12
+        self._size, self.usual = float(torque.std()), rms(inputs[:, 1])
+        at = np.random.default_rng(0).permutation(len(torque))[:_SAMPLES]
+        self._fit = make().fit((inputs[at] - self._middle) / self._width, torque[at] / self._size)
+
+    def of(self, inputs):
+        """Return the torque of the drive (S,) that a model lacks."""
+        return self._size * self._fit.predict((inputs - self._middle) / self._width)
+
+
+def gaussian_process():
+    """Return a Gaussian process with a length for each input."""
+    from sklearn.gaussian_process import GaussianProcessRegressor
+    from sklearn.gaussian_process.kernels import ConstantKernel, RBF, WhiteKernel
+    return GaussianProcessRegressor(
+        ConstantKernel() * RBF(np.ones(4), (0.05, 1e3)) + WhiteKernel(), normalize_y=True)
+
+
+def network():
+    """Return a small neural network, stopped where a tenth of the data says so."""
+    from sklearn.neural_network import MLPRegressor
+    return MLPRegressor((16, 16), early_stopping=True, max_iter=1000, random_state=0)
+
+
+def free_error(recordings, robot, peer=None):
+    """
+    Return the error of free runs of half a second, and how many of them ran away (share).
+
+    The median over runs of their rms [rad]. Blocks of friction begin unloaded; a peer's torque is
+    that of the state simulated, held over a sample.
+    """
+    errors, constants = [], plant.constants_of(robot)
+    for recording in recordings:
+        motion = measured.motion_of(recording, robot)
+        horizon, stride = (max(round(one / motion.fine_period), 2) for one in (HORIZON, STRIDE))
+        begins = np.arange(stride, len(motion.fine_time) - horizon, stride)
+        work, states = plant.workspace(1), [fresh_state(constants) for _ in begins]
+        for state, k in zip(states, begins, strict=True):
+            for row, name in enumerate(('q_link', 'dq_link', '', 'q_motor', 'dq_motor')):
+                if name:
+                    state[name][:] = motion.fine_states[k, row]
+        squares = np.zeros(len(begins))
+        for step in range(horizon):
+            angle, rate = (np.array([state[name][0] for state in states])
+                           for name in ('q_link', 'dq_link'))
+            squares += (motion.readings[begins + step, 0, 0] - angle) ** 2
+            torque = motion.command[begins + step, 0]
+            pushed = (np.zeros(len(begins)) if motion.pushed is None
+                      else motion.pushed[begins + step, 0])
+            if peer is not None:  # what the drive gives too little
+                pushed = pushed - peer.of(np.nan_to_num(inputs_of(
+                    angle, rate, torque, peer.usual), posinf=1e9, neginf=-1e9))
+            for i, state in enumerate(states):
+                work.outside[:] = pushed[i]
+                plant.advance(state, motion.command[begins[i] + step],
+                              motion.fine_time[begins[i] + step], motion.fine_period,
+                              max(1, round(motion.fine_period / _STEP)), constants, work)
+        errors.append(np.sqrt(squares / horizon))
+    errors = np.concatenate(errors)
+    errors = errors[~np.isnan(errors) | (peer is not None)]
+    away = ~(errors < _AWAY * np.nanmedian(errors))
+    return float(np.nanmedian(errors)), float(np.mean(away))
+
+
+# --- words --------------------------------------------------------------------------------------
+
+
+def text_of(rows):
+    """Yield tables of the figures."""
+    hidden = [one for one in rows if one['kind'] == 'outside']
+    yield align(['disturbance', 'seed', 'verdict', 'energy', 'free run', 's', 'learned'], [
+        [one['name'], str(one['seed']), one['verdict'], f'{one["energy"]:.2f}',
+         f'{one["free"]:.2f}', f'{one["seconds"]:.0f}',
+         '; '.join(formula for _, _, formula in one['terms']) or '-'] for one in hidden])
+    state = [one for one in hidden if one['name'] in STATE]
+    if state:
+        yield (f'Functions of state: {sum(bool(one["terms"]) for one in state)} of {len(state)} '
+               f'learned; held-out energy above that of the healthy robot, median '
+               f'{np.median([one["energy"] for one in state]):.2f}, at most {ASKED_TORQUE} in '
+               f'{sum(one["energy"] <= ASKED_TORQUE for one in state)}; free-run error, median '
+               f'{np.median([one["free"] for one in state]):.2f}, at most {ASKED_FREE} in '
+               f'{sum(one["free"] <= ASKED_FREE for one in state)}.')
+    worse = [one for one in hidden if one['energy'] > 1.0 or one['free'] > 1.0]
+    yield f'Made worse: {len(worse)} of {len(hidden)}.'
+    clean = [one for one in rows if one['kind'] == 'clean']
+    if clean:
+        yield (f'Clean robots with a term: {sum(bool(one["terms"]) for one in clean)} of '
+               f'{len(clean)}.')
+    for one in rows:
+        if one['kind'] == 'real':
+            name, factor = one['length']
+            yield '\n'.join([f'{MACHINES[one["name"]].title} ({one["verdict"]}): ' + (
+                '; '.join(formula for _, _, formula in one['terms']) or 'no term'), align(
+                ['model', f'torque [{one["unit"]}]', f'free run [{name}]', 'ran away', 's'],
+                [[model, f'{one["factor"] * torque:.3g}', f'{factor * free:.3g}',
+                  f'{100 * away:.0f} %', f'{seconds:.1f}']
+                 for model, (torque, free, away, seconds) in one['models'].items()])])

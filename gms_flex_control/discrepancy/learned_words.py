@@ -1,0 +1,174 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""What a learned term looks like, in words: a short formula and its error."""
+
+from typing import NamedTuple
+
+from gms_flex_control.discrepancy.describe import angle_scale, torque_scale
+from gms_flex_control.effects import learned as shapes
+import numpy as np
+from scipy.optimize import least_squares
+
+_POINTS = 400         # of a curve that is described
+_SIMPLER = 1.3        # times the least error, at which a formula of fewer numbers is preferred
+_STEEP = 0.05         # of the range: a tanh that is less wide is a step
+_TOLD = 0.02          # of the largest weight: others are not mentioned
+_UNITS = {'learned_rate_friction': 'rad/s', 'learned_load_friction': 'N m', 'learned_drift': 's'}
+_WHAT = {'learned_position': ('a torque over the link angle', 'that looks like'),
+         'learned_torsion': ('a torque over the torsion', 'that looks like'),
+         'learned_rate_friction': ('a friction over the speed', 'that looks like'),
+         'learned_position_friction': ('a friction over the link angle', 'that looks like'),
+         'learned_position_drag': ('a friction over the link angle', 'that looks like'),
+         'learned_load_friction': ('a friction over the torque carried', 'that looks like'),
+         'learned_drift': ('a relative change of friction over time', 'that looks like')}
+
+
+class Formula(NamedTuple):
+    """A simple function fitted to a curve."""
+
+    shape: str           # 'constant', 'linear', 'quadratic', 'bump', 'step', 'tanh', 'sine'
+    numbers: tuple       # amplitude, place or order, width or phase: what the shape has
+    error: float         # rms of what it leaves over rms of the curve
+    unknowns: int
+
+
+def formula_of(x, y):
+    """
+    Return the simplest Formula that is nearly as close to a curve as the closest.
+
+    Parameters
+    ----------
+    x, y : ndarray, shape (P,)
+        The curve, x increasing.
+
+    """
+    middle, span, size = 0.5 * (x[0] + x[-1]), x[-1] - x[0], np.sqrt(np.mean(y ** 2))
+    if size == 0.0 or span <= 0.0:
+        return Formula('constant', (0.0,), 0.0, 1)
+    u, found = (x - middle) / span, []
+    for shape, degree in (('constant', 0), ('linear', 1), ('quadratic', 2)):
+        weights = np.polyfit(u, y, degree)
+        numbers = tuple(float(w / span ** (degree - k)) for k, w in enumerate(weights))
+        found.append(Formula(shape, (*numbers, middle), _error(y, np.polyval(weights, u)),
+                             degree + 1))
+    places = np.linspace(-0.5, 0.5, 41)
+    for shape, of, begun in (
+            ('bump', lambda p: np.exp(-((u - p[0]) / p[1]) ** 2),
+             [(a, b) for a in places for b in (0.01, 0.03, 0.1, 0.3)]),
+            ('tanh', lambda p: np.tanh((u - p[0]) / p[1]),
+             [(a, b) for a in places for b in (0.01, 0.1, 0.4)]),
+            ('sine', lambda p: np.sin(2.0 * np.pi * p[0] * u + p[1]),
+             [(a, b) for a in np.arange(0.5, 8.1, 0.25) for b in np.linspace(0.0, 3.0, 7)])):
+        found.append(_curved(u, y, shape, of, begun, middle, span))
+    least = min(one.error for one in found)
+    return min((one for one in found if one.error <= _SIMPLER * least + 1e-3),
+               key=lambda one: (one.unknowns, one.error))
+
+
+def _curved(u, y, shape, of, begun, middle, span):
+    """Return the best Formula ``a of(p) + c`` of two shape parameters p."""
+    def both(p):
+        columns = np.stack([of(p), np.ones_like(u)], axis=1)
+        weights = np.linalg.lstsq(columns, y, rcond=None)[0]
+        return weights, columns @ weights
+    start = min(begun, key=lambda p: np.sum((both(p)[1] - y) ** 2))
+    p = least_squares(lambda p: both(p)[1] - y, start).x
+    (height, _), fitted = both(p)
+    error, width = _error(y, fitted), abs(p[1])
+    if shape == 'sine':
+        order = 2.0 * np.pi * p[0] / span
+        return Formula(shape, (float(height), float(order), float(p[1] - order * middle)), error,
+                       4)
+    if shape == 'tanh':
+        shape = 'step' if width < _STEEP else 'tanh'
+        height = 2.0 * height * np.sign(p[1])
+    if abs(p[0]) > 0.6 or width > 2.0:  # a piece of it that looks like nothing of the kind
+        error = np.inf
+    return Formula(shape, (float(height), float(middle + span * p[0]), float(span * width)), error,
+                   4)
+
+
+def _error(y, fitted):
+    return float(np.sqrt(np.mean((y - fitted) ** 2) / np.mean(y ** 2)))
+
+
+def curve_of(spec, span):
+    """Return places and values of a term's curve over a range, (P,) each."""
+    p = np.array(spec.values)
+    inside = np.clip(np.linspace(*p[shapes.KNOTS:shapes.KNOTS + 2], _POINTS), *span)
+    x = np.unique(np.concatenate([np.linspace(*span, _POINTS), inside]))
+    return x, np.array([shapes.curve(one, p) for one in x])
+
+
+def described(spec, span):
+    """
+    Return what a learned term looks like, and the error of that.
+
+    Parameters
+    ----------
+    spec : EffectSpec
+        Of a kind of effects.learned.
+    span : (float, float) or None
+        Lowest and highest value of its variable in the recordings; None of no curve.
+
+    Returns
+    -------
+    str
+        Such as 'a torque over the link angle of joint1 that looks like a bump of ...'.
+    float
+        Rms of what the formula leaves over rms of the curve; NaN of no curve.
+
+    """
+    kind = shapes.KINDS[spec.name]
+    weights = np.array(spec.values[:kind.count])
+    if span is None:
+        lowest, highest = spec.values[kind.count:kind.count + 2]
+        places = np.geomspace(lowest, highest, kind.count)
+        shown = weights > _TOLD * weights.max()
+        if spec.name == 'learned_hysteresis':
+            torque, angle = torque_scale(weights.sum()), angle_scale(places[shown])
+            return (f'a hysteresis of {spec.joint} of {torque.text(weights.sum())} {torque.unit} '
+                    f'in all, of elements that yield at '
+                    f'{", ".join(map(angle.text, places[shown]))} {angle.unit}', np.nan)
+        return (f'a resonance of {spec.joint} of {weights.sum():.3g} kg m^2 at '
+                f'{", ".join(f"{one:.3g}" for one in places[shown])} Hz', np.nan)
+    formula, (what, like) = formula_of(*curve_of(spec, span)), _WHAT[spec.name]
+    unit = _UNITS.get(spec.name, 'rad')
+    error = f'{100.0 * formula.error:.0f} % of it rms'
+    return (f'{what} of {spec.joint} {like} {_told(formula, unit, spec.name)} (error {error})',
+            formula.error)
+
+
+def _told(formula, unit, name):
+    """Return a formula in words, its place in a unit."""
+    def size(value):
+        if name == 'learned_drift':
+            return f'{100.0 * value:.3g} %'
+        scale = torque_scale(value)
+        return f'{scale.text(value)} {scale.unit}'
+    numbers, shape = formula.numbers, formula.shape
+    if shape == 'constant':
+        return f'a constant {size(numbers[0])}'
+    if shape == 'linear':
+        return f'{size(numbers[0])} per {unit}'
+    if shape == 'quadratic':
+        return f'a parabola of {size(numbers[0])} per ({unit})^2 about {numbers[-1]:.3g} {unit}'
+    if shape == 'sine':
+        return f'a sine of {size(abs(numbers[0]))}, {abs(numbers[1]):.3g} per {unit}'
+    word = 'a saturating slope (tanh)' if shape == 'tanh' else f'a {shape}'
+    return (f'{word} of {size(numbers[0])} at {numbers[1]:.3g} {unit}, '
+            f'{numbers[2]:.2g} {unit} wide')
+
+
+def words_of(terms, before=None, after=None):
+    """Return sentences on LearnedTerms, and on the Gaps without and with them."""
+    if not terms:
+        return ('No learned term predicts data left out of the fit better: what is unexplained '
+                'does not follow from angle, speed, torsion, load or history of one joint alone.')
+
+    def change(one, other):
+        return f'{np.sqrt(np.nansum(other ** 2) / np.nansum(one ** 2)):.2g}'
+    return (f'Learned, without a name: {"; ".join(one.formula for one in terms)}. '
+            f'Held-out residual torque is {change(before.after, after.after)} times, the error of '
+            f'free runs {change(before.free_after, after.free_after)} times what it was without.')

@@ -1,0 +1,307 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""
+A term for what has no name: curves and elements learned where something is unexplained.
+
+Each is linear in its weights, which are bounded so that the term stays what physics allows; see
+effects/learned.py. It is chosen as names are: by evidence, by blocks of time left out of the fit,
+and by free runs.
+"""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+from gms_flex_control import blas
+from gms_flex_control.discrepancy.evidence import State, state_of
+from gms_flex_control.discrepancy.findings import caution_of, plausible_limit
+from gms_flex_control.discrepancy.fitting import (
+    at_values,
+    extended,
+    informative,
+    numbers_of,
+    prior_cost,
+    prior_of,
+    refitted,
+    step_of,
+    values_of,
+)
+from gms_flex_control.discrepancy.learned_words import described, words_of
+from gms_flex_control.discrepancy.likelihood import Likelihood, with_effect
+from gms_flex_control.discrepancy.motion import motion_of
+from gms_flex_control.discrepancy.nuisance import with_nuisances
+from gms_flex_control.discrepancy.result import LearnedTerm
+from gms_flex_control.discrepancy.thresholds import CLEARLY, EVIDENCE
+from gms_flex_control.discrepancy.validation import gain_of, gap_of
+from gms_flex_control.effects import learned as shapes
+from gms_flex_control.params.robot import EffectSpec
+import numpy as np
+
+MOST_TERMS = 3        # that are learned of one robot
+_TRIED = 3            # candidates of most evidence that are validated
+_ZOOMS = 0.25, 1.0 / 12.0  # of the range: windows about the place where a curve stands out
+_ITERATIONS = 3       # of a fit, in which only noise levels change
+_OFF = 5e-4           # of the moments, at either end of a range
+_PROBE = 0.1          # of the usual size of a weight, for derivatives
+_YIELDS = 1e-3, 0.3   # of the range of angles: of elements of a hysteresis
+_REACH = 1e-3         # of the range of angles, from rest to sliding
+_COUNTS = 4.0         # of the encoder, likewise
+_STILL = 3e-3, 0.03   # of the rms of the rate: so slow is nearly at rest
+_FREQUENCIES, _DAMPING = (2.0, 16.0), 0.05  # of a resonance [Hz], [1]
+_CURVES = {  # of which variable each is a curve
+    'learned_position': 'angle', 'learned_position_friction': 'angle',
+    'learned_position_drag': 'angle',
+    'learned_rate_friction': 'speed', 'learned_torsion': 'torsion',
+    'learned_load_friction': 'load', 'learned_drift': 'time'}
+
+
+class _Candidate(NamedTuple):
+    """A model with one more term."""
+
+    state: State          # with it
+    others: np.ndarray    # columns without it (C, R)
+
+    @property
+    def spec(self):
+        """Return the term."""
+        return self.state.model.robot.effects[-1]
+
+
+def learn(result, *, holdout=(), say=lambda text: None):
+    """
+    Return a Discrepancy with terms learned for what it leaves unexplained.
+
+    Parameters
+    ----------
+    result : Discrepancy
+        With the search behind it.
+    holdout : sequence of Recording
+        On which the gap is measured, as for `find_discrepancy`.
+    say : callable, optional
+        Told what is being done.
+
+    Returns
+    -------
+    Discrepancy
+        The same where nothing is unexplained, or no term predicts held-out data better. Else with
+        ``learned`` terms in ``robot``, in the place of effects that only resemble what is missing
+        where that predicts better.
+
+    """
+    if result.unexplained is None or result.behind is None:
+        return result
+    with blas.in_one_thread(), np.errstate(all='ignore'):
+        return _learned(result, holdout, say)
+
+
+def _learned(result, holdout, say):
+    """Return `learn` of a result in which something is unexplained."""
+    likelihood, written = result.behind.likelihood, result.behind.written
+    say('learning a term for what is unexplained')
+    measured = Likelihood([motion_of(one, likelihood.robot) for one in holdout],
+                          likelihood.robot, held_out=True) if holdout else None
+    learning = _Learning(likelihood, measured, result.behind.before, say)
+    state = learning.state(written)
+    known = {(one.name, one.joint) for one in result.stand_ins}
+    if known:  # a term may take the place of what only resembles it
+        fewer = replace(written.robot, effects=tuple(
+            one for one in written.robot.effects if (one.name, one.joint) not in known))
+        end = learning.run(learning.state(likelihood.fitted(fewer, written.x)))
+        if not end[1] or _distance(likelihood, end[2]) > _distance(likelihood, result.gap):
+            end = learning.run(state)
+    else:
+        end = learning.run(state)
+    state, terms, gap, drift = end
+    if not terms:
+        return replace(result, words=f'{result.words} {drift or words_of(())}')
+    robot = with_nuisances(state.model.robot, likelihood.nuisances, state.model.x)
+    kept = {(one.name, one.joint) for one in robot.effects}
+    return replace(
+        result, learned=terms, robot=robot, gap=gap,
+        stand_ins=tuple(one for one in result.stand_ins if (one.name, one.joint) in kept),
+        behind=result.behind._replace(written=state.model),
+        words=' '.join([result.words, words_of(terms, result.gap, gap), *([drift] if drift else
+                                                                          [])]))
+
+
+def _distance(likelihood, gap):
+    """Return squared held-out torque in Coulomb frictions times squared free-run error."""
+    free = float(np.nansum(gap.free_after ** 2)) or 1.0
+    return float(np.sum((gap.after / likelihood.coulomb) ** 2)) * free
+
+
+class _Learning:
+    """The learning of terms for one robot, one after the other."""
+
+    def __init__(self, likelihood, measured, before, say):
+        self._likelihood, self._measured, self._say = likelihood, measured, say
+        self._nuisances = likelihood.columns(before.robot, before.x, before.rows)
+        self._before = State(before, extended(likelihood, before, self._nuisances), -np.inf)
+        joints = range(likelihood.robot.n_joints)
+        self._ranges = [_ranges(likelihood, j) for j in joints]
+        self._begun = [spec for j in joints for spec in _specs(likelihood, j, self._ranges[j])]
+        self._count = len(self._begun) * (1 + len(_ZOOMS))
+
+    def state(self, model):
+        """Return a model fitted again as a State."""
+        model, columns = refitted(self._likelihood, model, self._nuisances, _ITERATIONS)
+        return state_of(self._likelihood, model, columns, self._count)
+
+    def run(self, state):
+        """Return a State with terms, LearnedTerm of each, its Gap, words on a drift or ''."""
+        terms, gap = [], self._gap(state)
+        while len(terms) < MOST_TERMS:
+            for one in sorted(self._candidates(state), key=lambda one: -one.state.evidence)[
+                    :_TRIED]:
+                if one.state.evidence < state.evidence + EVIDENCE:
+                    return state, tuple(terms), gap, ''
+                gain = self._gain(one, state)
+                if not gain._replace(
+                        sigmas=gain.sigmas / caution_of(self._likelihood)).is_real:
+                    continue
+                if not shapes.KINDS[one.spec.name].written:
+                    return state, tuple(terms), gap, described(one.spec, self._ranges_of(one))[0]
+                closer = self._closer(one.state, gap)
+                if closer is not None:
+                    break
+            else:
+                return state, tuple(terms), gap, ''
+            formula, error = described(one.spec, self._ranges_of(one))
+            terms.append(LearnedTerm(one.spec.name, one.spec.joint, formula, error,
+                                     self._freedom(one), gain))
+            state, gap = one.state, closer
+            self._say(f'learned {one.spec.name} of {one.spec.joint}')
+        return state, tuple(terms), gap, ''
+
+    def _gap(self, state):
+        return gap_of(self._likelihood, self._before, state, self._measured)
+
+    def _ranges_of(self, one):
+        """Return the range of the variable of a candidate's term, None of no curve."""
+        j = self._likelihood.robot.joints.index(one.spec.joint)
+        return self._ranges[j].get(_CURVES.get(one.spec.name))
+
+    def _gain(self, one, state):
+        """Return the Gain of a candidate on blocks left out, over the model without it."""
+        likelihood, change = self._likelihood, state.model.rows - one.state.model.rows
+        return gain_of(likelihood, one.state[:2], state[:2], change,
+                       plausible_limit(likelihood, one.state.model))
+
+    def _closer(self, state, gap):
+        """Return the Gap of a model if it is clearly less in torque and no more in free runs."""
+        if not (self._measured or self._likelihood).is_followed(state.model):
+            return None
+        other, level = self._gap(state), self._likelihood.coulomb
+        torque, before = (float(np.sum((one.after / level) ** 2)) for one in (other, gap))
+        free, freely = (float(np.nansum(one.free_after ** 2)) for one in (other, gap))
+        return other if CLEARLY * torque < before and free <= freely else None
+
+    def _freedom(self, one):
+        """Return how many parameters of a term the data determine, its effective parameters."""
+        likelihood, model = self._likelihood, one.state.model
+        columns = informative(likelihood, model, one.state.columns)[len(one.others):]
+        values = np.array(one.spec.values[:len(columns)])
+        precision = prior_of(likelihood, model.robot, numbers_of(likelihood, model.robot))[0]
+        scaled = (columns / np.sqrt(precision[-len(columns):])[:, None])[values != 0.0]
+        told = np.linalg.eigvalsh((scaled * likelihood.weights(model.sums.groups)) @ scaled.T)
+        return float(np.sum(np.maximum(told, 0.0) / (1.0 + np.maximum(told, 0.0))))
+
+    # --- candidates --------------------------------------------------------------------------
+
+    def _candidates(self, state):
+        """Return the best _Candidate of each kind and joint that a model lacks."""
+        there = {(one.name, one.joint) for one in state.model.robot.effects}
+        found = []
+        for spec in self._begun:
+            if (spec.name, spec.joint) in there:
+                continue
+            here = [self._fitted(state, spec)]
+            if spec.name in _CURVES and _CURVES[spec.name] != 'time':
+                for zoom in _ZOOMS:
+                    here.append(self._fitted(state, _window(here[-1].spec, spec, zoom)))
+                    if here[-1].state.evidence < here[-2].state.evidence:
+                        break
+            found.append(max(here, key=lambda one: one.state.evidence))
+        return found
+
+    def _fitted(self, state, spec):
+        """Return a _Candidate of a model with a term, all else re-tuned."""
+        likelihood, base = self._likelihood, state.model
+        kind = shapes.KINDS[spec.name]
+        count = kind.count
+        size = _PROBE * (kind.typical(likelihood.scales_of(spec.joint))[0])
+        zero = with_effect(base.robot, spec)
+        model = likelihood.fitted(zero, base.x)
+
+        def column(k):
+            values = (*(size * (i == k) for i in range(count)), *spec.values[count:])
+            probe = with_effect(base.robot, replace(spec, values=values))
+            return (likelihood.rows(probe, base.x) - model.rows) / size
+        own = likelihood.each(column, range(count))
+        columns, at = np.concatenate([state.columns, own]), len(base.x)
+        for _ in range(_ITERATIONS):
+            numbers = [one._replace(reach=np.inf)
+                       for one in numbers_of(likelihood, model.robot)]
+            step = step_of(likelihood, model, columns, numbers)
+            other = likelihood.fitted(
+                at_values(model.robot, numbers, values_of(model.robot, numbers) + step[at:]),
+                model.x + step[:at])
+            if not (other.cost + prior_cost(likelihood, other)
+                    < model.cost + prior_cost(likelihood, model)):
+                break
+            model = other
+        return _Candidate(state_of(likelihood, model, columns, self._count), state.columns)
+
+
+def _ranges(likelihood, j):
+    """Return lowest and highest value of each variable of joint j, dict of str."""
+    motions, stiffness = likelihood.motions, likelihood.robot.arm.stiffness[j]
+    angle, speed, torsion, drive, time = (np.concatenate([of(one) for one in motions]) for of in (
+        lambda one: one.states[:, 0, j], lambda one: np.abs(one.states[:, 1, j]),
+        lambda one: one.states[:, 3, j] - one.states[:, 0, j], lambda one: one.drive[:, j],
+        lambda one: one.time))
+    found = {name: tuple(np.quantile(values, (_OFF, 1.0 - _OFF)).tolist()) for name, values in (
+        ('angle', angle), ('torsion', torsion), ('time', time))}
+    load = drive if likelihood.robot.arm.rigid[j] else stiffness * torsion
+    for name, values in (('speed', speed), ('load', np.abs(load))):
+        found[name] = 0.0, float(np.quantile(values, 1.0 - _OFF))
+    return found
+
+
+def _specs(likelihood, j, ranges):
+    """Return all terms of joint j with weights of zero, EffectSpec each."""
+    robot, joint, found = likelihood.robot, likelihood.robot.joints[j], []
+    lowest, highest = ranges['angle']
+    span, rigid = highest - lowest, robot.arm.rigid[j]
+    turns = robot.arm.axes == 'rotary' and span > 2.0 * np.pi
+    further = {
+        'learned_hysteresis': tuple(share * span for share in _YIELDS),
+        'learned_resonance': (*_FREQUENCIES, _DAMPING)}
+    for name, kind in shapes.KINDS.items():
+        if rigid and name == 'learned_torsion':
+            continue
+        rest = further.get(name)
+        if rest is None:
+            rest = (*ranges[_CURVES[name]], shapes.FLAT_BEYOND)
+            if turns and _CURVES[name] == 'angle':
+                rest = 0.0, 2.0 * np.pi, shapes.REPEATS
+        scales, last = likelihood.scales_of(joint), kind.parameters[-1].name
+        ways = {'reach': (max(_REACH * span, _COUNTS * scales.count),),
+                'still': tuple(share * scales.speed for share in _STILL)}.get(last, (None,))
+        found += [EffectSpec(name=name, joint=joint, values=(0.0,) * kind.count + rest + (
+            () if way is None else (way,))) for way in ways]
+    return found
+
+
+def _window(fitted, whole, share):
+    """Return a term with weights of zero in a window where a fitted curve stands out most."""
+    count, ends = shapes.KNOTS, shapes.KNOTS + 2
+    weights, (lowest, highest, beyond) = np.array(fitted.values[:count]), fitted.values[
+        count:ends + 1]
+    inside = beyond == shapes.ZERO_BEYOND
+    places = np.linspace(lowest, highest, count + 2)[1:-1] if inside else np.linspace(
+        lowest, highest, count, endpoint=beyond != shapes.REPEATS)
+    centre = places[np.argmax(np.abs(weights - (0.0 if inside else np.median(weights))))]
+    half = 0.5 * share * (whole.values[count + 1] - whole.values[count])
+    return replace(whole, values=(0.0,) * count + (
+        float(centre - half), float(centre + half), shapes.ZERO_BEYOND, *whole.values[ends + 1:]))
