@@ -26,7 +26,7 @@ from gms_flex_control.identification.result import Estimate, Interval
 from gms_flex_control.resources import controller_file, robot_file, share_path
 from gms_flex_control.schema.build import robot_values
 from gms_flex_control.schema.files import load_controller, load_robot
-from gms_flex_control.tuning.words import controller_values
+from gms_flex_control.tuning.propose import controller_values
 import numpy as np
 
 # what is asked of the identification, by the last part of a parameter's name (largest error)

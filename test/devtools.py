@@ -177,6 +177,16 @@ class Browser:
             self.call('Input.dispatchMouseEvent', type=kind, x=x, y=y, button='left',
                       clickCount=1)
 
+    def drag(self, selector, right, down):
+        """Drag from the middle of an element by so many pixels."""
+        x, y = self.ask(f"""(() => {{ const box = document.querySelector({selector!r})
+            .getBoundingClientRect(); return [box.x + box.width / 2, box.y + box.height / 2];
+            }})()""")
+        for kind, share in (('mousePressed', 0), ('mouseMoved', 0.5), ('mouseMoved', 1),
+                            ('mouseReleased', 1)):
+            self.call('Input.dispatchMouseEvent', type=kind, x=x + share * right,
+                      y=y + share * down, button='left', buttons=1, clickCount=1)
+
     def picture(self, *, whole=False):
         """Return what is to be seen as a PNG (bytes); ``whole`` takes the page to its end."""
         return base64.b64decode(self.call('Page.captureScreenshot', format='png',

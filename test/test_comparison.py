@@ -11,13 +11,14 @@ from core_runs import model_with_error
 from gms_flex_control.batches.batch import run_batch
 from gms_flex_control.batches.workers import open_executor
 from gms_flex_control.cli.main import main
-from gms_flex_control.comparison import held_out, study, words
-from gms_flex_control.comparison.along import along, predicted
-from gms_flex_control.comparison.contestants import Condition, conditions, CONTESTANTS, plant_of
+from gms_flex_control.comparison import prediction, study
+from gms_flex_control.comparison.prediction import along, predicted
+from gms_flex_control.comparison.study import Condition, conditions, CONTESTANTS, plant_of
 from gms_flex_control.experiment.plan import read_plan
 from gms_flex_control.experiment.simulated import run_plan, simulate, simulate_to_bag, to_recording
 from gms_flex_control.params.encoder import EncoderParams
 from gms_flex_control.params.gains import COMPENSATIONS
+from gms_flex_control.reports import comparison_page
 from gms_flex_control.resources import controller_file, robot_file, share_path
 from gms_flex_control.schema.build import robot_values
 from gms_flex_control.schema.files import load_controller, load_robot, save_values
@@ -91,7 +92,7 @@ def test_the_table_is_what_the_cells_say(arm):
     assert better.hold == [4e-3, 0.0] and better.drawn_hold == 7e-3
     assert better.torque == pytest.approx(1.0) and better.rate == pytest.approx(2.0)
     assert rows['none'].errors['M'] is None and rows['none'].errors['K'] is not None
-    line = next(one for one in words.text(list(rows.values())).splitlines()
+    line = next(one for one in comparison_page.plant_text(list(rows.values())).splitlines()
                 if one.startswith('GMS, better'))
     assert line.split()[2:6] == ['1.41', '1.41', '2', '1.41']
 
@@ -155,9 +156,9 @@ def test_the_friction_along_a_recording_is_the_one_that_acted(plan):
     run = run_plan(ideal)
     found = along(to_recording(run, ideal), ideal.robot)
     piece, inner = found.pieces[0], slice(50, -50)
-    true = held_out.low_pass(run.friction, piece.window)
+    true = prediction.low_pass(run.friction, piece.window)
     assert found.has_reference
-    for said in (piece.friction, held_out.low_pass(
+    for said in (piece.friction, prediction.low_pass(
             predicted(piece, found.robot, ideal.gains, 'gms_desired'), piece.window)):
         assert np.sqrt(np.mean((said - true)[inner] ** 2)) < 0.02 * np.std(true)
 
@@ -166,12 +167,12 @@ def test_fitted_models_tell_held_out_friction_in_the_order_of_what_they_know(pla
     """Friction believed 0.7 of what it is; nothing tells all of it, GMS nearly none is left."""
     model = model_with_error(plan.robot, friction=0.7)
     found = along(simulate(plan), model)
-    masks = held_out.split(found.pieces, 0.5)
-    fits = {mode: held_out.fit(found, plan.gains, mode, masks)
+    masks = prediction.split(found.pieces, 0.5)
+    fits = {mode: prediction.fit(found, plan.gains, mode, masks)
             for mode in ('stribeck', 'gms_desired')}
-    fits |= dict.fromkeys(held_out.modes_to_fit(True), np.zeros((10, 2))) | fits
+    fits |= dict.fromkeys(prediction.modes_to_fit(True), np.zeros((10, 2))) | fits
     said = {one.mode: np.array(one.error)
-            for one in held_out.compare_along(found, plan.gains, 0.5, fits)}
+            for one in prediction.compare_along(found, plan.gains, 0.5, fits)}
     late = found.pieces[0].friction[~masks[0]]
     np.testing.assert_allclose(said['none'], np.sqrt(np.mean(late ** 2, axis=0)))
     assert np.all(said['stribeck'] < 0.25 * said['none'])
@@ -181,24 +182,26 @@ def test_fitted_models_tell_held_out_friction_in_the_order_of_what_they_know(pla
 
 
 def test_a_fit_begins_at_the_friction_of_the_file(arm):
-    same = held_out.scaled(arm[0].friction, np.zeros((10, 2)))
+    same = prediction.scaled(arm[0].friction, np.zeros((10, 2)))
     np.testing.assert_allclose(same.forward.static, arm[0].friction.forward.static)
     np.testing.assert_allclose(same.stiffness, arm[0].friction.stiffness)
 
 
 def test_without_a_reference_what_needs_one_is_left_out(plan):
     found = along(simulate(plan), plan.robot)._replace(has_reference=False)
-    assert held_out.modes_to_fit(False) == ['stribeck', 'lugre', 'gms_paper']
-    fits = dict.fromkeys(held_out.modes_to_fit(False), np.zeros((10, 2)))
-    said = {one.mode: one for one in held_out.compare_along(found, plan.gains, 0.5, fits)}
+    assert prediction.modes_to_fit(False) == ['stribeck', 'lugre', 'gms_paper']
+    fits = dict.fromkeys(prediction.modes_to_fit(False), np.zeros((10, 2)))
+    said = {one.mode: one for one in prediction.compare_along(found, plan.gains, 0.5, fits)}
     assert said['gms_desired'].error is None and said['lugre'].error is not None
     assert said['gms'].remark == 'the bag has no reference'
-    assert words.bag_rows(list(said.values()), plan.robot.joints)[1][5][1] == '-'
+    line = next(one for one in comparison_page.bag_text(
+        list(said.values()), found, plan.robot.joints).splitlines() if 'GMS of desired' in one)
+    assert line.split()[4] == '-'
 
 
 def test_compare_fits_along_a_bag(plan, tmp_path, capsys, only, monkeypatch):
     only('none', 'stribeck')
-    monkeypatch.setattr(held_out, 'modes_to_fit', lambda has_reference: ['stribeck'])
+    monkeypatch.setattr(prediction, 'modes_to_fit', lambda has_reference: ['stribeck'])
     simulate_to_bag(replace(plan, duration=8.0), tmp_path / 'bag')
     assert main(['compare', str(tmp_path / 'bag'), '--out', str(tmp_path / 'out')]) == 0
     assert 'static Stribeck' in capsys.readouterr().out

@@ -15,8 +15,7 @@ from devtools import chromium
 from gms_flex_control.answer import Answer, command, measured
 from gms_flex_control.cli.output import answer_text
 from gms_flex_control.reports.figures import COLOURS, finished, stacked_panels
-from gms_flex_control.reports.page import Report, Series
-from gms_flex_control.reports.series import decimate, merge_grids
+from gms_flex_control.reports.page import decimate, merge_grids, Report, Series
 import numpy as np
 import pytest
 

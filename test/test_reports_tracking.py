@@ -8,8 +8,11 @@ import struct
 
 from gms_flex_control.analysis.tracking import Run
 from gms_flex_control.recording import Recording
-from gms_flex_control.reports.figures import error_figure, tracking_figure
-from gms_flex_control.reports.tracking import write_tracking_report
+from gms_flex_control.reports.recordings_page import (
+    error_figure,
+    tracking_figure,
+    write_tracking_report,
+)
 import numpy as np
 import pytest
 

@@ -29,9 +29,9 @@ from gms_flex_control.schema.files import (
 from gms_flex_control.simulation import closed_loop
 from gms_flex_control.simulation.stepped import SteppedController, SteppedPlant
 from gms_flex_control.trajectory import builders
-from gms_flex_control.tuning import margins, trial, uncertainty
-from gms_flex_control.tuning.judge import judged
+from gms_flex_control.tuning import margins, trial
 from gms_flex_control.tuning.linear_loop import compliance, linear_loop, Timing
+from gms_flex_control.tuning.margins import judged
 from gms_flex_control.tuning.propose import Demands, pair, propose
 import numpy as np
 import pytest
@@ -234,7 +234,7 @@ def test_draws_stay_within_the_spread_and_within_intervals(arm):
     name, block = 'friction.joint1.forward.static', 'friction.joint2.stiffness[3]'
     intervals = {name: (0.2, 0.21), block: (70.0, 71.0)}
     believed = robot_values(robot)
-    drawn = [uncertainty.draw(robot, intervals, np.random.default_rng(k))[0] for k in range(50)]
+    drawn = [trial.draw(robot, intervals, np.random.default_rng(k))[0] for k in range(50)]
     values = [robot_values(one) for one in drawn]
     assert all(0.2 <= one[name] <= 0.21 for one in values)
     assert all(70.0 <= one['friction.joint2.stiffness'][3] <= 71.0 for one in values)

@@ -22,12 +22,12 @@ from gms_flex_control.cli.main import main
 from gms_flex_control.errors import BagError
 from gms_flex_control.friction import gms
 from gms_flex_control.recording import Recording
-from gms_flex_control.view.access import Access
+from gms_flex_control.resources import share_path
+from gms_flex_control.schema.files import load_robot
 from gms_flex_control.view.bag import BagView, blocks_along, CHUNK, open_bag
-from gms_flex_control.view.live import Feed, Rows
-from gms_flex_control.view.scene import extent, scene_of, unknown_scene
-from gms_flex_control.view.server import ServerError, ViewServer
-from gms_flex_control.view.status import SILENCE, Status
+from gms_flex_control.view.live import Feed, Rows, SILENCE, Status
+from gms_flex_control.view.scene import extent, places, scene_of, unknown_scene
+from gms_flex_control.view.server import Access, ServerError, ViewServer
 import numpy as np
 import pytest
 
@@ -109,6 +109,20 @@ def test_one_rigid_joint_and_many_joints_have_a_scene(robot):
     np.testing.assert_allclose(straight, (0.0, 0.0, sum(chain.length), 0.0))
     bent = extent(chain, np.array([[np.pi / 2] + [0.0] * 6]))
     np.testing.assert_allclose(bent, (0.0, 0.0, 0.0, sum(chain.length)), atol=1e-9)
+
+
+def test_places_in_space_are_those_of_mujoco():
+    mujoco = pytest.importorskip('mujoco', reason="MuJoCo is the extra 'bench'")
+    arm = load_robot(share_path() / 'examples' / 'industrial_arm' / 'robot.yaml')
+    model = mujoco.MjModel.from_xml_path(str(arm.arm.frames.source))
+    data, angles = mujoco.MjData(model), np.random.default_rng(4).uniform(-2.0, 2.0, (5, 6))
+    found = places(scene_of(arm), angles)
+    for pose, points in zip(angles, found, strict=True):
+        data.qpos[:] = pose
+        mujoco.mj_kinematics(model, data)
+        np.testing.assert_allclose(points[1:-1], data.xpos[model.jnt_bodyid], atol=1e-9)
+    np.testing.assert_allclose(extent(scene_of(arm), angles), (
+        *found.min(axis=(0, 1)), *found.max(axis=(0, 1))))
 
 
 def one_joint(friction):

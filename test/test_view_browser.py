@@ -9,8 +9,11 @@ import sys
 
 from gms_flex_control.bags.reader import read_recording
 from gms_flex_control.cli.main import main
+from gms_flex_control.recording import Recording
+from gms_flex_control.resources import share_path
 from gms_flex_control.schema.files import load_robot
-from gms_flex_control.view.bag import open_bag
+from gms_flex_control.view.bag import BagView, open_bag
+from gms_flex_control.view.scene import places, scene_of
 from gms_flex_control.view.server import ViewServer
 import numpy as np
 import pytest
@@ -164,6 +167,49 @@ def test_the_focus_can_be_seen_on_its_way_through_the_page(page):
         assert name == 'BODY' or style != 'none', name
         seen.add(name)
     assert {'play', 'back', 'forth', 'scrub', 'speed', 'loop', 'factor'} <= seen
+
+
+def seen(points, yaw, pitch):
+    """Return points (P, 3) as right and up (P, 2) of who looks from there."""
+    x, y, z = points.T
+    away = y * np.cos(yaw) - x * np.sin(yaw)
+    return np.stack([x * np.cos(yaw) + y * np.sin(yaw),
+                     z * np.cos(pitch) + away * np.sin(pitch)], axis=1)
+
+
+def test_an_arm_in_space_is_a_figure_that_turns_with_mouse_and_keys(browser):
+    robot = load_robot(share_path() / 'examples' / 'industrial_arm' / 'robot.yaml')
+    time = np.arange(200) * PERIOD
+    angles = 0.5 * np.sin(time[:, None] * np.arange(1, 7) + 0.3)
+    reference = np.repeat(angles[:, None], 5, axis=1)
+    recording = Recording(
+        joints=tuple(robot.joints), time=time, reference=reference, source='made up',
+        q_motor=angles + 1e-3, **dict.fromkeys(('q_link', 'dq_link', 'dq_motor', 'tau_motor',
+                                                'command', 'friction_hat'), angles))
+    with ViewServer(BagView(recording, scene_of(robot))) as server:
+        browser.errors.clear()
+        browser.screen(1280, 860)
+        browser.visit(f'{server.url}#t=0.2')
+        browser.until(f'{TIME} === 0.2')
+        points = places(scene_of(robot), angles[[100]])[0]
+
+        def stands(yaw, pitch):
+            drawn = browser.ask(
+                'Array.from(document.querySelectorAll(".bone"), (one) => [Number('
+                'one.dataset.link), one.getAttribute("points")]).sort((a, b) => a[0] - b[0])')
+            ends = np.array([[one.split(',') for one in text.split()] for _, text in drawn], float)
+            np.testing.assert_allclose(ends[:, 1] - ends[:, 0],
+                                       np.diff(seen(points, yaw, pitch), axis=0), atol=3e-5)
+
+        stands(0.6, 0.35)
+        browser.drag('#picture', -100, 30)
+        stands(1.6, 0.65)
+        browser.ask('document.getElementById("picture").focus()')
+        browser.press('ArrowRight')
+        stands(1.7, 0.65)
+        assert browser.ask(TIME) == 0.2  # the key has turned the arm alone
+        assert browser.ask('document.querySelectorAll("#picture .wedge").length') == 6
+        assert browser.errors == []
 
 
 @pytest.mark.flaky(reruns=2)  # real nodes on a machine that others use too

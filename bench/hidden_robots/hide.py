@@ -15,7 +15,7 @@ from gms_flex_control.errors import ConfigError
 from gms_flex_control.files import write_text
 from gms_flex_control.reports.discrepancy_values import described
 from gms_flex_control.schema.files import save_robot, save_values
-from gms_flex_control.tuning.words import controller_values
+from gms_flex_control.tuning.propose import controller_values
 import numpy as np
 
 

@@ -15,8 +15,7 @@ from bench.speed.timing import Measurement
 from gms_flex_control.batches.batch import run_batch
 from gms_flex_control.batches.journal import Journal
 from gms_flex_control.batches.workers import open_executor
-from gms_flex_control.comparison.contestants import Condition, NOMINAL
-from gms_flex_control.comparison.study import Cell, Setting, try_cell
+from gms_flex_control.comparison.study import Cell, Condition, NOMINAL, Setting, try_cell
 from gms_flex_control.errors import GmsFlexError
 from gms_flex_control.experiment.processes import executable
 from gms_flex_control.schema.files import save_robot

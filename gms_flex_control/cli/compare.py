@@ -12,21 +12,21 @@ from gms_flex_control.batches.journal import content_of, digest_of, fingerprint
 from gms_flex_control.cli.identify_bags import motors_in
 from gms_flex_control.cli.output import conclude, refuse_unwritable
 from gms_flex_control.cli.verbs import OF_A_BAG, OF_A_PLANT
-from gms_flex_control.comparison import held_out, study, words
+from gms_flex_control.comparison import prediction, study
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.files import write_text
 from gms_flex_control.params.units import in_units
-from gms_flex_control.reports.comparison import bag_page, plant_page
+from gms_flex_control.reports import comparison_page
 from gms_flex_control.resources import controller_file, robot_file
 from gms_flex_control.schema.build import robot_values
 from gms_flex_control.schema.files import load_controller, load_robot
-from gms_flex_control.tuning.words import controller_values
+from gms_flex_control.tuning.propose import controller_values
 import numpy as np
 
 # what a figure depends on
 SOURCES = ('params', 'friction', 'effects', 'dynamics', 'trajectory', 'control', 'simulation',
-           'bags', 'identification', 'tuning', 'comparison/contestants.py',
-           'comparison/study.py', 'comparison/along.py', 'comparison/held_out.py')
+           'bags', 'identification', 'tuning', 'comparison/study.py',
+           'comparison/prediction.py')
 
 
 def compare_verb(args) -> int:
@@ -84,8 +84,9 @@ def _on_plant(args, files):
     rows = study.table(outcomes, setting)
     values = {'rate': args.rate, 'amplitude': args.amplitude, 'draws': args.draws,
               'seed': args.seed, 'rows': [row._asdict() for row in rows], 'cells': outcomes}
-    return (words.text(rows), values, plant_page(rows, outcomes, setting, files),
-            words.plant_answer(rows, outcomes, files), partial(in_units, robot.arm))
+    return (comparison_page.plant_text(rows), values,
+            comparison_page.plant_page(rows, outcomes, setting, files),
+            comparison_page.plant_answer(rows, outcomes, files), partial(in_units, robot.arm))
 
 
 def _along_bag(args):
@@ -94,19 +95,20 @@ def _along_bag(args):
     robot = load_robot(args.robot or robot_file())
     gains = load_controller(args.controller or controller_file(), robot)
     motors = motors_in(bag, robot)
-    found = held_out.read_along(bag, motors, robot)
-    held_out.split(found.pieces, args.fit)  # says now what is too short
-    items = {mode: held_out.FitItem(bag, motors, robot, gains, args.fit, mode)
-             for mode in held_out.modes_to_fit(found.has_reference)}
-    fits = _finished(args, held_out.fit_item, items, robot, gains,
+    found = prediction.read_along(bag, motors, robot)
+    prediction.split(found.pieces, args.fit)  # says now what is too short
+    items = {mode: prediction.FitItem(bag, motors, robot, gains, args.fit, mode)
+             for mode in prediction.modes_to_fit(found.has_reference)}
+    fits = _finished(args, prediction.fit_item, items, robot, gains,
                     (content_of(bag), args.fit), 'fits')
-    predictions = held_out.compare_along(found, gains, args.fit, fits)
+    predictions = prediction.compare_along(found, gains, args.fit, fits)
     values = {'bag': bag, 'fit': args.fit, 'rows': [
         {name: getattr(one, name) for name in ('mode', 'name', 'error', 'fitted', 'remark')}
         for one in predictions]}
-    return (words.bag_text(predictions, found, robot.joints), values,
-            bag_page(predictions, found, robot, bag, args.fit, args.robot or ()),
-            words.bag_answer(predictions, robot.joints, bag, args.robot or ()),
+    return (comparison_page.bag_text(predictions, found, robot.joints), values,
+            comparison_page.bag_page(predictions, found, robot, bag, args.fit,
+                                     args.robot or ()),
+            comparison_page.bag_answer(predictions, robot.joints, bag, args.robot or ()),
             partial(in_units, robot.arm))
 
 

@@ -16,19 +16,19 @@ from gms_flex_control.cli import each_bag
 from gms_flex_control.cli.identify_bags import read_take
 from gms_flex_control.cli.output import conclude, refuse_fitted, refuse_unwritable, say
 from gms_flex_control.discrepancy.closed_loop import stretch_of, with_closed_loop
+from gms_flex_control.discrepancy.compared import as_found, compare
 from gms_flex_control.discrepancy.learning import learn
 from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE
 from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
 from gms_flex_control.effects import registry
 from gms_flex_control.errors import BagError, ConfigError
 from gms_flex_control.reports import discrepancy_values as files
-from gms_flex_control.reports.discrepancy import (
+from gms_flex_control.reports.bags_summary import discrepancy_text
+from gms_flex_control.reports.discrepancy_page import (
     discrepancy_answer,
     units_of,
     write_discrepancy_report,
 )
-from gms_flex_control.reports.model_comparison import as_found, compare, comparison_text
-from gms_flex_control.reports.over_bags import discrepancy_text
 from gms_flex_control.schema.files import load_controller, load_robot
 import numpy as np
 
@@ -126,7 +126,7 @@ def _printed(result, compared, values, args):
                    break_on_hyphens=False), file=stream)
     if not args.json and not bad:
         if compared:
-            print(units_of(result)(f'\n{comparison_text(compared, result.gap.joints)}'))
+            print(units_of(result)(f'\n{files.comparison_text(compared, result.gap.joints)}'))
         conclude(discrepancy_answer(result, out), {
             'model': out / 'robot.yaml', 'report': out / 'report.html',
             'numbers': out / 'report.json'}, units_of(result))

@@ -23,12 +23,12 @@ from gms_flex_control.identification.output import report_json, write_friction, 
 from gms_flex_control.identification.over_bags import bag_values
 from gms_flex_control.identification.unknown_robot import only_joints, rigid_joints
 from gms_flex_control.params.units import in_units
-from gms_flex_control.reports import over_bags
-from gms_flex_control.reports.identification import (
+from gms_flex_control.reports import bags_summary
+from gms_flex_control.reports.identification_page import (
     identification_answer,
+    identification_text,
     write_identification_report,
 )
-from gms_flex_control.reports.identification_text import identification_text
 from gms_flex_control.schema.build import robot_values
 from gms_flex_control.schema.files import load_robot
 
@@ -127,7 +127,7 @@ def _run_each(args):
     """Identify each bag, write, print; return 1 if one could not be identified, else 0."""
     items, asked = items_of(args)
     found = each_bag.run_each(args, identify_bag, items, asked)
-    each_bag.write_summary(args, found, over_bags.identification_text)
+    each_bag.write_summary(args, found, bags_summary.identification_text)
     return int(any(values['reason'] is not None for values in found.values()))
 
 

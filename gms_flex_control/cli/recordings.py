@@ -18,8 +18,12 @@ from gms_flex_control.bags.reader import read_recording
 from gms_flex_control.cli.output import conclude
 from gms_flex_control.errors import BagError
 from gms_flex_control.params.gains import COMPENSATIONS
-from gms_flex_control.reports.torsion import text, torsion_answer, write_torsion_report
-from gms_flex_control.reports.tracking import write_tracking_report
+from gms_flex_control.reports.recordings_page import (
+    torsion_answer,
+    torsion_text,
+    write_torsion_report,
+    write_tracking_report,
+)
 from gms_flex_control.resources import share_path
 from gms_flex_control.schema.files import save_robot
 
@@ -105,7 +109,7 @@ def torsion(args) -> int:
     """Fit a first flexible-joint model, write the report if asked to; return 0."""
     found = study(read_recording(args.bag), args.joint, args.stiffness, args.motor_inertia)
     print(json.dumps(_torsion_values(found), indent=2, allow_nan=False) if args.json
-          else text(found))
+          else torsion_text(found))
     if args.out:
         page = write_torsion_report(found, args.out)
         robot = Path(args.out) / 'robot.yaml'

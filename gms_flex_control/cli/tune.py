@@ -18,15 +18,22 @@ from gms_flex_control.errors import ConfigError
 from gms_flex_control.files import write_text
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.units import in_units
+from gms_flex_control.reports import tuning_page
 from gms_flex_control.reports.figures import save_figure
-from gms_flex_control.reports.tuning_figure import tuning_figure
 from gms_flex_control.resources import controller_file, robot_file
 from gms_flex_control.schema.build import robot_values
 from gms_flex_control.schema.files import load_controller, load_robot, save_values
-from gms_flex_control.tuning import propose, uncertainty, words
+from gms_flex_control.tuning import propose
 from gms_flex_control.tuning.linear_loop import Timing
 from gms_flex_control.tuning.propose import Demands
-from gms_flex_control.tuning.trial import MOTIONS, try_gains
+from gms_flex_control.tuning.trial import (
+    Drawn,
+    MOTIONS,
+    read_intervals,
+    summary,
+    try_drawn,
+    try_gains,
+)
 import numpy as np
 
 _MOST_AT_LIMIT = 0.02  # share of a motion that may be spent at the torque limit
@@ -42,7 +49,7 @@ def tune(args) -> int:
     intervals = _intervals_asked(args)
     refuse_unwritable(args.out)
     proposal, trials = _proposed(robot, base, demands, args.amplitude)
-    values = words.as_values(proposal, robot, demands.timing, trials)
+    values = tuning_page.as_values(proposal, robot, demands.timing, trials)
     units = partial(in_units, robot.arm)
     if not args.json:
         print(units(_text_of(proposal, trials, robot, demands)))
@@ -50,15 +57,16 @@ def tune(args) -> int:
         if args.verify:
             values['verify'] = _verified(robot, proposal.gains, demands, intervals, args)
             if not args.json:
-                print(units(f"\n{words.verify_text(values['verify'], robot)}"))
+                print(units(f"\n{tuning_page.verify_text(values['verify'], robot)}"))
         _write(args, robot, proposal, demands)
     write_text(Path(args.out) / 'tuning.json', json.dumps(values, indent=2) + '\n')
     if args.json:
         print(json.dumps(values, indent=2))
     else:
         written = {} if proposal.unmet else {'gains': Path(args.out) / 'controller.yaml'}
-        conclude(words.answer_of(proposal, trials, robot, demands, args.robot or (), args.out),
-                 written | {'numbers': Path(args.out) / 'tuning.json'}, units)
+        answer = tuning_page.answer_of(proposal, trials, robot, demands, args.robot or (),
+                                       args.out)
+        conclude(answer, written | {'numbers': Path(args.out) / 'tuning.json'}, units)
     found = values.get('verify', {'lost': [], 'unstable': []})
     return int(bool(proposal.unmet or found['lost'] or found['unstable']))
 
@@ -95,7 +103,7 @@ def _intervals_asked(args):
     if not args.verify:
         raise ConfigError(f'--intervals {args.intervals}: concerns the robots that --verify '
                           'draws; give --verify N as well, or leave it out')
-    return uncertainty.read_intervals(args.intervals)
+    return read_intervals(args.intervals)
 
 
 def _per_joint(name, values, n):
@@ -137,26 +145,26 @@ def _at_limit(run, robot, limit, motion):
 def _text_of(proposal, trials, robot, demands):
     """Return gains, margins, conditions and expected errors as lines of text."""
     return '\n'.join([
-        words.gains_table(proposal.gains, robot),
+        tuning_page.gains_table(proposal.gains, robot),
         '\nMargins of the sampled loop, worst of all poses',
-        words.margins_table(proposal.judgement, robot),
-        *words.loop_lines(proposal.judgement, robot, demands.timing),
+        tuning_page.margins_table(proposal.judgement, robot),
+        *tuning_page.loop_lines(proposal.judgement, robot, demands.timing),
         f'\n{gains_text(proposal.judgement.conditions)}',
-        f'\nSimulated, exact model\n{words.trials_table(trials, robot)}',
-        *words.expected_lines(trials, proposal.judgement, robot),
+        f'\nSimulated, exact model\n{tuning_page.trials_table(trials, robot)}',
+        *tuning_page.expected_lines(trials, proposal.judgement, robot),
         *(f'NOT MET: {sentence}' for sentence in proposal.unmet)])
 
 
 def _verified(robot, gains, demands, intervals, args):
     """Return the summary of the draws asked for; finished ones are kept in --out."""
     amplitude = np.full(robot.n_joints, args.amplitude)
-    items = {f'draw {k}': uncertainty.Drawn(robot, gains, demands.timing, amplitude, intervals,
-                                            args.seed, k) for k in range(args.verify)}
-    digest = digest_of((robot_values(robot), words.controller_values(gains, robot.joints),
+    items = {f'draw {k}': Drawn(robot, gains, demands.timing, amplitude, intervals,
+                                args.seed, k) for k in range(args.verify)}
+    digest = digest_of((robot_values(robot), propose.controller_values(gains, robot.joints),
                         demands.timing, args.amplitude, intervals, args.seed))
-    found = run_kept(uncertainty.try_drawn, items, args, f'{fingerprint(SOURCES)} {digest}',
+    found = run_kept(try_drawn, items, args, f'{fingerprint(SOURCES)} {digest}',
                      'robots')
-    return uncertainty.summary(list(found.values()))
+    return summary(list(found.values()))
 
 
 def _write(args, robot, proposal, demands):
@@ -165,11 +173,12 @@ def _write(args, robot, proposal, demands):
     comment = '\n'.join([
         f'Gains proposed by gms_flex tune {__version__} for {args.rate:g} Hz and '
         f'{args.delay:g} ms of delay.',
-        *words.loop_lines(proposal.judgement, robot, demands.timing)[:1],
-        words.margins_table(proposal.judgement, robot)])
-    save_values(words.controller_values(proposal.gains, robot.joints), out / 'controller.yaml',
+        *tuning_page.loop_lines(proposal.judgement, robot, demands.timing)[:1],
+        tuning_page.margins_table(proposal.judgement, robot)])
+    save_values(propose.controller_values(proposal.gains, robot.joints), out / 'controller.yaml',
                 comment=comment)
-    save_figure(tuning_figure(robot, proposal.gains, demands.timing), out / 'tuning.png')
+    save_figure(tuning_page.tuning_figure(robot, proposal.gains, demands.timing),
+                out / 'tuning.png')
 
 
 def check_gains(args) -> int:

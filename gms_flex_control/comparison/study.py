@@ -1,22 +1,80 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""Every compensation under every condition: one cell of the table each, and the table."""
+"""Every compensation under every condition: the conditions, one cell of the table, the table."""
 
+from collections.abc import Iterator
+from dataclasses import replace
 from typing import NamedTuple
 
-from gms_flex_control.comparison.contestants import (
-    Condition,
-    conditions,
-    CONTESTANTS,
-    DRAWN,
-    gains_of,
-    NOMINAL,
-    plant_of,
-)
+from gms_flex_control.experiment.believed import scaled_friction
+from gms_flex_control.params.gains import ControllerParams
+from gms_flex_control.params.robot import RobotParams
 from gms_flex_control.tuning.linear_loop import Timing
-from gms_flex_control.tuning.trial import MOTIONS, try_gains
+from gms_flex_control.tuning.trial import draw, MOTIONS, try_gains
 import numpy as np
+
+PAPER_OBSERVER_GAIN = 0.01  # k_e (paper, section 6)
+# mode of the controller: how it is called in tables
+CONTESTANTS = {
+    'none': 'none',
+    'stribeck': 'static Stribeck',
+    'lugre': 'LuGre',
+    'gms_paper': 'GMS as in the paper',
+    'gms': 'GMS, better',
+    'gms_desired': 'GMS of desired motion',
+    'disturbance_observer': 'disturbance observer',
+    'gms_adaptive': 'adaptive GMS'}
+NOMINAL, DRAWN = 'nominal', 'drawn'
+RATE, COUNTS = 500.0, 20_000.0
+
+
+class Condition(NamedTuple):
+    """How the plant differs from what is believed, and how it is sampled."""
+
+    name: str
+    group: str              # conditions of one group make one column
+    friction: float = 1.0   # times what is believed
+    stiffness: float = 1.0
+    mass: float = 1.0
+    counts: float | None = None   # of the encoders; None: as the robot's file says
+    rate: float | None = None     # [Hz]; None: as asked
+    draw: int | None = None       # number of a robot drawn at random
+
+
+def conditions(draws) -> list:
+    """Return the conditions, ``draws`` robots with all parameters off among them."""
+    found = [Condition(NOMINAL, NOMINAL)]
+    for group, name, spread in (('friction', 'friction', 0.3), ('K', 'stiffness', 0.2),
+                                ('M', 'mass', 0.3)):
+        found += [Condition(f'{group} {100 * sign * spread:+.0f} %', group,
+                            **{name: 1.0 + sign * spread}) for sign in (-1.0, 1.0)]
+    found += [Condition(f'{counts} counts', f'{counts} counts', counts=float(counts))
+              for counts in (4096, 16384, 65536)]
+    found += [Condition(f'{rate} Hz', f'{rate} Hz', rate=float(rate)) for rate in (200, 1000)]
+    return found + [Condition(f'drawn {k}', DRAWN, draw=k) for k in range(draws)]
+
+
+def plant_of(robot, condition, seed) -> RobotParams:
+    """Return the robot as it is under a condition; every compensation meets the same draws."""
+    if condition.draw is not None:
+        return draw(robot, {}, np.random.default_rng([seed, condition.draw]))[0]
+    arm = replace(robot.arm, stiffness=robot.arm.stiffness * condition.stiffness,
+                  mass=robot.arm.mass * condition.mass,
+                  inertia=robot.arm.inertia * condition.mass)
+    found = replace(robot, arm=arm, friction=scaled_friction(robot.friction, condition.friction))
+    if condition.counts is not None:
+        found = replace(found, encoder=replace(robot.encoder, counts=condition.counts))
+    return found
+
+
+def gains_of(gains, mode) -> ControllerParams:
+    """Return gains for a mode; the paper's observer has the paper's k_e."""
+    if mode == 'gms_paper':
+        gains = replace(gains, observer_gain=np.full_like(gains.observer_gain,
+                                                          PAPER_OBSERVER_GAIN))
+    return replace(gains, compensation=mode)
+
 
 # what is left of the error where there is (next to) none to compensate
 FLOOR = Condition('without friction', 'without friction', friction=1e-6)
@@ -41,19 +99,19 @@ class Cell(NamedTuple):
     condition: object   # Condition
 
 
-def cells(setting):
+def cells(setting) -> dict:
     """Return the cells of a comparison, that of its floor at last, by their keys (dict)."""
     return {f'{mode} | {condition.name}': Cell(setting, mode, condition)
             for condition in conditions(setting.draws) for mode in CONTESTANTS} | {
         FLOOR.name: Cell(setting, 'none', FLOOR)}
 
 
-def floor_of(outcomes):
+def floor_of(outcomes) -> dict:
     """Return the Trial, a dict, of each motion of a plant without friction: what is left then."""
     return outcomes[FLOOR.name]
 
 
-def runs_of(cell):
+def runs_of(cell) -> Iterator:
     """Yield (motion, Trial, Run) of a Cell."""
     setting, condition = cell.setting, cell.condition
     plant = plant_of(setting.robot, condition, setting.seed)
@@ -64,25 +122,12 @@ def runs_of(cell):
                                  setting.amplitude, seed=setting.seed)
 
 
-def try_cell(cell):
-    """
-    Simulate the motions of a cell.
-
-    Parameters
-    ----------
-    cell : Cell
-        Which one.
-
-    Returns
-    -------
-    dict
-        A Trial as a dict for each of `tuning.trial.MOTIONS`.
-
-    """
+def try_cell(cell) -> dict:
+    """Return a Trial of each motion of a Cell, as a dict (dict of dict)."""
     return {motion: trial._asdict() for motion, trial, _ in runs_of(cell)}
 
 
-def error_of(outcome):
+def error_of(outcome) -> float | None:
     """Return the rms error over all joints and motions of a cell [rad]; None if it was lost."""
     if any(trial['lost'] for trial in outcome.values()):
         return None
@@ -103,22 +148,8 @@ class Row(NamedTuple):
     drawn_hold: float | None  # largest peak to peak at rest of any joint and drawn robot [rad]
 
 
-def table(outcomes, setting):
-    """
-    Return what the cells say, a row per compensation.
-
-    Parameters
-    ----------
-    outcomes : dict of str to dict
-        Of `try_cell`, by the keys of `cells`.
-    setting : Setting
-        Of the comparison.
-
-    Returns
-    -------
-    list of Row
-
-    """
+def table(outcomes, setting) -> list:
+    """Return a Row per compensation from the outcomes of `try_cell`, by the keys of `cells`."""
     return [_row(mode, name, outcomes, setting) for mode, name in CONTESTANTS.items()]
 
 

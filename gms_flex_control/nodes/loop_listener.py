@@ -17,9 +17,8 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from gms_flex_control.bags.names import link_names, MOTOR_SUFFIX
 from gms_flex_control.nodes import messages, process
 from gms_flex_control.nodes.serialized import stamp_in
-from gms_flex_control.view.live import Rows, SPACING
+from gms_flex_control.view.live import Rows, SPACING, Status
 from gms_flex_control.view.scene import scene_of, unknown_scene
-from gms_flex_control.view.status import Status
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray

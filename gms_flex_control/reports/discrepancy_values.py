@@ -1,14 +1,14 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""Files for machines of a discrepancy: report.json, and robot.yaml with what was found."""
+"""A discrepancy as plain values, report.json, robot.yaml, and rows of text."""
 
 import json
 import math
 from textwrap import wrap
 
 from gms_flex_control import __version__
-from gms_flex_control.discrepancy.describe import named
+from gms_flex_control.discrepancy.describe import angle_scale, named, torque_scale
 from gms_flex_control.discrepancy.residual_views import over_of
 from gms_flex_control.effects.registry import find
 from gms_flex_control.files import write_text
@@ -22,33 +22,20 @@ _TORQUES = ('before', 'retuned', 'after', 'floor')
 _OF_GAP = (*_TORQUES, 'rest_before', 'rest_after', 'free_before', 'free_after', 'free_floor')
 
 
-def report_values(result, *, holdout=(), models=()):
+def report_values(result, *, holdout=(), models=()) -> dict:
     """
-    Return a Discrepancy as plain data, without the search behind it.
+    Return a Discrepancy as plain data for JSON, without the search behind it, in SI units.
 
-    Parameters
-    ----------
-    result : Discrepancy
-        What to report.
-    holdout : sequence of str
-        Recordings the gap was measured on, if not on blocks held out.
-    models : sequence of Compared
-        Models compared beside it.
-
-    Returns
-    -------
-    dict
-        Of str, int, float, bool, None, list and dict; a number that is not finite is None.
-        SI units: torques in N m, free-run errors in rad.
-
+    ``holdout`` names the recordings the gap was measured on, if not on blocks held out; ``models``
+    are Compared beside it.
     """
     joints = result.gap.joints if result.gap is not None else ()
     return plain({
         'format': REPORT_FORMAT, 'version': __version__, 'verdict': result.verdict,
         'words': result.words, 'sources': result.sources, 'holdout': holdout,
         'seconds': result.seconds, 'faults': result.faults,
-        'findings': [finding_values(finding, joints) for finding in result.findings],
-        'minor': [finding_values(finding, joints) for finding in result.minor],
+        'findings': [_finding_values(finding, joints) for finding in result.findings],
+        'minor': [_finding_values(finding, joints) for finding in result.minor],
         'credible': [{'effects': [{'effect': effect, 'joint': joint} for effect, joint in
                                   model.effects], 'probability': model.probability}
                      for model in result.models],
@@ -59,16 +46,16 @@ def report_values(result, *, holdout=(), models=()):
         'learned': [{'effect': one.effect, 'joint': one.joint, 'formula': one.formula,
                      'error': one.error, 'effective_parameters': one.freedom,
                      'nats': one.held_out.nats} for one in result.learned],
-        'gap': gap_values(result.gap) if result.gap is not None else None,
+        'gap': _gap_values(result.gap) if result.gap is not None else None,
         'recordings': list(result.recordings),
         'retuned': [{'parameter': name, 'joint': joint, 'change': change}
                     for name, joint, change in result.retuned],
         'tried': [one._asdict() for one in result.tried],
         'dependences': [over_values(one) for one in over_of(result)],
-        'models': [model_values(model, joints) for model in models]})
+        'models': [_model_values(model, joints) for model in models]})
 
 
-def finding_values(finding, joints):
+def _finding_values(finding, joints):
     """Return a Finding as a dict, residuals by the names of ``joints``."""
     return {
         'effect': finding.effect, 'joint': finding.joint,
@@ -80,18 +67,18 @@ def finding_values(finding, joints):
         'evidence': finding.evidence, 'runner_up': finding.runner_up,
         'runner_up_score': finding.runner_up_score,
         'confusable_with': finding.confusable_with, 'tells_apart': finding.tells_apart,
-        'rms_before': by_joint(joints, finding.rms_before),
-        'rms_after': by_joint(joints, finding.rms_after)}
+        'rms_before': _by_joint(joints, finding.rms_before),
+        'rms_after': _by_joint(joints, finding.rms_after)}
 
 
-def described(spec):
+def described(spec) -> dict:
     """Return an EffectSpec as a dict of effect, joint and parameters by name."""
     names = [parameter.name for parameter in find(spec.name).parameters]
     return {'effect': spec.name, 'joint': spec.joint,
             'parameters': dict(zip(names, spec.values, strict=True))}
 
 
-def over_values(one):
+def over_values(one) -> dict:
     """Return an Over as a dict: shares of the residual, and of bins whose band is off zero."""
     models = ('before', 'after', 'nothing_missing')
     return {'joint': one.joint, 'equation': one.equation, 'variable': one.variable,
@@ -99,45 +86,30 @@ def over_values(one):
             'off_zero': dict(zip(models, one.off_zero, strict=True))}
 
 
-def gap_values(gap):
+def _gap_values(gap):
     """Return a Gap as a dict, each figure by joint."""
-    return {name: by_joint(gap.joints, getattr(gap, name)) for name in _OF_GAP} | {
-        'energy_ratio': gap.energy_ratio, 'closed_loop': loop_values(gap.closed_loop)}
+    return {name: _by_joint(gap.joints, getattr(gap, name)) for name in _OF_GAP} | {
+        'energy_ratio': gap.energy_ratio, 'closed_loop': _loop_values(gap.closed_loop)}
 
 
-def loop_values(again):
+def _loop_values(again):
     """Return a ClosedLoop as a dict, each figure by joint; None as it is."""
     if again is None:
         return None
     return {'sources': again.sources} | {
-        name: by_joint(again.joints, getattr(again, name)) for name in _TORQUES}
+        name: _by_joint(again.joints, getattr(again, name)) for name in _TORQUES}
 
 
-def model_values(model, joints):
+def _model_values(model, joints):
     """Return a Compared as a dict, each figure by joint."""
     return {'model': model.name, 'missing': model.missing,
             'missing_retuned': model.missing_retuned} | {
-        name: by_joint(joints, getattr(model, name))
+        name: _by_joint(joints, getattr(model, name))
         for name in ('torque', 'torque_retuned', 'free_run', 'free_run_retuned')}
 
 
-def over_bags_values(result):
-    """
-    Return what is compared of a Discrepancy over bags, plain values for JSON.
-
-    Parameters
-    ----------
-    result : Discrepancy
-        Of one bag.
-
-    Returns
-    -------
-    dict
-        ``verdict``, ``words``, ``effects`` that matter and ``minor`` ones as text,
-        ``unexplained`` in a sentence, ``estimates`` of
-        their parameters, ``gap`` by joint, and ``reason``: the faults of bad data, else None.
-
-    """
+def over_bags_values(result) -> dict:
+    """Return what is compared of Discrepancies of several bags, as plain data."""
     gap = result.gap
     return plain({
         'reason': '; '.join(result.faults) or result.words if result.gap is None else None,
@@ -148,7 +120,7 @@ def over_bags_values(result):
         'estimates': [_estimate(finding, value) for finding in result.named
                       for value in finding.values],
         'gap': None if gap is None else {
-            name: by_joint(gap.joints, getattr(gap, name)) for name in _TORQUES}})
+            name: _by_joint(gap.joints, getattr(gap, name)) for name in _TORQUES}})
 
 
 def _estimate(finding, value):
@@ -157,7 +129,7 @@ def _estimate(finding, value):
             'standing': 'found'}
 
 
-def by_joint(joints, values):
+def _by_joint(joints, values):
     """Return values (n,) by the names of joints."""
     return {joint: float(value) for joint, value in zip(joints, values, strict=True)}
 
@@ -175,7 +147,7 @@ def plain(value):
     return value
 
 
-def as_json(values):
+def as_json(values) -> str:
     """Return plain data as strict JSON text."""
     return json.dumps(values, indent=2, allow_nan=False, ensure_ascii=False)
 
@@ -186,17 +158,7 @@ def write_report_values(values, path):
 
 
 def write_robot(result, path):
-    """
-    Write the robot with what was found: a ROS parameter file for nodes and tools.
-
-    Parameters
-    ----------
-    result : Discrepancy
-        With a robot.
-    path : str or Path
-        Where to.
-
-    """
+    """Write the robot with what was found: a ROS parameter file for nodes and tools."""
     save_robot(result.robot, path, comment=_comment(result))
 
 
@@ -216,3 +178,38 @@ def _comment(result):
         lines.append('Known parameters re-tuned: ' + ', '.join(changes) + '.')
     return '\n'.join(part for line in lines for part in wrap(
         line, _COMMENT_WIDTH, subsequent_indent='    '))
+
+
+def _scales(compared):
+    """Return the scales of torques and free-run errors, as given and re-tuned."""
+    torque = torque_scale([one.torque for one in compared])
+    angle = angle_scale([one.free_run for one in compared])
+    return torque, torque, angle, angle
+
+
+def comparison_rows(compared, joints) -> tuple:
+    """Return header and rows of a table of models, in units that suit."""
+    header = ['model']
+    scales = _scales(compared)
+    for what, scale in zip(('torque', 're-tuned', 'free run', 're-tuned'), scales, strict=True):
+        header += [f'{what} {joint} [{scale.unit}]' for joint in joints]
+    header += ['missing', 're-tuned']
+    rows = [[one.name, *(scale.text(value) for scale, values in zip(scales, one[1:5], strict=True)
+                         for value in values),
+             f'{one.missing:.3g}', f'{one.missing_retuned:.3g}'] for one in compared]
+    return header, rows
+
+
+def comparison_text(compared, joints) -> str:
+    """Return the models as lines of text, a block for each."""
+    lines, (torque, _, angle, _) = [], _scales(compared)
+    for one in compared:
+        lines.append(f'{one.name}: missing {one.missing:.3g}, re-tuned {one.missing_retuned:.3g}')
+        for j, joint in enumerate(joints):
+            lines.append(
+                f'  {joint}: residual torque {torque.text(one.torque[j])} (re-tuned '
+                f'{torque.text(one.torque_retuned[j])}) {torque.unit}, free run '
+                f'{angle.text(one.free_run[j])} ({angle.text(one.free_run_retuned[j])}) '
+                f'{angle.unit}')
+    return '\n'.join([*lines, 'missing: mean square of the whitened residuals above that of null '
+                      'simulations'])

@@ -1,13 +1,11 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""Pictures like the paper's Figs. 6 to 10, for print: matplotlib without a display."""
+"""How figures look: colours, panels, files and SVG for the page; matplotlib without display."""
 
 from io import StringIO
 import re
 
-from gms_flex_control.analysis.table4 import PAPER_WITHOUT
-from gms_flex_control.analysis.tracking import link_error
 from gms_flex_control.files import atomic_path
 from matplotlib import rc_context
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -16,14 +14,9 @@ from matplotlib.text import Text
 from matplotlib.ticker import AutoMinorLocator
 import numpy as np
 
-# Okabe and Ito: told apart with any colour vision; the line styles differ as well
+# Okabe and Ito: distinct with any colour vision; the line styles differ as well
 COLOURS = ('#0072B2', '#D55E00', '#009E73', '#CC79A7', '#E69F00', '#56B4E9')
 STYLES = ('-', '--', '-.', ':')
-NAMES = {'none': 'without compensation', 'gms_paper': "with the paper's observer (gms_paper)",
-         'gms': 'with the improved observer (gms)', 'stribeck': 'with a static Stribeck curve',
-         'lugre': 'with a LuGre model', 'gms_desired': 'with GMS of the desired motion',
-         'gms_adaptive': 'with adaptive GMS',
-         'disturbance_observer': 'with a disturbance observer'}
 # what a page draws these in, light or dark: variables of report.css
 _OF_PAGE = {colour.lower(): f'var(--c{i})' for i, colour in enumerate(COLOURS)} | {
     '#000000': 'var(--ink)', '#ffffff': 'none', '#e6e6e6': 'var(--grid)',
@@ -39,152 +32,27 @@ WIDTH = 7.0  # inch
 MAX_SAMPLES = 20_000
 
 
-def compensation_name(compensation):
-    """Return the words for a compensation mode, the mode itself if it has none."""
-    return NAMES.get(compensation, compensation)
-
-
-def trajectory_name(trajectory):
-    """Return the name of a trajectory as a title; names that are not ours stay as they are."""
-    return trajectory.capitalize() if trajectory in PAPER_WITHOUT else trajectory
-
-
-def compensation_index(compensation):
-    """Return the colour index of a mode: the same in every picture and chart."""
-    return {'none': 1, 'gms_paper': 2, 'gms': 0}.get(compensation, 3)
-
-
-def tracking_figure(run):
-    """
-    Return reference and measured link angle per joint (paper, Figs. 6 to 9).
-
-    Parameters
-    ----------
-    run : Run
-        Of n joints.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        n panels one above the other.
-
-    """
-    recording = run.recording
-    figure, panels = stacked_panels(recording.n_joints)
-    keep = _thin(recording.time)
-    for i, panel in enumerate(panels):
-        panel.plot(recording.time[keep], recording.q_link[keep, i], color=COLOURS[0],
-                   label='measured')
-        panel.plot(recording.time[keep], recording.reference[keep, 0, i], 'k--', linewidth=1.0,
-                   label='reference')
-        panel.set_ylabel(f'{recording.joints[i]} [rad]', parse_math=False)
-    panels[0].legend(loc='upper right', ncols=2)
-    return finished(figure, panels,
-                    f'{trajectory_name(run.trajectory)}: {compensation_name(run.compensation)}')
-
-
-def error_figure(runs, trajectory):
-    """
-    Return the position errors of all runs of one trajectory, overlaid (paper, Fig. 10).
-
-    Parameters
-    ----------
-    runs : sequence of Run
-        Those of other trajectories are left out.
-    trajectory : str
-        Its name.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        One panel per joint, errors in mrad.
-
-    """
-    chosen = [run for run in runs if run.trajectory == trajectory]
-    joints = list(dict.fromkeys(name for run in chosen for name in run.recording.joints))
-    figure, panels = stacked_panels(len(joints))
-    for panel, joint in zip(panels, joints, strict=True):
-        panel.axhline(0.0, color='0.6', linewidth=0.6)
-        for run in chosen:
-            if joint in run.recording.joints:
-                _plot_error(panel, run, run.recording.joints.index(joint))
-        panel.set_ylabel(f'{joint} [mrad]', parse_math=False)
-    panels[0].legend(loc='lower center', bbox_to_anchor=(0.5, 1.0), ncols=2)
-    return finished(figure, panels, f'{trajectory_name(trajectory)}: position error')
-
-
-def _plot_error(panel, run, i):
-    recording, index = run.recording, compensation_index(run.compensation)
-    keep = _thin(recording.time)
-    panel.plot(recording.time[keep], 1e3 * link_error(recording)[keep, i],
-               STYLES[{1: 0, 2: 2, 0: 0}.get(index, 1)], color=COLOURS[index],
-               label=compensation_name(run.compensation))
-
-
-def file_stem(text):
-    """Return a text, such as the name of a joint, as part of the name of a file."""
-    return re.sub(r'[^A-Za-z0-9_-]+', '_', text)
-
-
-def save_figure(figure, path, words=str):
-    """
-    Write a figure whole or not at all; the suffix chooses the format.
-
-    Parameters
-    ----------
-    figure : matplotlib.figure.Figure
-        What to write.
-    path : str or Path
-        For instance a .png or .pdf.
-    words : callable
-        Applied to labels and titles, such as one that changes units.
-
-    """
-    for text in figure.findobj(Text):
-        text.set_text(words(text.get_text()))
-    with atomic_path(path) as temporary:
-        figure.savefig(temporary, dpi=150)
-
-
-def svg(figure, words=str):
-    """
-    Return a figure as an SVG element whose colours are those of the page around it.
-
-    Parameters
-    ----------
-    figure : matplotlib.figure.Figure
-        What to draw; its clouds of points are best rasterised.
-    words : callable
-        As of `save_figure`.
-
-    Returns
-    -------
-    str
-        HTML.
-
-    """
-    for text in figure.findobj(Text):
-        text.set_text(words(text.get_text()))
-    file = StringIO()
-    with rc_context(_SVG):
-        figure.savefig(file, format='svg', metadata={'Date': None})
-    element = file.getvalue().partition('<svg')[2]
-    for pattern, by in _IN_PAGE:
-        element = re.sub(pattern, by, element, flags=re.DOTALL)
-    return '<svg' + re.sub('#[0-9a-f]{6}\\b', lambda found: _OF_PAGE.get(
-        found.group(), found.group()), element)
-
-
-def stacked_panels(count):
-    """Return a figure and ``count`` axes one above the other, with a common abscissa."""
-    figure = Figure(figsize=(WIDTH, 0.8 + 1.75 * count), layout='constrained')
+def panels_of(rows, columns, size, layout='constrained', **options) -> tuple:
+    """Return a figure of a size (width, height) [inch] and its axes (rows, columns)."""
+    figure = Figure(figsize=size, layout=layout)
     FigureCanvasAgg(figure)
-    panels = figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0]
-    return figure, panels
+    return figure, figure.subplots(rows, columns, squeeze=False, **options)
 
 
-def finished(figure, panels, title):
-    """Return the figure of `stacked_panels` with title, grid, ticks and time label."""
+def stacked_panels(count) -> tuple:
+    """Return a figure and ``count`` axes one above the other, with a common abscissa."""
+    figure, panels = panels_of(count, 1, (WIDTH, 0.8 + 1.75 * count), sharex=True)
+    return figure, panels[:, 0]
+
+
+def side_by_side(count, height=3.2) -> tuple:
+    """Return a figure and ``count`` axes beside each other."""
+    figure, panels = panels_of(1, count, (WIDTH, height))
+    return figure, panels[0]
+
+
+def finished(figure, panels, title) -> Figure:
+    """Return the figure with title, grid, ticks and a time label under the last panel."""
     figure.suptitle(title, fontsize=11, parse_math=False)
     for panel in panels:
         panel.grid(color='0.9', linewidth=0.6)
@@ -203,6 +71,45 @@ def finished(figure, panels, title):
     return figure
 
 
-def _thin(time):
-    """Return the samples to draw: a picture shows no more."""
-    return slice(None, None, max(1, int(np.ceil(len(time) / MAX_SAMPLES))))
+def labelled(figure, panels, labels, title) -> Figure:
+    """Return the figure `finished`, its panels labelled with (x, y)."""
+    finished(figure, panels, title)
+    for panel, (x, y) in zip(panels, labels, strict=True):
+        panel.set_xlabel(x, parse_math=False)
+        panel.set_ylabel(y, parse_math=False)
+    return figure
+
+
+def thinned(length, most=MAX_SAMPLES) -> slice:
+    """Return which of so many samples are drawn: a picture shows no more."""
+    return slice(None, None, max(1, int(np.ceil(length / most))))
+
+
+def file_stem(text) -> str:
+    """Return a text, such as the name of a joint, as part of the name of a file."""
+    return re.sub(r'[^A-Za-z0-9_-]+', '_', text)
+
+
+def save_figure(figure, path, words=str):
+    """Write a figure whole or not at all; ``words`` is applied to labels, such as other units."""
+    _translate(figure, words)
+    with atomic_path(path) as temporary:
+        figure.savefig(temporary, dpi=150)
+
+
+def svg(figure, words=str) -> str:
+    """Return a figure as an SVG element in the colours of the page around it."""
+    _translate(figure, words)
+    file = StringIO()
+    with rc_context(_SVG):
+        figure.savefig(file, format='svg', metadata={'Date': None})
+    element = file.getvalue().partition('<svg')[2]
+    for pattern, by in _IN_PAGE:
+        element = re.sub(pattern, by, element, flags=re.DOTALL)
+    return '<svg' + re.sub('#[0-9a-f]{6}\\b', lambda found: _OF_PAGE.get(
+        found.group(), found.group()), element)
+
+
+def _translate(figure, words):
+    for text in figure.findobj(Text):
+        text.set_text(words(text.get_text()))

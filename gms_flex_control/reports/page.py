@@ -19,8 +19,6 @@ from typing import Any, NamedTuple
 
 from gms_flex_control.answer import unbroken
 from gms_flex_control.files import write_text
-from gms_flex_control.reports.figures import svg
-from gms_flex_control.reports.series import decimate, merge_grids
 import numpy as np
 
 ROLES = ('reference', 'c0', 'c1', 'c2', 'c3', 'c4', 'c5', 'c6')
@@ -59,20 +57,10 @@ class Report:
     """
     Collect blocks in order and write them as one file.
 
-    What is added before the first heading is the picture of the answer, and open; the first
-    heading and all after it fold under 'Details'. Every method but ``html`` and ``write``
-    returns the report, so that calls chain. All text is escaped here: pass it as it is.
-
-    Parameters
-    ----------
-    title : str
-        Title of the page.
-    answer : Answer
-        What the page begins with.
-    subtitle : str
-        One line under the title.
-    words : callable
-        Applied to every text, such as one that changes units.
+    The page begins with an Answer; what is added before the first heading is its picture, and
+    open; the first heading and all after it fold under 'Details'. ``words`` is applied to every
+    text, such as a change of units. Calls of all methods but ``html`` and ``write`` chain. Text
+    is escaped here: pass it as it is.
 
     """
 
@@ -91,81 +79,43 @@ class Report:
         anchor = f'h{len(self._blocks)}'
         if level == 2:
             self._headings.append((anchor, self._words(text)))
-        return self._add('heading', f'<h{level} id="{anchor}">{self._told(text)}</h{level}>')
+        return self._add('heading', f'<h{level} id="{anchor}">{self._escaped(text)}</h{level}>')
 
     def text(self, text):
         """Add a paragraph."""
-        return self._add('text', f'<p>{self._told(text)}</p>')
+        return self._add('text', f'<p>{self._escaped(text)}</p>')
 
     def note(self, text, warning=False):
         """Add a paragraph that is set off; ``warning`` colours it."""
         kind = 'note warning' if warning else 'note'
-        return self._add('text', f'<p class="{kind}">{self._told(text)}</p>')
+        return self._add('text', f'<p class="{kind}">{self._escaped(text)}</p>')
 
     def table(self, header, rows, caption=''):
-        """
-        Add a table.
-
-        Parameters
-        ----------
-        header : sequence of str
-            Column titles.
-        rows : sequence of sequence
-            Cells, written with ``str``; columns of numbers are set to the right.
-        caption : str
-            Line above the table.
-
-        """
-        caption = f'<p class="caption">{self._told(caption)}</p>' if caption else ''
+        """Add a table of cells (written with ``str``), its caption above it."""
+        caption = f'<p class="caption">{self._escaped(caption)}</p>' if caption else ''
         return self._add('table', caption + self._table(header, rows, 'data'))
 
     def _table(self, header, rows, kind):
-        cells = [[self._told(str(cell)) for cell in row] for row in rows]
-        header = [self._told(str(cell)) for cell in header]
+        cells = [[self._escaped(str(cell)) for cell in row] for row in rows]
+        header = [self._escaped(str(cell)) for cell in header]
         numeric = [all(_is_number(row[i]) for row in cells) for i in range(len(header))]
         lines = [_row('th', header, numeric), *(_row('td', row, numeric) for row in cells)]
         return (f'<div class="scroll"><table class="{kind}"><thead>{lines[0]}</thead>'
                 f'<tbody>{"".join(lines[1:])}</tbody></table></div>')
 
     def figure(self, figure, caption=''):
-        """
-        Add a picture, drawn in the colours of the page.
-
-        Parameters
-        ----------
-        figure : matplotlib.figure.Figure
-            Embedded as SVG.
-        caption : str
-            Line under it, also its text for those who cannot see it.
-
-        """
-        told = self._told(caption)
-        return self._add('figure', f'<figure role="img" aria-label="{told}">'
-                         f'{svg(figure, self._words)}<figcaption>{told}</figcaption></figure>')
+        """Add a matplotlib figure as SVG in the colours of the page; the caption describes it."""
+        from gms_flex_control.reports.figures import svg  # matplotlib takes a third of a second
+        caption = self._escaped(caption)
+        return self._add('figure', f'<figure role="img" aria-label="{caption}">'
+                         f'{svg(figure, self._words)}<figcaption>{caption}</figcaption></figure>')
 
     def chart(self, title, x, series, x_label='time [s]', y_label='', group='time'):
         """
-        Add an interactive chart.
+        Add an interactive chart of Series over an increasing x (T,).
 
-        Parameters
-        ----------
-        title : str
-            Shown above the chart.
-        x : array_like, shape (T,)
-            Increasing abscissa of all series that do not bring their own.
-        series : sequence of Series
-            The lines. Series with different abscissae are put on their union, linearly
-            between samples, which is what a line chart shows anyway.
-        x_label, y_label : str
-            Axis labels with units, ``'angle [rad]'``.
-        group : str
-            Charts of one group share cursor, pan and zoom.
-
-        Raises
-        ------
-        ValueError
-            If lengths differ, x does not increase or is not finite, or a role is unknown.
-
+        Charts of one ``group`` share cursor, pan and zoom. ValueError if lengths differ, x does
+        not increase or is not finite, or a role is unknown.
         """
         grid, values = merge_grids(x, [(item.label, item.x, item.y) for item in series])
         shown = decimate(grid, values, MAX_POINTS)
@@ -182,24 +132,9 @@ class Report:
 
     def xy_chart(self, title, curves, x_label='', y_label='', *, log_x=False):
         """
-        Add an interactive chart of curves such as loops, each with its own abscissa.
+        Add an interactive chart of Curves, over the logarithm of x if ``log_x`` (then x > 0).
 
-        Parameters
-        ----------
-        title : str
-            Shown above the chart.
-        curves : sequence of Curve
-            Lines or clouds of points, at least one of them with a finite point.
-        x_label, y_label : str
-            Axis labels with units.
-        log_x : bool
-            Draw over the logarithm of x; points at or below 0 are left out.
-
-        Raises
-        ------
-        ValueError
-            If shapes differ, a role is unknown or there is no point to draw.
-
+        ValueError if shapes differ, a role is unknown or there is no finite point.
         """
         lines, lows, highs = [], [], []
         for i, item in enumerate(curves):
@@ -254,7 +189,7 @@ class Report:
     def _opening(self):
         """Return the answer: sentence, picture, numbers, and what to run next."""
         answer, first = self._answer, self._first_heading()
-        return [f'<main><p class="sentence">{self._told(answer.sentence)}</p>',
+        return [f'<main><p class="sentence">{self._escaped(answer.sentence)}</p>',
                 *_grouped(self._blocks[:first]),
                 self._table(answer.header, answer.numbers, 'data numbers') if answer.numbers
                 else '',
@@ -276,7 +211,7 @@ class Report:
         kinds = [kind for kind, _ in self._blocks]
         return kinds.index('heading') if 'heading' in kinds else len(kinds)
 
-    def _told(self, text):
+    def _escaped(self, text):
         return escape(unbroken(self._words(text)))
 
     def _store(self, values, dtype):
@@ -338,3 +273,67 @@ def _is_number(text):
     except ValueError:
         return text in ('-', '')
     return True
+
+
+def merge_grids(x, lines):
+    """
+    Put ``lines`` (label, own abscissa or None for ``x``, y) on the union of their abscissae.
+
+    Returns the grid (N,) and the lines on it, (N,) each: linear between their samples, NaN
+    outside and beside a NaN. ValueError if lengths differ or an abscissa does not increase.
+    """
+    pairs = []
+    for label, own, y in lines:
+        abscissa = _increasing(x if own is None else own, label)
+        y = np.asarray(y, dtype=float)
+        if y.shape != abscissa.shape:
+            raise ValueError(f'series {label!r}: y has shape {y.shape}, x {abscissa.shape}')
+        pairs.append((abscissa, y))
+    if not pairs:
+        raise ValueError('a chart needs at least one series')
+    grid = pairs[0][0]
+    for abscissa, _ in pairs[1:]:
+        if not np.array_equal(abscissa, grid):
+            grid = np.union1d(grid, abscissa)
+    return grid, [y if abscissa is grid or np.array_equal(abscissa, grid) else
+                  np.interp(grid, abscissa, y, left=np.nan, right=np.nan)
+                  for abscissa, y in pairs]
+
+
+def decimate(x, values, limit):
+    """
+    Return x (N,) and lines (N,) as at most ``limit`` points that keep every peak.
+
+    Unchanged if N <= limit; else first and last abscissa of limit / 2 buckets, and of each line
+    the smallest and largest value of the bucket in the order they occur.
+    """
+    if len(x) <= limit:
+        return x, list(values)
+    edges = np.linspace(0, len(x), limit // 2 + 1).astype(int)
+    first, last = edges[:-1], edges[1:] - 1
+    return np.column_stack([x[first], x[last]]).ravel(), [
+        _extremes(y, edges) for y in values]
+
+
+def _extremes(y, edges):
+    finite = np.isfinite(y)
+    low = np.minimum.reduceat(np.where(finite, y, np.inf), edges[:-1])
+    high = np.maximum.reduceat(np.where(finite, y, -np.inf), edges[:-1])
+    # which of the two comes first: compare the position of each in its bucket
+    bucket = np.repeat(np.arange(len(edges) - 1), np.diff(edges))
+    position = np.arange(len(y))
+    size = len(y)
+    at_low = np.minimum.reduceat(np.where(y == low[bucket], position, size), edges[:-1])
+    at_high = np.minimum.reduceat(np.where(y == high[bucket], position, size), edges[:-1])
+    pair = np.where((at_low <= at_high)[:, None], np.column_stack([low, high]),
+                    np.column_stack([high, low]))
+    pair[~np.isfinite(pair)] = np.nan
+    return pair.ravel()
+
+
+def _increasing(x, label):
+    x = np.asarray(x, dtype=float)
+    if x.ndim != 1 or not x.size or not np.all(np.isfinite(x)) or np.any(np.diff(x) <= 0):
+        raise ValueError(f'series {label!r}: the abscissa must be finite and increase '
+                         f'(shape {x.shape}); plot a loop as a figure instead')
+    return x

@@ -33,53 +33,34 @@ class Timing(NamedTuple):
 
 
 class LinearLoop(NamedTuple):
-    """
-    The loop cut open at the torques: ``z+ = a z + b u_in`` and ``u_out = c z``.
-
-    Closed, u_in is u_out. ``noise`` is how angles added to what the 2n encoders see (links,
-    then motors) enter z+, ``through`` how they enter u_out.
-    """
+    """The loop cut open at the torques: ``z+ = a z + b u_in``, ``u_out = c z``."""
 
     a: np.ndarray        # (N, N)
     b: np.ndarray        # (N, n)
     c: np.ndarray        # (n, N)
-    noise: np.ndarray    # (N, 2n)
-    through: np.ndarray  # (n, 2n)
+    noise: np.ndarray    # (N, 2n) how angles added to what the encoders see enter z+ ...
+    through: np.ndarray  # (n, 2n) ... and u_out; links, then motors
     period: float        # [s]
 
     @property
-    def closed(self):
+    def closed(self) -> np.ndarray:
         """Return the matrix (N, N) of the closed loop."""
         return self.a + self.b @ self.c
 
     @property
-    def stable(self):
+    def stable(self) -> bool:
         """Return whether all poles lie within the unit circle."""
         return bool(np.abs(np.linalg.eigvals(self.closed)).max() < 1.0)
 
 
-def arm_equations(robot, pose, *, stuck=False):
+def _arm_equations(robot, pose, *, stuck=False):
     """
-    Return the continuous equations of the arm at rest.
+    Return the continuous equations (a, b) of the arm at rest in a pose (n,) [rad].
 
-    Parameters
-    ----------
-    robot : RobotParams
-        The robot; of its effects those count that only change parameters.
-    pose : ndarray, shape (n_joints,)
-        Link angles [rad].
-    stuck : bool
-        Whether all blocks stick: friction is then a spring on each link; else there is none,
-        which is what a right compensation leaves.
-
-    Returns
-    -------
-    a : ndarray, shape (4n, 4n)
-        Of q_link, dq_link, q_motor, dq_motor; those of a rigid joint's motor
-        side are idle.
-    b : ndarray, shape (4n, n)
-        Of the motor torques.
-
+    The states (4n) are q_link, dq_link, q_motor, dq_motor, those of a rigid joint's motor side
+    idle; inputs are the motor torques. Effects count that only change parameters. If ``stuck``,
+    all friction blocks stick and are a spring on each link; else there is no friction, which is
+    what a right compensation leaves.
     """
     robot = effect_table.with_changes(robot)
     n, rigid = robot.n_joints, robot.arm.rigid
@@ -117,27 +98,12 @@ def _mass_and_pull(arm, pose):
     return chain.matrices(pose, rest, rest, rest, arm).mass, pull
 
 
-def controller_law(gains, model, pose, period):
+def _controller_law(gains, model, pose, period):
     """
-    Return the derivative of the controller at rest.
+    Return the derivative (3n, 7n) of the controller at rest, compensation ``none`` or ``gms``.
 
-    Parameters
-    ----------
-    gains : ControllerParams
-        With compensation ``none``, or ``gms`` at a reference that rests.
-    model : RobotParams
-        As believed.
-    pose : ndarray, shape (n_joints,)
-        Link angles, also of the reference [rad].
-    period : float
-        Sample [s].
-
-    Returns
-    -------
-    ndarray, shape (3n, 7n)
-        Command and filtered friction with its rate, of the 4n measured values and the same 3n
-        of the sample before.
-
+    It gives command and filtered friction with its rate, from the 4n measured values and the same
+    3n of the sample before.
     """
     n = model.n_joints
     constants, work = cascade.constants_of(gains, model), cascade.workspace(n)
@@ -162,29 +128,13 @@ def controller_law(gains, model, pose, period):
     return law
 
 
-def linear_loop(robot, model, gains, timing, pose, *, stuck=False, law=None):
+def linear_loop(robot, model, gains, timing, pose, *, stuck=False, law=None) -> LinearLoop:
     """
-    Return the sampled loop, linearised at rest.
+    Return the sampled loop, linearised at rest in a pose (n,) [rad].
 
-    Parameters
-    ----------
-    robot, model : RobotParams
-        The robot as it is, and as the controller believes it to be.
-    gains : ControllerParams
-        Of the controller. Unless stuck, without compensation: there is no friction then.
-    timing : Timing
-        Sample and delay.
-    pose : ndarray, shape (n_joints,)
-        Link angles [rad].
-    stuck : bool
-        See `arm_equations`; the compensation then counts as it is at rest.
-    law : ndarray, shape (3n, 7n), optional
-        From `law_of` with the same arguments, where it is needed for several delays.
-
-    Returns
-    -------
-    LinearLoop
-
+    ``robot`` is the robot as it is, ``model`` what the controller believes. Compensation counts
+    only if ``stuck`` (see `_arm_equations`). ``law`` is that of `law_of`, where several delays
+    need it.
     """
     n, period = robot.n_joints, timing.period
     if law is None:
@@ -216,38 +166,25 @@ def linear_loop(robot, model, gains, timing, pose, *, stuck=False, law=None):
 
 @lru_cache(maxsize=256)
 def _sampled_arm(robot, pose, timing, stuck):
-    return held_input(*arm_equations(robot, np.array(pose), stuck=stuck), timing)
+    return held_input(*_arm_equations(robot, np.array(pose), stuck=stuck), timing)
 
 
-def law_of(model, gains, timing, pose, *, stuck=False):
-    """Return `controller_law` as it counts in `linear_loop`: no torque limit, see there."""
+def law_of(model, gains, timing, pose, *, stuck=False) -> np.ndarray:
+    """Return `_controller_law` as it counts in `linear_loop`: no torque limit, see there."""
     mode = gains.compensation if stuck else 'none'
     chosen = replace(gains, torque_limit=np.full(model.n_joints, 1e300), compensation=mode)
-    return controller_law(chosen, model, pose, timing.period)
+    return _controller_law(chosen, model, pose, timing.period)
 
 
-def compliance(robot, model, gains, timing, pose):
+def compliance(robot, model, gains, timing, pose) -> np.ndarray:
     """
-    Return how far the links give way to a constant torque the controller knows nothing of.
+    Return the link angles (n, n) that a constant unknown torque on each link leaves [rad/(N m)].
 
-    Parameters
-    ----------
-    robot, model, gains, timing, pose
-        As for `linear_loop`; stable when closed.
-
-    Returns
-    -------
-    ndarray, shape (n, n)
-        Link angle [rad] per torque on each link [N m], in the end.
-
-    Notes
-    -----
     More than ``1 / (K_D1 Lambda_1)``: the law takes acceleration and jerk from the model, which
     believes such a torque to accelerate the links.
-
     """
     n, loop = robot.n_joints, linear_loop(robot, model, gains, timing, pose)
-    arm, _ = arm_equations(robot, pose)
+    arm, _ = _arm_equations(robot, pose)
     mass, _ = _mass_and_pull(effect_table.with_changes(robot).arm, pose)
     pushed = np.vstack([np.zeros((n, n)), np.linalg.inv(mass), np.zeros((2 * n, n))])
     entering = np.zeros((len(loop.a), n))
@@ -280,24 +217,12 @@ def _encoders(robot, period):
     return seen, _Memory(angles, rates, noise)
 
 
-def held_input(a, b, timing):
+def held_input(a, b, timing) -> tuple:
     """
-    Return a system over one sample whose held input comes late.
+    Return a system (a, b) over one sample whose held input comes late.
 
-    Parameters
-    ----------
-    a, b : ndarray, shape (N, N) and (N, n)
-        Continuous system.
-    timing : Timing
-        Sample and delay, which may be longer.
-
-    Returns
-    -------
-    phi : ndarray, shape (N, N)
-        Transition over one sample.
-    gammas : list of ndarray, shape (N, n)
-        Of the input computed at this sample, the one before, and so on; at least two.
-
+    phi (N, N) is the transition, gammas (N, n) those of the input computed at this sample, the one
+    before, and so on; at least two.
     """
     late, rest = divmod(timing.delay, timing.period)
     if timing.period - rest < 1e-9 * timing.period:

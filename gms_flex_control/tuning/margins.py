@@ -1,13 +1,14 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""Gain, phase and delay margins of the sampled loop, and what encoder noise does in it."""
+"""Margins of the sampled loop, what encoder noise does in it, and gains judged by both."""
 
 from itertools import product
 from typing import NamedTuple
 
+from gms_flex_control.control import gain_conditions
 from gms_flex_control.dynamics import chain
-from gms_flex_control.tuning.linear_loop import law_of, linear_loop
+from gms_flex_control.tuning.linear_loop import compliance, law_of, linear_loop
 import numpy as np
 from scipy.linalg import solve_discrete_lyapunov
 
@@ -20,20 +21,13 @@ _POSES_IN_SPACE = 6  # each takes seconds with seven joints
 
 
 class JointMargins(NamedTuple):
-    """
-    How much one joint's loop bears, the others closed.
+    """How much one joint's loop bears, the others closed."""
 
-    ``gain_up`` and ``gain_down`` are the factors on the torque at which the loop gets
-    unstable (infinite and 0 where none does), ``phase`` the least turn of it [rad],
-    ``distance`` the least abs(1 + L), ``crossover`` the highest frequency at which
-    abs(L) = 1 [rad/s].
-    """
-
-    gain_up: float
-    gain_down: float
-    phase: float
-    distance: float
-    crossover: float
+    gain_up: float    # factor on the torque at which the loop gets unstable; infinite if none
+    gain_down: float  # and the one below 1; 0 if none
+    phase: float      # least turn of the loop at which it does [rad]
+    distance: float   # least abs(1 + L)
+    crossover: float  # highest frequency at which abs(L) = 1 [rad/s]
 
 
 class Jitter(NamedTuple):
@@ -43,22 +37,13 @@ class Jitter(NamedTuple):
     angle: np.ndarray
 
 
-def poses(arm):
+def poses(arm) -> list:
     """
-    Return the poses in which an arm is looked at.
+    Return the poses (n,) [rad] in which an arm is examined.
 
-    Parameters
-    ----------
-    arm : ArmParams
-        The arm.
-
-    Returns
-    -------
-    list of ndarray, shape (n_joints,)
-        Angles of a coarse grid from stretched to folded [rad]; where there is gravity the
-        first joint turns too. Decoupled axes without gravity have one pose, chains in space a few
-        spread over the ranges of their joints.
-
+    A coarse grid from stretched to folded; where there is gravity the first joint turns too.
+    Decoupled axes without gravity have one pose, chains in space a few spread over the ranges of
+    their joints.
     """
     n = arm.n_joints
     if arm.kind == 'urdf':
@@ -77,24 +62,11 @@ def poses(arm):
     return [np.array(pose) for pose, _ in zip(grid, range(_MOST_POSES), strict=False)]
 
 
-def open_loop(loop, joint, frequencies):
+def open_loop(loop, joint, frequencies) -> np.ndarray:
     """
-    Return the frequency response of one joint's loop, the others closed.
+    Return the frequency response L (F,) of one joint's loop, the others closed.
 
-    Parameters
-    ----------
-    loop : LinearLoop
-        The loop.
-    joint : int
-        Where it is cut.
-    frequencies : ndarray, shape (F,)
-        [rad/s], up to pi over the period.
-
-    Returns
-    -------
-    ndarray, shape (F,)
-        L, complex; the closed loop is stable as Nyquist's criterion has it for 1 + L.
-
+    ``frequencies`` reach up to pi over the period [rad/s]; Nyquist's criterion is that of 1 + L.
     """
     others = [i for i in range(loop.b.shape[1]) if i != joint]
     a = loop.a + loop.b[:, others] @ loop.c[others]
@@ -104,22 +76,8 @@ def open_loop(loop, joint, frequencies):
     return -(np.linalg.solve(matrices, right)[..., 0] @ loop.c[joint])
 
 
-def joint_margins(loop, joint):
-    """
-    Return the margins of one joint's loop.
-
-    Parameters
-    ----------
-    loop : LinearLoop
-        The loop, stable when closed.
-    joint : int
-        Where it is cut.
-
-    Returns
-    -------
-    JointMargins
-
-    """
+def joint_margins(loop, joint) -> JointMargins:
+    """Return the margins of one joint's loop, stable when closed."""
     highest = np.pi / loop.period
     grid = np.geomspace(_LOWEST, highest, _GRID)
     grid[-1] = highest
@@ -149,24 +107,11 @@ def _crossings(loop, joint, grid, response, measure):
     return middle, open_loop(loop, joint, middle) if len(places) else np.zeros(0, complex)
 
 
-def delay_margin(robot, model, gains, timing, pose):
+def delay_margin(robot, model, gains, timing, pose) -> float:
     """
-    Return the least further delay of all torques at which the loop is unstable.
+    Return the least further delay of all torques at which the loop is unstable [s].
 
-    Parameters
-    ----------
-    robot, model, gains, timing, pose
-        As for `linear_loop.linear_loop`; stable as it is.
-
-    Returns
-    -------
-    float
-        [s]; infinite where it is more than 50 samples.
-
-    Notes
-    -----
-    Not read from the phase: the delay is put into the sampled loop, and its poles are computed.
-
+    Infinite beyond 50 samples. The delay is put into the sampled loop, and its poles are computed.
     """
     law = law_of(model, gains, timing, pose)
 
@@ -185,21 +130,11 @@ def delay_margin(robot, model, gains, timing, pose):
     return low
 
 
-def jitter(loop, encoder):
+def jitter(loop, encoder) -> Jitter:
     """
     Return what the encoders' noise and counts do to torque and links at rest.
 
-    Parameters
-    ----------
-    loop : LinearLoop
-        Stable when closed.
-    encoder : EncoderParams
-        Counts are taken as noise, equally spread within one and new at each sample.
-
-    Returns
-    -------
-    Jitter
-
+    Counts are noise here, equally spread within one and new at each sample.
     """
     n = loop.b.shape[1]
     count = 2.0 * np.pi / float(encoder.counts) if encoder.counts > 0 else 0.0
@@ -209,3 +144,94 @@ def jitter(loop, encoder):
     torque = np.einsum('ij,jk,ik->i', loop.c, spread, loop.c) + variance * np.sum(
         loop.through ** 2, axis=1)
     return Jitter(np.sqrt(torque), np.sqrt(np.diag(spread)[:n]))
+
+
+class Judgement(NamedTuple):
+    """What the theory and the linear loop say of gains; margins are the worst of all poses."""
+
+    conditions: gain_conditions.GainReport
+    joints: tuple            # of JointMargins
+    delay: float             # further delay borne by all joints [s]; infinite if not required for
+    stable: bool
+    jitter: Jitter           # worst of all poses
+    ringing: float           # slowest decay of the loop while all blocks stick [1/s]; below 0
+    #                          it grows until blocks slip
+    held: np.ndarray         # (n,) error static friction of all joints can hold without any
+    #                          compensation [rad]; NaN if not required for
+
+
+def judged(robot, model, gains, timing, *, with_delay=True) -> Judgement:
+    """
+    Judge gains; ``robot`` is the robot as it is, ``model`` what the controller believes.
+
+    Delay margin, ringing and held error only ``with_delay``.
+    """
+    found, noises, delays, decays, held = [], [], [], [], []
+    levels = np.maximum(robot.friction.forward.static, robot.friction.backward.static)
+    for pose in poses(robot.arm):
+        loop = linear_loop(robot, model, gains, timing, pose)
+        if not loop.stable:
+            return _unstable(robot, model, gains)
+        found.append([joint_margins(loop, j) for j in range(robot.n_joints)])
+        noises.append(jitter(loop, robot.encoder))
+        if with_delay:
+            delays.append(delay_margin(robot, model, gains, timing, pose))
+            held.append(np.abs(compliance(robot, model, gains, timing, pose)) @ levels)
+            stuck = linear_loop(robot, model, gains, timing, pose, stuck=True)
+            decays.append(-np.log(np.abs(np.linalg.eigvals(stuck.closed)).max()) / timing.period)
+    return Judgement(
+        conditions=gain_conditions.check(gains, model),
+        joints=tuple(_worst(column) for column in zip(*found, strict=True)),
+        delay=min(delays, default=np.inf), stable=True,
+        jitter=Jitter(*(np.max(values, axis=0) for values in zip(*noises, strict=True))),
+        ringing=float(min(decays, default=np.nan)),
+        held=np.max(held, axis=0) if held else np.full(robot.n_joints, np.nan))
+
+
+def _unstable(robot, model, gains):
+    nothing = JointMargins(1.0, 1.0, 0.0, 0.0, np.nan)
+    unbounded = np.full(robot.n_joints, np.inf)
+    return Judgement(gain_conditions.check(gains, model), (nothing,) * robot.n_joints, 0.0, False,
+                     Jitter(unbounded, unbounded), np.nan, unbounded)
+
+
+def _worst(found):
+    """Return the worst of several JointMargins, number by number."""
+    return JointMargins(
+        gain_up=min(one.gain_up for one in found), gain_down=max(one.gain_down for one in found),
+        phase=min(one.phase for one in found), distance=min(one.distance for one in found),
+        crossover=max(one.crossover for one in found))
+
+
+def demands_missed(judgement, demands, robot) -> tuple:
+    """Return the missed Demands as sentences, and the joints a slower loop may help."""
+    sentences, too_fast = [], []
+    for j, joint in enumerate(robot.joints):
+        missed = [f'{joint}: {text}' for text in _joint_missed(judgement, demands, j)]
+        sentences += missed
+        too_fast += [j] if missed else []
+    if judgement.delay < demands.delay:
+        sentences.append(f'only {1e3 * judgement.delay:.3g} ms of further delay are borne, '
+                         f'required {1e3 * demands.delay:.3g}')
+        too_fast = list(range(robot.n_joints))
+    broken = [one for one in judgement.conditions.conditions
+              if one.kind == gain_conditions.EXACT and not one.met]
+    sentences += [f'{one.joint}: {one.condition} does not hold, {one.value:.4g} against '
+                  f'{one.limit:.4g}' for one in broken]
+    return sentences, too_fast
+
+
+def _joint_missed(judgement, demands, j):
+    one = judgement.joints[j]
+    if not judgement.stable:
+        yield 'the sampled loop is unstable'
+        return
+    if one.gain_up < demands.gain or one.gain_down > 1.0 / demands.gain:
+        yield (f'gain margin {one.gain_down:.3g} to {one.gain_up:.3g} times, required '
+               f'{1.0 / demands.gain:.3g} to {demands.gain:.3g}')
+    if one.phase < demands.phase:
+        yield (f'phase margin {np.degrees(one.phase):.3g} degrees, required '
+               f'{np.degrees(demands.phase):.3g}')
+    noise, allowed = judgement.jitter.torque[j], demands.noise * demands.torque_limit[j]
+    if noise > allowed:
+        yield f'encoders cause {noise:.3g} N m rms of torque, at most {allowed:.3g}'

@@ -15,8 +15,9 @@ from typing import NamedTuple
 
 from gms_flex_control.control import gain_conditions
 from gms_flex_control.params.arm import ArmParams
-from gms_flex_control.tuning.judge import demands_missed, judged
+from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.tuning.linear_loop import Timing
+from gms_flex_control.tuning.margins import demands_missed, judged, Judgement
 import numpy as np
 
 _LINK_STEPS, _MOTOR_STEPS = 24, 12
@@ -24,6 +25,9 @@ _SLOWEST = 0.3                   # link bandwidth tried [rad/s]
 _FASTEST_LINK, _FASTEST_MOTOR = 0.1, 0.4   # of half the sample rate
 _FASTER = 1.2                    # motor over link bandwidth, at least
 _MORE_DAMPING = (1.0, 1.5, 2.25, 3.4)      # times what is asked, where conditions want it
+# gains with a value per joint, as a controller file has them
+PER_JOINT = ('kd_link', 'lambda_link', 'kd_motor', 'lambda_motor', 'observer_gain', 'sign_slope',
+             'filter_bandwidth', 'torque_limit')
 _DIGITS = 4                      # of a gain
 _ROUNDS, _SLOWER = 10, 0.85      # of the whole arm; bandwidth of a joint that was too fast
 
@@ -44,29 +48,16 @@ class Demands(NamedTuple):
 class Proposal(NamedTuple):
     """Gains, how the arm was judged with them, and what is not met (sentences)."""
 
-    gains: object              # ControllerParams
-    judgement: object          # judge.Judgement
+    gains: ControllerParams
+    judgement: Judgement
     unmet: tuple
 
 
-def propose(robot, base, demands):
+def propose(robot, base, demands) -> Proposal:
     """
-    Propose gains.
+    Propose gains for a robot as identified; compensation, observer and filters as in ``base``.
 
-    Parameters
-    ----------
-    robot : RobotParams
-        The robot as identified.
-    base : ControllerParams
-        Compensation, observer gain and filters are taken from it.
-    demands : Demands
-        What is asked.
-
-    Returns
-    -------
-    Proposal
-        With ``unmet`` where no gains meet the demands; its gains are then the nearest found.
-
+    Where no gains meet the demands, ``unmet`` says which, and the gains are the nearest found.
     """
     base = replace(base, torque_limit=demands.torque_limit)
     caps = np.full(robot.n_joints, np.inf)
@@ -85,37 +76,24 @@ def propose(robot, base, demands):
     return Proposal(gains, judgement, tuple(dict.fromkeys([*missed, *unmet])))
 
 
-def inertia_range(robot, joint):
+def _inertia_range(robot, joint):
     """Return least and largest inertia of a joint over all poses, others free or held [kg m^2]."""
     mass = gain_conditions.mass_matrices(robot.arm)
     free = 1.0 / np.linalg.inv(mass)[:, joint, joint]
     return float(free.min()), float(mass[:, joint, joint].max())
 
 
-def link_bandwidth(gains, robot):
+def link_bandwidth(gains, robot) -> np.ndarray:
     """Return sqrt(Lambda_1 K_D1 / M) of each joint at its largest inertia (n,) [rad/s]."""
-    largest = [inertia_range(robot, j)[1] for j in range(robot.n_joints)]
+    largest = [_inertia_range(robot, j)[1] for j in range(robot.n_joints)]
     return np.sqrt(gains.lambda_link * gains.kd_link / largest)
 
 
-def pair(bandwidth, damping, inertia):
+def pair(bandwidth, damping, inertia) -> tuple:
     """
-    Return damping gain and rate of two real poles.
+    Return damping gain and rate of two real poles, ``bandwidth`` the root of their product.
 
-    Parameters
-    ----------
-    bandwidth : float
-        Root of their product [rad/s].
-    damping : float
-        At least 1.
-    inertia : float
-        [kg m^2].
-
-    Returns
-    -------
-    kd, rate : float
-        ``inertia * rate * spread`` [N m s/rad] and the slower pole [1/s].
-
+    ``kd = inertia * rate * spread`` [N m s/rad], ``rate`` the slower pole [1/s]; damping >= 1.
     """
     spread = damping + np.sqrt(max(damping ** 2 - 1.0, 0.0))
     return _rounded(inertia * bandwidth * spread), _rounded(bandwidth / spread)
@@ -126,7 +104,7 @@ def _rounded(value):
     return float(f'{value:.{_DIGITS}g}')
 
 
-def one_axis(robot, joint, inertia):
+def _one_axis(robot, joint, inertia):
     """Return a joint of a robot as an axis of its own with the given inertia."""
     arm = robot.arm
     take = [joint]
@@ -148,12 +126,12 @@ def one_axis(robot, joint, inertia):
 
 def _joint_gains(robot, base, demands, joint, cap):
     """Return the gains of a joint (dict) and why they are not what is asked (list of str)."""
-    inertia = inertia_range(robot, joint)
-    axes = [one_axis(robot, joint, value) for value in dict.fromkeys(inertia)]
+    inertia = _inertia_range(robot, joint)
+    axes = [_one_axis(robot, joint, value) for value in dict.fromkeys(inertia)]
     own = demands._replace(torque_limit=demands.torque_limit[[joint]], bandwidth=None)
     nearest = None
     for wanted in ('all', 'exact'):
-        for values in candidates(robot, demands, joint, inertia[1], cap):
+        for values in _candidates(robot, demands, joint, inertia[1], cap):
             gains = _with_joint(_of_joint(base, joint), 0, values)
             if not _conditions_hold(gains, axes[0], wanted):
                 continue
@@ -163,7 +141,7 @@ def _joint_gains(robot, base, demands, joint, cap):
             if nearest is None or len(missed) < len(nearest[1]):
                 nearest = values, missed
     if nearest is None:
-        values = next(candidates(robot, demands, joint, inertia[1], cap))
+        values = next(_candidates(robot, demands, joint, inertia[1], cap))
         return values, [f'{robot.joints[joint]}: no gains within the bandwidths tried hold the '
                         'exact condition (39); a softer spring or a faster loop is needed']
     return nearest
@@ -179,7 +157,7 @@ def _missed(axes, gains, demands):
     return found
 
 
-def candidates(robot, demands, joint, inertia, cap):
+def _candidates(robot, demands, joint, inertia, cap):
     """Yield gains of a joint (dict), the stiffest link first, then the fastest motor."""
     highest = np.pi / demands.timing.period
     links = np.geomspace(_FASTEST_LINK * highest, _SLOWEST, _LINK_STEPS)
@@ -205,12 +183,8 @@ def _conditions_hold(gains, axis, wanted):
                if wanted == 'all' or one.kind == gain_conditions.EXACT)
 
 
-_PER_JOINT = ('kd_link', 'lambda_link', 'kd_motor', 'lambda_motor', 'observer_gain',
-              'sign_slope', 'filter_bandwidth', 'torque_limit')
-
-
 def _of_joint(gains, joint):
-    return replace(gains, **{name: getattr(gains, name)[[joint]] for name in _PER_JOINT})
+    return replace(gains, **{name: getattr(gains, name)[[joint]] for name in PER_JOINT})
 
 
 def _with_joint(gains, joint, values):
@@ -219,3 +193,11 @@ def _with_joint(gains, joint, values):
         changed[name] = getattr(gains, name).copy()
         changed[name][joint] = value
     return replace(gains, **changed)
+
+
+def controller_values(gains, joints) -> dict:
+    """Return gains as the flat parameters of a controller file."""
+    values = {'compensation': gains.compensation}
+    for j, joint in enumerate(joints):
+        values |= {f'gains.{joint}.{name}': float(getattr(gains, name)[j]) for name in PER_JOINT}
+    return values

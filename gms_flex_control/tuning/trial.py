@@ -1,16 +1,28 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""A controller tried on a simulated robot: how it tracks, what it costs, how quiet it rests."""
+"""
+A controller tried in simulation: how it tracks, what it costs, how quietly it rests.
+
+Robots that are not what it believes are drawn: every parameter identified with an interval evenly
+from it, the others scaled evenly within a spread. What is drawn together is named in `GROUPS`.
+"""
 
 from dataclasses import replace
+import json
 import math
+from pathlib import Path
+import re
 from typing import NamedTuple
 
 from gms_flex_control.effects.catalogue.input_delay import InputDelay
-from gms_flex_control.params.robot import EffectSpec
+from gms_flex_control.errors import ConfigError
+from gms_flex_control.params.robot import EffectSpec, RobotParams
+from gms_flex_control.schema.build import robot_from_values, robot_values
 from gms_flex_control.simulation import closed_loop
 from gms_flex_control.trajectory import builders
+from gms_flex_control.trajectory.segments import Trajectory
+from gms_flex_control.tuning.margins import judged
 import numpy as np
 
 MOTIONS = ('sinusoid', 'polynomial')
@@ -19,49 +31,36 @@ DURATION = {'sinusoid': 20.0, 'polynomial': 3 * HOLD + 2 * MOVE}  # [s]
 _SETTLING = 1.0         # of a hold, before its rest is judged [s]
 _SUBSTEP = 1e-4         # [s]
 _LOST = 10.0            # an error beyond this is no tracking any more [rad]
+# what is scaled by one factor per joint, and by how much at most
+SPREADS = {'friction level': 0.3, 'viscous friction': 0.3, 'presliding stiffness': 0.3,
+           'joint stiffness': 0.2, 'link mass': 0.3, 'motor inertia': 0.3}
+GROUPS = {'static': 'friction level', 'coulomb': 'friction level',
+          'viscous': 'viscous friction', 'stiffness': 'presliding stiffness',
+          'mass': 'link mass', 'inertia': 'link mass', 'mass_factor': 'link mass',
+          'inertia_factor': 'link mass', 'motor_inertia': 'motor inertia'}
+_BLOCK = re.compile(r'(.+)\[(\d+)\]')
 
 
 class Trial(NamedTuple):
-    """
-    The figures of one run, a list over joints each; None where it was lost.
-
-    ``mse`` of link angle - reference [rad^2]; ``peak`` of its size [rad]; ``hold``, largest
-    peak to peak of the link in the rests [rad], None without rests; ``torque``, rms [N m];
-    ``rate``, rms of its change over the sample [N m/s]; ``limit``, largest torque [N m].
-    """
+    """The figures of one run, a list over joints each; None where it was lost."""
 
     lost: bool
-    mse: list | None = None
-    peak: list | None = None
-    hold: list | None = None
-    torque: list | None = None
-    rate: list | None = None
-    limit: list | None = None
+    mse: list | None = None     # of link angle - reference [rad^2]
+    peak: list | None = None    # of its size [rad]
+    hold: list | None = None    # largest peak to peak of the link in the rests [rad], if any
+    torque: list | None = None  # rms [N m]
+    rate: list | None = None    # rms of its change over the sample [N m/s]
+    limit: list | None = None   # largest torque [N m]
 
 
-def motion_of(name, amplitude):
-    """
-    Return one of the paper's motions as assumed in config/.
-
-    Parameters
-    ----------
-    name : str
-        One of `MOTIONS`.
-    amplitude : ndarray, shape (n_joints,)
-        [rad].
-
-    Returns
-    -------
-    Trajectory
-        Lasting `DURATION`.
-
-    """
+def _motion_of(name, amplitude) -> Trajectory:
+    """Return one of the paper's motions as assumed in config/, of an amplitude (n,) [rad]."""
     if name == 'sinusoid':
         return builders.sinusoid(amplitude, PERIOD)
     return builders.polynomial(amplitude, MOVE, HOLD)
 
 
-def with_delay(robot, delay):
+def with_delay(robot, delay) -> RobotParams:
     """Return a robot whose motors get every torque later by ``delay`` [s]."""
     if delay <= 0.0:
         return robot
@@ -70,41 +69,20 @@ def with_delay(robot, delay):
     return replace(robot, effects=(*robot.effects, *late))
 
 
-def try_gains(robot, model, gains, timing, motion, amplitude, seed=0):
+def try_gains(robot, model, gains, timing, motion, amplitude, seed=0) -> tuple:
     """
-    Simulate a motion.
+    Simulate one of `MOTIONS` of an amplitude (n,) [rad]; return its Trial and Run.
 
-    Parameters
-    ----------
-    robot, model : RobotParams
-        The robot as it is, and as the controller believes it to be.
-    gains : ControllerParams
-        Of the controller.
-    timing : Timing
-        Sample and delay.
-    motion : str
-        One of `MOTIONS`.
-    amplitude : ndarray, shape (n_joints,)
-        [rad].
-    seed : int
-        Of the encoder noise.
-
-    Returns
-    -------
-    trial : Trial
-        Its figures.
-    run : Run
-        The run itself.
-
+    ``robot`` is the robot as it is, ``model`` what the controller believes.
     """
     run = closed_loop.run(
-        with_delay(robot, timing.delay), model, gains, motion_of(motion, amplitude),
+        with_delay(robot, timing.delay), model, gains, _motion_of(motion, amplitude),
         duration=DURATION[motion], period_ns=round(1e9 * timing.period), seed=seed,
         substeps=max(5, math.ceil(timing.period / _SUBSTEP - 1e-9)))
-    return figures_of(run, motion), run
+    return _figures_of(run, motion), run
 
 
-def figures_of(run, motion):
+def _figures_of(run, motion) -> Trial:
     """Return the Trial of a Run of a motion."""
     error = run.true[:, 0] - run.reference[:, 0]
     if not (np.isfinite(error).all() and np.abs(error).max() < _LOST):
@@ -124,3 +102,135 @@ def figures_of(run, motion):
 
 def _rest(run, begin):
     return slice(*np.searchsorted(run.time, [begin + _SETTLING - 1e-9, begin + HOLD - 1e-9]))
+
+
+class Drawn(NamedTuple):
+    """One robot to be tried: an item of a batch."""
+
+    robot: object       # RobotParams as believed
+    gains: object       # ControllerParams
+    timing: object      # Timing
+    amplitude: object   # (n,) of the motions [rad]
+    intervals: dict     # flat parameter name -> (low, high)
+    seed: int
+    number: int
+
+
+def read_intervals(path) -> dict:
+    """
+    Return the (low, high) of identified parameters, by name, from the report.json of identify.
+
+    ConfigError if it cannot be read or is another file.
+    """
+    try:
+        report = json.loads(Path(path).read_text('utf-8'))
+        estimates = [one for joint in report['joints'] for one in joint['estimates']]
+        found = {one['name']: one['interval'] for one in estimates
+                 if 'not identifiable' not in one['flags']}
+        return {name: (float(ends[0]), float(ends[1])) for name, ends in found.items()
+                if None not in ends}
+    except OSError as error:
+        raise ConfigError(f'--intervals {path}: cannot be read ({error.strerror})') from error
+    except (ValueError, KeyError, TypeError, IndexError) as error:
+        raise ConfigError(f'--intervals {path}: is no report.json of gms_flex identify') from error
+
+
+def draw(robot, intervals, rng) -> tuple:
+    """
+    Return a robot that differs from the believed one, and factors by name (``joint1 link mass``).
+
+    ``intervals`` of `read_intervals` may be empty.
+    """
+    values = robot_values(robot)
+    factors = {f'{joint} {group}': float(1.0 + spread * rng.uniform(-1.0, 1.0))
+               for joint in robot.joints for group, spread in SPREADS.items()}
+    for name, value in values.items():
+        group = _group_of(name)
+        if group is None or name in intervals:
+            continue
+        factor = factors[f"{name.split('.')[1]} {group}"]
+        scaled = np.asarray(value) * factor
+        values[name] = scaled.tolist()
+    for name, (low, high) in intervals.items():
+        _put(values, name, float(rng.uniform(low, high)))
+    for joint in robot.joints:
+        _make_possible(values, f'friction.{joint}.')
+    return robot_from_values(values), factors
+
+
+def _group_of(name):
+    part, last = name.partition('.')[0], name.rpartition('.')[2]
+    if part == 'arm' and last == 'stiffness':
+        return 'joint stiffness'
+    return GROUPS.get(last) if part in ('arm', 'friction') else None
+
+
+def _put(values, name, value):
+    block = _BLOCK.fullmatch(name)
+    if block and block[1] in values and int(block[2]) < len(values[block[1]]):
+        values[block[1]] = list(values[block[1]])
+        values[block[1]][int(block[2])] = value
+    elif name in values:
+        values[name] = value
+
+
+def _make_possible(values, prefix):
+    """Let weights sum to 1 and static friction not be below Coulomb's."""
+    weight = np.asarray(values[f'{prefix}weight'])
+    values[f'{prefix}weight'] = (weight / weight.sum()).tolist()
+    for way in ('forward', 'backward'):
+        static, coulomb = (f'{prefix}{way}.{name}' for name in ('static', 'coulomb'))
+        values[static] = max(values[static], values[coulomb])
+
+
+def try_drawn(item) -> dict:
+    """
+    Draw a robot and try the controller on it; ``item`` is a Drawn.
+
+    The dict has ``factors``; ``stable``, ``gain``, ``phase`` of the linear loop; ``trials``, a
+    Trial as a dict for each of `MOTIONS`.
+    """
+    rng = np.random.default_rng([item.seed, item.number])
+    robot, factors = draw(item.robot, item.intervals, rng)
+    linear = judged(robot, item.robot, item.gains, item.timing, with_delay=False)
+    trials = {motion: try_gains(robot, item.robot, item.gains, item.timing, motion,
+                                item.amplitude, seed=item.number)[0]._asdict()
+              for motion in MOTIONS}
+    return {'factors': factors, 'stable': linear.stable, 'trials': trials,
+            'gain': [min(float(one.gain_up), 1e9) for one in linear.joints],
+            'phase': [float(one.phase) for one in linear.joints]}
+
+
+class Spread(NamedTuple):
+    """A figure over all draws, one entry per joint."""
+
+    median: list
+    worst: list
+    worst_draw: list    # its number
+
+
+def summary(outcomes) -> dict:
+    """
+    Return the outcomes of `try_drawn`, by number, together.
+
+    The dict has ``draws``; ``lost``, ``unstable``, numbers of those; ``rms`` and ``hold``, Spread
+    as a dict by motion [rad]; ``gain``, ``phase``, least per joint.
+    """
+    lost = [k for k, one in enumerate(outcomes)
+            if any(trial['lost'] for trial in one['trials'].values())]
+    kept = [k for k in range(len(outcomes)) if k not in lost]
+    rms = {motion: _spread([np.sqrt(outcomes[k]['trials'][motion]['mse']) for k in kept], kept)
+           for motion in MOTIONS}
+    hold = _spread([outcomes[k]['trials']['polynomial']['hold'] for k in kept], kept)
+    return {'draws': len(outcomes), 'lost': lost, 'rms': rms, 'hold': hold,
+            'unstable': [k for k, one in enumerate(outcomes) if not one['stable']],
+            'gain': np.min([one['gain'] for one in outcomes], axis=0).tolist(),
+            'phase': np.min([one['phase'] for one in outcomes], axis=0).tolist()}
+
+
+def _spread(values, numbers):
+    if not numbers:
+        return None
+    values = np.array(values)
+    return Spread(np.median(values, axis=0).tolist(), values.max(axis=0).tolist(),
+                  [numbers[k] for k in values.argmax(axis=0)])._asdict()

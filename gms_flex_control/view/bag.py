@@ -12,9 +12,16 @@ from gms_flex_control.bags.source import BagWarning
 from gms_flex_control.compiled import compiled
 from gms_flex_control.errors import BagError
 from gms_flex_control.friction import gms
-from gms_flex_control.reports.series import decimate
-from gms_flex_control.view.columns import beside, column_names, columns_of, present
-from gms_flex_control.view.scene import extent, scene_of, unknown_scene
+from gms_flex_control.reports.page import decimate
+from gms_flex_control.view.scene import (
+    beside,
+    column_names,
+    columns_of,
+    extent,
+    present,
+    scene_of,
+    unknown_scene,
+)
 import numpy as np
 
 CHUNK = 1024         # samples of one answer with frames, about
@@ -24,30 +31,11 @@ _MOST_POINTS = 8000  # of one line in an answer
 
 def open_bag(path, robot=None, *, default=None, joints=None, motors=None, others=()):
     """
-    Read a bag for viewing.
+    Read a bag for viewing; BagError if it cannot be read or has other joints than ``robot``.
 
-    Parameters
-    ----------
-    path : str or Path
-        Bag folder or file.
-    robot : RobotParams, optional
-        The robot it was recorded on.
-    default : RobotParams, optional
-        Taken instead if its joints have the names of the bag's; the page says so.
-    joints, motors : sequence of str, optional
-        As `read_recording`.
-    others : sequence of str or Path
-        Further bags with the same joints, drawn over the first.
-
-    Returns
-    -------
-    BagView
-
-    Raises
-    ------
-    BagError
-        If the bag cannot be read, or its joints are not those of ``robot``.
-
+    ``default`` (RobotParams) stands in for the robot if its joints have the names of the bag's;
+    the page says so. ``joints`` and ``motors`` as of `read_recording`; ``others`` are further bags
+    with the same joints, drawn over the first.
     """
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter('always', BagWarning)
@@ -85,24 +73,9 @@ def open_bag(path, robot=None, *, default=None, joints=None, motors=None, others
 
 class BagView:
     """
-    One recording, ready to be asked by the page.
+    One recording as the page requests it; torque and sticking (T, n, N) of the blocks.
 
-    Parameters
-    ----------
-    recording : Recording
-        Of T samples and n joints.
-    scene : Scene
-        How to draw the robot.
-    torque, sticking : ndarray, shape (T, n, N), or None
-        Of the friction blocks.
-    origin : {'observer', 'model'}
-        Where these come from.
-    notes : sequence of str
-        What somebody who looks at it should know.
-    title : str
-        Of the page.
-    over : sequence of Recording
-        Others of the same joints, drawn over it.
+    ``origin`` says where these come from, 'observer' or 'model'; ``over`` are other recordings.
 
     """
 
@@ -132,29 +105,15 @@ class BagView:
         return max((float(np.nanmax(np.abs(values))) for name, values in self._columns.items()
                     if name.startswith(signal) and np.isfinite(values).any()), default=0.0)
 
-    def session(self):
+    def session(self) -> dict:
         """Return what the page has to know before it draws, as a dict for JSON."""
         return {'mode': 'bag', 'title': self._title, 'notes': self._notes,
                 'scene': self._scene.as_dict(), 'columns': self._names, 'begin': 0.0,
                 'end': float(self._time[-1]), 'period': self._period, 'chunk': CHUNK,
                 'controller': '', 'over': self._over, **self._summary}
 
-    def frames(self, level, chunk):
-        """
-        Return samples to play.
-
-        Parameters
-        ----------
-        level : int
-            Every 2**level-th sample, 0 to LEVELS.
-        chunk : int
-            Which piece of CHUNK * 2**level periods.
-
-        Returns
-        -------
-        ndarray, shape (columns, rows)
-
-        """
+    def frames(self, level, chunk) -> np.ndarray:
+        """Return every 2**level-th sample of a piece of as many CHUNKs, (columns, rows)."""
         stride = 2 ** min(max(level, 0), LEVELS)
         span = CHUNK * stride * self._period
         first, last = np.searchsorted(self._time, [chunk * span, (chunk + 1) * span])
@@ -163,23 +122,12 @@ class BagView:
         rows = slice(-(-int(first) // stride) * stride, int(last), stride)
         return self._table(rows)
 
-    def plots(self, begin, end, points):
+    def plots(self, begin, end, points) -> np.ndarray:
         """
-        Return what a chart of so many pixels can show of a stretch.
+        Return what a chart of so many points can show from begin to end [s] (columns, rows).
 
-        Parameters
-        ----------
-        begin, end : float
-            Of the stretch [s].
-        points : int
-            At most so many of each line.
-
-        Returns
-        -------
-        ndarray, shape (columns, rows)
-            The samples if they are few; else per bucket the smallest and the largest value in
-            the order they occur, and of ``stick`` the mean twice.
-
+        The samples if they are few; else per bucket the smallest and the largest value in the
+        order they occur, and of ``stick`` the mean twice.
         """
         first = max(0, int(np.searchsorted(self._time, begin)) - 1)
         last = min(len(self._time), int(np.searchsorted(self._time, end, side='right')) + 1)
@@ -225,26 +173,12 @@ def _along(angle, rate, step, constants, state, displacement, torque, sticking):
         sticking[k] = state.sticking
 
 
-def blocks_along(recording, friction):
+def blocks_along(recording, friction) -> tuple:
     """
-    Return what the blocks of a friction model do along the recorded link angles.
+    Return torque [N m] and sticking (1 or 0) of a model's blocks along a recording, (T, n, N).
 
-    Parameters
-    ----------
-    recording : Recording
-        Of T samples and n joints; a missing rate is differenced, a missing angle held.
-    friction : FrictionParams
-        Of the same joints.
-
-    Returns
-    -------
-    torque, sticking : ndarray, shape (T, n, N), float32
-        Torque of each block, which begins unloaded [N m], and 1 for sticking, 0 for slipping.
-
-    Notes
-    -----
-    Eqs. (2) and (3). It is the model's answer, not a measurement: blocks cannot be measured.
-
+    Eqs. (2) and (3), beginning unloaded; a missing rate is differenced, a missing angle held. It
+    is the model's answer: blocks cannot be measured.
     """
     angle = _held(recording.q_link)
     step = np.diff(recording.time, prepend=recording.time[0] - recording.period)

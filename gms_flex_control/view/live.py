@@ -1,13 +1,13 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""Messages of a running loop put together to rows by the stamp of their joint state."""
+"""A running loop: its messages as rows by the stamp of their joint state, and its status."""
 
 from collections import deque
 from math import factorial
 import threading
 
-from gms_flex_control.view.columns import column_names, PER_JOINT
+from gms_flex_control.view.scene import column_names, PER_JOINT
 import numpy as np
 
 WAIT = 0.08          # a row waits so long for what belongs to it [s]
@@ -18,18 +18,18 @@ _MOST_AT_ONCE = 4000  # rows of one event
 _REACH = 20_000_000   # a reference further away is none [ns]
 _DERIVATIVES = 4       # of a reference, the angle among them
 _JUMP = 1_000_000_000  # stamps that go back or ahead by more are another run [ns]
+WINDOW = 3.0    # of counting late samples [s]
+SILENCE = 3.5   # of the reports, upon which the state is not known [s]
+# counters of a simulated robot and of a bridge: samples, and those without a command in time
+_COUNTERS = (('samples', 'samples without a fresh command'),
+             ('states out', 'states without a fresh command'))
 
 
 class Rows:
     """
     What has come in, for any number of pages at their own pace.
 
-    Parameters
-    ----------
-    n, blocks : int
-        Joints, and friction blocks of each.
-    spacing : int
-        Joint states closer than that to the row before make none [ns].
+    Joint states closer than ``spacing`` [ns] to the row before make none.
 
     """
 
@@ -45,19 +45,7 @@ class Rows:
         self.restarted = False
 
     def put_state(self, stamp, now, link, motor):
-        """
-        Begin a row.
-
-        Parameters
-        ----------
-        stamp : int
-            Of the joint state [ns].
-        now : float
-            Monotonic time [s].
-        link, motor : sequence of float
-            Angles [rad], NaN where there is none.
-
-        """
+        """Begin a row: stamp [ns], monotonic time [s], angles of link and motor [rad] or NaN."""
         if not self.wants(stamp):
             return
         if self._newest is not None and abs(stamp - self._newest) > _JUMP:
@@ -73,14 +61,14 @@ class Rows:
         if len(self._waiting) < _MOST_WAITING:
             self._waiting[stamp] = now, row
 
-    def wants(self, stamp):
+    def wants(self, stamp) -> bool:
         """Return whether a joint state of a stamp [ns] begins a row: none again or between."""
         if self._newest is None:
             return True
         ahead = stamp - self._newest
         return ahead >= self._spacing or ahead < -_JUMP
 
-    def wants_more(self, signal, stamp):
+    def wants_more(self, signal, stamp) -> bool:
         """Return whether values of a signal, of a stamp [ns] or None, may belong to a row."""
         if stamp is None:
             return True
@@ -91,17 +79,9 @@ class Rows:
 
     def put(self, signal, stamp, values):
         """
-        Add values to the row of a stamp.
+        Add values of a signal to the row of a stamp [ns], of the newest if it is None.
 
-        Parameters
-        ----------
-        signal : str
-            ``reference``, ``error``, ``command``, ``friction``, ``block`` or ``stick``.
-        stamp : int or None
-            Of the joint state they belong to [ns]; None for the newest.
-        values : sequence of float
-            One per joint or block; of a reference its derivatives may follow.
-
+        One value per joint or block; of a reference its derivatives may follow.
         """
         stamp = self._newest if stamp is None else stamp
         if signal == 'reference' and stamp is not None:  # stamped ahead of the state it is for
@@ -115,7 +95,7 @@ class Rows:
             start = self._place[signal]
             row[start:start + room] = values
 
-    def take(self, now):
+    def take(self, now) -> np.ndarray:
         """Return the rows that have waited long enough, shape (rows, columns)."""
         ready = []
         for stamp, (came, row) in list(self._waiting.items()):
@@ -176,27 +156,12 @@ class Feed:
             if changed or len(rows):
                 self._condition.notify_all()
 
-    def since(self, number, wait):
+    def since(self, number, wait) -> tuple:
         """
-        Return the rows behind a number, as soon as there are any.
+        Return the rows behind a number (0 for all), as soon as there are any, within ``wait`` [s].
 
-        Parameters
-        ----------
-        number : int
-            Rows seen so far, from the last call; 0 for all that are kept.
-        wait : float
-            At most so long [s].
-
-        Returns
-        -------
-        number : int
-            For the next call.
-        version : int
-            Grows when the columns change.
-        state : dict
-            How the loop is.
-        rows : ndarray, shape (T, columns)
-
+        The number for the next call, the version (grows when the columns change), the state as a
+        dict and the rows (T, columns).
         """
         with self._condition:
             version, state = self.version, self._state
@@ -208,3 +173,42 @@ class Feed:
             rows = [self._rows[k] for k in range(skipped, skipped + taken)]
             number = self._count - fresh + taken
             return number, self.version, self._state, np.array(rows)
+
+
+class Status:
+    """State, rate and late share of the robot, from its reports."""
+
+    def __init__(self):
+        self._said, self._heard = {}, None
+        self._counts = deque()  # time [s], samples, late ones
+
+    def report(self, values, time, now):
+        """Take the values (dict of str) of a DiagnosticStatus stamped ``time``, ``now`` [s]."""
+        self._said, self._heard = values, now
+        for samples, late in _COUNTERS:
+            numbers = values.get(samples, ''), values.get(late, '0')
+            if all(map(str.isdecimal, numbers)):
+                self._count(time, *map(int, numbers))
+
+    def _count(self, time, samples, late):
+        if self._counts and (time <= self._counts[-1][0] or samples < self._counts[-1][1]):
+            self._counts.clear()  # another run
+        self._counts.append((time, samples, late))
+        while len(self._counts) > 2 and time - self._counts[1][0] >= WINDOW:
+            self._counts.popleft()
+
+    def as_dict(self, now) -> dict | None:
+        """
+        Return what is known now, for JSON; None where no robot reports.
+
+        ``state`` and ``reason`` (str), ``rate`` of the samples [Hz] and ``late``, the share of
+        them without a command in time (None until they are known).
+        """
+        if self._heard is None or now - self._heard > SILENCE:
+            return None
+        (begin, first, missed), (end, last, late) = (
+            (self._counts[0], self._counts[-1]) if self._counts else ((0.0, 0, 0),) * 2)
+        known = last > first
+        return {'state': self._said.get('state', ''), 'reason': self._said.get('reason', ''),
+                'rate': round((last - first) / (end - begin), 1) if known else None,
+                'late': round((late - missed) / (last - first), 5) if known else None}

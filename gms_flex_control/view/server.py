@@ -1,22 +1,25 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""The page over HTTP: a few fixed addresses, nothing of the file system."""
+"""The page over HTTP: who may ask, a few fixed addresses, nothing of the file system."""
 
 import base64
 from errno import EADDRNOTAVAIL
+import hmac
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
+import ipaddress
 import json
+import secrets
 import socket
 import threading
 from urllib.parse import parse_qs, urlsplit
 
 from gms_flex_control.errors import GmsFlexError
-from gms_flex_control.view.access import Access, LOOPBACK
 import numpy as np
 
+LOOPBACK = '127.0.0.1'
 POLICY = ("default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; "
           "img-src 'self' data:; connect-src 'self'; base-uri 'none'; form-action 'none'; "
           "frame-ancestors 'none'")
@@ -26,9 +29,6 @@ _HEARTBEAT = 1.0        # at most so long without an event [s]
 _TYPES = {'html': 'text/html; charset=utf-8', 'css': 'text/css; charset=utf-8',
           'js': 'text/javascript; charset=utf-8', 'svg': 'image/svg+xml',
           'json': 'application/json', 'bin': 'application/octet-stream'}
-_OWN = ('index.html', 'view.css', 'icon.svg', 'main.js', 'sources.js', 'arm.js', 'shapes.js',
-        'charts.js', 'blocks.js', 'controls.js', 'compensation.js', 'gains.js', 'transport.js',
-        'numbers.js')
 _SHARED = {'report.css': 'report.css', 'uPlot.css': 'vendor/uPlot.min.css',
            'uPlot.js': 'vendor/uPlot.iife.min.js'}
 
@@ -41,10 +41,76 @@ class _BadRequest(Exception):
     """What was asked for makes no sense; the message says why."""
 
 
-def assets():
+class Access:
+    """Rules for the requests of one server; its ``token`` comes with every change."""
+
+    def __init__(self, host=LOOPBACK, may_set=True):
+        self.local = is_loopback(host)
+        self.may_set = may_set
+        self.token = secrets.token_urlsafe(24)
+        self._host = host.lower()
+
+    def refusal_of_host(self, host) -> str:
+        """
+        Return why a request to this ``Host`` is refused, '' if it is not.
+
+        A page elsewhere can make its own name point here (DNS rebinding) and would then be of
+        the same origin; a name that is not ours is therefore no way in.
+        """
+        name = _name(f'//{host or ""}')
+        if name == 'localhost' or name == self._host:
+            return ''
+        if is_loopback(name) or (not self.local and (
+                _is_address(name) or name == socket.gethostname().lower())):
+            return ''
+        return f'this server is not {host!r}: open the address it printed'
+
+    def refusal_of_change(self, headers) -> str:
+        """Return why a request with these headers must not change anything, else ''."""
+        origin, site = headers.get('Origin'), headers.get('Sec-Fetch-Site', 'same-origin')
+        if origin is not None and urlsplit(origin).netloc.lower() != (
+                headers.get('Host') or '').lower():
+            return f'a page of {origin} may not change parameters here'
+        if site not in ('same-origin', 'none'):
+            return 'a page of another site may not change parameters here'
+        if not hmac.compare_digest((headers.get('X-Token') or '').encode(),
+                                   self.token.encode()):
+            return 'the token of the page is missing or old: load the page again'
+        if not self.may_set:
+            return ('parameters can only be seen from here: start gms_flex view without --host, '
+                    'or with --allow-set')
+        return ''
+
+
+def is_loopback(host) -> bool:
+    """Return whether an address or name is this machine alone."""
+    if host.lower() == 'localhost':
+        return True
+    try:
+        return ipaddress.ip_address(host.strip('[]')).is_loopback
+    except ValueError:
+        return False
+
+
+def _is_address(name):
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return True
+
+
+def _name(url):
+    try:
+        return (urlsplit(url).hostname or '').lower()
+    except ValueError:
+        return ''
+
+
+def _assets():
     """Return the files of the page by name, as bytes."""
     own, shared = files('gms_flex_control.view') / 'assets', files('gms_flex_control.reports')
-    found = {name: (own / name).read_bytes() for name in _OWN}
+    found = {file.name: file.read_bytes() for file in own.iterdir()}
     return found | {name: (shared / path).read_bytes() for name, path in _SHARED.items()}
 
 
@@ -61,25 +127,11 @@ def _way_out(error):
 
 class ViewServer(ThreadingHTTPServer):
     """
-    Serve one view until it is closed.
+    Serve one view until it is closed; ServerError if the address cannot be listened on.
 
-    Parameters
-    ----------
-    view : object
-        ``live`` (bool) and ``session()``; a bag has ``frames(level, chunk)`` and
-        ``plots(begin, end, points)``, a live one ``since(number, wait)``, ``parameters()``,
-        ``set_parameter(name, value)`` and ``call(name)``.
-    host : str
-        Address to listen on.
-    port : int
-        0 takes a free one.
-    may_set : bool
-        Whether the page may set parameters.
-
-    Raises
-    ------
-    ServerError
-        If the address cannot be listened on.
+    A view has ``live`` (bool) and ``session()``; a bag ``frames(level, chunk)`` and ``plots(begin,
+    end, points)``, a live one ``since(number, wait)``, ``parameters()``, ``set_parameter(name,
+    value)`` and ``call(name)``. Port 0 uses a free one; ``may_set`` lets the page set parameters.
 
     """
 
@@ -88,7 +140,7 @@ class ViewServer(ThreadingHTTPServer):
 
     def __init__(self, view, host=LOOPBACK, port=0, *, may_set=True):
         self.view, self.access = view, Access(host, may_set)
-        self.files = assets()
+        self.files = _assets()
         self.stopped = threading.Event()
         if ':' in host:
             self.address_family = socket.AF_INET6
@@ -102,7 +154,7 @@ class ViewServer(ThreadingHTTPServer):
                                         daemon=True)
 
     @property
-    def url(self):
+    def url(self) -> str:
         """Return the address of the page (str)."""
         host, port = self.server_address[:2]
         return f'http://{f"[{host}]" if ":" in host else host}:{port}/'

@@ -15,7 +15,7 @@ export class Arm {
     this.scene = session.scene;
     this.words = words;
     this.n = this.scene.joints.length;
-    this.chain = this.scene.kind === 'planar';
+    this.chain = this.scene.kind !== 'decoupled';
     this.largest = session.twist || 0;
     this.automatic = true;
     this.factor = niceFactor(this.largest, WOUND);
@@ -31,6 +31,19 @@ export class Arm {
     this.ghost = svg('g', {class: 'ghost'});
     this.trail = svg('path', {class: 'trail'});
     this.world = svg('g', {transform: 'scale(1 -1)'});
+    this.ghosts = [svg('polyline')];
+    this.parts();
+    this.ghost.append(...this.ghosts);
+    this.world.append(this.ghost);
+    this.picture = svg('svg', {role: 'img', 'aria-label': 'the arm', id: 'picture'}, this.world);
+    this.scale = svg('g', {class: 'scale'});
+    this.picture.append(this.scale);
+    place.replaceChildren(this.picture);
+    this.frameRoom(this.room || this.fullRoom());
+  }
+
+  /* Base, joints and links, which turn in one plane. */
+  parts() {
     this.joints = [];
     let inner = this.world;
     this.spots = this.spread();
@@ -48,15 +61,7 @@ export class Arm {
       inner = turned;
       this.joints.push({turned, turn});
     }
-    this.world.append(this.ghost);
-    this.ghosts = this.spots.map(() => svg('polyline'));
-    if (this.chain) this.ghosts.length = 1;
-    this.ghost.append(...this.ghosts);
-    this.picture = svg('svg', {role: 'img', 'aria-label': 'the arm', id: 'picture'}, this.world);
-    this.scale = svg('g', {class: 'scale'});
-    this.picture.append(this.scale);
-    place.replaceChildren(this.picture);
-    this.frameRoom(this.room || this.fullRoom());
+    if (!this.chain) this.ghosts = this.spots.map(() => svg('polyline'));
   }
 
   /* Where each joint sits: at the end of the link before, or axes side by side. */
@@ -99,7 +104,7 @@ export class Arm {
     const key = (name, text) => element('span', {class: 'entry'}, element('span', {
       class: `key ${name}`}), text);
     const parts = [key('link', 'link')];
-    if (flexible) parts.push(key('motor', 'motor'));
+    if (flexible && !this.scene.frames) parts.push(key('motor', 'motor'));
     if (this.has('reference')) parts.push(key('ghost', 'reference'));
     if (flexible) {
       this.select = element('select', {'aria-label': 'enlargement of the wind-up', id: 'factor'},
@@ -127,13 +132,20 @@ export class Arm {
   show(frame, time, past) {
     this.last = [frame, time, past];
     for (let j = 0; j < this.n; j++) {
+      const twist = Math.abs(frame(`twist.${j}`));
+      if (twist > this.largest) this.outgrow(twist);
+    }
+    this.pose(frame);
+    this.showGhost(frame);
+    this.showTrail(time, past);
+  }
+
+  pose(frame) {
+    for (let j = 0; j < this.n; j++) {
       const twist = frame(`twist.${j}`);
-      if (Math.abs(twist) > this.largest) this.outgrow(Math.abs(twist));
       this.joints[j].turned.setAttribute('transform', rotate(this.angle(frame, 'link', j)));
       this.joints[j].turn(this.factor * twist, Math.abs(twist) / (this.largest || 1));
     }
-    this.showGhost(frame);
-    this.showTrail(time, past);
   }
 
   outgrow(twist) {

@@ -6,6 +6,7 @@ import {Plots} from './charts.js';
 import {Controls} from './controls.js';
 import {Gains} from './gains.js';
 import {calm, element} from './numbers.js';
+import {SpaceArm} from './space.js';
 import {ask, BagSource, LiveSource} from './sources.js';
 import {Transport} from './transport.js';
 
@@ -36,7 +37,7 @@ class View {
     this.transport.changed = () => this.paced();
     this.transport.sought = () => this.show(true);
     this.transport.zoomed = (factor) => this.zoom(factor);
-    this.arm = new Arm(at('arm'), at('keys-arm'), session,
+    this.arm = new (session.scene.frames ? SpaceArm : Arm)(at('arm'), at('keys-arm'), session,
       (signal) => this.live || this.source.has(signal));
     this.build();
     if (this.live) {

@@ -1,13 +1,19 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""The report of an identification: what can be trusted, shown in pictures and tables."""
+"""An identification as text for a terminal, and as a page with pictures."""
 
 from functools import partial
 from pathlib import Path
+from textwrap import fill
 
 from gms_flex_control.answer import Answer, command, measured
-from gms_flex_control.identification.beside import known_presliding, known_steady, known_values
+from gms_flex_control.identification.beside import (
+    known_presliding,
+    known_steady,
+    known_values,
+    presliding_difference,
+)
 from gms_flex_control.identification.words import (
     data_sentence,
     DOUBTFUL,
@@ -25,17 +31,9 @@ from gms_flex_control.identification.words import (
     STANDINGS,
 )
 from gms_flex_control.params.units import in_units
-from gms_flex_control.reports.figures import file_stem, save_figure
-from gms_flex_control.reports.identification_figures import (
-    DIRECTIONS,
-    loops_figure,
-    map_figure,
-    MOST_LOOPS,
-    residuals,
-)
-from gms_flex_control.reports.identification_text import held_out_rows
-from gms_flex_control.reports.page import Curve, Report, Series
-from gms_flex_control.reports.series import decimate
+from gms_flex_control.reports.figures import file_stem, save_figure, thinned
+from gms_flex_control.reports.page import Curve, decimate, Report, Series
+from gms_flex_control.reports.pictures import DIRECTIONS, loops_figure, map_figure, MOST_LOOPS
 import numpy as np
 
 MOST_TRACES = 6          # of one joint on the page
@@ -45,28 +43,102 @@ _KNOWN = ('well known', 'roughly known')
 _SYMBOLS = {'static': 'F_s', 'coulomb': 'F_c', 'velocity': 'v_s', 'viscous': 'σ_2',
             'attraction': 'C', 'motor_inertia': 'J'}
 _BLOCK_SYMBOLS = {'stiffness': 'k', 'weight': 'α'}
+_WIDTH = 98               # of text
+_LONGEST_NAME = 22       # of a joint in text
 
 
-def write_identification_report(identification, folder, *, beside=None, robot=()):
+def identification_text(identification, beside=None) -> str:
+    """Return an identification as lines of text; ``beside`` as of the report."""
+    blocks = [_wrapped(f'{data_sentence(identification)}; fitted in '
+                       f'{identification.seconds:.1f} s')]
+    blocks += [_wrapped(f'warning: {text}') for text in identification.warnings]
+    for result in identification.joints:
+        known = known_values(beside, identification.robot, result.joint) if beside else None
+        blocks.append(_joint_text(result, known, beside))
+    blocks.append('Errors on held-out data; C+v: Coulomb + viscous alone\n'
+                  + _aligned(*_held_out_rows(identification.joints)))
+    return '\n\n'.join(blocks)
+
+
+def _parameter_rows(result, known=None):
+    """Return header and rows of a joint's parameters; ``known`` values by name, if any."""
+    header = ('parameter', 'unit', 'value', '95 % interval', *(('true',) if known else ()),
+              'to be noted')
+    rows = []
+    for estimate in result.estimates:
+        lost = standing(estimate) == NOT_IDENTIFIABLE
+        value, interval = number(estimate.value), span(estimate.interval)
+        rows.append((short_name(estimate.name, result.joint), estimate.unit,
+                     f'({value})' if lost else value, interval,
+                     *((number(known.get(estimate.name, np.nan)),) if known else ()),
+                     _remark(estimate)))
+    return header, rows
+
+
+def _remark(estimate):
+    if standing(estimate) == NOT_IDENTIFIABLE:
+        return 'NOT IDENTIFIABLE'
+    if len(estimate.flags) > 1:
+        return f'{estimate.flags[0]}, +{len(estimate.flags) - 1}'
+    return estimate.flags[0] if estimate.flags else SET if standing(estimate) == SET else ''
+
+
+def _held_out_rows(results):
+    """Return header and rows of held-out errors, one row per joint."""
+    header = ('joint', 'torque [%]', 'C+v [%]', 'noise [%]', 'repeat [%]', 'free run [mrad]',
+              'C+v [mrad]')
+    rows = []
+    for result in results:
+        errors = result.held_out
+        noise, repeat = floor_shares(errors)
+        rows.append((_clipped(result.joint), *(number(100 * share, 3) for share in (
+            errors.relative, errors.coulomb_viscous, noise, repeat)),
+            number(1e3 * errors.free_run_rms, 3),
+            number(1e3 * errors.free_run_coulomb_viscous, 3)))
+    return header, rows
+
+
+def _joint_text(result, known, beside):
+    blocks = [(candidate.n_blocks, candidate.chosen) for candidate in result.candidates]
+    chosen = next((f', N = {n} blocks' for n, used in blocks if used), '')
+    source = {'spring': 'the spring', 'motor': 'the motor torque'}.get(result.side, result.side)
+    lines = [f'{_clipped(result.joint)}: friction torque by {source}{chosen}',
+             _aligned(*_parameter_rows(result, known))]
+    if known:
+        share, where = presliding_difference(result, beside)
+        lines.append(f'presliding curve: at most {number(100 * share, 3)} % of F_s off the true '
+                     f'one, at {number(1e3 * where, 3)} mrad')
+    lines += [_wrapped(f'- {note}') for note in notes(result)]
+    lines += [_wrapped(f'warning: {text}') for text in result.warnings]
+    return '\n'.join(lines)
+
+
+def _aligned(header, rows):
+    """Return a table as text: the first column to the left, columns of numbers to the right."""
+    cells = [header, *rows]
+    widths = [max(len(row[i]) for row in cells) for i in range(len(header))]
+    right = [all(row[i][:1] in '-(0123456789.' for row in rows) and '..' not in
+             ''.join(row[i] for row in rows) for i in range(len(header))]
+    return '\n'.join('  '.join(
+        f'{cell:>{width}}' if to_right else f'{cell:<{width}}'
+        for cell, width, to_right in zip(row, widths, right, strict=True)).rstrip()
+        for row in cells)
+
+
+def _clipped(name):
+    return name if len(name) <= _LONGEST_NAME else f'{name[:_LONGEST_NAME - 1]}…'
+
+
+def _wrapped(text):
+    return fill(text, _WIDTH, subsequent_indent='  ')
+
+
+def write_identification_report(identification, folder, *, beside=None, robot=()) -> list:
     """
-    Write report.html and the PNGs.
+    Write report.html and the PNGs to a folder; return their paths, the page first.
 
-    Parameters
-    ----------
-    identification : Identification
-        What to show.
-    folder : str or Path
-        Made if need be; files of the same names are replaced.
-    beside : RobotParams, optional
-        Friction known otherwise, such as that of a simulated plant: drawn and tabled as true.
-    robot : sequence of str or Path
-        Files of the robot that was believed.
-
-    Returns
-    -------
-    list of Path
-        What was written, the page first.
-
+    ``beside`` (RobotParams) is friction known otherwise, such as that of a simulated plant, drawn
+    and listed as true; ``robot`` are the files of the robot that was believed.
     """
     folder, words = Path(folder), partial(in_units, identification.robot.arm)
     answer = identification_answer(identification, folder, robot)
@@ -163,7 +235,7 @@ def _add_summary(report, identification):
                   for kind in STANDINGS]
         rows.append((result.joint, *counts))
     report.table(('joint', *STANDINGS), rows, 'Parameters by how well they are known')
-    report.table(*held_out_rows(identification.joints),
+    report.table(*_held_out_rows(identification.joints),
                  'Errors on held-out data. Torque: of the rms of the drive torque; C+v: Coulomb '
                  '+ viscous alone; noise: that of the readings; repeat: of equal motions. Free '
                  'run: rms of the angle')
@@ -231,7 +303,8 @@ def _add_map(report, result, known, log=False):
         way, turn = sign * measured.velocity > 0.0, sign if log else 1.0
         for steady, label, role in ((True, f'{name}, steady', f'c{i}'),
                                     (False, f'{name}, not steady', 'c6')):
-            rows = _thinned(np.flatnonzero(way & (measured.steady == steady)))
+            rows = np.flatnonzero(way & (measured.steady == steady))
+            rows = rows[thinned(len(rows), _CLOUD)]
             curves.append(Curve(label, turn * measured.velocity[rows],
                                 turn * measured.torque[rows], role, points=True))
         rows = sign * fit > 0.0
@@ -300,10 +373,11 @@ def _add_motion(report, result):
             if lines:
                 report.chart(f'{short_label(trace.label)}: {name}', time, lines,
                              y_label=f'{name} [{unit}]', group=group)
-    velocity, residual, out = residuals(result)
+    velocity, residual, out = _residuals(result)
     clouds = []
     for name, rows, role in (('fitted', ~out, 'c5'), ('held out', out, 'c1')):
-        rows = _thinned(np.flatnonzero(rows))
+        rows = np.flatnonzero(rows)
+        rows = rows[thinned(len(rows), _CLOUD)]
         clouds.append(Curve(name, velocity[rows], residual[rows], role, points=True))
     _curves(report, 'residual over velocity', clouds, 'velocity [rad/s]',
             'measured − model [N m]')
@@ -322,6 +396,12 @@ def _add_candidates(report, result):
         'The fit uses the fewest blocks that no other number beats by more than chance')
 
 
-def _thinned(rows):
-    """Return few enough of the rows, evenly."""
-    return rows[::max(1, int(np.ceil(len(rows) / _CLOUD)))]
+def _residuals(result):
+    """Return velocity, measured less modelled torque and held_out of all traces, (T,) each."""
+    if not result.traces:
+        return np.zeros(0), np.zeros(0), np.zeros(0, dtype=bool)
+    velocity, residual, out = (np.concatenate(columns) for columns in zip(*(
+        (trace.velocity, trace.measured - trace.model, trace.held_out)
+        for trace in result.traces), strict=True))
+    good = np.isfinite(velocity) & np.isfinite(residual)
+    return velocity[good], residual[good], out[good].astype(bool)

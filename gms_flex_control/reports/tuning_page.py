@@ -1,39 +1,35 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""A proposal as tables, as plain values for JSON, and as the controller's file."""
+"""Tuned gains as tables, plain values, a picture and the controller's file."""
 
 import math
 from pathlib import Path
 
 from gms_flex_control.analysis.table4 import align
 from gms_flex_control.answer import Answer, command, measured
-from gms_flex_control.tuning.propose import link_bandwidth
+from gms_flex_control.reports.figures import COLOURS, panels_of, STYLES, WIDTH
+from gms_flex_control.tuning.linear_loop import linear_loop
+from gms_flex_control.tuning.margins import joint_margins, open_loop, poses
+from gms_flex_control.tuning.propose import controller_values, link_bandwidth, PER_JOINT
 from gms_flex_control.tuning.trial import MOTIONS
+from matplotlib.figure import Figure
 import numpy as np
 
-_GAINS = ('kd_link', 'lambda_link', 'kd_motor', 'lambda_motor', 'observer_gain', 'sign_slope',
-          'filter_bandwidth', 'torque_limit')
+_LOWEST, _COUNT = 0.5, 400  # frequencies of the picture [rad/s]
+_HIGHEST = 0.95             # of half the sample rate: there the hold takes everything away
 
 
-def controller_values(gains, joints):
-    """Return gains as the flat parameters of a controller file (dict)."""
-    values = {'compensation': gains.compensation}
-    for j, joint in enumerate(joints):
-        values |= {f'gains.{joint}.{name}': float(getattr(gains, name)[j]) for name in _GAINS}
-    return values
-
-
-def gains_table(gains, robot):
+def gains_table(gains, robot) -> str:
     """Return the gains and the link's bandwidth, a row per joint, as text."""
     speed = link_bandwidth(gains, robot)
-    rows = [[joint, *(f'{getattr(gains, name)[j]:.4g}' for name in _GAINS[:4]),
+    rows = [[joint, *(f'{getattr(gains, name)[j]:.4g}' for name in PER_JOINT[:4]),
              f'{speed[j]:.3g}'] for j, joint in enumerate(robot.joints)]
     return align(['joint', 'kd_link', 'lambda_link', 'kd_motor', 'lambda_motor',
                   'link bandwidth [rad/s]'], rows)
 
 
-def margins_table(judgement, robot):
+def margins_table(judgement, robot) -> str:
     """Return the worst margins of all poses, a row per joint, as text."""
     rows = [[joint, f'{one.gain_up:.3g}', f'{one.gain_down:.2g}',
              f'{math.degrees(one.phase):.1f}', f'{one.distance:.2f}', f'{one.crossover:.0f}',
@@ -43,7 +39,7 @@ def margins_table(judgement, robot):
                   'encoder torque [N m]', 'jitter [mrad]'], rows)
 
 
-def loop_lines(judgement, robot, timing):
+def loop_lines(judgement, robot, timing) -> list:
     """Return delay margin and ringing as lines of text."""
     delay = ('more than 50 samples' if math.isinf(judgement.delay)
              else f'{1e3 * judgement.delay:.2f} ms')
@@ -88,31 +84,14 @@ def _worse(trials, figure, count):
                    for one in trials.values()], axis=0)
 
 
-def expected_lines(trials, judgement, robot):
-    """
-    Return what error of the links to expect.
-
-    Parameters
-    ----------
-    trials : dict
-        As for `trials_table`; the last mode is the one that is meant.
-    judgement : Judgement
-        Of the same gains.
-    robot : RobotParams
-        Names the joints.
-
-    Returns
-    -------
-    list of str
-        Lines of text.
-
-    """
+def expected_lines(trials, judgement, robot) -> list:
+    """Return what error of the links to expect of the last mode of ``trials``, as lines."""
     mode = list(trials)[-1]
-    told = '; '.join(f'{joint} {_expected(trials[mode].values(), j)}'
+    errors = '; '.join(f'{joint} {_expected(trials[mode].values(), j)}'
                      for j, joint in enumerate(robot.joints))
     held = ', '.join(f'{joint} {1e3 * value:.3g} mrad' for joint, value in zip(
         robot.joints, judgement.held, strict=True))
-    return [f'expected error, {mode}, the worse motion: {told}',
+    return [f'expected error, {mode}, the worse motion: {errors}',
             f'error that static friction can hold without compensation: {held}']
 
 
@@ -125,7 +104,7 @@ def _expected(found, j):
     return f'{rms:.3g} mrad rms, {peak:.3g} at most'
 
 
-def trials_table(trials, robot):
+def trials_table(trials, robot) -> str:
     """Return simulated figures as text; ``trials`` is mode -> motion -> Trial."""
     rows = []
     for motion in MOTIONS:
@@ -144,7 +123,7 @@ def _trial_cells(trial, j):
             f'{trial.torque[j]:.3g}']
 
 
-def verify_text(found, robot):
+def verify_text(found, robot) -> str:
     """Return the summary of a Monte-Carlo, from `uncertainty.summary`, as text."""
     rows = []
     for name, spread in [*found['rms'].items(), ('at rest p-p', found['hold'])]:
@@ -162,7 +141,7 @@ def verify_text(found, robot):
         f"{len(found['lost'])} lost in simulation", f'least margins: {margins}'])
 
 
-def as_values(proposal, robot, timing, trials):
+def as_values(proposal, robot, timing, trials) -> dict:
     """Return a proposal as plain values for JSON."""
     judgement = proposal.judgement
     report = judgement.conditions
@@ -171,21 +150,60 @@ def as_values(proposal, robot, timing, trials):
         'gains': controller_values(proposal.gains, robot.joints),
         'timing': timing._asdict(), 'conditions': [
             one.__dict__ | {'met': one.met} for one in report.conditions],
-        'margins': {joint: finite(one._asdict()) for joint, one in zip(
+        'margins': {joint: _finite(one._asdict()) for joint, one in zip(
             robot.joints, judgement.joints, strict=True)},
-        'delay_margin': finite(judgement.delay), 'stable': judgement.stable,
-        'encoder_torque': finite(judgement.jitter.torque.tolist()),
-        'encoder_jitter': finite(judgement.jitter.angle.tolist()),
-        'stuck_decay': finite(judgement.ringing), 'residual_bound': finite(report.residual),
-        'held_error': finite(judgement.held.tolist()),
+        'delay_margin': _finite(judgement.delay), 'stable': judgement.stable,
+        'encoder_torque': _finite(judgement.jitter.torque.tolist()),
+        'encoder_jitter': _finite(judgement.jitter.angle.tolist()),
+        'stuck_decay': _finite(judgement.ringing), 'residual_bound': _finite(report.residual),
+        'held_error': _finite(judgement.held.tolist()),
         'trials': {mode: {motion: one._asdict() for motion, one in found.items()}
                    for mode, found in trials.items()}}
 
 
-def finite(value):
+def _finite(value):
     """Return plain values with None for every number that is not finite."""
     if isinstance(value, dict):
-        return {name: finite(one) for name, one in value.items()}
+        return {name: _finite(one) for name, one in value.items()}
     if isinstance(value, list):
-        return [finite(one) for one in value]
+        return [_finite(one) for one in value]
     return float(value) if math.isfinite(value) else None
+
+
+def tuning_figure(robot, gains, timing) -> Figure:
+    """Return the response of each joint's stable loop in all poses, the others closed."""
+    figure, ((upper,), (lower,)) = panels_of(2, 1, (WIDTH, 4.6), sharex=True)
+    grid = np.geomspace(_LOWEST, _HIGHEST * np.pi / timing.period, _COUNT)
+    for pose in poses(robot.arm):
+        loop = linear_loop(robot, robot, gains, timing, pose)
+        for j in range(robot.n_joints):
+            _draw(upper, lower, loop, j, grid)
+    for j, joint in enumerate(robot.joints):
+        upper.plot([], [], STYLES[j % len(STYLES)], color=COLOURS[j % len(COLOURS)], label=joint)
+    upper.axhline(1.0, color='0.3', linewidth=0.8)
+    lower.axhline(-180.0, color='0.3', linewidth=0.8)
+    upper.set_ylabel('|L|')
+    lower.set_ylabel('phase [deg]')
+    lower.set_xlabel('frequency [rad/s]')
+    upper.legend(frameon=False, fontsize=8.5)
+    for panel in (upper, lower):
+        panel.grid(color='0.9', linewidth=0.6)
+        panel.tick_params(which='both', direction='in', top=True, right=True, labelsize=9)
+        panel.set_xlim(grid[0], grid[-1])
+    figure.suptitle(f'Loop of each joint, {1.0 / timing.period:.0f} Hz, '
+                    f'{1e3 * timing.delay:g} ms of delay, in all poses', fontsize=11)
+    return figure
+
+
+def _draw(upper, lower, loop, j, grid):
+    style = {'color': COLOURS[j % len(COLOURS)], 'linewidth': 0.9}
+    response = open_loop(loop, j, grid)
+    phase = np.degrees(np.unwrap(np.angle(response)))
+    phase -= 360.0 * np.round((phase[0] + 180.0) / 360.0)
+    line = STYLES[j % len(STYLES)]
+    upper.loglog(grid, np.abs(response), line, **style)
+    lower.semilogx(grid, phase, line, **style)
+    crossover = joint_margins(loop, j).crossover
+    if crossover > 0.0:
+        lower.plot(crossover, np.interp(crossover, grid, phase), 'o', markersize=3.5,
+                   color=style['color'])

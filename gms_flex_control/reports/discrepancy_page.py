@@ -1,13 +1,14 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""The report of a discrepancy: what the model lacks, why, and how much closer it came."""
+"""The page of a discrepancy: what the model lacks, why, and how much closer it came."""
 
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
 
 from gms_flex_control.answer import Answer, command, Number
+from gms_flex_control.discrepancy.compared import free_runs_of
 from gms_flex_control.discrepancy.describe import (
     angle_scale,
     capitalised,
@@ -16,8 +17,7 @@ from gms_flex_control.discrepancy.describe import (
     torque_scale,
     value_words,
 )
-from gms_flex_control.discrepancy.free_run import all_known, free_runs, HORIZON
-from gms_flex_control.discrepancy.motion import motion_of
+from gms_flex_control.discrepancy.free_run import HORIZON
 from gms_flex_control.discrepancy.residual_views import (
     Along,
     evidence_of,
@@ -28,7 +28,10 @@ from gms_flex_control.discrepancy.residual_views import (
 from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE, FOUND, UNEXPLAINED
 from gms_flex_control.effects.registry import in_words
 from gms_flex_control.params.units import in_units
-from gms_flex_control.reports.discrepancy_figures import (
+from gms_flex_control.reports.discrepancy_values import comparison_rows
+from gms_flex_control.reports.figures import file_stem, save_figure, thinned
+from gms_flex_control.reports.page import Curve, Report, Series
+from gms_flex_control.reports.pictures import (
     evidence_figure,
     gap_figure,
     maps_figure,
@@ -36,9 +39,6 @@ from gms_flex_control.reports.discrepancy_figures import (
     WITH,
     WITHOUT,
 )
-from gms_flex_control.reports.figures import file_stem, save_figure
-from gms_flex_control.reports.model_comparison import comparison_rows
-from gms_flex_control.reports.page import Curve, Report, Series
 import numpy as np
 
 TITLES = {COMPLETE: 'Nothing is missing', FOUND: 'Effects the model lacks',
@@ -49,30 +49,15 @@ MOST_PICTURES = 8     # findings with a picture and a chart of their own
 _AT_FLOOR = 1.3       # error over floor that counts as the floor itself
 _SCALES = {'rad': angle_scale, 'N m': torque_scale}
 _CHANGED = 0.02       # share of an error that is worth a word
-_POINTS = 12_000      # of one line over time
 _CLOUD = 3_000        # points of a cloud
 
 
-def write_discrepancy_report(result, folder, *, holdout=(), models=()):
+def write_discrepancy_report(result, folder, *, holdout=(), models=()) -> list:
     """
-    Write report.html and the PNGs.
+    Write report.html and the PNGs of a Discrepancy to a folder; return the paths, the page first.
 
-    Parameters
-    ----------
-    result : Discrepancy
-        What to show.
-    folder : str or Path
-        Made if need be; files of the same names are replaced.
-    holdout : sequence of Recording
-        Recordings that took no part; free runs are shown on the first of them.
-    models : sequence of Compared
-        Models compared beside it.
-
-    Returns
-    -------
-    list of Path
-        What was written, the page first.
-
+    Free runs are shown on the first of ``holdout`` (Recordings that took no part); ``models``
+    (Compared) are listed beside it.
     """
     folder = Path(folder)
     report = Report(TITLES[result.verdict], discrepancy_answer(result, folder),
@@ -99,7 +84,7 @@ def discrepancy_answer(result, folder) -> Answer:
     return Answer(_sentence(result), COLUMNS, tuple(numbers[:3]), command(*after))
 
 
-def gap_numbers(gap):
+def gap_numbers(gap) -> tuple:
     """Return Numbers of residual torque and of free-run error, the largest change first."""
     torque, angle = torque_scale(gap.retuned), angle_scale(gap.free_before)
     return tuple([
@@ -158,29 +143,16 @@ def _change(name, without, found, floor):
             share > 0.0 and after <= _AT_FLOOR * least)
 
 
-def units_of(result):
+def units_of(result) -> Callable:
     """Return the function that puts a text into the units of the robot of a Discrepancy."""
     return str if result.robot is None else partial(in_units, result.robot.arm)
 
 
-def add_discrepancy(report, result, folder, *, holdout=(), models=(), opened=False):
+def add_discrepancy(report, result, folder, *, holdout=(), models=(), opened=False) -> list:
     """
-    Add everything about a discrepancy to a page, its picture first, and write the PNGs.
+    Add everything about a discrepancy to a Report, and write the PNGs; return their paths.
 
-    Parameters
-    ----------
-    report : Report
-        The page.
-    result, folder, holdout, models
-        As of `write_discrepancy_report`.
-    opened : bool
-        Whether the page has its picture, so that all of this folds.
-
-    Returns
-    -------
-    list of Path
-        The pictures.
-
+    Its picture comes first, unless the page is ``opened``: it then has one, and all of this folds.
     """
     pictures = []
 
@@ -195,7 +167,7 @@ def add_discrepancy(report, result, folder, *, holdout=(), models=(), opened=Fal
     along = Along(result.behind.likelihood)
     evidence = [evidence_of(along, result.behind.after, finding)
                 for finding in result.named[:MOST_PICTURES]]
-    runs = _free_runs(result.behind, holdout)
+    runs = free_runs_of(result.behind, holdout)
     first = None  # what stands open: how an effect shows, or the free runs of a joint
     if evidence and not opened:
         first = evidence[0]
@@ -298,9 +270,9 @@ def _finding_row(finding, scale):
 
 
 def _add_evidence_chart(report, evidence):
-    step, scale = max(1, len(evidence.x) // _CLOUD), torque_scale(evidence.y)
+    keep, scale = thinned(len(evidence.x), _CLOUD), torque_scale(evidence.y)
     size = scale.factor
-    curves = [Curve('samples without it', evidence.x[::step], size * evidence.y[::step], 'c6',
+    curves = [Curve('samples without it', evidence.x[keep], size * evidence.y[keep], 'c6',
                     points=True)]
     for curve, role, name in ((evidence.before, 'c1', 'without it'),
                               (evidence.after, 'c0', 'with it')):
@@ -360,32 +332,6 @@ def _add_residuals(report, along, behind, picture):
                 y_label=f'torque [{scale.unit}]')
 
 
-class _FreeRuns(NamedTuple):
-    """Simulated less measured link angles of free runs, one after another."""
-
-    motion: object
-    time: np.ndarray    # (T,) [s]
-    without: np.ndarray  # (T, n) [rad], NaN before each start
-    found: np.ndarray
-
-
-def _free_runs(behind, holdout):
-    """Return the free runs of the first recording held out, else fitted."""
-    likelihood = behind.likelihood
-    motion = motion_of(holdout[0], likelihood.robot) if holdout else likelihood.motions[0]
-    (starts, measured, before), (_, _, after) = (
-        _simulated(likelihood, motion, model) for model in (behind.before, behind.after))
-    step = max(1, int(np.ceil(measured.shape[1] * len(starts) / _POINTS)))
-    time = (starts[:, None] - motion.fine_time[0]
-            + motion.fine_period * np.arange(measured.shape[1]))
-
-    def error(values):  # NaN lifts the pen before each start
-        kept = np.array(values - measured)[:, ::step]
-        kept[:, -1] = np.nan
-        return kept.reshape(-1, measured.shape[2])
-    return _FreeRuns(motion, time[:, ::step].ravel(), error(before), error(after))
-
-
 def _add_free_runs(report, runs, left_out):
     report.heading('Simulated less measured motion')
     report.text(f'Every {HORIZON:g} s each model starts from the measured state and runs freely '
@@ -401,19 +347,6 @@ def _add_free_run(report, runs, j):
         Series(name, 1e3 * values[:, j], role=role) for name, values, role in (
             (WITHOUT, runs.without, 'c1'), (WITH, runs.found, 'c0'))],
         y_label='angle [mrad]', group='free runs')
-
-
-def _simulated(likelihood, motion, model):
-    """
-    Return times of the starts, and measured and simulated link angles (S, H, n).
-
-    NaN where a run crosses a hole in the angles.
-    """
-    starts, link, _ = free_runs(motion, likelihood.constants(model.robot, model.x))
-    first = np.searchsorted(motion.fine_time, starts - 0.5 * motion.fine_period)
-    measured = motion.readings[first[:, None] + np.arange(link.shape[1]), 0]
-    measured[~all_known(motion, starts)] = np.nan
-    return starts, measured, measured - np.clip(link, -10.0, 10.0)
 
 
 def _add_closed_loop(report, again):

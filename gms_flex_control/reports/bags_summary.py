@@ -23,22 +23,12 @@ _CLEAR = 2.0  # times the scatter that intervals foresee: said to differ from ba
 _LINES = 20   # bags below each other, at most: the others are in summary.csv
 
 
-def summary(found, rows):
+def summary(found, rows) -> dict:
     """
-    Return all bags and their parameters as plain values.
+    Return all bags and their parameters as plain data.
 
-    Parameters
-    ----------
-    found : dict of str to dict
-        By the name of the bag: `identification.over_bags.bag_values` and ``reason``, which is
-        None, or alone.
-    rows : sequence of OverBags
-        Of the bags without a reason.
-
-    Returns
-    -------
-    dict
-
+    ``found`` holds `identification.over_bags.bag_values` and ``reason`` (None, or all there is) by
+    the name of the bag, ``rows`` the OverBags of those without a reason.
     """
     return {'format': FORMAT, 'version': __version__,
             'bags': [{'bag': name, **values} for name, values in found.items()],
@@ -46,7 +36,7 @@ def summary(found, rows):
                             for name, value in row._asdict().items()} for row in rows]}
 
 
-def bags_csv(found):
+def bags_csv(found) -> str:
     """Return a line for each bag with what it tells; empty where it does not tell a parameter."""
     good = [values for values in found.values() if values['reason'] is None]
     verdicts = ['verdict'] if any('verdict' in values for values in good) else []
@@ -60,7 +50,7 @@ def bags_csv(found):
     return _csv(lines)
 
 
-def spread_csv(rows):
+def spread_csv(rows) -> str:
     """Return a line for each OverBags."""
     return _csv([['parameter', 'unit', 'bags', 'mean', 'median', 'standard_deviation', 'foreseen',
                   'outliers'],
@@ -74,7 +64,7 @@ def _csv(lines):
     return text.getvalue()
 
 
-def identification_text(found, rows):
+def identification_text(found, rows) -> str:
     """Return tables of parameters and bags, and in words which differ."""
     good = _good(found)
     parts = [f'{len(good)} of {len(found)} bags identified']
@@ -84,7 +74,7 @@ def identification_text(found, rows):
     return '\n\n'.join(filter(None, parts))
 
 
-def discrepancy_text(found, rows):
+def discrepancy_text(found, rows) -> str:
     """Return a table of effects and their parameters, and what each bag says."""
     good = _good(found)
     verdicts = Counter(values['verdict'] for values in good.values())

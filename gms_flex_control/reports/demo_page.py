@@ -12,8 +12,7 @@ from gms_flex_control.analysis.tracking import link_error, link_rms
 from gms_flex_control.answer import Answer, command, measured
 from gms_flex_control.discrepancy.result import Discrepancy
 from gms_flex_control.effect_compensation.feedforward import compensated
-from gms_flex_control.reports.discrepancy import add_discrepancy, gap_numbers
-from gms_flex_control.reports.discrepancy_figures import WITH, WITHOUT
+from gms_flex_control.reports.discrepancy_page import add_discrepancy, gap_numbers
 from gms_flex_control.reports.discrepancy_values import (
     described,
     plain,
@@ -23,11 +22,12 @@ from gms_flex_control.reports.discrepancy_values import (
 from gms_flex_control.reports.figures import (
     COLOURS,
     finished,
-    MAX_SAMPLES,
     save_figure,
     stacked_panels,
+    thinned,
 )
 from gms_flex_control.reports.page import Report, Series
+from gms_flex_control.reports.pictures import WITH, WITHOUT
 import numpy as np
 
 BELIEFS = {'believed': WITHOUT, 'found': WITH, 'true': 'true model'}
@@ -37,17 +37,12 @@ _ROLES = dict(zip(BELIEFS, ('c1', 'c0', 'reference'), strict=True))
 
 
 class DemoOutcome(NamedTuple):
-    """
-    What the demonstration did and found.
+    """What the demonstration did and found."""
 
-    ``hidden`` is a HiddenEffect drawn from ``seed``, ``result`` what the workflow made of the
-    first recording; ``recordings`` are of one motion, one for each of BELIEFS of the controller.
-    """
-
-    hidden: Any
-    seed: int
-    result: Discrepancy
-    recordings: dict
+    hidden: Any          # HiddenEffect
+    seed: int            # it was drawn from
+    result: Discrepancy  # of the first recording
+    recordings: dict     # of one motion, one for each of BELIEFS of the controller
 
     @property
     def first(self):
@@ -75,7 +70,7 @@ class DemoOutcome(NamedTuple):
         return {belief: link_rms(recording) for belief, recording in self.recordings.items()}
 
 
-def outcome_values(outcome):
+def _outcome_values(outcome):
     """Return a DemoOutcome as plain data, SI units."""
     joints, effect = outcome.hidden.robot.joints, outcome.hidden.effect
     return plain({
@@ -87,7 +82,7 @@ def outcome_values(outcome):
         'hidden': described(effect) | {'compensated': compensated(effect.name)}})
 
 
-def outcome_rows(outcome):
+def _outcome_rows(outcome):
     """Return header and rows of the table: what is measured, of which joint, before and after."""
     gap, rows = outcome.result.gap, []
     if gap is not None:
@@ -108,7 +103,7 @@ def _rows(kinds, joints):
             for kind, *figures in kinds for j, joint in enumerate(joints)]
 
 
-def revealed(outcome):
+def revealed(outcome) -> str:
     """Return in words what was hidden, and whether it was found."""
     truth = described(outcome.hidden.effect)
     values = ', '.join(f'{name} {value:.4g}' for name, value in truth['parameters'].items())
@@ -127,9 +122,9 @@ def revealed(outcome):
     return sentence
 
 
-def outcome_text(outcome):
+def outcome_text(outcome) -> str:
     """Return the summary for a terminal."""
-    return align(*outcome_rows(outcome))
+    return align(*_outcome_rows(outcome))
 
 
 def demo_answer(outcome) -> Answer:
@@ -152,22 +147,12 @@ def _worst(outcome):
 
 
 def write_demo_report(outcome, folder):
-    """
-    Write report.html, report.json and the PNGs of a demonstration.
-
-    Parameters
-    ----------
-    outcome : DemoOutcome
-        What to tell.
-    folder : Path
-        Where to.
-
-    """
+    """Write report.html, report.json and the PNGs of a DemoOutcome to a folder."""
     folder = Path(folder)
     report = Report('What does the model lack? A demonstration', demo_answer(outcome),
                     'Three ROS 2 nodes in lockstep; the plant has an effect that the tool, given '
                     'a bag and the believed robot file, does not know')
-    save_figure(tracking_figure(outcome), folder / 'tracking.png')
+    save_figure(_tracking_figure(outcome), folder / 'tracking.png')
     worst = _worst(outcome)
     _add_error(report, outcome, worst)
     report.heading('Without and with the effects')
@@ -176,17 +161,17 @@ def write_demo_report(outcome, folder):
                 'was added to the model where it helps; the controller then drove the same '
                 'motion with that model, and once more with the true one. The upper rows are '
                 'measured on blocks of the bag that no fit has seen.')
-    report.table(*outcome_rows(outcome))
+    report.table(*_outcome_rows(outcome))
     for j in range(len(outcome.hidden.robot.joints)):
         if j != worst:
             _add_error(report, outcome, j)
     add_discrepancy(report, outcome.result, folder, opened=True)
     _add_truth(report, outcome)
-    write_report_values(outcome_values(outcome), folder / 'report.json')
+    write_report_values(_outcome_values(outcome), folder / 'report.json')
     report.write(folder / 'report.html')
 
 
-def tracking_figure(outcome):
+def _tracking_figure(outcome):
     """Return the tracking errors over time of the three beliefs, a panel per joint."""
     joints = outcome.hidden.robot.joints
     figure, panels = stacked_panels(len(joints))
@@ -194,8 +179,8 @@ def tracking_figure(outcome):
     for j, (panel, joint) in enumerate(zip(panels, joints, strict=True)):
         panel.axhline(0.0, color='0.6', linewidth=0.6)
         for belief, recording in outcome.recordings.items():
-            step = max(1, len(recording.time) // MAX_SAMPLES)
-            panel.plot(recording.time[::step], 1e3 * link_error(recording)[::step, j],
+            keep = thinned(len(recording.time))
+            panel.plot(recording.time[keep], 1e3 * link_error(recording)[keep, j],
                        ':' if belief == 'true' else '-', color=_COLOURS[belief],
                        label=f'{BELIEFS[belief]}, rms {1e3 * rms[belief][j]:.3g}')
         panel.set_ylabel(f'{joint} [mrad]', parse_math=False)

@@ -1,0 +1,286 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""What recordings show without a fit: Table 4 with the paper's Figs. 6 to 10, and torsion."""
+
+import json
+from pathlib import Path
+import re
+
+from gms_flex_control.analysis.table4 import align, PAPER_WITHOUT
+from gms_flex_control.analysis.torsion import rms
+from gms_flex_control.analysis.tracking import link_error, table4
+from gms_flex_control.answer import Answer, command, measured
+from gms_flex_control.files import write_text
+from gms_flex_control.reports.figures import (
+    COLOURS,
+    finished,
+    save_figure,
+    stacked_panels,
+    STYLES,
+    thinned,
+)
+from gms_flex_control.reports.page import Report, Series
+from matplotlib.figure import Figure
+import numpy as np
+
+NAMES = {'none': 'without compensation', 'gms_paper': "with the paper's observer (gms_paper)",
+         'gms': 'with the improved observer (gms)', 'stribeck': 'with a static Stribeck curve',
+         'lugre': 'with a LuGre model', 'gms_desired': 'with GMS of the desired motion',
+         'gms_adaptive': 'with adaptive GMS',
+         'disturbance_observer': 'with a disturbance observer'}
+_LOOKS = {'none': (1, '-'), 'gms_paper': (2, '-.'), 'gms': (0, '-')}  # colour and line style
+
+
+def write_tracking_report(runs, folder, friction_true=None, title='Tracking report', *,
+                          subtitle=None, beside=None):
+    """
+    Write table4.json, report.html and the PNGs of runs (Run) to a folder; return the Table4.
+
+    ``friction_true`` (T, n) [N m] is that of a simulated run, by its index in ``runs``;
+    ``beside`` further runs of which only the table is given, under their name.
+    """
+    folder = Path(folder)
+    table = table4(runs)
+    others = {name: table4(some) for name, some in (beside or {}).items()}
+    everything = table.as_dict() | {
+        name.replace(' ', '_'): other.as_dict() for name, other in others.items()}
+    write_text(folder / 'table4.json', json.dumps(everything, indent=2, allow_nan=False) + '\n')
+    _save_pictures(runs, folder)
+    report = Report(title, table.answer(), subtitle or (
+        f'{len(runs)} recording{"s" if len(runs) != 1 else ""}: link angle against reference'))
+    hardest = next(iter(table.hardest), None)
+    _add_error_charts(report, runs, lambda place: place == hardest)
+    report.heading('Table 4')
+    report.table(*table.rows(), caption='Mean square error, link angle − reference '
+                 '[rad²], and ratio without / with')
+    report.note(table.as_dict()['note'])
+    for finding in table.findings():
+        report.note(finding, warning=True)
+    report.table(*table.detail_rows(), caption='Every run')
+    for name, other in others.items():
+        report.heading(f'The same with the {name}', level=3)
+        report.table(*other.rows())
+    report.heading('Position errors')
+    _add_error_charts(report, runs, lambda place: place != hardest)
+    for i, run in enumerate(runs):
+        _add_run(report, run, (friction_true or {}).get(i))
+    report.write(folder / 'report.html')
+    return table
+
+
+def _add_run(report, run, friction_true):
+    """Add angle, torsion, torque and friction of each joint, so far as they were recorded."""
+    recording = run.recording
+    report.heading(_title(run))
+    report.text(f'{recording.source}: {len(recording.time)} samples in '
+                f'{recording.time[-1]:.6g} s, median period {1e3 * recording.period:.4g} ms.')
+    for i, joint in enumerate(recording.joints):
+        report.heading(joint, level=3)
+        for name, unit, series in _joint_charts(recording, i, friction_true):
+            shown = [item for item in series if np.isfinite(item.y).any()]
+            if shown:
+                report.chart(f'{joint}: {name}', recording.time, shown,
+                             y_label=f'{name} [{unit}]',
+                             group=f'{run.trajectory} {run.compensation} {recording.source}')
+
+
+def _joint_charts(recording, i, friction_true):
+    yield 'angle', 'rad', [
+        Series('link', recording.q_link[:, i], role='c0'),
+        Series('motor', recording.q_motor[:, i], role='c4', hidden=True),
+        Series('reference', recording.reference[:, 0, i], role='reference', dashed=True)]
+    yield 'torsion', 'mrad', [
+        Series('motor − link', 1e3 * (recording.q_motor - recording.q_link)[:, i], role='c4')]
+    yield 'torque', 'N m', [
+        Series('applied', recording.tau_motor[:, i], role='c0'),
+        Series('command', recording.command[:, i], role='c1', dashed=True)]
+    truth = np.full(len(recording.time), np.nan) if friction_true is None else friction_true[:, i]
+    yield 'friction', 'N m', [
+        Series('estimate', recording.friction_hat[:, i], role='c2'),
+        Series('true', truth, role='reference', dashed=True)]
+
+
+def _by_trajectory(runs):
+    """Yield each trajectory and its runs that have an error."""
+    drawn = [run for run in runs if np.isfinite(link_error(run.recording)).any()]
+    for trajectory in dict.fromkeys(run.trajectory for run in drawn):
+        yield trajectory, [run for run in drawn if run.trajectory == trajectory]
+
+
+def _joints(runs):
+    return list(dict.fromkeys(name for run in runs for name in run.recording.joints))
+
+
+def _error(run, joint):
+    return 1e3 * link_error(run.recording)[:, run.recording.joints.index(joint)]
+
+
+def _add_error_charts(report, runs, wanted):
+    """Overlay the errors of all runs of each (trajectory, joint) that is wanted."""
+    for trajectory, chosen in _by_trajectory(runs):
+        for joint in _joints(chosen):
+            if not wanted((trajectory, joint)):
+                continue
+            series = [Series(run.compensation, _error(run, joint), x=run.recording.time,
+                             role=f'c{_look(run)[0]}')
+                      for run in chosen if joint in run.recording.joints]
+            report.chart(f'{_capital(trajectory)}, {joint}: link angle - reference',
+                         series[0].x, series, y_label='error [mrad]',
+                         group=f'errors {trajectory}')
+
+
+def tracking_figure(run) -> Figure:
+    """Return reference and measured link angle of a Run, a panel per joint (Figs. 6 to 9)."""
+    recording = run.recording
+    figure, panels = stacked_panels(recording.n_joints)
+    keep = thinned(len(recording.time))
+    for i, panel in enumerate(panels):
+        panel.plot(recording.time[keep], recording.q_link[keep, i], color=COLOURS[0],
+                   label='measured')
+        panel.plot(recording.time[keep], recording.reference[keep, 0, i], 'k--', linewidth=1.0,
+                   label='reference')
+        panel.set_ylabel(f'{recording.joints[i]} [rad]', parse_math=False)
+    panels[0].legend(loc='upper right', ncols=2)
+    return finished(figure, panels, _title(run))
+
+
+def error_figure(runs, trajectory) -> Figure:
+    """Return the errors of all runs of one trajectory, a panel per joint [mrad] (Fig. 10)."""
+    chosen = [run for run in runs if run.trajectory == trajectory]
+    joints = _joints(chosen)
+    figure, panels = stacked_panels(len(joints))
+    for panel, joint in zip(panels, joints, strict=True):
+        panel.axhline(0.0, color='0.6', linewidth=0.6)
+        for run in chosen:
+            if joint in run.recording.joints:
+                colour, style = _look(run)
+                keep = thinned(len(run.recording.time))
+                panel.plot(run.recording.time[keep], _error(run, joint)[keep], style,
+                           color=COLOURS[colour], label=_name(run))
+        panel.set_ylabel(f'{joint} [mrad]', parse_math=False)
+    panels[0].legend(loc='lower center', bbox_to_anchor=(0.5, 1.0), ncols=2)
+    return finished(figure, panels, f'{_capital(trajectory)}: position error')
+
+
+def _look(run):
+    """Return colour and style of a compensation, the same in every picture and chart."""
+    return _LOOKS.get(run.compensation, (3, STYLES[1]))
+
+
+def _name(run):
+    return NAMES.get(run.compensation, run.compensation)
+
+
+def _capital(trajectory):
+    """Return the paper's trajectories as titles; others keep their names."""
+    return trajectory.capitalize() if trajectory in PAPER_WITHOUT else trajectory
+
+
+def _title(run):
+    """Return the title of a run, for instance 'Sinusoid: without compensation'."""
+    return f'{_capital(run.trajectory)}: {_name(run)}'
+
+
+def _save_pictures(runs, folder):
+    """Write the pictures for print."""
+    used = set()
+    for trajectory, drawn in _by_trajectory(runs):
+        for run in drawn:
+            save_figure(tracking_figure(run),
+                        _free(folder, f'tracking_{run.trajectory}_{run.compensation}', used))
+        save_figure(error_figure(drawn, trajectory), _free(folder, f'errors_{trajectory}', used))
+
+
+def _free(folder, stem, used):
+    """Return the path of a picture, safe as a file name and not used yet."""
+    stem = re.sub(r'[^A-Za-z0-9._-]+', '_', stem).strip('_')
+    path, count = folder / f'{stem}.png', 1
+    while path in used:
+        count += 1
+        path = folder / f'{stem}_{count}.png'
+    used.add(path)
+    return path
+
+
+def torsion_text(study) -> str:
+    """Return a TorsionStudy as lines of text."""
+    measured_rms, error = study.torque_error
+    first = study.explanations[0]
+    return '\n'.join([
+        f'{study.source}, {study.joint}: {len(study.time)} samples, '
+        f'{int(study.moving.sum())} of them moving',
+        f'inertia M + J {study.inertia:.5g} kg m^2, J taken as {study.motor_inertia:.5g}; '
+        f'Coulomb {study.coulomb[0]:.4g} / {study.coulomb[1]:.4g} N m forward / backward, '
+        f'viscous {study.viscous:.4g} N m s/rad',
+        f'motor torque: rms measured {measured_rms:.4g} N m, rms error {error:.4g} N m, relative '
+        f'error {error / measured_rms:.3f}',
+        f'torsion: rms measured {_mdeg(rms(study.torsion)):.4g} mdeg, rms error '
+        f'{_mdeg(first.rms_error):.4g} mdeg, relative error {first.relative_error:.3f} (mean of '
+        f'{_mdeg(study.torsion_offset):.4g} mdeg taken off)',
+        '', align(*_explanations(study)), '', torsion_verdict(study)])
+
+
+def _explanations(study):
+    header = ['torsion explained by', 'stiffness [N m/rad]', 'delay [ms]', 'rms error [mdeg]',
+              'relative error']
+    return header, [
+        [e.name, f'{e.stiffness:.4g}' if np.isfinite(e.stiffness) else '-',
+         f'{1e3 * e.delay:.3f}', f'{_mdeg(e.rms_error):.3f}', f'{e.relative_error:.3f}']
+        for e in study.explanations]
+
+
+def torsion_verdict(study) -> str:
+    """Return in a sentence or two what the torsion shows."""
+    spring, delay, both, free = study.explanations
+    lines = []
+    if delay.relative_error < spring.relative_error:
+        lines.append(f'A delay of {1e3 * delay.delay:.2f} ms between the encoders explains the '
+                     'torsion better than the spring does: it is not flexibility.')
+    if both.relative_error >= delay.relative_error:
+        lines.append('With the delay, the given spring does not improve the model: these data do '
+                     'not confirm its stiffness.')
+    if free.stiffness < 0:
+        lines.append('With the delay, the best spring has negative stiffness: what remains is '
+                     'not the torsion of a spring.')
+    return ' '.join(lines) or 'The given spring explains the torsion better than a delay does.'
+
+
+def torsion_answer(study, folder) -> Answer:
+    """Return what the torsion shows (Answer), robot.yaml of the study being in ``folder``."""
+    *constrained, free = study.explanations
+    return Answer(
+        f'{torsion_verdict(study)} The floor is what spring and delay together leave, both free.',
+        ('measured', 'left', 'floor'), tuple(
+            measured(f'{one.name} [mdeg]', *np.degrees((rms(study.torsion), one.rms_error,
+                                                        free.rms_error))) for one in constrained),
+        command('discrepancy', study.source, '--robot', Path(folder) / 'robot.yaml', '--out',
+                Path(folder) / 'gap'))
+
+
+def write_torsion_report(study, folder) -> Path:
+    """Write report.html of a TorsionStudy to a folder, and return its path."""
+    folder = Path(folder)
+    report = Report(f'Torsion of {study.joint}', torsion_answer(study, folder),
+                    f'{study.source}: flexible joint of a decoupled axis, measured and modelled')
+    group = f'torsion {study.source}'
+    delayed = study.explanations[1].delay * (study.velocity - study.velocity.mean())
+    report.chart(
+        'torsion: motor - link, without its mean', study.time, [
+            Series('measured', _mdeg(study.torsion), role='c0'),
+            Series('spring torque / stiffness', _mdeg(study.torsion_model), role='reference',
+                   dashed=True),
+            Series('delay between the encoders', _mdeg(delayed), role='c2')],
+        y_label='torsion [mdeg]', group=group)
+    report.heading('Motor torque').chart(
+        'torque', study.time, [
+            Series('measured', study.torque, role='c0'),
+            Series('inertia and friction', study.torque_model, role='reference', dashed=True),
+            Series('error', study.torque - study.torque_model, role='c1', hidden=True)],
+        y_label='torque [N m]', group=group)
+    report.table(*_explanations(study), caption='What explains the torsion')
+    return report.write(folder / 'report.html')
+
+
+def _mdeg(values):
+    return 1e3 * np.degrees(values)
