@@ -22,7 +22,7 @@ setup(
         ('share/' + package_name + '/config', sorted(glob('config/*.*'))),
         ('share/' + package_name + '/launch', sorted(glob('launch/*.launch.py'))),
         ('share/' + package_name + '/layouts', sorted(glob('layouts/*'))),
-        ('share/' + package_name + '/examples', ['examples/README.md']),
+        ('share/' + package_name + '/examples', ['examples/README.md', 'examples/serial_arm.py']),
         ('share/' + package_name + '/examples/arm_with_play',
          sorted(glob('examples/arm_with_play/*'))),
         *((f'share/{package_name}/examples/{name}', sorted(glob(f'examples/{name}/*')))
@@ -84,9 +84,6 @@ setup(
             'loop_node = gms_flex_control.nodes.start:loop_node',
             'plant_node = gms_flex_control.nodes.start:plant_node',
             'trajectory_node = gms_flex_control.nodes.start:trajectory_node',
-        ],
-        'gms_flex_control.devices': [
-            'serial_example = gms_flex_control.hardware.serial_device:SerialDevice',
         ],
     },
 )

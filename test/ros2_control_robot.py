@@ -13,7 +13,7 @@ but viscous; a law of its own, not the package's simulator.
 import sys
 import time
 
-from gms_flex_control.nodes.transport import avoid_shared_memory
+from gms_flex_control.nodes.process import avoid_shared_memory
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions

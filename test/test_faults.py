@@ -18,7 +18,7 @@ pytest.importorskip('rclpy')
 bench = pytest.importorskip('bench.faults.node_bench')
 table = pytest.importorskip('bench.faults.table')
 soak = pytest.importorskip('bench.faults.soak')
-scheduling = pytest.importorskip('gms_flex_control.nodes.scheduling')
+scheduling = pytest.importorskip('gms_flex_control.nodes.process')
 
 # how far beyond its limit a time may be on a shared machine; other times are not asserted
 SAFETY = {'clocks': 2.0, 'dead-controller': 2.0, 'silence': 2.0, 'two-controllers': 2.0,
@@ -46,10 +46,10 @@ BAD_NODES = {
     # never notices that the states have stopped
     'silence': (1, 'ControllerNode._watch = lambda self: None', 'no zero was commanded'),
     # never notices that angles stay the same
-    'frozen-encoders': (1, 'from gms_flex_control.nodes.encoder_watch import EncoderWatch; '
+    'frozen-encoders': (1, 'from gms_flex_control.nodes.following import EncoderWatch; '
                            "EncoderWatch.look = lambda *_: ''", 'the controller says'),
     # takes any number for a joint state
-    'numbers': (2, 'messages.JointStateReader._refuse_bad = lambda *_: None', 'counts 0')}
+    'numbers': (2, 'messages.JointNumbers._refuse_bad = lambda *_: None', 'counts 0')}
 
 
 @pytest.mark.parametrize('name', BAD_NODES)

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 from gms_flex_control.control import frozen_encoders as frozen
 from gms_flex_control.control.frozen_encoders import FrozenEncoders, torque_thresholds
 from gms_flex_control.hardware.limits import limited, Limits
-from gms_flex_control.nodes.encoder_watch import EncoderWatch
+from gms_flex_control.nodes.following import EncoderWatch
 from gms_flex_control.params.encoder import EncoderParams
 from gms_flex_control.params.robot import EffectSpec
 from gms_flex_control.simulation import closed_loop

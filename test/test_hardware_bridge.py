@@ -8,10 +8,9 @@ import math
 
 from gms_flex_control.errors import ConfigError, ParameterError
 from gms_flex_control.hardware.bridge import Bridge, BridgeParams
-from gms_flex_control.hardware.command_watch import CommandWatch, SourceWatch
 from gms_flex_control.hardware.limits import Limits, UNLIMITED
 from gms_flex_control.hardware.mapping import Actuation, JointMap, Reading
-from gms_flex_control.hardware.supervisor import Supervisor
+from gms_flex_control.hardware.supervision import CommandWatch, SourceWatch, Supervisor
 from gms_flex_control.schema.bridge import bridge_from_values, limits_from_values
 import pytest
 
@@ -44,7 +43,7 @@ class Run:
                 self.bridge.take_state(0, ['m', 'l'], [self.motor, self.q], [0.0, 0.0], (),
                                        self.now, self.now)
             if commands:
-                self.bridge.take_command([self.command], stamp or self.bridge.stamp,
+                self.bridge.take_command([self.command], stamp or self.bridge.robot.stamp,
                                          self.source, self.now + MS // 2)
             self.bridge.watch(self.now + MS)
             torques.append(float(self.bridge.torque[0]))
@@ -75,7 +74,7 @@ def test_torque_begins_at_zero_and_rises_at_the_rate_limit():
 def test_nothing_that_was_asked_before_torque_was_enabled_acts():
     run = Run()
     run.tick(5)
-    before = run.bridge.stamp
+    before = run.bridge.robot.stamp
     assert run.bridge.enable(run.now).success
     assert not run.bridge.take_command([0.5], before, '/c#1', run.now + MS)
     assert run.tick(1)[0] > 0.0
@@ -125,18 +124,18 @@ def test_a_robot_that_swings_because_its_torque_comes_late_is_told_of_it(asked, 
 
 def test_states_whose_command_comes_after_the_next_one_are_counted_and_told_in_a_fault():
     run = Run().enabled()
-    assert run.bridge.late == 0.0
+    assert run.bridge.controller.lateness.share == 0.0
     for _ in range(3000):  # every second state is not answered
         run.tick()
         run.tick(commands=False)
-    assert run.bridge.late == pytest.approx(0.5, abs=0.001)
+    assert run.bridge.controller.lateness.share == pytest.approx(0.5, abs=0.001)
     assert run.bridge.counters['states without a fresh command'] == 2999
     run.q = run.motor = 1.2
     run.tick()
     assert run.said.endswith(f'; {0.5:.0%} of the states of the last second had no fresh command: '
                              'the controller is late')
     run.tick()
-    assert run.bridge.late == 0.0  # nothing is asked of it in FAULT
+    assert run.bridge.controller.lateness.share == 0.0  # nothing is asked of it in FAULT
 
 
 def test_commands_that_answer_no_state_are_not_late():
@@ -145,7 +144,7 @@ def test_commands_that_answer_no_state_are_not_late():
         run.tick(commands=False)
         run.now += MS
         run.bridge.take_command([0.1], None, run.source, run.now)
-    assert run.bridge.late == 0.0
+    assert run.bridge.controller.lateness.share == 0.0
 
 
 @pytest.mark.parametrize('prepare, words', [
@@ -204,7 +203,7 @@ def test_refused_commands_are_silence_and_the_reason_is_kept():
 
 def test_answers_to_states_of_long_ago_or_never_do_not_act():
     run = Run().enabled()
-    old = run.bridge.stamp
+    old = run.bridge.robot.stamp
     run.tick(12)
     for stamp in (old, old + 1, run.now + 10**9):
         torque, run.command = run.bridge.torque.copy(), -1.0
@@ -259,10 +258,10 @@ def test_outward_torque_ends_at_the_limit_and_inward_torque_begins():
 
 def test_measured_efforts_are_reported_as_torque_where_there_are_some():
     run = Run().enabled()
-    assert run.bridge.applied[0] == pytest.approx(0.5)  # as given
+    assert run.bridge.robot.applied[0] == pytest.approx(0.5)  # as given
     run.now += 2 * MS
     run.bridge.take_state(0, ['m', 'l'], [0.0, 0.0], (), [0.37, 9.0], run.now, run.now)
-    assert run.bridge.applied[0] == 0.37
+    assert run.bridge.robot.applied[0] == 0.37
 
 
 def test_an_effort_under_a_name_that_no_encoder_has_is_measured_while_it_comes():
@@ -274,7 +273,7 @@ def test_an_effort_under_a_name_that_no_encoder_has_is_measured_while_it_comes()
             (['l', 'a'], [], 0.0)]):
         assert bridge.take_state(0, names, [0.0] * len(names), (), effort, 10**12 + k * MS,
                                  10**12 + k * MS)
-        assert bridge.applied[0] == pytest.approx(torque)
+        assert bridge.robot.applied[0] == pytest.approx(torque)
 
 
 @pytest.mark.parametrize('guarded', [False, True])

@@ -5,6 +5,7 @@
 
 from importlib import metadata
 import json
+from pathlib import Path
 import subprocess
 import sys
 import time
@@ -12,12 +13,14 @@ import time
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.hardware import device as devices
 from gms_flex_control.hardware.device import Device, DeviceError, Sample
-from gms_flex_control.hardware.frames import Decoder, EFFORT, encode, STATE
-from gms_flex_control.hardware.serial_device import SerialDevice
 import numpy as np
 import pytest
 
-FAKE = [sys.executable, '-m', 'gms_flex_control.hardware.fake_serial_robot', '--joints', '2']
+EXAMPLES = Path(__file__).parents[1] / 'examples'
+sys.path.append(str(EXAMPLES))
+from serial_arm import Decoder, EFFORT, encode, SerialArm, STATE  # noqa: E402  no package has it
+
+FAKE = [sys.executable, str(EXAMPLES / 'serial_arm.py'), '--joints', '2']
 NAMES = 'a1,a2,m1,m2'
 
 
@@ -105,8 +108,8 @@ def test_a_device_is_found_by_its_entry_point_with_its_options(offered):
     ('text', [], 'is no subclass of gms_flex_control.hardware.device.Device'),
     ('gone', [], "'gone' cannot be loaded"),
     ('silent', ['baud'], "'baud' must have the form name=value"),
-    ('serial_example', ['port=/dev/null'], 'takes port=<path> and names='),
-    ('serial_example', ['port=/x', 'names=a', 'speed=9'], 'not speed')])
+    ('serial_arm:SerialArm', ['port=/dev/null'], 'takes port=<path> and names='),
+    ('serial_arm:SerialArm', ['port=/x', 'names=a', 'speed=9'], 'not speed')])
 def test_a_device_that_cannot_be_had_is_refused(offered, name, options, words):
     with pytest.raises(ConfigError, match=words):
         devices.find(name, options, ('m1',))
@@ -120,7 +123,7 @@ def fake():
     """Run the fake robot; yield its process and a device connected to it."""
     process = subprocess.Popen(FAKE, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     path = process.stdout.readline().strip()
-    device = SerialDevice({'port': path, 'names': NAMES}, ('m1', 'm2'))
+    device = SerialArm({'port': path, 'names': NAMES}, ('m1', 'm2'))
     device.connect()
     yield process, device
     device.close()
@@ -190,4 +193,4 @@ def test_a_robot_that_dies_is_a_broken_link_that_says_so(fake):
         device.read(0.0)
     device.write([0.0, 0.0])  # does nothing
     with pytest.raises(DeviceError, match='cannot be opened'):
-        SerialDevice({'port': '/dev/no_such_line', 'names': 'a'}, ('m',)).connect()
+        SerialArm({'port': '/dev/no_such_line', 'names': 'a'}, ('m',)).connect()

@@ -6,9 +6,14 @@
 import math
 
 from gms_flex_control.errors import ParameterError
-from gms_flex_control.hardware.mapping import Actuation, JointMap, Reading
-from gms_flex_control.hardware.merger import ReadingError, StateMerger
-from gms_flex_control.hardware.timeline import Timeline
+from gms_flex_control.hardware.mapping import (
+    Actuation,
+    JointMap,
+    Reading,
+    ReadingError,
+    StateMerger,
+    Timeline,
+)
 import numpy as np
 import pytest
 

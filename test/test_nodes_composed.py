@@ -10,7 +10,7 @@ from gms_flex_control.experiment.plan import read_plan
 from gms_flex_control.experiment.processes import executable
 from gms_flex_control.experiment.simulated import simulate_to_bag
 from gms_flex_control.nodes import messages
-from gms_flex_control.nodes.serialized import Deserialized, Serialized
+from gms_flex_control.nodes.topics import Deserialized, Serialized
 from node_harness import (
     array_message,
     COMMANDS,

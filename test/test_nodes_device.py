@@ -1,7 +1,7 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""The bridge to a robot without ros2_control: the serial example with its fake robot."""
+"""The bridge to a robot without ros2_control: the example at a serial line."""
 
 import json
 import os
@@ -11,7 +11,7 @@ from bridge_lab import ask, bridge_lab, enable, report
 from gms_flex_control.hardware.device import Device, DeviceError
 from gms_flex_control.nodes import robot_links
 import pytest
-from test_hardware_device import FAKE, order
+from test_hardware_device import EXAMPLES, FAKE, order
 
 # other processes of the machine can delay real nodes beyond any bound
 pytestmark = pytest.mark.flaky(reruns=2)
@@ -44,18 +44,20 @@ def ask_fake(fake):
 def lab(tmp_path_factory):
     """Run bridge, controller and trajectory; the line does not exist yet."""
     folder = tmp_path_factory.mktemp('device')
-    with bridge_lab(folder, robot=False, silence_timeout=0.3, mapping=f"""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv('PYTHONPATH', str(EXAMPLES), os.pathsep)
+        with bridge_lab(folder, robot=False, silence_timeout=0.3, mapping=f"""
 bridge:
-  device: serial_example
+  device: serial_arm:SerialArm
   device_options: ['port={folder}/line', 'names=joint1,joint2,joint1_motor,joint2_motor']
 """) as running:
-        yield running
-        assert running.plant.runs and 'Traceback' not in running.plant.printed()
+            yield running
+            assert running.plant.runs and 'Traceback' not in running.plant.printed()
 
 
 def test_a_robot_at_a_line_that_comes_later_is_held_and_survives_lost_bytes(lab):
     lab.until(lambda: 'cannot be opened' in lab.plant.printed())
-    assert 'no joint states from device serial_example yet' in ask(lab, 'enable').message
+    assert 'no joint states from device serial_arm:SerialArm yet' in ask(lab, 'enable').message
     fake = start_fake(lab)
     lab.until(lambda: lab.states)
     enable(lab)
@@ -77,7 +79,7 @@ def test_a_line_that_dies_is_a_fault_and_a_new_one_is_taken_up_after_a_reset(lab
     connected = lab.plant.printed().count('is connected')
     order(lab.fake, 'die')
     lab.fake.wait()
-    report(lab, 'FAULT: device serial_example')
+    report(lab, 'FAULT: device serial_arm:SerialArm')
     assert not ask(lab, 'enable').success
     lab.fake = fake = start_fake(lab)
     lab.until(lambda: lab.plant.printed().count('is connected') > connected)

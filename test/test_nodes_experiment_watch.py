@@ -14,7 +14,7 @@ import pytest
 pytestmark = pytest.mark.flaky(reruns=2)
 
 messages = pytest.importorskip('gms_flex_control.nodes.messages')
-experiment_watch = pytest.importorskip('gms_flex_control.nodes.experiment_watch')
+experiment_watch = pytest.importorskip('gms_flex_control.nodes.step_runner')
 
 CONFIG = Path(__file__).parents[1] / 'config'
 ROBOT = load_robot(CONFIG / 'robot.yaml')

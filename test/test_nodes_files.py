@@ -5,8 +5,12 @@
 
 from concurrent.futures import ThreadPoolExecutor
 
-from node_harness import CONFIG, FILES, Lab, PATIENCE, write_parameters
+from node_harness import CONFIG, FILES, Lab, PATIENCE, TERM, write_parameters
 import pytest
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from std_msgs.msg import String
+
+EXAMPLE = CONFIG.parent / 'examples/industrial_arm'
 
 # node, text of a file after the usual two (None: it is missing), what the sentence says; values
 # that no robot has are test_schema's
@@ -103,3 +107,21 @@ def test_every_shipped_file_is_accepted_by_every_node(tmp_path):
                  for name in ('plant_node', 'controller_node', 'trajectory_node')]
         lab.until(lambda: all('[INFO]' in node.printed() for node in nodes))
         assert all(node.runs for node in nodes)
+
+
+def test_a_urdf_comes_from_the_topic_that_the_robot_file_names_or_the_node_says_so(tmp_path):
+    files = [EXAMPLE / 'robot.yaml', EXAMPLE / 'controller.yaml', write_parameters(
+        tmp_path / 'topic.yaml', 'arm: {urdf: /robot_description}')]
+    with Lab(tmp_path) as lab:
+        late = lab.start('controller_node.alone', files=files)
+        assert late.wait(PATIENCE) == 2
+        assert ('arm.urdf: no URDF came on the topic /robot_description in 5 s; start '
+                'robot_state_publisher, or name a URDF file') in late.printed()
+        publisher = lab.node.create_publisher(String, '/robot_description', QoSProfile(
+            depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+        urdf, = EXAMPLE.glob('*.urdf')
+        publisher.publish(String(data=urdf.read_text()))
+        node = lab.start('controller_node', files=files)
+        lab.until(lambda: 'the URDF of /robot_description is taken' in node.printed())
+        lab.until(lambda: 'compensation ' in node.printed(), 3 * PATIENCE)  # compiles
+        assert node.signal(TERM) == 0

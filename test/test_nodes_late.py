@@ -6,7 +6,7 @@
 import signal
 import time
 
-from gms_flex_control.nodes.loop_timing import LateSamples
+from gms_flex_control.hardware.supervision import Lateness
 from node_harness import (
     array_message,
     COMMANDS,
@@ -23,26 +23,15 @@ DiagnosticArray = pytest.importorskip('diagnostic_msgs.msg').DiagnosticArray
 PERIOD = 20_000_000  # [ns]
 
 
-def told(late, answers):
-    """Return the sentences that samples make which were ``late`` or not."""
-    return [said for one in answers if (said := late.add(one))]
-
-
-def test_more_than_a_tenth_of_late_samples_in_a_second_is_told():
-    """At 50 Hz: 6 of 50 samples are 12 %, 5 are not more than a tenth."""
-    late = LateSamples(PERIOD)
-    assert told(late, [True] * 5 + [False] * 45) == []
-    said, = told(late, [True] * 6 + [False] * 44)
-    assert said.startswith('12 % of the last 50 samples had no fresh command')
-    for way_out in ('fewer programs', 'realtime_priority', 'mode:=lockstep'):
-        assert way_out in said
-
-
-def test_samples_without_a_controller_are_not_counted():
-    late = LateSamples(PERIOD)
-    assert told(late, [True] * 49) == []
+def test_lateness_is_the_share_of_the_last_second():
+    """At 50 Hz: the share of late samples is approached within a second, and begins anew."""
+    late = Lateness()
+    for k in range(500):
+        late.note(k % 4 == 0, 0.02)
+    assert late.share == pytest.approx(0.25, abs=0.02)
+    assert str(late) == f'{late.share:.0%} of the states of the last second had no fresh command'
     late.restart()
-    assert told(late, [False] * 50) == []
+    assert late.share == 0.0
 
 
 @pytest.mark.flaky(reruns=2)  # other processes of the machine can delay real nodes
@@ -61,7 +50,7 @@ def test_a_plant_whose_controller_answers_every_second_state_warns(tmp_path):
                 stamp = states[-1].header.stamp
                 commands.publish(array_message(
                     [0.0, 0.0], 'joint', f'stamp:{stamp.sec * 10**9 + stamp.nanosec}'))
-            return '% of the last 50 samples had no fresh command' in plant.printed()
+            return '% of the states of the last second had no fresh command' in plant.printed()
 
         lab.until(warned)
 

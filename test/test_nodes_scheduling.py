@@ -11,7 +11,7 @@ import platform
 import pytest
 
 pytest.importorskip('rclpy')
-scheduling = pytest.importorskip('gms_flex_control.nodes.scheduling')
+scheduling = pytest.importorskip('gms_flex_control.nodes.process')
 SCHED_GETATTR = {'x86_64': 315, 'aarch64': 275}
 
 

@@ -10,7 +10,7 @@ import sys
 import time
 
 from gms_flex_control.experiment.processes import executable, ros_arguments
-from gms_flex_control.nodes.scheduling import LAUNCHED
+from gms_flex_control.nodes.process import LAUNCHED
 from node_harness import (
     COMMANDS,
     CONFIG,

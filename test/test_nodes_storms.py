@@ -6,10 +6,9 @@
 import os
 
 from bridge_lab import ask
-from gms_flex_control.nodes.direct import Direct
 from gms_flex_control.nodes.health import Health
-from gms_flex_control.nodes.inbox import Inbox
 from gms_flex_control.nodes.messages import EFFORT, ReferenceWriter
+from gms_flex_control.nodes.topics import Direct, Inbox
 from node_harness import (
     array_message,
     COMMANDS,

@@ -73,7 +73,7 @@ def run(args):
 
 def _priority(asked):
     """Return the priority that the nodes get (int)."""
-    scheduling = import_ros('gms_flex_control.nodes.scheduling')
+    scheduling = import_ros('gms_flex_control.nodes.process')
     if asked is None:
         return _PRIORITY if scheduling.is_permitted(_PRIORITY) else 0
     if not 0 <= asked <= 99:

@@ -15,7 +15,6 @@ import time
 
 from gms_flex_control.errors import GmsFlexError
 from gms_flex_control.experiment.processes import executable, ros_arguments
-from gms_flex_control.nodes.transport import avoid_shared_memory
 from gms_flex_control.resources import share_path
 import rclpy
 from rclpy.event_handler import SubscriptionEventCallbacks
@@ -27,6 +26,7 @@ PATIENCE = 60.0  # for whatever has to come, kernels that must be compiled inclu
 DISCOVERY = 'ROS_AUTOMATIC_DISCOVERY_RANGE'
 COMMANDS, STATES, REFERENCE = '/effort_controller/commands', '/joint_states', '/reference'
 DIAGNOSTICS = '/diagnostics'
+_HEARD = Path(__file__).with_name('local_sockets_heard.xml')  # it hears what it publishes
 _WAIT = 0.02  # at most between two looks at a condition [s]
 _LOOP = ('plant_node', 'controller_node', 'trajectory_node', 'loop_node')
 _QUEUE = 10000
@@ -154,7 +154,9 @@ class Bench:
             self._context = rclpy.Context()
             with _environment_kept():
                 # a segment of shared memory that a killed process has half made stops all others
-                avoid_shared_memory(hears_itself=True)
+                os.environ.update(FASTRTPS_DEFAULT_PROFILES_FILE=str(_HEARD),
+                                  FASTDDS_BUILTIN_TRANSPORTS='UDPv4')
+                os.environ[DISCOVERY] = 'SYSTEM_DEFAULT'  # the profile finds this machine only
                 rclpy.init(context=self._context, domain_id=self.domain,
                            signal_handler_options=SignalHandlerOptions.NO)
                 self._node = rclpy.create_node('probe', context=self._context,

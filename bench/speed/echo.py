@@ -12,9 +12,9 @@ too, once SERVICE (std_srvs/Trigger) has enabled it.
 import sys
 import time
 
-from gms_flex_control.nodes import process, scheduling
-from gms_flex_control.nodes.loop_timing import LoopTiming
+from gms_flex_control.nodes import process
 from gms_flex_control.nodes.messages import array, NANOSECONDS, set_stamp
+from gms_flex_control.nodes.pacing import LoopTiming
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
@@ -103,7 +103,7 @@ class Pacer(Node):
 
     def run(self, spinner):
         """Publish until the measurement is over or a signal comes."""
-        scheduling.tighten_timers()
+        process.tighten_timers()
         samples = round(self._duration * NANOSECONDS / self._period)
         with process.BackgroundSpin(spinner):
             deadline = time.monotonic_ns()

@@ -96,7 +96,7 @@ def run_loop(rate, duration, *, composed=False, beside=None, **parameters):
     Returns
     -------
     timing : dict
-        What the plant measured, see nodes.loop_timing.
+        What the plant measured, see nodes.pacing.
     processor : dict of str to float
         Share of one core each process took while it ran [%].
 

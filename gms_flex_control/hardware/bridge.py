@@ -9,51 +9,35 @@ from types import SimpleNamespace
 
 from gms_flex_control.errors import ParameterError
 from gms_flex_control.hardware import limits as limiting
-from gms_flex_control.hardware.command_watch import CommandWatch
 from gms_flex_control.hardware.limits import Limits
-from gms_flex_control.hardware.mapping import JointMap
-from gms_flex_control.hardware.merger import NANOSECONDS, StateMerger
-from gms_flex_control.hardware.supervisor import STOOD_STILL, Supervisor
+from gms_flex_control.hardware.mapping import JointMap, NANOSECONDS, StateMerger
+from gms_flex_control.hardware.supervision import (
+    CommandWatch,
+    Lateness,
+    recently,
+    STOOD_STILL,
+    Supervisor,
+)
 import numpy as np
 
 _KEPT_STATES = 64          # published states that a command may answer
 _NO_COMMAND = 'no command from'
 _LONGEST_RAMP = 0.05       # a torque never rises for longer than that at once [s]
-_RECENT, _OFTEN = 1.0, 0.2  # time [s] and share of it in which a torque that comes late is told
+_OFTEN = 0.2               # share of recent time in which a torque that comes late is told
 
 
 @dataclass(frozen=True, kw_only=True)
 class BridgeParams:
-    """
-    What a bridge needs to know.
+    """What a bridge needs to know."""
 
-    Parameters
-    ----------
-    joint_map : JointMap
-        Names and units.
-    limits : Limits
-        Of every joint.
-    sources : tuple of str
-        Where joint states come from, for messages.
-    state_timeout, silence_timeout : float
-        Silence of the robot and of the controller that is a fault [s].
-    velocity_cutoff : float
-        See StateMerger [Hz].
-    skew : float
-        See StateMerger [s].
-    guarded : bool
-        Whether a guardian sends zero while the bridge stands still.
-
-    """
-
-    joint_map: JointMap
-    limits: Limits
-    sources: tuple
-    state_timeout: float = 0.03
-    silence_timeout: float = 0.035
-    velocity_cutoff: float = 50.0
-    skew: float = 0.01
-    guarded: bool = False
+    joint_map: JointMap             # names and units
+    limits: Limits                  # of every joint
+    sources: tuple                  # where joint states come from, for messages
+    state_timeout: float = 0.03     # silence of the robot that is a fault [s]
+    silence_timeout: float = 0.035  # and of the controller [s]
+    velocity_cutoff: float = 50.0   # see StateMerger [Hz]
+    skew: float = 0.01              # see StateMerger [s]
+    guarded: bool = False           # whether a guardian sends zero while the bridge stands still
 
     def __post_init__(self):
         missing = self.limits.missing()
@@ -62,281 +46,262 @@ class BridgeParams:
                                  'needs torque, torque_rate, velocity, lower and upper of all')
 
 
+class RobotSide:
+    """What the robot measures: the last state, when it came, and what is wrong with it."""
+
+    def __init__(self, params):
+        n = len(params.joint_map.joints)
+        self.merger = StateMerger(params.joint_map, params.sources,
+                                  cutoff=params.velocity_cutoff, skew=params.skew)
+        self.measured = SimpleNamespace(**{name: np.zeros(n) for name in (
+            'q_link', 'dq_link', 'q_motor', 'dq_motor')})
+        self.applied = np.zeros(n)  # torque of the last sample, as measured, else as given [N m]
+        self.stamp = 0              # of the last state [ns]
+        self.published = {}         # stamp -> when the state was published
+        self.arrived = None         # when the last state came
+        self.violation = self.refused = ''
+        self.worst_age = 0          # of a state as it came [ns]
+
+    def take(self, joint_map, given, now):
+        """Take the state that the merger has completed; return the time since the last [s]."""
+        merger, measured = self.merger, self.measured
+        elapsed = (merger.time - self.stamp) / NANOSECONDS
+        measured.q_link, measured.q_motor = joint_map.sides(merger.position.copy())
+        measured.dq_link, measured.dq_motor = joint_map.sides(merger.velocity.copy())
+        self.applied = joint_map.torques(merger.effort, given)
+        self.worst_age = max(self.worst_age, now - merger.time)
+        return elapsed
+
+    def publish(self, now):
+        """Note that the state is published."""
+        self.stamp, self.arrived, self.refused = self.merger.time, now, ''
+        self.published[self.stamp] = now
+        if len(self.published) > _KEPT_STATES:
+            del self.published[next(iter(self.published))]
+
+    def silent(self, now, params) -> str:
+        """Return a sentence if the robot has stopped to speak; else ''."""
+        if self.arrived is None:
+            return f"no joint states from {', '.join(params.sources)} yet"
+        if now - self.arrived <= params.state_timeout * NANOSECONDS:
+            return ''
+        return self.silence(now, params)
+
+    def silence(self, now, params) -> str:
+        """Return in words for how long nothing has come, and what is known of it."""
+        sentence = f'no new joint states for {(now - self.arrived) / 1e6:.0f} ms'
+        absent = self.merger.absent()
+        if self.refused:
+            return f'{sentence}: {self.refused}'
+        if len(absent) < len(params.joint_map.names):
+            return f"{sentence}: nothing of {', '.join(absent) or 'all at one time'}"
+        return sentence
+
+
+class ControllerSide:
+    """What the controller is given and asks for: how much of it acts, and how late it is."""
+
+    def __init__(self, params):
+        self.watch = CommandWatch()
+        self.torque = np.zeros(len(params.joint_map.joints))  # given to the robot last [N m]
+        self.given = 0           # when that was [ns]
+        self.answered = None     # stamp of the newest state a command answered
+        self.held_back = np.zeros_like(self.torque)  # share of recent time, by the rate limit
+        self.lateness = Lateness()
+        self.refused = ''
+        self.worst_answer = 0    # [ns]
+
+    def silent(self, now, timeout):
+        """Return for how long nobody has commanded if that is too long [ns]; else 0."""
+        silence = now - max(self.watch.last or 0, self.given)
+        return silence if silence > timeout * NANOSECONDS else 0
+
+    def sentence(self, silence) -> str:
+        """Return in words that nobody commands for ``silence`` [ns]."""
+        return f'{_NO_COMMAND} {self.watch.name} for {silence / 1e6:.0f} ms'
+
+
 class Bridge:
     """
     One robot between its joint states and its efforts.
 
     All times are integer nanoseconds of one steady clock. Not safe against threads: hold a lock.
-
-    Parameters
-    ----------
-    params : BridgeParams
-        What it is.
-
-    Attributes
-    ----------
-    supervisor : Supervisor
-        Whether torque flows.
-    torque : ndarray, shape (n_joints,)
-        Given to the robot last [N m].
-    measured : SimpleNamespace
-        ``q_link``, ``dq_link``, ``q_motor``, ``dq_motor`` (n_joints,) of the last state.
-    applied : ndarray, shape (n_joints,)
-        Torque of the last sample, as measured, else as given [N m].
-    stamp : int
-        Of the last state.
-    counters : Counter
-        Of what came, went and was refused.
-    worst : dict of str to int
-        Largest ages and answer times so far [ns].
-    late : float
-        Share of recent states (about a second) whose command had not come when the next one did.
-
     """
 
     def __init__(self, params):
-        self.params = params
-        n = len(params.joint_map.joints)
-        self.supervisor = Supervisor()
-        self.merger = StateMerger(params.joint_map, params.sources,
-                                  cutoff=params.velocity_cutoff, skew=params.skew)
-        self.watch_commands = CommandWatch()
-        self.torque, self.applied = np.zeros(n), np.zeros(n)
-        self.measured = SimpleNamespace(**{name: np.zeros(n) for name in (
-            'q_link', 'dq_link', 'q_motor', 'dq_motor')})
-        self.stamp, self.counters = 0, Counter()
-        self.worst = {'state_age': 0, 'answer': 0}
-        self._published = {}       # stamp -> when the state was published
-        self._arrived = None       # when the last state came
+        self.params, self.supervisor, self.counters = params, Supervisor(), Counter()
+        self.robot, self.controller = RobotSide(params), ControllerSide(params)
         self._watched = np.inf     # when the bridge last looked after both sides; not yet
         self._enabled = 0          # stamp of the state at which torque was enabled
-        self._given = 0            # when torque was given last
-        self._held_back = np.zeros(n)  # share of recent time in which the rate held a torque back
-        self._answered = None      # stamp of the newest state a command answered
-        self.late = 0.0
-        self._violation = ''
-        self._refused_state = self._refused_command = ''
         self._silent_for = ''      # the fault of a silent controller, while it lasts
+
+    @property
+    def torque(self) -> np.ndarray:
+        """Return the torque (n_joints,) given to the robot last [N m]."""
+        return self.controller.torque
 
     # states --------------------------------------------------------------------------------
 
-    def take_state(self, source, names, position, velocity, effort, stamp, now):
-        """
-        Take one message of joint states.
-
-        Returns
-        -------
-        bool
-            Whether ``measured``, ``applied`` and ``stamp`` are a new state to be published.
-
-        Raises
-        ------
-        ReadingError
-            As `StateMerger.take`.
-
-        """
+    def take_state(self, source, names, position, velocity, effort, stamp, now) -> bool:
+        """Take a message as `StateMerger.take`; return whether a new state is to be published."""
         self.counters['states in'] += 1
-        if not self.merger.take(source, names, position, velocity, effort, stamp, now):
+        robot, joint_map = self.robot, self.params.joint_map
+        if not robot.merger.take(source, names, position, velocity, effort, stamp, now):
             return False
-        joint_map, measured = self.params.joint_map, self.measured
-        before = measured.q_link, measured.q_motor
-        elapsed = (self.merger.time - self.stamp) / NANOSECONDS
-        measured.q_link, measured.q_motor = joint_map.sides(self.merger.position.copy())
-        measured.dq_link, measured.dq_motor = joint_map.sides(self.merger.velocity.copy())
-        self.applied = joint_map.torques(self.merger.effort, self.torque)
-        self.worst['state_age'] = max(self.worst['state_age'], now - self.merger.time)
+        before = robot.measured.q_link, robot.measured.q_motor
+        elapsed = robot.take(joint_map, self.torque, now)
         self._note_late(elapsed)
-        self._violation = limiting.violation(joint_map.joints, measured, self.params.limits)
-        if not self._violation and self.stamp:
-            self._violation = limiting.jump(joint_map.joints, measured, before, elapsed,
+        robot.violation = limiting.violation(joint_map.joints, robot.measured, self.params.limits)
+        if not robot.violation and robot.stamp:
+            robot.violation = limiting.jump(joint_map.joints, robot.measured, before, elapsed,
                                             self.params.limits)
-        if self._violation:
-            self.fault(self._violation + self._of_late_torque())
-        self.stamp, self._arrived, self._refused_state = self.merger.time, now, ''
+        if robot.violation:
+            self.fault(robot.violation + self._of_late_torque())
+        robot.publish(now)
         self.counters['states out'] += 1
-        self._published[self.stamp] = now
-        if len(self._published) > _KEPT_STATES:
-            del self._published[next(iter(self._published))]
         return True
 
     def _note_late(self, elapsed):
-        """Note whether the state that another follows now was answered; `stamp` is still its."""
-        if not self.supervisor.active or self._answered is None:  # plain commands answer no state
-            self.late = 0.0
+        """Note whether the state that another follows now was answered."""
+        controller = self.controller
+        if not self.supervisor.active or controller.answered is None:
+            controller.lateness.restart()  # plain commands answer no state
             return
-        missed = self._answered < self.stamp
+        missed = controller.answered < self.robot.stamp
         self.counters['states without a fresh command'] += missed
-        self.late = _recently(self.late, missed, elapsed)
-
-    def lateness(self):
-        """Return in words how many states had no command in time (str)."""
-        return f'{self.late:.0%} of the states of the last second had no fresh command'
+        controller.lateness.note(missed, elapsed)
 
     def refuse_state(self, sentence):
         """Note that joint states were refused, for the sentence of a fault."""
         self.counters['states refused'] += 1
-        self._refused_state = sentence
+        self.robot.refused = sentence
 
     # commands ------------------------------------------------------------------------------
 
-    def take_command(self, command, stamp, source, now):
+    def take_command(self, command, stamp, source, now) -> bool:
         """
-        Take one command.
+        Take one command; return whether ``torque`` is to be sent to the robot.
 
-        Parameters
-        ----------
-        command : array_like, shape (n_joints,)
-            Finite torques [N m].
-        stamp : int or None
-            Of the state it answers.
-        source : str
-            Who commands.
-        now : int
-            Time.
-
-        Returns
-        -------
-        bool
-            Whether ``torque`` is to be sent to the robot.
-
+        ``command`` (n_joints,) is finite [N m], ``stamp`` that of the state it answers or None,
+        ``source`` who commands.
         """
+        controller, limits = self.controller, self.params.limits
         self.counters['commands in'] += 1
         if self.watch(now):  # the process stood still: a command that waited ends no silence
             return True
-        conflict = self.watch_commands.hear(source, now)
+        conflict = controller.watch.hear(source, now)
         if conflict:
             return self.fault(conflict)
         if not self._is_fresh(stamp, now):
             self.counters['commands stale'] += 1
             return False
-        self._answered = stamp
+        controller.answered = stamp
         self._end_silence(now)
-        self.watch_commands.take(source, now)
-        self._refused_command = ''
+        controller.watch.take(source, now)
+        controller.refused = ''
         if not self.supervisor.active or (stamp is not None and stamp <= self._enabled):
             return False
-        elapsed = min((now - self._given) / NANOSECONDS, _LONGEST_RAMP)
-        command, limits = np.array(command, dtype=float), self.params.limits
-        self._note_held_back(limiting.held_back(command, self.torque, elapsed, limits), elapsed)
-        self.torque = limiting.limited(command, self.torque, elapsed, self.measured.q_link,
-                                       self.measured.dq_link, limits)
-        self._given = now
+        elapsed = min((now - controller.given) / NANOSECONDS, _LONGEST_RAMP)
+        command, measured = np.array(command, dtype=float), self.robot.measured
+        held = limiting.held_back(command, controller.torque, elapsed, limits)
+        controller.held_back = recently(controller.held_back, held, elapsed)
+        self.counters['commands held back by torque_rate'] += int(held.any())
+        controller.torque = limiting.limited(command, controller.torque, elapsed,
+                                             measured.q_link, measured.dq_link, limits)
+        controller.given = now
         self.counters['commands acted on'] += 1
         return True
 
-    def _note_held_back(self, held, elapsed):
-        self._held_back = _recently(self._held_back, held, elapsed)
-        self.counters['commands held back by torque_rate'] += int(held.any())
-
     def _of_late_torque(self):
         """Return what a fault of the motion adds where torque often came late; '' else."""
+        controller = self.controller
         if not self.supervisor.active:
             return ''
-        if self.late >= _OFTEN:
-            return f'; {self.lateness()}: the controller is late'
-        j = int(np.argmax(self._held_back))
-        if self._held_back[j] < _OFTEN:
+        if controller.lateness.share >= _OFTEN:
+            return f'; {controller.lateness}: the controller is late'
+        j = int(np.argmax(controller.held_back))
+        if controller.held_back[j] < _OFTEN:
             return ''
         return (f'; torque_rate ({self.params.limits.torque_rate[j]:.4g} N m/s) held back the '
-                f'torque of {self.params.joint_map.joints[j]} for {self._held_back[j]:.0%} of the '
-                'last second: raise it, or take gentler gains')
+                f'torque of {self.params.joint_map.joints[j]} for '
+                f'{controller.held_back[j]:.0%} of the last second: raise it, or take gentler '
+                'gains')
 
     def _is_fresh(self, stamp, now):
         if stamp is None:
             return True
-        published = self._published.get(stamp)
+        published = self.robot.published.get(stamp)
         if published is None or now - published > self.params.silence_timeout * NANOSECONDS:
             return False
-        self.worst['answer'] = max(self.worst['answer'], now - published)
+        self.controller.worst_answer = max(self.controller.worst_answer, now - published)
         return True
 
     def refuse_command(self, sentence):
         """Note that a command was refused, for the sentence of a fault."""
         self.counters['commands refused'] += 1
-        self._refused_command = sentence
+        self.controller.refused = sentence
 
     # faults --------------------------------------------------------------------------------
 
-    def fault(self, sentence):
+    def fault(self, sentence) -> bool:
         """Take all torque away; return whether zero is to be sent at once."""
         if not self.supervisor.trip(sentence):
             return False
-        self.torque = np.zeros_like(self.torque)
+        self.take_torque_away()
         return True
 
     def take_torque_away(self):
         """Forget the torque given; what the supervisor is told beside this says why."""
-        self.torque = np.zeros_like(self.torque)
+        self.controller.torque = np.zeros_like(self.torque)
 
-    def watch(self, now):
+    def watch(self, now) -> bool:
         """
         Look whether robot and controller still speak; call it every millisecond or two.
 
-        Returns
-        -------
-        bool
-            Whether a fault has begun: zero is to be sent at once.
-
+        Return whether a fault has begun: zero is to be sent at once.
         """
         stood, self._watched = now - self._watched, now
         if not self.supervisor.active:
             return False
         if self.params.guarded and stood > STOOD_STILL * NANOSECONDS:  # torque went to zero
             return self.fault(f'the bridge stood still for {stood / 1e6:.0f} ms')
-        sentence = self._silent_robot(now) or self._silent_controller(now)
+        sentence = self.robot.silent(now, self.params) or self._silent_controller(now)
         self._silent_for = sentence if sentence.startswith(_NO_COMMAND) else ''
         return bool(sentence) and self.fault(sentence)
 
-    def looked(self, now):
+    def looked(self, now) -> int:
         """Return how long ago it was looked after both sides [ns]."""
         return now - self._watched
 
-    def _silent_robot(self, now):
-        if self._arrived is None:
-            return f"no joint states from {', '.join(self.params.sources)} yet"
-        if now - self._arrived <= self.params.state_timeout * NANOSECONDS:
-            return ''
-        return self._about_robot(now)
-
-    def _about_robot(self, now):
-        sentence = f'no new joint states for {(now - self._arrived) / 1e6:.0f} ms'
-        absent = self.merger.absent()
-        if self._refused_state:
-            return f'{sentence}: {self._refused_state}'
-        if len(absent) < len(self.params.joint_map.names):
-            return f"{sentence}: nothing of {', '.join(absent) or 'all at one time'}"
-        return sentence
-
     def _silent_controller(self, now):
-        spoken = max(self.watch_commands.last or 0, self._given)
-        if now - spoken <= self.params.silence_timeout * NANOSECONDS:
+        controller = self.controller
+        silence = controller.silent(now, self.params.silence_timeout)
+        if not silence:
             return ''
-        if now - self._arrived > 0.5 * (now - spoken):  # nothing to be answered
-            return self._about_robot(now)
-        said = f'; refused last: {self._refused_command}' if self._refused_command else ''
-        return (f'{_NO_COMMAND} {self.watch_commands.name} for '
-                f'{(now - spoken) / 1e6:.0f} ms{said}')
+        if now - self.robot.arrived > 0.5 * silence:  # nothing to be answered
+            return self.robot.silence(now, self.params)
+        said = f'; refused last: {controller.refused}' if controller.refused else ''
+        return controller.sentence(silence) + said
 
     def _end_silence(self, now):
         """Say how long the silence was that was the fault, once it is over."""
         if self._silent_for and self.supervisor.reason == self._silent_for:
-            silence = self.watch_commands.silence(now)
-            self.supervisor.amend(f'{_NO_COMMAND} {self.watch_commands.name} for '
-                                  f'{(silence or 0) / 1e6:.0f} ms; they come again')
+            silence = self.controller.watch.silence(now)
+            self.supervisor.amend(f'{self.controller.sentence(silence or 0)}; they come again')
         self._silent_for = ''
 
     # requests ------------------------------------------------------------------------------
 
-    def obstacle(self, now):
-        """Return what stands against torque now (str); '' if nothing does."""
-        sentence = self._silent_robot(now) or self._violation
+    def obstacle(self, now) -> str:
+        """Return what stands against torque now; '' if nothing does."""
+        sentence = self.robot.silent(now, self.params) or self.robot.violation
         if sentence:
             return sentence
-        silence = self.watch_commands.silence(now)
+        silence = self.controller.watch.silence(now)
         if silence is None:
             return 'no controller commands yet'
         if silence > self.params.silence_timeout * NANOSECONDS:
-            return f'{_NO_COMMAND} {self.watch_commands.name} for {silence / 1e6:.0f} ms'
+            return self.controller.sentence(silence)
         return ''
 
     def enable(self, now):
@@ -345,12 +310,7 @@ class Bridge:
             return self.supervisor.enable()
         outcome = self.supervisor.enable(self.obstacle(now))
         if outcome.success:
-            self.torque = np.zeros_like(self.torque)
-            self._held_back = np.zeros_like(self.torque)
-            self._enabled, self._given = self.stamp, now
+            self.take_torque_away()
+            self.controller.held_back = np.zeros_like(self.torque)
+            self._enabled, self.controller.given = self.robot.stamp, now
         return outcome
-
-
-def _recently(share, now, elapsed):
-    """Return the share of recent time something took, after ``elapsed`` [s] with it or without."""
-    return share + (now - share) * min(elapsed / _RECENT, 1.0)

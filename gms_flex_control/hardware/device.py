@@ -2,14 +2,11 @@
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """
-Robots without ros2_control: one small class, found by its entry point.
+Robots without ros2_control: one small class, named by its module or offered by an entry point.
 
-A package offers its class in the group ``gms_flex_control.devices``, for example in setup.py::
-
-    entry_points={'gms_flex_control.devices': ['my_arm = my_package.my_arm:MyArm']}
-
-and ``plant_node`` takes it with ``bridge.device: my_arm``. The bridge does the rest: units, signs
-and gears (mapping.<joint>), limits, faults, services, diagnostics.
+``plant_node`` takes it with ``bridge.device: my_package.my_arm:MyArm``, or by the name of an entry
+point in the group ``gms_flex_control.devices``. The bridge does the rest: units, signs and gears
+(mapping.<joint>), limits, faults, services, diagnostics. examples/serial_arm.py is one.
 """
 
 from abc import ABC, abstractmethod
@@ -19,9 +16,6 @@ from typing import NamedTuple
 from gms_flex_control.errors import ConfigError, did_you_mean, GmsFlexError
 
 GROUP = 'gms_flex_control.devices'
-# the example, there in a source tree that is not installed as well
-_EXAMPLE = metadata.EntryPoint(
-    'serial_example', 'gms_flex_control.hardware.serial_device:SerialDevice', GROUP)
 
 
 class DeviceError(GmsFlexError):
@@ -48,14 +42,8 @@ class Device(ABC):
     All methods are called from threads of the bridge: `read` from one of its own, `write` from
     others while `read` waits. Any of them may raise DeviceError, which is a fault. A device must
     turn its torque off by itself when nothing is written for some 50 ms: the bridge may die.
-
-    Parameters
-    ----------
-    options : dict of str to str
-        From ``bridge.device_options``, entries ``name=value``.
-    order : tuple of str
-        Names of the actuators, in the order of the efforts in `write`.
-
+    ``options`` are the entries ``name=value`` of ``bridge.device_options`` (dict of str to str),
+    ``order`` names the actuators in the order of the efforts.
     """
 
     @abstractmethod
@@ -88,38 +76,25 @@ class Device(ABC):
         return {}
 
 
-def find(name, options, order):
+def find(name, options, order) -> Device:
     """
-    Return a device made by the class of an entry point.
+    Return a device made by a class ``module:Class``, or by that of an entry point.
 
-    Parameters
-    ----------
-    name : str
-        Of the entry point.
-    options : sequence of str
-        Entries ``name=value``.
-    order : tuple of str
-        See Device.
-
-    Returns
-    -------
-    Device
-
-    Raises
-    ------
-    ConfigError
-        If there is no such entry point, it cannot be loaded, is no Device, or refuses an option.
-
+    ``options`` are entries ``name=value``, ``order`` as of Device. Raises ConfigError if there is
+    no such class, it cannot be loaded, is no Device, or refuses an option.
     """
     wrong = [entry for entry in options if '=' not in entry]
     if wrong:
         raise ConfigError(f'bridge.device_options: {wrong[0]!r} must have the form name=value')
-    found = {entry.name: entry for entry in (_EXAMPLE, *metadata.entry_points(group=GROUP))}
-    if name not in found:
-        raise ConfigError(f'bridge.device: no package offers {name!r} in the entry points '
-                          f'{GROUP}{did_you_mean(name, found)}')
+    entry = metadata.EntryPoint(name, name, GROUP)
+    if ':' not in name:
+        found = {entry.name: entry for entry in metadata.entry_points(group=GROUP)}
+        if name not in found:
+            raise ConfigError(f'bridge.device: no package offers {name!r} in the entry points '
+                              f'{GROUP}{did_you_mean(name, found)}; or name module:Class')
+        entry = found[name]
     try:
-        kind = found[name].load()
+        kind = entry.load()
     except (ImportError, AttributeError) as error:
         raise ConfigError(f'bridge.device: {name!r} cannot be loaded ({error})') from error
     if not (isinstance(kind, type) and issubclass(kind, Device)):

@@ -17,40 +17,19 @@ _SHORTEST = 0.01          # a step of the angle is judged as if it took at least
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Limits:
     """
-    Limits of each joint; `UNLIMITED` where there is none.
+    Limits of each joint, arrays (n_joints,); `UNLIMITED` where there is none.
 
-    Parameters
-    ----------
-    torque : array_like, shape (n_joints,)
-        Largest torque [N m].
-    torque_rate : array_like, shape (n_joints,)
-        Fastest rise of its magnitude [N m/s]; it may fall at once.
-    velocity : array_like, shape (n_joints,)
-        Speed from which on no torque may add to it [rad/s].
-    velocity_margin : array_like, shape (n_joints,)
-        Beyond the speed by so much is a fault [rad/s].
-    lower, upper : array_like, shape (n_joints,)
-        Range of the link; outside of it only inward torque [rad].
-    position_margin : array_like, shape (n_joints,)
-        Beyond the range by so much is a fault [rad].
-    twist : array_like, shape (n_joints,)
-        Motor angle minus link angle that is a fault [rad].
-
-    Raises
-    ------
-    ParameterError
-        If a limit is not positive, or the range of a joint is empty.
-
+    Raises ParameterError if a limit is negative or not finite, or the range of a joint is empty.
     """
 
-    torque: np.ndarray
-    torque_rate: np.ndarray
-    velocity: np.ndarray
-    velocity_margin: np.ndarray
-    lower: np.ndarray
+    torque: np.ndarray           # largest [N m]
+    torque_rate: np.ndarray      # fastest rise of its magnitude; it may fall at once [N m/s]
+    velocity: np.ndarray         # from which on no torque may add to it [rad/s]
+    velocity_margin: np.ndarray  # beyond the velocity by so much is a fault [rad/s]
+    lower: np.ndarray            # range of the link; outside of it only inward torque [rad]
     upper: np.ndarray
-    position_margin: np.ndarray
-    twist: np.ndarray
+    position_margin: np.ndarray  # beyond the range by so much is a fault [rad]
+    twist: np.ndarray            # motor angle minus link angle that is a fault [rad]
 
     def __post_init__(self):
         freeze_arrays(self)
@@ -66,43 +45,27 @@ class Limits:
                                  'were they swapped?')
 
     @cached_property
-    def within(self):
+    def within(self) -> tuple:
         """Return least and most (4 n_joints,) of link angles, both sides' velocities, twists."""
         fastest = self.velocity + self.velocity_margin
         least = self.lower - self.position_margin, -fastest, -fastest, -self.twist
         most = self.upper + self.position_margin, fastest, fastest, self.twist
         return np.concatenate(least), np.concatenate(most)
 
-    def missing(self):
+    def missing(self) -> list:
         """Return names of the limits that some joint lacks and no real robot may lack."""
         return [name for name in ('torque', 'torque_rate', 'velocity', 'lower', 'upper')
                 if (np.abs(getattr(self, name)) >= UNLIMITED).any()]
 
 
-def limited(command, before, elapsed, q, dq, limits):
+def limited(command, before, elapsed, q, dq, limits) -> np.ndarray:
     """
-    Return the torque that a command may become.
+    Return the torque (n_joints,) [N m] that a command may become; zero is always allowed.
 
-    Parameters
-    ----------
-    command : ndarray, shape (n_joints,)
-        What the controller asks for [N m], finite.
-    before : ndarray, shape (n_joints,)
-        Torque of the sample before [N m].
-    elapsed : float
-        Time since then [s].
-    q, dq : ndarray, shape (n_joints,)
-        Angle [rad] and velocity [rad/s] of the links.
-    limits : Limits
-        Of these joints.
-
-    Returns
-    -------
-    ndarray, shape (n_joints,)
-        ``command`` clipped to ``torque`` and to a rise of ``torque_rate * elapsed`` beyond
-        ``before`` or zero, whichever is further; zero where it points out of the range or would
-        speed up a joint that is as fast as it may be [N m]. Zero is always allowed.
-
+    ``command``, finite [N m], is clipped to ``torque`` and to a rise of ``torque_rate`` in
+    ``elapsed`` [s] beyond the torque ``before`` or zero, whichever is further. It is zero where
+    it points out of the range or would speed up a link, at ``q`` [rad] and ``dq`` [rad/s], that
+    is as fast as it may be.
     """
     lowest, highest = _reach(before, elapsed, limits)
     torque = np.clip(command, np.maximum(lowest, -limits.torque),
@@ -120,31 +83,18 @@ def _reach(before, elapsed, limits):
     return np.minimum(before, 0.0) - rise, np.maximum(before, 0.0) + rise
 
 
-def held_back(command, before, elapsed, limits):
+def held_back(command, before, elapsed, limits) -> np.ndarray:
     """Return of which joints the rate alone holds the torque back, bool (n_joints,)."""
     lowest, highest = _reach(before, elapsed, limits)
     allowed = np.clip(command, -limits.torque, limits.torque)
     return (allowed < lowest) | (allowed > highest)
 
 
-def violation(names, measured, limits):
+def violation(names, measured, limits) -> str:
     """
-    Return what a robot does beyond its margins.
+    Return a sentence about the first joint beyond its margins; '' if none is.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Of the joints.
-    measured : object
-        With ``q_link``, ``dq_link``, ``q_motor``, ``dq_motor`` (n_joints,) [rad, rad/s].
-    limits : Limits
-        Of these joints.
-
-    Returns
-    -------
-    str
-        A sentence about the first joint that is; '' if none is.
-
+    ``measured`` has ``q_link``, ``dq_link``, ``q_motor``, ``dq_motor`` (n_joints,) [rad, rad/s].
     """
     q, twist = measured.q_link, measured.q_motor - measured.q_link
     seen = np.concatenate((q, measured.dq_link, measured.dq_motor, twist))
@@ -163,36 +113,16 @@ def violation(names, measured, limits):
             j = int(np.argmax(fast))
             return (f'the {side} side of {names[j]} moves at {dq[j]:.4g} rad/s, above its limit '
                     f'of {limits.velocity[j]:.4g} by more than {limits.velocity_margin[j]:.4g}')
-    twisted = np.abs(twist) > limits.twist
-    if twisted.any():
-        j = int(np.argmax(twisted))
-        return (f'motor and link of {names[j]} are {twist[j]:.4g} rad apart, more than the '
-                f'{limits.twist[j]:.4g} allowed; a sign, a gear ratio or an encoder may be wrong')
-    return ''
+    j = int(np.argmax(np.abs(twist) > limits.twist))
+    return (f'motor and link of {names[j]} are {twist[j]:.4g} rad apart, more than the '
+            f'{limits.twist[j]:.4g} allowed; a sign, a gear ratio or an encoder may be wrong')
 
 
-def jump(names, measured, before, elapsed, limits):
+def jump(names, measured, before, elapsed, limits) -> str:
     """
-    Return whether an angle changed faster than any joint of this robot can move.
+    Return a sentence about the first angle that no joint can have come by; '' if there is none.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Of the joints.
-    measured : object
-        With ``q_link`` and ``q_motor`` (n_joints,) [rad].
-    before : pair of ndarray, shape (n_joints,)
-        The same a sample before.
-    elapsed : float
-        Time between them [s].
-    limits : Limits
-        Of these joints.
-
-    Returns
-    -------
-    str
-        A sentence about the first joint that did; '' if none did.
-
+    ``before`` are ``q_link`` and ``q_motor`` [rad] of the state ``elapsed`` [s] earlier.
     """
     fastest = (limits.velocity + limits.velocity_margin) * max(elapsed, _SHORTEST)
     for what, q, q_before in (('', measured.q_link, before[0]),

@@ -7,14 +7,11 @@ import sys
 import time
 
 from gms_flex_control.hardware.bridge import Bridge
-from gms_flex_control.hardware.merger import ReadingError
-from gms_flex_control.hardware.supervisor import Outcome, SupervisedRobot
-from gms_flex_control.nodes import messages, process, scheduling
-from gms_flex_control.nodes.direct import Outlet
-from gms_flex_control.nodes.health import ERROR, OK
-from gms_flex_control.nodes.inbox import Inbox
-from gms_flex_control.nodes.loop_timing import LATE, NOTABLE
+from gms_flex_control.hardware.mapping import ReadingError
+from gms_flex_control.hardware.supervision import LATE, NOTABLE, Outcome, SupervisedRobot
+from gms_flex_control.nodes import messages, process
 from gms_flex_control.nodes.robot_links import DeviceLink, TopicLink
+from gms_flex_control.nodes.topics import Inbox, Outlet
 from gms_flex_control.schema.bridge import bridge_from_values
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
@@ -24,7 +21,6 @@ _JUST = 2_000_000          # a look so soon after another one would only hold up
 _MOST_PASSED = 3           # looks that are left out one after the other
 _SWITCH = 1e-3             # for so long a look may wait for a state that is handled [s]
 _ZERO_PERIOD = 10_000_000  # zero torque is repeated that often while there is none [ns]
-_WARN_PERIOD = 5_000_000_000  # [ns]
 
 
 class BridgedRobot(SupervisedRobot):
@@ -33,32 +29,18 @@ class BridgedRobot(SupervisedRobot):
 
     Three threads meet here, one at a time: joint states and commands, the safety services, and
     the watch over both, which is the main one.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        The plant.
-    values : dict of str to object
-        Checked parameters.
-    joints : sequence of str
-        Link names.
-    health : Health
-        Told of every change.
-
     """
 
-    def __init__(self, node, values, joints, health):
+    def __init__(self, node, values, joints):
         motors = values['motors'] or ('',) * len(joints)
-        self._node, self._health, self._n = node, health, len(joints)
-        params = bridge_from_values(values, joints, motors)
-        self._bridge = Bridge(params)
-        self._supervisor, self._map = self._bridge.supervisor, params.joint_map
+        self._node, self._health = node, node.health
+        self._bridge = Bridge(bridge_from_values(values, joints, motors))
+        self._supervisor, self._map = self._bridge.supervisor, self._bridge.params.joint_map
         self._lock = node.direct.lock
         self._steady = time.time_ns() - time.monotonic_ns()
         self._said = None
         self._sent = 0             # when efforts left last
-        self._warned = {}          # kind of warning -> when
-        self._counted, self._counted_at = {}, time.monotonic()
+        self._counted = {}, time.monotonic()
         self._writer = messages.JointStateWriter(joints, motors)
         self._state_pub = Outlet(node, JointState, 'joint_states')
         self._ends, self._passed = False, 0
@@ -82,37 +64,32 @@ class BridgedRobot(SupervisedRobot):
                                              now)
             except ReadingError as error:
                 bridge.refuse_state(str(error))
-                self._warn('state', f'joint state refused: {error}', now)
+                self._health.warn('state', f'joint state refused: {error}')
                 complete, refused = False, True
             if complete:
+                robot, controller = bridge.robot, bridge.controller
                 self._state_pub.publish(self._writer.write(
-                    bridge.measured, bridge.applied, bridge.stamp))
-                if bridge.late > NOTABLE:
-                    self._health.warn('late', f'{bridge.lateness()}: {LATE}')
+                    robot.measured, robot.applied, robot.stamp))
+                if controller.lateness.share > NOTABLE:
+                    self._health.warn('late', f'{controller.lateness}: {LATE}')
             self._settle()
         return not refused
 
     def _on_command(self, message):
         """Return whether the message is a command, to be obeyed or not."""
         now, bridge = self.now(), self._bridge
-        source = messages.read_source(message) or ''
+        source = messages.read_source(message)
         with self._lock:
             try:
-                torque = messages.read_command(message, self._n)
+                torque = messages.read_command(message, len(self._map.joints))
             except messages.RefusedError as error:
                 bridge.refuse_command(str(error))
-                self._warn('command', f'command refused: {error}', now)
+                self._health.warn('command', f'command refused: {error}')
                 return False
             if bridge.take_command(torque, messages.read_stamp(message), source, now):
                 self._send()
             self._settle()
         return True
-
-    def _warn(self, kind, sentence, now):
-        # the logger's own throttle looks for its caller each time: too slow for a storm
-        if now - self._warned.get(kind, -_WARN_PERIOD) >= _WARN_PERIOD:
-            self._warned[kind] = now
-            self._node.get_logger().warning(sentence)
 
     # what goes -----------------------------------------------------------------------------
 
@@ -132,14 +109,8 @@ class BridgedRobot(SupervisedRobot):
         if not self._supervisor.active:
             self._bridge.take_torque_away()
             self._send()
-        sentence = f'{state[0]}: {state[1]}'
-        fault = state[0] == 'FAULT'
-        self._health.tell(ERROR if fault else OK, sentence)
+        self._health.tell_state(self._supervisor)
         self._health.publish()
-        if fault:  # two lines of code: rclpy refuses two severities from one
-            self._node.get_logger().error(sentence)
-        else:
-            self._node.get_logger().info(sentence)
 
     # requests, from any thread ---------------------------------------------------------------
 
@@ -179,7 +150,7 @@ class BridgedRobot(SupervisedRobot):
 
     def run(self, spinner):
         """Watch over both sides until a signal comes."""
-        scheduling.tighten_timers()
+        process.tighten_timers()
         sys.setswitchinterval(_SWITCH)
         look = self._health.shield(self._look)
         with process.BackgroundSpin(spinner) as background, self._link:
@@ -234,22 +205,19 @@ class BridgedRobot(SupervisedRobot):
     def figures(self):
         """Return rates since the last call, counters and worst latencies for /diagnostics."""
         with self._lock:
-            bridge, counters = self._bridge, dict(self._bridge.counters)
-            now = time.monotonic()
-            passed, before = max(now - self._counted_at, 1e-3), self._counted
-            self._counted, self._counted_at = counters, now
-            rates = {f'rate of {name} [Hz]': round((counters.get(name, 0) - before.get(name, 0))
-                                                   / passed, 1)
-                     for name in ('states in', 'states out', 'commands in', 'commands acted on')}
-            silence = bridge.watch_commands.silence(self.now())
+            bridge, counters, now = self._bridge, dict(self._bridge.counters), time.monotonic()
+            before, since = self._counted
+            self._counted = counters, now
+            rates = {f'rate of {name} [Hz]': round(
+                (counters.get(name, 0) - before.get(name, 0)) / max(now - since, 1e-3), 1)
+                for name in ('states in', 'states out', 'commands in', 'commands acted on')}
             return {
                 'state': self._supervisor.state, 'reason': self._supervisor.reason, **rates,
                 **counters, 'faults': self._supervisor.faults,
-                'clock jumps of the robot': bridge.merger.jumps,
-                'velocities estimated': bridge.merger.estimated,
-                'controller': bridge.watch_commands.name if silence is not None else 'none yet',
-                'silence of the controller [ms]': round((silence or 0) / 1e6, 1),
-                'worst age of a state [ms]': round(bridge.worst['state_age'] / 1e6, 3),
-                'worst answer [ms]': round(bridge.worst['answer'] / 1e6, 3),
+                'clock jumps of the robot': bridge.robot.merger.jumps,
+                'velocities estimated': bridge.robot.merger.estimated,
+                **bridge.controller.watch.figures(self.now()),
+                'worst age of a state [ms]': round(bridge.robot.worst_age / 1e6, 3),
+                'worst answer [ms]': round(bridge.controller.worst_answer / 1e6, 3),
                 'torque [N m]': [round(float(torque), 4) for torque in bridge.torque],
                 **self._link.figures()}

@@ -3,13 +3,16 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """How a node is: what it says on /diagnostics, its faults, and endpoints that do not fit."""
 
+from collections.abc import Iterator
 from contextlib import nullcontext
 from functools import wraps
 import time
 import traceback
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from gms_flex_control.hardware.supervision import FAULT
 from rclpy.clock import Clock, ClockType
+from rclpy.logging import LoggingSeverity
 from rclpy.qos import qos_check_compatible, QoSCompatibility, QoSProfile
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
@@ -31,28 +34,14 @@ class Health:
     """
     State of one node, on /diagnostics once a second and when it changes.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Whose health it is.
-    figures : callable, optional
-        Returns what to report as dict of str to object; called once per report.
-    on_fault : callable, optional
-        Called without arguments when a fault begins.
-    lock : context manager, optional
-        Held while a callback runs, see `guard`.
-
-    Attributes
-    ----------
-    fault : str
-        The sentence of the first fault; '' while there is none.
-
+    ``figures()`` returns what to report (dict), once per report; ``on_fault()`` is called when a
+    fault begins; ``lock`` is held while a callback runs, see `guard`.
     """
 
     def __init__(self, node, figures=dict, on_fault=lambda: None, lock=None):
         self._node, self._figures, self._on_fault = node, figures, on_fault
         self._lock = nullcontext() if lock is None else lock
-        self.fault = ''
+        self.fault = ''      # the sentence of the first fault
         self._state = (OK, 'starting')
         self._warned = {}    # kind of warning: when it was logged last [s]
         self._said, self._looks, self._mismatches = None, 0, ()
@@ -65,17 +54,33 @@ class Health:
         """Say how the node is; cheap enough for every tick."""
         self._state = (level, sentence)
 
-    def warn(self, kind, sentence):
+    def tell_state(self, supervisor, severity=LoggingSeverity.ERROR):
+        """Say and log the state of a Supervisor; ``severity`` is that of a fault in the log."""
+        fault = supervisor.state == FAULT
+        sentence = f'{supervisor.state}: {supervisor.reason}'
+        self.tell(ERROR if fault else OK, sentence)
+        if fault:  # two lines of code: rclpy refuses two severities from one
+            self._node.get_logger().log(sentence, severity)
+        else:
+            self._node.get_logger().info(sentence)
+
+    def warn(self, kind, sentence, skip_first=False):
         """
-        Log a warning, at most one of a ``kind`` every few seconds.
+        Log a warning, at most one of a ``kind`` every few seconds; ``skip_first`` after some.
 
         The throttle of rclpy looks for its caller each time, which takes longer than all the
         rest of refusing a message: in a storm of those the loop would stand.
         """
-        now = time.monotonic()
-        if now >= self._warned.get(kind, 0.0):
+        now, due = time.monotonic(), self._warned.get(kind, 0.0)
+        if now >= due:
             self._warned[kind] = now + _WARN_PERIOD
-            self._node.get_logger().warning(sentence)
+            if due or not skip_first:
+                self._node.get_logger().warning(sentence)
+
+    @property
+    def name(self) -> str:
+        """Return the full name of the node."""
+        return self._node.get_fully_qualified_name()
 
     @property
     def status(self):
@@ -164,23 +169,12 @@ class Health:
         self._publisher.publish(message)
 
 
-def mismatches(node):
+def mismatches(node) -> Iterator:
     """
     Yield a sentence for every endpoint of others that does not fit one of ``node``.
 
-    It reads the graph: QoS events would tell sooner, but with the EventsExecutor they can
-    deadlock.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Whose topics are looked at.
-
-    Yields
-    ------
-    str
-        Names the topic, the other node and the policy.
-
+    It names topic, node and policy, from the graph: QoS events would tell sooner, but with the
+    EventsExecutor they can deadlock.
     """
     for own in node.subscriptions:
         for other in node.get_publishers_info_by_topic(own.topic_name):

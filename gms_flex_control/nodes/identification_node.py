@@ -15,16 +15,10 @@ from gms_flex_control.experiment.identification_plan import plan_identification
 from gms_flex_control.experiment.journal import ExperimentError, Journal, require_space
 from gms_flex_control.experiment.processes import executable
 from gms_flex_control.nodes import messages, process
-from gms_flex_control.nodes.experiment_bag import (
-    COMMANDS,
-    ExperimentBag,
-    REFERENCE,
-    STATES,
-)
-from gms_flex_control.nodes.experiment_watch import Watch
 from gms_flex_control.nodes.parameters import NodeParameters
-from gms_flex_control.nodes.remote_parameters import RemoteNode
-from gms_flex_control.nodes.step_runner import StepRunner
+from gms_flex_control.nodes.recorder import ExperimentBag, STATES
+from gms_flex_control.nodes.remote import RemoteNode
+from gms_flex_control.nodes.step_runner import StepRunner, Watch
 from gms_flex_control.recording import Phase
 from gms_flex_control.schema.build import controller_from_values, robot_from_values
 from gms_flex_control.schema.files import save_robot
@@ -36,7 +30,6 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
-PHASE = '~/phase'
 _BYTES_PER_SAMPLE = 1000  # state, command and reference with their frames, generously
 _RATE_SAMPLES = 20        # joint states that tell the rate
 _JUDGED = (0, 1)          # exit codes of gms_flex discrepancy: nothing, something is missing
@@ -51,6 +44,91 @@ class StoppedError(Exception):
     """Somebody called ~/stop, or the process is to end."""
 
 
+class _Results:
+    """What verbs make of the recordings in processes of their own; the node answers meanwhile."""
+
+    def __init__(self, node, robot, journal, bag):
+        self._node, self._robot, self._journal, self._bag = node, robot, journal, Path(bag)
+        self._pause = node.create_client(
+            SetBool, node.resolve_service_name(f"{node['plant_node']}/pause"))
+        self.spinner = None
+        self.recorded = self.asked = False  # whether there is a recording, and a comparison asked
+
+    def beside(self, what):
+        """Return the folder for what is made of the recording."""
+        return self._bag.with_name(f'{self._bag.name}_{what}')
+
+    def fit(self):
+        """Identify the friction from the bags."""
+        left_out = set(self._robot.joints) - {step.joint for step in self._node.plan.experiments}
+        if left_out:
+            self._node.say(
+                f'no fit: the plan leaves out {", ".join(sorted(left_out))}, whose friction '
+                "moves the others; 'gms_flex identify' takes several bags")
+            return
+        code, printed = self._gms_flex('identify', self.beside('identified'))
+        if code:
+            raise ExperimentError(f'the bag is whole, but its fit failed: {printed}')
+        self._node.say(printed)
+
+    def find_discrepancy(self):
+        """Compare the bags with the model one believes in, with its friction if identified."""
+        friction = self.beside('identified') / 'friction.yaml'
+        try:
+            code, printed = self._gms_flex('discrepancy', self.beside('discrepancy'),
+                                           [friction] if friction.exists() else [])
+        except GmsFlexError as error:
+            self._node.get_logger().warning(str(error))
+            return
+        if code in _JUDGED:
+            self._node.say(printed)
+        else:
+            self._node.get_logger().warning(printed)
+
+    def _gms_flex(self, verb, out, files=()):
+        """Run a verb on the bags; return its code and what it printed."""
+        believed = out / 'believed_robot.yaml'
+        bags = [str(self._bag.with_name(name)) for name in self._journal.bags]
+        command = [*executable('gms_flex'), verb, *bags, '--robot', str(believed),
+                   *map(str, files), '--out', str(out)]
+        try:
+            save_robot(self._robot, believed)
+            self._node.say(f'{verb}: {", ".join(bags)}')
+            with TemporaryFile('w+', encoding='utf-8', errors='replace') as printed, \
+                    self._plant_paused():
+                code = self._ended(command, printed)
+                printed.seek(0)
+                return code, printed.read().strip()
+        except OSError as error:
+            raise ExperimentError(f'{verb} cannot be run with its results in {out}: {error}; '
+                                  'the bags are whole') from error
+
+    @contextmanager
+    def _plant_paused(self):
+        """Let a loop in lockstep stand, which would run as fast as it can beside the block."""
+        self.set_pause(True)
+        try:
+            yield
+        finally:
+            self.set_pause(False)
+
+    def set_pause(self, on):
+        """Let the plant pause or go on, if it can: one in lockstep alone has the service."""
+        if self._pause.service_is_ready():
+            self._node.see_out(self._pause.call_async(SetBool.Request(data=on)))
+
+    def _ended(self, command, printed):
+        """Return the exit code of a command that prints into a file."""
+        run = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=printed,
+                               stderr=subprocess.STDOUT)
+        while run.poll() is None:
+            self.spinner.spin_once(0.1)
+            if not self.spinner.goes_on():
+                run.terminate()
+                raise StoppedError
+        return run.returncode
+
+
 class IdentificationNode(Node):
     """Carry out the steps of an identification plan and record them."""
 
@@ -62,20 +140,18 @@ class IdentificationNode(Node):
             *identification_node_keys()))
         self._values = values = parameters.values
         joints = parameters.joints
-        self._robot = robot = robot_from_values(values)
+        robot = robot_from_values(values)
         self.plan = plan_identification(values, robot, controller_from_values(values, joints))
         self._journal = Journal(self['bag'], self.plan, resume=self['resume'])
         self.trajectory = RemoteNode(self, self['trajectory_node'],
                                      ('start', 'stop', 'reset', 'release'))
         self.controller = RemoteNode(self, self['controller_node'])
-        self._pause = self.create_client(
-            SetBool, self.resolve_service_name(f"{self['plant_node']}/pause"))
+        self._results = _Results(self, robot, self._journal, self['bag'])
         self.watch = Watch(self.plan)
         self._bag = self._spinner = self._pending = None
         self._runner = StepRunner(self, self._journal)
         self._ordered, self._stopped = self['autostart'], False
-        self._recorded = self._asked = False
-        self._phase_pub = self.create_publisher(Float64MultiArray, PHASE, _LATCHED)
+        self._phase_pub = self.create_publisher(Float64MultiArray, '~/phase', _LATCHED)
         self.create_subscription(JointState, STATES, self._on_joint_states,
                                  process.subscriber_qos(self._values['mode'], _DEPTH),
                                  event_callbacks=process.NO_EVENTS)
@@ -123,11 +199,12 @@ class IdentificationNode(Node):
         return response
 
     def _compare(self, _request, response):
-        response.success = self._recorded and not self._asked
+        results = self._results
+        response.success = results.recorded and not results.asked
         if response.success:
-            self._asked = True
-            response.message = f'begins; the result will stand in {self._beside("discrepancy")}'
-        elif self._asked:
+            results.asked = True
+            response.message = f'begins; the result will stand in {results.beside("discrepancy")}'
+        elif results.asked:
             response.message = 'runs already'
         else:
             response.message = ('no recording is finished yet; call it after the last step, with '
@@ -190,24 +267,25 @@ class IdentificationNode(Node):
         """Publish what is done from the next joint state on."""
         phase = Phase(self.watch.stamp, name, step.joint if step else '',
                       step.name if step else '', step.value if step else 0.0)
-        self._phase_pub.publish(messages.phase_message(phase))
+        self._bag.say(messages.phase_message(phase))
 
     # run -----------------------------------------------------------------------------------
 
     def run(self, spinner):
         """Carry out what is unfinished; return when done or when a signal comes."""
-        self._spinner = spinner
+        self._spinner = self._results.spinner = spinner
+        results = self._results
         try:
             self._prepare()
             self._record(self._journal.next_bag())
             if self['fit']:
-                self._fit()
-            self._recorded = True
-            while not self['exit_when_done'] and self._spinner.goes_on():
-                self._spinner.spin_once()
-                if self._asked:
-                    self._find_discrepancy()
-                    self._asked = False
+                results.fit()
+            results.recorded = True
+            while not self['exit_when_done'] and spinner.goes_on():
+                spinner.spin_once()
+                if results.asked:
+                    results.find_discrepancy()
+                    results.asked = False
         except StoppedError:
             self.say('ended by a signal; start again with identification.resume to go on')
 
@@ -215,16 +293,14 @@ class IdentificationNode(Node):
         for remote in (self.trajectory, self.controller):
             self._come(remote.is_ready, lambda remote=remote: (
                 f'the services of {remote.name} did not appear'))
-        self._set_pause(False)  # of one that was killed while it computed
+        self._results.set_pause(False)  # of one that was killed while it computed
         self._come(lambda: self.watch.samples > _RATE_SAMPLES, lambda: f'no state on {STATES}')
         samples = self.plan.duration(self._journal.finished) / self.watch.period
         require_space(Path(self['bag']).parent, samples * _BYTES_PER_SAMPLE)
 
     def _record(self, path):
-        topics = (STATES, COMMANDS, REFERENCE, PHASE)
-        with ExperimentBag(self, path, topics, self.say) as bag:
-            self._come(lambda: bag.poll() or not bag.missing
-                       and self._phase_pub.get_subscription_count(),
+        with ExperimentBag(self, path, self._phase_pub, self.say) as bag:
+            self._come(lambda: bag.poll() or not bag.missing,
                        lambda: f'nobody publishes {", ".join(bag.missing)}')
             self._bag = bag
             try:
@@ -235,77 +311,6 @@ class IdentificationNode(Node):
             finally:
                 self._bag = None
         self.say(f'recorded {path}')
-
-    def _fit(self):
-        """Fit the bags in a process of its own, which leaves this one free to answer."""
-        left_out = set(self._robot.joints) - {step.joint for step in self.plan.experiments}
-        if left_out:
-            self.say(f'no fit: the plan leaves out {", ".join(sorted(left_out))}, whose friction '
-                     "moves the others; 'gms_flex identify' takes several bags")
-            return
-        code, printed = self._gms_flex('identify', self._beside('identified'))
-        if code:
-            raise ExperimentError(f'the bag is whole, but its fit failed: {printed}')
-        self.say(printed)
-
-    def _find_discrepancy(self):
-        """Compare the bags with the model one believes in, with its friction if identified."""
-        friction = self._beside('identified') / 'friction.yaml'
-        try:
-            code, printed = self._gms_flex('discrepancy', self._beside('discrepancy'),
-                                           [friction] if friction.exists() else [])
-        except GmsFlexError as error:
-            self.get_logger().warning(str(error))
-            return
-        if code in _JUDGED:
-            self.say(printed)
-        else:
-            self.get_logger().warning(printed)
-
-    def _beside(self, what):
-        """Return the folder for what is made of the recording."""
-        bag = Path(self['bag'])
-        return bag.with_name(f'{bag.name}_{what}')
-
-    def _gms_flex(self, verb, out, files=()):
-        """Run a verb on the bags in a process of its own; return its code and what it printed."""
-        believed = out / 'believed_robot.yaml'
-        bags = [str(Path(self['bag']).with_name(name)) for name in self._journal.bags]
-        command = [*executable('gms_flex'), verb, *bags, '--robot', str(believed),
-                   *map(str, files), '--out', str(out)]
-        try:
-            save_robot(self._robot, believed)
-            self.say(f'{verb}: {", ".join(bags)}')
-            with TemporaryFile('w+', encoding='utf-8', errors='replace') as printed, \
-                    self._plant_paused():
-                return self._ended(command, printed), _text_of(printed)
-        except OSError as error:
-            raise ExperimentError(f'{verb} cannot be run with its results in {out}: {error}; '
-                                  'the bags are whole') from error
-
-    @contextmanager
-    def _plant_paused(self):
-        """Let a loop in lockstep stand, which would run as fast as it can beside the block."""
-        self._set_pause(True)
-        try:
-            yield
-        finally:
-            self._set_pause(False)
-
-    def _set_pause(self, on):
-        if self._pause.service_is_ready():  # a plant in lockstep alone has it
-            self._see_out(self._pause.call_async(SetBool.Request(data=on)))
-
-    def _ended(self, command, printed):
-        """Return the exit code of a command that prints into a file, answering all the while."""
-        process_run = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=printed,
-                                       stderr=subprocess.STDOUT)
-        while process_run.poll() is None:
-            self._spinner.spin_once(0.1)
-            if not self._spinner.goes_on():
-                process_run.terminate()
-                raise StoppedError
-        return process_run.returncode
 
     def _carry_out(self):
         """Run steps, again after each ~/stop, until all are finished."""
@@ -331,13 +336,14 @@ class IdentificationNode(Node):
         self.get_logger().warning('zero torque')
         self.watch.guard(False)
         if self._pending is not None:
-            self._see_out(self._pending)  # a ~/start that overtakes it would undo it
+            self.see_out(self._pending)  # a ~/start that overtakes it would undo it
         if self.trajectory.is_ready():
-            self._see_out(self._release())
+            self.see_out(self._release())
         if self.controller.is_ready():
             self._runner.give_back()
 
-    def _see_out(self, future):
+    def see_out(self, future):
+        """Spin until a last call is answered, for a while at most."""
         end = time.monotonic() + _GOODBYE
         while not future.done() and time.monotonic() < end:
             self._spinner.spin_once(0.02)
@@ -346,15 +352,9 @@ class IdentificationNode(Node):
         """End: whatever stopped the experiment has asked for zero torque."""
 
 
-def _text_of(file):
-    """Return what stands in an open text file from its beginning on."""
-    file.seek(0)
-    return file.read().strip()
-
-
 def main(args=None):
     """Run the identification node; return its exit code."""
-    return process.run_node(IdentificationNode, args, hears_itself=True)  # its bag has ~/phase
+    return process.run_node(IdentificationNode, args)
 
 
 if __name__ == '__main__':

@@ -1,47 +1,54 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""JointTrajectory messages, as MoveIt and rqt_joint_trajectory_controller send them."""
+"""Motions through points: joint trajectories as messages, and as goals of an action."""
 
-from gms_flex_control.nodes.messages import to_nanoseconds
-from gms_flex_control.nodes.refusal import first_bad, LARGEST_STATE, order_of, RefusedError
+from math import isnan
+from typing import NamedTuple
+
+from gms_flex_control.errors import TrajectoryError
+from gms_flex_control.nodes.messages import (
+    first_bad,
+    JointsError,
+    LARGEST_STATE,
+    NANOSECONDS,
+    order_of,
+    RefusedError,
+    set_stamp,
+    to_nanoseconds,
+)
+from gms_flex_control.nodes.motion import PastError
 import numpy as np
+from rclpy.action import ActionServer, CancelResponse
+from rclpy.task import Future
+
+try:  # of the ROS installation; there is no wheel of it
+    from control_msgs.action import FollowJointTrajectory
+except ImportError:
+    FollowJointTrajectory = None
 
 _ROWS = ('positions', 'velocities', 'accelerations')
 _MOST_POINTS = 1000  # a loop in the same process waits while they are read
 _AT_REST = 1e-6  # the last velocity [rad/s]
+_FEEDBACK_PERIOD = NANOSECONDS // 20
+# of control_msgs/action/FollowJointTrajectory
+SUCCESSFUL, INVALID_GOAL, INVALID_JOINTS, OLD_HEADER_TIMESTAMP = 0, -1, -2, -3
+PATH_TOLERANCE_VIOLATED, GOAL_TOLERANCE_VIOLATED = -4, -5
+_CODES = {JointsError: INVALID_JOINTS, PastError: OLD_HEADER_TIMESTAMP}
 
 
-def read_joint_trajectory(message, joints):
+def read_joint_trajectory(message, joints) -> tuple:
     """
-    Return the points of a JointTrajectory.
+    Return times (m,) [ns] and states (m, 5, n_joints) of the points of a JointTrajectory.
 
-    Parameters
-    ----------
-    message : trajectory_msgs.msg.JointTrajectory
-        It names all joints, in any order; velocities and accelerations may be left out.
-    joints : sequence of str
-        Our order.
-
-    Returns
-    -------
-    times : ndarray, shape (m,)
-        ``time_from_start`` of each point, rising [ns].
-    states : ndarray, shape (m, 5, n_joints)
-        Value and time derivatives 1 to 4, NaN where the message does not tell; of the last
-        point what it does not tell is zero.
-
-    Raises
-    ------
-    RefusedError
-        If joints are missing or unknown, lengths do not fit, numbers are not finite or too
-        large, times do not rise, or the last point moves.
-
+    It names all ``joints`` in any order. What it leaves open of value and derivatives 1 to 4 is
+    NaN, of the last point zero. Raises JointsError if joints are missing or unknown, RefusedError
+    if lengths or numbers do not fit, times do not rise, or the last point moves.
     """
     order = order_of(joints, message.joint_names, 'the names of a joint trajectory')
     if len(message.joint_names) != len(joints):
-        raise RefusedError(f'a joint trajectory names {list(message.joint_names)}, of which only '
-                           f'{list(joints)} are known')
+        raise JointsError(f'a joint trajectory names {list(message.joint_names)}, of which only '
+                          f'{list(joints)} are known')
     if len(message.points) > _MOST_POINTS:
         raise RefusedError(f'a joint trajectory has {len(message.points)} points, '
                            f'{_MOST_POINTS} at most')
@@ -72,3 +79,139 @@ def _checked(values, what, order, joints):
     if bad is not None:
         raise RefusedError(f'{what} of a joint trajectory hold {values[bad]}')
     return [values[index] for index in order]
+
+
+class Goal(NamedTuple):
+    """What a goal demands beside its points; bounds are infinite where there is none."""
+
+    path: np.ndarray      # (2, n_joints) errors of angle and velocity on the way [rad, rad/s]
+    at_end: np.ndarray    # and once it is over
+    allowance: int        # how much later than the last point it may be reached [ns]; 0: any time
+
+    def verdict(self, joints, error, late):
+        """
+        Return code and sentence once the goal is over; None while it goes on.
+
+        ``error`` (2, n_joints) is actual minus desired, ``late`` the time since the last point,
+        negative before it [ns].
+        """
+        if late < 0:
+            broken = _broken(self.path, joints, error)
+            return (PATH_TOLERANCE_VIOLATED, f'path tolerance: {broken}') if broken else None
+        broken = _broken(self.at_end, joints, error)
+        if not broken:
+            return SUCCESSFUL, 'the last point is reached'
+        if 0 < self.allowance < late:
+            return GOAL_TOLERANCE_VIOLATED, f'goal tolerance: {broken}'
+        return None
+
+
+def read_goal(request, joints) -> Goal:
+    """Return the Goal of a request of the action; raises RefusedError if it makes no sense."""
+    if not request.trajectory.points:
+        raise RefusedError('it has no points')
+    if request.multi_dof_trajectory.points:
+        raise RefusedError('joints of several degrees of freedom are not known here')
+    return Goal(_bounds(request.path_tolerance, joints), _bounds(request.goal_tolerance, joints),
+                to_nanoseconds(request.goal_time_tolerance))
+
+
+def _bounds(tolerances, joints):
+    """Return bounds (2, n) of JointTolerances: 0, the default, and less are no bound."""
+    bounds = np.full((2, len(joints)), np.inf)
+    for one in tolerances:
+        if one.name not in joints:
+            raise JointsError(f'a tolerance is for {one.name[:80]!r}, known are {list(joints)}')
+        for row, bound in enumerate((one.position, one.velocity)):
+            if isnan(bound):
+                raise RefusedError(f'a tolerance of {one.name} is nan')
+            if bound > 0.0:
+                bounds[row, joints.index(one.name)] = bound
+    return bounds
+
+
+def _broken(bounds, joints, error):
+    """Return which bound an error exceeds most (str), '' if none."""
+    excess = np.abs(error) - bounds
+    if not (excess > 0.0).any():
+        return ''
+    row, j = np.unravel_index(np.argmax(excess), excess.shape)
+    what, unit = (('angle', 'rad'), ('velocity', 'rad/s'))[row]
+    return (f'the {what} of {joints[j]} is {error[row, j]:.4g} {unit} off, the bound is '
+            f'{bounds[row, j]:.4g} {unit}')
+
+
+class Following:
+    """
+    The action ``~/follow_joint_trajectory``: one goal at a time, a new one replaces the old.
+
+    ``begin`` takes a JointTrajectory, lets the Motion follow it and returns the stamp of its end;
+    it raises RefusedError. ``look`` is to be called for every joint state, with the node's lock.
+    """
+
+    def __init__(self, node, motion, begin, kind=FollowJointTrajectory):
+        self._node, self._motion, self._begin, self._kind = node, motion, begin, kind
+        self._active = None      # (handle, Goal, end, Trajectory, Future of the result)
+        self._told = 0           # stamp of the last feedback
+        ActionServer(node, kind, '~/follow_joint_trajectory', self._execute,
+                     cancel_callback=lambda _: CancelResponse.ACCEPT)
+
+    async def _execute(self, handle):
+        """Follow a goal; return its result once it is over."""
+        future = Future()
+        with self._node.direct.lock:
+            try:
+                goal = read_goal(handle.request, self._motion.joints)
+                end = self._begin(handle.request.trajectory)
+            except (RefusedError, TrajectoryError) as error:
+                self._node.health.warn('goal', f'goal refused: {error}')
+                handle.abort()
+                return self._result(_CODES.get(type(error), INVALID_GOAL), str(error))
+            self.end('a new goal replaces it')
+            self._active = handle, goal, end, self._motion.current, future
+        return await future
+
+    def _result(self, code, sentence):
+        return self._kind.Result(error_code=code, error_string=sentence)
+
+    def look(self, stamp):
+        """Judge the goal, if there is one, by the state of ``stamp`` [ns]; tell its client."""
+        if self._active is None:
+            return
+        handle, goal, end, trajectory, _ = self._active
+        motion, links = self._motion, self._motion.links
+        if motion.current is not trajectory:
+            self.end('another motion has begun')
+            return
+        if handle.is_cancel_requested:
+            motion.brake()
+            self._finish(handle.canceled, SUCCESSFUL, 'canceled: the reference comes to rest')
+            return
+        desired = motion.sample(stamp)[:2]
+        actual = np.array([links.q, links.dq])
+        verdict = goal.verdict(motion.joints, actual - desired, stamp - end)
+        if verdict is not None:
+            reached = verdict[0] == SUCCESSFUL
+            if verdict[0] == PATH_TOLERANCE_VIOLATED:
+                motion.brake()
+            self._finish(handle.succeed if reached else handle.abort, *verdict)
+        elif not 0 <= stamp - self._told < _FEEDBACK_PERIOD:
+            self._told = stamp
+            feedback = self._kind.Feedback(joint_names=list(motion.joints))
+            set_stamp(feedback.header.stamp, stamp)
+            for point, rows in ((feedback.desired, desired), (feedback.actual, actual),
+                                (feedback.error, desired - actual)):
+                point.positions, point.velocities = rows[0].tolist(), rows[1].tolist()
+            handle.publish_feedback(feedback)
+
+    def end(self, sentence):
+        """Abort the goal, if there is one."""
+        if self._active is not None:
+            self._finish(self._active[0].abort, INVALID_GOAL, sentence)
+
+    def _finish(self, conclude, code, sentence):
+        future, self._active = self._active[-1], None
+        conclude()
+        if code != SUCCESSFUL:
+            self._node.get_logger().warning(f'goal ends: {sentence}')
+        future.set_result(self._result(code, sentence))

@@ -4,7 +4,7 @@
 """What the launch files have in common: their arguments, the three nodes, recorder and RViz."""
 
 from ament_index_python.packages import get_package_prefix, PackageNotFoundError
-from gms_flex_control.nodes.scheduling import LAUNCHED
+from gms_flex_control.nodes.process import LAUNCHED
 from launch import LaunchDescription
 from launch.actions import (
     DeclareLaunchArgument,
@@ -43,19 +43,10 @@ def config(name):
 
 def arguments(*, bridge='', controller='controller.yaml', rviz='false', priority='0'):
     """
-    Return the arguments that every launch file takes.
+    Return the arguments that every launch file has (list of DeclareLaunchArgument).
 
-    Parameters
-    ----------
-    bridge, rviz, priority : str or substitution
-        Their defaults, where launch files differ.
-    controller : str
-        Likewise, a file of ``config``.
-
-    Returns
-    -------
-    list of DeclareLaunchArgument
-
+    Their defaults, where launch files differ, are str or substitutions; that of ``controller`` is
+    a file of ``config``.
     """
     return [
         DeclareLaunchArgument('robot', default_value=config('robot.yaml'),
@@ -94,22 +85,10 @@ def arguments(*, bridge='', controller='controller.yaml', rviz='false', priority
 
 def description(declared, actions):
     """
-    Return a launch file's description: its arguments, then its actions in their namespace.
+    Return a LaunchDescription: what `arguments` declared, then ``actions`` in their namespace.
 
     Recorder, robot_state_publisher and RViz come first, each where it is asked for: nothing moves
     yet when one of them cannot be started.
-
-    Parameters
-    ----------
-    declared : list of DeclareLaunchArgument
-        See `arguments`.
-    actions : list of Action
-        See `closed_loop`.
-
-    Returns
-    -------
-    LaunchDescription
-
     """
     return LaunchDescription([
         *declared,
@@ -127,20 +106,10 @@ def node(executable, *parameters, **options):
 
 def closed_loop(controller=None, trajectory=None):
     """
-    Return the robot, simulated or bridged, the controller and the trajectory.
+    Return the robot, simulated or bridged, the controller and the trajectory, or loop_node.
 
-    The launch ends with any of them: the others leave zero torque.
-
-    Parameters
-    ----------
-    controller, trajectory : dict, optional
-        Parameters of theirs beyond the files.
-
-    Returns
-    -------
-    list of Node
-        Three processes, or the one of ``loop_node``.
-
+    The launch ends with any of them: the others leave zero torque. ``controller`` and
+    ``trajectory`` are parameters (dict) of theirs beyond the files.
     """
     bridge = LaunchConfiguration('bridge')
     pace = {name: LaunchConfiguration(name) for name in ('mode', 'realtime_priority')}

@@ -8,10 +8,9 @@ import sys
 
 from gms_flex_control.nodes import process
 from gms_flex_control.nodes.controller_node import ControllerNode
-from gms_flex_control.nodes.direct import Direct
 from gms_flex_control.nodes.plant_node import PlantNode
+from gms_flex_control.nodes.topics import Direct
 from gms_flex_control.nodes.trajectory_node import TrajectoryNode
-from gms_flex_control.nodes.transport import refuse_own_messages
 from rclpy.parameter import Parameter
 from rclpy.time import Time
 
@@ -22,16 +21,10 @@ class LoopNode:
 
     Each joint state is answered in the thread that publishes it, before that goes on; callbacks
     of others run in a second thread.
-
-    Attributes
-    ----------
-    nodes : list of rclpy.node.Node
-        The plant first.
-
     """
 
     def __init__(self):
-        refuse_own_messages()
+        process.refuse_own_messages()
         direct = Direct()
         # the order in which they hear a joint state: the command does not wait for the next
         # reference

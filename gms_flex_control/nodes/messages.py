@@ -12,14 +12,6 @@ from array import array
 from contextlib import suppress
 import math
 
-from gms_flex_control.nodes.refusal import (
-    first_bad,
-    LARGEST_STATE,
-    LARGEST_TORQUE,
-    order_of,
-    refuse_bad_reference,
-    RefusedError,
-)
 import numpy as np
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout
@@ -28,10 +20,63 @@ NANOSECONDS = 1_000_000_000
 _STAMP, _SOURCE = 'stamp:', 'source:'
 _LARGEST_STAMP = 2 ** 63                # beyond what a message's own time can hold [ns]
 EFFORT, DERIVATIVE = 'effort', 'derivative'
+# Beyond these a number is a fault, though it is finite: 1e308 overflows in any law.
+LARGEST_STATE = 1e6        # [rad, rad/s]
+LARGEST_TORQUE = 1e9       # [N m]
+LARGEST_DERIVATIVE = 1e15  # of a reference, up to the fourth [rad/s^4]
+_PLURALS = {'position': 'positions', 'velocity': 'velocities'}
+_ROWS = ('q', 'dq', 'ddq', 'd3q', 'd4q')
+_NAMED = 8  # joint names in a sentence; a message may have a million
 
 
-def to_nanoseconds(stamp):
-    """Return a builtin_interfaces Time as integer nanoseconds."""
+class RefusedError(ValueError):
+    """A message that is not acted on; the sentence says why."""
+
+
+class JointsError(RefusedError):
+    """Its names are not those of our joints."""
+
+
+def all_finite(values) -> bool:
+    """Return whether no number is NaN or infinite; fast for a handful of them."""
+    # NaN and both infinities turn the sum into NaN or infinity
+    return math.isfinite(sum(values)) or all(math.isfinite(value) for value in values)
+
+
+def first_bad(values, limit):
+    """Return the index of the first number that is not within +-``limit``; None if all are."""
+    # a sum that is finite has no NaN in it, for which min and max are of no use
+    if not values or (math.isfinite(sum(values)) and -limit <= min(values)
+                      and max(values) <= limit):
+        return None
+    return next((k for k, value in enumerate(values) if not abs(value) <= limit), None)
+
+
+def _some(names):
+    more = f' and {len(names) - _NAMED} more' if len(names) > _NAMED else ''
+    return ', '.join(name[:80] for name in names[:_NAMED]) + more
+
+
+def order_of(wanted, names, what='joint states') -> list:
+    """
+    Return where each of the ``wanted`` joints stands among ``names`` of ``what``.
+
+    Raises JointsError if one is missing or stands there twice; other names do not matter.
+    """
+    order = []
+    for name in wanted:
+        count = names.count(name)
+        if count == 0:
+            raise JointsError(f'{what} lack {name!r} (have {_some(names)}); '
+                              'check joints and motors in the robot file')
+        if count > 1:
+            raise JointsError(f'{what} name {name!r} more than once')
+        order.append(names.index(name))
+    return order
+
+
+def to_nanoseconds(stamp) -> int:
+    """Return a builtin_interfaces Time or Duration as integer nanoseconds."""
     return stamp.sec * NANOSECONDS + stamp.nanosec
 
 
@@ -40,108 +85,79 @@ def set_stamp(stamp, nanoseconds):
     stamp.sec, stamp.nanosec = divmod(nanoseconds, NANOSECONDS)
 
 
+# joint states --------------------------------------------------------------------------------
+
+
+class JointNumbers:
+    """Numbers of the ``wanted`` joints in JointStates, whose names may have any order."""
+
+    def __init__(self, wanted):
+        self._wanted, self._names, self.order = list(wanted), None, None
+
+    def read(self, message, field) -> list:
+        """Return the numbers of a ``field``; raises RefusedError if any is missing or bad."""
+        names, values = message.name, getattr(message, field)
+        if names != self._names:
+            self.order = order_of(self._wanted, names)
+            self._names = list(names)
+        if len(values) != len(names):
+            raise RefusedError(f'joint states have {len(names)} names and {len(values)} '
+                               f'{_PLURALS[field]}; each name needs one')
+        numbers = [values[index] for index in self.order]
+        self._refuse_bad(field, numbers)
+        return numbers
+
+    def _refuse_bad(self, field, numbers):
+        bad = first_bad(numbers, LARGEST_STATE)
+        if bad is not None:
+            raise RefusedError(f'joint states have {field} {numbers[bad]} for '
+                               f'{self._wanted[bad]!r} ({field}[{self.order[bad]}])')
+
+
 class JointStateReader:
-    """
-    Map joint states by name to arrays of links and motors.
-
-    Parameters
-    ----------
-    joints, motors : sequence of str
-        Link and motor names; '' where a joint has no motor side of its own.
-
-    """
+    """Links and motors in JointStates; a motor's name is '' where a joint has no such side."""
 
     def __init__(self, joints, motors):
-        self._wanted = [*joints, *(motor or joint
-                                   for joint, motor in zip(joints, motors, strict=True))]
+        self._numbers = JointNumbers([*joints, *(motor or joint for joint, motor in zip(
+            joints, motors, strict=True))])
         self._n = len(joints)
-        self._names = None
-        self._order = None
 
     def read(self, message, measured):
         """
         Write a JointState into ``measured`` (q_link, dq_link, q_motor, dq_motor).
 
-        Parameters
-        ----------
-        message : sensor_msgs.msg.JointState
-            Names in any order, others among them.
-        measured : object
-            Views of simulation.encoder.state_layout.
-
-        Raises
-        ------
-        RefusedError
-            If a name is missing or repeated, a length is wrong, a value is not finite or beyond
-            `LARGEST_STATE`; nothing is written then.
-
+        Raises RefusedError, with nothing written, if a name is missing or repeated, a length is
+        wrong, a value is not finite or beyond `LARGEST_STATE`.
         """
-        names = message.name
-        if names != self._names:
-            self._order = order_of(self._wanted, names)
-            self._names = list(names)
-        position, velocity = message.position, message.velocity
-        if len(position) != len(names) or len(velocity) != len(names):
-            raise RefusedError(f'joint states have {len(names)} names, {len(position)} positions '
-                               f'and {len(velocity)} velocities; all three must agree')
-        q = [position[index] for index in self._order]
-        dq = [velocity[index] for index in self._order]
-        self._refuse_bad('position', q)
-        self._refuse_bad('velocity', dq)
+        q = self._numbers.read(message, 'position')
+        dq = self._numbers.read(message, 'velocity')
         n = self._n
         measured.q_link[:], measured.q_motor[:] = q[:n], q[n:]
         measured.dq_link[:], measured.dq_motor[:] = dq[:n], dq[n:]
 
-    def motor_efforts(self, message):
-        """Return the efforts (n) of a message just read; none where it does not tell them."""
+    def motor_efforts(self, message) -> list:
+        """Return the efforts (n) of a message just read; empty where it has none."""
         effort = message.effort
         if len(effort) != len(message.name):
             return []
-        return [effort[index] for index in self._order[self._n:]]
-
-    def _refuse_bad(self, field, values):
-        bad = first_bad(values, LARGEST_STATE)
-        if bad is not None:
-            raise RefusedError(f'joint states have {field} {values[bad]} for '
-                               f'{self._wanted[bad]!r} ({field}[{self._order[bad]}])')
+        return [effort[index] for index in self._numbers.order[self._n:]]
 
 
 class JointStateWriter:
-    """
-    Fill one reused JointState: links, then the motors there are.
-
-    Parameters
-    ----------
-    joints, motors : sequence of str
-        Link and motor names; '' where a joint has no motor side of its own.
-
-    """
+    """Fill one reused JointState: links, then the motors that there are (names other than '')."""
 
     def __init__(self, joints, motors):
         self._flexible = [j for j, motor in enumerate(motors) if motor]
-        names = [*joints, *(motors[j] for j in self._flexible)]
         self._nan = [math.nan if motor else 0.0 for motor in motors]
         self._rigid = [j for j, motor in enumerate(motors) if not motor]
-        self.message = JointState(name=names)
+        self.message = JointState(name=[*joints, *(motors[j] for j in self._flexible)])
 
-    def write(self, measured, applied, stamp):
+    def write(self, measured, applied, stamp) -> JointState:
         """
-        Return the message of one sample.
+        Return the message, the same object at every call, of the sample at ``stamp`` [ns].
 
-        Parameters
-        ----------
-        measured : object
-            What the encoders read.
-        applied : ndarray, shape (n_joints,)
-            Torque really applied in the sample that ends now [N m].
-        stamp : int
-            Time of the sample [ns].
-
-        Returns
-        -------
-        sensor_msgs.msg.JointState
-            The same object at every call. Effort of a flexible link is NaN: not measured.
-
+        ``measured`` is what the encoders read, ``applied`` (n_joints,) the torque of the sample
+        that ends now [N m]. The effort of a flexible link is NaN: not measured.
         """
         message, flexible = self.message, self._flexible
         q_motor, dq_motor = measured.q_motor.tolist(), measured.dq_motor.tolist()
@@ -157,54 +173,52 @@ class JointStateWriter:
         return message
 
 
-class CommandWriter:
+# arrays --------------------------------------------------------------------------------------
+
+
+def _mark(label=''):
+    """Return a dimension that only carries a label."""
+    return MultiArrayDimension(label=label, size=1, stride=1)
+
+
+class ArrayWriter:
     """
-    Fill one reused command message.
+    Fill one reused Float64MultiArray whose layout says its stamp and, if given, its source.
 
-    Parameters
-    ----------
-    n : int
-        Number of joints.
-    source : str
-        Who commands.
-
-    """
-
-    def __init__(self, n, source):
-        self._stamp = MultiArrayDimension(size=1, stride=1)
-        dims = [MultiArrayDimension(label='joint', size=n, stride=n), self._stamp,
-                MultiArrayDimension(label=_SOURCE + source, size=1, stride=1)]
-        self.message = Float64MultiArray(layout=MultiArrayLayout(dim=dims))
-
-    def write(self, torque, stamp):
-        """Return the message: ``torque`` (n,) [N m] in answer to the state of ``stamp`` [ns]."""
-        self._stamp.label = f'{_STAMP}{stamp}'
-        self.message.data = array('d', torque.tolist())
-        return self.message
-
-
-class BlockWriter:
-    """
-    Fill one reused message with a number for each friction block, layout [joint, block].
-
-    Parameters
-    ----------
-    n, blocks : int
-        Joints, and blocks of each.
-
+    ``dimensions`` are pairs of label and size, the last one varies fastest.
     """
 
-    def __init__(self, n, blocks):
-        self._stamp = MultiArrayDimension(size=1, stride=1)
+    def __init__(self, *dimensions, source=''):
+        self._stamp = _mark()
+        sizes = [size for _, size in dimensions]
         self.message = Float64MultiArray(layout=MultiArrayLayout(dim=[
-            MultiArrayDimension(label='joint', size=n, stride=n * blocks),
-            MultiArrayDimension(label='block', size=blocks, stride=blocks), self._stamp]))
+            *(MultiArrayDimension(label=label, size=size, stride=math.prod(sizes[k:]))
+              for k, (label, size) in enumerate(dimensions)),
+            self._stamp, *([_mark(_SOURCE + source)] if source else [])]))
 
-    def write(self, values, stamp):
-        """Return the message: ``values`` (n, blocks) at the joint state of ``stamp`` [ns]."""
+    def write(self, values, stamp) -> Float64MultiArray:
+        """Return the message: an array, in answer to or at the joint state of ``stamp`` [ns]."""
         self._stamp.label = f'{_STAMP}{stamp}'
         self.message.data = array('d', values.ravel().tolist())
         return self.message
+
+
+class ReferenceWriter:
+    """Fill one reused reference message of ``n`` joints, layout [derivative or effort, joint]."""
+
+    def __init__(self, n, source):
+        self._writer = ArrayWriter((DERIVATIVE, 5), ('joint', n), source=source)
+        self.message = self._writer.message
+
+    def write(self, reference, quantity, stamp) -> Float64MultiArray:
+        """Return the message for ``reference`` (5, n); of an effort only the first row counts."""
+        rows, kind = reference, self.message.layout.dim[0]
+        if quantity == EFFORT:
+            rows, kind.label = reference[:1], EFFORT
+        else:
+            kind.label = DERIVATIVE
+        kind.size, kind.stride = len(rows), rows.size
+        return self._writer.write(rows, stamp)
 
 
 def read_stamp(message):
@@ -217,24 +231,16 @@ def read_stamp(message):
     return None
 
 
-def read_source(message):
-    """Return who sent a command or reference, as its layout says; None without that."""
+def read_source(message) -> str:
+    """Return who sent a command or reference, as its layout says; '' without that."""
     for dimension in message.layout.dim:
         if dimension.label.startswith(_SOURCE):
             return dimension.label[len(_SOURCE):]
-    return None
+    return ''
 
 
 def read_command(message, n):
-    """
-    Return a command as a list of n torques [N m].
-
-    Raises
-    ------
-    RefusedError
-        If there are more or fewer than n, or one is not finite or beyond `LARGEST_TORQUE`.
-
-    """
+    """Return n torques [N m]; raises RefusedError unless they are n, finite and plausible."""
     torque = message.data
     if len(torque) != n:
         raise RefusedError(f'command has {len(torque)} torques for {n} joints')
@@ -244,60 +250,12 @@ def read_command(message, n):
     return torque
 
 
-class ReferenceWriter:
+def read_reference(message, n) -> tuple:
     """
-    Fill one reused reference message of layout [derivative or effort, joint].
+    Return a reference as ('motion', array (5, n)) or ('effort', array (1, n)), in SI units.
 
-    Parameters
-    ----------
-    n : int
-        Number of joints.
-    source : str
-        Whose reference it is.
-
-    """
-
-    def __init__(self, n, source):
-        self._kind = MultiArrayDimension()
-        self._joint = MultiArrayDimension(label='joint', size=n, stride=n)
-        self._stamp = MultiArrayDimension(size=1, stride=1)
-        self.message = Float64MultiArray(layout=MultiArrayLayout(
-            dim=[self._kind, self._joint, self._stamp,
-                 MultiArrayDimension(label=_SOURCE + source, size=1, stride=1)]))
-
-    def write(self, reference, quantity, stamp):
-        """Return the message for ``reference`` (5, n); of an effort only the first row counts."""
-        rows = reference[:1] if quantity == EFFORT else reference
-        self._kind.label = EFFORT if quantity == EFFORT else DERIVATIVE
-        self._kind.size, self._kind.stride = len(rows), rows.size
-        self._stamp.label = f'{_STAMP}{stamp}'
-        self.message.data = array('d', rows.ravel().tolist())
-        return self.message
-
-
-def read_reference(message, n):
-    """
-    Return a reference message as (quantity, array).
-
-    Parameters
-    ----------
-    message : std_msgs.msg.Float64MultiArray
-        Dimensions [derivative 5, joint n] or [effort 1, joint n], or none that has a size.
-    n : int
-        Number of joints.
-
-    Returns
-    -------
-    quantity : {'motion', 'effort'}
-        What the numbers are.
-    reference : ndarray, shape (5, n) or (1, n)
-        In SI units.
-
-    Raises
-    ------
-    RefusedError
-        If layout or length does not fit, or a number is not finite or too large.
-
+    Its dimensions are [derivative 5, joint n] or [effort 1, joint n], or none that has a size.
+    Raises RefusedError if layout or length does not fit, or a number is not finite or too large.
     """
     dims = message.layout.dim
     quantity = EFFORT if dims and dims[0].label == EFFORT else 'motion'
@@ -310,26 +268,26 @@ def read_reference(message, n):
                            f'joint {n}] or [{EFFORT} 1, joint {n}]')
     if len(message.data) != rows * n:
         raise RefusedError(f'reference has {len(message.data)} numbers, expected {rows} x {n}')
-    refuse_bad_reference(message.data, quantity == EFFORT, n)
+    _refuse_bad_reference(message.data, quantity == EFFORT, n)
     return quantity, np.array(message.data).reshape(rows, n)
 
 
-def phase_message(phase):
-    """
-    Return what an experiment does from a joint state on, as a message.
+def _refuse_bad_reference(data, effort, n):
+    """Raise RefusedError, with row, joint and index, for a bad number in a reference."""
+    limits = (((0, n, LARGEST_TORQUE),) if effort else
+              ((0, 2 * n, LARGEST_STATE), (2 * n, 5 * n, LARGEST_DERIVATIVE)))
+    for begin, end, limit in limits:
+        bad = first_bad(data[begin:end], limit)
+        if bad is not None:
+            row, joint = divmod(begin + bad, n)
+            name = 'effort' if effort else _ROWS[row]
+            raise RefusedError(f'reference has {name} {data[begin + bad]} for joint {joint + 1} '
+                               f'(data[{begin + bad}])')
 
-    Parameters
-    ----------
-    phase : Phase
-        Its ``time_ns`` is the stamp of that joint state.
 
-    Returns
-    -------
-    std_msgs.msg.Float64MultiArray
-        The value, and the rest as labels of dimensions of size 1.
-
-    """
+def phase_message(phase) -> Float64MultiArray:
+    """Return what an experiment does from a joint state on (Phase): the rest are labels."""
     labels = (f'{_STAMP}{phase.time_ns}', f'phase:{phase.phase}', f'joint:{phase.joint}',
               f'step:{phase.step}')
-    return Float64MultiArray(data=[float(phase.value)], layout=MultiArrayLayout(
-        dim=[MultiArrayDimension(label=label, size=1, stride=1) for label in labels]))
+    return Float64MultiArray(data=[float(phase.value)],
+                             layout=MultiArrayLayout(dim=[_mark(label) for label in labels]))

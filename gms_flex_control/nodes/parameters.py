@@ -3,12 +3,17 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Node parameters from the schema: declared, coerced, judged, applied."""
 
+import atexit
 from itertools import pairwise
 import math
 from pathlib import Path
+from shutil import rmtree
 import sys
+from tempfile import mkdtemp
+import time
 
 from gms_flex_control.errors import ConfigError, GmsFlexError
+from gms_flex_control.nodes.process import NO_EVENTS
 from gms_flex_control.schema import build
 from gms_flex_control.schema.key import checked, offered_range, range_in_words, REQUIRED
 from gms_flex_control.schema.keys import known_keys
@@ -20,7 +25,11 @@ from rcl_interfaces.msg import (
     SetParametersResult,
 )
 from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from std_msgs.msg import String
 
+_PATIENCE = 5.0  # with a topic that has the URDF [s]
+_LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _BUILT_IN = ('use_sim_time', 'start_type_description_service', 'qos_overrides')
 _TYPES = {kind: getattr(ParameterType, f'PARAMETER_{kind.upper()}')
           for kind in ('double', 'integer', 'string', 'double_array', 'string_array')} | {
@@ -57,20 +66,11 @@ def _is_offered(key):
 
 class NodeParameters:
     """
-    The parameters of one node.
+    The parameters of one ``node``, which declared its overrides automatically.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Created with ``automatically_declare_parameters_from_overrides=True``.
-    own_keys : callable
-        Joint names -> keys this node uses; keys of the other nodes may stand in the same file.
-
-    Raises
-    ------
-    ConfigError
-        If a file gave an unknown key, a wrong type or range, or lacks a required key.
-
+    ``own_keys`` takes joint names and returns the keys this node uses; those of the other nodes
+    may stand in the same file. Raises ConfigError if a file gave an unknown key, a wrong type or
+    range, or lacks a required key.
     """
 
     def __init__(self, node, own_keys):
@@ -78,8 +78,6 @@ class NodeParameters:
         given = {name: parameter.value
                  for name, parameter in node.get_parameters_by_prefix('').items()
                  if not name.startswith(_BUILT_IN)}
-        if given.get('arm.urdf'):
-            given['arm.urdf'] = _beside_parameters(given['arm.urdf'])
         if 'joints' not in given:
             raise ConfigError('joints is missing: no robot file was read; is the path of its '
                               '--params-file right? ros2 launch leaves out a file that is not '
@@ -87,6 +85,9 @@ class NodeParameters:
         self.joints = build.joint_names(given)
         known = known_keys(given, self.joints)
         self._keys = {key.name: key for key in own_keys(self.joints)}
+        if given.get('arm.urdf') and 'arm.urdf' in self._keys:
+            given['arm.urdf'] = (_beside_parameters(given['arm.urdf'])
+                                 or _of_topic(node, str(given['arm.urdf'])))
         if 'motors' in self._keys:
             self._keys |= {name: key for name, key in known.items()
                            if name.startswith(('effects.', 'uncertainty.'))}
@@ -112,15 +113,9 @@ class NodeParameters:
         """
         Let live parameters change while the node runs.
 
-        Parameters
-        ----------
-        judge : callable
-            Flat values -> object; raises GmsFlexError with the reason to refuse.
-        apply : callable
-            Gets what ``judge`` returned once the change is accepted.
-        guard : callable, optional
-            Wraps the callbacks, see Health.guard; one that raises would kill the executor.
-
+        ``judge`` takes flat values and raises GmsFlexError with the reason to refuse; ``apply``
+        gets what it returned once the change is accepted; ``guard`` wraps the callbacks, see
+        Health.guard: one that raises would kill the executor.
         """
         self._judge, self._apply = judge, apply
         self._node.add_pre_set_parameters_callback(guard(self._coerce))
@@ -201,11 +196,35 @@ class NodeParameters:
 
 
 def _beside_parameters(name):
-    """Return the path of a file that a parameter file names relative to itself."""
+    """Return the path of a file that a parameter file names relative to itself, '' without."""
     files = [file for flag, file in pairwise(sys.argv) if flag == '--params-file']
-    found = [path for file in reversed(files)
-             if (path := Path(file).absolute().parent / str(name)).is_file()]
-    return str(found[0]) if found else name
+    return next((str(path) for file in reversed(files)
+                 if (path := Path(file).absolute().parent / str(name)).is_file()), '')
+
+
+def _of_topic(node, name):
+    """
+    Return the path of a copy of the URDF on a topic, which is there while this process lives.
+
+    What does not look like a topic, such as ``/robot_description``, is returned as it is.
+    """
+    if not name.startswith('/') or Path(name).suffix:
+        return name
+    subscription = node.create_subscription(String, name, lambda _: None, _LATCHED,
+                                            event_callbacks=NO_EVENTS)
+    topic, end = subscription.topic_name, time.monotonic() + _PATIENCE
+    while (taken := subscription.handle.take_message(String, False)) is None:
+        if time.monotonic() > end:
+            raise ConfigError(f'arm.urdf: no URDF came on the topic {topic} in {_PATIENCE:g} s; '
+                              'start robot_state_publisher, or name a URDF file')
+        time.sleep(0.02)
+    node.destroy_subscription(subscription)
+    folder = Path(mkdtemp(prefix='gms_flex_'))
+    atexit.register(rmtree, folder, ignore_errors=True)
+    path = folder / f'{Path(topic).name}.urdf'
+    path.write_text(taken[0].data, encoding='utf-8')
+    node.get_logger().info(f'the URDF of {topic} is taken')
+    return str(path)
 
 
 def _ros_value(key, value):

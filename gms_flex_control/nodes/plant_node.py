@@ -1,20 +1,36 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""The robot as a ROS 2 node: simulated, or the bridge to a real one."""
+"""The robot as a ROS 2 node, simulated or the bridge to a real one, and its safety services."""
 
 import sys
+import threading
+import time
 
-from gms_flex_control.nodes import process, scheduling
+from gms_flex_control.nodes import process
 from gms_flex_control.nodes.bridged_robot import BridgedRobot
-from gms_flex_control.nodes.direct import Direct
 from gms_flex_control.nodes.health import Health
 from gms_flex_control.nodes.parameters import NodeParameters
-from gms_flex_control.nodes.safety import Safety
 from gms_flex_control.nodes.simulated_robot import SimulatedRobot
+from gms_flex_control.nodes.topics import all_waiting, DEPTH, Direct
 from gms_flex_control.schema.keys import robot_keys
 from gms_flex_control.schema.node_keys import bridge_keys, plant_node_keys, safety_keys
+import rclpy
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.clock import Clock, ClockType
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.task import Future
+from std_msgs.msg import Bool
+from std_srvs.srv import Trigger
+
+_PATIENCE = 1.0            # with the service that lets the reference hold [s]
+# reliable, and best effort for a button that offers no more; to hear it twice does no harm
+_ANY_BUTTON = [QoSProfile(depth=DEPTH, reliability=policy) for policy in (
+    ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT)]
+_RELEASED = b'\0'  # the one byte of a Bool, behind the header
+_BREATH = 1e-3      # left to the loop where more than one message of the button waits [s]
 
 
 def _simulator_keys(joints):
@@ -38,11 +54,11 @@ class PlantNode(Node):
         self.health = Health(self, lambda: self._robot.figures(),
                              lambda: self._robot.fail(self.health.fault), self.direct.lock)
         self._robot = (BridgedRobot if bridged else SimulatedRobot)(
-            self, values, parameters.joints, self.health)
+            self, values, parameters.joints)
         self._safety = Safety(
-            self, self._robot, self.health, topic=values['emergency_stop_topic'],
+            self, self._robot, topic=values['emergency_stop_topic'],
             hold_service=values['bridge.hold_service'] if bridged else '')
-        scheduling.take_priority(self, values['realtime_priority'])
+        process.take_priority(self, values['realtime_priority'])
 
     def run(self, spinner):
         """Simulate or bridge until a signal comes, or the duration is over."""
@@ -53,6 +69,125 @@ class PlantNode(Node):
         """Leave zero torque on the wire."""
         self._robot.finish()
         self._safety.end()
+
+
+class Safety:
+    """
+    ``~/enable``, ``~/disable``, ``~/reset``, ``~/emergency_stop`` and the topic of the button.
+
+    They are a node of their own with an executor of its own: queued joint states and commands
+    delay none of them. Without parameters it is hidden from 'ros2 param list', which would wait.
+
+    ``robot`` is a SupervisedRobot; ``topic`` is that of the button, std_msgs/Bool, true is
+    pressed; ``hold_service`` is a Trigger called before torque is enabled, '' for none.
+    """
+
+    def __init__(self, node, robot, *, topic, hold_service=''):
+        self._robot, self._health = robot, node.health
+        self._node = rclpy.create_node(
+            f'_{node.get_name()}_safety', namespace=node.get_namespace(), context=node.context,
+            use_global_arguments=False, enable_rosout=False, start_parameter_services=False)
+        self._topic = node.resolve_topic_name(topic)
+        group = ReentrantCallbackGroup()  # while one handler waits the others go on
+        for qos in _ANY_BUTTON:
+            self._listen(qos, group)
+        for name, handler in (('disable', self._disable), ('reset', self._reset),
+                              ('emergency_stop', self._stop), ('enable', self._enable)):
+            self._node.create_service(Trigger, node.resolve_service_name(f'~/{name}'), handler,
+                                      callback_group=group)
+        self._hold, self._served = None, node.direct.services
+        if hold_service:
+            self._hold = self._node.create_client(
+                Trigger, node.resolve_service_name(hold_service), callback_group=group)
+        self._asked = None         # future of the hold service
+        self._executor = SingleThreadedExecutor(context=node.context)
+        self._executor.add_node(self._node)
+        self._over = Future()
+        self._thread = threading.Thread(target=self._spin, name='safety', daemon=True)
+
+    def start(self):
+        """Serve from now on."""
+        self._thread.start()
+
+    def end(self):
+        """Serve no more."""
+        self._over.set_result(None)
+        if self._thread.is_alive():
+            self._thread.join(timeout=1.0)
+        self._executor.shutdown(timeout_sec=0.5)
+        self._node.destroy_node()
+
+    def _spin(self):
+        while not self._over.done() and self._node.context.ok():
+            try:
+                self._executor.spin_until_future_complete(self._over)
+            except ExternalShutdownException:
+                return
+            except Exception as error:  # noqa: B902  the emergency stop must be heard on
+                self._health.failed(error, 'a safety service')
+
+    def _listen(self, qos, group):
+        def on_button(first):
+            messages = [data[4:5] for data in (first, *all_waiting(subscription, 2 * DEPTH))]
+            if any(data != _RELEASED for data in messages):
+                self._robot.button(True, self._topic)
+            if messages[-1] == _RELEASED:
+                self._robot.button(False, self._topic)
+            if len(messages) > 1:  # no button is so fast: a storm
+                time.sleep(_BREATH)
+        subscription = self._node.create_subscription(
+            Bool, self._topic, on_button, qos, callback_group=group, raw=True,
+            event_callbacks=process.NO_EVENTS)
+
+    @staticmethod
+    def _answer(response, outcome):
+        response.success, response.message = outcome
+        return response
+
+    def _disable(self, _request, response):
+        return self._answer(response, self._robot.disable())
+
+    def _reset(self, _request, response):
+        self._health.recover()
+        return self._answer(response, self._robot.reset())
+
+    def _stop(self, _request, response):
+        return self._answer(response, self._robot.stop('emergency stop by service'))
+
+    async def _enable(self, _request, response):
+        refusals = self._robot.refusals  # of what may come while the hold is waited for
+        obstacle = self._robot.obstacle()
+        if not obstacle and self._hold is not None and self._robot.at_zero:
+            obstacle = self._no_hold() or await self._held()
+        if obstacle:
+            return self._answer(response, (False, f'not enabled: {obstacle}'))
+        return self._answer(response, self._robot.enable(refusals))
+
+    async def _held(self):
+        """Let the reference hold; return a sentence if it does not, else ''."""
+        if self._hold.service_name in self._served:
+            return self._refused(self._served[self._hold.service_name](
+                Trigger.Request(), Trigger.Response()))
+        if self._asked is not None:
+            return f'another request already waits for {self._hold.srv_name}'
+        self._asked = self._hold.call_async(Trigger.Request())
+        patience = self._node.create_timer(_PATIENCE, self._asked.cancel,
+                                           clock=Clock(clock_type=ClockType.STEADY_TIME))
+        held = await self._asked
+        self._asked = None
+        self._node.destroy_timer(patience)
+        if held is None:
+            return f'{self._hold.srv_name} did not answer in {_PATIENCE} s'
+        return self._refused(held)
+
+    def _refused(self, held):
+        return '' if held.success else f'{self._hold.srv_name} refused: {held.message}'
+
+    def _no_hold(self):
+        if self._hold.service_name in self._served or self._hold.service_is_ready():
+            return ''
+        return (f'nobody serves {self._hold.srv_name}, which lets the reference begin where the '
+                "robot is; start trajectory_node or set bridge.hold_service to ''")
 
 
 def main(args=None):

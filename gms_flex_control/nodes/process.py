@@ -1,20 +1,22 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""How each node process starts, spins and ends: zero torque on the wire, exit code 0."""
+"""How each of our processes starts, is scheduled, reaches others and ends: with zero torque."""
 
-from contextlib import contextmanager
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, suppress
+import ctypes
 from functools import partial
 import gc
 import os
+from pathlib import Path
+import platform
 import re
 import signal
 import sys
 import threading
 
-from gms_flex_control.errors import GmsFlexError
-from gms_flex_control.nodes.scheduling import end_with_launch, shorten_slices
-from gms_flex_control.nodes.transport import avoid_shared_memory
+from gms_flex_control.errors import ConfigError, GmsFlexError
 import rclpy
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.experimental import EventsExecutor
@@ -23,24 +25,32 @@ from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
-BAD_INPUT = 2
+_BAD_INPUT = 2
 _LONG_START = 3.0  # of which it is said that it takes long [s]
 _LONGEST_END = 2.0  # of a start that a signal cuts short [s]
 # without QoS events: their callbacks can deadlock the EventsExecutor
 NO_EVENTS = SubscriptionEventCallbacks(use_default_callbacks=False)
+LAUNCHED = 'GMS_FLEX_LAUNCHED'  # set in the environment of what our launch files start
+WAY_OUT = 'allow rtprio in /etc/security/limits.conf'  # where no priority is permitted
+_PR_SET_PDEATHSIG, _PR_SET_TIMERSLACK = 1, 29
+_SCHED_SETATTR = {'x86_64': 314, 'aarch64': 274}  # numbers of the system call
+_SLICE = 100_000   # the shortest there is [ns]
+_NICE = 10
+RANGE = 'ROS_AUTOMATIC_DISCOVERY_RANGE'
+_BUILT_IN = 'FASTDDS_BUILTIN_TRANSPORTS'
+_PROFILES = ('FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE')
+_LOCAL, _ANYWHERE = (Path(__file__).with_name(name) for name in ('local_sockets.xml',
+                                                                 'sockets.xml'))
+_IGNORE_OWN = 'fastdds.ignore_local_endpoints'
 
 
-def publisher_qos(mode):
-    """
-    Return the quality of service of what we publish: anyone can subscribe to it.
-
-    In lockstep a recorder may fall behind by many samples before it catches up.
-    """
+def publisher_qos(mode) -> QoSProfile:
+    """Return the quality of service of what we publish; in lockstep a recorder may fall behind."""
     return QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=1000 if mode == 'lockstep' else 10,
                       reliability=ReliabilityPolicy.RELIABLE)
 
 
-def subscriber_qos(mode, depth=10):
+def subscriber_qos(mode, depth=10) -> QoSProfile:
     """
     Return the quality of service we subscribe with.
 
@@ -129,29 +139,18 @@ class Spinner:
             self.spin_for()
 
 
-def run_node(make_node, args=None, *, hears_itself=False):
+def run_node(make_node, args=None) -> int:
     """
     Run one node, or several as one, until SIGINT or SIGTERM.
 
-    Parameters
-    ----------
-    make_node : callable
-        Returns the node; it has ``run(spinner)``, which returns when ``spinner.goes_on()`` is
-        false, and ``finish()``, which publishes what must be last. Several have ``nodes``.
-    args : list of str, optional
-        Command line; default ``sys.argv``.
-    hears_itself : bool
-        Whether it subscribes to what it publishes itself.
-
-    Returns
-    -------
-    int
-        0 after a signal, 2 if parameters or arguments were refused.
-
+    ``make_node`` returns the node; it has ``run(spinner)``, which returns when
+    ``spinner.goes_on()`` is false, and ``finish()``, which publishes what must be last. Several
+    have ``nodes``. Return the exit code: 0 after a signal, 2 if parameters or arguments were
+    refused.
     """
     sys.setswitchinterval(5e-4)  # a busy thread may delay the loop by this, not by 5 ms
     shorten_slices()
-    avoid_shared_memory(hears_itself)
+    avoid_shared_memory()
     spinner, node = Spinner(), None
     end_with_launch()
     try:
@@ -205,7 +204,7 @@ def _patience_asked_for():
 
 def _refuse(error):
     print(f'{sys.argv[0].rsplit("/", 1)[-1]}: {error}', file=sys.stderr, flush=True)
-    return BAD_INPUT
+    return _BAD_INPUT
 
 
 class BackgroundSpin:
@@ -233,3 +232,137 @@ class BackgroundSpin:
         """Stop spinning, and wait a second at most for the callback that runs."""
         self._stop.set()
         self._thread.join(timeout=1.0)
+
+
+# transport ----------------------------------------------------------------------------------
+
+
+def avoid_shared_memory():
+    """
+    Let the nodes of this process reach others by UDP only; call it before rclpy.init.
+
+    With shared memory Fast DDS stops every writer of a host for one second and more, again and
+    again, while any one process of the domain is frozen: too long for a torque to go on. On one
+    host UDP is as fast for messages of this size.
+
+    For the range LOCALHOST rmw_fastrtps adds shared memory whatever Fast DDS is told; there the
+    same discovery is described in a profile instead. Other middleware, and profiles or transports
+    that the environment names, stay as they are.
+    """
+    environment = os.environ
+    if not _is_fast_dds() or any(name in environment for name in _PROFILES):
+        return
+    environment[_PROFILES[0]] = str(_ANYWHERE)
+    if _BUILT_IN in environment:
+        return
+    environment[_BUILT_IN] = 'UDPv4'
+    only_local = environment.get('ROS_LOCALHOST_ONLY') == '1'
+    if (environment.get(RANGE) == 'LOCALHOST' or only_local) and not environment.get(
+            'ROS_STATIC_PEERS'):
+        environment.pop('ROS_LOCALHOST_ONLY', None)
+        environment[RANGE] = 'SYSTEM_DEFAULT'
+        environment[_PROFILES[0]] = str(_LOCAL)
+
+
+def refuse_own_messages():
+    """
+    Make sure that the nodes of this process do not hear each other through DDS as well.
+
+    Raises ConfigError where the middleware, or a profile of the user's, lets them.
+    """
+    if not _is_fast_dds():
+        raise ConfigError('loop_node needs RMW_IMPLEMENTATION=rmw_fastrtps_cpp, got '
+                          f'{rclpy.get_rmw_implementation_identifier()}; start plant_node, '
+                          'controller_node and trajectory_node instead')
+    profiles = next(os.environ[name] for name in _PROFILES if name in os.environ)
+    if _IGNORE_OWN not in Path(profiles).read_text(encoding='utf-8'):
+        raise ConfigError(f'loop_node needs the property {_IGNORE_OWN} (true) of the participant '
+                          f'in {profiles}; add it, or start plant_node, controller_node and '
+                          'trajectory_node instead')
+
+
+def _is_fast_dds():
+    return rclpy.get_rmw_implementation_identifier().startswith('rmw_fastrtps')
+
+
+# scheduling ---------------------------------------------------------------------------------
+
+
+class _SchedAttr(ctypes.Structure):
+    """``struct sched_attr`` of sched_setattr(2), in its first version."""
+
+    _fields_ = [('size', ctypes.c_uint32), ('policy', ctypes.c_uint32),
+                ('flags', ctypes.c_uint64), ('nice', ctypes.c_int32),
+                ('priority', ctypes.c_uint32), ('runtime', ctypes.c_uint64),
+                ('deadline', ctypes.c_uint64), ('period', ctypes.c_uint64)]
+
+
+def shorten_slices():
+    """
+    Ask for short slices of time, for this thread and all that it starts from now on (Linux).
+
+    Whoever asks for little at a time is let run sooner when it wakes, at no cost to the shares:
+    Linux from 6.12 on does so without any privilege, an older one takes no notice.
+    """
+    number = _SCHED_SETATTR.get(platform.machine())
+    if (platform.system() != 'Linux' or number is None
+            or os.sched_getscheduler(0) != os.SCHED_OTHER):
+        return
+    wanted = _SchedAttr(size=ctypes.sizeof(_SchedAttr), policy=os.SCHED_OTHER,
+                        nice=os.getpriority(os.PRIO_PROCESS, 0), runtime=_SLICE)
+    ctypes.CDLL(None).syscall(number, 0, ctypes.byref(wanted), 0)
+
+
+def tighten_timers():
+    """Let sleeps of this thread end when asked, not within the usual 50 us (Linux)."""
+    with suppress(OSError, AttributeError):
+        ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
+
+
+def give_way():
+    """Let this thread run where the loop leaves time, as one of nice 10 (Linux)."""
+    with suppress(OSError):
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICE)
+
+
+def end_with_launch():
+    """
+    Let this process get SIGTERM when the launch that started it has ended (Linux).
+
+    A launch that fails half-way, or is killed, leaves what it has started without an end.
+    """
+    if LAUNCHED in os.environ:
+        with suppress(OSError, AttributeError):
+            ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
+
+
+def is_permitted(priority) -> bool:
+    """Return whether a thread of this process may take a priority (1 to 99) of SCHED_FIFO."""
+    try:
+        with ThreadPoolExecutor(1) as pool:
+            pool.submit(_begin_fifo, 0, priority).result()
+    except (OSError, AttributeError):
+        return False
+    return True
+
+
+def _begin_fifo(thread, priority):
+    os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(priority))
+
+
+def take_priority(node, priority):
+    """
+    Let all threads of this process go before others; those that begin later inherit it.
+
+    ``priority`` is of SCHED_FIFO, 1 to 99; 0 leaves everything as it is. Where it is not
+    permitted the log of ``node`` says so, and the node goes on without.
+    """
+    if not priority:
+        return
+    try:
+        for thread in os.listdir('/proc/self/task'):
+            with suppress(ProcessLookupError):  # it has just ended
+                _begin_fifo(int(thread), priority)
+    except (OSError, AttributeError) as error:
+        node.get_logger().warning(
+            f'no realtime_priority {priority}: {error}; {WAY_OUT} or set it to 0')

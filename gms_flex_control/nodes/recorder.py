@@ -12,11 +12,11 @@ import time
 from gms_flex_control.bags.metadata import qos_profile
 from gms_flex_control.bags.writer import BagWriter
 from gms_flex_control.errors import BagError
-from gms_flex_control.nodes.scheduling import end_with_launch
+from gms_flex_control.nodes.process import end_with_launch, NO_EVENTS
 import rclpy
-from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.experimental import EventsExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import serialize_message
 from rclpy.signals import SignalHandlerOptions
 
 _DEPTH = 5000  # half a second of the fastest lockstep run; memory is taken as it is needed
@@ -25,23 +25,17 @@ _SEARCH_PERIOD = 0.1    # between looks at the graph while a topic is missing [s
 _IDLE_PERIOD = 1.0      # and once all are there [s]
 _PATIENCE = 5.0         # before a topic without messages is named [s]
 _GRACE_PERIOD = 0.05    # for what has been sent before the end but not yet handed over [s]
+STATES = 'joint_states'
+_WHO = {STATES: 'joint states', 'effort_controller/commands': 'commands of the controller',
+        'reference': 'references of the trajectory node'}  # of an experiment
 
 
 class Recorder:
     """
     Subscribe to topics as they appear and hand their raw messages to a bag.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Whose subscriptions they become.
-    writer : BagWriter
-        An open bag.
-    topics : sequence of str, optional
-        What to record; None for every topic that is not hidden.
-    say : callable, optional
-        Called with a sentence when something happens.
-
+    ``topics`` are what to record, None every topic that is not hidden; ``say`` is called with a
+    sentence when something happens.
     """
 
     def __init__(self, node, writer, topics=None, say=print):
@@ -62,15 +56,7 @@ class Recorder:
         return [name for name in self._wanted or () if name not in self._subscriptions]
 
     def poll(self):
-        """
-        Subscribe to what has appeared; cheap to call often.
-
-        Raises
-        ------
-        BagError
-            If the bag cannot be written any more.
-
-        """
+        """Subscribe to what has appeared, cheaply; raises BagError if the bag takes no more."""
         if self._error is not None:
             raise self._error
         now = time.monotonic()
@@ -109,7 +95,7 @@ class Recorder:
                 raise BagError(f'topic {name!r} has the types {" and ".join(types)}; '
                                'stop one publisher')
             message_class = _message_class(types[0])
-            reliability, durability = offered_qos(publishers)
+            reliability, durability = _offered_qos(publishers)
             self._writer.add_topic(name, types[0], qos=qos_profile(
                 reliability.name.lower(), durability.name.lower()))
         except BagError as error:
@@ -122,12 +108,14 @@ class Recorder:
         def on_message(data):
             queue.append((name, time.time_ns(), data))
 
-        # no quality-of-service events: with this executor they can deadlock
         self._subscriptions[name] = self._node.create_subscription(
-            message_class, name, on_message, profile, raw=True,
-            event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False))
+            message_class, name, on_message, profile, raw=True, event_callbacks=NO_EVENTS)
         self._silent[name] = time.monotonic() + _PATIENCE
         self._say(f'subscribed to {name} ({types[0]}, {reliability.name.lower()})')
+
+    def put(self, name, message):
+        """Write a message of this process's own, on a topic the bag has."""
+        self._queue.append((name, time.time_ns(), serialize_message(message)))
 
     def _write(self):
         try:
@@ -143,31 +131,70 @@ class Recorder:
             self._writer.write(*self._queue.popleft())
 
     def close(self):
-        """
-        Write what is queued and stop.
-
-        Raises
-        ------
-        BagError
-            If the bag could not be written.
-
-        """
+        """Write what is queued and stop; raises BagError if the bag could not be written."""
         self._stop.set()
         self._thread.join()
         if self._error is not None:
             raise self._error
 
 
-def offered_qos(publishers):
+class ExperimentBag:
     """
-    Return the strictest (reliability, durability) that every publisher offers.
+    A bag of the loop's topics and of what the node itself says of them (``own``, its publisher).
 
-    Parameters
-    ----------
-    publishers : sequence of rclpy.topic_endpoint_info.TopicEndpointInfo
-        All publishers of a topic.
-
+    Use it in a ``with`` statement; ``say`` as of Recorder.
     """
+
+    def __init__(self, node, path, own, say):
+        self._writer = BagWriter(path)
+        self._node, self._own, self._say = node, own, say
+        self._who = {node.resolve_topic_name(topic): words for topic, words in _WHO.items()}
+        self._growth = {}
+
+    def __enter__(self):
+        """Make the bag and begin to record."""
+        self._writer.__enter__()
+        self._writer.add_topic(self._own.topic_name, 'std_msgs/msg/Float64MultiArray',
+                               qos=qos_profile('reliable', 'transient_local'))
+        self._recorder = Recorder(self._node, self._writer, list(self._who), self._say)
+        return self
+
+    def say(self, message):
+        """Publish a message of the node's own, and record it."""
+        self._own.publish(message)
+        self._recorder.put(self._own.topic_name, message)
+
+    def poll(self):
+        """Look for topics and for errors of the disk; raises BagError."""
+        self._recorder.poll()
+
+    @property
+    def missing(self):
+        """Return the topics that nobody publishes yet."""
+        return self._recorder.missing
+
+    def silent(self, bound):
+        """Return what has not grown for ``bound`` seconds (list of str)."""
+        now, found = time.monotonic(), []
+        for topic, words in self._who.items():
+            count = self._writer.counts.get(topic, 0)
+            known, since = self._growth.get(topic, (None, now))
+            if count != known:
+                self._growth[topic] = (count, now)
+            elif now - since > bound:
+                found.append(words)
+        return found
+
+    def __exit__(self, *failure):
+        """End the recording and the bag."""
+        try:
+            self._recorder.close()
+        finally:
+            self._writer.__exit__(*failure)
+
+
+def _offered_qos(publishers):
+    """Return the strictest (reliability, durability) that every publisher of a topic offers."""
     reliable = all(info.qos_profile.reliability == ReliabilityPolicy.RELIABLE
                    for info in publishers)
     latched = all(info.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
@@ -176,31 +203,12 @@ def offered_qos(publishers):
             DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE)
 
 
-def record(out, topics=None, *, duration=None, say=print):
+def record(out, topics=None, *, duration=None, say=print) -> dict:
     """
-    Record until SIGINT, SIGTERM or for a time; the bag is closed in every case.
+    Record into the bag ``out`` until SIGINT, SIGTERM or for ``duration`` [s].
 
-    Parameters
-    ----------
-    out : str or Path
-        The bag to be made.
-    topics : sequence of str, optional
-        What to record; None for every topic that is not hidden.
-    duration : float, optional
-        How long [s], from the call.
-    say : callable, optional
-        Called with a sentence when something happens.
-
-    Returns
-    -------
-    dict of int
-        Messages per topic.
-
-    Raises
-    ------
-    BagError
-        If ``out`` exists or cannot be written.
-
+    The bag is closed in every case. ``topics`` and ``say`` are those of Recorder. Return how many
+    messages came per topic (dict). Raises BagError if ``out`` exists or cannot be written.
     """
     end = float('inf') if duration is None else time.monotonic() + duration
     stopped = threading.Event()

@@ -1,45 +1,60 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""How the bridge reaches a robot: topics of ros2_control, or a device."""
+"""
+The ways from the bridge to a robot: topics, or a Device; and a guardian process beside it.
 
+ros2_control's effort controllers hold the last effort for ever; nobody else would take it back
+when the bridge dies or freezes. The bridge writes to a pipe while it lives. The guardian publishes
+nothing until that ends, and then zero.
+"""
+
+import json
+import os
+import select
+import signal
+import subprocess
+import sys
 import threading
 import time
 
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.hardware import device as devices
 from gms_flex_control.hardware.device import DeviceError
-from gms_flex_control.nodes import messages
-from gms_flex_control.nodes.guardian import Guardian
-from gms_flex_control.nodes.inbox import Inbox
-from gms_flex_control.nodes.serialized import Serialized
+from gms_flex_control.hardware.supervision import STOOD_STILL
+from gms_flex_control.nodes import messages, process
+from gms_flex_control.nodes.topics import Inbox, Serialized
+import rclpy
 from rclpy.duration import Duration
 from rclpy.qos import QoSProfile
+from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 _LONGEST_GOODBYE = Duration(seconds=0.5)  # a subscriber may be frozen
 _NEWEST = QoSProfile(depth=1)             # reliable; an older torque is of no use to anybody
 _REOPEN_PERIOD, _READ_TIMEOUT = 0.5, 0.05  # [s]
+_BEAT, _END = b'.', b'q'
+_PERIOD = 0.005            # between zeros [s]
+_AFTERWARDS = 0.5          # zeros for a dead bridge last so long; a new one may come [s]
+
+
+def _efforts(node, array, joint, names):
+    """Return (publisher, message of zeros) for the topics of efforts that are not ''."""
+    found = []
+    for topic, message in ((array, Float64MultiArray(data=[0.0] * len(names))),
+                           (joint, JointState(name=list(names), effort=[0.0] * len(names)))):
+        if topic:
+            found.append((node.create_publisher(type(message), topic, _NEWEST), message))
+    return found
 
 
 class TopicLink:
     """
     A robot that publishes JointState and takes efforts, as ros2_control has it.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        The plant.
-    robot : BridgedRobot
-        Takes the joint states.
-    values : dict of str to object
-        Checked parameters.
-    names : tuple of str
-        Of the actuators, in the order of the efforts.
-    boxes : list of Inbox
-        Those of the node.
-
+    ``robot``, a BridgedRobot, takes the joint states; ``names`` are those of the actuators in the
+    order of the efforts; ``boxes`` the Inboxes of the node.
     """
 
     errors = ()
@@ -50,22 +65,15 @@ class TopicLink:
         for source, topic in enumerate(values['bridge.state_topics']):
             Inbox(node, JointState, topic, self._taker(source), boxes=boxes)
         kind = values['bridge.command_type']
-        self._array_pub = self._joint_pub = None
-        if kind != 'joint_state':
-            self._array_pub = node.create_publisher(
-                Float64MultiArray, values['bridge.command_topic'], _NEWEST)
-        if kind != 'array':
-            self._joint_pub = node.create_publisher(
-                JointState, values['bridge.joint_command_topic'], _NEWEST)
-        self._publishers = list(filter(None, (self._array_pub, self._joint_pub)))
-        self._array = Float64MultiArray(data=[0.0] * len(names))
-        self._joint, self._serialized = JointState(name=list(names)), Serialized(self._array)
+        array_topic = '' if kind == 'joint_state' else values['bridge.command_topic']
+        joint_topic = '' if kind == 'array' else values['bridge.joint_command_topic']
+        self._efforts = _efforts(node, array_topic, joint_topic, names)
+        self._array = [Serialized(message) for _, message in self._efforts[:bool(array_topic)]]
         self._guardian, self._known_rivals = None, 0
         if values['bridge.guardian']:
             self._guardian = Guardian(
-                f'_{node.get_name()}_guardian',
-                *(publisher.topic_name if publisher else ''
-                  for publisher in (self._array_pub, self._joint_pub)),
+                f'_{node.get_name()}_guardian', *(topic and node.resolve_topic_name(topic)
+                                                  for topic in (array_topic, joint_topic)),
                 names, values['realtime_priority'])
 
     def _refuse_own_topics(self, values):
@@ -91,13 +99,14 @@ class TopicLink:
     def write(self, efforts):
         """Publish efforts (list of float) in the robot's units and order."""
         data = messages.array('d', efforts)
-        if self._array_pub is not None:
-            self._array.data = data
-            self._array_pub.publish(self._serialized.data())
-        if self._joint_pub is not None:
-            self._joint.effort = data
-            messages.set_stamp(self._joint.header.stamp, time.time_ns())
-            self._joint_pub.publish(self._joint)
+        for publisher, message in self._efforts:
+            if isinstance(message, JointState):
+                message.effort = data
+                messages.set_stamp(message.header.stamp, time.time_ns())
+                publisher.publish(message)
+            else:
+                message.data = data
+                publisher.publish(self._array[0].data())
 
     def beat(self):
         """Tell the guardian that the bridge lives."""
@@ -122,12 +131,12 @@ class TopicLink:
         return ''
 
     def _listeners(self):
-        return sum(publisher.get_subscription_count() for publisher in self._publishers)
+        return sum(publisher.get_subscription_count() for publisher, _ in self._efforts)
 
     def _rivals(self):
         """Return how many more publish efforts; say so when they become more."""
         ours = 1 + (self._guardian is not None)
-        topics = [publisher.topic_name for publisher in self._publishers]
+        topics = [publisher.topic_name for publisher, _ in self._efforts]
         rivals = sum(max(self._node.count_publishers(topic) - ours, 0) for topic in topics)
         if rivals > self._known_rivals:
             self._node.get_logger().warning(
@@ -145,7 +154,7 @@ class TopicLink:
 
     def finish(self):
         """Wait until those who acknowledge have the last efforts."""
-        for publisher in self._publishers:
+        for publisher, _ in self._efforts:
             publisher.wait_for_all_acked(_LONGEST_GOODBYE)
         if self._guardian is not None:
             self._guardian.end()
@@ -160,11 +169,7 @@ class TopicLink:
 
 
 class DeviceLink:
-    """
-    A robot behind a Device, read in a thread of its own; see TopicLink.
-
-    It is connected again, with zero torque, whenever the link broke.
-    """
+    """A robot behind a Device, read in a thread; connected again whenever the link broke."""
 
     errors = (DeviceError,)
 
@@ -256,3 +261,107 @@ class DeviceLink:
         """Return what to report."""
         return {'device connected': self._connected, 'device failures': self._failures,
                 **self._device.figures()}
+
+
+# the guardian ------------------------------------------------------------------------------
+
+
+class Guardian:
+    """
+    The bridge's side: start the process, and tell it that the bridge lives.
+
+    ``name`` is that of its node; ``array`` and ``joint`` the topics of the efforts as
+    Float64MultiArray and as JointState, '' for none; ``names`` those of the actuators.
+    """
+
+    def __init__(self, name, array, joint, names, priority):
+        given = json.dumps([name, array, joint, list(names), priority])
+        self._process = subprocess.Popen(
+            [sys.executable, '-m', 'gms_flex_control.nodes.robot_links', given,
+             *_enclave_of(sys.argv)],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0, start_new_session=True)
+        for pipe in (self._process.stdin, self._process.stdout):
+            os.set_blocking(pipe.fileno(), False)
+        self._heard_by = 0
+
+    @property
+    def ended(self):
+        """Return whether the process has ended, which it never should by itself."""
+        return self._process.poll() is not None
+
+    @property
+    def heard_by(self):
+        """Return how many take its efforts."""
+        told = self._process.stdout.read()
+        if told:
+            self._heard_by = told[-1]
+        return self._heard_by
+
+    def beat(self):
+        """Say that the bridge lives; to be called at least every 20 ms."""
+        self._write(_BEAT)
+
+    def _write(self, data):
+        try:
+            self._process.stdin.write(data)
+        except OSError:
+            pass  # it is dead, which `ended` tells, or frozen with a full pipe
+
+    def end(self):
+        """Let it go without a word, the bridge having said the last one."""
+        self._write(_END)
+        self._process.stdin.close()
+        try:
+            self._process.wait(timeout=1.0)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+
+def _enclave_of(words):
+    """Return the words of a command line that say which keys of SROS2 it uses; [] if none do."""
+    if '--enclave' not in words[:-1]:
+        return []
+    return ['--ros-args', '--enclave', words[words.index('--enclave') + 1]]
+
+
+def _heard_by(zeros, before, pipe):
+    """Return how many listen to the zeros; say so to a pipe if it is not as ``before``."""
+    count = min(255, sum(publisher.get_subscription_count() for publisher, _ in zeros))
+    if count != before:
+        os.write(pipe, bytes([count]))
+    return count
+
+
+def _guard():
+    """Watch the standard input until it says that the bridge has ended in order."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)  # the bridge ends first
+    name, array, joint, names, priority = json.loads(sys.argv[1])
+    pipe = os.dup(sys.stdout.fileno())
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # where DDS prints, too
+    process.avoid_shared_memory()
+    rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
+    node = rclpy.create_node(name, enable_rosout=False, start_parameter_services=False)
+    process.take_priority(node, priority)
+    zeros, count = _efforts(node, array, joint, names), 0
+    heard, dead = time.monotonic(), None
+    while dead is None or time.monotonic() < dead + _AFTERWARDS:
+        if dead is None and select.select([sys.stdin], [], [], _PERIOD)[0]:
+            data = os.read(sys.stdin.fileno(), 65536)
+            if _END in data:
+                break
+            heard, dead = time.monotonic(), None if data else time.monotonic()
+        elif dead is not None:
+            time.sleep(_PERIOD)
+        if dead is not None or time.monotonic() - heard > STOOD_STILL:
+            for publisher, message in zeros:
+                publisher.publish(message)
+        if dead is None:
+            count = _heard_by(zeros, count, pipe)
+    node.destroy_node()
+    rclpy.try_shutdown()
+
+
+if __name__ == '__main__':
+    _guard()

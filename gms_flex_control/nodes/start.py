@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """The nodes as executables: quiet at Ctrl-C while they are imported, and --help."""
 
+from functools import partial
 from importlib import import_module
 import os
 import signal
@@ -34,26 +35,7 @@ def _start(name):
     return module.main()
 
 
-def controller_node():
-    """Run controller_node; return its exit code."""
-    return _start('controller_node')
-
-
-def identification_node():
-    """Run identification_node; return its exit code."""
-    return _start('identification_node')
-
-
-def loop_node():
-    """Run loop_node; return its exit code."""
-    return _start('loop_node')
-
-
-def plant_node():
-    """Run plant_node; return its exit code."""
-    return _start('plant_node')
-
-
-def trajectory_node():
-    """Run trajectory_node; return its exit code."""
-    return _start('trajectory_node')
+# the entry points of setup.py: without arguments each returns its exit code
+controller_node, identification_node, loop_node, plant_node, trajectory_node = (
+    partial(_start, name) for name in ('controller_node', 'identification_node', 'loop_node',
+                                       'plant_node', 'trajectory_node'))

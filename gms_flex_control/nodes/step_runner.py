@@ -6,27 +6,87 @@
 from gms_flex_control.experiment.adaptation import Adaptation, LEAVING
 from gms_flex_control.experiment.identification_steps import BRAKING_TIME
 from gms_flex_control.experiment.journal import ExperimentError
+from gms_flex_control.nodes import messages
 from gms_flex_control.nodes.messages import NANOSECONDS
-from gms_flex_control.nodes.remote_parameters import value_of
+from gms_flex_control.nodes.remote import values_of
+import numpy as np
 
 _LATENESS = 0.05  # a step may begin that much after the state at which its call was answered [s]
 
 # of the travel at which the trajectory node ends a torque: it may count from another state
 _GONE = 0.9
+_WINDOW = 50_000_000   # over which speed is measured [ns]
+_OVERSPEED = 1.25      # of the limit that steps are planned for
+
+
+class Watch:
+    """
+    Follow the joint states of an IdentificationPlan's joints, and its limits once told to.
+
+    ``stamp`` [ns], ``samples`` (how many) and ``q_link`` (n_joints,) [rad], NaN before the first,
+    are those of the last state; ``fault`` is the sentence about the first limit passed, or None.
+    """
+
+    def __init__(self, plan):
+        self._plan = plan
+        self.stamp, self.samples, self.fault = 0, 0, None
+        self.q_link = np.full(len(plan.joints), np.nan)
+        self._links = messages.JointNumbers(plan.joints)
+        self._first = self._window = None
+        self._guarded, self._origin = False, None
+
+    @property
+    def period(self):
+        """Return the mean sample [s]."""
+        return max(self.stamp - self._first, 1) / (NANOSECONDS * max(self.samples - 1, 1))
+
+    def guard(self, on):
+        """Watch the limits from now on, or no longer."""
+        self._guarded = on
+
+    def mark(self):
+        """Measure travel from here."""
+        self._origin = self.q_link.copy()
+
+    def travel(self, j):
+        """Return how far link ``j`` has moved since `mark` [rad]."""
+        return float(abs(self.q_link[j] - self._origin[j]))
+
+    def take(self, message):
+        """Read a JointState; raises RefusedError if it lacks a joint or a finite angle."""
+        q_link = self._links.read(message, 'position')
+        stamp = messages.to_nanoseconds(message.header.stamp)
+        if self._first is None:
+            self._first = stamp
+        if stamp <= self.stamp and self.samples:
+            return  # sent again
+        self.q_link[:] = q_link
+        self.stamp, self.samples = stamp, self.samples + 1
+        self._judge(q_link)
+
+    def _judge(self, q_link):
+        if self._window is None or self.stamp - self._window[0] > 10 * _WINDOW:
+            self._window = (self.stamp, list(q_link))
+        if not self._guarded or self.fault is not None:
+            return
+        plan = self._plan
+        for j, joint in enumerate(plan.joints):
+            if not plan.lower[j] <= q_link[j] <= plan.upper[j]:
+                self.fault = (f'{joint} is at {q_link[j]:.4g} rad, outside its range '
+                              f'{plan.lower[j]:g} to {plan.upper[j]:g} rad: zero torque')
+        elapsed = self.stamp - self._window[0]
+        if elapsed < _WINDOW:
+            return
+        for j, joint in enumerate(plan.joints):
+            speed = abs(q_link[j] - self._window[1][j]) * NANOSECONDS / elapsed
+            if speed > _OVERSPEED * plan.velocity[j]:
+                self.fault = (f'{joint} moves at {speed:.3g} rad/s, the limit is '
+                              f'{plan.velocity[j]:g} rad/s: zero torque')
+        self._window = (self.stamp, list(q_link))
 
 
 class StepRunner:
-    """
-    Carries out what a journal lacks of a plan.
-
-    Parameters
-    ----------
-    node : IdentificationNode
-        Knows the plan, the other nodes and the robot, and how to wait.
-    journal : Journal
-        Of the finished steps.
-
-    """
+    """Carries out what a journal lacks of the plan of an IdentificationNode, which can wait."""
 
     def __init__(self, node, journal):
         self._node, self._journal, self._plan = node, journal, node.plan
@@ -63,7 +123,7 @@ class StepRunner:
         names = ['compensation', *limits]
         remote = self._node.controller
         answer = self._node.answer(remote.get_parameters(names), remote.name)
-        before = dict(zip(names, map(value_of, answer.values), strict=False))
+        before = dict(zip(names, values_of(answer), strict=False))
         if len(before) != len(names) or None in before.values():
             raise ExperimentError(f'{remote.name} lacks one of the parameters '
                                   f'{", ".join(names)}; is it the controller node, and of this '

@@ -1,26 +1,34 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""The running loop as the page of `gms_flex view live` asks for it."""
+"""A running loop for the page of `gms_flex view live`, at little cost to the loop beside it."""
 
 from array import array
 from collections import deque
+from functools import partial
 import math
+from operator import itemgetter
 import threading
 import time
 
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from gms_flex_control.bags.names import link_names, MOTOR_SUFFIX
 from gms_flex_control.errors import GmsFlexError
-from gms_flex_control.nodes.loop_listener import LoopListener
-from gms_flex_control.nodes.remote_parameters import RemoteParameters, RemoteTriggers
-from gms_flex_control.nodes.scheduling import give_way
-from gms_flex_control.nodes.transport import avoid_shared_memory
+from gms_flex_control.nodes import messages, process
+from gms_flex_control.nodes.remote import answer_of, RemoteNode
+from gms_flex_control.nodes.topics import stamp_in
 from gms_flex_control.schema.build import robot_from_values
 from gms_flex_control.schema.keys import robot_keys
-from gms_flex_control.view.live import Feed
+from gms_flex_control.view.live import Feed, Rows, SPACING, Status
+from gms_flex_control.view.scene import scene_of, unknown_scene
 import rclpy
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental import EventsExecutor
+from rclpy.serialization import deserialize_message
 from rclpy.signals import SignalHandlerOptions
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import Trigger
 
 CONTROLLER = '/cascade_controller'
 _TUNABLE = ('compensation', 'gains')
@@ -31,6 +39,8 @@ _REQUESTS = {'start': 'trajectory/start', 'stop': 'trajectory/stop', 'enable': '
 _ASK_PERIOD = 1.0    # of looking for the controller, and asking for its robot [s]
 _SPIN = 0.02         # longest wait for an answer [s]
 _PASS_PERIOD = 0.06  # of passing on what has come [s]
+_SILENCE = 1.0   # of the joint states, before it is said [s]
+_DEPTH = 1000    # messages that may wait
 
 
 class ViewError(GmsFlexError):
@@ -39,15 +49,9 @@ class ViewError(GmsFlexError):
 
 class LiveView:
     """
-    Nodes in threads of their own, and what they have heard.
+    The loop in a ``namespace``, heard and asked by nodes in threads of their own.
 
-    Parameters
-    ----------
-    namespace : str
-        Of the loop's topics, '' for none.
-    controller : str
-        Full name of the controller node.
-
+    ``controller`` is the full name of the controller node.
     """
 
     live = True
@@ -64,17 +68,17 @@ class LiveView:
 
     def __enter__(self):
         """Join the ROS graph and begin to listen."""
-        avoid_shared_memory()
+        process.avoid_shared_memory()
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         name = f'_gms_flex_view_{time.time_ns() % 10**9}'
         # apart: of the first one messages are taken, only the second one is spun
         self._node, self._asker = (
             rclpy.create_node(f'{name}{end}', enable_rosout=False, start_parameter_services=False)
             for end in ('', '_parameters'))
-        self._remote = RemoteParameters(self._asker, self._controller, self._todo.append)
-        self._services = RemoteTriggers(self._asker, [
-            f'{self._space}/{service}' for service in _REQUESTS.values()], self._todo.append)
-        self._listener = LoopListener(self._node, self._space, self._controller, self._feed)
+        self._remote = RemoteNode(self._asker, self._controller, do=self._todo.append)
+        self._services = {name: self._asker.create_client(Trigger, f'{self._space}/{service}')
+                          for name, service in _REQUESTS.items()}
+        self._listener = _Listener(self._node, self._space, self._controller, self._feed)
         for thread in self._threads:
             thread.start()
         return self
@@ -90,7 +94,7 @@ class LiveView:
 
     def _listen(self):
         """Take messages in, and pass them on some at a time."""
-        give_way()
+        process.give_way()
         while not self._stop.wait(_PASS_PERIOD):
             while self._told:
                 self._meet(self._told.popleft())
@@ -148,38 +152,15 @@ class LiveView:
         return self._feed.since(number, wait)
 
     def parameters(self):
-        """
-        Return the controller's parameters that may change while it runs.
-
-        Raises
-        ------
-        ViewError
-            If it does not answer in time.
-
-        """
+        """Return the controller's live parameters; raises ViewError if it does not answer."""
         return self._answered(self._remote.describe(_TUNABLE))
 
     def set_parameter(self, name, value):
         """
-        Set one parameter of the controller.
+        Set a parameter below ``gains``, or ``compensation``.
 
-        Parameters
-        ----------
-        name : str
-            Below ``gains``, or ``compensation``.
-        value : float or str
-            The new value.
-
-        Returns
-        -------
-        dict
-            ``accepted`` (bool), ``reason`` (str) and ``value``, which holds from now on.
-
-        Raises
-        ------
-        ViewError
-            If it does not answer in time, or is no parameter of these.
-
+        Return a dict of ``accepted``, ``reason`` and the ``value`` that holds from now on. Raises
+        ViewError if the node does not answer in time, or it is no parameter of these.
         """
         if name.split('.')[0] not in _TUNABLE:
             raise ViewError(f'{name[:80]} cannot be set here, only gains and compensation')
@@ -187,35 +168,150 @@ class LiveView:
 
     def call(self, name):
         """
-        Ask plant or trajectory for something.
+        Ask plant or trajectory for what is in `_REQUESTS`, such as ``emergency_stop``.
 
-        Parameters
-        ----------
-        name : str
-            ``start`` or ``stop`` (of the motion), ``enable``, ``disable`` or ``reset`` (of the
-            torque), or ``emergency_stop``.
-
-        Returns
-        -------
-        dict
-            ``success`` (bool) and ``message`` (str), as the node answers.
-
-        Raises
-        ------
-        ViewError
-            If it does not answer in time, or there is no such request.
-
+        Return a dict of ``success`` and ``message``, as the node answers. Raises ViewError if it
+        does not answer in time, or there is no such request.
         """
         if name not in _REQUESTS:
             raise ViewError(f'{name[:80]} cannot be asked for here, only {", ".join(_REQUESTS)}')
-        service = f'{self._space}/{_REQUESTS[name]}'
-        answer = self._services.call(service)
+        answer = answer_of(self._services[name], Trigger.Request(), self._todo.append)
         if answer is None:
             node = _REQUESTS[name].split('/')[0]
-            raise ViewError(f'{service} does not answer: is {node}_node running?')
-        return answer
+            raise ViewError(f'{self._space}/{_REQUESTS[name]} does not answer: is {node}_node '
+                            'running?')
+        return {'success': answer.success, 'message': answer.message}
 
     def _answered(self, result):
         if result is None:
             raise ViewError(f'{self._controller} does not answer: is controller_node running?')
         return result
+
+
+class _Listener:
+    """
+    Rows of the loop's messages for a Feed, and how its robot is.
+
+    Messages wait in DDS until they are taken, many at a time; those between two rows are never
+    made objects of Python, and no executor wakes up for each of them.
+    """
+
+    def __init__(self, node, space, controller, feed):
+        self._node, self._space, self._controller, self._feed = node, space, controller, feed
+        self.scene, self.blocks = None, 0  # how to draw the robot, None while nothing is known
+        self._rows = self._names = self._heard = None
+        self._links, self._motors = (), ()
+        self._robot, self._complaint = Status(), ''
+        arrays = {f'{space}/effort_controller/commands': 'command', f'{space}/reference':
+                  'reference', f'{controller}/blocks': 'block', f'{controller}/sticking': 'stick'}
+        self._heard_topics = [
+            self._subscribe(JointState, f'{space}/joint_states', self._on_joint_states),
+            self._subscribe(JointState, f'{controller}/state', self._on_state),
+            self._subscribe(DiagnosticArray, '/diagnostics', self._on_diagnostics),
+            *(self._subscribe(Float64MultiArray, topic, partial(self._on_array, signal))
+              for topic, signal in arrays.items())]
+
+    def _subscribe(self, kind, topic, handler):
+        """Return a subscription whose messages wait until they are taken, and who handles them."""
+        return self._node.create_subscription(
+            kind, topic, handler, process.subscriber_qos('realtime', _DEPTH), raw=True,
+            event_callbacks=process.NO_EVENTS), handler
+
+    def take_all(self):
+        """Take all messages that wait, in the order in which they came."""
+        waiting = []
+        for subscription, handler in self._heard_topics:
+            take, kind = subscription.handle.take_message, subscription.msg_type
+            for _ in range(_DEPTH):
+                taken = take(kind, True)
+                if taken is None:
+                    break
+                waiting.append((taken[1]['received_timestamp'], handler, taken[0]))
+        waiting.sort(key=itemgetter(0))
+        for _, handler, data in waiting:
+            handler(data)
+
+    def pass_on(self, there):
+        """Give the feed what is complete; ``there`` is whether the controller answers."""
+        now = time.monotonic()
+        if self._rows is not None and self._rows.restarted:
+            self._rows.restarted = False
+            self._feed.begin_anew()
+        rows = () if self._rows is None else self._rows.take(now)
+        self._feed.add(rows, {
+            'state': self._missing(now, there), 'robot': self._robot.as_dict(now),
+            'controller': self._complaint if there else ''})
+
+    def _missing(self, now, there):
+        """Return what is missing in a sentence, '' if nothing is."""
+        if self._heard is None:
+            return f'no joint states on {self._space}/joint_states yet: is plant_node running?'
+        if now - self._heard > _SILENCE:
+            return f'no joint states for {int(now - self._heard)} s'
+        return '' if there else f'{self._controller} is not there'
+
+    def meet(self, robot):
+        """Show the robot (RobotParams) that the controller believes in."""
+        self._links, self._motors, self._names = robot.joints, robot.motors, None
+        scene, blocks = scene_of(robot), robot.friction.stiffness.shape[1]
+        if (scene, blocks) != (self.scene, self.blocks):
+            self._begin(scene, blocks)
+
+    @property
+    def columns(self):
+        """Return the names of the columns of a row."""
+        return self._rows.names if self._rows else []
+
+    def _begin(self, scene, blocks):
+        self.scene, self.blocks = scene, blocks
+        self._rows, self._names = Rows(scene.n_joints, blocks, SPACING), None
+        self._feed.begin_anew()
+
+    def _on_joint_states(self, data):
+        self._heard = time.monotonic()
+        if self._rows is not None and not self._rows.wants(stamp_in(data, JointState)):
+            return
+        message = deserialize_message(data, JointState)
+        names = list(message.name)
+        if self._rows is None:
+            links = link_names(names)
+            self._links = tuple(links)
+            self._motors = tuple(name + MOTOR_SUFFIX if name + MOTOR_SUFFIX in names else ''
+                                 for name in links)
+            self._begin(unknown_scene(links, self._motors), 0)
+        if names != self._names:
+            self._names = names
+            self._order = [[names.index(name) if name in names else None for name in side]
+                           for side in (self._links, self._motors)]
+        link, motor = ([message.position[k] if k is not None and k < len(message.position)
+                        else math.nan for k in side] for side in self._order)
+        self._rows.put_state(messages.to_nanoseconds(message.header.stamp), self._heard,
+                             link, motor)
+
+    def _on_array(self, signal, data):
+        if self._rows is None or not self._rows.wants_more(signal, stamp_in(
+                data, Float64MultiArray)):
+            return
+        message = deserialize_message(data, Float64MultiArray)
+        dims = message.layout.dim
+        if signal != 'reference' or not dims or dims[0].label != messages.EFFORT:
+            self._rows.put(signal, messages.read_stamp(message), message.data)
+
+    def _on_state(self, data):
+        stamp = stamp_in(data, JointState)
+        if self._rows is None or not self._rows.wants_more('error', stamp):
+            return
+        message = deserialize_message(data, JointState)
+        if tuple(message.name) == tuple(self._links):
+            self._rows.put('error', stamp, message.position)
+            self._rows.put('friction', stamp, message.effort)
+
+    def _on_diagnostics(self, data):
+        message = deserialize_message(data, DiagnosticArray)
+        for status in message.status:
+            if status.hardware_id == f'{self._space}/plant':
+                self._robot.report({item.key: item.value for item in status.values},
+                                   messages.to_nanoseconds(message.header.stamp) * 1e-9,
+                                   time.monotonic())
+            elif status.hardware_id == self._controller:
+                self._complaint = '' if status.level == DiagnosticStatus.OK else status.message

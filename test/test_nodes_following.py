@@ -11,12 +11,11 @@ import pytest
 # other processes of the machine can delay real nodes beyond any bound
 pytestmark = pytest.mark.flaky(reruns=2)
 
-references = pytest.importorskip('gms_flex_control.nodes.references')
-refusal = pytest.importorskip('gms_flex_control.nodes.refusal')
+following = pytest.importorskip('gms_flex_control.nodes.following')
 messages = pytest.importorskip('gms_flex_control.nodes.messages')
 wire = pytest.importorskip('bench.faults.wire')
-Reference, References, Handover = (references.Reference, references.References,
-                                   references.Handover)
+Reference, References, Handover = (following.Reference, following.References,
+                                   following.Handover)
 NS, PERIOD = 10**9, 2_000_000
 MOTION = np.array([[0.5, -0.2], [0.4, 0.1], [0.0, 0.0], [0.0, 0.0], [0.0, 0.0]])
 
@@ -127,22 +126,23 @@ def test_every_bad_number_is_refused_with_joint_and_index(bad):
     for k, name in enumerate(wire.NAMES):
         numbers = [0.1 if j != k else bad for j in range(4)]
         for field, values in (('position', (numbers, None)), ('velocity', ([0.0] * 4, numbers))):
-            with pytest.raises(refusal.RefusedError, match=f'{field} .*{name}.*{field}.{k}.'):
+            with pytest.raises(messages.RefusedError, match=f'{field} .*{name}.*{field}.{k}.'):
                 reader.read(wire.joint_state(0, values[0], velocity=values[1]), None)
     for k in range(2):
         command = wire.array_message([bad if j == k else 0.0 for j in range(2)])
-        with pytest.raises(refusal.RefusedError, match=rf'joint {k + 1} .*data.{k}.'):
+        with pytest.raises(messages.RefusedError, match=rf'joint {k + 1} .*data.{k}.'):
             messages.read_command(command, 2)
     for k in range(10):
         reference = wire.array_message([bad if j == k else 0.0 for j in range(10)])
         row = ('q', 'dq', 'ddq', 'd3q', 'd4q')[k // 2]
-        with pytest.raises(refusal.RefusedError, match=rf'has {row} .*joint {k % 2 + 1}.*\[{k}\]'):
+        said = rf'has {row} .*joint {k % 2 + 1}.*\[{k}\]'
+        with pytest.raises(messages.RefusedError, match=said):
             messages.read_reference(reference, 2)
 
 
 def test_a_million_names_make_a_short_sentence():
-    with pytest.raises(refusal.RefusedError) as refused:
-        refusal.order_of(['joint1'], [f'x{k}' for k in range(10**6)])
+    with pytest.raises(messages.RefusedError) as refused:
+        messages.order_of(['joint1'], [f'x{k}' for k in range(10**6)])
     assert len(str(refused.value)) < 300 and 'and 999992 more' in str(refused.value)
 
 

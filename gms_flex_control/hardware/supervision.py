@@ -1,13 +1,19 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""Whether torque may flow: ZERO, ACTIVE or FAULT, and why."""
+"""Whether torque may flow, and the watches that may take it away: sources, silence, lateness."""
 
 from abc import ABC, abstractmethod
 from typing import NamedTuple
 
 ZERO, ACTIVE, FAULT = 'ZERO', 'ACTIVE', 'FAULT'
-STOOD_STILL = 0.05  # of the bridge, upon which its guardian sends zero efforts [s]
+STOOD_STILL = 0.05     # of the bridge, upon which its guardian sends zero efforts [s]
+NOTABLE = 0.1          # share of late samples from which on an arm is not what its gains make it
+LATE = ('the controller is late, and the arm does not move as its gains would have it; run fewer '
+        'programs, set realtime_priority, lower the rate')
+UNNAMED = 'somebody without a source label'
+_RECENT = 1.0          # over which lateness is counted [s]
+_WINDOW = 50_000_000   # a source that was heard within this is still there [ns]
 
 
 class Outcome(NamedTuple):
@@ -23,26 +29,12 @@ class Supervisor:
 
     ZERO --enable--> ACTIVE --disable--> ZERO; a fault leads from ACTIVE to FAULT, an emergency
     stop from anywhere. Only `reset` leads out of FAULT, to ZERO.
-
-    Attributes
-    ----------
-    state : {'ZERO', 'ACTIVE', 'FAULT'}
-        Torque flows in ACTIVE only.
-    reason : str
-        Why it is so, in words.
-    stopped : bool
-        Whether the fault is an emergency stop.
-    faults : int
-        How many there have been.
-    refusals : int
-        How often torque was taken away or asked to be, whatever the state was: who waits to enable
-        it sees by this that it is no longer wanted.
-
     """
 
     def __init__(self, reason='not enabled yet'):
         self.state, self.reason = ZERO, reason
-        self.stopped, self.faults, self.refusals = False, 0, 0
+        self.stopped, self.faults = False, 0   # whether by an emergency stop; how many so far
+        self.refusals = 0   # of torque, whatever the state was: who waits to enable it counts them
         self._pressed = False
 
     @property
@@ -51,19 +43,7 @@ class Supervisor:
         return self.state == ACTIVE
 
     def enable(self, obstacle=''):
-        """
-        Go from ZERO to ACTIVE.
-
-        Parameters
-        ----------
-        obstacle : str
-            A sentence on what stands against it; '' if nothing does.
-
-        Returns
-        -------
-        Outcome
-
-        """
+        """Go from ZERO to ACTIVE, unless ``obstacle`` says what stands against it."""
         if self.state == ACTIVE:
             return Outcome(True, 'ACTIVE already')
         if self.state == FAULT:
@@ -162,3 +142,90 @@ class SupervisedRobot(ABC):
         with self._lock:
             self._supervisor.button(pressed, name)
             self._settle()
+
+
+class SourceWatch:
+    """Tell two who send at once; ``what`` they do, such as 'controllers command'."""
+
+    def __init__(self, what):
+        self._what, self._heard, self._conflict = what, {}, ''
+
+    def hear(self, source, now) -> str:
+        """
+        Note that ``source``, '' if it has no label, sends at ``now`` [ns], acted on or not.
+
+        Return a sentence that names both if another one sends as well; else ''.
+        """
+        self._heard[source] = now
+        self._conflict = ''
+        if len(self._heard) > 1:
+            self._forget(now)
+        if len(self._heard) > 1:
+            names = sorted(name or UNNAMED for name in self._heard)
+            self._conflict = f"{len(names)} {self._what} at once: {' and '.join(names[:4])}"
+        return self._conflict
+
+    def _forget(self, now):
+        self._heard = {name: time for name, time in self._heard.items() if now - time <= _WINDOW}
+
+    def conflict(self, now) -> str:
+        """Return what `hear` did last; '' once nobody sends any more."""
+        if self._conflict:
+            self._forget(now)
+            if not self._heard:
+                self._conflict = ''
+        return self._conflict
+
+
+class CommandWatch:
+    """Tell two commanding controllers, and the silence of one."""
+
+    def __init__(self):
+        self._sources = SourceWatch('controllers command')
+        self.last, self.source = None, ''   # when a command was acted on [ns], and whose it was
+
+    def hear(self, source, now) -> str:
+        """Note that somebody commands, acted on or not; see `SourceWatch.hear`."""
+        return self._sources.hear(source, now)
+
+    def take(self, source, now):
+        """Note that a command is acted on."""
+        self.last, self.source = now, source
+
+    def silence(self, now):
+        """Return how long nobody has commanded [ns]; None if nobody ever did."""
+        return None if self.last is None else now - self.last
+
+    @property
+    def name(self) -> str:
+        """Return who commanded last."""
+        return self.source or UNNAMED
+
+    def figures(self, now) -> dict:
+        """Return what to report of the controller."""
+        silence = self.silence(now)
+        return {'controller': 'none yet' if silence is None else self.name,
+                'silence of the controller [ms]': round((silence or 0) / 1e6, 1)}
+
+
+def recently(share, now, elapsed):
+    """Return the share of recent time something took, after ``elapsed`` [s] with it or without."""
+    return share + (now - share) * min(elapsed / _RECENT, 1.0)
+
+
+class Lateness:
+    """The share of recent states whose command had not come when the next one did."""
+
+    def __init__(self):
+        self.share = 0.0
+
+    def restart(self):
+        """Begin anew, as where no command is to be expected."""
+        self.share = 0.0
+
+    def note(self, missed, elapsed):
+        """Note whether the command of a state was ``missed``, ``elapsed`` [s] after it."""
+        self.share = recently(self.share, missed, elapsed)
+
+    def __str__(self):
+        return f'{self.share:.0%} of the states of the last second had no fresh command'

@@ -1,0 +1,384 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""What torque answers a joint state: the law, the reference it follows, and what forbids it."""
+
+import math
+import time
+from typing import NamedTuple
+
+from gms_flex_control.control.frozen_encoders import FrozenEncoders
+from gms_flex_control.effect_compensation.feedforward import CompensatingController
+from gms_flex_control.hardware.supervision import SourceWatch
+from gms_flex_control.nodes.health import OK, WARN
+from gms_flex_control.nodes.messages import all_finite, EFFORT, NANOSECONDS
+from gms_flex_control.trajectory import builders
+from gms_flex_control.trajectory.segments import extrapolate
+import numpy as np
+
+_LONGEST_TICK = 0.5  # a longer gap between states starts the observer anew [s]
+_NOTHING = 0.01      # of the torque limit: a motor of less effort is given none
+_KEPT = 4            # references
+_BRAKE_TIME = 0.5    # from a lost reference to rest [s]
+_AVERAGE = 0.1       # time constant of the torque that is let down [s]
+# A reference nearer to the robot is followed at once: the law's step is then small.
+_NEAR, _NEAR_SPEED = 0.01, 0.2  # [rad], [rad/s]
+_FADE = round(0.1 * NANOSECONDS)  # in which the torque rises where a motion begins
+_RISE = 0.1          # the most it rises in one sample, of all: a loop may stall as it begins
+FOLLOWING, HOLDING, RELAXING = 'following', 'holding', 'relaxing'
+_PHASES = {FOLLOWING: (OK, 'following'), HOLDING: (WARN, 'reference lost: holding'),
+           RELAXING: (WARN, 'reference lost: letting the torque down to zero')}
+
+
+class Reference(NamedTuple):
+    """One reference as received or made up."""
+
+    quantity: str        # 'motion' or 'effort'
+    value: np.ndarray    # (5, n) or (1, n)
+
+
+class References:
+    """
+    References by the stamp of the joint state they are for.
+
+    A motion whose references stop coming is brought to rest and held; then the torque of the
+    hold is let down to zero without feedback.
+
+    ``timeout`` is the age of one that is still followed, ``hold`` how long a lost one is held,
+    ``relax`` how long the torque then takes to zero [s].
+    """
+
+    def __init__(self, timeout, hold, relax):
+        self._timeout = round(NANOSECONDS * timeout)
+        self._hold, self._relax = hold, relax
+        self._kept = {}
+        self.phase = None     # None where there is nothing to follow
+        self._last = None     # (stamp, Reference) followed last
+        self._rest = None     # (stamp, Trajectory) of the way to rest
+        self._torque = None   # mean of the last commands
+
+    def keep(self, stamp, reference, last=None):
+        """
+        Take a Reference for the joint state of ``stamp`` [ns].
+
+        Of too many the one farthest from the ``last`` state goes: those of other times take no
+        place of those that are followed. Without a last state, the oldest goes.
+        """
+        self._kept.pop(stamp, None)
+        self._kept[stamp] = reference
+        if len(self._kept) > _KEPT:
+            del self._kept[next(iter(self._kept)) if last is None else
+                           max(self._kept, key=lambda known: abs(known - last))]
+
+    def has(self, stamp):
+        """Return whether there is one for exactly this joint state."""
+        return stamp in self._kept
+
+    def forget(self):
+        """Follow nothing that has been received."""
+        self._kept.clear()
+        self.forget_motion()
+
+    def forget_motion(self):
+        """Hold nothing from before: the robot is elsewhere, or its clock is."""
+        self.phase = self._last = self._rest = self._torque = None
+
+    def is_fresh(self, stamp, now):
+        """Return whether one for ``stamp`` would be followed by the state of ``now`` [ns]."""
+        return abs(stamp - now) <= self._timeout
+
+    def nearest(self, stamp):
+        """Return how far the nearest stamp is [s]; None without any reference."""
+        return min((abs(known - stamp) for known in self._kept), default=None)
+
+    def at(self, stamp):
+        """Return the Reference for a joint state, moved to its time; None if there is none."""
+        received = self._received(stamp)
+        if received is not None:
+            self.phase, self._last, self._rest = FOLLOWING, (stamp, received), None
+            return received
+        lost = self._lost(stamp)
+        if lost is None:
+            self.forget_motion()
+        return lost
+
+    def _received(self, stamp):
+        reference = self._kept.get(stamp)
+        if reference is not None or not self._kept:
+            return reference
+        nearest = min(self._kept, key=lambda known: abs(known - stamp))
+        if abs(stamp - nearest) > self._timeout:
+            return None
+        reference = self._kept[nearest]
+        if reference.quantity == EFFORT:
+            return reference
+        return Reference(reference.quantity,
+                         extrapolate(reference.value, (stamp - nearest) / NANOSECONDS))
+
+    def _lost(self, stamp):
+        """Return what a motion that stopped coming is replaced by."""
+        if self._last is None or self._last[1].quantity == EFFORT:
+            return None
+        if self._rest is None:
+            state = self._last[1].value
+            goal = state[0] + 0.5 * _BRAKE_TIME * state[1]
+            self._rest = (self._last[0], builders.approach(
+                state, builders.hold(goal), 0.0, duration=_BRAKE_TIME))
+        since = (stamp - self._rest[0]) / NANOSECONDS
+        if since < self._hold:
+            self.phase = HOLDING
+            return Reference('motion', self._rest[1].sample(since))
+        if since - self._hold < self._relax and self._torque is not None:
+            self.phase = RELAXING
+            left = 1.0 - (since - self._hold) / self._relax
+            return Reference(EFFORT, left * self._torque[None, :])
+        return None
+
+    def answered(self, torque, elapsed):
+        """Note the command (n,) [N m] that the law gave, ``elapsed`` [s] after the one before."""
+        if self.phase != HOLDING or self._torque is None:
+            self._torque = np.array(torque)
+        else:
+            self._torque += min(1.0, elapsed / _AVERAGE) * (torque - self._torque)
+
+
+class Handover:
+    """
+    The way from the robot's motion to a reference that is elsewhere, and from no torque to it.
+
+    It takes ``duration`` [s]; ``left`` (5, n_joints) was added to the reference last, None where
+    the handover is over.
+    """
+
+    def __init__(self, duration):
+        self._duration = duration
+        self._way = self.left = None
+        self._share, self._seen = 1.0, 0  # of the torque that is given, and stamp it was given at
+
+    def begin(self, stamp, measured, reference):
+        """Begin at the joint state of ``stamp`` [ns]; nothing if ``reference`` (5, n) is near."""
+        self._way = self.left = None
+        self._share, self._seen = 0.0, stamp
+        offset = -reference
+        offset[0] += measured.q_link
+        offset[1] += measured.dq_link
+        if (np.abs(offset[0]).max() > _NEAR or np.abs(offset[1]).max() > _NEAR_SPEED):
+            self._way = (stamp, builders.approach(
+                offset, builders.hold(np.zeros(offset.shape[1])), 0.0, duration=self._duration))
+
+    def applied(self, stamp, reference):
+        """Return ``reference`` (5, n) with what is left of the way added."""
+        if self._way is None:
+            return reference
+        since = (stamp - self._way[0]) / NANOSECONDS
+        if since >= self._duration:
+            self._way = self.left = None
+            return reference
+        self.left = self._way[1].sample(since)
+        return reference + self.left
+
+    def fade(self, stamp, torque):
+        """Let ``torque`` (n,) rise from zero where the motion has just begun; in place."""
+        if self._share < 1.0:
+            self._share += min((stamp - self._seen) / _FADE, _RISE)
+            self._seen = stamp
+            torque *= min(self._share, 1.0)
+
+
+class EncoderWatch:
+    """
+    Look for frozen encoders, state by state.
+
+    What is sent need not act: limits between here and the motor make it less, a robot that is
+    disabled or stopped makes it nothing. The efforts that the robot tells count where they are
+    smaller; their signs and units may be anybody's.
+    """
+
+    def __init__(self, robot, torque_limit, measured):
+        self._judge = FrozenEncoders(robot, torque_limit)
+        self._measured = measured
+        self._acting = np.zeros(robot.n_joints)
+        self.frozen, self.began, self.count = '', False, 0   # a finding, whether it is new
+        self.use(torque_limit)
+
+    def use(self, torque_limit):
+        """Take another torque limit (n_joints,) [N m]."""
+        self._judge.use(torque_limit)
+        self._nothing = (_NOTHING * torque_limit).tolist()
+
+    def reset(self):
+        """Take back what was found."""
+        self._judge.reset()
+        self.frozen, self.began = '', False
+
+    def act(self, torque, efforts):
+        """
+        Take what has acted on the motors until the state that is looked at next.
+
+        ``torque`` (n_joints,) was sent; ``efforts`` are what the robot says it gave, NaN where it
+        does not measure that, empty if it says nothing [N m].
+        """
+        self._acting[:] = torque
+        for j, effort in enumerate(efforts):
+            if abs(effort) <= self._nothing[j]:
+                self._acting[j] = math.nan
+            elif abs(effort) < abs(torque[j]):
+                self._acting[j] = math.copysign(effort, torque[j])
+
+    def look(self, elapsed) -> str:
+        """Look at the state measured, ``elapsed`` [s] after the one before; return `frozen`."""
+        before = self.frozen
+        self.frozen = self._judge.look(self._measured, self._acting, elapsed) or ''
+        self.began = bool(self.frozen) and not before
+        self.count += self.began
+        return self.frozen
+
+
+class Follower:
+    """
+    The answer to each joint state: the law, its references and what stands against them.
+
+    It is told of by ``health`` (tell, warn); ``values`` are checked parameters.
+    """
+
+    def __init__(self, robot, gains, values, health):
+        self._health, self._lockstep = health, values['mode'] == 'lockstep'
+        self.controller = CompensatingController(gains, robot)
+        self.references = References(*(values[f'reference_{what}']
+                                       for what in ('timeout', 'hold', 'relax')))
+        self.handover = Handover(values['resume_time'])
+        self.encoders = EncoderWatch(robot, gains.torque_limit, self.controller.measured)
+        self._sources = SourceWatch('nodes send references')
+        self._limit, self._zero = gains.torque_limit, np.zeros(robot.n_joints)
+        self.last = None         # stamp of the state answered last
+        self.follows = False     # whether its answer was that of the law
+        self._obstacle = ''      # why it was answered with zero, though it was sound
+        self._begins = True      # the next state with a motion reference begins a motion
+        self.counts = {'observer begun anew': 0, 'two trajectories': 0}
+        self._warm_up()
+
+    def _warm_up(self):
+        """Compile before the first state comes, with a motion from the robot to elsewhere."""
+        away = np.ones((5, len(self._zero)))
+        handover = Handover(1.0)
+        handover.begin(0, self.controller.measured, away)
+        self.controller.tick(handover.applied(0, extrapolate(away, 0.0)), 0.0)
+        self.controller.reset()
+
+    def use(self, gains):
+        """Take other gains."""
+        self.controller.use(gains)
+        self._limit = gains.torque_limit
+        self.encoders.use(gains.torque_limit)
+
+    def reset(self):
+        """Begin anew from the measured state."""
+        self.controller.reset()
+        self.references.forget_motion()
+        self.encoders.reset()
+        self._begins = True
+
+    def is_fresh(self, stamp) -> bool:
+        """Return whether a reference for ``stamp`` [ns] is of this time."""
+        return self.last is None or self.references.is_fresh(stamp, self.last)
+
+    def keep(self, stamp, reference, source):
+        """Take a Reference, unless another source's come as well; then nobody's are kept."""
+        if not self._lockstep and self.is_fresh(stamp):
+            now = time.monotonic_ns()
+            before, rivals = self._sources.conflict(now), self._sources.hear(source, now)
+            if rivals:
+                self.references.forget()
+                if not before:
+                    self.counts['two trajectories'] += 1
+                    self._health.warn('rivals', f'{rivals}: zero torque; end one of them')
+                return
+        self.references.keep(stamp, reference, self.last)
+
+    def answer(self, stamp, silent) -> np.ndarray:
+        """
+        Return the torque (n_joints,) [N m] for the state measured, of ``stamp`` [ns].
+
+        ``silent`` is whether zero torque was sent since the last one, no state having come.
+        """
+        elapsed = 0.0 if self.last is None else (stamp - self.last) / NANOSECONDS
+        jumped = self.last is not None and not 0.0 < elapsed <= _LONGEST_TICK
+        self.last, self.follows = stamp, False
+        idle, self._obstacle = bool(self._obstacle), self._find_obstacle(elapsed)
+        if jumped:
+            self._begin_anew(elapsed)
+            elapsed = 0.0
+        elif silent or idle:
+            self._begins = True
+            self.controller.state.started[0] = 0.0  # nobody knows the way since
+            elapsed = 0.0
+        if self._obstacle:  # the observer stays as it is, as in a silence
+            self.references.forget_motion()
+            self._health.tell(WARN, self._obstacle)
+            return self._zero
+        if jumped and not self._lockstep:  # the next state tells whether this clock goes on
+            return self._zero
+        reference = self.references.at(stamp)
+        if reference is None:
+            self._say_no_reference(stamp)
+            return self._nothing()
+        return self._follow(stamp, reference, elapsed)
+
+    def _nothing(self):
+        """Forget the motion so far; return zero torque."""
+        self.controller.reset()
+        self._begins = True
+        return self._zero
+
+    def _begin_anew(self, elapsed):
+        self.counts['observer begun anew'] += 1
+        self._health.tell(WARN, f'joint states jumped by {elapsed:.3f} s: zero torque')
+        self._health.warn('jump', f'joint states jumped by {elapsed:.3f} s: observer begins anew')
+        self.references.forget_motion()
+        self._nothing()
+
+    def _find_obstacle(self, elapsed):
+        """Return why no reference may be followed (str); '' if any may."""
+        frozen = self.encoders.look(elapsed)
+        if not frozen:
+            rivals = self._sources.conflict(time.monotonic_ns())
+            return rivals and f'{rivals}: zero torque'
+        sentence = f'{frozen}: zero torque until it changes, or ~/reset'
+        if self.encoders.began:
+            self._health.warn(  # of its own kind: another encoder is another warning
+                f'encoder {frozen.split()[0]}', f'{sentence}; turn the joint by hand, or once the '
+                f'cause is found call {self._health.name}/reset')
+        return sentence
+
+    def _follow(self, stamp, reference, elapsed):
+        """Return the torque that follows a reference."""
+        command = self.controller.state.command
+        if reference.quantity == EFFORT:
+            self.controller.reset()
+            command = self.controller.state.command
+            command[:] = np.clip(reference.value[0], -self._limit, self._limit)
+            self._begins = True
+        else:
+            if self._begins:
+                self._begins = False
+                self.handover.begin(stamp, self.controller.measured, reference.value)
+            self.controller.tick(self.handover.applied(stamp, reference.value), elapsed)
+            if not self._lockstep:
+                self.handover.fade(stamp, command)
+            self.references.answered(command, elapsed)
+        if not all_finite(command.tolist()):
+            self._health.tell(WARN, 'the law gave no finite torque: zero torque')
+            self._health.warn('law', 'the law gave no finite torque: zero torque; are state or '
+                                     'reference plausible?')
+            return self._nothing()
+        self._health.tell(*_PHASES[self.references.phase])
+        self.follows = True
+        return command
+
+    def _say_no_reference(self, stamp):
+        away = self.references.nearest(stamp)
+        why = ('is trajectory_node running?' if away is None else
+               f'the nearest is {away / NANOSECONDS:.3g} s away from the joint states; '
+               'has trajectory_node ended, or is its clock another one?')
+        self._health.tell(WARN, 'no reference: zero torque')
+        self._health.warn('no reference', f'no reference: zero torque; {why}', skip_first=True)

@@ -1,0 +1,181 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""The motion of the reference in the time of the joint states, smooth whatever it goes over to."""
+
+from gms_flex_control.errors import TrajectoryError
+from gms_flex_control.nodes.messages import EFFORT, JointNumbers, NANOSECONDS, RefusedError
+from gms_flex_control.trajectory import builders, levels
+import numpy as np
+
+_STANDING = 1e-3    # slower than this counts as rest [rad/s]
+_CREEP = 0.1        # a single encoder count looks as fast as that to a reset [rad/s]
+_SAME_STAMP = 0.2   # a stamp within this part of the period was foreseen
+LONGEST_PAUSE = 2 * NANOSECONDS     # of the joint states; the motion waits for longer ones
+_LONGEST_MOTION = 86400 * NANOSECONDS  # through points
+
+
+class PastError(RefusedError):
+    """All of a motion lies in the past."""
+
+
+class Links:
+    """Where the links are and how fast, as the joint states say."""
+
+    def __init__(self, joints):
+        self._numbers = JointNumbers(joints)
+        self.q, self.dq = np.zeros((2, len(joints)))
+
+    def read(self, message):
+        """Take a JointState; raises RefusedError. Velocities that make no sense are zero."""
+        self.q[:] = self._numbers.read(message, 'position')
+        try:
+            self.dq[:] = self._numbers.read(message, 'velocity')
+        except RefusedError:
+            self.dq[:] = 0.0
+
+
+class Motion:
+    """
+    The reference at each time: a chosen trajectory, points, rest, or zero torque.
+
+    ``chosen`` is the trajectory of ``values``, checked parameters; `choose` changes both. Stamps
+    are those of joint states [ns]. ``current`` is another object whenever the motion is another.
+    """
+
+    def __init__(self, joints, links, chosen, values):
+        self.joints, self.links = joints, links
+        self.chosen, self.values = chosen, values
+        self.current = None      # Trajectory in the node's time, None before the first state
+        self.running = self.has_points = False  # the latter: of a joint trajectory
+        self._origin = self.last = self.published = None  # stamps [ns]
+        self._origin_of_torque = np.zeros(len(joints))
+
+    @property
+    def quantity(self) -> str:
+        """Return what the reference is: 'motion' or 'effort'."""
+        return self.current.quantity
+
+    def sample(self, stamp) -> np.ndarray:
+        """Return the reference (5, n) or (1, n) for the state of ``stamp``."""
+        return self.current.sample((stamp - self._origin) / NANOSECONDS)
+
+    def begin(self, stamp):
+        """Take the first state, or one after the clock was set back, as time zero, at rest."""
+        self._origin = self.last = stamp
+        self.published = None
+        self.current = builders.hold(self.links.q)
+        self.running = False
+        if self.values['trajectory.autostart'] and self.values['trajectory.type'] != 'hold':
+            self._enter(self.chosen, 0.0)
+
+    def wait_out(self, period):
+        """Let the motion go on where it was: the clock has jumped, or there were no states."""
+        self._origin += period
+        self.published = None
+
+    def is_foreseen(self, stamp) -> bool:
+        """Return whether the reference for a state has been published already."""
+        return (self.published is not None and abs(self.published - stamp)
+                <= _SAME_STAMP * (stamp - self.last))
+
+    def travelled(self) -> str:
+        """End an open-loop torque under which a joint has moved far enough; say so ('': none)."""
+        if not self.running or self.quantity != EFFORT:
+            return ''
+        for joint, moved in zip(self.joints, np.abs(self.links.q - self._origin_of_torque),
+                                strict=True):
+            if moved > self.values[f'trajectory.{joint}.travel'] > 0.0:
+                self.brake()
+                return f'{joint} has moved by {moved:.3g} rad: the torque ends'
+        return ''
+
+    def _now(self):
+        """Return the time from which on nothing has been published yet [s]."""
+        return (self.published - self._origin) / NANOSECONDS
+
+    def _enter(self, trajectory, time):
+        """Go over to ``trajectory`` smoothly from the reference at ``time``."""
+        state = self._state(time)
+        if trajectory.quantity == EFFORT and np.abs(state[1]).max() > _STANDING:
+            raise TrajectoryError('a torque ramp begins at rest: call ~/stop first')
+        self._origin_of_torque[:] = self.links.q
+        self.current = builders.approach(state, trajectory, time,
+                                          duration=self.values['trajectory.approach_time'])
+        self.running, self.has_points = True, False
+
+    def _state(self, time):
+        """Return the reference at ``time``, or the robot's motion if there is none to follow."""
+        return self._robot_state() if self.quantity == EFFORT else self.current.sample(time)
+
+    def _robot_state(self):
+        state = builders.at_rest(self.links.q)
+        state[1] = self.links.dq
+        return state
+
+    def brake(self):
+        """Come to rest from wherever the reference is."""
+        self._brake_from(self._state(self._now()))
+
+    def _brake_from(self, state):
+        time, duration = self._now(), self.values['trajectory.approach_time']
+        goal = state[0] + 0.5 * duration * state[1]
+        self.current = builders.approach(state, builders.hold(goal), time, duration=duration)
+        self.running = self.has_points = False
+
+    def go(self):
+        """Begin the chosen motion."""
+        if self.values['trajectory.type'] == 'hold':
+            self.brake()
+        else:
+            self._enter(self.chosen, self._now())
+
+    def choose(self, chosen, values) -> str:
+        """Take other parameters, and go over to them if it moves; return a warning or ''."""
+        self.chosen, self.values = chosen, values
+        if (not self.running or self.has_points or self.published is None
+                or self._now() > self.current.end):
+            return ''
+        try:
+            self.go()
+        except TrajectoryError as error:
+            self.brake()
+            return f'{error}; the reference comes to rest'
+        return ''
+
+    def rest_at_robot(self):
+        """Take the robot's own motion for the reference and bring that to rest."""
+        state = self._robot_state()
+        state[1, np.abs(state[1]) < _CREEP] = 0.0
+        self._brake_from(state)
+
+    def let_go(self):
+        """Ask for zero torque from the next state on, until another motion begins."""
+        self.current = levels.torque_levels(np.zeros((1, len(self.joints))), 1.0)
+        self.running = self.has_points = False
+
+    def follow_points(self, times, states, stamp) -> tuple:
+        """
+        Go from the reference of now through those points that are yet to come.
+
+        ``times`` (m,) and ``states`` (m, 5, n) are those of `read_joint_trajectory`, ``stamp`` is
+        when they begin, 0 for now. Return how many come, and the stamp of the last one [ns].
+        Raises PastError if none comes, RefusedError if the last one comes too late.
+        """
+        begin = self.published
+        times = times + (stamp or begin)
+        ahead = times > begin
+        if not ahead.any():
+            raise PastError(
+                f'it was over {(begin - int(times[-1])) / NANOSECONDS:.3g} s ago by the stamps '
+                'of the joint states')
+        if times[-1] - begin > _LONGEST_MOTION:
+            raise RefusedError(
+                f'it ends in {(int(times[-1]) - begin) / NANOSECONDS:.3g} s by the stamps of the '
+                'joint states; is its stamp of another clock? Zero begins at once')
+        now = self._state(self._now())
+        end, times = int(times[-1]), np.array([begin, *times[ahead]])
+        self.current = builders.through((times - self._origin) / NANOSECONDS,
+                                         np.stack([now, *states[ahead]]))
+        self.running = self.has_points = True
+        return int(ahead.sum()), end

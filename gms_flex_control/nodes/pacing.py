@@ -1,0 +1,242 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""How a simulated robot keeps time: paced by the clock or stepped by its commands; its timing."""
+
+import json
+import sys
+import time
+
+from builtin_interfaces.msg import Time
+from gms_flex_control.files import write_text
+from gms_flex_control.hardware.supervision import LATE, Lateness, NOTABLE
+from gms_flex_control.nodes import process
+from gms_flex_control.nodes.health import now
+from gms_flex_control.nodes.messages import NANOSECONDS
+import numpy as np
+from rosgraph_msgs.msg import Clock
+from std_srvs.srv import SetBool
+
+_SWITCH = 1e-4           # for so long a callback may delay a state that is due [s]
+# where each state of lockstep is answered at once, in this process:
+_CALLBACKS_PERIOD = 1e-2  # between looks at callbacks where nobody else listens [s]
+_SHORTEST_SAMPLE = 4e-4   # where somebody does: a recorder keeps up with that [s]
+_REPEAT_PERIOD = 1.0     # an unanswered state is sent again in lockstep [s]
+_LATEST_START = 5        # samples the stamps may be off the clock before some are left out
+_RISE = round(0.1 * NANOSECONDS)  # in which torque rises after a silence
+_LONGEST = 3600          # seconds that are measured; later samples are not
+
+
+class LoopTiming:
+    """
+    Times of the samples of one run, on the monotonic clock.
+
+    ``path`` is that of a JSON file for the result, '' measures nothing; ``period`` and
+    ``duration``, None without an end, are in ns.
+    """
+
+    def __init__(self, path, period, duration):
+        self._path, self._period = path, period
+        samples = round((duration or _LONGEST * 1_000_000_000) / period) + 2 if path else 0
+        self._published = np.zeros(samples, dtype=np.int64)
+        self._answered = np.zeros(samples, dtype=np.int64)
+        self._count = 0
+
+    def published(self):
+        """Note that the next state leaves now."""
+        if self._count < len(self._published):
+            self._published[self._count] = time.monotonic_ns()
+            self._count += 1
+
+    def answered(self, sample, arrived):
+        """Note that the command for state number ``sample`` came at ``arrived`` [ns]."""
+        if 0 <= sample < self._count and self._answered[sample] == 0:
+            self._answered[sample] = arrived
+
+    def save(self):
+        """
+        Write the figures to the file, if one was named.
+
+        A sample counts as answered in time if its command came before the next state left.
+        """
+        if not self._path or self._count < 3:
+            return
+        sent, came = self._published[:self._count], self._answered[:self._count]
+        next_sent, sent_before = sent[1:], sent[:-1]
+        came = came[:-1]
+        in_time = (came > 0) & (came <= next_sent)
+        trips = (came - sent_before)[came > 0] / 1e3
+        interval_error = np.abs(np.diff(sent) - self._period) / 1e3
+        result = {
+            'samples': int(len(came)), 'rate': float(1e9 / np.mean(np.diff(sent))),
+            'answered_in_time': float(np.mean(in_time)), 'lost': int(np.sum(came == 0)),
+            'round_trip_median_us': float(np.median(trips)) if len(trips) else None,
+            'round_trip_p99_us': float(np.percentile(trips, 99)) if len(trips) else None,
+            'interval_error_p99_us': float(np.percentile(interval_error, 99))}
+        write_text(self._path, json.dumps(result, indent=2) + '\n')
+
+
+class Paced:
+    """Real time: each state leaves at its deadline, whether it was answered or not."""
+
+    def __init__(self, robot, arm, node, values):
+        self._robot, self._arm, self._node, self._health = robot, arm, node, node.health
+        self._lock = node.direct.lock
+        self._timeout = round(NANOSECONDS * values['command_timeout'])
+        self._lateness = Lateness()
+        self._first = 0          # stamp of the first state, which counts samples for the timing
+        self.resumed = -_RISE    # stamp at which torque began to rise
+        self.missed = self.left_out = 0
+
+    def answered(self, stamp, arrived):
+        """Note that the command for the state of ``stamp`` came."""
+        self._arm.timing.answered((stamp - self._first) // self._arm.period, arrived)
+
+    def run(self, spinner):
+        """Simulate until the duration is over or a signal comes."""
+        with process.BackgroundSpin(spinner) as background:
+            self._run(spinner, background)
+
+    def _run(self, spinner, background):
+        process.tighten_timers()
+        sys.setswitchinterval(_SWITCH)
+        arm = self._arm
+        self._first, deadline = now(self._node).nanoseconds, time.monotonic_ns()
+        with self._lock:
+            arm.begin(self._first)
+        while spinner.goes_on() and not arm.is_last():
+            if background.error is not None:
+                raise background.error
+            deadline += arm.period
+            ahead = self._robot.command[1] == arm.stamp  # answered at once, in this process
+            if ahead:
+                self._simulate()
+            early = deadline - time.monotonic_ns()
+            if early > 0:
+                time.sleep(early / NANOSECONDS)
+            with self._lock:
+                left_out = self._follow_clock()
+            if left_out > 0:  # no more than it is late: the clock may have been set
+                late = time.monotonic_ns() - deadline
+                deadline += min(left_out, late // arm.period) * arm.period
+            if not ahead:
+                self._simulate()
+            with self._lock:
+                arm.end_sample()
+        if self.missed:
+            self._node.get_logger().info(
+                f'{self.missed} of {arm.ticks} samples had no fresh command')
+
+    def _simulate(self):
+        """Simulate the sample that follows the last state."""
+        with self._lock:
+            self._robot.watch()
+            self._robot.simulate(self._acting() * min(
+                (self._arm.stamp - self.resumed) / _RISE, 1.0))
+
+    def _acting(self):
+        """Return the torque for the sample that ends now; zero if the last command is stale."""
+        (torque, answered, arrived), stamp = self._robot.command, self._arm.stamp
+        self._tell_late(answered)
+        if answered == stamp:
+            return torque
+        self.missed += 1
+        if answered is None:  # a plain command acts from its arrival until the timeout
+            fresh = time.monotonic_ns() - arrived <= self._timeout
+        else:
+            fresh = 0 < stamp - answered <= self._timeout
+        return torque if fresh else self._arm.zero
+
+    def _tell_late(self, answered):
+        """Warn where too many samples end before the command that answers them has come."""
+        if answered is None or not self._robot.active:  # plain commands answer no state
+            self._lateness.restart()
+            return
+        self._lateness.note(answered != self._arm.stamp, self._arm.period / NANOSECONDS)
+        if self._lateness.share > NOTABLE:
+            self._health.warn('late', f'{self._lateness}: {LATE}, or simulate with mode:=lockstep')
+
+    def _follow_clock(self):
+        """Let the stamp of the sample that ends now be near the clock; return samples left out."""
+        arm = self._arm
+        behind = now(self._node).nanoseconds - arm.stamp - arm.period
+        if abs(behind) <= _LATEST_START * arm.period:
+            return 0
+        count = int(behind / arm.period)
+        self.left_out += max(count, 0)
+        if count < 0:
+            self._robot.command = (arm.zero, None, 0)  # the next ones are older than it
+        arm.stamp += count * arm.period
+        self._first += count * arm.period
+        self.resumed += count * arm.period
+        self._health.warn('clock', (
+            f'{behind / 1e6:.1f} ms late, {count} samples are left out: the machine is too busy '
+            'for this rate or stood still, or the clock was set' if behind > 0 else
+            f'the clock was set back by {-behind / 1e6:.1f} ms'))
+        return count
+
+
+class Lockstep:
+    """Each state waits for its command; simulated time is published on /clock."""
+
+    missed = left_out = resumed = 0  # none ever is
+
+    def __init__(self, robot, arm, node, values):
+        self._robot, self._arm = robot, arm
+        self._paused = False     # whether the robot waits, whatever comes
+        self._clock_pub = node.create_publisher(Clock, '/clock', process.publisher_qos('lockstep'))
+        self._hearers = node.direct.hearers[self._clock_pub.topic_name]
+        self._clock_period = round(NANOSECONDS / values['clock_rate'])
+        self._next_clock = 0
+        node.create_service(SetBool, '~/pause', node.health.guard(self._on_pause))
+
+    def _on_pause(self, request, response):
+        self._paused = request.data
+        response.success, response.message = True, 'paused' if request.data else 'goes on'
+        return response
+
+    def answered(self, stamp, arrived):
+        """Do nothing: no time is measured here."""
+
+    def run(self, spinner):
+        """Simulate until the duration is over or a signal comes."""
+        arm, robot = self._arm, self._robot
+        self._publish_clock()
+        arm.begin(0)
+        repeat, due = time.monotonic() + _REPEAT_PERIOD, 0.0
+        while spinner.goes_on():
+            if self._paused or not self._is_answered():
+                spinner.spin_once()
+            elif arm.outlet.count_others():  # answered at once, in this process
+                spinner.spin_once(max(due - time.monotonic(), 0.0))
+                due = time.monotonic() + _SHORTEST_SAMPLE
+            elif time.monotonic() > due:
+                spinner.spin_once(0.0)
+                due = time.monotonic() + _CALLBACKS_PERIOD
+            if self._paused:
+                continue
+            if self._is_answered():
+                torque = robot.command[0]
+                if arm.is_last():  # answered too: a recording lacks nothing
+                    break
+                robot.command = (torque, None, 0)
+                robot.simulate(torque)
+                arm.end_sample()
+                self._publish_clock()
+                repeat = time.monotonic() + _REPEAT_PERIOD
+            elif time.monotonic() > repeat:
+                arm.publish()  # a node that has just come needs the state it is to answer
+                repeat = time.monotonic() + _REPEAT_PERIOD
+
+    def _is_answered(self):
+        _, stamp, arrived = self._robot.command
+        return arrived and (stamp is None or stamp == self._arm.stamp)
+
+    def _publish_clock(self):
+        if self._arm.stamp >= self._next_clock:
+            sec, nanosec = divmod(self._arm.stamp, NANOSECONDS)
+            message = Clock(clock=Time(sec=sec, nanosec=nanosec))
+            self._clock_pub.publish(message)
+            for hear in self._hearers:
+                hear(message)
+            self._next_clock = self._arm.stamp + self._clock_period

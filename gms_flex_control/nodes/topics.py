@@ -1,0 +1,261 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""
+How nodes hear and speak the topics that their loop hangs on.
+
+A message is published for everybody else, and given in the same call to those who hear its topic
+in the same process. They do not hear it once more from DDS, see process.py.
+
+Between a message of Python and its bytes lies several times more work than sending them takes: of
+messages that come and go again and again only the bytes that change are touched. What is heard is
+taken as bytes, many at a time, into a queue so deep that a storm does not displace the good ones
+before they are looked at; bytes that do not look like a message that was accepted are made an
+object only so many times a second. An executor hands out messages in the order of their coming, a
+storm's before all others; so whatever comes, all topics of the node are looked at.
+"""
+
+from array import array
+from collections import defaultdict
+from functools import partial
+from itertools import chain
+import struct
+import threading
+import time
+
+from gms_flex_control.nodes import process
+from rclpy.serialization import deserialize_message, serialize_message
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+
+DEPTH = 1000       # messages; a storm brings some 100 in a millisecond
+_AT_ONCE = 100     # messages of a topic that are taken before others have their turn
+_KEPT = 10         # the newest of those waiting, after a stall
+_ODD_RATE = 200.0  # messages unlike all accepted ones that are looked into [1/s]
+_ODD_AT_ONCE = 50
+_MOST_LOOKS = 16   # of accepted messages that are remembered
+_LONGEST = 65536   # bytes of a message; a thousand joints need no more
+# what does not change from message to message: frame and first names; first label
+_FIXED = {JointState: slice(12, 48), Float64MultiArray: slice(4, 18)}
+_TIME, _TIME_AT = struct.Struct('<iI'), 4  # of a header, behind the encapsulation
+_STAMP = 'stamp:'
+_GAP = 8  # bytes between two sequences of doubles: length and padding
+
+
+class Direct:
+    """What one process hears and serves itself."""
+
+    def __init__(self):
+        # taken by whoever runs a callback of these nodes or a sample of their loop
+        self.lock = threading.RLock()
+        self.hearers = defaultdict(list)  # topic -> who take its messages, in order of the calls
+        self.services = {}  # name -> handler, which takes request and response
+
+
+class Outlet:
+    """Publisher of one reused message of ``kind``, which nodes of the same process may hear."""
+
+    def __init__(self, node, kind, topic, mode='realtime'):
+        self._publisher = node.create_publisher(kind, topic, process.publisher_qos(mode))
+        self._hearers = node.direct.hearers[self._publisher.topic_name]
+        self._serialized = None
+
+    def publish(self, message):
+        """Publish the message, and give it to those who hear it here; they keep nothing of it."""
+        if self.count_others():
+            if self._serialized is None:
+                self._serialized = Serialized(message)
+            self._publisher.publish(self._serialized.data())
+        for hear in self._hearers:
+            hear(message)
+
+    def count_others(self):
+        """Return how many other processes' subscriptions take the message."""
+        return self._publisher.get_subscription_count()
+
+    def count_hearers(self):
+        """Return how many take the message, here and elsewhere."""
+        return self.count_others() + len(self._hearers)
+
+    def wait_for_all_acked(self, timeout):
+        """Wait until those who acknowledge have what was published, for ``timeout`` at most."""
+        self._publisher.wait_for_all_acked(timeout)
+
+
+def all_waiting(subscription, most):
+    """
+    Yield the raw messages (bytes) that wait, ``most`` of them at most.
+
+    The executor still counts an event for each of them and finds nothing then, which is cheap.
+    """
+    take, kind = subscription.handle.take_message, subscription.msg_type
+    for _ in range(most):
+        taken = take(kind, True)
+        if taken is None:
+            return
+        yield taken[0]
+
+
+class Inbox:
+    """
+    Subscription of a node whose handler is given the messages worth a look.
+
+    ``handler`` takes a message of ``kind``, JointState or Float64MultiArray, and returns whether
+    it read and accepted it. In lockstep it is given each message. ``boxes`` are the node's other
+    ones, which are looked at together; this one is added.
+    """
+
+    def __init__(self, node, kind, topic, handler, mode='realtime', boxes=None):
+        self._kind, self._handle = kind, node.health.guard(handler)
+        self._health, self._topic = node.health, node.resolve_topic_name(topic)
+        node.direct.hearers[self._topic].append(self._handle)
+        self._looks = []           # of accepted messages
+        self._odd = _ODD_AT_ONCE   # that may still be looked into
+        self._filled = time.monotonic()
+        if mode == 'lockstep':
+            node.create_subscription(kind, topic, self._handle, process.subscriber_qos(mode),
+                                     event_callbacks=process.NO_EVENTS)
+            return
+        self._message_of = (Deserialized().message if kind is JointState else
+                            partial(deserialize_message, message_type=kind))
+        self._boxes = [] if boxes is None else boxes
+        self._boxes.append(self)
+        self._subscription = node.create_subscription(
+            kind, topic, node.health.shield(self._empty), process.subscriber_qos(mode, DEPTH),
+            raw=True, event_callbacks=process.NO_EVENTS)
+
+    def _empty(self, first):
+        """Take what there is here, of which ``first`` (bytes) was taken already, and elsewhere."""
+        self._take(chain([first], self._waiting()))
+        for box in self._boxes:
+            if box is not self:
+                box._take(box._waiting())
+
+    def _waiting(self):
+        return all_waiting(self._subscription, _AT_ONCE)
+
+    def _take(self, messages):
+        fixed, looks, good = _FIXED[self._kind], self._looks, []
+        for data in messages:
+            if (len(data), data[fixed]) in looks:
+                good.append(data)
+            else:
+                self._look_into(data)
+        for data in good[-_KEPT:]:
+            self._handle(self._message_of(data))
+
+    def _look_into(self, data):
+        """Give a message of a look not known to the handler, if there are not too many."""
+        if len(data) > _LONGEST:
+            self._health.warn(f'size of {self._topic}', f'{self._topic}: a message of {len(data)} '
+                              f'bytes is refused, {_LONGEST} at most; who sends it?')
+            return
+        if self._odd < 1.0:
+            now = time.monotonic()
+            self._odd = min(self._odd + (now - self._filled) * _ODD_RATE, _ODD_AT_ONCE)
+            self._filled = now
+            if self._odd < 1.0:
+                return
+        self._odd -= 1.0
+        if self._handle(self._message_of(data)):
+            self._looks.append((len(data), data[_FIXED[self._kind]]))
+            del self._looks[:-_MOST_LOOKS]
+
+
+class Serialized:
+    """
+    One reused JointState, with sequences of one length, or Float64MultiArray, and its bytes.
+
+    Stamp and numbers (``array('d')``) may change at any time; the rest only where the count of
+    numbers does.
+    """
+
+    def __init__(self, message):
+        self._message, self._has_header = message, isinstance(message, JointState)
+        self._fields = ('position', 'velocity', 'effort') if self._has_header else ('data',)
+        self._labels = [] if self._has_header else [
+            dimension for dimension in message.layout.dim if dimension.label.startswith(_STAMP)]
+        self._lengths = None
+
+    def data(self) -> bytes:
+        """Return the message as it is now."""
+        message = self._message
+        numbers = [getattr(message, field) for field in self._fields]
+        label = self._labels[0].label.encode() if self._labels else b''
+        lengths = [len(numbers[0]), len(label)]
+        if lengths != self._lengths:
+            self._learn(label, len(numbers[0]))
+            self._lengths = lengths
+        data = self._data
+        if self._has_header:
+            _TIME.pack_into(data, _TIME_AT, message.header.stamp.sec, message.header.stamp.nanosec)
+        data[self._label] = label
+        for place, values in zip(self._places, numbers, strict=True):
+            data[place] = values.tobytes()
+        return bytes(data)
+
+    def _learn(self, label, count):
+        """Find out where in the bytes everything stands."""
+        self._data = data = bytearray(serialize_message(self._message))
+        begin = data.find(label)
+        self._label = slice(begin, begin + len(label))
+        self._places = _places(len(data), count, len(self._fields))
+
+
+class Deserialized:
+    """
+    JointStates from their bytes: one message for all that differ in stamp and numbers only.
+
+    Whoever takes it keeps nothing of it.
+    """
+
+    def __init__(self):
+        self._message, self._places = None, ()
+
+    def message(self, data):
+        """Return the JointState of ``data`` (bytes)."""
+        if not self._places or len(data) != self._size or self._rest(data) != self._known:
+            return self._learn(data)
+        message, stamp = self._message, self._message.header.stamp
+        stamp.sec, stamp.nanosec = _TIME.unpack_from(data, _TIME_AT)
+        message.position, message.velocity, message.effort = (
+            array('d', data[place]) for place in self._places)
+        return message
+
+    def _rest(self, data):
+        """Return what stands before the positions, and how many numbers the others are."""
+        position, velocity, effort = self._places
+        return (data[_TIME_AT + _TIME.size:position.start],
+                *(data[place.start - _GAP:place.start - 4] for place in (velocity, effort)))
+
+    def _learn(self, data):
+        self._message, self._size = deserialize_message(data, JointState), len(data)
+        numbers = self._message.position, self._message.velocity, self._message.effort
+        places = _places(self._size, len(numbers[0]), len(numbers))
+        # of other lengths or another byte order, they do not stand there
+        fits = all(data[place] == values.tobytes() and values
+                   for place, values in zip(places, numbers, strict=True))
+        self._places = places if fits else ()
+        self._known = self._rest(data) if fits else None
+        return self._message
+
+
+def stamp_in(data, kind):
+    """
+    Return the stamp [ns] in the bytes of a JointState or Float64MultiArray, None without one.
+
+    It is read without the rest; only bytes of the other byte order make a wrong one.
+    """
+    if kind is JointState:
+        sec, nanosec = _TIME.unpack_from(data, _TIME_AT)
+        return sec * 1_000_000_000 + nanosec
+    begin = data.find(_STAMP.encode())
+    digits = data[begin + len(_STAMP):data.find(b'\0', begin)] if begin >= 0 else b''
+    return int(digits) if digits.isdigit() else None
+
+
+def _places(end, count, sequences):
+    """Return where (slices) the last sequences of ``count`` doubles stand that end at ``end``."""
+    size = 8 * count
+    ends = [end - k * (size + _GAP) for k in reversed(range(sequences))]
+    return [slice(end - size, end) for end in ends]

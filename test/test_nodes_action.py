@@ -1,0 +1,137 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""FollowJointTrajectory as MoveIt asks for it, where control_msgs is installed."""
+
+import pytest
+
+action = pytest.importorskip(
+    'control_msgs.action', reason='control_msgs is not installed, there is no wheel of it: '
+    'the action itself runs on a ROS installation only')
+from action_msgs.msg import GoalStatus  # noqa: E402  after the skip
+from control_msgs.msg import JointTolerance  # noqa: E402
+import numpy as np  # noqa: E402
+from rclpy.action import ActionClient  # noqa: E402
+from test_nodes_trajectory import point, SECOND, START, Stepper  # noqa: E402
+from trajectory_msgs.msg import JointTrajectory  # noqa: E402
+
+# other processes of the machine can delay real nodes beyond any bound
+pytestmark = pytest.mark.flaky(reruns=2)
+
+KIND = action.FollowJointTrajectory
+RESULT = KIND.Result
+NAMES = ['joint1', 'joint2']
+
+
+@pytest.fixture(scope='module')
+def arm(tmp_path_factory):
+    """Run a trajectory node whose robot rests at START, and a client of its action."""
+    with Stepper(tmp_path_factory.mktemp('action')) as lab:
+        lab.begin('trajectory_node', trajectory__approach_time=0.2)
+        lab.actions = ActionClient(lab.node, KIND, '/trajectory/follow_joint_trajectory')
+        lab.until(lab.actions.server_is_ready)
+        lab.steps(5, START)
+        yield lab
+        assert lab.started.runs and 'Traceback' not in lab.started.printed()
+        lab.actions.destroy()
+
+
+def send(arm, *points, names=NAMES, path=0.0, at_end=0.0, allowance=0.0, stamp=0):
+    """Send a goal; return its handle once the node knows it."""
+    goal = KIND.Goal(trajectory=JointTrajectory(joint_names=names, points=points))
+    goal.trajectory.header.stamp.nanosec = stamp
+    goal.path_tolerance = [JointTolerance(name='joint1', position=path)]
+    goal.goal_tolerance = [JointTolerance(name='joint1', position=at_end)]
+    goal.goal_time_tolerance.nanosec = round(1e9 * allowance)
+    arm.feedback = []
+    future = arm.actions.send_goal_async(goal, lambda told: arm.feedback.append(told.feedback))
+    arm.until(future.done)
+    handle = future.result()
+    assert handle.accepted
+    handle.result = handle.get_result_async()
+    return handle
+
+
+def result(arm, handle):
+    """Return status, code and sentence of a goal that is over."""
+    arm.until(handle.result.done)
+    found = handle.result.result()
+    return found.status, found.result.error_code, found.result.error_string
+
+
+def follows(arm, count):
+    """Wait until the node follows its ``count``-th goal."""
+    arm.until(lambda: arm.started.printed().count(' points of a joint trajectory') >= count)
+    return count
+
+
+def count(arm):
+    return arm.started.printed().count(' points of a joint trajectory')
+
+
+def test_a_goal_is_followed_told_of_and_reached(arm):
+    begun = count(arm)
+    handle = send(arm, point(0.5, [0.5, -0.1]), path=0.1, at_end=0.01)
+    follows(arm, begun + 1)
+    rows = arm.steps(SECOND)
+    assert result(arm, handle) == (GoalStatus.STATUS_SUCCEEDED, RESULT.SUCCESSFUL,
+                                   'the last point is reached')
+    np.testing.assert_allclose(rows[-1, 0], [0.5, -0.1], atol=1e-9)
+    assert len(arm.feedback) >= 5 and list(arm.feedback[0].joint_names) == NAMES
+    for told in arm.feedback:
+        assert list(told.error.positions) == pytest.approx([0.0, 0.0], abs=1e-6)
+
+
+def test_a_robot_that_is_held_breaks_the_path_tolerance_and_the_reference_rests(arm):
+    begun = count(arm)
+    handle = send(arm, point(0.5, [1.0, 0.0]), path=0.05)
+    follows(arm, begun + 1)
+    arm.steps(SECOND // 2, (0.5, -0.1))
+    status, code, sentence = result(arm, handle)
+    assert (status, code) == (GoalStatus.STATUS_ABORTED, RESULT.PATH_TOLERANCE_VIOLATED)
+    assert sentence.startswith('path tolerance: the angle of joint1 is -0.0')
+    assert np.all(arm.steps(SECOND // 2, (0.5, -0.1))[-1, 1:] == 0.0)
+
+
+def test_a_robot_that_never_arrives_breaks_the_goal_tolerance(arm):
+    begun = count(arm)
+    handle = send(arm, point(0.1, [0.6, 0.0]), at_end=0.01, allowance=0.1)
+    follows(arm, begun + 1)
+    arm.steps(SECOND // 2, (0.5, -0.1))
+    status, code, sentence = result(arm, handle)
+    assert (status, code) == (GoalStatus.STATUS_ABORTED, RESULT.GOAL_TOLERANCE_VIOLATED)
+    assert 'goal tolerance: the angle of joint1' in sentence
+
+
+def test_a_canceled_goal_comes_to_rest(arm):
+    begun = count(arm)
+    handle = send(arm, point(5.0, [0.0, 0.0]))
+    follows(arm, begun + 1)
+    arm.steps(SECOND // 4)
+    cancel = handle.cancel_goal_async()
+    arm.until(cancel.done)
+    rows = arm.steps(SECOND)
+    assert result(arm, handle)[0] == GoalStatus.STATUS_CANCELED
+    assert np.all(rows[-1, 1:] == 0.0) and rows[-1, 0, 0] != 0.0
+
+
+def test_a_new_goal_and_another_motion_replace_one_and_say_so(arm):
+    begun = count(arm)
+    first = send(arm, point(5.0, [0.0, 0.0]))
+    follows(arm, begun + 1)
+    arm.steps(20)
+    second = send(arm, point(5.0, [0.1, 0.0]))
+    assert result(arm, first) == (GoalStatus.STATUS_ABORTED, RESULT.INVALID_GOAL,
+                                  'a new goal replaces it')
+    assert arm.trigger('stop').success
+    arm.steps(5)
+    assert result(arm, second)[1:] == (RESULT.INVALID_GOAL, 'another motion has begun')
+
+
+def test_a_goal_that_makes_no_sense_is_aborted_with_its_code(arm):
+    for code, wrong in ((RESULT.INVALID_JOINTS, {'names': ['joint1', 'elbow']}),
+                        (RESULT.OLD_HEADER_TIMESTAMP, {'stamp': 1}),
+                        (RESULT.INVALID_GOAL, {'path': float('nan')})):
+        arm.steps(5)
+        status, found, sentence = result(arm, send(arm, point(0.1, [0.0, 0.0]), **wrong))
+        assert (status, found) == (GoalStatus.STATUS_ABORTED, code) and sentence
