@@ -83,8 +83,8 @@ _BRIDGE = (
         "robot is; '' for none", default='trajectory/reset'),
     Key('guardian', 'boolean', 'start a process that sends zero efforts when the bridge dies or '
         'freezes', default=True),
-    Key('device', 'string', 'entry point of a robot without ros2_control; then the topics above '
-        'are not used', default=''),
+    Key('device', 'string', 'module:Class, or entry point, of a robot without ros2_control; then '
+        'the topics above are not used', default=''),
     Key('device_options', 'string_array', 'for the device, each name=value', default=()))
 # below mapping.<joint>.link and .motor
 _SIDE = (
