@@ -6,9 +6,13 @@
 from pathlib import Path
 
 from gms_flex_control.errors import BagError
-from gms_flex_control.experiment.adaptation import Adaptation
 from gms_flex_control.experiment.identification_plan import read_identification_plan
-from gms_flex_control.experiment.journal import ExperimentError, Journal, require_space
+from gms_flex_control.experiment.identification_progress import (
+    Adaptation,
+    ExperimentError,
+    Journal,
+    require_space,
+)
 from gms_flex_control.schema.files import load_controller, load_robot
 import pytest
 

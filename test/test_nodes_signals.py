@@ -9,7 +9,7 @@ import signal
 import sys
 import time
 
-from gms_flex_control.experiment.processes import executable, ros_arguments
+from gms_flex_control.experiment.driven import executable, ros_arguments
 from gms_flex_control.nodes.process import LAUNCHED
 from node_harness import (
     COMMANDS,

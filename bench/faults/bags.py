@@ -16,7 +16,7 @@ from gms_flex_control.bags.cdr import unpack_joint_state
 from gms_flex_control.bags.repair import repair_bag
 from gms_flex_control.bags.source import Bag
 from gms_flex_control.errors import BagError
-from gms_flex_control.experiment.processes import executable
+from gms_flex_control.experiment.driven import executable
 from sensor_msgs.msg import JointState
 
 _RECORDED = 1.0      # [s]

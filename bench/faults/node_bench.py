@@ -14,7 +14,7 @@ import tempfile
 import time
 
 from gms_flex_control.errors import GmsFlexError
-from gms_flex_control.experiment.processes import executable, ros_arguments
+from gms_flex_control.experiment.driven import executable, ros_arguments
 from gms_flex_control.resources import share_path
 import rclpy
 from rclpy.event_handler import SubscriptionEventCallbacks

@@ -17,7 +17,7 @@ from gms_flex_control.batches.journal import Journal
 from gms_flex_control.batches.workers import open_executor
 from gms_flex_control.comparison.study import Cell, Condition, NOMINAL, Setting, try_cell
 from gms_flex_control.errors import GmsFlexError
-from gms_flex_control.experiment.processes import executable
+from gms_flex_control.experiment.driven import executable
 from gms_flex_control.schema.files import save_robot
 import numpy as np
 

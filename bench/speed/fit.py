@@ -15,12 +15,12 @@ from bench.speed.numpy_identification import PlainObjective, search
 from bench.speed.timing import Measurement
 from gms_flex_control.bags.experiment import write_recording
 from gms_flex_control.errors import GmsFlexError
+from gms_flex_control.experiment.driven import executable
 from gms_flex_control.experiment.identification_plan import (
     plan_identification,
     read_identification_plan,
 )
 from gms_flex_control.experiment.identification_simulated import simulate_identification
-from gms_flex_control.experiment.processes import executable
 from gms_flex_control.identification.coordinates import Coordinates, N_STEADY
 from gms_flex_control.identification.default_method import fit_all, prior_of, rough_theta
 from gms_flex_control.identification.objective import Bundle, Objective, observer_bandwidth

@@ -18,8 +18,12 @@ import tempfile
 import time
 
 from bench.speed.timing import Measurement
-from gms_flex_control.experiment.driven import private_environment
-from gms_flex_control.experiment.processes import executable, Processes, ros_arguments
+from gms_flex_control.experiment.driven import (
+    executable,
+    private_environment,
+    Processes,
+    ros_arguments,
+)
 from gms_flex_control.resources import share_path
 
 _START_BOUND, _SETTLE = 120.0, 1.0  # [s]

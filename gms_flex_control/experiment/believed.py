@@ -16,17 +16,7 @@ def scaled_friction(friction, factor):
     """
     Return FrictionParams with every torque level scaled; displacements and v_s stay.
 
-    Parameters
-    ----------
-    friction : FrictionParams
-        True friction.
-    factor : float
-        Of static, coulomb, viscous and block stiffness.
-
-    Returns
-    -------
-    FrictionParams
-
+    Scaled are static, coulomb, viscous and block stiffness.
     """
     def of_direction(steady):
         return replace(steady, static=steady.static * factor, coulomb=steady.coulomb * factor,
@@ -38,20 +28,7 @@ def scaled_friction(friction, factor):
 
 
 def mixed_error(robot):
-    """
-    Return the robot with friction x 0.85, joint stiffness x 1.05 and link masses x 0.93.
-
-    Parameters
-    ----------
-    robot : RobotParams
-        As it is.
-
-    Returns
-    -------
-    RobotParams
-        As the controller believes it to be.
-
-    """
+    """Return the robot with friction x 0.85, joint stiffness x 1.05 and link masses x 0.93."""
     arm = replace(robot.arm, stiffness=robot.arm.stiffness * STIFFNESS,
                   mass=robot.arm.mass * MASS, inertia=robot.arm.inertia * MASS)
     return replace(robot, arm=arm, friction=scaled_friction(robot.friction, FRICTION))
@@ -61,19 +38,8 @@ def random_error(rng, robot, least=0.01, most=0.03) -> RobotParams:
     """
     Return a robot as its user may believe it to be: every parameter a little off, no effects.
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Where every number comes from.
-    robot : RobotParams
-        As it is.
-    least, most : float
-        Size of every relative error, either way; those of mass and inertia of a link are one.
-
-    Returns
-    -------
-    RobotParams
-
+    Every relative error has a size of ``least`` to ``most`` and either sign; those of mass and
+    inertia of a link are one.
     """
     def off(values):
         shape = np.shape(values)

@@ -1,17 +1,26 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""Run a plan as ROS 2 nodes over DDS, recorded into a bag."""
+"""Experiments over DDS: node processes in lockstep, started, watched and ended."""
 
+from contextlib import ExitStack
 from dataclasses import dataclass
 import os
 from pathlib import Path
 import random
 import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
 
 from gms_flex_control.bags.reader import read_recording
-from gms_flex_control.experiment.processes import executable, Processes, ros_arguments
+from gms_flex_control.errors import GmsFlexError
+from gms_flex_control.recording import Recording
 
+NODES = ('plant_node', 'controller_node', 'trajectory_node')
+_STOP_BOUND = 10.0    # a process has so long to end after SIGINT [s]
 TOPICS = ('/joint_states', '/effort_controller/commands', '/reference',
           '/cascade_controller/state')
 _LISTENERS = 3        # controller, trajectory and recorder or identification
@@ -20,37 +29,148 @@ _PROGRESS = re.compile(r'\[identification\]: +(\d+ %, .*)')
 _START_BOUND = 120.0  # for processes to start, compiling included [s]
 
 
+class ProcessError(GmsFlexError):
+    """A node process ended when it should not have, or did not end."""
+
+
+def executable(name: str) -> list[str]:
+    """
+    Return the command (list of str) that starts ``plant_node``, ``gms_flex`` or the like.
+
+    It is the console script beside this Python or on PATH; else its module.
+    """
+    beside = Path(sys.executable).parent / name
+    found = str(beside) if beside.is_file() else shutil.which(name)
+    if found:
+        return [found]
+    module = 'cli.main' if name == 'gms_flex' else f'nodes.{name}'
+    return [sys.executable, '-m', f'gms_flex_control.{module}']
+
+
+def ros_arguments(files=(), parameters: dict | None = None) -> list[str]:
+    """Return ``--ros-args`` with parameter files and single parameters (dict)."""
+    arguments = ['--ros-args']
+    for file in files:
+        arguments += ['--params-file', str(file)]
+    for name, value in (parameters or {}).items():
+        text = str(value).lower() if isinstance(value, bool) else str(value)
+        arguments += ['-p', f'{name}:={text}']
+    return arguments
+
+
+class Processes:
+    """
+    A group of processes that ends with the ``with`` block, however that ends.
+
+    All have the same environment (dict of str); what one prints goes to <log>/<name>.log.
+    """
+
+    def __init__(self, environment: dict, log: Path):
+        self._environment, self._log = environment, log
+        self._running = {}
+        self._files = ExitStack()
+
+    def start(self, name, command):
+        """Start ``command`` (list of str) under ``name`` and return its Popen."""
+        self._log.mkdir(parents=True, exist_ok=True)
+        output = self._files.enter_context(self._path(name).open('wb'))
+        self._running[name] = subprocess.Popen(
+            command, env=self._environment, stdin=subprocess.DEVNULL, stdout=output,
+            stderr=subprocess.STDOUT)
+        return self._running[name]
+
+    def _path(self, name):
+        return self._log / f'{name}.log'
+
+    def printed(self, name):
+        """Return what ``name`` has printed so far (str)."""
+        return self._path(name).read_text(encoding='utf-8', errors='replace')
+
+    def wait_for_text(self, name, texts, bound):
+        """
+        Wait until ``name`` has printed every one of ``texts`` while all processes run.
+
+        ProcessError if it does not within ``bound`` seconds, or any process ends.
+        """
+        end = time.monotonic() + bound
+        while not all(text in self.printed(name) for text in texts):
+            for other, process in self._running.items():
+                if process.poll() is not None:
+                    raise ProcessError(self._ended(other))
+            if time.monotonic() > end:
+                raise ProcessError(f'{name} did not print {texts} within {bound:g} s'
+                                   f'{self._where(name)}')
+            time.sleep(0.02)
+
+    def wait(self, name, bound, meanwhile=None):
+        """
+        Wait until ``name`` ends by itself with exit code 0 while the others run.
+
+        ``meanwhile`` is called now and then, and once in the end. ProcessError if it does not end
+        within ``bound`` seconds, or any of them fails.
+        """
+        end = time.monotonic() + bound
+        meanwhile = meanwhile or (lambda: None)
+        while self._running[name].poll() is None:
+            meanwhile()
+            for other, process in self._running.items():
+                if other != name and process.poll() not in (None, 0):
+                    raise ProcessError(self._ended(other))
+            if time.monotonic() > end:
+                raise ProcessError(f'{name} did not end within {bound:g} s{self._where(name)}')
+            time.sleep(0.02)
+        meanwhile()
+        if self._running[name].returncode != 0:
+            raise ProcessError(self._ended(name))
+
+    def stop(self, name):
+        """Send SIGINT and return the exit code; SIGKILL if it does not end."""
+        process = self._running[name]
+        if process.poll() is None:
+            process.send_signal(signal.SIGINT)
+        try:
+            return process.wait(timeout=_STOP_BOUND)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+            raise ProcessError(f'{name} did not end within {_STOP_BOUND:g} s of SIGINT'
+                               f'{self._where(name)}') from None
+
+    def _ended(self, name):
+        last = self.printed(name).strip().splitlines()[-1:]
+        said = f' ({last[0]})' if last else ''
+        return (f'{name} ended with exit code {self._running[name].returncode}{said}'
+                f'{self._where(name)}')
+
+    def _where(self, name):
+        return f'; see {self._path(name)}'
+
+    def __enter__(self):
+        """Return the processes, none of them started yet."""
+        return self
+
+    def __exit__(self, *_):
+        """Kill what still runs, and close the logs."""
+        for process in self._running.values():
+            if process.poll() is None:
+                process.kill()
+                process.wait()
+        self._files.close()
+
+
 @dataclass(frozen=True, kw_only=True)
 class DrivenPlan:
-    """
-    One experiment over DDS in lockstep.
+    """One experiment over DDS in lockstep."""
 
-    Parameters
-    ----------
-    files : tuple of Path
-        Robot, controller and trajectory parameters.
-    model : Path
-        Robot file the controller believes in.
-    compensation : str
-        Mode of the controller.
-    duration : float
-        Simulated length [s].
-    rate : float
-        Joint states per simulated second [Hz].
-    plant : Path, optional
-        Robot file of the plant alone; default the robot of ``files``.
-
-    """
-
-    files: tuple
-    model: Path
+    files: tuple        # of Path: robot, controller and trajectory parameters
+    model: Path         # robot file the controller believes in
     compensation: str
-    duration: float
-    rate: float
-    plant: Path = None
+    duration: float     # simulated [s]
+    rate: float         # joint states per simulated second [Hz]
+    plant: Path | None = None  # robot file of the plant alone; default the robot of ``files``
 
 
-def private_environment():
+def private_environment() -> dict:
     """Return this environment with a ROS domain of its own on this machine alone."""
     # ids up to 101 keep the ports below Linux's ephemeral range
     domain = os.environ.get('ROS_DOMAIN_ID') or str(random.SystemRandom().randint(1, 101))
@@ -58,24 +178,12 @@ def private_environment():
             'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', 'PYTHONUNBUFFERED': '1'}
 
 
-def drive(plan, bag, *, log):
+def drive(plan: DrivenPlan, bag: Path, *, log: Path) -> None:
     """
     Run plant, controller, trajectory and recorder until the simulated time is over.
 
-    Parameters
-    ----------
-    plan : DrivenPlan
-        What to run.
-    bag : Path
-        Where the recording goes.
-    log : Path
-        Folder for what the processes print.
-
-    Raises
-    ------
-    ProcessError
-        If a process fails or does not end in time.
-
+    The recording goes to ``bag``, what the processes print into the folder ``log``. ProcessError
+    if a process fails or does not end in time.
     """
     mode = {'mode': 'lockstep'}
     trajectory = {**mode, 'trajectory.autostart': True}
@@ -101,20 +209,11 @@ def drive(plan, bag, *, log):
             processes.stop(name)
 
 
-def drive_recorded(plan, bag, *, log):
+def drive_recorded(plan: DrivenPlan, bag: Path, *, log: Path) -> Recording:
     """
-    Run a plan as `drive` does and read what it recorded.
+    Run a plan as `drive` does and return what it recorded.
 
-    Parameters
-    ----------
-    plan, bag, log
-        As of `drive`; the folder of ``bag`` is made, and what the processes print goes to a
-        folder of its name in ``log``.
-
-    Returns
-    -------
-    Recording
-
+    The folder of ``bag`` is made; ``log`` gets a folder of its name with what processes print.
     """
     bag.parent.mkdir(parents=True, exist_ok=True)
     drive(plan, bag, log=log / bag.name)
@@ -123,51 +222,21 @@ def drive_recorded(plan, bag, *, log):
 
 @dataclass(frozen=True, kw_only=True)
 class DrivenIdentification:
-    """
-    One identification experiment over DDS in lockstep.
+    """One identification experiment over DDS in lockstep."""
 
-    Parameters
-    ----------
-    files : tuple of Path
-        Robot as it is, and controller parameters.
-    model : Path
-        Robot file that controller and experiment believe in.
-    plan : Path
-        Parameters of the experiment, such as ``config/identification.yaml``.
-    duration : float
-        Expected simulated length [s].
-    rate : float
-        Joint states per simulated second [Hz].
-
-    """
-
-    files: tuple
-    model: Path
-    plan: Path
-    duration: float
-    rate: float
+    files: tuple     # of Path: robot as it is, and controller parameters
+    model: Path      # robot file that controller and experiment believe in
+    plan: Path       # parameters of the experiment, such as config/identification.yaml
+    duration: float  # expected, simulated [s]
+    rate: float      # joint states per simulated second [Hz]
 
 
-def drive_identification(experiment, bag, *, log, say=print):
+def drive_identification(experiment: DrivenIdentification, bag: Path, *, log: Path,
+                         say=print) -> None:
     """
     Run plant, controller, trajectory and identification node until the experiment is over.
 
-    Parameters
-    ----------
-    experiment : DrivenIdentification
-        What to run.
-    bag : Path
-        Where the recording goes.
-    log : Path
-        Folder for what the processes print.
-    say : callable, optional
-        Called with a line of progress for each step.
-
-    Raises
-    ------
-    ProcessError
-        If a process fails or does not end in time.
-
+    ``say`` gets a line of progress for each step; all else as of `drive`.
     """
     mode = {'mode': 'lockstep'}
     believed = [*experiment.files, experiment.model]

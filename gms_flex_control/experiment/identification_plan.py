@@ -26,94 +26,42 @@ APPROACH = 'approach'
 
 
 class Step(NamedTuple):
-    """
-    One step of the experiment.
+    """One step of the experiment."""
 
-    Parameters
-    ----------
-    name : str
-        Unique in the plan.
-    phase : str
-        constant_velocity, break_away, presliding, sliding or approach.
-    joint : str
-        Which joint is identified.
-    kind : {'motion', 'torque', 'approach', 'relax'}
-        Follow the reference; apply it as open-loop torque; go to ``end``; let the springs
-        unload where the arm is.
-    trajectory_parameters : dict of str to object
-        For the trajectory node.
-    value : float
-        Signed velocity [rad/s] or torque amplitude [N m].
-    duration_estimate : float
-        Expected [s].
-    begin, end : tuple of float, or None
-        Link angles at both ends [rad]; None where they depend on the robot.
-    travel : float
-        The step ends once the joint has moved this far [rad]; 0 for never.
-
-    """
-
-    name: str
-    phase: str
-    joint: str
-    kind: str
-    trajectory_parameters: dict
-    value: float
-    duration_estimate: float
-    begin: tuple = None
-    end: tuple = None
-    travel: float = 0.0
+    name: str          # unique in the plan
+    phase: str         # constant_velocity, break_away, presliding, sliding or approach
+    joint: str         # that is identified
+    kind: str          # 'motion': follow the reference; 'torque': apply it as open-loop torque;
+    #                    'approach': go to ``end``; 'relax': let the springs unload
+    trajectory_parameters: dict  # for the trajectory node
+    value: float       # signed velocity [rad/s] or torque amplitude [N m]
+    duration_estimate: float     # [s]
+    begin: tuple | None = None   # link angles [rad]; None where they depend on the robot
+    end: tuple | None = None
+    travel: float = 0.0          # the step ends once the joint has moved so far; 0 never [rad]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class IdentificationPlan:
-    """
-    What the experiment does, and within which limits.
+    """What the experiment does, and within which limits; arrays (n_joints,)."""
 
-    Parameters
-    ----------
-    joints : tuple of str
-        Link names of the robot.
-    experiments : tuple of Step
-        The steps that measure something, in order.
-    compensation : str
-        Mode of the controller in motion steps.
-    lower, upper, velocity, acceleration, torque : ndarray, shape (n_joints,)
-        Limits [rad, rad/s, rad/s^2, N m].
-    static : ndarray, shape (n_joints,)
-        Expected static friction of the weaker direction [N m].
-    rest_time, relax_time : float
-        Rest after each step; time for the springs to unload [s].
-
-    """
-
-    joints: tuple
-    experiments: tuple
-    compensation: str
-    lower: np.ndarray
+    joints: tuple             # link names of the robot
+    experiments: tuple        # of Step, those that measure something, in order
+    compensation: str         # of the controller in motion steps
+    lower: np.ndarray         # limits [rad]
     upper: np.ndarray
-    velocity: np.ndarray
-    acceleration: np.ndarray
-    torque: np.ndarray
-    static: np.ndarray
-    rest_time: float
-    relax_time: float
+    velocity: np.ndarray      # [rad/s]
+    acceleration: np.ndarray  # [rad/s^2]
+    torque: np.ndarray        # [N m]
+    static: np.ndarray        # expected static friction of the weaker direction [N m]
+    rest_time: float          # after each step [s]
+    relax_time: float         # for the springs to unload [s]
 
     def steps(self, finished=(), q_link=None):
         """
         Return all steps in order, with the moves between those that measure.
 
-        Parameters
-        ----------
-        finished : collection of str, optional
-            Names of steps to leave out.
-        q_link : ndarray, shape (n_joints,), optional
-            Where the links are [rad]; default zero.
-
-        Returns
-        -------
-        tuple of Step
-
+        Those named in ``finished`` are left out; the links are at ``q_link`` (n,), default zero.
         """
         place = tuple(np.zeros(len(self.joints)) if q_link is None else np.asarray(q_link))
         result = []
@@ -163,28 +111,12 @@ class IdentificationPlan:
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def plan_identification(values, robot, gains):
+def plan_identification(values: dict, robot, gains) -> IdentificationPlan:
     """
-    Plan the experiment from flat parameters.
+    Plan the experiment for a robot as believed and the gains of the controller that will run.
 
-    Parameters
-    ----------
-    values : dict of str to object
-        With ``identification.*`` keys, see schema.keys.identification_keys.
-    robot : RobotParams
-        As the user believes it to be.
-    gains : ControllerParams
-        Of the controller that will run.
-
-    Returns
-    -------
-    IdentificationPlan
-
-    Raises
-    ------
-    ConfigError
-        If a value is out of range, or a step cannot keep a limit.
-
+    ``values`` has ``identification.*`` of schema.node_keys.identification_keys. ConfigError if a
+    value is out of range, or a step cannot keep a limit.
     """
     flat = {key.name: checked(key, values[key.name]) if key.name in values else key.default
             for key in identification_keys(robot.joints)}
@@ -210,30 +142,13 @@ def plan_identification(values, robot, gains):
         relax_time=flat['identification.relax_time'])
 
 
-def read_identification_plan(files, robot, gains, *, overrides=None):
+def read_identification_plan(files, robot, gains, *,
+                             overrides: dict | None = None) -> IdentificationPlan:
     """
-    Plan the experiment from parameter files, later ones winning.
+    Plan the experiment from parameter files, later ones winning; see `plan_identification`.
 
-    Parameters
-    ----------
-    files : sequence of str or Path
-        Such as ``config/identification.yaml``; keys of other nodes may stand in the same files.
-    robot : RobotParams
-        As the user believes it to be.
-    gains : ControllerParams
-        Of the controller that will run.
-    overrides : dict of str to object, optional
-        Single parameters.
-
-    Returns
-    -------
-    IdentificationPlan
-
-    Raises
-    ------
-    ConfigError
-        One sentence with file and line where it has one.
-
+    Such as ``config/identification.yaml``; keys of other nodes may stand in the same files.
+    ``overrides`` are single parameters. ConfigError begins with file and line where it has them.
     """
     values, places = read_values(files)
     values |= overrides or {}

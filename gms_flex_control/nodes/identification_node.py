@@ -11,9 +11,13 @@ from tempfile import TemporaryFile
 import time
 
 from gms_flex_control.errors import GmsFlexError
+from gms_flex_control.experiment.driven import executable
 from gms_flex_control.experiment.identification_plan import plan_identification
-from gms_flex_control.experiment.journal import ExperimentError, Journal, require_space
-from gms_flex_control.experiment.processes import executable
+from gms_flex_control.experiment.identification_progress import (
+    ExperimentError,
+    Journal,
+    require_space,
+)
 from gms_flex_control.nodes import messages, process
 from gms_flex_control.nodes.parameters import NodeParameters
 from gms_flex_control.nodes.recorder import ExperimentBag, STATES

@@ -3,9 +3,12 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """The steps of an experiment, one after the other, by the parameters of the other nodes."""
 
-from gms_flex_control.experiment.adaptation import Adaptation, LEAVING
+from gms_flex_control.experiment.identification_progress import (
+    Adaptation,
+    ExperimentError,
+    LEAVING,
+)
 from gms_flex_control.experiment.identification_steps import BRAKING_TIME
-from gms_flex_control.experiment.journal import ExperimentError
 from gms_flex_control.nodes import messages
 from gms_flex_control.nodes.messages import NANOSECONDS
 from gms_flex_control.nodes.remote import values_of

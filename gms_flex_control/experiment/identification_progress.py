@@ -1,7 +1,7 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""Which steps of an experiment are finished, in a small file beside its bag."""
+"""What an identification experiment keeps as it goes: finished steps, and torques found."""
 
 import json
 from pathlib import Path
@@ -9,6 +9,10 @@ import shutil
 
 from gms_flex_control.errors import BagError, GmsFlexError
 from gms_flex_control.files import write_text
+
+_LEAST, _MOST = 0.2, 3.0  # of what was planned
+LEAVING = 0.2  # of the travel that ends a break-away step: there it begins
+_CAUTION = 0.85    # the torque found is late by what inertia takes, and differs each time
 
 
 class ExperimentError(GmsFlexError):
@@ -19,20 +23,8 @@ class Journal:
     """
     The finished steps of one plan and what later ones need of them, kept on disk.
 
-    Parameters
-    ----------
-    bag : str or Path
-        The first bag of the experiment; the journal is ``<bag>.journal.json``.
-    plan : IdentificationPlan
-        What is to be done.
-    resume : bool
-        Whether to go on with what a journal on disk lacks.
-
-    Raises
-    ------
-    ExperimentError
-        If there is a journal and it is not to be resumed, none to resume, or one of another plan.
-
+    It is ``<bag>.journal.json`` beside the first bag of the experiment. ExperimentError if there
+    is one and it is not to be resumed, none to resume, or one of another plan.
     """
 
     def __init__(self, bag, plan, *, resume=False):
@@ -89,22 +81,7 @@ class Journal:
 
 
 def require_space(folder, needed):
-    """
-    Refuse to begin where the disk is too small.
-
-    Parameters
-    ----------
-    folder : Path
-        Where the recording will be, existing or not.
-    needed : float
-        Expected size [bytes].
-
-    Raises
-    ------
-    ExperimentError
-        If less is free than that and a tenth more.
-
-    """
+    """Raise ExperimentError if the disk of ``folder`` has less than ``needed`` bytes and 10 %."""
     folder = Path(folder).resolve()
     while not folder.exists():
         folder = folder.parent
@@ -113,3 +90,48 @@ def require_space(folder, needed):
         raise ExperimentError(f'{folder}: has {free / 1e6:.0f} MB free and the recording needs '
                               f'about {needed / 1e6:.0f} MB; make room or name another '
                               'identification.bag')
+
+
+class Adaptation:
+    """
+    What the break-away steps have found, and what follows for presliding.
+
+    ``found`` is the least torque at break-away by joint [N m]; changed in place.
+    """
+
+    def __init__(self, plan, found=None):
+        self._plan, self.found = plan, {} if found is None else found
+
+    def broke_away(self, step, time):
+        """
+        Note that a break-away step ended; return its torque then, without gravity's [N m].
+
+        ``time`` from the step's beginning is when the joint had not yet moved by `LEAVING` of the
+        step's travel [s].
+        """
+        j = self._plan.joints.index(step.joint)
+        bias = step.trajectory_parameters[f'trajectory.{step.joint}.bias']
+        trajectory = self._plan.trajectory(step)
+        top_time = 0.5 * trajectory.end  # it rises, then falls
+        torque = abs(trajectory.sample(min(time, top_time))[0, j] - bias)
+        self.found[step.joint] = min(float(torque), self.found.get(step.joint, float(torque)))
+        return torque
+
+    def applied_to(self, step):
+        """
+        Return a Step as it is to be carried out.
+
+        Of presliding the levels are scaled by found over expected break-away torque, within the
+        joint's torque limit; any other step is unchanged.
+        """
+        if step.phase != 'presliding' or step.joint not in self.found:
+            return step
+        j = self._plan.joints.index(step.joint)
+        factor = _CAUTION * self.found[step.joint] / self._plan.static[j]
+        factor = min(max(factor, _LEAST), _MOST)
+        name = f'trajectory.{step.joint}.levels'
+        bias = abs(step.trajectory_parameters[f'trajectory.{step.joint}.bias'])
+        factor = min(factor, (self._plan.torque[j] - bias) / step.value)
+        levels = [factor * level for level in step.trajectory_parameters[name]]
+        return step._replace(trajectory_parameters=step.trajectory_parameters | {name: levels},
+                             value=factor * step.value)
