@@ -29,7 +29,7 @@ from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE, FOUND, UNEXP
 from gms_flex_control.effects.registry import in_words
 from gms_flex_control.params.units import in_units
 from gms_flex_control.reports.discrepancy_values import comparison_rows
-from gms_flex_control.reports.figures import file_stem, save_figure, thinned
+from gms_flex_control.reports.figures import file_stem, save_figure
 from gms_flex_control.reports.page import Curve, Report, Series
 from gms_flex_control.reports.pictures import (
     evidence_figure,
@@ -49,7 +49,6 @@ MOST_PICTURES = 8     # findings with a picture and a chart of their own
 _AT_FLOOR = 1.3       # error over floor that counts as the floor itself
 _SCALES = {'rad': angle_scale, 'N m': torque_scale}
 _CHANGED = 0.02       # share of an error that is worth a word
-_CLOUD = 3_000        # points of a cloud
 
 
 def write_discrepancy_report(result, folder, *, holdout=(), models=()) -> list:
@@ -270,10 +269,9 @@ def _finding_row(finding, scale):
 
 
 def _add_evidence_chart(report, evidence):
-    keep, scale = thinned(len(evidence.x), _CLOUD), torque_scale(evidence.y)
+    scale = torque_scale(evidence.y)
     size = scale.factor
-    curves = [Curve('samples without it', evidence.x[keep], size * evidence.y[keep], 'c6',
-                    points=True)]
+    curves = [Curve('samples without it', evidence.x, size * evidence.y, 'c6', points=True)]
     for curve, role, name in ((evidence.before, 'c1', 'without it'),
                               (evidence.after, 'c0', 'with it')):
         curves.append(Curve(name, curve.x, size * curve.mean, role))

@@ -31,14 +31,13 @@ from gms_flex_control.identification.words import (
     STANDINGS,
 )
 from gms_flex_control.params.units import in_units
-from gms_flex_control.reports.figures import file_stem, save_figure, thinned
+from gms_flex_control.reports.figures import file_stem, save_figure
 from gms_flex_control.reports.page import Curve, decimate, Report, Series
 from gms_flex_control.reports.pictures import DIRECTIONS, loops_figure, map_figure, MOST_LOOPS
 import numpy as np
 
 MOST_TRACES = 6          # of one joint on the page
 _TRACE_POINTS = 20_000   # of one line of a trace; longer ones are written as extremes
-_CLOUD = 4_000           # points of a cloud
 _KNOWN = ('well known', 'roughly known')
 _SYMBOLS = {'static': 'F_s', 'coulomb': 'F_c', 'velocity': 'v_s', 'viscous': 'σ_2',
             'attraction': 'C', 'motor_inertia': 'J'}
@@ -303,8 +302,7 @@ def _add_map(report, result, known, log=False):
         way, turn = sign * measured.velocity > 0.0, sign if log else 1.0
         for steady, label, role in ((True, f'{name}, steady', f'c{i}'),
                                     (False, f'{name}, not steady', 'c6')):
-            rows = np.flatnonzero(way & (measured.steady == steady))
-            rows = rows[thinned(len(rows), _CLOUD)]
+            rows = way & (measured.steady == steady)
             curves.append(Curve(label, turn * measured.velocity[rows],
                                 turn * measured.torque[rows], role, points=True))
         rows = sign * fit > 0.0
@@ -315,8 +313,8 @@ def _add_map(report, result, known, log=False):
                    if torque is not None]
     title, x = (('friction against the motion', 'speed') if log else
                 ('friction over velocity, measured and fitted', 'velocity'))
-    _curves(report, f'{result.joint}: {title}', curves, f'{x} [rad/s]', 'friction torque [N m]',
-            log_x=log)
+    report.xy_chart(f'{result.joint}: {title}', curves, f'{x} [rad/s]', 'friction torque [N m]',
+                    log_x=log)
 
 
 def _add_presliding(report, result, known):
@@ -339,17 +337,9 @@ def _add_presliding(report, result, known):
     if not result.loops:
         report.note('The data hold no presliding motion' + (
             ': the curve rests on reversals alone.' if len(x) else '.'))
-    _curves(report, 'hysteresis loops', loops, 'displacement [mrad]', 'friction torque [N m]')
-    _curves(report, 'from rest', curves, 'displacement [mrad]', 'friction torque [N m]',
-            log_x=True)
-
-
-def _curves(report, title, curves, x_label, y_label, **options):
-    """Add a chart of the curves that have a point to draw."""
-    drawn = [curve for curve in curves if np.any(
-        np.isfinite(curve.x) & np.isfinite(curve.y))]
-    if drawn:
-        report.xy_chart(title, drawn, x_label, y_label, **options)
+    report.xy_chart('hysteresis loops', loops, 'displacement [mrad]', 'friction torque [N m]')
+    report.xy_chart('from rest', curves, 'displacement [mrad]', 'friction torque [N m]',
+                    log_x=True)
 
 
 def _add_motion(report, result):
@@ -369,18 +359,13 @@ def _add_motion(report, result):
                     Series('model, held out', held, role='c1')]),
                 ('residual', 'N m', [Series('measured − model', residual, role='c1')]),
                 ('velocity', 'rad/s', [Series('link', velocity, role='c2')])):
-            lines = [line for line in lines if np.isfinite(line.y).any()]
-            if lines:
-                report.chart(f'{short_label(trace.label)}: {name}', time, lines,
-                             y_label=f'{name} [{unit}]', group=group)
+            report.chart(f'{short_label(trace.label)}: {name}', time, lines,
+                         y_label=f'{name} [{unit}]', group=group)
     velocity, residual, out = _residuals(result)
-    clouds = []
-    for name, rows, role in (('fitted', ~out, 'c5'), ('held out', out, 'c1')):
-        rows = np.flatnonzero(rows)
-        rows = rows[thinned(len(rows), _CLOUD)]
-        clouds.append(Curve(name, velocity[rows], residual[rows], role, points=True))
-    _curves(report, 'residual over velocity', clouds, 'velocity [rad/s]',
-            'measured − model [N m]')
+    report.xy_chart('residual over velocity', [
+        Curve(name, velocity[rows], residual[rows], role, points=True)
+        for name, rows, role in (('fitted', ~out, 'c5'), ('held out', out, 'c1'))],
+        'velocity [rad/s]', 'measured − model [N m]')
 
 
 def _add_candidates(report, result):

@@ -24,6 +24,7 @@ import numpy as np
 ROLES = ('reference', 'c0', 'c1', 'c2', 'c3', 'c4', 'c5', 'c6')
 MAX_POINTS = 200_000  # per series; longer ones are written as extremes per bucket
 MAX_CURVE = 20_000    # per curve; of longer ones every so many points are written
+MAX_CLOUD = 4_000     # likewise of points without a line
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
 _OPTION, _WHOLE = re.compile(r'--[\w-]+'), r'<span>\g<0></span>'  # does not break at its '-'
 HINT = ('Drag to pan, wheel or shift-drag to zoom, double-click to reset; click a name in the '
@@ -114,9 +115,13 @@ class Report:
         """
         Add an interactive chart of Series over an increasing x (T,).
 
-        Charts of one ``group`` share cursor, pan and zoom. ValueError if lengths differ, x does
-        not increase or is not finite, or a role is unknown.
+        Charts of one ``group`` share cursor, pan and zoom. Series without a number are left out,
+        and a chart without series. ValueError if lengths differ, x does not increase or is not
+        finite, or a role is unknown.
         """
+        series = [item for item in series if np.isfinite(item.y).any()]
+        if not series:
+            return self
         grid, values = merge_grids(x, [(item.label, item.x, item.y) for item in series])
         shown = decimate(grid, values, MAX_POINTS)
         if len(shown[0]) < len(grid):
@@ -134,19 +139,22 @@ class Report:
         """
         Add an interactive chart of Curves, over the logarithm of x if ``log_x`` (then x > 0).
 
-        ValueError if shapes differ, a role is unknown or there is no finite point.
+        Curves without a point are left out, and a chart without curves. ValueError if shapes
+        differ or a role is unknown.
         """
         lines, lows, highs = [], [], []
         for i, item in enumerate(curves):
             x, y = _points(item, log_x)
-            lows.append(x[np.isfinite(x)].min(initial=np.inf))
-            highs.append(x[np.isfinite(x)].max(initial=-np.inf))
+            if not np.isfinite(x).any():
+                continue
+            lows.append(np.nanmin(x))
+            highs.append(np.nanmax(x))
             lines.append({'label': self._words(item.label), 'x': self._store(x, '<f8'),
                           'y': self._store(y, '<f4'), 'role': _role(item, i),
                           'points': item.points, 'dashed': item.dashed, 'hidden': item.hidden})
-        low, high = min(lows, default=np.inf), max(highs, default=-np.inf)
-        if not low <= high:
-            raise ValueError(f'chart {title!r} has no point to draw')
+        if not lines:
+            return self
+        low, high = min(lows), max(highs)
         margin = 0.03 * (high - low) or 0.1 * abs(low) or 1.0
         window = np.array([low - margin, high + margin])
         index = len(self._charts)
@@ -243,7 +251,7 @@ def _points(curve, log_x):
     x, y = (np.array(values, dtype=float) for values in (curve.x, curve.y))
     if x.ndim != 1 or x.shape != y.shape:
         raise ValueError(f'curve {curve.label!r}: y has shape {y.shape}, x {x.shape}')
-    step = max(1, int(np.ceil(len(x) / MAX_CURVE)))
+    step = max(1, int(np.ceil(len(x) / (MAX_CLOUD if curve.points else MAX_CURVE))))
     x, y = x[::step], y[::step]
     good = np.isfinite(x) & np.isfinite(y) & ((x > 0.0) | (not log_x))
     x[~good] = y[~good] = np.nan
@@ -289,8 +297,6 @@ def merge_grids(x, lines):
         if y.shape != abscissa.shape:
             raise ValueError(f'series {label!r}: y has shape {y.shape}, x {abscissa.shape}')
         pairs.append((abscissa, y))
-    if not pairs:
-        raise ValueError('a chart needs at least one series')
     grid = pairs[0][0]
     for abscissa, _ in pairs[1:]:
         if not np.array_equal(abscissa, grid):

@@ -78,11 +78,8 @@ def _add_run(report, run, friction_true):
     for i, joint in enumerate(recording.joints):
         report.heading(joint, level=3)
         for name, unit, series in _joint_charts(recording, i, friction_true):
-            shown = [item for item in series if np.isfinite(item.y).any()]
-            if shown:
-                report.chart(f'{joint}: {name}', recording.time, shown,
-                             y_label=f'{name} [{unit}]',
-                             group=f'{run.trajectory} {run.compensation} {recording.source}')
+            report.chart(f'{joint}: {name}', recording.time, series, y_label=f'{name} [{unit}]',
+                         group=f'{run.trajectory} {run.compensation} {recording.source}')
 
 
 def _joint_charts(recording, i, friction_true):
