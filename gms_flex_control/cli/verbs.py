@@ -176,6 +176,31 @@ _SIMULATE = Verb(
      'simulate --robot robot.yaml results/friction.yaml --set gains.joint1.kd_link=1.0 --out '
      'my_bag'))
 
+_NEXT = Verb(
+    'next', 'next_recording.next_recording', 'the motion to record next, to separate explanations',
+    'Read a result of discrepancy that leaves several explanations and choose the motion that '
+    'separates them fastest: each is simulated as the robot, and all are fitted to that '
+    'simulation beside the recordings so far. Every explanation, also two standard deviations '
+    'from its fit, keeps the limits. Exit code 1 if no motion separates all of them.', (
+        option('result', metavar='RESULT', help='folder that discrepancy wrote'),
+        option('--robot', nargs='+', required=True, metavar='FILE',
+               help='robot files that discrepancy was given, later ones winning'),
+        CONTROLLER,
+        option('--limits', nargs='+', required=True, metavar='FILE',
+               help='limits.<joint>.* as of the bridge: lower, upper, velocity, torque'),
+        option('--effects', nargs='+', metavar='EFFECT:JOINT[+EFFECT:JOINT]',
+               help='explanations to separate; default: those that RESULT leaves'),
+        option('--rate', type=float, default=500.0, metavar='HZ', least=10.0, most=10_000.0,
+               help='of the controller (default: %(default)g)'),
+        option('--odds', type=float, default=99.0, least=1.5, most=1e9,
+               help='wanted between every pair (default: %(default)g)'),
+        option('--longest', type=float, default=60.0, metavar='S', least=8.0, most=3600.0,
+               help='motion (default: %(default)g)'),
+        out_folder('folder for the plan'), JSON),
+    ('next gap --robot robot.yaml --limits bridge.yaml --out plan',
+     'next gap --robot robot.yaml --limits bridge.yaml --effects backlash:joint2 '
+     'stiffness_error:joint2 --out plan'))
+
 _TUNE = Verb(
     'tune', 'tune.tune', 'gains for a robot: proposed, judged, tried, verified',
     'Propose the stiffest gains of the cascade controller that keep margins, encoder noise and '
@@ -403,7 +428,7 @@ _COMPLETION = Verb(
 
 GROUPS = {
     'for a robot and its recordings': (
-        _IMPORT_CSV, _INFO, _VIEW, _IDENTIFY, _DISCREPANCY, _SIMULATE, _TUNE, _COMPARE, _EFFECTS,
-        _EXPORT),
+        _IMPORT_CSV, _INFO, _VIEW, _IDENTIFY, _DISCREPANCY, _NEXT, _SIMULATE, _TUNE, _COMPARE,
+        _EFFECTS, _EXPORT),
     'beside these': (_RECORD, _REPAIR, _ANALYSE, _TORSION, _CHECK_GAINS, _URDF, _DEMO,
                      _DEMO_IDENTIFY, _DEMO_DISCREPANCY, _COMPLETION)}
