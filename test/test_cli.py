@@ -29,7 +29,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 VERBS = tool.VERBS
 OF_BENCH = tuple(verb for group in bench.GROUPS.values() for verb in group)
-WITHOUT_TABLE = {'urdf', 'completion', 'view', 'export', 'coverage', 'real-machines'}
+WITHOUT_TABLE = {'urdf', 'completion', 'view', 'export', 'coverage', 'learn', 'real-machines'}
 BAGS = {'info', 'repair', 'analyse', 'identify', 'discrepancy', 'torsion'}
 NO_BAG = ROOT / 'test' / 'no_such_bag'
 # what is wrong with the input of a verb that takes no bag
@@ -42,6 +42,8 @@ WRONG = {
     'recover': '--seeds 0', 'hide': '--seeds x --out {dir}',
     'score': '--kind single --seeds x --out {dir}', 'faults': '--only nonsense',
     'coverage': '--seeds x --out {dir}', 'real-machines': 'nonsense --out {dir}',
+    'learn': '--machines nonsense --out {dir}',
+    'next': '{missing} --robot {missing} --limits {missing} --out {dir}',
     'urdf': '--robot {missing}', 'tune': '--robot {missing} --out {dir}', 'compare': '{missing}',
     'view': '{missing}', 'effects': 'backlsh', 'export': '--to mujoco --robot {missing}'}
 

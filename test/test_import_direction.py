@@ -20,8 +20,8 @@ ROOT = Path(gms_flex_control.__file__).parent
 LAYERS = ['errors', 'files', 'batches', 'answer', 'resources', 'blas', 'compiled',
           'records', 'recording', 'params', 'friction', 'effects', 'dynamics', 'trajectory',
           'control', 'hardware', 'schema', 'exports', 'simulation', 'effect_compensation', 'bags',
-          'experiment', 'analysis', 'identification', 'discrepancy', 'design', 'demonstration', 'tuning',
-          'comparison', 'reports', 'view', 'nodes', 'cli']
+          'experiment', 'analysis', 'identification', 'discrepancy', 'design',
+          'demonstration', 'tuning', 'comparison', 'reports', 'view', 'nodes', 'cli']
 ROS = re.compile(r'rclpy|rcl_interfaces|ament_index_python|launch(_ros)?|\w+_(msgs|srvs)')
 BAGS = re.compile(r'rosbags|mcap')
 NOT_INSTALLED = {'bench', 'scripts', 'test'}

@@ -429,6 +429,6 @@ _COMPLETION = Verb(
 GROUPS = {
     'for a robot and its recordings': (
         _IMPORT_CSV, _INFO, _VIEW, _IDENTIFY, _DISCREPANCY, _NEXT, _SIMULATE, _TUNE, _COMPARE,
-        _EFFECTS, _EXPORT),
-    'beside these': (_RECORD, _REPAIR, _ANALYSE, _TORSION, _CHECK_GAINS, _URDF, _DEMO,
+        _EXPORT),
+    'beside these': (_EFFECTS, _RECORD, _REPAIR, _ANALYSE, _TORSION, _CHECK_GAINS, _URDF, _DEMO,
                      _DEMO_IDENTIFY, _DEMO_DISCREPANCY, _COMPLETION)}

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from gms_flex_control.hardware.limits import Limits
-from gms_flex_control.schema.keys import trajectory_keys
 from gms_flex_control.schema.motion import trajectory_from_values
+from gms_flex_control.schema.node_keys import trajectory_keys
 from gms_flex_control.trajectory.segments import Trajectory
 import numpy as np
 

@@ -32,7 +32,8 @@ def next_figure(plan: NextRecording) -> Figure:
                                label=one.words)
         panels[j + 1].set_ylabel(f'{joint} [mN m]')
     panels[0].set_ylabel('reference [rad]')
-    panels[1].set_title(f'predicted torque less that with {hypotheses[0].words}, below {_CUTOFF:g} Hz', fontsize=9)
+    panels[1].set_title(f'predicted torque less that with {hypotheses[0].words}, '
+                        f'below {_CUTOFF:g} Hz', fontsize=9)
     panels[-1].set_xlabel('time [s]')
     for panel in panels[:2]:
         panel.legend(frameon=False, fontsize=8)
