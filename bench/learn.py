@@ -29,6 +29,7 @@ from gms_flex_control.discrepancy.result import Signature
 from gms_flex_control.discrepancy.thresholds import PLAUSIBLE
 from gms_flex_control.discrepancy.validation import torque_rms
 from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
+from gms_flex_control.errors import ConfigError
 from gms_flex_control.files import write_text
 from gms_flex_control.simulation import plant
 import numpy as np
@@ -76,6 +77,9 @@ def add_parser(subparsers):
 
 def run(args):
     """Try all, write and print the figures; return 0."""
+    unknown = [name for name in args.machines if name not in MACHINES]
+    if unknown:
+        raise ConfigError(f'--machines {unknown[0]}: unknown, known are {", ".join(MACHINES)}')
     items = [Item('outside', name, seed, args.duration) for seed in seeds_of(args.seeds)
              for name in STATE]
     items += [Item('outside', name, 0, args.duration) for name in OTHERS]
