@@ -23,6 +23,7 @@ from gms_flex_control.batches.journal import fingerprint, Journal
 from gms_flex_control.batches.workers import open_executor
 from gms_flex_control.cli.identify_bags import read_take
 from gms_flex_control.cli.options import add_batch_options
+from gms_flex_control.data.recording import Recording
 from gms_flex_control.errors import GmsFlexError
 from gms_flex_control.experiment.believed import scaled_friction
 from gms_flex_control.experiment.identification_plan import plan_identification
@@ -35,7 +36,6 @@ from gms_flex_control.params.encoder import EncoderParams
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.robot import RobotParams
-from gms_flex_control.recording import Recording
 from gms_flex_control.schema.files import load_robot, save_values
 from gms_flex_control.simulation.stretches import StretchedLoop
 from gms_flex_control.trajectory import builders

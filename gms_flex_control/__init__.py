@@ -19,8 +19,8 @@ if sys.version_info < (3, 11):  # noqa: UP036  colcon does not ask
 _HOME = {
     'load_robot': 'schema.files', 'save_robot': 'schema.files', 'load_controller': 'schema.files',
     'read_plan': 'experiment.plan', 'simulate': 'experiment.simulated',
-    'Recording': 'recording', 'read_recording': 'bags.reader',
-    'write_recording': 'bags.experiment', 'identify': 'identification.identify',
+    'Recording': 'data.recording', 'read_recording': 'data.reader',
+    'write_recording': 'data.writer', 'identify': 'identification.identify',
     'find_discrepancy': 'discrepancy.workflow'}
 __all__ = sorted(_HOME)
 

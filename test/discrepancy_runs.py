@@ -7,11 +7,11 @@ from dataclasses import replace
 
 from bench.hidden_robots import motions, truth
 from core_runs import single_axis
+from gms_flex_control.data.recording import Recording
 from gms_flex_control.discrepancy.fitting import retuned
 from gms_flex_control.discrepancy.likelihood import Likelihood
 from gms_flex_control.discrepancy.motion import make_motion, motion_of
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
-from gms_flex_control.recording import Recording
 import numpy as np
 
 NONE = StribeckParams(static=[1e-14], coulomb=[1e-14], velocity=[1.0], viscous=[0.0])

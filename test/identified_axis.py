@@ -6,6 +6,7 @@
 from dataclasses import replace
 from functools import cache
 
+from gms_flex_control.data.recording import Recording
 from gms_flex_control.experiment.identification_plan import plan_identification
 from gms_flex_control.experiment.identification_simulated import simulate_identification
 from gms_flex_control.params.arm import ArmParams
@@ -13,7 +14,6 @@ from gms_flex_control.params.encoder import EncoderParams
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.robot import RobotParams
-from gms_flex_control.recording import Recording
 import numpy as np
 
 JOINT = 'joint1'

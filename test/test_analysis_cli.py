@@ -5,14 +5,14 @@
 
 import json
 
-from gms_flex_control.analysis.csv_import import import_csv
-from gms_flex_control.bags.experiment import write_recording
-from gms_flex_control.bags.reader import read_recording
 from gms_flex_control.cli import recordings
 from gms_flex_control.cli.main import build_parser
+from gms_flex_control.data.csv_import import import_csv
+from gms_flex_control.data.reader import read_recording
+from gms_flex_control.data.recording import Recording
+from gms_flex_control.data.writer import write_recording
 from gms_flex_control.errors import BagError, ImportDataError
 from gms_flex_control.params.gains import COMPENSATIONS
-from gms_flex_control.recording import Recording
 import numpy as np
 import pytest
 

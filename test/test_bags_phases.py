@@ -5,23 +5,19 @@
 
 from dataclasses import fields
 
-from gms_flex_control.bags.cdr import (
+from gms_flex_control.data.further_topics import read_experiment, read_phases
+from gms_flex_control.data.messages import (
     JOINT_STATE,
     MULTI_ARRAY,
     pack_joint_state,
     pack_multi_array,
-)
-from gms_flex_control.bags.experiment import write_recording
-from gms_flex_control.bags.phases import (
     pack_phase,
     PHASE_TOPIC,
-    read_experiment,
-    read_phases,
 )
-from gms_flex_control.bags.reader import read_recording
-from gms_flex_control.bags.writer import BagWriter
+from gms_flex_control.data.reader import read_recording
+from gms_flex_control.data.recording import Phase, Recording
+from gms_flex_control.data.writer import BagWriter, write_recording
 from gms_flex_control.errors import BagError
-from gms_flex_control.recording import Phase, Recording
 import numpy as np
 import pytest
 

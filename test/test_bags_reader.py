@@ -9,14 +9,13 @@ import re
 import shutil
 import warnings
 
-from gms_flex_control.bags import cdr, messages
-from gms_flex_control.bags.experiment import write_recording
-from gms_flex_control.bags.reader import read_recording, Topics
-from gms_flex_control.bags.source import BagWarning
-from gms_flex_control.bags.summary import summarise
-from gms_flex_control.bags.writer import BagWriter
+from gms_flex_control.data import messages
+from gms_flex_control.data.bag import BagWarning
+from gms_flex_control.data.inspection import summarise
+from gms_flex_control.data.reader import read_recording
+from gms_flex_control.data.recording import Recording, Topics
+from gms_flex_control.data.writer import BagWriter, write_recording
 from gms_flex_control.errors import BagError
-from gms_flex_control.recording import Recording
 import numpy as np
 import pytest
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
@@ -24,8 +23,9 @@ from rosbags.typesys import get_typestore, Stores
 
 REAL = Path(__file__).parent / 'data' / 'ros2_bag_record'
 STORE = get_typestore(Stores.ROS2_JAZZY)
-TYPES = {'/joint_states': cdr.JOINT_STATE, '/effort_controller/commands': cdr.MULTI_ARRAY,
-         '/reference': cdr.MULTI_ARRAY}
+TYPES = {'/joint_states': messages.JOINT_STATE,
+         '/effort_controller/commands': messages.MULTI_ARRAY,
+         '/reference': messages.MULTI_ARRAY}
 PERIOD = 2_000_000
 
 
@@ -42,7 +42,7 @@ def state(k, names=('a', 'b', 'b_motor'), stamp=None):
     """Return state ``k``: position tells name and sample."""
     stamp = k * PERIOD if stamp is None else stamp
     values = [100 * ord(name[0]) + (50 if name.endswith('motor') else 0) + k for name in names]
-    return stamp, cdr.pack_joint_state(names, stamp, values, None, [-v for v in values])
+    return stamp, messages.pack_joint_state(names, stamp, values, None, [-v for v in values])
 
 
 def make_recording(samples=40):
@@ -81,7 +81,7 @@ def test_the_summary_of_the_real_bags_equals_their_metadata(storage):
     assert round(summary.duration * 1e9) == pytest.approx(
         int(re.search(r'nanoseconds: (\d+)', text)[1]), abs=1000)
     assert {topic.name: topic.type_name for topic in summary.topics} == {
-        '/effort_cmd': cdr.MULTI_ARRAY, '/joint_states': cdr.JOINT_STATE}
+        '/effort_cmd': messages.MULTI_ARRAY, '/joint_states': messages.JOINT_STATE}
     assert summary.complete and summary.sound and summary.checksums == 'none in the bag'
     assert 'joints: motor, load' in summary.text()
 
@@ -175,7 +175,7 @@ def test_one_joint_of_a_bag_has_its_own_columns_of_commands_and_references(tmp_p
 
 def test_states_of_other_machines_on_the_same_topic_are_passed_over(tmp_path):
     states = [state(k) for k in range(20)]
-    other = [(k * PERIOD + 5, cdr.pack_joint_state(['gripper'], k * PERIOD + 5, [1.0]))
+    other = [(k * PERIOD + 5, messages.pack_joint_state(['gripper'], k * PERIOD + 5, [1.0]))
              for k in range(20)]
     mixed = [row for pair in zip(states, other, strict=True) for row in pair]
     recording = read_recording(write_bag(tmp_path / 'bag', mixed))
@@ -269,7 +269,7 @@ BAD = {
         {'states': GOOD, 'commands': [(1, messages.pack_command([1.0, 2.0, 3.0], 0))]},
         "topic '/effort_controller/commands' message 0 has 3 torques for 2 joints (a, b)"),
     'bad label': (
-        {'states': GOOD, 'commands': [(1, cdr.pack_multi_array([('stamp:soon', 1, 1)],
+        {'states': GOOD, 'commands': [(1, messages.pack_multi_array([('stamp:soon', 1, 1)],
                                                                [1.0, 2.0]))]},
         "message 0 has the label 'stamp:soon', expected stamp:<whole nanoseconds>"),
     'wrong reference length': (
@@ -307,10 +307,10 @@ def test_what_is_no_recording_is_refused_with_a_sentence(tmp_path, name):
 
 
 def test_positions_that_do_not_fit_the_names_are_refused(tmp_path):
-    bad = STORE.deserialize_cdr(GOOD[0][1], cdr.JOINT_STATE)
+    bad = STORE.deserialize_cdr(GOOD[0][1], messages.JOINT_STATE)
     bad.position = bad.position[:2]
     path = write_bag(tmp_path / 'bag', [*GOOD, (9, bytes(STORE.serialize_cdr(
-        bad, cdr.JOINT_STATE)))])
+        bad, messages.JOINT_STATE)))])
     with pytest.raises(BagError, match='message 5 has 2 position values for 3 names'):
         read_recording(path)
 

@@ -13,10 +13,9 @@ import sys
 import threading
 import time
 
-from gms_flex_control.bags import cdr
-from gms_flex_control.bags.repair import repair_bag
-from gms_flex_control.bags.source import Bag
-from gms_flex_control.bags.summary import summarise
+from gms_flex_control.data import messages
+from gms_flex_control.data.bag import Bag
+from gms_flex_control.data.inspection import repair_bag, summarise
 import pytest
 
 # other processes of the machine can delay real nodes beyond any bound
@@ -125,7 +124,7 @@ def start(environment, tmp_path):
 
 
 def states_in(path):
-    return [cdr.unpack_joint_state(data) for batch in Bag(path).batches()
+    return [messages.unpack_joint_state(data) for batch in Bag(path).batches()
             for _, _, _, data in batch]
 
 

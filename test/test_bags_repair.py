@@ -9,13 +9,12 @@ import re
 import shutil
 import sqlite3
 
-from gms_flex_control.bags import cdr
-from gms_flex_control.bags.reader import read_recording
-from gms_flex_control.bags.repair import repair_bag
-from gms_flex_control.bags.source import Bag, BagWarning
-from gms_flex_control.bags.summary import summarise
-from gms_flex_control.bags.writer import BagWriter
 from gms_flex_control.cli.main import main
+from gms_flex_control.data import messages
+from gms_flex_control.data.bag import Bag, BagWarning
+from gms_flex_control.data.inspection import repair_bag, summarise
+from gms_flex_control.data.reader import read_recording
+from gms_flex_control.data.writer import BagWriter
 from gms_flex_control.errors import BagError
 from mcap.reader import make_reader
 import numpy as np
@@ -27,12 +26,12 @@ COUNT = 300
 
 
 def write_bag(path, chunk_size=4000):
-    with BagWriter(path, {'/joint_states': cdr.JOINT_STATE, '/clock': cdr.CLOCK},
+    with BagWriter(path, {'/joint_states': messages.JOINT_STATE, '/clock': messages.CLOCK},
                    chunk_size=chunk_size, flush_period=10.0) as writer:
         for k in range(COUNT):
-            writer.write('/joint_states', k, cdr.pack_joint_state(['a'], k * 10**6, [k]))
+            writer.write('/joint_states', k, messages.pack_joint_state(['a'], k * 10**6, [k]))
             if k % 3 == 0:
-                writer.write('/clock', k, cdr.pack_clock(k))
+                writer.write('/clock', k, messages.pack_clock(k))
     return path / f'{path.name}_0.mcap'
 
 

@@ -8,9 +8,9 @@ import re
 import subprocess
 import sys
 
-from gms_flex_control.bags import cdr, messages
-from gms_flex_control.bags.definitions import definition
-from gms_flex_control.bags.writer import BagWriter
+from gms_flex_control.data import messages
+from gms_flex_control.data.metadata import definition
+from gms_flex_control.data.writer import BagWriter
 from gms_flex_control.errors import BagError
 from mcap.reader import make_reader
 import numpy as np
@@ -21,7 +21,8 @@ from rosbags.typesys import get_typestore, Stores
 REAL = Path(__file__).parent / 'data' / 'ros2_bag_record'
 STORE = get_typestore(Stores.ROS2_JAZZY)
 NAMES = ('joint1', 'joint2', 'joint1_motor')
-TYPES = {'/joint_states': cdr.JOINT_STATE, '/commands': cdr.MULTI_ARRAY, '/clock': cdr.CLOCK}
+TYPES = {'/joint_states': messages.JOINT_STATE, '/commands': messages.MULTI_ARRAY,
+         '/clock': messages.CLOCK}
 
 
 def write_three_topics(path, count=50, **options):
@@ -32,9 +33,10 @@ def write_three_topics(path, count=50, **options):
         for k, row in enumerate(values):
             time = 10**18 + k * 2_000_000
             for topic, data in (
-                    ('/joint_states', cdr.pack_joint_state(NAMES, time, row, row + 1, row * 2)),
+                    ('/joint_states', messages.pack_joint_state(
+                        NAMES, time, row, row + 1, row * 2)),
                     ('/commands', messages.pack_command(row[:2].tolist(), time, 'test')),
-                    ('/clock', cdr.pack_clock(time))):
+                    ('/clock', messages.pack_clock(time))):
                 writer.write(topic, time, data)
                 written.append((topic, time, data))
     return written
@@ -72,7 +74,7 @@ def test_every_chunk_and_the_whole_file_carry_a_checksum(tmp_path):
 
 def test_metadata_has_the_keys_the_hashes_and_the_order_of_the_real_recorder(tmp_path):
     path = tmp_path / 'rosbag2_mcap'
-    types = {'/joint_states': cdr.JOINT_STATE, '/effort_cmd': cdr.MULTI_ARRAY}
+    types = {'/joint_states': messages.JOINT_STATE, '/effort_cmd': messages.MULTI_ARRAY}
     with BagWriter(path, types):
         pass
 
@@ -93,7 +95,7 @@ def test_the_clock_hash_is_that_of_ros():
     assert clock.__name__ == 'Clock'
     if not share.is_file():
         pytest.skip('the type description is not installed')
-    assert definition(cdr.CLOCK).type_hash in share.read_text()
+    assert definition(messages.CLOCK).type_hash in share.read_text()
 
 
 def test_a_type_of_an_installed_package_is_described_from_its_msg_files(tmp_path, monkeypatch):
@@ -113,8 +115,8 @@ def test_a_type_of_an_installed_package_is_described_from_its_msg_files(tmp_path
 @pytest.mark.parametrize('effort', [None, [5.0, -0.0, np.inf]])
 @pytest.mark.parametrize('stamp', [0, 1_795_232_912_665_209_941])
 def test_a_packed_joint_state_is_what_two_other_libraries_read(stamp, velocity, effort):
-    data = cdr.pack_joint_state(NAMES, stamp, [1.0, 2.0, np.pi], velocity, effort)
-    decoded = [STORE.deserialize_cdr(data, cdr.JOINT_STATE)]
+    data = messages.pack_joint_state(NAMES, stamp, [1.0, 2.0, np.pi], velocity, effort)
+    decoded = [STORE.deserialize_cdr(data, messages.JOINT_STATE)]
     serialization = pytest.importorskip('rclpy.serialization')
     from sensor_msgs.msg import JointState
     decoded.append(serialization.deserialize_message(data, JointState))
@@ -127,7 +129,7 @@ def test_a_packed_joint_state_is_what_two_other_libraries_read(stamp, velocity, 
     from_ros = bytes(serialization.serialize_message(decoded[1]))
     expected = (stamp, '', NAMES, (1.0, 2.0, np.pi), tuple(velocity or ()), tuple(effort or ()))
     for raw in (data, from_ros, big_endian(decoded[0])):
-        np.testing.assert_equal(cdr.unpack_joint_state(raw), expected)
+        np.testing.assert_equal(messages.unpack_joint_state(raw), expected)
 
 
 def big_endian(message):
@@ -137,8 +139,8 @@ def big_endian(message):
 @pytest.mark.parametrize('dims', [[], [('joint', 2, 2), ('stamp:0', 1, 1), ('source:ü', 1, 1)]])
 @pytest.mark.parametrize('values', [[], [1.5, -2.5], [np.nan, np.inf]])
 def test_a_packed_multi_array_is_what_two_other_libraries_read(dims, values):
-    data = cdr.pack_multi_array(dims, values)
-    decoded = [STORE.deserialize_cdr(data, cdr.MULTI_ARRAY)]
+    data = messages.pack_multi_array(dims, values)
+    decoded = [STORE.deserialize_cdr(data, messages.MULTI_ARRAY)]
     serialization = pytest.importorskip('rclpy.serialization')
     from std_msgs.msg import Float64MultiArray
     decoded.append(serialization.deserialize_message(data, Float64MultiArray))
@@ -148,11 +150,12 @@ def test_a_packed_multi_array_is_what_two_other_libraries_read(dims, values):
     from_ros = bytes(serialization.serialize_message(decoded[1]))
     known = {}
     for raw in (data, data, from_ros, from_ros, big_endian(decoded[0])):
-        np.testing.assert_equal(cdr.unpack_multi_array(raw, known), (tuple(dims), tuple(values)))
+        np.testing.assert_equal(messages.unpack_multi_array(raw, known),
+                                (tuple(dims), tuple(values)))
 
 
 def test_a_packed_clock_is_what_rosbags_reads():
-    clock = STORE.deserialize_cdr(cdr.pack_clock(3_000_000_007), cdr.CLOCK).clock
+    clock = STORE.deserialize_cdr(messages.pack_clock(3_000_000_007), messages.CLOCK).clock
     assert (clock.sec, clock.nanosec) == (3, 7)
 
 
@@ -168,9 +171,9 @@ def test_an_existing_bag_is_never_overwritten(tmp_path):
 def test_a_bag_is_closed_whole_when_its_block_fails(tmp_path):
     with pytest.raises(RuntimeError):
         with BagWriter(tmp_path / 'bag', TYPES) as writer:
-            writer.write('/clock', 5, cdr.pack_clock(5))
+            writer.write('/clock', 5, messages.pack_clock(5))
             raise RuntimeError
-    assert read_by_mcap(tmp_path / 'bag') == [('/clock', 5, cdr.pack_clock(5))]
+    assert read_by_mcap(tmp_path / 'bag') == [('/clock', 5, messages.pack_clock(5))]
     with Reader(tmp_path / 'bag') as reader:
         assert reader.message_count == 1
 
@@ -178,7 +181,7 @@ def test_a_bag_is_closed_whole_when_its_block_fails(tmp_path):
 def test_an_atomic_bag_appears_whole_or_not_at_all(tmp_path):
     with pytest.raises(RuntimeError):
         with BagWriter(tmp_path / 'bag', TYPES, atomic=True) as writer:
-            writer.write('/clock', 5, cdr.pack_clock(5))
+            writer.write('/clock', 5, messages.pack_clock(5))
             raise RuntimeError
     assert list(tmp_path.iterdir()) == []
     written = write_three_topics(tmp_path / 'bag', atomic=True)
@@ -198,15 +201,15 @@ def test_a_message_without_a_place_is_refused(tmp_path, topic, time, sentence):
 def test_a_full_disk_is_named_and_what_was_flushed_is_kept(tmp_path):
     code = """if True:
         import resource, signal, sys
-        from gms_flex_control.bags import cdr
-        from gms_flex_control.bags.writer import BagWriter
+        from gms_flex_control.data import messages
+        from gms_flex_control.data.writer import BagWriter
         from gms_flex_control.errors import BagError
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))
         try:
-            with BagWriter(sys.argv[1], {'/clock': cdr.CLOCK}, chunk_size=20_000) as writer:
+            with BagWriter(sys.argv[1], {'/clock': messages.CLOCK}, chunk_size=20_000) as writer:
                 for k in range(100_000):
-                    writer.write('/clock', k, cdr.pack_clock(k))
+                    writer.write('/clock', k, messages.pack_clock(k))
         except BagError as error:
             print(error)
     """

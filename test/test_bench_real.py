@@ -12,9 +12,9 @@ from bench.real_machines.least_squares import Part
 from bench.real_machines.machines import between, MACHINES, shared_data, VARIABLE
 from bench.real_machines.motion import low_pass, Motion, motion_of, residual_torque, rms
 from bench.real_machines.split import Outcome, parts_of
+from gms_flex_control.data.recording import Recording
 from gms_flex_control.identification.unknown_robot import rigid_joints
 from gms_flex_control.params.friction import StribeckParams
-from gms_flex_control.recording import Recording
 import numpy as np
 import pytest
 

@@ -18,9 +18,9 @@ import time
 import warnings
 
 from bench import __main__ as bench
-from gms_flex_control.bags.source import BagWarning
 from gms_flex_control.cli import main as tool
 from gms_flex_control.cli.verbs import GROUPS
+from gms_flex_control.data.bag import BagWarning
 from gms_flex_control.effects import registry
 from gms_flex_control.errors import own_warnings
 import numpy as np

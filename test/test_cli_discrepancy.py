@@ -10,8 +10,8 @@ import subprocess
 
 from bench.hidden_robots.cases import make_case
 from bench.hidden_robots.hide import write_case
-from gms_flex_control.bags.experiment import write_recording
 from gms_flex_control.cli.main import main
+from gms_flex_control.data.writer import write_recording
 from gms_flex_control.experiment.driven import executable
 from gms_flex_control.schema.files import load_robot
 from identified_axis import part as part_of

@@ -6,8 +6,8 @@
 from dataclasses import replace
 import warnings
 
-from gms_flex_control.bags.experiment import write_recording
 from gms_flex_control.cli.main import main
+from gms_flex_control.data.writer import write_recording
 from gms_flex_control.schema.files import load_robot, save_robot
 from identified_axis import axis, experiment, JOINT, part
 import numpy as np

@@ -6,8 +6,8 @@
 from dataclasses import replace
 from pathlib import Path
 
-from gms_flex_control.analysis.csv_import import estimate_velocity, import_csv
-from gms_flex_control.analysis.import_map import load_map
+from gms_flex_control.data.csv_import import estimate_velocity, import_csv
+from gms_flex_control.data.csv_map import load_map
 from gms_flex_control.errors import ImportDataError
 import numpy as np
 import pytest

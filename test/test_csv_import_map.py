@@ -5,8 +5,7 @@
 
 from pathlib import Path
 
-from gms_flex_control.analysis.import_map import load_map
-from gms_flex_control.analysis.units import canonical, unit_in_name
+from gms_flex_control.data.csv_map import canonical, load_map, unit_in_name
 from gms_flex_control.errors import ImportDataError
 import pytest
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import subprocess
 import sys
 
-from gms_flex_control.bags.reader import read_recording
-from gms_flex_control.bags.summary import summarise
 from gms_flex_control.cli.main import main
+from gms_flex_control.data.inspection import summarise
+from gms_flex_control.data.reader import read_recording
 import numpy as np
 import pytest
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import subprocess
 import sys
 
-from gms_flex_control.bags.reader import read_recording
 from gms_flex_control.cli.main import main
+from gms_flex_control.data.reader import read_recording
 from gms_flex_control.demonstration import draw_effect, drawable, hide_effect
 from gms_flex_control.effects import registry
 from gms_flex_control.effects.guess import Scales

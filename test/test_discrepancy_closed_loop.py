@@ -5,10 +5,10 @@
 
 from dataclasses import replace
 
+from gms_flex_control.data.recording import Recording
 from gms_flex_control.discrepancy.closed_loop import simulated, stretch_of
 from gms_flex_control.errors import BagError
 from gms_flex_control.params.robot import EffectSpec
-from gms_flex_control.recording import Recording
 from gms_flex_control.simulation import closed_loop
 from gms_flex_control.trajectory.builders import sinusoid
 import numpy as np

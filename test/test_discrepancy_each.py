@@ -9,10 +9,10 @@ from pathlib import Path
 
 from bench.hidden_robots.cases import make_case
 from bench.hidden_robots.hide import write_case
-from gms_flex_control.bags.experiment import write_recording
 from gms_flex_control.cli.discrepancy_of_bags import ask_bag, items_of
 from gms_flex_control.cli.each_bag import reason_or
 from gms_flex_control.cli.main import build_parser, main
+from gms_flex_control.data.writer import write_recording
 from gms_flex_control.effects import registry
 from loopback_cluster import cluster
 import pytest

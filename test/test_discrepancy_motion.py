@@ -8,12 +8,12 @@ from dataclasses import replace
 from bench.hidden_robots.plants import draw_belief, draw_robot
 from core_runs import single_axis
 from discrepancy_runs import FRICTIONLESS
+from gms_flex_control.data.recording import Recording
 from gms_flex_control.discrepancy.motion import make_motion, mean_held, standing
 from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.discrepancy.result import COMPLETE, FOUND
 from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
 from gms_flex_control.params.robot import EffectSpec
-from gms_flex_control.recording import Recording
 from gms_flex_control.simulation import plant
 from gms_flex_control.simulation.stepped import SteppedPlant
 import numpy as np

@@ -5,10 +5,10 @@
 
 from pathlib import Path
 
-from gms_flex_control.analysis.csv_import import import_csv
 from gms_flex_control.analysis.torsion import study
-from gms_flex_control.bags.experiment import write_recording
-from gms_flex_control.bags.reader import read_recording
+from gms_flex_control.data.csv_import import import_csv
+from gms_flex_control.data.reader import read_recording
+from gms_flex_control.data.writer import write_recording
 from gms_flex_control.discrepancy.result import FOUND, UNEXPLAINED
 from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
 from gms_flex_control.schema.files import load_robot

@@ -9,7 +9,7 @@ from bench.__main__ import build_parser, main
 from bench.hidden_robots.cases import available_effects, make_case
 from bench.hidden_robots.outcome import try_job
 from bench.hidden_robots.score import jobs_asked
-from gms_flex_control.bags.reader import read_recording
+from gms_flex_control.data.reader import read_recording
 from gms_flex_control.discrepancy.likelihood import with_effect
 from gms_flex_control.discrepancy.motion import motion_of, with_links
 from gms_flex_control.discrepancy.residuals import (

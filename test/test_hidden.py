@@ -11,7 +11,7 @@ from bench.__main__ import main
 from bench.hidden_robots import cases, motions, outsiders, plants, sizes, truth
 from bench.hidden_robots.kernels import friction as hidden_friction
 from core_runs import push_plant, single_axis
-from gms_flex_control.bags.reader import read_recording
+from gms_flex_control.data.reader import read_recording
 from gms_flex_control.dynamics import chain
 from gms_flex_control.effects import registry, table
 from gms_flex_control.effects.base import Term

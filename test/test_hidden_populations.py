@@ -18,7 +18,7 @@ from bench.hidden_robots.populations import (
     SPREAD,
     WIDTHS,
 )
-from gms_flex_control.bags.reader import read_recording
+from gms_flex_control.data.reader import read_recording
 from gms_flex_control.dynamics import chain
 from gms_flex_control.errors import ConfigError
 import numpy as np

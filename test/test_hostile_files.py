@@ -9,11 +9,11 @@ from pathlib import Path
 import re
 import shutil
 
-from gms_flex_control.analysis.map_reader import read_map
-from gms_flex_control.bags.metadata import load
-from gms_flex_control.bags.repair import repair_bag
-from gms_flex_control.bags.source import Bag
 from gms_flex_control.cli.main import main
+from gms_flex_control.data.bag import Bag
+from gms_flex_control.data.csv_map import read_map
+from gms_flex_control.data.inspection import repair_bag
+from gms_flex_control.data.metadata import load
 from gms_flex_control.errors import BagError, ConfigError, ImportDataError
 from gms_flex_control.schema.files import load_robot
 import pytest

@@ -6,7 +6,7 @@
 from dataclasses import replace
 from pathlib import Path
 
-from gms_flex_control.analysis.csv_import import import_csv
+from gms_flex_control.data.csv_import import import_csv
 from gms_flex_control.dynamics.chain import inverse_dynamics
 from gms_flex_control.identification.arm_fit import axis_of, estimate_arm, with_axis
 from gms_flex_control.identification.chain_fit import base_regressors, base_values, nearest_arm

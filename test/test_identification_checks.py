@@ -8,9 +8,9 @@ from functools import cache
 from pathlib import Path
 
 from bench.hidden_robots.cases import make_case
-from gms_flex_control.analysis.csv_import import import_csv
-from gms_flex_control.bags.experiment import write_recording
-from gms_flex_control.bags.reader import read_recording
+from gms_flex_control.data.csv_import import import_csv
+from gms_flex_control.data.reader import read_recording
+from gms_flex_control.data.writer import write_recording
 from gms_flex_control.dynamics.chain import matrices
 from gms_flex_control.errors import GmsFlexError, IdentificationError
 from gms_flex_control.experiment.identification_plan import read_identification_plan

@@ -6,9 +6,9 @@
 from dataclasses import replace
 
 from core_runs import scaled_friction
+from gms_flex_control.data.recording import Phase
 from gms_flex_control.identification.identify import Data, identify, Options
 from gms_flex_control.identification.output import write_friction
-from gms_flex_control.recording import Phase
 from gms_flex_control.schema.files import load_robot, save_robot
 from identified_axis import axis, experiment, JOINT, part, STATIC, without_phases, YIELDS
 import numpy as np

@@ -13,11 +13,11 @@ import sys
 import threading
 from types import SimpleNamespace
 
-from gms_flex_control.bags.experiment import write_recording
 from gms_flex_control.cli import each_bag as each
 from gms_flex_control.cli.each_bag import reason_or
 from gms_flex_control.cli.identify_bags import identify_bag, items_of
 from gms_flex_control.cli.main import build_parser, main
+from gms_flex_control.data.writer import write_recording
 from gms_flex_control.errors import BatchError, ConfigError
 from gms_flex_control.identification.over_bags import is_outlier, over_bags
 from identified_axis import pendulum

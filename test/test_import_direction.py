@@ -18,8 +18,8 @@ PACKAGE = 'gms_flex_control'
 ROOT = Path(gms_flex_control.__file__).parent
 # each may import those before it, and itself; one that does not exist yet does no harm
 LAYERS = ['errors', 'files', 'batches', 'answer', 'resources', 'blas', 'compiled',
-          'records', 'recording', 'params', 'friction', 'effects', 'dynamics', 'trajectory',
-          'control', 'hardware', 'schema', 'exports', 'simulation', 'effect_compensation', 'bags',
+          'records', 'params', 'friction', 'effects', 'dynamics', 'trajectory',
+          'control', 'hardware', 'schema', 'exports', 'simulation', 'effect_compensation', 'data',
           'experiment', 'analysis', 'identification', 'discrepancy', 'design',
           'demonstration', 'tuning', 'comparison', 'reports', 'view', 'nodes', 'cli']
 ROS = re.compile(r'rclpy|rcl_interfaces|ament_index_python|launch(_ros)?|\w+_(msgs|srvs)')
@@ -61,8 +61,8 @@ def complaints(source, module):
         target = rest.partition('.')[0]
         if ROS.fullmatch(top) and layer != 'nodes':
             found.append(f'{module}:{line} imports {name}: ROS belongs under nodes/')
-        elif BAGS.fullmatch(top) and layer != 'bags':
-            found.append(f'{module}:{line} imports {name}: bag libraries belong under bags/')
+        elif BAGS.fullmatch(top) and layer != 'data':
+            found.append(f'{module}:{line} imports {name}: bag libraries belong under data/')
         elif top in NOT_INSTALLED:
             found.append(f'{module}:{line} imports {name}, which is not installed')
         elif top != PACKAGE or not target.isidentifier() or target.startswith('__'):
@@ -108,10 +108,10 @@ def test_a_cycle_is_found():
     ('friction/gms.py', 'from gms_flex_control.simulation import plant', 'above friction'),
     ('friction/gms.py', 'from gms_flex_control import simulation', 'above friction'),
     ('friction/gms.py', 'from ..simulation.plant import step', 'above friction'),
-    ('recording.py', 'from .cli.main import main', 'above recording'),
+    ('data/recording.py', 'from ..cli.main import main', 'above data'),
     ('control/cascade.py', 'import rclpy.node', 'belongs under nodes/'),
     ('analysis/tracking.py', 'def f():\n    from std_msgs.msg import String', 'under nodes/'),
-    ('analysis/tracking.py', 'if True:\n    from mcap.reader import x', 'under bags/'),
+    ('analysis/tracking.py', 'if True:\n    from mcap.reader import x', 'under data/'),
     ('cli/demo.py', 'from gms_flex_control.nodes import ros', 'outside a function'),
     ('cli/demo.py', 'def run(args):\n    from bench.speed import timing', 'not installed'),
     ('novel/part.py', '', 'no place in LAYERS'),
@@ -123,7 +123,7 @@ def test_a_forbidden_import_is_found(module, source, complaint):
 @pytest.mark.parametrize(('module', 'source'), [
     ('simulation/plant.py', 'from gms_flex_control.friction.gms import step'),
     ('simulation/plant.py', 'from .encoder import Encoder'),
-    ('nodes/recorder.py', 'import rclpy\nfrom gms_flex_control.bags.writer import Writer'),
+    ('nodes/recorder.py', 'import rclpy\nfrom gms_flex_control.data.writer import Writer'),
     ('cli/demo.py', 'def run(args):\n    from gms_flex_control.nodes import ros'),
     ('cli/main.py', 'from gms_flex_control import __version__'),
 ])

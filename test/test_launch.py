@@ -13,7 +13,7 @@ import sys
 from xml.etree import ElementTree
 
 from gms_flex_control import nodes
-from gms_flex_control.bags.reader import read_recording
+from gms_flex_control.data.reader import read_recording
 from gms_flex_control.experiment.driven import private_environment
 from gms_flex_control.files import read_yaml
 from gms_flex_control.params.gains import COMPENSATIONS

@@ -4,7 +4,7 @@
 """Plant or bridge, controller and trajectory in one process: as three, and to the last bit."""
 
 from bridge_lab import ask, bridge_lab, move
-from gms_flex_control.bags.reader import read_recording
+from gms_flex_control.data.reader import read_recording
 from gms_flex_control.experiment.driven import executable, TOPICS
 from gms_flex_control.experiment.plan import read_plan
 from gms_flex_control.experiment.simulated import simulate_to_bag

@@ -7,7 +7,7 @@ import json
 import struct
 
 from gms_flex_control.analysis.tracking import Run
-from gms_flex_control.recording import Recording
+from gms_flex_control.data.recording import Recording
 from gms_flex_control.reports.recordings_page import (
     error_figure,
     tracking_figure,

@@ -9,8 +9,8 @@ from pathlib import Path
 import subprocess
 import sys
 
-from gms_flex_control.bags.reader import read_recording
 from gms_flex_control.cli.main import main, VERBS
+from gms_flex_control.data.reader import read_recording
 from gms_flex_control.errors import GmsFlexError
 from gms_flex_control.experiment.plan import read_plan
 from gms_flex_control.schema.files import load_robot

@@ -6,12 +6,12 @@
 import json
 from pathlib import Path
 
-from gms_flex_control.analysis.csv_import import import_csv
 from gms_flex_control.analysis.torsion import rms, study
-from gms_flex_control.bags.experiment import write_recording
 from gms_flex_control.cli.main import main
+from gms_flex_control.data.csv_import import import_csv
+from gms_flex_control.data.recording import Recording
+from gms_flex_control.data.writer import write_recording
 from gms_flex_control.errors import BagError
-from gms_flex_control.recording import Recording
 from gms_flex_control.reports.recordings_page import (
     torsion_text,
     torsion_verdict,

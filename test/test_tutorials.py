@@ -10,7 +10,7 @@ import shutil
 import subprocess
 from time import monotonic, sleep
 
-from gms_flex_control.bags.reader import read_recording
+from gms_flex_control.data.reader import read_recording
 import numpy as np
 import pytest
 from tutorial import (

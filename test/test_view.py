@@ -14,14 +14,13 @@ import subprocess
 import sys
 
 from core_runs import single_axis
-from gms_flex_control.bags.blocks import read_blocks
-from gms_flex_control.bags.cdr import JOINT_STATE, MULTI_ARRAY, pack_joint_states
-from gms_flex_control.bags.messages import pack_blocks
-from gms_flex_control.bags.writer import BagWriter
 from gms_flex_control.cli.main import main
+from gms_flex_control.data.further_topics import read_blocks
+from gms_flex_control.data.messages import JOINT_STATE, MULTI_ARRAY, pack_blocks, pack_joint_states
+from gms_flex_control.data.recording import Recording
+from gms_flex_control.data.writer import BagWriter
 from gms_flex_control.errors import BagError
 from gms_flex_control.friction import gms
-from gms_flex_control.recording import Recording
 from gms_flex_control.resources import share_path
 from gms_flex_control.schema.files import load_robot
 from gms_flex_control.view.bag import BagView, blocks_along, CHUNK, open_bag

@@ -7,9 +7,9 @@ import math
 import re
 import sys
 
-from gms_flex_control.bags.reader import read_recording
 from gms_flex_control.cli.main import main
-from gms_flex_control.recording import Recording
+from gms_flex_control.data.reader import read_recording
+from gms_flex_control.data.recording import Recording
 from gms_flex_control.resources import share_path
 from gms_flex_control.schema.files import load_robot
 from gms_flex_control.view.bag import BagView, open_bag

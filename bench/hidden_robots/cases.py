@@ -8,11 +8,11 @@ from functools import partial
 
 from bench.hidden_robots import motions, outsiders, plants, sizes, truth
 from bench.hidden_robots.populations import belief_errors, Drives, POPULATIONS
+from gms_flex_control.data.recording import Recording
 from gms_flex_control.effects import registry
 from gms_flex_control.errors import ConfigError, did_you_mean, SimulationError
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.robot import RobotParams
-from gms_flex_control.recording import Recording
 import numpy as np
 
 KINDS = ('single', 'clean', 'double', 'outside', 'clutter', 'deleted')

@@ -10,7 +10,7 @@ from pathlib import Path
 import shutil
 
 from bench.hidden_robots.cases import make_case
-from gms_flex_control.bags.experiment import write_recording
+from gms_flex_control.data.writer import write_recording
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.files import write_text
 from gms_flex_control.reports.discrepancy_values import described

@@ -8,7 +8,7 @@ import os
 from pathlib import Path
 from typing import NamedTuple
 
-from gms_flex_control.analysis.csv_import import import_csv
+from gms_flex_control.data.csv_import import import_csv
 from gms_flex_control.identification.unknown_robot import rigid_axes
 from gms_flex_control.schema.files import load_robot
 import numpy as np

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from bench.speed.numpy_identification import PlainObjective, search
 from bench.speed.timing import Measurement
-from gms_flex_control.bags.experiment import write_recording
+from gms_flex_control.data.writer import write_recording
 from gms_flex_control.errors import GmsFlexError
 from gms_flex_control.experiment.driven import executable
 from gms_flex_control.experiment.identification_plan import (

@@ -17,6 +17,7 @@ from bench.hidden_robots import sizes, truth
 from bench.hidden_robots.cases import make_case
 from bench.speed.mujoco_arm import available
 from bench.speed.timing import Measurement
+from gms_flex_control.data.recording import Recording
 from gms_flex_control.discrepancy.free_run import free_runs, HORIZON, STRIDE
 from gms_flex_control.discrepancy.motion import Motion, motion_of
 from gms_flex_control.effects.base import Change
@@ -25,7 +26,6 @@ from gms_flex_control.effects.table import with_changes
 from gms_flex_control.exports.mujoco import EFFECTS, target
 from gms_flex_control.exports.target import export, simplified
 from gms_flex_control.params.robot import RobotParams
-from gms_flex_control.recording import Recording
 from gms_flex_control.simulation import plant
 import numpy as np
 

@@ -12,10 +12,10 @@ MSE without / MSE with compensation on the same robot and trajectory.
 from dataclasses import replace
 from typing import NamedTuple
 
-from gms_flex_control.analysis.signals import quantum
 from gms_flex_control.analysis.table4 import Table4
+from gms_flex_control.data.recording import Recording
+from gms_flex_control.data.signals import quantum
 from gms_flex_control.experiment.simulated import simulate
-from gms_flex_control.recording import Recording
 import numpy as np
 
 HOLD_SETTLING = 1.0   # a reference constant this long counts as holding still [s]

@@ -11,7 +11,7 @@ from gms_flex_control.cli.output import import_ros
 
 def info(args) -> int:
     """Print the summary of a bag; return 0, or 1 for a damaged bag."""
-    from gms_flex_control.bags.summary import summarise
+    from gms_flex_control.data.inspection import summarise
     summary = summarise(args.bag)
     print(json.dumps(summary.as_dict(), indent=2) if args.json else summary.text())
     return 0 if summary.sound else 1
@@ -19,7 +19,7 @@ def info(args) -> int:
 
 def repair(args) -> int:
     """Repair a bag and print what was done; return 0, or 1 if messages were lost."""
-    from gms_flex_control.bags.repair import repair_bag
+    from gms_flex_control.data.inspection import repair_bag
     result = repair_bag(args.bag, args.out)
     print(json.dumps(result.as_dict(), indent=2) if args.json else result.text())
     return 0 if result.lost == 0 else 1

@@ -25,7 +25,7 @@ import numpy as np
 
 # what a figure depends on
 SOURCES = ('params', 'friction', 'effects', 'dynamics', 'trajectory', 'control', 'simulation',
-           'bags', 'identification', 'tuning', 'comparison/study.py',
+           'data', 'identification', 'tuning', 'comparison/study.py',
            'comparison/prediction.py')
 
 

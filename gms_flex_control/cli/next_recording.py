@@ -8,8 +8,8 @@ from pathlib import Path
 
 from gms_flex_control import blas
 from gms_flex_control.answer import Answer, command, Number
-from gms_flex_control.bags.reader import read_recording
 from gms_flex_control.cli.output import conclude, say
+from gms_flex_control.data.reader import read_recording
 from gms_flex_control.design.plan import plan_next, surviving, write_plan
 from gms_flex_control.design.separation import beliefs_of
 from gms_flex_control.effects.registry import find

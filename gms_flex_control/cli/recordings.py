@@ -8,14 +8,14 @@ import json
 import math
 from pathlib import Path
 
-from gms_flex_control.analysis.csv_import import import_csv as read_csv
-from gms_flex_control.analysis.import_map import load_map
 from gms_flex_control.analysis.torsion import study
 from gms_flex_control.analysis.tracking import Run
-from gms_flex_control.bags import metadata
-from gms_flex_control.bags.experiment import write_recording
-from gms_flex_control.bags.reader import read_recording
 from gms_flex_control.cli.output import conclude
+from gms_flex_control.data import metadata
+from gms_flex_control.data.csv_import import import_csv as read_csv
+from gms_flex_control.data.csv_map import load_map
+from gms_flex_control.data.reader import read_recording
+from gms_flex_control.data.writer import write_recording
 from gms_flex_control.errors import BagError
 from gms_flex_control.params.gains import COMPENSATIONS
 from gms_flex_control.reports.recordings_page import (

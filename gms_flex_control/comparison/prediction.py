@@ -12,11 +12,11 @@ part of it and judged on the rest. The measured friction is what the link equati
 from dataclasses import replace
 from typing import NamedTuple
 
-from gms_flex_control.bags.reader import read_recording
 from gms_flex_control.comparison.study import CONTESTANTS, gains_of
 from gms_flex_control.compiled import compiled
 from gms_flex_control.control import cascade
 from gms_flex_control.control.compensation import choice, common, gms_adaptive
+from gms_flex_control.data.reader import read_recording
 from gms_flex_control.errors import IdentificationError
 from gms_flex_control.friction import gms
 from gms_flex_control.identification.held_out import smooth_angle

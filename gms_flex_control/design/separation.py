@@ -13,6 +13,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from gms_flex_control.data.recording import Recording
 from gms_flex_control.design.motions import Candidate
 from gms_flex_control.discrepancy.dictionary import Dictionary
 from gms_flex_control.discrepancy.evidence import state_of
@@ -37,7 +38,6 @@ from gms_flex_control.experiment.simulated import run_plan, to_recording
 from gms_flex_control.hardware.limits import Limits
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.robot import RobotParams
-from gms_flex_control.recording import Recording
 from gms_flex_control.trajectory import builders
 import numpy as np
 

@@ -11,7 +11,7 @@ then linear algebra.
 from collections import Counter
 from typing import NamedTuple
 
-from gms_flex_control.analysis.waves import standing_out
+from gms_flex_control.data.signals import standing_out
 from gms_flex_control.discrepancy.fitting import (
     informative,
     limits,

@@ -5,7 +5,7 @@
 
 from dataclasses import dataclass, field, replace
 
-from gms_flex_control.analysis.signals import quantum
+from gms_flex_control.data.signals import quantum
 from gms_flex_control.discrepancy.unseen_links import link_angle, unseen_links
 from gms_flex_control.errors import BagError
 from gms_flex_control.identification.smoothing import derivatives, means_held

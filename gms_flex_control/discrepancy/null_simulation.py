@@ -13,8 +13,8 @@ nothing is missing: noise, rounding, and the filters' own errors at every revers
 
 from dataclasses import replace
 
-from gms_flex_control.analysis.signals import quantum
 from gms_flex_control.compiled import compiled
+from gms_flex_control.data.signals import quantum
 from gms_flex_control.discrepancy.motion import encoder_step, make_motion
 from gms_flex_control.discrepancy.residuals import fresh_state
 from gms_flex_control.dynamics.chain import own_inertia

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import time
 
 from gms_flex_control import blas
+from gms_flex_control.data.recording import Recording
 from gms_flex_control.discrepancy import describe
 from gms_flex_control.discrepancy.data_faults import faults_of
 from gms_flex_control.discrepancy.evidence import credible, posterior
@@ -44,7 +45,6 @@ from gms_flex_control.discrepancy.thresholds import (
 )
 from gms_flex_control.discrepancy.validation import energy_of, gap_of
 from gms_flex_control.params.robot import RobotParams
-from gms_flex_control.recording import Recording
 import numpy as np
 
 _SIZES = 4            # of sets that may predict better than the one found

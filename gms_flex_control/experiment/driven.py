@@ -15,9 +15,9 @@ import subprocess
 import sys
 import time
 
-from gms_flex_control.bags.reader import read_recording
+from gms_flex_control.data.reader import read_recording
+from gms_flex_control.data.recording import Recording
 from gms_flex_control.errors import GmsFlexError
-from gms_flex_control.recording import Recording
 
 NODES = ('plant_node', 'controller_node', 'trajectory_node')
 _STOP_BOUND = 10.0    # a process has so long to end after SIGINT [s]

@@ -3,11 +3,11 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Run a plan in this process and write the bag its nodes would have made."""
 
-from gms_flex_control.bags.experiment import write_recording
+from gms_flex_control.data.recording import Recording
+from gms_flex_control.data.writer import write_recording
 from gms_flex_control.effect_compensation import loop
 from gms_flex_control.errors import SimulationError
 from gms_flex_control.experiment.plan import Plan
-from gms_flex_control.recording import Recording
 from gms_flex_control.simulation import closed_loop
 from gms_flex_control.simulation.closed_loop import Run
 import numpy as np

@@ -10,8 +10,7 @@ it takes the place of both. So it is looked for with the inertia, before frictio
 
 from typing import NamedTuple
 
-from gms_flex_control.analysis.signals import derivative_window, smoothed
-from gms_flex_control.analysis.waves import standing_out
+from gms_flex_control.data.signals import derivative_window, smoothed, standing_out
 from gms_flex_control.effects.catalogue.torque_ripple import TorqueRipple
 from gms_flex_control.identification.held_out import model_friction
 from gms_flex_control.identification.rigid_body import fit_axis

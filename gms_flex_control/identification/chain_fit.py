@@ -12,7 +12,7 @@ one described as the data allow.
 
 from dataclasses import replace
 
-from gms_flex_control.analysis.signals import derivative_window, smoothed
+from gms_flex_control.data.signals import derivative_window, smoothed
 from gms_flex_control.dynamics.chain import constants_of
 from gms_flex_control.identification.result import CONFIDENT, Estimate, Interval
 from gms_flex_control.identification.rigid_body import friction_regressors, robust

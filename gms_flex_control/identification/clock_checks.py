@@ -3,7 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Faults of the time stamps: lost samples, jumps of the clock, stamps that are not the time."""
 
-from gms_flex_control.analysis.signals import quantum
+from gms_flex_control.data.signals import quantum
 from gms_flex_control.identification.findings import Finding
 import numpy as np
 

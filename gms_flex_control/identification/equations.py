@@ -11,7 +11,7 @@ however roughly they are known.
 
 from typing import NamedTuple
 
-from gms_flex_control.analysis.signals import (
+from gms_flex_control.data.signals import (
     derivative_window,
     friction_columns,
     is_moving,

@@ -5,7 +5,7 @@
 
 from itertools import combinations
 
-from gms_flex_control.analysis.signals import friction_columns, is_moving, sign_fit
+from gms_flex_control.data.signals import friction_columns, is_moving, sign_fit
 from gms_flex_control.identification.equations import (
     balance_fit,
     FEWEST,

@@ -3,7 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Faults of angles and rates: too little motion, jumps, frozen or missing samples, wrong rates."""
 
-from gms_flex_control.analysis.signals import (
+from gms_flex_control.data.signals import (
     derivative_slope,
     derivative_window,
     is_moving,

@@ -11,7 +11,7 @@ friction, and an encoder that is read late, which adds ``K delay q'`` and looks 
 
 from typing import NamedTuple
 
-from gms_flex_control.analysis.signals import derivative_window, smoothed
+from gms_flex_control.data.signals import derivative_window, smoothed
 from gms_flex_control.identification.result import CONFIDENT
 from gms_flex_control.identification.rigid_body import held_torque, robust
 import numpy as np

@@ -14,7 +14,7 @@ then have to be several times larger one way than the other.
 
 from typing import NamedTuple
 
-from gms_flex_control.analysis.signals import derivative_window, smoothed
+from gms_flex_control.data.signals import derivative_window, smoothed
 from gms_flex_control.errors import IdentificationError
 from gms_flex_control.identification.result import CONFIDENT
 import numpy as np

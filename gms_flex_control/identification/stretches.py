@@ -6,7 +6,7 @@
 from dataclasses import dataclass, replace
 import warnings
 
-from gms_flex_control.analysis.signals import quantum
+from gms_flex_control.data.signals import quantum
 from gms_flex_control.dynamics.chain import inverse_dynamics, mass_matrices, matrices
 from gms_flex_control.errors import IdentificationError
 from gms_flex_control.identification.known_effects import effect_torque

@@ -3,7 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Faults of the torque: clipped, reversed or off by a factor; and motor and link exchanged."""
 
-from gms_flex_control.analysis.signals import friction_columns, is_moving, quantum, sign_fit
+from gms_flex_control.data.signals import friction_columns, is_moving, quantum, sign_fit
 from gms_flex_control.identification.equations import (
     balance_fit,
     FEWEST,

@@ -10,6 +10,7 @@ import sys
 from tempfile import TemporaryFile
 import time
 
+from gms_flex_control.data.recording import Phase
 from gms_flex_control.errors import GmsFlexError
 from gms_flex_control.experiment.driven import executable
 from gms_flex_control.experiment.identification_plan import plan_identification
@@ -23,7 +24,6 @@ from gms_flex_control.nodes.parameters import NodeParameters
 from gms_flex_control.nodes.recorder import ExperimentBag, STATES
 from gms_flex_control.nodes.remote import RemoteNode
 from gms_flex_control.nodes.step_runner import StepRunner, Watch
-from gms_flex_control.recording import Phase
 from gms_flex_control.schema.build import controller_from_values, robot_from_values
 from gms_flex_control.schema.files import save_robot
 from gms_flex_control.schema.keys import controller_keys, robot_keys

@@ -9,8 +9,8 @@ import signal
 import threading
 import time
 
-from gms_flex_control.bags.metadata import qos_profile
-from gms_flex_control.bags.writer import BagWriter
+from gms_flex_control.data.metadata import qos_profile
+from gms_flex_control.data.writer import BagWriter
 from gms_flex_control.errors import BagError
 from gms_flex_control.nodes.process import end_with_launch, NO_EVENTS
 import rclpy

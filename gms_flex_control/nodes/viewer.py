@@ -12,7 +12,7 @@ import threading
 import time
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from gms_flex_control.bags.names import link_names, MOTOR_SUFFIX
+from gms_flex_control.data.recording import link_names, MOTOR_SUFFIX
 from gms_flex_control.errors import GmsFlexError
 from gms_flex_control.nodes import messages, process
 from gms_flex_control.nodes.remote import answer_of, RemoteNode

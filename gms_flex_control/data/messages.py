@@ -1,14 +1,142 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""The three message types of the control loop as CDR bytes, packed by hand for speed."""
+"""The messages of the control loop: labels, layouts, and CDR bytes packed by hand for speed."""
 
 from functools import lru_cache
 import struct
 
-from gms_flex_control.bags.layouts import JointStateLayout, LITTLE_ENDIAN, VALUES
 from gms_flex_control.errors import BagError
 import numpy as np
+
+LITTLE_ENDIAN = b'\x00\x01\x00\x00'
+VALUES = ('position', 'velocity', 'effort')
+
+
+class Layout:
+    """The fields of one message after its CDR header, placed one after the other."""
+
+    def __init__(self):
+        self._fields, self._constants, self._at = [], {}, 0
+
+    def _place(self, name, kind, constant=None):
+        dtype = np.dtype(kind)
+        align = 1 if dtype.kind == 'S' else dtype.base.itemsize
+        self._at += -self._at % align
+        self._fields.append((name, kind, self._at + len(LITTLE_ENDIAN)))
+        if constant is not None:
+            self._constants[name] = np.array(constant, dtype=dtype)
+        self._at += dtype.itemsize
+
+    def _place_text(self, name, text):
+        raw = text.encode() + b'\0'
+        self._place(f'{name}_size', '<u4', len(raw))
+        self._place(name, f'S{len(raw)}', raw)
+
+    @property
+    def size(self):
+        """Return the length of a message [bytes]."""
+        return self._at + len(LITTLE_ENDIAN)
+
+    def dtype(self, size=None):
+        """Return the record type, ``size`` bytes long where a writer pads the end."""
+        names, formats, offsets = zip(*self._fields, strict=True)
+        return np.dtype({'names': names, 'formats': formats, 'offsets': offsets,
+                         'itemsize': size or self.size})
+
+    def fits(self, records):
+        """Return which of ``records`` (T,) have these names and lengths, bool (T,)."""
+        good = np.full(len(records), True)
+        for name, value in self._constants.items():
+            good &= records[name] == value
+        return good
+
+
+class JointStateLayout(Layout):
+    """
+    The bytes of every JointState with the same names and lengths.
+
+    Parameters
+    ----------
+    names : tuple of str
+        Joint names.
+    counts : tuple of int
+        Lengths of position, velocity and effort.
+    frame : str, optional
+        The header's frame_id.
+
+    """
+
+    def __init__(self, names, counts, frame=''):
+        super().__init__()
+        self._place('sec', '<i4')
+        self._place('nanosec', '<u4')
+        self._place_text('frame', frame)
+        self._place('names', '<u4', len(names))
+        for k, name in enumerate(names):
+            self._place_text(f'name{k}', name)
+        for name, count in zip(VALUES, counts, strict=True):
+            self._place(f'{name}_count', '<u4', count)
+            if count:
+                self._place(name, f'({count},)<f8')
+
+    def template(self):
+        """Return one message with zeros for its stamp and values."""
+        record = np.zeros(1, self.dtype())
+        for name, value in self._constants.items():
+            record[name] = value
+        return LITTLE_ENDIAN + record.tobytes()[len(LITTLE_ENDIAN):]
+
+
+class ArrayLayout(Layout):
+    """
+    The bytes of every Float64MultiArray with the same layout but for the digits of its stamp.
+
+    Parameters
+    ----------
+    dims : sequence of (label, size, stride)
+        The layout.
+    count : int
+        Number of values, all of them data.
+    head : bytes
+        The CDR header.
+    stamp : tuple of (int, int), optional
+        Which dimension carries the stamp, and where in its label the digits begin.
+
+    """
+
+    def __init__(self, dims, count, head, stamp=None):
+        super().__init__()
+        self._fields.append(('head', '<u4', 0))
+        self._constants['head'] = np.frombuffer(head, '<u4')[0]
+        self._place('dims', '<u4', len(dims))
+        for k, (label, size, stride) in enumerate(dims):
+            if stamp is not None and k == stamp[0]:
+                self._place_stamp(label.encode(), stamp[1])
+            else:
+                self._place_text(f'label{k}', label)
+            self._place(f'size{k}', '<u4', size)
+            self._place(f'stride{k}', '<u4', stride)
+        self._place('offset', '<u4', 0)
+        self._place('count', '<u4', count)
+        if count:
+            self._place('data', f'({count},)<f8')
+
+    def _place_stamp(self, raw, start):
+        self._place('stamp_size', '<u4', len(raw) + 1)
+        self._place('stamp_prefix', f'S{start}', raw[:start])
+        self._place('digits', f'({len(raw) - start},)u1')
+        self._place('stamp_end', 'u1', 0)
+
+    @staticmethod
+    def stamps(records):
+        """Return the stamps [ns], uint64 (T,), and which are digits and no more, bool (T,)."""
+        digits = records['digits'] - np.uint8(ord('0'))
+        stamps = np.zeros(len(records), dtype=np.uint64)
+        for digit in digits.T:
+            stamps = stamps * np.uint64(10) + digit
+        return stamps, (digits <= 9).all(axis=1)
+
 
 JOINT_STATE = 'sensor_msgs/msg/JointState'
 MULTI_ARRAY = 'std_msgs/msg/Float64MultiArray'
@@ -250,3 +378,82 @@ def unpack_joint_state(data):
     reader = CdrReader(data)
     return (reader.stamp(), reader.text(), reader.texts(),
             reader.doubles(), reader.doubles(), reader.doubles())
+
+
+STAMP_LABEL = 'stamp:'
+SOURCE_LABEL = 'source:'
+
+
+def pack_command(torque, stamp=None, source=None):
+    """
+    Pack a torque command.
+
+    Parameters
+    ----------
+    torque : sequence of float
+        One per joint [N m].
+    stamp : int, optional
+        Stamp of the joint state it answers [ns].
+    source : str, optional
+        Who sends it.
+
+    Returns
+    -------
+    bytes
+        A Float64MultiArray; with neither stamp nor source it has no layout at all.
+
+    """
+    dims = [] if stamp is None and source is None else [('joint', len(torque), len(torque))]
+    if stamp is not None:
+        dims.append((f'{STAMP_LABEL}{stamp}', 1, 1))
+    if source is not None:
+        dims.append((f'{SOURCE_LABEL}{source}', 1, 1))
+    return pack_multi_array(dims, torque)
+
+
+def pack_reference(values, stamp, kind='derivative'):
+    """Pack a reference, rows x joints (``kind`` names the rows), for the time ``stamp`` [ns]."""
+    values = np.asarray(values, dtype=float)
+    rows, joints = values.shape
+    dims = [(kind, rows, rows * joints), ('joint', joints, joints),
+            (f'{STAMP_LABEL}{stamp}', 1, 1)]
+    return pack_multi_array(dims, values.ravel().tolist())
+
+
+def pack_supply(voltage, stamp):
+    """Pack the voltage of the drives' supply [V] at the time ``stamp`` [ns]."""
+    return pack_multi_array([('supply', 1, 1), (f'{STAMP_LABEL}{stamp}', 1, 1)],
+                            [float(voltage)])
+
+
+def pack_blocks(values, stamp=None):
+    """Pack the block torques of the observer, joints x blocks [N m]."""
+    values = np.asarray(values, dtype=float)
+    joints, blocks = values.shape
+    dims = [('joint', joints, joints * blocks), ('block', blocks, blocks)]
+    if stamp is not None:
+        dims.append((f'{STAMP_LABEL}{stamp}', 1, 1))
+    return pack_multi_array(dims, values.ravel().tolist())
+
+
+def stamp_of(dims):
+    """Return the nanoseconds of the first 'stamp:' label in a layout, None if there is none."""
+    for label, _, _ in dims:
+        if label.startswith(STAMP_LABEL):
+            text = label[len(STAMP_LABEL):]
+            try:
+                return int(text)
+            except ValueError:
+                raise BagError(f'has the label {label!r}, expected '
+                               f'{STAMP_LABEL}<whole nanoseconds>') from None
+    return None
+
+
+PHASE_TOPIC = '/identification/phase'
+
+
+def pack_phase(phase):
+    """Return a Phase as CDR bytes, its ``time_ns`` as the stamp it holds from."""
+    labels = (f'{STAMP_LABEL}{phase.time_ns}', f'phase:{phase.phase}', f'joint:{phase.joint}',
+              f'step:{phase.step}')
+    return pack_multi_array([(label, 1, 1) for label in labels], [float(phase.value)])

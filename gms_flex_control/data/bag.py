@@ -1,7 +1,7 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""Open any bag: a folder or a single file, mcap or sqlite3, plain or zstd."""
+"""Which topics of a bag are a recording, and which names in its joint states are motors."""
 
 from contextlib import ExitStack
 from pathlib import Path
@@ -9,9 +9,10 @@ import re
 import tempfile
 import warnings
 
-from gms_flex_control.bags import metadata
-from gms_flex_control.bags.mcap_file import Damage, McapFile
-from gms_flex_control.bags.sqlite_file import SqliteFile
+from gms_flex_control.data import metadata
+from gms_flex_control.data.mcap_file import Damage, McapFile
+from gms_flex_control.data.recording import Topics
+from gms_flex_control.data.sqlite_file import SqliteFile
 from gms_flex_control.errors import BagError
 import zstandard
 
@@ -197,3 +198,29 @@ def _decompressed(data, path):
         return zstandard.ZstdDecompressor().decompressobj().decompress(data)
     except zstandard.ZstdError as error:
         raise BagError(f'{path}: a compressed message cannot be unpacked ({error})') from error
+
+
+def namespace_of(bag):
+    """
+    Return the namespace of the one closed loop in a bag.
+
+    Parameters
+    ----------
+    bag : Bag
+        Whose metadata name its topics.
+
+    Returns
+    -------
+    str
+        Such as '/left'; '' where the topics have none, or where there is no telling.
+
+    """
+    plain = Topics()
+    names = bag.metadata.topics if bag.metadata else ()
+    if plain.joint_states in names:
+        return ''
+    found = [name.removesuffix(plain.joint_states) for name in names
+             if name.endswith(plain.joint_states)]
+    looped = [space for space in found if space + plain.command in names]
+    one = looped if looped else found
+    return one[0] if len(one) == 1 else ''

@@ -5,11 +5,11 @@
 
 from dataclasses import dataclass
 
-from gms_flex_control.analysis import csv_checks, units
-from gms_flex_control.analysis.csv_table import CsvTable
-from gms_flex_control.analysis.import_map import load_map, POSITION_OF
+from gms_flex_control.data import csv_checks, csv_map
+from gms_flex_control.data.csv_map import load_map, POSITION_OF
+from gms_flex_control.data.csv_table import CsvTable
+from gms_flex_control.data.recording import Recording
 from gms_flex_control.errors import ImportDataError
-from gms_flex_control.recording import Recording
 import numpy as np
 
 
@@ -102,7 +102,7 @@ def _time(table, import_map, remarks):
     if spec.rate is not None:
         time = rows / spec.rate
     else:
-        time = units.TIME[spec.unit] * table.column(
+        time = csv_map.TIME[spec.unit] * table.column(
             spec.column, f'time ({import_map.path}:{spec.line})')
     missing = np.flatnonzero(np.isnan(time))
     if missing.size:
@@ -161,14 +161,14 @@ def _units_kept(import_map):
         yield (f'no torque_constant for {", ".join(currents)}: a current stays a current, so '
                'read A for N m in every torque, friction and inertia made from this bag')
     linear = [joint.name for joint in import_map.joints
-              if joint.channels['link_position'].unit in units.LENGTH]
+              if joint.channels['link_position'].unit in csv_map.LENGTH]
     if linear:
         yield (f'{", ".join(linear)}: linear axis, so read m for rad, N for N m and kg for '
                'kg m^2')
 
 
 def _in_si(raw, channel, table, keep, place):
-    factor = units.UNITS[channel.quantity][channel.unit]
+    factor = csv_map.UNITS[channel.quantity][channel.unit]
     if channel.unit in ('counts', 'counts/s'):
         factor = 2 * np.pi / channel.counts_per_rev
     elif channel.unit in CURRENT:

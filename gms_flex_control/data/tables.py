@@ -3,9 +3,15 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Messages of one topic as columns over time, decoded block by block as they are read."""
 
-from gms_flex_control.bags.cdr import unpack_joint_state, unpack_multi_array
-from gms_flex_control.bags.layouts import ArrayLayout, JointStateLayout, VALUES
-from gms_flex_control.bags.messages import STAMP_LABEL, stamp_of
+from gms_flex_control.data.messages import (
+    ArrayLayout,
+    JointStateLayout,
+    STAMP_LABEL,
+    stamp_of,
+    unpack_joint_state,
+    unpack_multi_array,
+    VALUES,
+)
 from gms_flex_control.errors import BagError
 import numpy as np
 

@@ -9,8 +9,8 @@ import shutil
 import sqlite3
 import tempfile
 
-from gms_flex_control.bags.definitions import Definition
-from gms_flex_control.bags.mcap_file import Damage, Topic
+from gms_flex_control.data.mcap_file import Damage, Topic
+from gms_flex_control.data.metadata import Definition
 from gms_flex_control.errors import BagError
 
 _BATCH = 2000

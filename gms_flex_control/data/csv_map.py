@@ -11,10 +11,235 @@ column was measured on the fast side of a gear. Every mistake is named with its 
 """
 
 from dataclasses import dataclass, field
+import math
+import re
 from typing import NamedTuple
 
-from gms_flex_control.analysis import units
-from gms_flex_control.analysis.map_reader import read_map
+from gms_flex_control.data import csv_map
+from gms_flex_control.errors import did_you_mean, ImportDataError
+from gms_flex_control.files import read_yaml
+from ruamel.yaml.error import YAMLError
+
+_TURN = 2 * math.pi
+# unit -> factor to SI; None: needs more than a factor (see import_map)
+LENGTH = {'m': 1.0, 'mm': 1e-3, 'um': 1e-6}  # of a linear axis: m stands for rad, N for N m
+SPEED = {'m/s': 1.0, 'mm/s': 1e-3, 'mm/min': 1e-3 / 60, 'm/min': 1 / 60}
+FORCE = {'N': 1.0, 'mN': 1e-3, 'kN': 1e3}
+POSITION = {'rad': 1.0, 'mrad': 1e-3, 'deg': _TURN / 360, 'mdeg': _TURN / 360e3,
+            'turn': _TURN, 'counts': None, **LENGTH}
+VELOCITY = {'rad/s': 1.0, 'mrad/s': 1e-3, 'deg/s': _TURN / 360, 'mdeg/s': _TURN / 360e3,
+            'rpm': _TURN / 60, 'turn/s': _TURN, 'counts/s': None, **SPEED}
+TORQUE = {'N m': 1.0, 'mN m': 1e-3, 'kN m': 1e3, 'N cm': 1e-2, 'A': None, 'mA': None,
+          'pwm': None, **FORCE}
+TIME = {'s': 1.0, 'ms': 1e-3, 'us': 1e-6, 'ns': 1e-9}
+UNITS = {'position': POSITION, 'velocity': VELOCITY, 'torque': TORQUE, 'time': TIME}
+
+_ALIASES = {
+    'radian': 'rad', 'radians': 'rad', 'degree': 'deg', 'degrees': 'deg', '°': 'deg',
+    'rev': 'turn', 'turns': 'turn', 'count': 'counts', 'ticks': 'counts', 'dps': 'deg/s',
+    'rad_s': 'rad/s', 'rads': 'rad/s', 'rad_per_s': 'rad/s', 'deg_s': 'deg/s',
+    'deg_per_s': 'deg/s', 'mdeg_s': 'mdeg/s', 'mrad_s': 'mrad/s', 'rev/min': 'rpm', 'nm': 'N m',
+    'n.m': 'N m', 'n*m': 'N m', 'n m': 'N m', 'mnm': 'mN m', 'knm': 'kN m', 'ncm': 'N cm',
+    'sec': 's', 'seconds': 's', 'second': 's', 'msec': 'ms', 'usec': 'us', 'µs': 'us',
+    'amp': 'A', 'amps': 'A', 'ampere': 'A', 'a': 'A', 'milliamp': 'mA', 'ma': 'mA',
+    'newton': 'N', 'n': 'N', 'kn': 'kN', 'meter': 'm', 'metre': 'm', 'millimeter': 'mm',
+    'millimetre': 'mm', 'µm': 'um', 'micron': 'um', 'm_s': 'm/s', 'mm_s': 'mm/s',
+    'nmm': 'mN m', 'n mm': 'mN m'}
+_AMBIGUOUS = ('m', 'n', 'a', 'ma')  # q_m is rather the motor's angle than metres
+
+
+def canonical(unit):
+    """Return the name of a unit used here ('Nm' -> 'N m'), itself if it has no other."""
+    text = str(unit).strip()
+    return _ALIASES.get(text.lower(), text)
+
+
+def unit_in_name(column, quantity):
+    """
+    Return the unit a column's name ends in.
+
+    Parameters
+    ----------
+    column : str
+        For instance ``'q_link1_deg'``, ``'speed [rpm]'``.
+    quantity : str
+        A key of ``UNITS``: only its units are looked for.
+
+    Returns
+    -------
+    str or None
+        Canonical name; None if the name tells none.
+
+    """
+    text = column.strip().lower().replace('²', '2')
+    bracket = re.search(r'[\[(]\s*([^\])]*?)\s*[\])]\s*$', text)
+    parts = re.split(r'[_\s.]+', text)
+    candidates = [bracket.group(1)] if bracket else [
+        '_'.join(parts[-count:]) for count in (3, 2, 1) if len(parts) > count]
+    for candidate in candidates:
+        if candidate in _AMBIGUOUS and not bracket:
+            continue
+        for known in UNITS[quantity]:
+            if canonical(candidate).lower() == known.lower():
+                return known
+    return None
+
+
+_MISSING = object()
+
+
+def read_map(path):
+    """
+    Read a YAML file whose top level is a mapping.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+
+    Returns
+    -------
+    MapNode
+
+    Raises
+    ------
+    ImportDataError
+        If it cannot be read, is no YAML or no mapping.
+
+    """
+    try:
+        data = read_yaml(path)
+    except OSError as error:
+        raise ImportDataError(f'{path}: the map cannot be read ({error.strerror}); '
+                              'give an existing file with --map') from error
+    except UnicodeDecodeError as error:
+        raise ImportDataError(f'{path}: the map is not UTF-8 text (byte {error.start}); '
+                              'is it the log itself?') from error
+    except YAMLError as error:
+        mark = getattr(error, 'problem_mark', None)
+        where = f':{mark.line + 1}' if mark else ''
+        problem = getattr(error, 'problem', None) or str(error)
+        raise ImportDataError(f'{path}{where}: the map is no valid YAML '
+                              f'({" ".join(problem.split())})') from error
+    if not hasattr(data, 'lc') or not hasattr(data, 'keys'):
+        raise ImportDataError(f'{path}: the map must be a mapping with time and joints, '
+                              f'got {type(data).__name__}')
+    return MapNode(data, str(path), '', 1)
+
+
+class MapNode:
+    """
+    One mapping of the file.
+
+    Parameters
+    ----------
+    data : ruamel.yaml.CommentedMap
+        Its content.
+    path : str
+        The file, for messages.
+    place : str
+        Dotted place in the file, '' at the top.
+    first_line : int
+        Line the mapping is introduced at.
+
+    """
+
+    def __init__(self, data, path, place, first_line):
+        self._data = data
+        self._path = path
+        self._place = place
+        self._line = first_line
+
+    def keys(self):
+        """Return the keys in order (list of str)."""
+        return [str(key) for key in self._data]
+
+    def line(self, key=None):
+        """Return the line of ``key``, of the mapping itself by default."""
+        if key in self._data:
+            return self._data.lc.key(key)[0] + 1
+        return self._line
+
+    def wrong(self, problem, key=None):
+        """Return an ImportDataError that names file, line and place."""
+        place = '.'.join(filter(None, [self._place, key]))
+        return ImportDataError(f'{self._path}:{self.line(key)}: {place or "the map"} {problem}')
+
+    def only(self, *known):
+        """Refuse keys other than ``known``."""
+        for key in self._data:
+            if key not in known:
+                raise self.wrong(f'is no key here{did_you_mean(key, known)}', str(key))
+
+    def value(self, key, default=None):
+        """Return the plain value of ``key``."""
+        return self._data.get(key, default)
+
+    def section(self, key, required=False):
+        """Return a nested mapping, None if it is not there."""
+        data = self._data.get(key)
+        if data is None and key not in self._data and not required:
+            return None
+        if data is None and key not in self._data:
+            raise self.wrong(f'lacks {key!r}')
+        if not hasattr(data, 'keys'):
+            raise self.wrong(f'must be a mapping, got {data!r}', key)
+        return MapNode(data, self._path, '.'.join(filter(None, [self._place, key])),
+                       self.line(key))
+
+    def text(self, key, default):
+        """Return a string."""
+        value = self._data.get(key, default)
+        if not isinstance(value, str):
+            raise self.wrong(f'must be text, got {value!r}; put it in quotes', key)
+        return str(value)
+
+    def flag(self, key):
+        """Return a bool, False if it is not there."""
+        value = self._data.get(key, False)
+        if not isinstance(value, bool):
+            raise self.wrong(f'must be true or false, got {value!r}', key)
+        return value
+
+    def whole(self, key, default):
+        """Return an int that is not negative."""
+        value = self._data.get(key, default)
+        if isinstance(value, bool) or not isinstance(value, int) or value < 0:
+            raise self.wrong(f'must be a whole number from 0, got {value!r}', key)
+        return int(value)
+
+    def number(self, key, default, positive=False):
+        """Return a finite float, ``default`` if it is not there."""
+        value = self._data.get(key, _MISSING)
+        if value is _MISSING:
+            return default
+        if isinstance(value, bool) or not isinstance(value, (int, float)):
+            raise self.wrong(f'must be a number, got {value!r}', key)
+        if not math.isfinite(value) or (positive and value <= 0):
+            raise self.wrong(f'must be {"positive" if positive else "finite"}, got {value}', key)
+        return float(value)
+
+    def column(self, key):
+        """Return a column name or number, None if it is not there."""
+        value = self._data.get(key)
+        if value is None and key not in self._data:
+            return None
+        if isinstance(value, bool) or not isinstance(value, (str, int, float)):
+            raise self.wrong(f'must be a column name or number, got {value!r}', key)
+        return str(value) if isinstance(value, str) else float(value) if isinstance(
+            value, float) else int(value)
+
+    def unit(self, key, known, default=None):
+        """Return the canonical name of a unit among ``known``."""
+        value = self._data.get(key, default)
+        if value is None:
+            raise self.wrong(f'lacks {key}; one of {", ".join(known)}')
+        name = csv_map.canonical(value)
+        if name not in known:
+            raise self.wrong(f'{value!r} is not usable here{did_you_mean(name, known)} '
+                             f'(one of {", ".join(known)})', key)
+        return name
+
 
 # channel -> quantity
 CHANNELS = {
@@ -163,7 +388,7 @@ def _time(node):
     disorder = node.text('not_increasing', 'refuse')
     if disorder not in ('refuse', 'drop'):
         raise node.wrong(f"must be 'refuse' or 'drop', got {disorder!r}", 'not_increasing')
-    unit = node.unit('unit', units.TIME, 's' if column is None else None)
+    unit = node.unit('unit', csv_map.TIME, 's' if column is None else None)
     return TimeColumn(column, unit, rate, disorder == 'drop', node.line())
 
 
@@ -215,7 +440,7 @@ def _channel(joint, key):
 def _unit(node, quantity):
     if 'estimate' in node.keys() and 'unit' not in node.keys():
         return ''
-    return node.unit('unit', units.UNITS[quantity])
+    return node.unit('unit', csv_map.UNITS[quantity])
 
 
 def _check(node, channel):

@@ -5,8 +5,15 @@
 
 from typing import NamedTuple
 
-from gms_flex_control.analysis.import_map import POSITION_OF
-from gms_flex_control.analysis.signals import (
+from gms_flex_control.data.csv_map import (
+    FORCE,
+    LENGTH,
+    POSITION,
+    POSITION_OF,
+    TORQUE,
+    unit_in_name,
+)
+from gms_flex_control.data.signals import (
     derivative_slope,
     derivative_window,
     friction_columns,
@@ -15,7 +22,6 @@ from gms_flex_control.analysis.signals import (
     sign_fit,
     smoothed,
 )
-from gms_flex_control.analysis.units import FORCE, LENGTH, POSITION, TORQUE, unit_in_name
 import numpy as np
 
 # what a velocity is of the derivative of its position when units were mixed up

@@ -6,12 +6,10 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from gms_flex_control.bags.names import names_of, namespace_of, Topics
-from gms_flex_control.bags.pairing import answering
-from gms_flex_control.bags.series import Series
-from gms_flex_control.bags.source import Bag
+from gms_flex_control.data.bag import Bag, namespace_of
+from gms_flex_control.data.recording import Recording, Topics
+from gms_flex_control.data.series import answering, names_of, Series
 from gms_flex_control.errors import BagError
-from gms_flex_control.recording import Recording
 import numpy as np
 
 

@@ -1,7 +1,7 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""What every analysis works on: one experiment as plain arrays, wherever it came from."""
+"""One experiment as plain arrays, which topics hold it, and its phases."""
 
 from dataclasses import dataclass, fields, replace
 from typing import NamedTuple
@@ -131,3 +131,26 @@ class Recording:
     def period(self):
         """Return the median sample period [s]."""
         return float(np.median(np.diff(self.time)))
+
+
+MOTOR_SUFFIX = '_motor'
+
+
+class Topics(NamedTuple):
+    """Where a recording is found in a bag."""
+
+    joint_states: str = '/joint_states'
+    command: str = '/effort_controller/commands'
+    reference: str = '/reference'
+    controller_state: str = '/cascade_controller/state'
+    supply: str = '/supply_voltage'
+
+    def within(self, namespace):
+        """Return these topics in a namespace (str), such as '/left'."""
+        return Topics(*(namespace + topic for topic in self))
+
+
+def link_names(names):
+    """Return the names that are not the motor of another, in order."""
+    return [name for name in names
+            if not (name.endswith(MOTOR_SUFFIX) and name[:-len(MOTOR_SUFFIX)] in names)]
