@@ -26,42 +26,20 @@ class BagWarning(UserWarning):
 
 class Bag:
     """
-    A bag opened for reading.
+    A bag opened for reading; what it found is complete once `batches` has ended.
 
-    Parameters
-    ----------
-    path : str or Path
-        A bag folder, with or without metadata.yaml, or one storage file.
-
-    Attributes
-    ----------
-    topics : dict of Topic
-        By name; those of the messages yielded so far, complete after :meth:`batches` has
-        ended, as the rest.
-    damage : list of Damage
-        What failed a check.
-    notes : list of str
-        What a reader should know though nothing failed.
-    checked, unchecked : int
-        Parts whose checksum was compared, and parts that have none.
-    complete : bool
-        Metadata and every file have their proper end.
-    metadata : FolderMetadata or None
-        What metadata.yaml says, if there is one.
-
-    Raises
-    ------
-    BagError
-        If there is no bag at ``path``.
-
+    ``path`` is a bag folder, with or without metadata.yaml, or one storage file; BagError if
+    there is no bag.
     """
 
     def __init__(self, path):
         self.path = Path(path)
-        self.topics, self.damage, self.notes = {}, [], []
-        self.checked = self.unchecked = 0
-        self.complete = False
-        self.metadata = None
+        self.topics = {}  # Topics by name, those of the messages yielded so far
+        self.damage = []  # Damage: what failed a check
+        self.notes = []   # what a reader should know though nothing failed (str)
+        self.checked = self.unchecked = 0  # parts whose checksum was compared, or that have none
+        self.complete = False  # metadata and every file have their proper end
+        self.metadata = None   # FolderMetadata, if metadata.yaml is there
         self._files = self._locate()
 
     def _locate(self):
@@ -96,37 +74,21 @@ class Bag:
 
     def batches(self, only=None):
         """
-        Yield the messages file by file in the order of writing, some at a time.
+        Yield the messages file by file in the order of writing, as `StorageFile.batches` does.
 
-        Parameters
-        ----------
-        only : collection of str, optional
-            The topics to yield; by default all.
-
-        Yields
-        ------
-        list of tuple
-            ``(topic name, log time [ns], publish time [ns], CDR bytes)``.
-
-        Raises
-        ------
-        BagError
-            If a file is empty, is no bag or cannot be read at all.
-
+        Of the topics ``only`` (collection of str), by default of all; BagError if a file is empty,
+        is no bag or cannot be read at all.
         """
         found, whole = 0, True
         for path in self._files:
             with ExitStack() as stack:
                 plain = self._plain(path, stack)
                 storage = _STORAGES[plain.suffix](plain, path)
-                known = 0
                 for batch in storage.batches(None if only is None else frozenset(only)):
-                    if len(storage.topics) != known:
-                        self._meet(storage.topics)
-                        known = len(storage.topics)
+                    self.topics = storage.topics | self.topics
                     yield [row if row[3][:4] != _ZSTD_MAGIC else
                            (*row[:3], _decompressed(row[3], path)) for row in batch]
-            self._meet(storage.topics)
+            self.topics = storage.topics | self.topics
             found += storage.found
             self.damage += storage.damage
             self.notes += storage.notes
@@ -136,10 +98,6 @@ class Bag:
         self._compare(found)
         self.complete = whole and not self.damage and (
             self.path.is_file() or (self.metadata is not None and self.metadata.count == found))
-
-    def _meet(self, topics):
-        for name, topic in topics.items():
-            self.topics.setdefault(name, topic)
 
     def type_of(self, topic):
         """Return the type of a topic met so far, '' where there is no such (str)."""
@@ -202,18 +160,9 @@ def _decompressed(data, path):
 
 def namespace_of(bag):
     """
-    Return the namespace of the one closed loop in a bag.
+    Return the namespace of the one closed loop in a bag, such as '/left'.
 
-    Parameters
-    ----------
-    bag : Bag
-        Whose metadata name its topics.
-
-    Returns
-    -------
-    str
-        Such as '/left'; '' where the topics have none, or where there is no telling.
-
+    It is '' where the topics have none, or where the metadata leave it open.
     """
     plain = Topics()
     names = bag.metadata.topics if bag.metadata else ()

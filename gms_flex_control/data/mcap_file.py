@@ -32,15 +32,7 @@ _WINDOW = 8 * 1024 ** 2  # what of a mapped file is resident at once [bytes]
 
 
 class Window:
-    """
-    Let go of what was read of a mapped file, for its pages count as memory of the process.
-
-    Parameters
-    ----------
-    data : mmap
-        The file; what was let go is read again when asked for.
-
-    """
+    """Let go of what was read of a mapped file, for its pages count as memory of the process."""
 
     def __init__(self, data):
         self._data, self._start = data, 0
@@ -105,15 +97,8 @@ def next_sound(data, start):
 MAGIC = b'\x89MCAP0\r\n'
 
 _MESSAGE = struct.Struct('<BQHIQQ')
-_READERS = {
-    Opcode.HEADER: records.Header, Opcode.FOOTER: records.Footer,
-    Opcode.SCHEMA: records.Schema, Opcode.CHANNEL: records.Channel,
-    Opcode.CHUNK: records.Chunk, Opcode.CHUNK_INDEX: records.ChunkIndex,
-    Opcode.ATTACHMENT: records.Attachment,
-    Opcode.ATTACHMENT_INDEX: records.AttachmentIndex, Opcode.STATISTICS: records.Statistics,
-    Opcode.METADATA: records.Metadata, Opcode.METADATA_INDEX: records.MetadataIndex,
-    Opcode.SUMMARY_OFFSET: records.SummaryOffset, Opcode.DATA_END: records.DataEnd,
-}
+_READERS = {opcode: getattr(records, opcode.name.title().replace('_', '')).read
+            for opcode in Opcode if opcode not in (Opcode.MESSAGE, Opcode.MESSAGE_INDEX)}
 _FOOTER_SIZE = 20
 _IS_MESSAGE = int(Opcode.MESSAGE)
 _MALFORMED = (McapError, ValueError, struct.error, UnicodeDecodeError, OverflowError,
@@ -145,68 +130,48 @@ class Damage:
             f'{lost} lost' if self.lost != 0 else 'no message lost')
 
 
-class McapFile:
-    """
-    One mcap file.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    original : Path, optional
-        What messages name: the file that was unpacked to ``path``; default ``path``.
-
-    Attributes
-    ----------
-    topics : dict of Topic
-        By name; complete after :meth:`batches` has ended, as the rest.
-    damage : list of Damage
-        What failed a check.
-    notes : list of str
-        What a reader should know though nothing failed.
-    checked, unchecked : int
-        Chunks whose checksum was compared, and those that have none.
-    complete : bool
-        The file has its proper end.
-    found : int
-        Whole messages met, whatever their topic.
-
-    """
+class StorageFile:
+    """A file of a bag; what it found is complete once its `batches` have ended."""
 
     def __init__(self, path, original=None):
         self.path, self._original = path, original or path
         self.label = self._original.name
-        self.topics, self.damage, self.notes = {}, [], []
-        self.checked = self.unchecked = 0
-        self.complete = False
-        self._schemas, self._channels = {}, {}
+        self.topics = {}      # Topics by name
+        self.damage = []      # Damage: what failed a check
+        self.notes = []       # what a reader should know though nothing failed (str)
+        self.checked = self.unchecked = 0  # parts whose checksum was compared, or that have none
+        self.complete = False  # the file has its proper end
+        self.found = 0         # whole messages met, whatever their topic
         self._only = None
-        self.found = self._indexed = self._chunks = 0
-        self._announced = None
-        self._loose = 0          # messages outside of chunks
-        self._open_damage = None  # damage of the chunk whose index records follow
-        self._unknown = {}
 
     def batches(self, only=None):
         """
-        Yield the messages in file order, some at a time.
+        Yield the messages in file order, in lists of (topic, log time [ns], publish time, bytes).
 
-        Parameters
-        ----------
-        only : set of str, optional
-            The topics to yield; by default all. Everything is checked all the same.
-
-        Yields
-        ------
-        list of tuple
-            ``(topic name, log time [ns], publish time [ns], CDR bytes)``.
-
-        Raises
-        ------
-        BagError
-            If the file is empty, cannot be read or is no mcap file.
-
+        Only those of the topics ``only``, a set of str, but everything is checked all the same.
+        BagError if the file is empty, cannot be read or is of another kind.
         """
+        raise NotImplementedError
+
+    def _damaged(self, where, reason, lost):
+        damage = Damage(f'{self.label}: {where}' if where else self.label, reason, lost)
+        self.damage.append(damage)
+        return damage
+
+
+class McapFile(StorageFile):
+    """One mcap file; messages name ``original``, where ``path`` was unpacked from it."""
+
+    def __init__(self, path, original=None):
+        super().__init__(path, original)
+        self._schemas, self._channels = {}, {}
+        self._indexed = self._chunks = 0
+        self._announced = None
+        self._loose = 0           # messages outside of chunks
+        self._open_damage = None  # damage of the chunk whose index records follow
+        self._unknown = {}        # messages of each channel without a name
+
+    def batches(self, only=None):
         self._only = only
         try:
             with open(self.path, 'rb') as stream:
@@ -219,7 +184,7 @@ class McapFile:
 
     def _scan(self, data):
         self._check_magic(data)
-        self._preload(data)
+        self._read_topics(data)
         at, window = len(MAGIC), Window(data)
         while not self.complete:
             window.reach(at)
@@ -250,7 +215,7 @@ class McapFile:
         if len(data) >= len(MAGIC) and alike < len(MAGIC):
             self._damaged('the first bytes', f'read {data[:len(MAGIC)].hex(" ")}', 0)
 
-    def _preload(self, data):
+    def _read_topics(self, data):
         """Take the topics from a sound index: their first mention may be in a bad chunk."""
         at = len(data) - len(MAGIC) - _FOOTER_SIZE - 9
         if at < 0 or data[at] != Opcode.FOOTER:
@@ -264,8 +229,7 @@ class McapFile:
             if frame is None:
                 return
             opcode, end = frame
-            if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                self._record(opcode, data, start, end)
+            self._announcement(opcode, data[start + FRAME.size:end])
             start = end
 
     def _frame(self, data, at):
@@ -289,7 +253,7 @@ class McapFile:
             return None
         stream = ReadDataStream(BytesIO(body))
         try:
-            record = _READERS[opcode].read(stream)
+            record = _READERS[opcode](stream)
         except _MALFORMED:
             return None
         return record if stream.count == len(body) else None
@@ -301,13 +265,11 @@ class McapFile:
             if self._open_damage is not None:
                 self._open_damage.lost = (self._open_damage.lost or 0) + entries
             return
-        record = self._parse(opcode, data[at + 9:end])
         self._open_damage = None
-        if opcode == Opcode.SCHEMA:
-            self._schemas.setdefault(record.id, record)
-        elif opcode == Opcode.CHANNEL:
-            self._add_channel(record)
-        elif opcode == Opcode.STATISTICS:
+        if self._announcement(opcode, data[at + 9:end]):
+            return
+        record = self._parse(opcode, data[at + 9:end])
+        if opcode == Opcode.STATISTICS:
             self._announced = record.message_count
         elif opcode == Opcode.DATA_END:
             self._check_data_section(record.data_section_crc, data, at)
@@ -316,11 +278,7 @@ class McapFile:
             self.complete = True
 
     def _check_data_section(self, expected, data, at):
-        if not expected:
-            return
-        if checksum(data, at) == expected:
-            return
-        if not self.damage:
+        if expected and checksum(data, at) != expected and not self.damage:
             # chunks carry their own checksums: what they hold is sound
             self._damaged('the records between the chunks', 'fail the checksum of the file',
                           None if self._loose or self.unchecked else 0)
@@ -398,17 +356,13 @@ class McapFile:
         return messages, count, at
 
     def _announcement(self, opcode, body):
-        """Take a schema or channel from within a chunk; return whether it is one."""
-        if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL):
-            return False
-        record = self._parse(opcode, body)
-        if record is None:
-            return False
-        if opcode == Opcode.SCHEMA:
+        """Read a schema or channel; return whether it is one."""
+        record = self._parse(opcode, body) if opcode in (Opcode.SCHEMA, Opcode.CHANNEL) else None
+        if opcode == Opcode.SCHEMA and record is not None:
             self._schemas.setdefault(record.id, record)
-        else:
+        elif record is not None:
             self._add_channel(record)
-        return True
+        return record is not None
 
     def _loose_message(self, data, at, end):
         self._loose += 1
@@ -445,8 +399,3 @@ class McapFile:
         elif missing > 0 and not open_ended:
             self._damaged('somewhere', f'{expected} messages were announced and '
                           f'{self.found} found', missing)
-
-    def _damaged(self, where, reason, lost):
-        damage = Damage(f'{self.label}: {where}', reason, lost)
-        self.damage.append(damage)
-        return damage

@@ -9,7 +9,7 @@ import shutil
 import sqlite3
 import tempfile
 
-from gms_flex_control.data.mcap_file import Damage, Topic
+from gms_flex_control.data.mcap_file import StorageFile, Topic
 from gms_flex_control.data.metadata import Definition
 from gms_flex_control.errors import BagError
 
@@ -17,47 +17,14 @@ _BATCH = 2000
 _HEADER = b'SQLite format 3\0'
 
 
-class SqliteFile:
-    """
-    One db3 file, with the attributes of :class:`McapFile`.
-
-    Parameters
-    ----------
-    path : Path
-        The file; a journal or log beside it is taken into account, nothing is changed.
-    original : Path, optional
-        What messages name: the file that was unpacked to ``path``; default ``path``.
-
-    """
+class SqliteFile(StorageFile):
+    """One db3 file, read with the journal or log beside it; nothing is changed."""
 
     def __init__(self, path, original=None):
-        self.path, self._original = path, original or path
-        self.label = self._original.name
-        self.topics, self.damage, self.notes = {}, [], []
-        self.checked, self.unchecked = 0, 1
-        self.complete = False
-        self.found, self._only = 0, None
+        super().__init__(path, original)
+        self.unchecked = 1
 
     def batches(self, only=None):
-        """
-        Yield the messages in the order they were written, some at a time.
-
-        Parameters
-        ----------
-        only : set of str, optional
-            The topics to yield; by default all.
-
-        Yields
-        ------
-        list of tuple
-            ``(topic name, log time [ns], publish time [ns], message bytes)``.
-
-        Raises
-        ------
-        BagError
-            If the file is empty, cannot be read or is no bag.
-
-        """
         self._only = only
         try:
             with open(self.path, 'rb') as stream:
@@ -73,8 +40,7 @@ class SqliteFile:
                 with closing(sqlite3.connect(location, uri=True)) as database:
                     yield from self._read(database)
             except sqlite3.Error as error:
-                self.damage.append(Damage(
-                    self.label, f'cannot be read ({error})', None))
+                self._damaged('', f'cannot be read ({error})', None)
         self.complete = not self.damage
 
     def _settled(self, folder):
@@ -112,8 +78,7 @@ class SqliteFile:
                 if topic in names and isinstance(data, bytes) and len(data) >= 4
                 and isinstance(time, int) and time >= 0]
         if len(good) < len(rows):
-            self.damage.append(Damage(self.label, 'rows that are no messages',
-                                      len(rows) - len(good)))
+            self._damaged('', 'rows that are no messages', len(rows) - len(good))
         self.found += len(good)
         return good if self._only is None else [row for row in good if row[0] in self._only]
 
@@ -130,7 +95,7 @@ class SqliteFile:
                                          'WHERE id = ?', (number,)).fetchall()
             except sqlite3.Error:
                 lost += 1
-        self.damage.append(Damage(f'{self.label}: after row {last}', str(error), lost))
+        self._damaged(f'after row {last}', str(error), lost)
         return rows
 
     def _read_topics(self, database):

@@ -4,9 +4,8 @@
 """Messages of one topic as columns over time, decoded block by block as they are read."""
 
 from gms_flex_control.data.messages import (
-    ArrayLayout,
-    JointStateLayout,
-    STAMP_LABEL,
+    array_layout,
+    joint_state_layout,
     stamp_of,
     unpack_joint_state,
     unpack_multi_array,
@@ -15,9 +14,8 @@ from gms_flex_control.data.messages import (
 from gms_flex_control.errors import BagError
 import numpy as np
 
-_FAR = 2**62     # no stamp is later: differences of two stay below 2**63 [ns]
-_DIGITS = 19     # more do not fit 64 bits
-_LAYOUTS = 4     # of one length that are read at once in one block; the rest one by one
+_FAR = 2**62  # no stamp is later: differences of two stay below 2**63 [ns]
+_LAYOUTS = 4  # of one length that are read at once in one block; the rest one by one
 
 
 class Table:
@@ -33,18 +31,8 @@ class Table:
         self._error = None
         self._columns = self._decoded([]) | {'received': np.zeros(0, dtype=np.int64)}
 
-    def add(self, received, messages):
-        """
-        Decode a block of messages.
-
-        Parameters
-        ----------
-        received : sequence of int
-            Receive times [ns].
-        messages : sequence of bytes
-            CDR messages.
-
-        """
+    def add(self, received, messages) -> None:
+        """Decode a block of CDR messages (bytes) and their receive times [ns]."""
         if self._error is not None:
             return
         try:
@@ -63,25 +51,12 @@ class Table:
         self._rows = stop
         self._count += len(messages)
 
-    def take(self, name):
+    def take(self, name) -> np.ndarray:
         """
-        Return a column and forget it.
+        Return a column (T, ...) and forget it.
 
-        Parameters
-        ----------
-        name : str
-            ``rows`` (number of the message), ``received`` or ``stamps`` [ns], or as the table
-            has them.
-
-        Returns
-        -------
-        ndarray, shape (T, ...)
-
-        Raises
-        ------
-        BagError
-            If a message could not be read; the sentence has no subject yet.
-
+        It is ``rows`` (number of the message), ``received`` or ``stamps`` [ns], or as the table
+        has them. BagError, its sentence without a subject, if a message could not be read.
         """
         if self._error is not None:
             raise self._error
@@ -89,6 +64,51 @@ class Table:
 
     def _decoded(self, messages):
         """Return the columns of a block, ``rows`` counted from its start."""
+        block, known = self._empty(len(messages)), np.full(len(messages), False)
+        groups = {}
+        for k, data in enumerate(messages):
+            groups.setdefault(len(data), []).append(k)
+        try:
+            for numbers in groups.values():
+                self._read_group(block, known, numbers, messages)
+        except BagError:
+            for k, data in enumerate(messages):  # in order, to name the first
+                try:
+                    self._read(block, known, k, data)
+                except BagError as error:
+                    raise BagError(f'message {self._count + k} {error}') from None
+        rows = np.flatnonzero(known)
+        return {name: column[rows] for name, column in block.items()} | {'rows': rows}
+
+    def _read_group(self, block, known, numbers, messages):
+        """Read messages of one length: one alone, then all that are laid out like it."""
+        for _ in range(_LAYOUTS):
+            if not numbers:
+                return
+            start, numbers = numbers[0], numbers[1:]
+            layout = self._read(block, known, start, messages[start])
+            if layout is None or not numbers or layout.size > len(messages[start]):
+                continue
+            records = np.frombuffer(b''.join([messages[k] for k in numbers]),
+                                    layout.dtype(len(messages[start])))
+            fits, numbers = layout.fits(records), np.array(numbers)
+            if known[start]:
+                known[numbers[fits]] = True
+                self._copy(block, start, numbers[fits], records[fits])
+            numbers = numbers[~fits].tolist()
+        for k in numbers:
+            self._read(block, known, k, messages[k])
+
+    def _empty(self, count):
+        """Return columns for ``count`` messages."""
+        raise NotImplementedError
+
+    def _read(self, block, known, k, data):
+        """Read message ``k``; return the Layout of those alike, None where none can be."""
+        raise NotImplementedError
+
+    def _copy(self, block, start, numbers, records):
+        """Copy records laid out like message ``start`` to their places ``numbers``."""
         raise NotImplementedError
 
 
@@ -115,62 +135,32 @@ class JointTable(Table):
 
     def __init__(self, wanted, fields=VALUES):
         self._wanted, self._fields = tuple(wanted), tuple(fields)
-        self._places = {}
+        self._places, self._columns_of = {}, None
         super().__init__()
 
-    def _decoded(self, messages):
-        shape = (len(messages), len(self._wanted))
-        block = {name: np.full(shape, np.nan) for name in self._fields}
-        block['stamps'] = np.zeros(len(messages), dtype=np.int64)
-        known = np.full(len(messages), False)
-        k, run = 0, 16
-        while k < len(messages):
-            try:
-                # doubling keeps alternating layouts from costing the square of their number
-                after = self._read_alike(block, known, k, messages[k:k + run])
-                k, run = after, 2 * run if after == k + run else 16
-            except BagError as error:
-                raise BagError(f'message {self._count + k} {error}') from None
-        rows = np.flatnonzero(known)
-        return {name: column[rows] for name, column in block.items()} | {'rows': rows}
+    def _empty(self, count):
+        return {name: np.full((count, len(self._wanted)), np.nan) for name in self._fields} | {
+            'stamps': np.zeros(count, dtype=np.int64)}
 
-    def _read_alike(self, block, known, k, messages):
-        """Read message ``k`` and those behind it of its layout; return the next one."""
-        first = messages[0]
-        stamp, frame, names, *values = unpack_joint_state(first)
-        counts = tuple(len(numbers) for numbers in values)
+    def _read(self, block, known, k, data):
+        stamp, frame, names, *values = unpack_joint_state(data)
+        counts = tuple(map(len, values))
         _check_counts(names, counts)
         if names not in self._places:
             self._places[names] = _columns(names, self._wanted)
-        columns = self._places[names]
-        if columns is None:
-            return k + 1
-        layout, stop = JointStateLayout(names, counts, frame), 1
-        if first[1] == 1 and len(first) >= layout.size:
-            records = _joined(layout, messages)
-            good = layout.fits(records)
-            stop = len(good) if good.all() else max(int(np.argmin(good)), 1)
-            records = records[:stop]
-            stamp = records['sec'] * np.int64(10**9) + records['nanosec']
-            values = [records[field] if count else ()
-                      for field, count in zip(VALUES, counts, strict=True)]
-        else:
-            values = [np.array([numbers]) if numbers else () for numbers in values]
-        known[k:k + stop] = True
-        block['stamps'][k:k + stop] = stamp
-        for field, numbers in zip(VALUES, values, strict=True):
-            if len(numbers) and field in block:
-                block[field][k:k + stop] = numbers[:, columns]
-        return k + stop
+        self._columns_of = self._places[names]
+        if self._columns_of is not None:
+            known[k], block['stamps'][k] = True, stamp
+            for field, numbers in zip(VALUES, values, strict=True):
+                if numbers and field in block:
+                    block[field][k] = np.array(numbers)[self._columns_of]
+        return joint_state_layout(names, counts, frame, data[:4]) if data[1] == 1 else None
 
-
-def _joined(layout, messages):
-    """Return the records of the leading messages that are as long as the first."""
-    first, stop = messages[0], 1
-    while stop < len(messages) and len(messages[stop]) == len(first) \
-            and messages[stop][:4] == first[:4]:
-        stop += 1
-    return np.frombuffer(b''.join(messages[:stop]), layout.dtype(len(first)))
+    def _copy(self, block, start, numbers, records):
+        block['stamps'][numbers] = records['sec'] * np.int64(10**9) + records['nanosec']
+        for field in self._fields:
+            if field in records.dtype.names:
+                block[field][numbers] = records[field][:, self._columns_of]
 
 
 def _check_counts(names, counts):
@@ -207,43 +197,16 @@ class ArrayTable(Table):
     """
 
     def __init__(self, shape, shape_of):
-        self._shape, self._shape_of = tuple(shape), shape_of
-        self._met = {}  # layouts by length, for unpack_multi_array
+        self._shape, self._shape_of, self._last = tuple(shape), shape_of, None
         super().__init__()
 
-    def _decoded(self, messages):
-        count = len(messages)
-        block = {'values': np.full((count, *self._shape), np.nan),
-                 'stamps': np.zeros(count, dtype=np.int64), 'stamped': np.full(count, False)}
-        known = np.full(count, False)
-        try:
-            self._read_groups(block, known, messages)
-        except BagError:
-            for k, data in enumerate(messages):  # in order, to name the first
-                try:
-                    self._read_one(block, known, k, data)
-                except BagError as error:
-                    raise BagError(f'message {self._count + k} {error}') from None
-        rows = np.flatnonzero(known)
-        return {name: column[rows] for name, column in block.items()} | {'rows': rows}
+    def _empty(self, count):
+        return {'values': np.full((count, *self._shape), np.nan),
+                'stamps': np.zeros(count, dtype=np.int64), 'stamped': np.full(count, False)}
 
-    def _read_groups(self, block, known, messages):
-        """Read the messages of one length together, as far as they are laid out alike."""
-        groups = {}
-        for k, data in enumerate(messages):
-            groups.setdefault(len(data), []).append(k)
-        for numbers in groups.values():
-            for _ in range(_LAYOUTS):
-                if not numbers:
-                    break
-                numbers = self._read_alike(block, known, numbers, messages)
-            for k in numbers:
-                self._read_one(block, known, k, messages[k])
-
-    def _read_one(self, block, known, k, data):
-        """Read message ``k``; return its layout and values."""
-        dims, values = unpack_multi_array(data, self._met)
-        shape = self._shape_of(dims, len(values))
+    def _read(self, block, known, k, data):
+        dims, values = unpack_multi_array(data)
+        self._last = shape = self._shape_of(dims, len(values))
         stamp = stamp_of(dims)
         if shape is not None:
             known[k] = True
@@ -251,40 +214,15 @@ class ArrayTable(Table):
             if stamp is not None:
                 block['stamped'][k] = True
                 block['stamps'][k] = min(max(stamp, -_FAR), _FAR)
-        return dims, values
+        return array_layout(dims, len(values), data[:4]) if len(values) and data[1] else None
 
-    def _read_alike(self, block, known, numbers, messages):
-        """Read the first of ``numbers`` and all that are laid out like it; return the rest."""
-        start, numbers = numbers[0], numbers[1:]
-        first = messages[start]
-        dims, values = self._read_one(block, known, start, first)
-        place = _stamp_place(dims)
-        layout = ArrayLayout(dims, len(values), first[:4], place)
-        if not numbers or not len(values) or first[1] != 1 or len(first) < layout.size:
-            return numbers
-        records = np.frombuffer(b''.join([messages[k] for k in numbers]),
-                                layout.dtype(len(first)))
-        good = layout.fits(records)
-        stamps = block['stamps'][start]
-        if place is not None:
-            stamps, plain = layout.stamps(records)
-            good &= plain
-            stamps = np.minimum(stamps, np.uint64(_FAR)).astype(np.int64)[good]
-        taken = np.array(numbers)[good]
-        if known[start]:
-            shape = self._shape_of(dims, len(values))
-            known[taken] = True
-            block['values'][(taken, *map(slice, shape))] = \
-                records['data'][good].reshape(-1, *shape)
-            block['stamps'][taken], block['stamped'][taken] = stamps, block['stamped'][start]
-        return np.array(numbers)[~good].tolist()
-
-
-def _stamp_place(dims):
-    """Return which dimension has a stamp of plain digits and where they begin, else None."""
-    for k, (label, _, _) in enumerate(dims):
-        if label.startswith(STAMP_LABEL):
-            digits = label[len(STAMP_LABEL):]
-            plain = digits.isascii() and digits.isdigit() and len(digits) <= _DIGITS
-            return (k, len(STAMP_LABEL)) if plain else None
-    return None
+    def _copy(self, block, start, numbers, records):
+        block['values'][(numbers, *map(slice, self._last))] = \
+            records['data'].reshape(-1, *self._last)
+        block['stamped'][numbers] = block['stamped'][start]
+        block['stamps'][numbers] = block['stamps'][start]
+        if 'digits' in records.dtype.names:
+            stamps = np.zeros(len(records), dtype=np.uint64)
+            for digit in (records['digits'] - np.uint8(ord('0'))).T:
+                stamps = stamps * np.uint64(10) + digit
+            block['stamps'][numbers] = np.minimum(stamps, np.uint64(_FAR)).astype(np.int64)
