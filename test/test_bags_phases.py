@@ -5,7 +5,7 @@
 
 from dataclasses import fields
 
-from gms_flex_control.data.further_topics import read_experiment, read_phases
+from gms_flex_control.data.further_topics import read_experiment
 from gms_flex_control.data.messages import (
     JOINT_STATE,
     MULTI_ARRAY,
@@ -43,8 +43,9 @@ def test_phases_count_from_the_first_sample_in_the_order_of_time(tmp_path):
     bag = written(tmp_path / 'bag', [
         packed(5_006_000_000, 'idle', '', '', 0.0),
         packed(5_002_000_000, 'sliding', 'a', 'sliding/a/+0.1:x', -0.1)])
-    assert read_phases(bag) == (Phase(2_000_000, 'sliding', 'a', 'sliding/a/+0.1:x', -0.1),
-                                Phase(6_000_000, 'idle', '', '', 0.0))
+    assert read_experiment(bag)[1] == (
+        Phase(2_000_000, 'sliding', 'a', 'sliding/a/+0.1:x', -0.1),
+        Phase(6_000_000, 'idle', '', '', 0.0))
 
 
 def test_phases_are_read_as_they_were_written_beside_a_recording(tmp_path):
@@ -56,7 +57,6 @@ def test_phases_are_read_as_they_were_written_beside_a_recording(tmp_path):
                                                                   0.1),
               Phase(12_000_000, 'idle', '', '', 0.0))
     write_recording(tmp_path / 'bag', recording, start=7_000_000_000, phases=phases)
-    assert read_phases(tmp_path / 'bag') == phases
     assert np.array_equal(read_recording(tmp_path / 'bag').time, recording.time)
     both = read_experiment(tmp_path / 'bag')
     assert both[1] == phases
@@ -64,8 +64,7 @@ def test_phases_are_read_as_they_were_written_beside_a_recording(tmp_path):
 
 
 def test_a_bag_without_the_topic_has_no_phases(tmp_path):
-    assert read_phases(written(tmp_path / 'bag', [])) == ()
-    assert read_experiment(tmp_path / 'bag')[1] == ()
+    assert read_experiment(written(tmp_path / 'bag', []))[1] == ()
 
 
 @pytest.mark.parametrize('message', [
@@ -76,17 +75,15 @@ def test_a_bag_without_the_topic_has_no_phases(tmp_path):
     packed(1, 'idle', '', '', 0.0)[:30]])
 def test_a_message_that_is_no_phase_is_named(message, tmp_path):
     bag = written(tmp_path / 'bag', [packed(1, 'idle', '', '', 0.0), message])
-    for read in (read_phases, read_experiment):
-        with pytest.raises(BagError, match="topic '/identification/phase' message 1 "):
-            read(bag)
+    with pytest.raises(BagError, match="topic '/identification/phase' message 1 "):
+        read_experiment(bag)
 
 
-@pytest.mark.parametrize('read', [read_phases, read_experiment])
-def test_another_type_on_the_topic_is_refused(read, tmp_path):
+def test_another_type_on_the_topic_is_refused(tmp_path):
     bag = written(tmp_path / 'bag', [pack_joint_state(('a',), 1, (0.0,))], kind=JOINT_STATE)
     with pytest.raises(BagError, match="topic '/identification/phase' is a "
                                        'sensor_msgs/msg/JointState, expected std_msgs'):
-        read(bag)
+        read_experiment(bag)
 
 
 def test_a_recording_made_in_a_namespace_is_found(tmp_path):
@@ -105,8 +102,7 @@ def test_a_recording_made_in_a_namespace_is_found(tmp_path):
 
     bag = filled(tmp_path / 'one', loop('/left'))
     assert np.allclose(read_recording(bag).q_link[:, 0], 0.1 * np.arange(5))
-    assert [phase.time_ns for phase in read_phases(bag)] == [2_000_000]
-    assert read_experiment(bag)[1] == read_phases(bag)
+    assert [phase.time_ns for phase in read_experiment(bag)[1]] == [2_000_000]
     both = filled(tmp_path / 'two', loop('/left') | loop('/right'))
     with pytest.raises(BagError, match="has no topic '/joint_states' .topics: "):
         read_recording(both)

@@ -8,6 +8,7 @@ from pathlib import Path
 import re
 import shutil
 import sqlite3
+import struct
 
 from gms_flex_control.cli.main import main
 from gms_flex_control.data import messages
@@ -26,12 +27,13 @@ COUNT = 300
 
 
 def write_bag(path, chunk_size=4000):
-    with BagWriter(path, {'/joint_states': messages.JOINT_STATE, '/clock': messages.CLOCK},
+    types = {'/joint_states': messages.JOINT_STATE, '/clock': 'rosgraph_msgs/msg/Clock'}
+    with BagWriter(path, types,
                    chunk_size=chunk_size, flush_period=10.0) as writer:
         for k in range(COUNT):
             writer.write('/joint_states', k, messages.pack_joint_state(['a'], k * 10**6, [k]))
             if k % 3 == 0:
-                writer.write('/clock', k, messages.pack_clock(k))
+                writer.write('/clock', k, struct.pack('<4siI', messages.LITTLE_ENDIAN, k, 0))
     return path / f'{path.name}_0.mcap'
 
 

@@ -5,6 +5,7 @@
 
 from pathlib import Path
 import re
+import struct
 import subprocess
 import sys
 
@@ -20,9 +21,14 @@ from rosbags.typesys import get_typestore, Stores
 
 REAL = Path(__file__).parent / 'data' / 'ros2_bag_record'
 STORE = get_typestore(Stores.ROS2_JAZZY)
+CLOCK = 'rosgraph_msgs/msg/Clock'
 NAMES = ('joint1', 'joint2', 'joint1_motor')
 TYPES = {'/joint_states': messages.JOINT_STATE, '/commands': messages.MULTI_ARRAY,
-         '/clock': messages.CLOCK}
+         '/clock': CLOCK}
+
+
+def pack_clock(stamp):
+    return struct.pack('<4siI', messages.LITTLE_ENDIAN, *divmod(stamp, 10**9))
 
 
 def write_three_topics(path, count=50, **options):
@@ -36,7 +42,7 @@ def write_three_topics(path, count=50, **options):
                     ('/joint_states', messages.pack_joint_state(
                         NAMES, time, row, row + 1, row * 2)),
                     ('/commands', messages.pack_command(row[:2].tolist(), time, 'test')),
-                    ('/clock', messages.pack_clock(time))):
+                    ('/clock', pack_clock(time))):
                 writer.write(topic, time, data)
                 written.append((topic, time, data))
     return written
@@ -95,7 +101,7 @@ def test_the_clock_hash_is_that_of_ros():
     assert clock.__name__ == 'Clock'
     if not share.is_file():
         pytest.skip('the type description is not installed')
-    assert definition(messages.CLOCK).type_hash in share.read_text()
+    assert definition(CLOCK).type_hash in share.read_text()
 
 
 def test_a_type_of_an_installed_package_is_described_from_its_msg_files(tmp_path, monkeypatch):
@@ -152,11 +158,6 @@ def test_a_packed_multi_array_is_what_two_other_libraries_read(dims, values):
         np.testing.assert_equal(messages.unpack_multi_array(raw), (tuple(dims), tuple(values)))
 
 
-def test_a_packed_clock_is_what_rosbags_reads():
-    clock = STORE.deserialize_cdr(messages.pack_clock(3_000_000_007), messages.CLOCK).clock
-    assert (clock.sec, clock.nanosec) == (3, 7)
-
-
 def test_an_existing_bag_is_never_overwritten(tmp_path):
     written = write_three_topics(tmp_path / 'bag')
     for atomic in (False, True):
@@ -169,9 +170,9 @@ def test_an_existing_bag_is_never_overwritten(tmp_path):
 def test_a_bag_is_closed_whole_when_its_block_fails(tmp_path):
     with pytest.raises(RuntimeError):
         with BagWriter(tmp_path / 'bag', TYPES) as writer:
-            writer.write('/clock', 5, messages.pack_clock(5))
+            writer.write('/clock', 5, pack_clock(5))
             raise RuntimeError
-    assert read_by_mcap(tmp_path / 'bag') == [('/clock', 5, messages.pack_clock(5))]
+    assert read_by_mcap(tmp_path / 'bag') == [('/clock', 5, pack_clock(5))]
     with Reader(tmp_path / 'bag') as reader:
         assert reader.message_count == 1
 
@@ -179,7 +180,7 @@ def test_a_bag_is_closed_whole_when_its_block_fails(tmp_path):
 def test_an_atomic_bag_appears_whole_or_not_at_all(tmp_path):
     with pytest.raises(RuntimeError):
         with BagWriter(tmp_path / 'bag', TYPES, atomic=True) as writer:
-            writer.write('/clock', 5, messages.pack_clock(5))
+            writer.write('/clock', 5, pack_clock(5))
             raise RuntimeError
     assert list(tmp_path.iterdir()) == []
     written = write_three_topics(tmp_path / 'bag', atomic=True)
@@ -199,15 +200,15 @@ def test_a_message_without_a_place_is_refused(tmp_path, topic, time, sentence):
 def test_a_full_disk_is_named_and_what_was_flushed_is_kept(tmp_path):
     code = """if True:
         import resource, signal, sys
-        from gms_flex_control.data import messages
         from gms_flex_control.data.writer import BagWriter
         from gms_flex_control.errors import BagError
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))
         try:
-            with BagWriter(sys.argv[1], {'/clock': messages.CLOCK}, chunk_size=20_000) as writer:
+            with BagWriter(sys.argv[1], {'/clock': 'rosgraph_msgs/msg/Clock'},
+                           chunk_size=20_000) as writer:
                 for k in range(100_000):
-                    writer.write('/clock', k, messages.pack_clock(k))
+                    writer.write('/clock', k, bytes([0, 1]) + bytes(10))
         except BagError as error:
             print(error)
     """

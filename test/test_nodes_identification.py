@@ -9,8 +9,7 @@ import resource
 import signal
 import warnings
 
-from gms_flex_control.data.further_topics import read_phases
-from gms_flex_control.data.reader import read_recording
+from gms_flex_control.data.further_topics import read_experiment
 from gms_flex_control.experiment.identification_plan import read_identification_plan
 from gms_flex_control.schema.files import load_controller, load_robot
 from node_harness import (
@@ -102,7 +101,7 @@ def lab(tmp_path):
 def read(path):
     with warnings.catch_warnings():
         warnings.simplefilter('ignore')
-        return read_recording(path), read_phases(path)
+        return read_experiment(path)
 
 
 def measured_steps(phases):

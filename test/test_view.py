@@ -16,7 +16,12 @@ import sys
 from core_runs import single_axis
 from gms_flex_control.cli.main import main
 from gms_flex_control.data.further_topics import read_blocks
-from gms_flex_control.data.messages import JOINT_STATE, MULTI_ARRAY, pack_blocks, pack_joint_states
+from gms_flex_control.data.messages import (
+    JOINT_STATE,
+    MULTI_ARRAY,
+    pack_joint_states,
+    pack_reference,
+)
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.data.writer import BagWriter
 from gms_flex_control.errors import BagError
@@ -160,7 +165,7 @@ def write_bag(path, blocks=None, late=0, start=5_000_000_000, space=''):
             writer.write(states, int(stamps[k]), message)
             for topic, values in (blocks or {}).items():
                 writer.write(topic, int(stamps[k]) + late,
-                             pack_blocks(values[k], int(stamps[k])))
+                             pack_reference(values[k], int(stamps[k]), 'joint'))
     return path
 
 

@@ -23,15 +23,7 @@ MOST_UNANSWERED = 0.1  # share of samples without a command in a run that tells 
 
 @dataclass(frozen=True, eq=False)
 class Table4:
-    """
-    Mean square tracking errors per trajectory, compensation and link.
-
-    Parameters
-    ----------
-    runs : tuple of RunTracking
-        What was measured, in the order given.
-
-    """
+    """Mean square tracking errors per trajectory, compensation and link of RunTrackings."""
 
     runs: tuple
 
@@ -113,22 +105,7 @@ class Table4:
         return without / with_it if with_it > 0 else math.nan
 
     def paper(self, trajectory, joint):
-        """
-        Return what the paper prints for this link.
-
-        Parameters
-        ----------
-        trajectory : str
-            'sinusoid' or 'polynomial'.
-        joint : str
-            One of the two joints of the run; the first is the paper's link 1.
-
-        Returns
-        -------
-        tuple of float or None
-            MSE without, with [rad^2] and their ratio; None for any other robot.
-
-        """
+        """Return MSE without and with [rad^2] and their ratio as printed; None for others."""
         joints = self.joints(trajectory)
         if trajectory not in PAPER_WITHOUT or len(joints) != 2:
             return None
@@ -202,22 +179,7 @@ class Table4:
 
 
 def align(header, rows):
-    """
-    Return rows of cells as text with aligned columns.
-
-    Parameters
-    ----------
-    header : sequence of str
-        Column titles.
-    rows : sequence of sequence of str
-        Cells; those that begin like a number are set to the right.
-
-    Returns
-    -------
-    str
-        One line per row and a rule under the header.
-
-    """
+    """Return a header and rows of cells as text with aligned columns, numbers to the right."""
     widths = [max(len(row[i]) for row in [header, *rows]) for i in range(len(header))]
     numeric = [all(row[i][:1] in '-+0123456789' for row in rows) for i in range(len(header))]
 

@@ -36,87 +36,36 @@ PRESLIDING_TIME = 1e-2     # of the slipping block towards its level [s]
 
 @dataclass(frozen=True, kw_only=True)
 class Explanation:
-    """
-    How much of the measured torsion one explanation leaves over.
+    """How much of the measured torsion one explanation leaves over."""
 
-    Parameters
-    ----------
-    name : str
-        In words.
-    stiffness : float
-        Of the spring in it [N m/rad]; infinite without a spring.
-    delay : float
-        How much older the link encoder's reading is than the motor encoder's [s].
-    rms_error : float
-        Measured less modelled torsion, without its mean [rad].
-    relative_error : float
-        That over the rms of the measured torsion.
-
-    """
-
-    name: str
-    stiffness: float
-    delay: float
-    rms_error: float
-    relative_error: float
+    name: str         # in words
+    stiffness: float  # of the spring in it [N m/rad]; infinite without a spring
+    delay: float      # how much older the link encoder's reading is than the motor's [s]
+    rms_error: float  # measured less modelled torsion, without its mean [rad]
+    relative_error: float  # that over the rms of the measured torsion
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TorsionStudy:
-    """
-    One axis, measured and modelled, at the samples whose derivatives are known.
-
-    Parameters
-    ----------
-    joint, source : str
-        What was studied.
-    time : ndarray, shape (T,)
-        [s].
-    velocity, acceleration : ndarray, shape (T,)
-        Of the motor side, seen at the joint [rad/s, rad/s^2].
-    torque, torque_model : ndarray, shape (T,)
-        Measured at the motor, and of inertia and friction [N m].
-    torsion : ndarray, shape (T,)
-        Motor less link angle, without its mean [rad].
-    torsion_model : ndarray, shape (T,)
-        Spring torque over stiffness, without its mean [rad].
-    torsion_offset : float
-        The mean taken off: zero error of the encoders, not twist [rad].
-    inertia : float
-        M + J, from the torque [kg m^2].
-    motor_inertia : float
-        J as given; this part of the torque does not load the spring [kg m^2].
-    coulomb : tuple of float
-        Forward and backward [N m].
-    viscous : float
-        [N m s/rad].
-    moving : ndarray of bool, shape (T,)
-        Samples used for the fit.
-    robot : RobotParams
-        The axis as a decoupled flexible joint with this friction, see `first_model`, and the zero
-        error of the encoders as its spring_offset.
-    explanations : tuple of Explanation
-        The given spring first.
-
-    """
+    """One axis, measured and modelled, at the T samples whose derivatives are known."""
 
     joint: str
     source: str
-    time: np.ndarray
-    velocity: np.ndarray
-    acceleration: np.ndarray
-    torque: np.ndarray
-    torque_model: np.ndarray
-    torsion: np.ndarray
-    torsion_model: np.ndarray
-    torsion_offset: float
-    inertia: float
-    motor_inertia: float
-    coulomb: tuple
-    viscous: float
-    moving: np.ndarray
-    robot: RobotParams
-    explanations: tuple
+    time: np.ndarray          # (T,) [s], as all below
+    velocity: np.ndarray      # of the motor side, seen at the joint [rad/s]
+    acceleration: np.ndarray  # [rad/s^2]
+    torque: np.ndarray        # measured at the motor [N m]
+    torque_model: np.ndarray  # of inertia and friction [N m]
+    torsion: np.ndarray       # motor less link angle, without its mean [rad]
+    torsion_model: np.ndarray  # spring torque over stiffness, without its mean [rad]
+    torsion_offset: float     # the mean taken off: zero error of the encoders [rad]
+    inertia: float            # M + J, from the torque [kg m^2]
+    motor_inertia: float      # J as given; this part of the torque does not load the spring
+    coulomb: tuple            # forward and backward [N m]
+    viscous: float            # [N m s/rad]
+    moving: np.ndarray        # bool, samples used for the fit
+    robot: RobotParams        # the axis of `first_model`, zero error as its spring_offset
+    explanations: tuple       # Explanations, the given spring first
 
     @property
     def torque_error(self):
@@ -127,28 +76,11 @@ class TorsionStudy:
 
 def study(recording, joint, stiffness, motor_inertia=0.0):
     """
-    Put one joint of a recording through the flexible-joint model of a decoupled axis.
+    Return the TorsionStudy of one joint of a recording with angles of both sides and motor torque.
 
-    Parameters
-    ----------
-    recording : Recording
-        With angles of both sides and the motor's torque, reflected to the joint.
-    joint : str
-        Link name.
-    stiffness : float
-        K of the joint [N m/rad].
-    motor_inertia : float
-        J, reflected to the joint [kg m^2]; 0 if not known, the spring then carries all torque.
-
-    Returns
-    -------
-    TorsionStudy
-
-    Raises
-    ------
-    BagError
-        If the joint, its motor side or the torque is missing, or it hardly moves.
-
+    ``stiffness`` is K [N m/rad]; ``motor_inertia`` J, reflected to the joint [kg m^2], 0 if not
+    known: the spring then carries all torque. BagError if the joint, its motor side or the torque
+    is missing, or it hardly moves.
     """
     if not (np.isfinite(stiffness) and stiffness > 0):
         raise BagError(f'stiffness must be above 0 and finite [N m/rad], got {stiffness}')
@@ -187,31 +119,11 @@ def study(recording, joint, stiffness, motor_inertia=0.0):
 
 def first_model(joint, stiffness, motor_inertia, fit, source):
     """
-    Return the fitted axis as a robot that plant and controller take.
+    Return the fitted axis as a robot that plant and controller can use: decoupled, one joint.
 
-    Parameters
-    ----------
-    joint : str
-        Link name.
-    stiffness : float
-        K [N m/rad].
-    motor_inertia : float
-        J [kg m^2]; where it is 0, ASSUMED_MOTOR_SHARE of M + J stands in the robot.
-    fit : sequence of float
-        M + J [kg m^2], Coulomb friction forward and backward [N m], viscous [N m s/rad].
-    source : str
-        For messages.
-
-    Returns
-    -------
-    RobotParams
-        Of kind ``decoupled``, one joint, Coulomb and viscous friction in one stiff block.
-
-    Raises
-    ------
-    BagError
-        If the fit is not physical: no positive inertia or friction.
-
+    ``fit`` is M + J [kg m^2], Coulomb friction forward and backward [N m] and viscous [N m s/rad],
+    in one stiff block; where J is 0, ASSUMED_MOTOR_SHARE of M + J is the motor's. BagError, naming
+    ``source``, if the fit is not physical.
     """
     whole, forward, backward, viscous = (float(value) for value in fit)
     motor = motor_inertia or ASSUMED_MOTOR_SHARE * whole

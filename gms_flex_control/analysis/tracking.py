@@ -58,20 +58,7 @@ class RunTracking(NamedTuple):
 
 
 def link_error(recording):
-    """
-    Return actual minus desired link angle.
-
-    Parameters
-    ----------
-    recording : Recording
-        Of T samples and n joints.
-
-    Returns
-    -------
-    ndarray, shape (T, n)
-        Tracking error [rad]; NaN where there was no reference.
-
-    """
+    """Return actual minus desired link angle (T, n) [rad]; NaN where there was no reference."""
     return recording.q_link - recording.reference[:, 0]
 
 
@@ -81,20 +68,7 @@ def link_rms(recording):
 
 
 def track(run):
-    """
-    Return the tracking figures of one run.
-
-    Parameters
-    ----------
-    run : Run
-        Labels and recording.
-
-    Returns
-    -------
-    RunTracking
-        Means are over samples, as in the paper, not over time.
-
-    """
+    """Return the RunTracking of a run; means are over samples, as in the paper, not over time."""
     recording = run.recording
     error = link_error(recording)
     return RunTracking(
@@ -112,39 +86,16 @@ def unanswered(recording):
 
 
 def table4(runs):
-    """
-    Return the paper's Table 4 for any list of runs.
-
-    Parameters
-    ----------
-    runs : sequence of Run
-        Repeats of one trajectory and compensation are averaged; combinations that
-        are missing show as '-'.
-
-    Returns
-    -------
-    Table4
-        With ``.text()``, ``.as_dict()`` and the numbers themselves.
-
-    """
+    """Return the paper's Table4 for any list of Runs, repeats averaged, missing ones as '-'."""
     return Table4(tuple(track(run) for run in runs))
 
 
 def hold_windows(time, q_ref):
     """
-    Return where one joint is asked to stand still and has had time to settle.
+    Return where one joint is asked to stand still and has had time to settle, list of slice.
 
-    Parameters
-    ----------
-    time, q_ref : ndarray, shape (T,)
-        Stamps [s] and reference angle [rad].
-
-    Returns
-    -------
-    list of slice
-        For each stretch of constant reference longer than ``HOLD_SETTLING``: what follows
-        the settling, at most the last ``HOLD_WINDOW`` of it.
-
+    For each part of constant reference (T,) [rad] longer than ``HOLD_SETTLING``: what follows the
+    settling, at most the last ``HOLD_WINDOW`` of it.
     """
     still = np.abs(np.diff(q_ref)) <= HOLD_TOLERANCE
     edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(int)))
@@ -189,7 +140,7 @@ def _rms_torque(recording, i):
 
 def tracking_of_copies(plan, model, count=16, spread=1e-3, seed=0):
     """
-    Return the tracking errors of robots whose friction differs a little.
+    Return the rms tracking errors (count, n) [rad] of robots whose friction differs a little.
 
     Compensated well, what is left of an error is made of single events: a link that sticks a
     moment too long. Whether one happens hangs on friction to a millionth, so one run says little;
@@ -207,11 +158,6 @@ def tracking_of_copies(plan, model, count=16, spread=1e-3, seed=0):
         Standard deviation of each stiffness of their blocks, relative.
     seed : int
         Of these; the same robots for every model.
-
-    Returns
-    -------
-    ndarray, shape (count, n)
-        Rms error of each link [rad].
 
     """
     rng, friction, errors = np.random.default_rng(seed), plan.robot.friction, []

@@ -43,25 +43,10 @@ class Suspicion(NamedTuple):
 
 def suspicions(table, import_map, time, keep, joints):
     """
-    Look a log over.
+    Return what looks wrong in a log, a list of Suspicion.
 
-    Parameters
-    ----------
-    table : CsvTable
-        For line numbers.
-    import_map : ImportMap
-        What the columns are.
-    time : ndarray, shape (T,)
-        Stamps [s].
-    keep : ndarray of int, shape (T,)
-        Rows of the table they belong to.
-    joints : list of dict of ndarray, shape (T,)
-        Values in SI per joint and channel.
-
-    Returns
-    -------
-    list of Suspicion
-
+    Of a CsvTable (for line numbers) and its ImportMap; ``time`` (T,) [s] and the rows ``keep``
+    (T,) of the table, ``joints`` the values in SI per joint and channel (dicts of (T,)).
     """
     lines = table.lines[keep]
     found = list(_sampling(time, lines, import_map.time.rate is None))
@@ -246,21 +231,9 @@ def _torque(judged):
 
 def torque_remarks(import_map, time, joints):
     """
-    Say what friction the torques amount to, for a user who knows the machine.
+    Return what friction the torques amount to, sentences for a user who knows the machine.
 
-    Parameters
-    ----------
-    import_map : ImportMap
-        What the columns are.
-    time : ndarray, shape (T,)
-        Stamps [s].
-    joints : list of dict of ndarray, shape (T,)
-        Values in SI per joint and channel.
-
-    Returns
-    -------
-    list of str
-
+    Arguments as `suspicions`.
     """
     levels = [f'{judged.place} {judged.friction:.2g} N m at {judged.speed:.2g} rad/s'
               for judged in _torques(import_map, time, joints)

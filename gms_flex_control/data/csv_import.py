@@ -15,26 +15,12 @@ import numpy as np
 
 @dataclass(frozen=True, eq=False)
 class ImportedLog:
-    """
-    A recording made from a text table.
+    """A recording made from a text table."""
 
-    Parameters
-    ----------
-    recording : Recording
-        In SI units, time from the first sample.
-    motors : tuple of str
-        Motor name per joint, '' where the joint is rigid.
-    suspicions : tuple of Suspicion
-        What looks wrong; the data were taken as they are nevertheless.
-    remarks : tuple of str
-        What the import itself did: estimates, rows left out, resampling.
-
-    """
-
-    recording: Recording
-    motors: tuple
-    suspicions: tuple
-    remarks: tuple
+    recording: Recording  # in SI units, time from the first sample
+    motors: tuple         # motor name per joint, '' where the joint is rigid
+    suspicions: tuple     # Suspicions; the data were taken as they are nevertheless
+    remarks: tuple        # what the import itself did: estimates, rows left out, resampling
 
     def summary(self):
         """Return a few lines of text: size, sampling, ranges, remarks and suspicions."""
@@ -203,21 +189,10 @@ def _back_emf_torque(channel, joint, values, time):
 
 def estimate_velocity(time, position, window):
     """
-    Return velocity by central differences over a window.
+    Return velocity [rad/s] by central differences over a window [s], NaN beside missing positions.
 
-    Parameters
-    ----------
-    time, position : ndarray, shape (T,)
-        Stamps [s], evenly spaced or not, and angle [rad].
-    window : float
-        Length of the difference [s]; it is one-sided and shorter at the ends, and never
-        shorter than the neighbouring samples.
-
-    Returns
-    -------
-    ndarray, shape (T,)
-        [rad/s]; NaN beside missing positions.
-
+    Stamps [s] need not be even. The difference is one-sided and shorter at the ends, and never
+    shorter than the neighbouring samples.
     """
     before = np.maximum(time - window / 2, time[0])
     after = np.minimum(time + window / 2, time[-1])

@@ -56,20 +56,9 @@ def canonical(unit):
 
 def unit_in_name(column, quantity):
     """
-    Return the unit a column's name ends in.
+    Return the unit a column's name such as ``'speed [rpm]'`` ends in, None if it has none.
 
-    Parameters
-    ----------
-    column : str
-        For instance ``'q_link1_deg'``, ``'speed [rpm]'``.
-    quantity : str
-        A key of ``UNITS``: only its units are looked for.
-
-    Returns
-    -------
-    str or None
-        Canonical name; None if the name tells none.
-
+    Only units of ``quantity``, a key of ``UNITS``, are looked for.
     """
     text = column.strip().lower().replace('²', '2')
     bracket = re.search(r'[\[(]\s*([^\])]*?)\s*[\])]\s*$', text)
@@ -90,22 +79,9 @@ _MISSING = object()
 
 def read_map(path):
     """
-    Read a YAML file whose top level is a mapping.
+    Return the MapNode of a YAML file whose top level is a mapping.
 
-    Parameters
-    ----------
-    path : str or Path
-        The file.
-
-    Returns
-    -------
-    MapNode
-
-    Raises
-    ------
-    ImportDataError
-        If it cannot be read, is no YAML or no mapping.
-
+    ImportDataError if it cannot be read, is no YAML or no mapping.
     """
     try:
         data = read_yaml(path)
@@ -128,21 +104,7 @@ def read_map(path):
 
 
 class MapNode:
-    """
-    One mapping of the file.
-
-    Parameters
-    ----------
-    data : ruamel.yaml.CommentedMap
-        Its content.
-    path : str
-        The file, for messages.
-    place : str
-        Dotted place in the file, '' at the top.
-    first_line : int
-        Line the mapping is introduced at.
-
-    """
+    """One mapping of a YAML file, which knows the line and dotted place of every mistake."""
 
     def __init__(self, data, path, place, first_line):
         self._data = data
@@ -325,22 +287,9 @@ class ImportMap:
 
 def load_map(path):
     """
-    Read and check a map.
+    Return the ImportMap of a YAML file, see ``config/import_kr300.yaml``.
 
-    Parameters
-    ----------
-    path : str or Path
-        A YAML file, see ``config/import_kr300.yaml``.
-
-    Returns
-    -------
-    ImportMap
-
-    Raises
-    ------
-    ImportDataError
-        If it cannot be read, or a key, type, unit or combination is wrong.
-
+    ImportDataError if it cannot be read, or a key, type, unit or combination is wrong.
     """
     top = read_map(path)
     top.only('source', 'file', 'time', 'joints', 'resample')

@@ -16,27 +16,10 @@ EMPTY = ('', 'nan', 'na', 'n/a', 'null', 'none', '-')
 
 class CsvTable:
     """
-    A table of numbers read into memory.
+    A UTF-8 table of numbers read into memory, laid out as a FileFormat says.
 
-    Parameters
-    ----------
-    path : str or Path
-        The file, UTF-8.
-    form : FileFormat
-        Delimiter, header rows, decimal sign and comment sign.
-
-    Attributes
-    ----------
-    names : list of str
-        Column names; '1', '2', ... where there is no header.
-    lines : ndarray of int, shape (T,)
-        Line of each row in the file.
-
-    Raises
-    ------
-    ImportDataError
-        If it cannot be read, is empty, or a row has another length than the header.
-
+    ``names`` are its columns ('1', '2', ... without a header), ``lines`` (T,) the line of each.
+    ImportDataError if it cannot be read, is empty, or a row has another length than the header.
     """
 
     def __init__(self, path, form):
@@ -86,25 +69,9 @@ class CsvTable:
 
     def column(self, name, asked_by):
         """
-        Return one column as numbers.
+        Return one column (T,) by its name, or its number from 1; NaN where a cell is empty.
 
-        Parameters
-        ----------
-        name : str or int
-            Its name, or its number from 1.
-        asked_by : str
-            Who wants it, for the message.
-
-        Returns
-        -------
-        ndarray, shape (T,)
-            NaN where a cell is empty or says so.
-
-        Raises
-        ------
-        ImportDataError
-            If there is no such column or a cell is no number.
-
+        ImportDataError, naming ``asked_by``, if there is no such column or a cell is no number.
         """
         index = self._index(name, asked_by)
         texts = [row for row, column in self._texts if column == index]

@@ -5,7 +5,6 @@
 
 from gms_flex_control.data.bag import Bag, namespace_of
 from gms_flex_control.data.messages import (
-    JOINT_STATE,
     MULTI_ARRAY,
     PHASE_TOPIC,
     STAMP_LABEL,
@@ -13,7 +12,7 @@ from gms_flex_control.data.messages import (
     unpack_joint_state,
     unpack_multi_array,
 )
-from gms_flex_control.data.reader import Aside, read_beside
+from gms_flex_control.data.reader import read_beside
 from gms_flex_control.data.recording import Phase, Topics
 from gms_flex_control.data.series import by_stamp
 from gms_flex_control.data.tables import ArrayTable
@@ -21,65 +20,12 @@ from gms_flex_control.errors import BagError
 import numpy as np
 
 _LABELS = ('phase', 'joint', 'step')
-_HEAD = 12  # bytes of a JointState up to the end of its stamp
-
-
-def read_phases(path, *, topic=None, joint_states=None):
-    """
-    Read the phases of an identification experiment.
-
-    Parameters
-    ----------
-    path : str or Path
-        Bag folder or file, as for read_recording.
-    topic, joint_states : str, optional
-        Topic names; by default those of our nodes, in the namespace they were recorded in.
-
-    Returns
-    -------
-    tuple of Phase
-        In the order of time; their time counts from the first sample of the recording, as
-        ``Recording.time`` does. Empty where the bag has no such topic.
-
-    Raises
-    ------
-    BagError
-        If a message is no phase, or the bag cannot be read.
-
-    """
-    bag, found, first = Bag(path), [], None
-    space = namespace_of(bag)
-    topic, joint_states = topic or space + PHASE_TOPIC, joint_states or space + '/joint_states'
-    for batch in bag.batches({topic, joint_states}):
-        found += [data for name, _, _, data in batch if name == topic]
-        states = [data for name, _, _, data in batch if name == joint_states != topic]
-        if states:
-            stamp = _first_stamp(path, joint_states, states)
-            first = stamp if first is None else min(first, stamp)
-    return _phases(path, Aside(topic, bag.type_of(topic), found), first or 0)
+_TORQUE, _STICKING = '/cascade_controller/blocks', '/cascade_controller/sticking'
+_WAITING = 4096  # messages of a topic that are decoded together
 
 
 def read_experiment(path, joints=None, motors=None):
-    """
-    Read a recording and the phases of its experiment, the bag but once.
-
-    Parameters
-    ----------
-    path, joints, motors
-        As `reader.read_recording`.
-
-    Returns
-    -------
-    recording : Recording
-    phases : tuple of Phase
-        As `read_phases`.
-
-    Raises
-    ------
-    BagError
-        As both.
-
-    """
+    """Read the Recording and Phases of an experiment, the bag but once."""
     recording, begin, aside = read_beside(path, joints, motors, aside=[PHASE_TOPIC])
     return recording, _phases(path, aside[PHASE_TOPIC], begin)
 
@@ -111,62 +57,31 @@ def _phase(path, topic, number, data):
     return Phase(stamp, *(texts[name] for name in _LABELS), float(values[0]))
 
 
-def _first_stamp(path, topic, messages):
-    """Return the smallest header stamp of some JointStates [ns]."""
-    short = [len(data) for data in messages if len(data) < _HEAD]
-    if short:
-        raise BagError(f'{path}: topic {topic!r} has a message of {short[0]} bytes, which is '
-                       f'no {JOINT_STATE}')
-    heads = b''.join([data[:_HEAD] for data in messages])
-    little = (np.frombuffer(heads, 'u1')[1::_HEAD] & 1).astype(bool)
-    stamps = np.zeros(len(messages), dtype=np.int64)
-    for order, which in (('<', little), ('>', ~little)):
-        records = np.frombuffer(heads, [('', 'V4'), ('sec', f'{order}i4'),
-                                        ('nanosec', f'{order}u4')])[which]
-        stamps[which] = records['sec'] * np.int64(10**9) + records['nanosec']
-    return int(stamps.min())
-
-
-TORQUE_TOPIC, STICKING_TOPIC = '/cascade_controller/blocks', '/cascade_controller/sticking'
-_WAITING = 4096  # messages of a topic that are decoded together
-
-
-def read_blocks(path, time, n, *, topics=None, joint_states=None):
+def read_blocks(path, time, n) -> tuple:
     """
     Read the friction blocks of the observer at the samples of a recording.
 
     Parameters
     ----------
     path : str or Path
-        Bag folder or file, as for read_recording.
+        Bag folder or file, as for read_recording; BagError if it cannot be read.
     time : ndarray, shape (T,)
         ``Recording.time`` of the same bag [s].
     n : int
-        Number of joints.
-    topics : tuple of str, optional
-        Of the blocks' torques and of which stick; by default those of our controller, in the
-        namespace they were recorded in.
-    joint_states : str, optional
-        The topic whose first stamp is time 0.
+        Number of joints; BagError if a message is no table of blocks for them.
 
     Returns
     -------
     tuple of ndarray or None
-        For each topic shape (T, n, N): torque [N m], and 1 for sticking, 0 for slipping; NaN at
-        samples without a message, None for a topic that is not in the bag or has no stamps.
-
-    Raises
-    ------
-    BagError
-        If a message is no table of blocks for n joints, or the bag cannot be read.
+        Torque [N m], and 1 for sticking, 0 for slipping, each of shape (T, n, N); NaN at samples
+        without a message, None for a topic that is not in the bag or has no stamps.
 
     """
     bag, tables = Bag(path), {}
     space = namespace_of(bag)
-    topics = topics or (space + TORQUE_TOPIC, space + STICKING_TOPIC)
-    joint_states = joint_states or space + Topics().joint_states
+    topics = space + _TORQUE, space + _STICKING
     if bag.metadata and not set(topics) & set(bag.metadata.topics):
-        return (None,) * len(topics)  # a long bag is not read once more for that
+        return None, None  # a long bag is not read once more for that
     waiting = {topic: ([], []) for topic in topics}
     for batch in bag.batches(topics):
         for name, log, _, data in batch:
@@ -175,8 +90,9 @@ def read_blocks(path, time, n, *, topics=None, joint_states=None):
         _decode_blocks(bag, tables, waiting, n, _WAITING)
     _decode_blocks(bag, tables, waiting, n, 1)
     if not tables:
-        return (None,) * len(topics)
-    stamps = _first_state(path, joint_states) + np.rint(np.asarray(time) * 1e9).astype(np.int64)
+        return None, None
+    first = _first_state(path, space + Topics().joint_states)
+    stamps = first + np.rint(np.asarray(time) * 1e9).astype(np.int64)
     return tuple(_at_samples(path, topic, tables.get(topic), stamps) for topic in topics)
 
 

@@ -18,71 +18,31 @@ _GAP = 2.5  # times the median interval
 
 @dataclass(frozen=True, kw_only=True)
 class TopicSummary:
-    """
-    One topic of a bag.
-
-    Parameters
-    ----------
-    name, type_name : str
-        Topic and message type.
-    count : int
-        Messages.
-    rate : float or None
-        One over the median interval between receive times [Hz]; None below 2 messages.
-    gaps : int
-        Intervals longer than 2.5 times the median.
-    longest_gap : float or None
-        The longest interval [s].
-    joints : tuple of str
-        Names in the first message of a JointState topic.
-
-    """
+    """One topic of a bag."""
 
     name: str
     type_name: str
-    count: int
-    rate: float | None
-    gaps: int
-    longest_gap: float | None
-    joints: tuple
+    count: int          # messages
+    rate: float | None  # one over the median interval of receive times [Hz]; None below 2
+    gaps: int           # intervals longer than _GAP times the median
+    longest_gap: float | None  # [s]
+    joints: tuple       # names in the first message of a JointState topic
 
 
 @dataclass(frozen=True, kw_only=True)
 class BagSummary:
-    """
-    A bag as a whole.
-
-    Parameters
-    ----------
-    path : str
-        Where it is.
-    topics : tuple of TopicSummary
-        Sorted by name.
-    count : int
-        Messages in all.
-    start, duration : float or None
-        First receive time and time to the last [s]; None for an empty bag.
-    checksums : str
-        'hold', 'none in the bag', 'hold where there are any' or 'damaged'.
-    damage, notes : tuple of str
-        What failed a check, and what else a reader should know.
-    sound : bool
-        No message is known or feared to be lost.
-    complete : bool
-        The bag was closed properly and nothing failed.
-
-    """
+    """A bag as a whole."""
 
     path: str
-    topics: tuple
-    count: int
-    start: float | None
-    duration: float | None
-    checksums: str
-    damage: tuple
-    notes: tuple
-    sound: bool
-    complete: bool
+    topics: tuple   # TopicSummary, sorted by name
+    count: int      # messages in all
+    start: float | None     # first receive time [s]; None for an empty bag
+    duration: float | None  # to the last receive time [s]
+    checksums: str  # 'hold', 'none in the bag', 'hold where there are any' or 'damaged'
+    damage: tuple   # what failed a check (str)
+    notes: tuple    # what else a reader should know (str)
+    sound: bool     # no message is known or feared to be lost
+    complete: bool  # the bag was closed properly and nothing failed
 
     def as_dict(self):
         """Return plain dicts, lists and numbers for JSON."""
@@ -111,25 +71,7 @@ class BagSummary:
 
 
 def summarise(path):
-    """
-    Read a whole bag and tell what is in it.
-
-    Parameters
-    ----------
-    path : str or Path
-        Bag folder or file.
-
-    Returns
-    -------
-    BagSummary
-        Also of a damaged bag, with the damage named.
-
-    Raises
-    ------
-    BagError
-        If it is no bag at all.
-
-    """
+    """Return the BagSummary of a bag, also of a damaged one; BagError if it is no bag at all."""
     bag = Bag(path)
     times, first = {}, {}
     for batch in bag.batches():
@@ -173,31 +115,15 @@ def _checksums(bag):
 
 @dataclass(frozen=True, kw_only=True)
 class Repair:
-    """
-    What a repair did.
+    """What a repair did."""
 
-    Parameters
-    ----------
-    source, out : str
-        The bag read and the one written; ``out`` is empty where there was nothing to repair.
-    kept : int
-        Messages in the new bag.
-    lost : int or None
-        Messages known to be lost; None if nobody knows how many.
-    counts : dict of int
-        Messages kept per topic.
-    damage, notes : tuple of str
-        What failed a check, and what else was odd.
-
-    """
-
-    source: str
-    out: str
-    kept: int
-    lost: int | None
-    counts: dict
-    damage: tuple
-    notes: tuple
+    source: str       # the bag read
+    out: str          # the bag written, '' where there was nothing to repair
+    kept: int         # messages in the new bag
+    lost: int | None  # messages known to be lost; None if nobody knows how many
+    counts: dict      # messages kept per topic
+    damage: tuple     # what failed a check (str)
+    notes: tuple      # what else was odd (str)
 
     def as_dict(self):
         """Return plain dicts, lists and numbers for JSON."""
@@ -219,23 +145,9 @@ def repair_bag(path, out=None):
     """
     Write what is sound in a bag to a new one; the old one is not touched.
 
-    Parameters
-    ----------
-    path : str or Path
-        Bag folder or file: killed, cut off, damaged or without metadata.yaml.
-    out : str or Path, optional
-        The new folder, by default ``<path>_repaired``.
-
-    Returns
-    -------
-    Repair
-        What was kept and lost. A message is kept if its checksum holds or it has none.
-
-    Raises
-    ------
-    BagError
-        If ``path`` is no bag at all, holds nothing to keep, or ``out`` exists.
-
+    The bag may be killed, cut off, damaged or without metadata.yaml; a message is kept if its
+    checksum holds or it has none. ``out`` is by default ``<path>_repaired``. BagError if ``path``
+    is no bag at all, holds nothing to keep, or ``out`` exists.
     """
     path = Path(path)
     bare = Path(path.name.removesuffix('.zstd')).stem if path.is_file() else path.name

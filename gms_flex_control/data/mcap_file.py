@@ -24,8 +24,8 @@ from mcap.opcode import Opcode
 from mcap.stream_reader import CRCValidationError, get_chunk_data_stream
 from zstandard import ZstdError
 
-FRAME = struct.Struct('<BQ')
-CHUNK_HEAD = struct.Struct('<QQQII')
+_FRAME = struct.Struct('<BQ')
+_CHUNK_HEAD = struct.Struct('<QQQII')
 _INDEX_HEAD = struct.Struct('<HI')
 _INDEX_ENTRY = 16        # bytes: time and place of one message
 _WINDOW = 8 * 1024 ** 2  # what of a mapped file is resident at once [bytes]
@@ -54,47 +54,47 @@ def checksum(data, end):
     return value
 
 
-def index_entries(data, at, size):
+def _index_entries(data, at, size):
     """Return how many messages the index record at ``at`` names, None if it is malformed."""
     if size < _INDEX_HEAD.size:
         return None
-    _, length = _INDEX_HEAD.unpack_from(data, at + FRAME.size)
+    _, length = _INDEX_HEAD.unpack_from(data, at + _FRAME.size)
     entries = -(-length // _INDEX_ENTRY)
     return entries if size == _INDEX_HEAD.size + entries * _INDEX_ENTRY else None
 
 
-def summary_is_sound(footer, data, at):
+def _summary_is_sound(footer, data, at):
     """Return whether the index before the footer record at ``at`` has its checksum."""
     start = footer.summary_start
     return 0 < start <= at and zlib.crc32(memoryview(data)[start:at + 25]) == footer.summary_crc
 
 
-def is_chunk(data, at, size):
+def _is_chunk(data, at, size):
     """Return whether the chunk record at ``at`` has lengths that agree with each other."""
-    if size < CHUNK_HEAD.size + 8:
+    if size < _CHUNK_HEAD.size + 8:
         return False
-    _, _, uncompressed, _, name = CHUNK_HEAD.unpack_from(data, at + 9)
-    if name not in (0, 3, 4) or size < CHUNK_HEAD.size + name + 8:
+    _, _, uncompressed, _, name = _CHUNK_HEAD.unpack_from(data, at + 9)
+    if name not in (0, 3, 4) or size < _CHUNK_HEAD.size + name + 8:
         return False
-    inner, = struct.unpack_from('<Q', data, at + 9 + CHUNK_HEAD.size + name)
-    return (inner + name + CHUNK_HEAD.size + 8 == size
+    inner, = struct.unpack_from('<Q', data, at + 9 + _CHUNK_HEAD.size + name)
+    return (inner + name + _CHUNK_HEAD.size + 8 == size
             and (name > 0 or inner == uncompressed))
 
 
-def next_sound(data, start):
+def _next_sound(data, start):
     """Return where the next chunk or the end of the data begins, None if there is none."""
-    end_mark = data.find(FRAME.pack(Opcode.DATA_END, 4), start)
+    end_mark = data.find(_FRAME.pack(Opcode.DATA_END, 4), start)
     at = data.find(b'\x06', start)
     while at != -1 and (end_mark == -1 or at < end_mark):
         if at + 9 <= len(data):
-            _, size = FRAME.unpack_from(data, at)
-            if at + 9 + size <= len(data) and is_chunk(data, at, size):
+            _, size = _FRAME.unpack_from(data, at)
+            if at + 9 + size <= len(data) and _is_chunk(data, at, size):
                 return at
         at = data.find(b'\x06', at + 1)
     return None if end_mark == -1 else end_mark
 
 
-MAGIC = b'\x89MCAP0\r\n'
+_MAGIC = b'\x89MCAP0\r\n'
 
 _MESSAGE = struct.Struct('<BQHIQQ')
 _READERS = {opcode: getattr(records, opcode.name.title().replace('_', '')).read
@@ -185,12 +185,12 @@ class McapFile(StorageFile):
     def _scan(self, data):
         self._check_magic(data)
         self._read_topics(data)
-        at, window = len(MAGIC), Window(data)
+        at, window = len(_MAGIC), Window(data)
         while not self.complete:
             window.reach(at)
             frame = self._frame(data, at)
             if frame is None:
-                resumed = next_sound(data, at + 1)
+                resumed = _next_sound(data, at + 1)
                 if resumed is None:
                     yield self._cut_off(data, at)
                     break
@@ -208,20 +208,20 @@ class McapFile(StorageFile):
         self._reckon()
 
     def _check_magic(self, data):
-        alike = sum(a == b for a, b in zip(data[:len(MAGIC)], MAGIC, strict=False))
-        if alike < min(len(MAGIC) - 1, len(data)):
+        alike = sum(a == b for a, b in zip(data[:len(_MAGIC)], _MAGIC, strict=False))
+        if alike < min(len(_MAGIC) - 1, len(data)):
             raise BagError(f'{self._original}: is no mcap file (begins with '
-                           f'{data[:len(MAGIC)].hex(" ")})')
-        if len(data) >= len(MAGIC) and alike < len(MAGIC):
-            self._damaged('the first bytes', f'read {data[:len(MAGIC)].hex(" ")}', 0)
+                           f'{data[:len(_MAGIC)].hex(" ")})')
+        if len(data) >= len(_MAGIC) and alike < len(_MAGIC):
+            self._damaged('the first bytes', f'read {data[:len(_MAGIC)].hex(" ")}', 0)
 
     def _read_topics(self, data):
         """Take the topics from a sound index: their first mention may be in a bad chunk."""
-        at = len(data) - len(MAGIC) - _FOOTER_SIZE - 9
+        at = len(data) - len(_MAGIC) - _FOOTER_SIZE - 9
         if at < 0 or data[at] != Opcode.FOOTER:
             return
         footer = self._parse(Opcode.FOOTER, data[at + 9:at + 9 + _FOOTER_SIZE])
-        if footer is None or not footer.summary_crc or not summary_is_sound(footer, data, at):
+        if footer is None or not footer.summary_crc or not _summary_is_sound(footer, data, at):
             return
         start = footer.summary_start
         while start < at:
@@ -229,22 +229,22 @@ class McapFile(StorageFile):
             if frame is None:
                 return
             opcode, end = frame
-            self._announcement(opcode, data[start + FRAME.size:end])
+            self._announcement(opcode, data[start + _FRAME.size:end])
             start = end
 
     def _frame(self, data, at):
         """Return (opcode, end) of the record at ``at``, None if there is no whole sound one."""
         if at + 9 > len(data):
             return None
-        opcode, size = FRAME.unpack_from(data, at)
+        opcode, size = _FRAME.unpack_from(data, at)
         end = at + 9 + size
         if end > len(data):
             return None
         if opcode == Opcode.CHUNK:
-            return (opcode, end) if is_chunk(data, at, size) else None
+            return (opcode, end) if _is_chunk(data, at, size) else None
         if opcode == Opcode.MESSAGE:
             return (opcode, end) if size >= 22 else None
-        sound = index_entries(data, at, size) if opcode == Opcode.MESSAGE_INDEX else \
+        sound = _index_entries(data, at, size) if opcode == Opcode.MESSAGE_INDEX else \
             self._parse(opcode, data[at + 9:end])
         return (opcode, end) if sound is not None else None
 
@@ -260,7 +260,7 @@ class McapFile(StorageFile):
 
     def _record(self, opcode, data, at, end):
         if opcode == Opcode.MESSAGE_INDEX:
-            entries = index_entries(data, at, end - at - FRAME.size)
+            entries = _index_entries(data, at, end - at - _FRAME.size)
             self._indexed += entries
             if self._open_damage is not None:
                 self._open_damage.lost = (self._open_damage.lost or 0) + entries
@@ -284,10 +284,10 @@ class McapFile(StorageFile):
                           None if self._loose or self.unchecked else 0)
 
     def _check_summary(self, footer, data, at):
-        if footer.summary_crc and not summary_is_sound(footer, data, at):
+        if footer.summary_crc and not _summary_is_sound(footer, data, at):
             self._announced = None
             self._damaged('the index at the end', 'fails its checksum', 0)
-        elif data[at + 9 + _FOOTER_SIZE:] != MAGIC:
+        elif data[at + 9 + _FOOTER_SIZE:] != _MAGIC:
             self._damaged('the last bytes', 'are not those of an mcap file', 0)
 
     def _add_channel(self, channel):
@@ -334,12 +334,12 @@ class McapFile(StorageFile):
         """Return a chunk's wanted messages, how many there are, and where sense ended."""
         messages, count, at, size = [], 0, 0, len(content)
         topics, only = self._channels, self._only
-        while at + FRAME.size <= size:
+        while at + _FRAME.size <= size:
             if at + _MESSAGE.size <= size:
                 opcode, length, channel, _, log, publish = _MESSAGE.unpack_from(content, at)
             else:
-                opcode, length = FRAME.unpack_from(content, at)
-            end = at + FRAME.size + length
+                opcode, length = _FRAME.unpack_from(content, at)
+            end = at + _FRAME.size + length
             if end > size:
                 break
             if opcode == _IS_MESSAGE and length >= 22:
@@ -350,7 +350,7 @@ class McapFile(StorageFile):
                     count += 1
                     if only is None or topic in only:
                         messages.append((topic, log, publish, content[at + _MESSAGE.size:end]))
-            elif not self._announcement(opcode, content[at + FRAME.size:end]):
+            elif not self._announcement(opcode, content[at + _FRAME.size:end]):
                 break
             at = end
         return messages, count, at
@@ -373,9 +373,9 @@ class McapFile(StorageFile):
     def _cut_off(self, data, at):
         """Return the whole messages of the chunk the file ends in."""
         messages, count, note = [], 0, ''
-        head = at + 9 + CHUNK_HEAD.size
+        head = at + 9 + _CHUNK_HEAD.size
         if head + 8 <= len(data) and data[at] == Opcode.CHUNK:
-            if not CHUNK_HEAD.unpack_from(data, at + 9)[4]:
+            if not _CHUNK_HEAD.unpack_from(data, at + 9)[4]:
                 messages, count, _ = self._messages(data[head + 8:])
             self.found += count
             self.unchecked += bool(count)

@@ -11,7 +11,6 @@ import numpy as np
 
 JOINT_STATE = 'sensor_msgs/msg/JointState'
 MULTI_ARRAY = 'std_msgs/msg/Float64MultiArray'
-CLOCK = 'rosgraph_msgs/msg/Clock'
 PHASE_TOPIC = '/identification/phase'
 STAMP_LABEL = 'stamp:'
 SOURCE_LABEL = 'source:'
@@ -179,11 +178,6 @@ def pack_multi_array(dims, data, data_offset=0) -> bytes:
         LITTLE_ENDIAN, len(sizes), *fields, data_offset, len(data), *data)
 
 
-def pack_clock(stamp: int) -> bytes:
-    """Return the CDR bytes of a rosgraph_msgs/Clock at ``stamp`` [ns]."""
-    return struct.pack('<4siI', LITTLE_ENDIAN, stamp // _SECOND, stamp % _SECOND)
-
-
 def pack_command(torque, stamp=None, source=None) -> bytes:
     """Pack a torque (n,) [N m], with the stamp of the state it answers [ns] and who sends it."""
     dims = [] if stamp is None and source is None else [('joint', len(torque), len(torque))]
@@ -193,12 +187,10 @@ def pack_command(torque, stamp=None, source=None) -> bytes:
 
 def pack_reference(values, stamp, kind='derivative') -> bytes:
     """Pack a reference, rows x joints (``kind`` names the rows), for the time ``stamp`` [ns]."""
-    return _pack_table(values, (kind, 'joint'), stamp)
-
-
-def pack_blocks(values, stamp=None) -> bytes:
-    """Pack the block torques of the observer, joints x blocks [N m]."""
-    return _pack_table(values, ('joint', 'block'), stamp)
+    values = np.asarray(values, dtype=float)
+    rows, joints = values.shape
+    return pack_multi_array([(kind, rows, rows * joints), ('joint', joints, joints),
+                             *_labels(stamp)], values.ravel().tolist())
 
 
 def pack_supply(voltage, stamp) -> bytes:
@@ -215,13 +207,6 @@ def pack_phase(phase) -> bytes:
 
 def _labels(stamp):
     return [] if stamp is None else [(f'{STAMP_LABEL}{stamp}', 1, 1)]
-
-
-def _pack_table(values, kinds, stamp):
-    values = np.asarray(values, dtype=float)
-    rows, columns = values.shape
-    return pack_multi_array([(kinds[0], rows, rows * columns), (kinds[1], columns, columns),
-                             *_labels(stamp)], values.ravel().tolist())
 
 
 def stamp_of(dims) -> int | None:

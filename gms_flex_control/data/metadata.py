@@ -6,7 +6,6 @@
 from functools import lru_cache
 import os
 from pathlib import Path
-import re
 import sys
 from typing import NamedTuple
 
@@ -16,18 +15,13 @@ from ruamel.yaml.error import YAMLError
 
 try:  # every module on bags imports this one first
     import mcap  # noqa: F401
+    from rosbags.interfaces import Nodetype
     from rosbags.typesys import get_types_from_msg, get_typestore, Stores
     from rosbags.typesys.base import TypesysError
 except ImportError as error:  # rosdep has no package of Ubuntu for them
     raise BagError('bags need mcap and rosbags for Python: pip install '
                    "'mcap>=1.5,<2' 'rosbags>=0.11,<0.12', on Ubuntu 24.04 with --user "
                    '--break-system-packages or in a virtual environment') from error
-
-_FIELD = re.compile(
-    r'^([A-Za-z]\w*(?:/\w+)*)(?:<=\d+)?(?:\[[^\]]*\])?\s+[A-Za-z]\w*', re.MULTILINE)
-_PRIMITIVES = frozenset(
-    'bool byte char float32 float64 int8 uint8 int16 uint16 int32 uint32 int64 uint64 '
-    'string wstring'.split())
 
 
 class Definition(NamedTuple):
@@ -46,23 +40,10 @@ def _typestore():
 @lru_cache(maxsize=256)
 def definition(type_name):
     """
-    Return the definition of a message type.
+    Return the Definition of a message type such as ``sensor_msgs/msg/JointState``.
 
-    Parameters
-    ----------
-    type_name : str
-        As ROS prints it, for example ``sensor_msgs/msg/JointState``.
-
-    Returns
-    -------
-    Definition
-        From the standard types of Jazzy, else from the .msg files of installed packages.
-
-    Raises
-    ------
-    BagError
-        If the type or one it is made of is found in neither.
-
+    From the standard types of Jazzy, else from the .msg files of installed packages; BagError if
+    the type or one it is made of is found in neither.
     """
     store = _typestore()
     if type_name not in store.types:
@@ -77,32 +58,25 @@ def definition(type_name):
 
 def _register_installed(store, type_name):
     """Add a type and those it is made of to ``store``, from the .msg files installed."""
-    found, waiting = {}, [type_name]
+    types, waiting = {}, [type_name]
     while waiting:
         name = waiting.pop()
-        if name in store.types or name in found:
+        if name in store.types or name in types:
             continue
-        text = _installed_text(name)
-        found[name] = text
-        package = name.split('/', 1)[0]
-        for match in _FIELD.finditer(text):
-            if match[1] not in _PRIMITIVES:
-                waiting.append(_full_name(match[1], package))
-    types = {}
-    for name, text in found.items():
         try:
-            types.update(get_types_from_msg(text, name))
+            types |= get_types_from_msg(_installed_text(name), name)
         except TypesysError as error:
             raise BagError(f'message type {name!r}: its .msg file cannot be read '
                            f'({error}); leave its topic out') from error
+        waiting += [part for _, field in types[name][1] for part in _parts(*field)]
     store.register(types)
 
 
-def _full_name(name, package):
-    parts = name.split('/')
-    if len(parts) == 1:
-        return 'std_msgs/msg/Header' if name == 'Header' else f'{package}/msg/{name}'
-    return f'{parts[0]}/msg/{parts[-1]}'
+def _parts(kind, detail):
+    """Return the names of the message types in a field of rosbags."""
+    if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+        return _parts(*detail[0])
+    return [detail] if kind == Nodetype.NAME else []
 
 
 def _installed_text(type_name):
@@ -145,24 +119,10 @@ class TopicEntry(NamedTuple):
 
 def render(topics, file_name, start, end, custom=None):
     """
-    Return the metadata of a bag of one mcap file.
+    Return the metadata of a bag of one mcap file: YAML, below ``rosbag2_bagfile_information``.
 
-    Parameters
-    ----------
-    topics : iterable of TopicEntry
-        What is in it.
-    file_name : str
-        The storage file, relative to the folder.
-    start, end : int
-        First and last receive time [ns]; ``start`` above ``end`` where there is no message.
-    custom : dict of str, optional
-        Remarks for the reader.
-
-    Returns
-    -------
-    str
-        YAML, the mapping below ``rosbag2_bagfile_information``.
-
+    Of its TopicEntries, first and last receive time [ns] (``start`` above ``end`` where there is
+    no message) and remarks for the reader (dict of str).
     """
     topics = list(topics)
     count = sum(topic.count for topic in topics)
@@ -224,25 +184,7 @@ class FolderMetadata(NamedTuple):
 
 
 def load(path):
-    """
-    Read a metadata.yaml.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    FolderMetadata
-        Its content.
-
-    Raises
-    ------
-    BagError
-        If it is no metadata of a bag.
-
-    """
+    """Return the FolderMetadata in a metadata.yaml; BagError if it is no metadata of a bag."""
     try:
         info = read_yaml(path, 'safe', LARGEST)['rosbag2_bagfile_information']
         return FolderMetadata(tuple(str(name) for name in info['relative_file_paths']),

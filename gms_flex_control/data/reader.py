@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from gms_flex_control.data.bag import Bag, namespace_of
 from gms_flex_control.data.recording import Recording, Topics
-from gms_flex_control.data.series import answering, names_of, Series
+from gms_flex_control.data.series import names_of, Series
 from gms_flex_control.errors import BagError
 import numpy as np
 
@@ -64,24 +64,8 @@ def read_beside(path, joints=None, motors=None, *, topics=None, aside=()):
     """
     Read one experiment, and the messages of further topics as they are.
 
-    Parameters
-    ----------
-    path, joints, motors, topics
-        As `read_recording`.
-    aside : sequence of str
-        Further topics, in the namespace of the others.
-
-    Returns
-    -------
-    recording : Recording
-    begin : int
-        Its first stamp [ns].
-    aside : dict of str to Aside
-        By the names given.
-
-    Raises, warns
-        As `read_recording`; a further topic may be of any type.
-
+    As `read_recording`; ``aside`` names topics of any type, in the namespace of the others. Return
+    the Recording, its first stamp [ns], and an Aside for each of these names (dict).
     """
     bag = Bag(path)
     space = namespace_of(bag)
@@ -103,26 +87,7 @@ def read_beside(path, joints=None, motors=None, *, topics=None, aside=()):
 
 
 def joint_names(path, *, topics=None):
-    """
-    Return the names in the first joint state of a bag.
-
-    Parameters
-    ----------
-    path : str or Path
-        As `read_recording`.
-    topics : Topics, optional
-        Topic names.
-
-    Returns
-    -------
-    list of str
-
-    Raises
-    ------
-    BagError
-        If there is no joint state.
-
-    """
+    """Return the names in the first joint state of a bag; BagError if there is none."""
     bag = Bag(path)
     topics = topics or Topics().within(namespace_of(bag))
     for batch in bag.batches({topics.joint_states}):
@@ -147,7 +112,7 @@ def _columns(path, series, joints, motors):
     link, motor = _links_and_motors(series.states('effort'), order, sides)
     columns['tau_motor'] = np.where([side is None for side in sides], link, motor)
     del link, motor
-    columns['command'] = answering(stamps, received, period, series.commands(), n)
+    columns['command'] = series.commands(stamps, received, period)
     columns['reference'] = series.reference(stamps, received, period)
     columns['friction_hat'] = series.friction(stamps)
     columns['supply'] = series.supply(stamps, received)

@@ -11,27 +11,13 @@ import numpy as np
 
 
 class Phase(NamedTuple):
-    """
-    What an identification experiment was doing from a time on.
+    """What an identification experiment was doing from a time on."""
 
-    Parameters
-    ----------
-    time_ns : int
-        Since the first sample of the recording [ns].
-    phase : str
-        constant_velocity, break_away, presliding, sliding, approach or idle.
-    joint, step : str
-        Which joint, and the name of the step; '' in idle.
-    value : float
-        Signed velocity [rad/s] or torque amplitude [N m] of the step.
-
-    """
-
-    time_ns: int
-    phase: str
-    joint: str
-    step: str
-    value: float
+    time_ns: int  # since the first sample of the recording [ns]
+    phase: str    # constant_velocity, break_away, presliding, sliding, approach or idle
+    joint: str    # '' in idle, as the step
+    step: str     # its name
+    value: float  # signed velocity [rad/s] or torque amplitude [N m] of the step
 
 
 # what has a column for each joint
@@ -42,48 +28,23 @@ _OF_JOINTS = ('q_link', 'dq_link', 'q_motor', 'dq_motor', 'tau_motor', 'command'
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Recording:
     """
-    One experiment on one robot, sampled at the joint states.
+    One experiment on one robot, sampled at the joint states; NaN stands for what is unknown.
 
-    Parameters
-    ----------
-    joints : tuple of str
-        Link names, ``n`` of them.
-    time : ndarray, shape (T,)
-        Strictly increasing, from the first sample [s].
-    q_link, dq_link, q_motor, dq_motor : ndarray, shape (T, n)
-        Measured angles and rates [rad, rad/s]; NaN where there is none.
-    tau_motor : ndarray, shape (T, n)
-        Torque really applied over the sample that ends at ``time[k]`` [N m]; NaN if unknown.
-    command : ndarray, shape (T, n)
-        Torque command that answers the state at ``time[k]`` [N m]; NaN where none came.
-    reference : ndarray, shape (T, 5, n)
-        Desired link angle and its derivatives 1 to 4; NaN where there is none.
-    friction_hat : ndarray, shape (T, n)
-        The observer's friction estimate [N m]; NaN where there is none.
-    source : str
-        Where it came from, for messages and titles.
-    supply : ndarray, shape (T,), optional
-        Voltage of the drives' supply [V]; NaN where it was not recorded, the default.
-
-    Raises
-    ------
-    BagError
-        If a shape does not fit or time does not increase.
-
+    BagError if a shape does not fit or time does not increase.
     """
 
-    joints: tuple
-    time: np.ndarray
-    q_link: np.ndarray
-    dq_link: np.ndarray
-    q_motor: np.ndarray
-    dq_motor: np.ndarray
-    tau_motor: np.ndarray
-    command: np.ndarray
-    reference: np.ndarray
-    friction_hat: np.ndarray
-    source: str
-    supply: np.ndarray | None = None
+    joints: tuple             # link names, n of them
+    time: np.ndarray          # (T,), strictly increasing, from the first sample [s]
+    q_link: np.ndarray        # (T, n), measured as the next three [rad]
+    dq_link: np.ndarray       # (T, n) [rad/s]
+    q_motor: np.ndarray       # (T, n) [rad]
+    dq_motor: np.ndarray      # (T, n) [rad/s]
+    tau_motor: np.ndarray     # (T, n), really applied over the sample ending at time[k] [N m]
+    command: np.ndarray       # (T, n), torque that answers the state at time[k] [N m]
+    reference: np.ndarray     # (T, 5, n), desired link angle and its derivatives 1 to 4
+    friction_hat: np.ndarray  # (T, n), the observer's estimate [N m]
+    source: str               # where it came from, for messages and titles
+    supply: np.ndarray | None = None  # (T,), voltage of the drives' supply [V]
 
     def __post_init__(self):
         n, samples = len(self.joints), len(self.time)
@@ -112,11 +73,7 @@ class Recording:
         return len(self.joints)
 
     def of_joints(self, joints):
-        """
-        Return the Recording of some joints (sequence of str), in that order.
-
-        Raises BagError if it lacks one.
-        """
+        """Return the Recording of some joints, in that order; BagError if it lacks one."""
         if tuple(joints) == tuple(self.joints):
             return self
         absent = [joint for joint in joints if joint not in self.joints]

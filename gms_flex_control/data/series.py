@@ -20,29 +20,19 @@ from gms_flex_control.data.tables import ArrayTable, JointTable
 from gms_flex_control.errors import BagError
 import numpy as np
 
+N_DERIVATIVES = 5        # rows of a reference: angle and its derivatives 1 to 4
+_REACH = 1.5             # a reference further away than this many periods is not used
+_SAMPLES = 2**15         # samples that are worked on at once, for the sake of memory
+_BLOCK = 4096            # messages of a topic that wait to be decoded together
+_TWO_RUNS = 100_000_000  # a step back beyond this is another run, not a late message [ns]
+_TYPES = (JOINT_STATE, MULTI_ARRAY, MULTI_ARRAY, JOINT_STATE, MULTI_ARRAY)  # of the Topics
+
 
 def names_of(bag, message, topics):
     """
-    Return the names in a joint state.
+    Return the names in a joint state (bytes) of a bag.
 
-    Parameters
-    ----------
-    bag : Bag
-        Where it is from.
-    message : bytes or None
-        The joint state; None where the bag has none.
-    topics : Topics
-        Topic names.
-
-    Returns
-    -------
-    list of str
-
-    Raises
-    ------
-    BagError
-        If there is no message, or a broken one.
-
+    BagError if the message is None, as there is none in the bag, or broken.
     """
     if message is None:
         known = ', '.join(sorted(bag.topics)) or 'none'
@@ -55,32 +45,8 @@ def names_of(bag, message, topics):
         raise BagError(f'{bag.path}: topic {topics.joint_states!r} message 0 {error}') from None
 
 
-def resolved(path, topic, names, joints=None, motors=None):
-    """
-    Return the joint and motor names.
-
-    Parameters
-    ----------
-    path : str
-        The bag.
-    topic : str
-        Of its joint states.
-    names : sequence of str
-        In the first of these.
-    joints, motors : sequence of str, optional
-        As wanted, see `read_recording`.
-
-    Returns
-    -------
-    joints, motors : tuple of str
-        One each a joint, '' where there is no motor.
-
-    Raises
-    ------
-    BagError
-        If a name is not there, or there are not as many motors as joints.
-
-    """
+def _resolved(path, topic, names, joints=None, motors=None):
+    """Return joints and motors as wanted, one each a joint, '' where there is no motor."""
     if joints is None:
         joints = link_names(names) if motors is None else [
             name for name in names if name not in motors]
@@ -99,55 +65,21 @@ def resolved(path, topic, names, joints=None, motors=None):
     return tuple(joints), tuple(motors)
 
 
-N_DERIVATIVES = 5  # rows of a reference: angle and its derivatives 1 to 4
-_REACH = 1.5       # a reference further away than this many periods is none
-_SAMPLES = 2**15     # samples that are worked on at once, for the sake of memory
+class _Answers(NamedTuple):
+    """Commands in the order they were received."""
+
+    stamps: np.ndarray    # (S,), int64, of the states they answer [ns]
+    stamped: np.ndarray   # (S,), whether there is a stamp
+    received: np.ndarray  # (S,), int64, receive times [ns]
+    values: np.ndarray    # (S, n) [N m]
 
 
-class Answers(NamedTuple):
+def _answering(stamps, received, period, answers, n):
     """
-    Commands in the order they were received.
+    Return the command that answers each state, shape (T, n), NaN where none came.
 
-    Parameters
-    ----------
-    stamps : ndarray of int64, shape (S,)
-        Stamps of the states they answer [ns].
-    stamped : ndarray of bool, shape (S,)
-        Whether there is one.
-    received : ndarray of int64, shape (S,)
-        Receive times [ns].
-    values : ndarray, shape (S, n)
-        Torques [N m].
-
-    """
-
-    stamps: np.ndarray
-    stamped: np.ndarray
-    received: np.ndarray
-    values: np.ndarray
-
-
-def answering(stamps, received, period, answers, n):
-    """
-    Return the command that answers each state.
-
-    Parameters
-    ----------
-    stamps, received : ndarray of int64, shape (T,)
-        Header stamps and receive times of the states [ns].
-    period : float
-        Sample period [ns].
-    answers : Answers
-        The commands.
-    n : int
-        Number of joints.
-
-    Returns
-    -------
-    ndarray, shape (T, n)
-        By the stamp a command carries (the first to arrive); one without goes to the last
-        state received before it, if that is at most one period ago. NaN where none came.
-
+    By the stamp a command carries (the first to arrive); one without goes to the last state
+    received before it, if that is at most one period [ns] ago.
     """
     command = np.full((len(stamps), n), np.nan)
     row = np.full(len(answers.stamps), -1)
@@ -167,27 +99,12 @@ def _row_of(wanted, stamps):
     return np.where(stamps[row] == wanted, row, -1)
 
 
-def reference_at(times, period, labels, table):
+def _reference_at(times, period, labels, table):
     """
-    Return the reference at each state.
+    Return the reference at times (T,) of states, shape (T, 5, n), NaN where there is none.
 
-    Parameters
-    ----------
-    times : ndarray of int64, shape (T,)
-        Times of the states [ns].
-    period : float
-        Sample period [ns].
-    labels : ndarray of int64, shape (S,)
-        Times of the references [ns].
-    table : ndarray, shape (S, 5, n)
-        Angle and derivatives, NaN where there is none.
-
-    Returns
-    -------
-    ndarray, shape (T, 5, n)
-        The reference of the same time; else the nearest within 1.5 periods, carried on to the
-        state's time by its own derivatives. NaN where there is none.
-
+    That of the same time; else the nearest of ``labels`` (S,) within 1.5 periods (all [ns]),
+    carried on to the state's time by the derivatives in ``table`` (S, 5, n).
     """
     result = np.full((len(times), *table.shape[1:]), np.nan)
     if not len(table):
@@ -228,25 +145,8 @@ def by_stamp(stamps, other_stamps, values):
     return result
 
 
-_BLOCK = 4096             # messages of a topic that wait to be decoded together
-_TWO_RUNS = 100_000_000  # a step back beyond this is another run, not a late message [ns]
-_TYPES = (JOINT_STATE, MULTI_ARRAY, MULTI_ARRAY, JOINT_STATE, MULTI_ARRAY)  # of the Topics
-
-
 class Series:
-    """
-    The topics of one recording, decoded while the bag is read.
-
-    Parameters
-    ----------
-    bag : Bag
-        To read.
-    topics : Topics
-        Topic names.
-    joints, motors : sequence of str or None
-        See `read_recording`.
-
-    """
+    """The topics of one recording, decoded while the bag is read; see `read_recording`."""
 
     def __init__(self, bag, topics, joints, motors):
         self._bag, self._path, self.topics = bag, bag.path, topics
@@ -308,16 +208,16 @@ class Series:
 
         def references(dims, count):
             try:
-                return reference_shape(dims, count, n)
+                return _reference_shape(dims, count, n)
             except BagError:
                 if widest == n:
                     raise
-                return reference_shape(dims, count, widest)
+                return _reference_shape(dims, count, widest)
 
         there = [name for name in (*joints, *filter(None, motors)) if name in names]
         return (JointTable(there), ArrayTable((widest,), torques),
                 ArrayTable((N_DERIVATIVES, widest), references),
-                JointTable(joints, ('effort',)), ArrayTable((1,), one_voltage))
+                JointTable(joints, ('effort',)), ArrayTable((1,), _one_voltage))
 
     def _own(self, values):
         """Return the columns (..., n) of these joints, of messages that may be of all joints."""
@@ -332,7 +232,7 @@ class Series:
 
     def resolved(self):
         """Return the joint and motor names."""
-        return resolved(self._path, self.topics.joint_states, self.require_names(),
+        return _resolved(self._path, self.topics.joint_states, self.require_names(),
                         *self._chosen)
 
     def note_others(self, joints, motors):
@@ -382,18 +282,19 @@ class Series:
         values[:, there] = known
         return values
 
-    def commands(self):
-        """Return the Answers."""
-        answers = Answers(*self._take('command', *Answers._fields))
-        return answers._replace(values=self._own(answers.values))
+    def commands(self, stamps, received, period):
+        """Return the command that answers each state, shape (T, n)."""
+        answers = _Answers(*self._take('command', *_Answers._fields))
+        answers = answers._replace(values=self._own(answers.values))
+        return _answering(stamps, received, period, answers, len(self.resolved()[0]))
 
     def reference(self, stamps, received, period):
         """Return the reference at the states, shape (T, 5, n)."""
-        labels, stamped, times, values = self._take('reference', *Answers._fields)
+        labels, stamped, times, values = self._take('reference', *_Answers._fields)
         values = self._own(values)
         if stamped.all():
-            return reference_at(stamps, period, labels, values)
-        return reference_at(received, period, times, values)
+            return _reference_at(stamps, period, labels, values)
+        return _reference_at(received, period, times, values)
 
     def friction(self, stamps):
         """Return the friction estimate at the states, shape (T, n)."""
@@ -401,7 +302,7 @@ class Series:
 
     def supply(self, stamps, received):
         """Return the voltage at the states, shape (T,), between two messages a straight line."""
-        labels, stamped, times, values = self._take('supply', *Answers._fields)
+        labels, stamped, times, values = self._take('supply', *_Answers._fields)
         if not len(values):
             return np.full(len(stamps), np.nan)
         at, known = (stamps, labels) if stamped.all() else (received, times)
@@ -409,31 +310,19 @@ class Series:
         return np.interp(at, known, values[first, 0])
 
 
-def one_voltage(_dims, count):
+def _one_voltage(_dims, count):
     """Return the shape (1,) of a supply's voltage; raise BagError if it is not one number."""
     if count != 1:
         raise BagError(f'has {count} numbers, expected the voltage of the supply alone')
     return (1,)
 
 
-def reference_shape(dims, count, n):
+def _reference_shape(dims, count, n):
     """
     Return the shape (rows, n) of a reference, None if it asks for torques instead of angles.
 
-    Parameters
-    ----------
-    dims : sequence of (label, size, stride)
-        The layout; without any, ``count`` tells the rows.
-    count : int
-        How many numbers the message has.
-    n : int
-        Number of joints.
-
-    Raises
-    ------
-    BagError
-        If the layout or the length does not fit; the sentence has no subject yet.
-
+    Without ``dims`` (label, size, stride) ``count`` tells the rows. BagError, its sentence without
+    a subject, if the layout or the length does not fit.
     """
     shape = [(label, size) for label, size, _ in dims
              if not label.startswith((STAMP_LABEL, SOURCE_LABEL))]

@@ -44,16 +44,8 @@ def derivative_window(time, position):
     """
     Return the length of a filter window that sees motion through the encoder's steps.
 
-    Parameters
-    ----------
-    time, position : ndarray, shape (T,)
-        Stamps [s] and angle [rad].
-
-    Returns
-    -------
-    float
-        From 0.1 to 1 s, longer for slow motion and coarse encoders [s].
-
+    Of stamps [s] and angles [rad], both (T,): from 0.1 to 1 s, longer for slow motion and coarse
+    encoders.
     """
     known = np.isfinite(position)
     t, q = time[known], position[known]
@@ -112,21 +104,10 @@ def smoothed(time, signals, window):
 
 def sign_fit(signal, positive, free):
     """
-    Fit columns whose weights cannot be negative to a signal, and to its reverse.
+    Fit columns whose weights cannot be negative to a signal (S,), and to its reverse.
 
-    Parameters
-    ----------
-    signal : ndarray, shape (S,)
-        What is to be explained.
-    positive : sequence of ndarray, shape (S,)
-        Columns with weights of 0 or above.
-    free : sequence of ndarray, shape (S,)
-        Columns with any weight; their part is taken off before shares are counted.
-
-    Returns
-    -------
-    Fit
-
+    Of ``positive`` columns the weights are 0 or above; the part of ``free`` ones, of any weight,
+    is taken off before shares are counted.
     """
     basis = np.linalg.qr(np.stack(free, axis=1))[0]
     both = np.stack([signal, *positive], axis=1)
@@ -158,17 +139,8 @@ def derivative_slope(time, position, velocity):
     """
     Compare what a velocity adds up to with the way gone, over 0.1 s, 20 samples or 20 steps.
 
-    Parameters
-    ----------
-    time, position, velocity : ndarray, shape (T,)
-        Stamps [s], angle [rad] and its alleged rate [rad/s].
-
-    Returns
-    -------
-    tuple of float or None
-        What the velocity is of the derivative, and the correlation; None where there is too
-        little motion for the encoder's steps to tell.
-
+    Return what the velocity [rad/s] is of the derivative of the position [rad], and their
+    correlation; None where there is too little motion for the encoder's steps to tell.
     """
     good = np.isfinite(position) & np.isfinite(velocity)
     t, q, v = time[good], position[good], velocity[good]
@@ -201,7 +173,11 @@ _ABOUT = 1.5          # the median is taken from an order over this to one times
 
 def standing_out(angles, torques, rates, coarsest):
     """
-    Return the orders at which the spectrum of torque over angle stands out.
+    Return the orders [1/rad], floats, at which the spectrum of torque over angle stands out.
+
+    Behind a gear, or on a slide in metres, the teeth of a wave generator or the lead of a screw
+    make hundreds of waves per radian or metre. The spectrum over the angle, not over time, shows
+    them: passes at any speed add up there.
 
     Parameters
     ----------
@@ -209,10 +185,6 @@ def standing_out(angles, torques, rates, coarsest):
         Motor angle [rad], what is left of the torque [N m], and rate [rad/s] of each recording.
     coarsest : float
         Least order [1/rad].
-
-    Returns
-    -------
-    tuple of float
 
     """
     span = max(float(np.ptp(angle)) for angle in angles)

@@ -24,7 +24,7 @@ from gms_flex_control.data.messages import (
 from gms_flex_control.data.metadata import definition
 from gms_flex_control.data.recording import MOTOR_SUFFIX, Recording, Topics
 from gms_flex_control.errors import BagError
-from gms_flex_control.files import make_folder
+from gms_flex_control.files import make_folder, write_text
 from mcap.writer import CompressionType, Writer
 import numpy as np
 
@@ -36,7 +36,7 @@ class BagWriter:
     Parameters
     ----------
     path : str or Path
-        The folder to be made; anything there already is refused.
+        The folder to be made; BagError if anything is there already or the disk refuses.
     topics : dict of str, optional
         Type of each topic; more can follow by :meth:`add_topic`.
     atomic : bool, optional
@@ -48,11 +48,6 @@ class BagWriter:
         A chunk is closed above this many bytes; a flipped bit costs at most one chunk.
     custom : dict of str, optional
         Remarks kept in the metadata.
-
-    Raises
-    ------
-    BagError
-        If ``path`` exists, a type is unknown or the disk refuses.
 
     """
 
@@ -113,21 +108,10 @@ class BagWriter:
 
     def add_topic(self, name, type_name, *, described=None, qos=None, save=True):
         """
-        Announce a topic; one that is there already stays as it is.
+        Announce a topic and its type; one that is there already stays as it is.
 
-        Parameters
-        ----------
-        name : str
-            Topic name with its leading slash.
-        type_name : str
-            Message type.
-        described : Definition, optional
-            Its definition where the caller knows better than the installed packages.
-        qos : str, optional
-            YAML text of the offered QoS profiles.
-        save : bool, optional
-            Write metadata.yaml anew.
-
+        ``described`` is its Definition where the caller knows better than the installed packages,
+        ``qos`` the YAML text of the offered profiles; ``save`` writes metadata.yaml anew.
         """
         if name in self._channels:
             return
@@ -149,24 +133,9 @@ class BagWriter:
 
     def write(self, topic, time_ns, data, publish_ns=None):
         """
-        Write one message.
+        Write one CDR message of an announced topic, received and sent at the times given [ns].
 
-        Parameters
-        ----------
-        topic : str
-            An announced topic.
-        time_ns : int
-            Receive time [ns].
-        data : bytes
-            The message as CDR.
-        publish_ns : int, optional
-            Send time [ns], ``time_ns`` if not known.
-
-        Raises
-        ------
-        BagError
-            If the topic was not announced or the disk refuses.
-
+        BagError if the topic was not announced or the disk refuses.
         """
         try:
             channel = self._channels[topic]
@@ -259,16 +228,8 @@ class BagWriter:
         return metadata.render(entries, self._file_name, self._start, self._end, self.custom)
 
     def _save_metadata(self, final=False):
-        path = self._folder / 'metadata.yaml'
-        temporary = path.with_suffix('.yaml.tmp')
-        try:
-            temporary.write_text(metadata.indent_under_root(self._metadata(final)),
-                                 encoding='utf-8')
-            os.replace(temporary, path)
-        except OSError:
-            with suppress(OSError):
-                temporary.unlink(missing_ok=True)
-            raise
+        write_text(self._folder / 'metadata.yaml',
+                   metadata.indent_under_root(self._metadata(final)))
 
     def _refuse_existing(self):
         if os.path.lexists(self._final):
@@ -288,17 +249,17 @@ def write_recording(path, recording: Recording, motors: Sequence[str] | None = N
                     topics: Topics | None = None, start: int = 0, source: str = 'gms_flex',
                     custom: dict | None = None, phases: Sequence = ()) -> None:
     """
-    Write a recording as a bag, whole or not at all.
+    Write a recording as a bag, whole or not at all; receive times are the stamps themselves.
 
     Parameters
     ----------
     path : str or Path
-        The folder to be made.
+        The folder to be made; BagError if it exists or the disk refuses.
     recording : Recording
         What to write; a topic all of whose values are NaN is left out.
     motors : sequence of str, optional
-        Motor name of each joint, '' for a rigid one; by default ``<joint>_motor`` for the
-        joints whose motor angle is known.
+        Motor name of each joint, '' for a rigid one; by default ``<joint>_motor`` for the joints
+        whose motor angle is known.
     topics : Topics, optional
         Topic names.
     start : int, optional
@@ -310,15 +271,6 @@ def write_recording(path, recording: Recording, motors: Sequence[str] | None = N
     phases : sequence of Phase, optional
         What an identification experiment was doing.
 
-    Raises
-    ------
-    BagError
-        If ``path`` exists or the disk refuses.
-
-    Notes
-    -----
-    Receive times are the stamps themselves.
-
     """
     topics = topics or Topics()
     stamps = start + np.rint(np.asarray(recording.time) * 1e9).astype(np.int64)
@@ -329,19 +281,18 @@ def write_recording(path, recording: Recording, motors: Sequence[str] | None = N
     series = list(_series(recording, motors, stamps, topics, source))
     types = {name: type_name for name, type_name, _ in series}
     types |= {PHASE_TOPIC: MULTI_ARRAY} if phases else {}
-    waiting = sorted(phases, key=lambda phase: phase.time_ns, reverse=True)
+    beginning = {}  # phases by the sample they begin with, those after the end by the last
+    for phase in sorted(phases, key=lambda phase: phase.time_ns):
+        phase = phase._replace(time_ns=start + phase.time_ns)
+        k = min(int(np.searchsorted(stamps, phase.time_ns)), len(stamps) - 1)
+        beginning.setdefault(k, []).append(pack_phase(phase))
     with BagWriter(path, types, atomic=True, custom=custom) as writer:
         for k, stamp in enumerate(stamps.tolist()):
-            while waiting and start + waiting[-1].time_ns <= stamp:
-                phase = waiting.pop()
-                writer.write(PHASE_TOPIC, stamp, pack_phase(
-                    phase._replace(time_ns=start + phase.time_ns)))
+            for message in beginning.get(k, ()):
+                writer.write(PHASE_TOPIC, stamp, message)
             for name, _, messages in series:
                 if messages[k] is not None:
                     writer.write(name, stamp, messages[k])
-        for phase in reversed(waiting):  # from the sample on that would have come next
-            writer.write(PHASE_TOPIC, int(stamps[-1]), pack_phase(
-                phase._replace(time_ns=start + phase.time_ns)))
 
 
 def _series(recording, motors, stamps, topics, source):
