@@ -25,12 +25,32 @@ from gms_flex_control.data.signals import (
 import numpy as np
 
 # what a velocity is of the derivative of its position when units were mixed up
-MIX_UPS = {57.29578: 'deg/s taken as rad/s', 1 / 57.29578: 'rad/s taken as deg/s',
+_MIX_UPS = {57.29578: 'deg/s taken as rad/s', 1 / 57.29578: 'rad/s taken as deg/s',
            9.549297: 'rpm taken as rad/s', 1 / 9.549297: 'rad/s taken as rpm',
            6.0: 'rpm taken as deg/s', 1 / 6.0: 'deg/s taken as rpm',
            6.283185: 'rad/s taken as turn/s or the like', 1000.0: 'a factor of 1000',
            1e-3: 'a factor of 1000'}
-FRICTION = (1e-5, 1e5)  # of a recorded machine [N m]
+# beyond these something looks wrong
+_PERIOD = (1e-5, 0.5)    # median of a time column [s]
+_GAP = 5.0               # periods without a sample
+_SPAN = 100.0            # of a position [rad]
+_JUMP_LEAST = 3.5        # steps of the encoder,
+_JUMP_USUAL = 5.0        # times the 99 % quantile of all steps
+_JUMP_AROUND = 4.0       # and times the steps around it
+_TURN = 0.05             # a jump this near to a turn is one, relative
+_SLOPE = (0.85, 1.15)    # of a velocity over the derivative of its position,
+_CORRELATION = 0.9       # and how much alike they are at least
+_MIX_UP = 0.1            # a slope this near to one of _MIX_UPS is one, relative
+_SIDES = (0.5, 2.0)      # way of the motor over that of the link, where the two
+_ALIKE = 0.97            # move alike: a soft joint twists as far as it moves
+_FEWEST_STEPS = 10       # of a position that can jump
+_FEWEST = 100            # samples with angle and torque for a judgement of the torque,
+_FEWEST_MOVING = 40      # of them (smoothed) in motion
+_TRAVEL = 20.0           # steps of the encoder gone at least
+_LEFT = 0.01             # share of the torque's variance that motion may explain
+_EXPLAINED = 0.5         # share of that which it explains,
+_REVERSED = 0.3          # so much more of it with the sign reversed
+_FRICTION = (1e-5, 1e5)  # of a recorded machine [N m]
 
 
 class Suspicion(NamedTuple):
@@ -72,14 +92,14 @@ def suspicions(table, import_map, time, keep, joints):
 def _sampling(time, lines, has_column):
     steps = np.diff(time)
     period = float(np.median(steps))
-    if has_column and not 1e-5 <= period <= 0.5:
+    if has_column and not _PERIOD[0] <= period <= _PERIOD[1]:
         yield Suspicion('rate', 'time', f'the median period is {period:.4g} s; is the unit of '
                         'the time column right?')
-    gaps = np.flatnonzero(steps > 5 * period)
+    gaps = np.flatnonzero(steps > _GAP * period)
     if gaps.size:
         worst = gaps[np.argmax(steps[gaps])]
-        yield Suspicion('gap', 'time', f'{gaps.size} gaps of more than 5 periods, the longest '
-                        f'{steps[worst]:.4g} s before line {lines[worst + 1]}')
+        yield Suspicion('gap', 'time', f'{gaps.size} gaps of more than {_GAP:g} periods, the '
+                        f'longest {steps[worst]:.4g} s before line {lines[worst + 1]}')
 
 
 def _name_and_unit(what, place, channel):
@@ -103,24 +123,25 @@ def _values(what, place, values, lines):
 
 def _jumps(what, place, time, values, lines, channel):
     """Find single steps far above those around them."""
-    if np.isfinite(values).any() and np.ptp(values[np.isfinite(values)]) > 100:
-        yield Suspicion('scale', place, f'{what} spans {np.ptp(values[np.isfinite(values)]):.4g} '
+    known = values[np.isfinite(values)]
+    if known.size and np.ptp(known) > _SPAN:
+        yield Suspicion('scale', place, f'{what} spans {np.ptp(known):.4g} '
                         f'rad with unit {channel.unit!r} and gear_ratio '
                         f'{channel.gear_ratio:g}; are both right?')
     steps = np.abs(np.diff(values)) * np.median(np.diff(time)) / np.diff(time)
     steps[np.isnan(steps)] = 0.0
-    if len(steps) < 10 or not steps.any():
+    if len(steps) < _FEWEST_STEPS or not steps.any():
         return
-    quantum = steps[steps > 0].min()
+    smallest = steps[steps > 0].min()
     padded = np.pad(steps, 2)
     around = np.median([padded[:-4], padded[1:-3], padded[3:-1], padded[4:]], axis=0)
-    limit = np.maximum(5 * np.quantile(steps, 0.99), 3.5 * quantum)
-    jumps = np.flatnonzero((steps > limit) & (steps > 4 * around))
+    limit = np.maximum(_JUMP_USUAL * np.quantile(steps, 0.99), _JUMP_LEAST * smallest)
+    jumps = np.flatnonzero((steps > limit) & (steps > _JUMP_AROUND * around))
     if jumps.size:
         worst = jumps[np.argmax(steps[jumps])]
         size = values[worst + 1] - values[worst]
         turn = 2 * np.pi * abs(channel.scale) / channel.gear_ratio
-        wrapped = abs(abs(size) / turn - 1) < 0.05
+        wrapped = abs(abs(size) / turn - 1) < _TURN
         hint = '; one turn: set unwrap: true' if wrapped else ''
         yield Suspicion('jump', place, f'{what} jumps {jumps.size} times, most in line '
                         f'{lines[worst + 1]}: {size:.4g} rad{hint}')
@@ -129,12 +150,15 @@ def _jumps(what, place, time, values, lines, channel):
 def _derivative(what, place, time, position, velocity):
     """Compare what a velocity adds up to with the way really gone."""
     judged = derivative_slope(time, position, velocity)
-    if judged is None or (abs(judged[1]) > 0.9 and 0.85 < judged[0] < 1.15):
+    if judged is None:
         return
     slope, fit = judged
-    cause = 'the sign is the other way round' if abs(fit) > 0.9 and -1.15 < slope < -0.85 else ''
-    for factor, words in MIX_UPS.items():
-        if abs(fit) > 0.9 and abs(abs(slope) / factor - 1) < 0.1:
+    related, right = abs(fit) > _CORRELATION, _SLOPE[0] < abs(slope) < _SLOPE[1]
+    if related and right and slope > 0:
+        return
+    cause = 'the sign is the other way round' if related and right else ''
+    for factor, words in _MIX_UPS.items():
+        if related and abs(abs(slope) / factor - 1) < _MIX_UP:
             cause = words + (', and the other sign' if slope < 0 else '')
     yield Suspicion('velocity', place, f'{what} is not the derivative of its position: '
                     f'{slope:.4g} times it, correlation {fit:.3f}'
@@ -154,8 +178,7 @@ def _sides(joint, values):
         return
     slope = float(np.dot(x, y) / np.dot(x, x))
     alike = slope * np.dot(x, y) / np.dot(y, y)
-    # a soft joint twists as far as it moves, but then the two do not move alike
-    if not 0.5 < slope < 2.0 and alike > 0.97:
+    if not _SIDES[0] < slope < _SIDES[1] and alike > _ALIKE:
         yield Suspicion('scale', f'{joint}.motor_position', f'{joint}: the motor moves '
                         f'{slope:.5g} times as far as the link; check sign, unit and gear_ratio '
                         '(motor angles are those seen at the joint)')
@@ -196,20 +219,20 @@ def _torques(import_map, time, joints):
         if name not in values:
             continue
         q, tau = values.get('motor_position', values['link_position']), values[name]
-        if min(np.isfinite(q).sum(), np.isfinite(tau).sum()) < 100:
+        if min(np.isfinite(q).sum(), np.isfinite(tau).sum()) < _FEWEST:
             continue
         others = [other.get('motor_position', other['link_position'])
                   for other in joints if other is not values]
         angle, torque, *beside = smoothed(time, [q, tau, *others], derivative_window(time, q))
         rows = is_moving(angle.first)
-        if rows.sum() < 40 or np.ptp(angle.value) < 20 * quantum(q):
+        if rows.sum() < _FEWEST_MOVING or np.ptp(angle.value) < _TRAVEL * quantum(q):
             continue
         # gravity, springs and balancers may pull either way
         free = [np.ones(int(rows.sum())), angle.value[rows], np.sin(angle.value[rows]),
                 np.cos(angle.value[rows]), *(other.second[rows] for other in beside)]
         fit = sign_fit(torque.value[rows], [angle.second[rows], *friction_columns(
             angle.first[rows])], free)
-        if fit.left > 0.01:
+        if fit.left > _LEFT:
             speed = float(np.abs(angle.first).max())
             yield _Judged(f'{joint.name}.{name}', f'{joint.name}.{name} (column '
                           f'{joint.channels[name].column!r})', fit,
@@ -219,11 +242,11 @@ def _torques(import_map, time, joints):
 def _torque(judged):
     """Find a torque that accelerates and overcomes friction only with its sign reversed."""
     fit = judged.fit
-    if fit.opposite > 0.5 and fit.opposite > fit.as_is + 0.3:
+    if fit.opposite > _EXPLAINED and fit.opposite > fit.as_is + _REVERSED:
         yield Suspicion('sign', judged.place, f'{judged.what} has the wrong sign: only reversed '
                         'does it accelerate the joint and overcome friction; set sign: -1')
-    elif fit.as_is > 0.5 and judged.friction > 0 and not (
-            FRICTION[0] < judged.friction < FRICTION[1]):
+    elif fit.as_is > _EXPLAINED and judged.friction > 0 and not (
+            _FRICTION[0] < judged.friction < _FRICTION[1]):
         yield Suspicion('scale', judged.place, f'{judged.what} would mean a friction of '
                         f'{judged.friction:.3g} N m at {judged.speed:.2g} rad/s; check its unit '
                         'and gear_ratio')
@@ -237,6 +260,6 @@ def torque_remarks(import_map, time, joints):
     """
     levels = [f'{judged.place} {judged.friction:.2g} N m at {judged.speed:.2g} rad/s'
               for judged in _torques(import_map, time, joints)
-              if judged.fit.as_is > 0.5 and judged.friction > 0]
+              if judged.fit.as_is > _EXPLAINED and judged.friction > 0]
     return levels and [f'friction by the motion, about: {"; ".join(levels)}. If that is not the '
                        'size of this machine, check unit and gear_ratio']
