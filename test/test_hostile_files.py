@@ -26,7 +26,7 @@ BOMB = '\n'.join(['l0: &l0 [1, 1, 1, 1, 1, 1, 1, 1, 1, 1]', *(
 READERS = {'parameters': (load_robot, ConfigError), 'map': (read_map, ImportDataError),
            'metadata': (load, BagError)}
 HOSTILE = {
-    'aliases': (BOMB, 'aliases'), 'nesting': ('[' * 5000, 'nested too deeply'),
+    'aliases': (BOMB, 'aliases'), 'nesting': ('[' * 500, 'nested too deeply'),
     'size': ('#' * 10_000_001, 'larger than')}
 
 

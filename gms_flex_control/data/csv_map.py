@@ -15,7 +15,6 @@ import math
 import re
 from typing import NamedTuple
 
-from gms_flex_control.data import csv_map
 from gms_flex_control.errors import did_you_mean, ImportDataError
 from gms_flex_control.files import read_yaml
 from ruamel.yaml.error import YAMLError
@@ -196,7 +195,7 @@ class MapNode:
         value = self._data.get(key, default)
         if value is None:
             raise self.wrong(f'lacks {key}; one of {", ".join(known)}')
-        name = csv_map.canonical(value)
+        name = canonical(value)
         if name not in known:
             raise self.wrong(f'{value!r} is not usable here{did_you_mean(name, known)} '
                              f'(one of {", ".join(known)})', key)
@@ -337,7 +336,7 @@ def _time(node):
     disorder = node.text('not_increasing', 'refuse')
     if disorder not in ('refuse', 'drop'):
         raise node.wrong(f"must be 'refuse' or 'drop', got {disorder!r}", 'not_increasing')
-    unit = node.unit('unit', csv_map.TIME, 's' if column is None else None)
+    unit = node.unit('unit', TIME, 's' if column is None else None)
     return TimeColumn(column, unit, rate, disorder == 'drop', node.line())
 
 
@@ -389,7 +388,7 @@ def _channel(joint, key):
 def _unit(node, quantity):
     if 'estimate' in node.keys() and 'unit' not in node.keys():
         return ''
-    return node.unit('unit', csv_map.UNITS[quantity])
+    return node.unit('unit', UNITS[quantity])
 
 
 def _check(node, channel):

@@ -24,6 +24,14 @@ from mcap.opcode import Opcode
 from mcap.stream_reader import CRCValidationError, get_chunk_data_stream
 from zstandard import ZstdError
 
+_MAGIC = b'\x89MCAP0\r\n'
+_MESSAGE = struct.Struct('<BQHIQQ')
+_READERS = {opcode: getattr(records, opcode.name.title().replace('_', '')).read
+            for opcode in Opcode if opcode not in (Opcode.MESSAGE, Opcode.MESSAGE_INDEX)}
+_FOOTER_SIZE = 20
+_IS_MESSAGE = int(Opcode.MESSAGE)
+_MALFORMED = (McapError, ValueError, struct.error, UnicodeDecodeError, OverflowError,
+              MemoryError, RuntimeError, EOFError)
 _FRAME = struct.Struct('<BQ')
 _CHUNK_HEAD = struct.Struct('<QQQII')
 _INDEX_HEAD = struct.Struct('<HI')
@@ -92,17 +100,6 @@ def _next_sound(data, start):
                 return at
         at = data.find(b'\x06', at + 1)
     return None if end_mark == -1 else end_mark
-
-
-_MAGIC = b'\x89MCAP0\r\n'
-
-_MESSAGE = struct.Struct('<BQHIQQ')
-_READERS = {opcode: getattr(records, opcode.name.title().replace('_', '')).read
-            for opcode in Opcode if opcode not in (Opcode.MESSAGE, Opcode.MESSAGE_INDEX)}
-_FOOTER_SIZE = 20
-_IS_MESSAGE = int(Opcode.MESSAGE)
-_MALFORMED = (McapError, ValueError, struct.error, UnicodeDecodeError, OverflowError,
-              MemoryError, RuntimeError, EOFError)
 
 
 class Topic(NamedTuple):
