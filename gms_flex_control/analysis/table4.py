@@ -28,25 +28,25 @@ class Table4:
     runs: tuple
 
     @property
-    def trajectories(self):
+    def trajectories(self) -> tuple:
         """Return the trajectory names, the paper's two first."""
         names = dict.fromkeys(run.trajectory for run in self.runs)
         return tuple(sorted(names, key=lambda name: _rank(name, tuple(PAPER_WITHOUT))))
 
     @property
-    def compensations(self):
+    def compensations(self) -> tuple:
         """Return the compensation names, none first."""
         names = dict.fromkeys(run.compensation for run in self.runs)
         return tuple(sorted(names, key=lambda name: _rank(name, MODE_ORDER)))
 
-    def joints(self, trajectory):
+    def joints(self, trajectory) -> tuple:
         """Return the joint names of all runs of ``trajectory``, in order of appearance."""
         return tuple(dict.fromkeys(
             joint.joint for run in self.runs if run.trajectory == trajectory
             for joint in run.joints))
 
     @property
-    def best(self):
+    def best(self) -> str:
         """Return the compensation with the least error of all links; none if it is alone."""
         modes = [mode for mode in self.compensations if mode != WITHOUT] or [WITHOUT]
         errors = {mode: [entry.mse for run in self.runs if run.compensation == mode
@@ -54,7 +54,7 @@ class Table4:
         return min(modes, key=lambda mode: np.mean(errors[mode] or [np.inf]))
 
     @property
-    def hardest(self):
+    def hardest(self) -> list:
         """Return (trajectory, joint) of all errors with the best one, the largest first."""
         found = {(trajectory, joint): self.mse(trajectory, self.best, joint)
                  for trajectory in self.trajectories for joint in self.joints(trajectory)}
@@ -85,18 +85,18 @@ class Table4:
                       ('without', best, 'noise floor'), tuple(numbers),
                       command('view', *sources))
 
-    def figure(self, name, trajectory, compensation, joint):
+    def figure(self, name, trajectory, compensation, joint) -> float:
         """Return a figure of `JointTracking`, averaged over repeats; NaN if there is no run."""
         values = [getattr(entry, name) for run in self.runs
                   if (run.trajectory, run.compensation) == (trajectory, compensation)
                   for entry in run.joints if entry.joint == joint]
         return float(np.mean(values)) if values else math.nan
 
-    def mse(self, trajectory, compensation, joint):
+    def mse(self, trajectory, compensation, joint) -> float:
         """Return the MSE [rad^2], averaged over repeats; NaN if there is no such run."""
         return self.figure('mse', trajectory, compensation, joint)
 
-    def ratio(self, trajectory, compensation, joint):
+    def ratio(self, trajectory, compensation, joint) -> float:
         """Return MSE without compensation / MSE with ``compensation``; NaN if one lacks."""
         with_it = self.mse(trajectory, compensation, joint)
         if compensation == WITHOUT:
@@ -104,7 +104,7 @@ class Table4:
         without = self.mse(trajectory, WITHOUT, joint)
         return without / with_it if with_it > 0 else math.nan
 
-    def paper(self, trajectory, joint):
+    def paper(self, trajectory, joint) -> tuple | None:
         """Return MSE without and with [rad^2] and their ratio as printed; None for others."""
         joints = self.joints(trajectory)
         if trajectory not in PAPER_WITHOUT or len(joints) != 2:
@@ -113,7 +113,7 @@ class Table4:
         without, with_it = PAPER_WITHOUT[trajectory][i], PAPER_WITH[trajectory][i]
         return without, with_it, without / with_it
 
-    def rows(self):
+    def rows(self) -> tuple:
         """Return the header and the rows, lists of str, of the comparison with the paper."""
         modes = [mode for mode in self.compensations if mode != WITHOUT]
         header = ['trajectory', 'joint', WITHOUT]
@@ -132,7 +132,7 @@ class Table4:
         paper = self.paper(trajectory, joint) or (math.nan,) * 3
         return row + [_small(paper[0]), _small(paper[1]), _plain(paper[2])]
 
-    def detail_rows(self):
+    def detail_rows(self) -> tuple:
         """Return the header and the rows, lists of str, of every run's own figures."""
         header = ['trajectory', 'compensation', 'joint', 'rms error [mrad]',
                   'max error [mrad]', 'hold p-p [mrad]', 'rms torque [N m]',
@@ -146,20 +146,20 @@ class Table4:
                              _plain(run.duration), str(joint.samples)])
         return header, rows
 
-    def findings(self):
+    def findings(self) -> list[str]:
         """Return a sentence for each run whose errors are not those of its gains (list of str)."""
         return [f'{run.trajectory}, {run.compensation}: {100.0 * run.unanswered:.0f} % of the '
                 'samples had no command; the loop did not keep up, and errors are not what the '
                 'gains would give' for run in self.runs if run.unanswered > MOST_UNANSWERED]
 
-    def text(self):
+    def text(self) -> str:
         """Return both tables as text for a terminal, and what speaks against them."""
         return '\n'.join([
             'Table 4: mean square error, link angle - reference [rad^2], and ratio '
             'without / with', '', align(*self.rows()), '', NOTE, '',
             align(*self.detail_rows()), *(f'NOTE: {finding}' for finding in self.findings())])
 
-    def as_dict(self):
+    def as_dict(self) -> dict:
         """Return everything as JSON can hold it; what is not known is None."""
         rows = []
         for trajectory in self.trajectories:
@@ -178,7 +178,7 @@ class Table4:
                 'runs': [_run_dict(run) for run in self.runs]}
 
 
-def align(header, rows):
+def align(header, rows) -> str:
     """Return a header and rows of cells as text with aligned columns, numbers to the right."""
     widths = [max(len(row[i]) for row in [header, *rows]) for i in range(len(header))]
     numeric = [all(row[i][:1] in '-+0123456789' for row in rows) for i in range(len(header))]

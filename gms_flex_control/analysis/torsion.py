@@ -68,13 +68,13 @@ class TorsionStudy:
     explanations: tuple       # Explanations, the given spring first
 
     @property
-    def torque_error(self):
+    def torque_error(self) -> tuple:
         """Return (rms measured, rms error) of the torque over the moving samples [N m]."""
         return (float(np.std(self.torque[self.moving])),
                 rms((self.torque - self.torque_model)[self.moving]))
 
 
-def study(recording, joint, stiffness, motor_inertia=0.0):
+def study(recording, joint, stiffness, motor_inertia=0.0) -> TorsionStudy:
     """
     Return the TorsionStudy of one joint of a recording with angles of both sides and motor torque.
 
@@ -117,7 +117,7 @@ def study(recording, joint, stiffness, motor_inertia=0.0):
         explanations=tuple(_explain(torsion, load, velocity, stiffness)))
 
 
-def first_model(joint, stiffness, motor_inertia, fit, source):
+def first_model(joint, stiffness, motor_inertia, fit, source) -> RobotParams:
     """
     Return the fitted axis as a robot that plant and controller can use: decoupled, one joint.
 
@@ -145,7 +145,7 @@ def first_model(joint, stiffness, motor_inertia, fit, source):
                        encoder=EncoderParams())
 
 
-def motor_torque(robot, velocity, acceleration):
+def motor_torque(robot, velocity, acceleration) -> np.ndarray:
     """Return the motor torque (T,) of a one-joint robot sliding at given rates, Eqs. (1), (6)."""
     still = np.zeros(1)
     inertia = matrices(still, still, still, still, robot.arm).mass[0, 0]
@@ -198,6 +198,6 @@ def _explain(torsion, load, velocity, stiffness):
                           relative_error=error / rms(measured))
 
 
-def rms(values):
+def rms(values) -> float:
     """Return the root of the mean square."""
     return float(np.sqrt(np.mean(np.square(values))))

@@ -57,17 +57,17 @@ class RunTracking(NamedTuple):
     unanswered: float  # share of the samples without a command; NaN where none was recorded
 
 
-def link_error(recording):
+def link_error(recording) -> np.ndarray:
     """Return actual minus desired link angle (T, n) [rad]; NaN where there was no reference."""
     return recording.q_link - recording.reference[:, 0]
 
 
-def link_rms(recording):
+def link_rms(recording) -> np.ndarray:
     """Return the rms tracking error of each link (n,) [rad]."""
     return np.sqrt(np.nanmean(link_error(recording) ** 2, axis=0))
 
 
-def track(run):
+def track(run) -> RunTracking:
     """Return the RunTracking of a run; means are over samples, as in the paper, not over time."""
     recording = run.recording
     error = link_error(recording)
@@ -78,19 +78,19 @@ def track(run):
         unanswered(recording))
 
 
-def unanswered(recording):
+def unanswered(recording) -> float:
     """Return which share of samples between the first and last command has none; NaN if all."""
     there = np.isfinite(recording.command).all(axis=1)
     rows = np.flatnonzero(there)
     return float(np.mean(~there[rows[0]:rows[-1] + 1])) if len(rows) else np.nan
 
 
-def table4(runs):
+def table4(runs) -> Table4:
     """Return the paper's Table4 for any list of Runs, repeats averaged, missing ones as '-'."""
     return Table4(tuple(track(run) for run in runs))
 
 
-def hold_windows(time, q_ref):
+def hold_windows(time, q_ref) -> list[slice]:
     """
     Return where one joint is asked to stand still and has had time to settle, list of slice.
 
@@ -138,7 +138,7 @@ def _rms_torque(recording, i):
     return np.nan
 
 
-def tracking_of_copies(plan, model, count=16, spread=1e-3, seed=0):
+def tracking_of_copies(plan, model, count=16, spread=1e-3, seed=0) -> np.ndarray:
     """
     Return the rms tracking errors (count, n) [rad] of robots whose friction differs a little.
 

@@ -99,7 +99,7 @@ class Bag:
         self.complete = whole and not self.damage and (
             self.path.is_file() or (self.metadata is not None and self.metadata.count == found))
 
-    def type_of(self, topic):
+    def type_of(self, topic) -> str:
         """Return the type of a topic met so far, '' where there is no such (str)."""
         return self.topics[topic].type_name if topic in self.topics else ''
 
@@ -130,11 +130,11 @@ class Bag:
         return plain
 
     @property
-    def sound(self):
+    def sound(self) -> bool:
         """Return whether no message is known or feared to be lost."""
         return all(item.lost == 0 for item in self.damage)
 
-    def warn(self):
+    def warn(self) -> None:
         """Issue every note, and damage that cost no message, as a BagWarning."""
         for text in [*self.notes, *(str(item) for item in self.damage if item.lost == 0)]:
             warnings.warn(text, BagWarning, stacklevel=3)
@@ -158,7 +158,7 @@ def _decompressed(data, path):
         raise BagError(f'{path}: a compressed message cannot be unpacked ({error})') from error
 
 
-def namespace_of(bag):
+def namespace_of(bag) -> str:
     """
     Return the namespace of the one closed loop in a bag, such as '/left'.
 

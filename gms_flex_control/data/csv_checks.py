@@ -61,7 +61,7 @@ class Suspicion(NamedTuple):
     text: str   # a sentence
 
 
-def suspicions(table, import_map, time, keep, joints):
+def suspicions(table, import_map, time, keep, joints) -> list:
     """
     Return what looks wrong in a log, a list of Suspicion.
 
@@ -252,7 +252,7 @@ def _torque(judged):
                         'and gear_ratio')
 
 
-def torque_remarks(import_map, time, joints):
+def torque_remarks(import_map, time, joints) -> list[str]:
     """
     Return what friction the torques amount to, sentences for a user who knows the machine.
 

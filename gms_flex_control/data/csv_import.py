@@ -22,7 +22,7 @@ class ImportedLog:
     suspicions: tuple     # Suspicions; the data were taken as they are nevertheless
     remarks: tuple        # what the import itself did: estimates, rows left out, resampling
 
-    def summary(self):
+    def summary(self) -> str:
         """Return a few lines of text: size, sampling, ranges, remarks and suspicions."""
         recording = self.recording
         steps = 1e3 * np.diff(recording.time)
@@ -39,7 +39,7 @@ class ImportedLog:
         return '\n'.join(lines)
 
 
-def import_csv(path, import_map, resample=None):
+def import_csv(path, import_map, resample=None) -> ImportedLog:
     """
     Read a text table as a recording.
 
@@ -187,7 +187,7 @@ def _back_emf_torque(channel, joint, values, time):
     return channel.torque_per_volt * channel.back_emf * velocity * channel.gear_ratio ** 2
 
 
-def estimate_velocity(time, position, window):
+def estimate_velocity(time, position, window) -> np.ndarray:
     """
     Return velocity [rad/s] by central differences over a window [s], NaN beside missing positions.
 

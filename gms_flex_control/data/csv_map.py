@@ -47,13 +47,13 @@ _ALIASES = {
 _AMBIGUOUS = ('m', 'n', 'a', 'ma')  # q_m is rather the motor's angle than metres
 
 
-def canonical(unit):
+def canonical(unit) -> str:
     """Return the name of a unit used here ('Nm' -> 'N m'), itself if it has no other."""
     text = str(unit).strip()
     return _ALIASES.get(text.lower(), text)
 
 
-def unit_in_name(column, quantity):
+def unit_in_name(column, quantity) -> str | None:
     """
     Return the unit a column's name such as ``'speed [rpm]'`` ends in, None if it has none.
 
@@ -73,10 +73,7 @@ def unit_in_name(column, quantity):
     return None
 
 
-_MISSING = object()
-
-
-def read_map(path):
+def read_map(path) -> 'MapNode':
     """
     Return the MapNode of a YAML file whose top level is a mapping.
 
@@ -138,57 +135,52 @@ class MapNode:
 
     def section(self, key, required=False):
         """Return a nested mapping, None if it is not there."""
-        data = self._data.get(key)
-        if data is None and key not in self._data and not required:
+        if key not in self._data:
+            if required:
+                raise self.wrong(f'lacks {key!r}')
             return None
-        if data is None and key not in self._data:
-            raise self.wrong(f'lacks {key!r}')
+        data = self._data[key]
         if not hasattr(data, 'keys'):
             raise self.wrong(f'must be a mapping, got {data!r}', key)
         return MapNode(data, self._path, '.'.join(filter(None, [self._place, key])),
                        self.line(key))
 
+    def _typed(self, key, default, kinds, words):
+        """Return the value of ``key``, of one of some types; bool is no number here."""
+        value = self._data.get(key, default)
+        if key in self._data and (not isinstance(value, kinds)
+                                  or isinstance(value, bool) and kinds is not bool):
+            raise self.wrong(f'must be {words}, got {value!r}', key)
+        return value
+
     def text(self, key, default):
         """Return a string."""
-        value = self._data.get(key, default)
-        if not isinstance(value, str):
-            raise self.wrong(f'must be text, got {value!r}; put it in quotes', key)
-        return str(value)
+        return str(self._typed(key, default, str, 'text in quotes'))
 
     def flag(self, key):
         """Return a bool, False if it is not there."""
-        value = self._data.get(key, False)
-        if not isinstance(value, bool):
-            raise self.wrong(f'must be true or false, got {value!r}', key)
-        return value
+        return self._typed(key, False, bool, 'true or false')
 
     def whole(self, key, default):
         """Return an int that is not negative."""
-        value = self._data.get(key, default)
-        if isinstance(value, bool) or not isinstance(value, int) or value < 0:
-            raise self.wrong(f'must be a whole number from 0, got {value!r}', key)
+        value = self._typed(key, default, int, 'a whole number from 0')
+        if value < 0:
+            raise self.wrong(f'must be a whole number from 0, got {value}', key)
         return int(value)
 
     def number(self, key, default, positive=False):
         """Return a finite float, ``default`` if it is not there."""
-        value = self._data.get(key, _MISSING)
-        if value is _MISSING:
+        value = self._typed(key, default, (int, float), 'a number')
+        if key not in self._data:
             return default
-        if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise self.wrong(f'must be a number, got {value!r}', key)
         if not math.isfinite(value) or (positive and value <= 0):
             raise self.wrong(f'must be {"positive" if positive else "finite"}, got {value}', key)
         return float(value)
 
     def column(self, key):
         """Return a column name or number, None if it is not there."""
-        value = self._data.get(key)
-        if value is None and key not in self._data:
-            return None
-        if isinstance(value, bool) or not isinstance(value, (str, int, float)):
-            raise self.wrong(f'must be a column name or number, got {value!r}', key)
-        return str(value) if isinstance(value, str) else float(value) if isinstance(
-            value, float) else int(value)
+        value = self._typed(key, None, (str, int, float), 'a column name or number')
+        return float(value) if isinstance(value, float) else value
 
     def unit(self, key, known, default=None):
         """Return the canonical name of a unit among ``known``."""
@@ -284,7 +276,7 @@ class ImportMap:
     resample: float | None = None  # [Hz]
 
 
-def load_map(path):
+def load_map(path) -> ImportMap:
     """
     Return the ImportMap of a YAML file, see ``config/import_kr300.yaml``.
 

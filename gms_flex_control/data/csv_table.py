@@ -67,7 +67,7 @@ class CsvTable:
                 self._texts[row, column] = text
             return np.nan
 
-    def column(self, name, asked_by):
+    def column(self, name, asked_by) -> np.ndarray:
         """
         Return one column (T,) by its name, or its number from 1; NaN where a cell is empty.
 

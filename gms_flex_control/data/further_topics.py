@@ -24,7 +24,7 @@ _TORQUE, _STICKING = '/cascade_controller/blocks', '/cascade_controller/sticking
 _WAITING = 4096  # messages of a topic that are decoded together
 
 
-def read_experiment(path, joints=None, motors=None):
+def read_experiment(path, joints=None, motors=None) -> tuple:
     """Read the Recording and Phases of an experiment, the bag but once."""
     recording, begin, aside = read_beside(path, joints, motors, aside=[PHASE_TOPIC])
     return recording, _phases(path, aside[PHASE_TOPIC], begin)

@@ -44,11 +44,11 @@ class BagSummary:
     sound: bool     # no message is known or feared to be lost
     complete: bool  # the bag was closed properly and nothing failed
 
-    def as_dict(self):
+    def as_dict(self) -> dict:
         """Return plain dicts, lists and numbers for JSON."""
         return asdict(self)
 
-    def text(self):
+    def text(self) -> str:
         """Return a table for people."""
         lines = [f'bag        {self.path}', f'messages   {self.count}']
         if self.count:
@@ -70,7 +70,7 @@ class BagSummary:
         return '\n'.join(lines)
 
 
-def summarise(path):
+def summarise(path) -> BagSummary:
     """Return the BagSummary of a bag, also of a damaged one; BagError if it is no bag at all."""
     bag = Bag(path)
     times, first = {}, {}
@@ -125,11 +125,11 @@ class Repair:
     damage: tuple     # what failed a check (str)
     notes: tuple      # what else was odd (str)
 
-    def as_dict(self):
+    def as_dict(self) -> dict:
         """Return plain dicts, lists and numbers for JSON."""
         return asdict(self)
 
-    def text(self):
+    def text(self) -> str:
         """Return the result for people."""
         lost = 'an unknown number' if self.lost is None else self.lost
         lines = [f'damage: {item}' for item in self.damage]
@@ -141,7 +141,7 @@ class Repair:
         return '\n'.join([*lines, f'{self.out}: {self.kept} messages kept, {lost} lost'])
 
 
-def repair_bag(path, out=None):
+def repair_bag(path, out=None) -> Repair:
     """
     Write what is sound in a bag to a new one; the old one is not touched.
 

@@ -45,7 +45,7 @@ class Window:
     def __init__(self, data):
         self._data, self._start = data, 0
 
-    def reach(self, at):
+    def reach(self, at) -> None:
         """Say that what is before byte ``at`` is done with."""
         if at - self._start >= _WINDOW and hasattr(self._data, 'madvise'):
             end = at - at % mmap.PAGESIZE
@@ -53,7 +53,7 @@ class Window:
             self._start = end
 
 
-def checksum(data, end):
+def checksum(data, end) -> int:
     """Return the CRC-32 of the first ``end`` bytes of a mapped file."""
     value, window = 0, Window(data)
     for at in range(0, end, _WINDOW):

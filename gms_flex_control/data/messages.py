@@ -28,7 +28,7 @@ class Layout:
         self._fields, self._constants, self.size = [], {}, 0
         self.place('head', '<u4', np.frombuffer(head, '<u4')[0])
 
-    def place(self, name, kind, constant=None):
+    def place(self, name, kind, constant=None) -> None:
         """Put a field of a numpy type behind the others, aligned as CDR asks."""
         dtype = np.dtype(kind)
         align = 1 if dtype.kind == 'S' else dtype.base.itemsize
@@ -38,26 +38,26 @@ class Layout:
             self._constants[name] = np.array(constant, dtype=dtype)
         self.size += dtype.itemsize
 
-    def place_text(self, name, text):
+    def place_text(self, name, text) -> None:
         """Put a string behind the other fields."""
         raw = text.encode() + b'\0'
         self.place(f'{name}_size', '<u4', len(raw))
         self.place(name, f'S{len(raw)}', raw)
 
-    def dtype(self, size=None):
+    def dtype(self, size=None) -> np.dtype:
         """Return the record type, ``size`` bytes long where a writer pads the end."""
         names, formats, offsets = zip(*self._fields, strict=True)
         return np.dtype({'names': names, 'formats': formats, 'offsets': offsets,
                          'itemsize': size or self.size})
 
-    def template(self):
+    def template(self) -> bytes:
         """Return one message with zeros for all that is not the same in each (bytes)."""
         record = np.zeros(1, self.dtype())
         for name, value in self._constants.items():
             record[name] = value
         return record.tobytes()
 
-    def fits(self, records):
+    def fits(self, records) -> np.ndarray:
         """Return which of ``records`` (T,) are laid out like this, bool (T,)."""
         good = np.full(len(records), True)
         for name, value in self._constants.items():
@@ -67,7 +67,7 @@ class Layout:
         return good
 
 
-def joint_state_layout(names, counts, frame='', head=LITTLE_ENDIAN):
+def joint_state_layout(names, counts, frame='', head=LITTLE_ENDIAN) -> Layout:
     """Return the Layout of JointStates with these names and lengths of VALUES."""
     layout = Layout(head)
     layout.place('sec', '<i4')
@@ -83,7 +83,7 @@ def joint_state_layout(names, counts, frame='', head=LITTLE_ENDIAN):
     return layout
 
 
-def array_layout(dims, count, head=LITTLE_ENDIAN):
+def array_layout(dims, count, head=LITTLE_ENDIAN) -> Layout:
     """Return the Layout of Float64MultiArrays alike but for values and digits of the stamp."""
     layout = Layout(head)
     layout.place('dims', '<u4', len(dims))

@@ -38,7 +38,7 @@ def _typestore():
 
 
 @lru_cache(maxsize=256)
-def definition(type_name):
+def definition(type_name) -> Definition:
     """
     Return the Definition of a message type such as ``sensor_msgs/msg/JointState``.
 
@@ -99,7 +99,7 @@ NEVER = 2**63 - 1  # starting time of a bag without messages
 _FOREVER = '\n    sec: 9223372036\n    nsec: 854775807'
 
 
-def qos_profile(reliability='reliable', durability='volatile'):
+def qos_profile(reliability='reliable', durability='volatile') -> str:
     """Return the YAML text of one offered QoS profile, as `ros2 bag record` writes it."""
     return (f'- history: unknown\n  depth: 0\n  reliability: {reliability}\n'
             f'  durability: {durability}\n  deadline:{_FOREVER}\n  lifespan:{_FOREVER}\n'
@@ -117,7 +117,7 @@ class TopicEntry(NamedTuple):
     count: int
 
 
-def render(topics, file_name, start, end, custom=None):
+def render(topics, file_name, start, end, custom=None) -> str:
     """
     Return the metadata of a bag of one mcap file: YAML, below ``rosbag2_bagfile_information``.
 
@@ -167,7 +167,7 @@ def _quoted(text):
     return "'" + plain.replace("'", "''") + "'"
 
 
-def indent_under_root(text):
+def indent_under_root(text) -> str:
     """Return the whole metadata.yaml for the mapping ``text``."""
     body = '\n'.join(f'  {line}' for line in text.splitlines())
     return f'rosbag2_bagfile_information:\n{body}\n'
@@ -183,7 +183,7 @@ class FolderMetadata(NamedTuple):
     topics: tuple         # names
 
 
-def load(path):
+def load(path) -> FolderMetadata:
     """Return the FolderMetadata in a metadata.yaml; BagError if it is no metadata of a bag."""
     try:
         info = read_yaml(path, 'safe', LARGEST)['rosbag2_bagfile_information']

@@ -60,7 +60,7 @@ def read_recording(path, joints: Sequence[str] | None = None, motors: Sequence[s
     return read_beside(path, joints, motors, topics=topics)[0]
 
 
-def read_beside(path, joints=None, motors=None, *, topics=None, aside=()):
+def read_beside(path, joints=None, motors=None, *, topics=None, aside=()) -> tuple:
     """
     Read one experiment, and the messages of further topics as they are.
 
@@ -86,7 +86,7 @@ def read_beside(path, joints=None, motors=None, *, topics=None, aside=()):
              for name in aside})
 
 
-def joint_names(path, *, topics=None):
+def joint_names(path, *, topics=None) -> list[str]:
     """Return the names in the first joint state of a bag; BagError if there is none."""
     bag = Bag(path)
     topics = topics or Topics().within(namespace_of(bag))

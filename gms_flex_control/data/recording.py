@@ -68,11 +68,11 @@ class Recording:
                            f'it does not{where}; sort or repair the recording first')
 
     @property
-    def n_joints(self):
+    def n_joints(self) -> int:
         """Return the number of joints."""
         return len(self.joints)
 
-    def of_joints(self, joints):
+    def of_joints(self, joints) -> 'Recording':
         """Return the Recording of some joints, in that order; BagError if it lacks one."""
         if tuple(joints) == tuple(self.joints):
             return self
@@ -85,7 +85,7 @@ class Recording:
             name: getattr(self, name)[..., columns] for name in _OF_JOINTS})
 
     @property
-    def period(self):
+    def period(self) -> float:
         """Return the median sample period [s]."""
         return float(np.median(np.diff(self.time)))
 
@@ -102,12 +102,12 @@ class Topics(NamedTuple):
     controller_state: str = '/cascade_controller/state'
     supply: str = '/supply_voltage'
 
-    def within(self, namespace):
+    def within(self, namespace) -> 'Topics':
         """Return these topics in a namespace (str), such as '/left'."""
         return Topics(*(namespace + topic for topic in self))
 
 
-def link_names(names):
+def link_names(names) -> list[str]:
     """Return the names that are not the motor of another, in order."""
     return [name for name in names
             if not (name.endswith(MOTOR_SUFFIX) and name[:-len(MOTOR_SUFFIX)] in names)]

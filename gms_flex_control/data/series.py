@@ -28,7 +28,7 @@ _TWO_RUNS = 100_000_000  # a step back beyond this is another run, not a late me
 _TYPES = (JOINT_STATE, MULTI_ARRAY, MULTI_ARRAY, JOINT_STATE, MULTI_ARRAY)  # of the Topics
 
 
-def names_of(bag, message, topics):
+def names_of(bag, message, topics) -> tuple:
     """
     Return the names in a joint state (bytes) of a bag.
 
@@ -137,7 +137,7 @@ def _carried_on(table, shift):
     return result
 
 
-def by_stamp(stamps, other_stamps, values):
+def by_stamp(stamps, other_stamps, values) -> np.ndarray:
     """Return ``values`` (S, n) of ``other_stamps`` (S,) at ``stamps`` (T,), NaN where none."""
     result = np.full((len(stamps), values.shape[1]), np.nan)
     row = _row_of(other_stamps, stamps)
@@ -154,7 +154,7 @@ class Series:
         self._waiting = {topic: ([], []) for topic in topics}  # receive times, messages
         self._first, self._tables, self._places = None, (), None
 
-    def collect(self, further):
+    def collect(self, further) -> None:
         """Read the bag; messages of ``further`` topics are put into their lists."""
         for batch in self._bag.batches({*self._waiting, *further}):
             for topic, log, _, message in batch:
@@ -226,16 +226,16 @@ class Series:
         narrow = np.all(np.isnan(values[..., len(self._places):]), axis=-1, keepdims=True)
         return np.where(narrow, values[..., :len(self._places)], values[..., self._places])
 
-    def require_names(self):
+    def require_names(self) -> tuple:
         """Return the names of the first joint state, or raise BagError."""
         return names_of(self._bag, self._first, self.topics)
 
-    def resolved(self):
+    def resolved(self) -> tuple:
         """Return the joint and motor names."""
         return _resolved(self._path, self.topics.joint_states, self.require_names(),
                         *self._chosen)
 
-    def note_others(self, joints, motors):
+    def note_others(self, joints, motors) -> None:
         """Issue a BagWarning if there are more joints than those that were asked for."""
         others = [name for name in self.require_names() if name not in {*joints, *motors}]
         if others and self._chosen[0] is not None:
@@ -252,7 +252,7 @@ class Series:
             name = getattr(self.topics, topic)
             raise BagError(f'{self._path}: topic {name!r} {error}') from None
 
-    def clock(self):
+    def clock(self) -> tuple:
         """Return stamps and receive times of the states, increasing, and the rows to take."""
         topic = self.topics.joint_states
         stamps, received, rows = self._take('joint_states', 'stamps', 'received', 'rows')
@@ -271,7 +271,7 @@ class Series:
                           'stamps; the first state of each is taken', BagWarning, stacklevel=4)
         return stamps[order], received[order], order
 
-    def states(self, name):
+    def states(self, name) -> np.ndarray:
         """Return position, velocity or effort of the states, (T, joints and motors), or NaN."""
         joints, motors = self.resolved()
         known, names = self._take('joint_states', name)[0], self.require_names()
@@ -282,13 +282,13 @@ class Series:
         values[:, there] = known
         return values
 
-    def commands(self, stamps, received, period):
+    def commands(self, stamps, received, period) -> np.ndarray:
         """Return the command that answers each state, shape (T, n)."""
         answers = _Answers(*self._take('command', *_Answers._fields))
         answers = answers._replace(values=self._own(answers.values))
         return _answering(stamps, received, period, answers, len(self.resolved()[0]))
 
-    def reference(self, stamps, received, period):
+    def reference(self, stamps, received, period) -> np.ndarray:
         """Return the reference at the states, shape (T, 5, n)."""
         labels, stamped, times, values = self._take('reference', *_Answers._fields)
         values = self._own(values)
@@ -296,11 +296,11 @@ class Series:
             return _reference_at(stamps, period, labels, values)
         return _reference_at(received, period, times, values)
 
-    def friction(self, stamps):
+    def friction(self, stamps) -> np.ndarray:
         """Return the friction estimate at the states, shape (T, n)."""
         return by_stamp(stamps, *self._take('controller_state', 'stamps', 'effort'))
 
-    def supply(self, stamps, received):
+    def supply(self, stamps, received) -> np.ndarray:
         """Return the voltage at the states, shape (T,), between two messages a straight line."""
         labels, stamped, times, values = self._take('supply', *_Answers._fields)
         if not len(values):

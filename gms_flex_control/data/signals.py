@@ -32,7 +32,7 @@ class Fit(NamedTuple):
     left: float           # share of the variance that the free columns leave to be explained
 
 
-def quantum(values):
+def quantum(values) -> float:
     """Return the smallest step of a signal (T,), 0 if it never changes; rounding is no step."""
     known = values[np.isfinite(values)]
     steps = np.abs(np.diff(known))
@@ -40,7 +40,7 @@ def quantum(values):
     return float(steps.min()) if steps.size else 0.0
 
 
-def derivative_window(time, position):
+def derivative_window(time, position) -> float:
     """
     Return the length of a filter window that sees motion through the encoder's steps.
 
@@ -58,7 +58,7 @@ def derivative_window(time, position):
     return float(np.clip(wanted, _SHORTEST, _LONGEST))
 
 
-def smoothed(time, signals, window):
+def smoothed(time, signals, window) -> list[Derivatives]:
     """
     Filter signals alike and without lag, with their derivatives, on a coarse even grid.
 
@@ -102,7 +102,7 @@ def smoothed(time, signals, window):
     return result
 
 
-def sign_fit(signal, positive, free):
+def sign_fit(signal, positive, free) -> Fit:
     """
     Fit columns whose weights cannot be negative to a signal (S,), and to its reverse.
 
@@ -124,18 +124,18 @@ def sign_fit(signal, positive, free):
                float(norms[0] ** 2 / whole) if whole > 0 else 1.0)
 
 
-def friction_columns(velocity):
+def friction_columns(velocity) -> tuple:
     """Return sign, softened below MOVING of the top speed, and value of a velocity (S,)."""
     top = float(np.abs(velocity).max(initial=0.0))
     return np.tanh(velocity / (MOVING * top)) if top > 0 else velocity, velocity
 
 
-def is_moving(velocity):
+def is_moving(velocity) -> np.ndarray:
     """Return where a velocity (S,) is above MOVING of its largest."""
     return np.abs(velocity) > MOVING * np.abs(velocity).max(initial=0.0)
 
 
-def derivative_slope(time, position, velocity):
+def derivative_slope(time, position, velocity) -> tuple[float, float] | None:
     """
     Compare what a velocity adds up to with the way gone, over 0.1 s, 20 samples or 20 steps.
 
@@ -171,7 +171,7 @@ _STANDS_OUT = 20.0    # power over the median about it; noise alone reaches 10
 _ABOUT = 1.5          # the median is taken from an order over this to one times this
 
 
-def standing_out(angles, torques, rates, coarsest):
+def standing_out(angles, torques, rates, coarsest) -> tuple:
     """
     Return the orders [1/rad], floats, at which the spectrum of torque over angle stands out.
 

@@ -106,7 +106,7 @@ class BagWriter:
         except OSError as error:
             raise self._failure(error) from error
 
-    def add_topic(self, name, type_name, *, described=None, qos=None, save=True):
+    def add_topic(self, name, type_name, *, described=None, qos=None, save=True) -> None:
         """
         Announce a topic and its type; one that is there already stays as it is.
 
@@ -131,7 +131,7 @@ class BagWriter:
         if save:
             self._save_metadata()
 
-    def write(self, topic, time_ns, data, publish_ns=None):
+    def write(self, topic, time_ns, data, publish_ns=None) -> None:
         """
         Write one CDR message of an announced topic, received and sent at the times given [ns].
 
@@ -158,7 +158,7 @@ class BagWriter:
             self._broken = True
             raise self._failure(error) from error
 
-    def flush(self):
+    def flush(self) -> None:
         """Close the chunk and hand it to the operating system: kill -9 cannot take it back."""
         try:
             self._flush()
@@ -166,7 +166,7 @@ class BagWriter:
             self._broken = True
             raise self._failure(error) from error
 
-    def flush_if_due(self):
+    def flush_if_due(self) -> None:
         """Flush if the last time is longer ago than the flush period."""
         if time.monotonic() - self._flushed >= self._flush_period:
             self.flush()
@@ -176,7 +176,7 @@ class BagWriter:
         self._flushed = time.monotonic()
 
     @property
-    def message_count(self):
+    def message_count(self) -> int:
         """Return how many messages were written."""
         return sum(self.counts.values())
 
