@@ -60,19 +60,21 @@ class BagWriter:
         self._flush_period = flush_period
         self._chunk_size = chunk_size
         self.custom = dict(custom or {})
-        self._folder = None
-        self._channels, self._entries, self.counts = {}, {}, {}
-        self._start, self._end = metadata.NEVER, 0
-        self._broken = False
+        self._stream, self._broken = None, False
+        self._channels, self._schemas = {}, {}  # (number, TopicEntry) by topic, schema by type
+        self.counts = {}                        # messages by topic
+        self._span = metadata.NEVER, 0          # first and last receive time [ns]
+
+    @property
+    def _folder(self):
+        hidden = f'.{self._final.name}.{os.getpid()}'
+        return self._final.with_name(hidden) if self._atomic else self._final
 
     def __enter__(self):
         """Make the folder and begin its first file; raise BagError where that cannot be."""
         if not self._final.name:
             raise BagError(f'{self.path}: is no name for a bag; give a new folder')
         self._refuse_existing()
-        self._folder = self._final
-        if self._atomic:
-            self._folder = self._final.with_name(f'.{self._final.name}.{os.getpid()}')
         try:
             make_folder(self._final.parent, self.path)
             self._folder.mkdir()
@@ -88,15 +90,13 @@ class BagWriter:
         return self
 
     def _open(self):
-        self._file_name = f'{self._final.name}_0.mcap'
         try:
-            self._stream = open(self._folder / self._file_name, 'xb')
+            self._stream = open(self._folder / f'{self._final.name}_0.mcap', 'xb')
             # no compression: a chunk cut off by a power failure can be read up to the cut
             self._mcap = Writer(self._stream, chunk_size=self._chunk_size,
                                 compression=CompressionType.NONE,
                                 enable_crcs=True, enable_data_crcs=True)
             self._mcap.start(profile='ros2')
-            self._schemas = {}
             self._mcap.add_metadata('rosbag2', {'serialized_metadata': self._metadata()})
             self._stream.flush()
             self._flushed = time.monotonic()
@@ -123,10 +123,11 @@ class BagWriter:
         if key not in self._schemas:
             self._schemas[key] = self._mcap.register_schema(
                 type_name, described.encoding, described.text.encode())
-        self._channels[name] = self._mcap.register_channel(
+        number = self._mcap.register_channel(
             name, 'cdr', self._schemas[key],
             {'offered_qos_profiles': qos, 'topic_type_hash': described.type_hash})
-        self._entries[name] = metadata.TopicEntry(name, type_name, described.type_hash, qos, 0)
+        self._channels[name] = number, metadata.TopicEntry(
+            name, type_name, described.type_hash, qos, 0)
         self.counts[name] = 0
         if save:
             self._save_metadata()
@@ -138,7 +139,7 @@ class BagWriter:
         BagError if the topic was not announced or the disk refuses.
         """
         try:
-            channel = self._channels[topic]
+            channel, _ = self._channels[topic]
         except KeyError:
             raise BagError(f'{self.path}: topic {topic!r} was not announced '
                            f'(has {", ".join(self._channels) or "none"})') from None
@@ -149,36 +150,24 @@ class BagWriter:
             self._mcap.add_message(channel, time_ns, data,
                                    time_ns if publish_ns is None else publish_ns,
                                    self.counts[topic] & 0xFFFFFFFF)
-            self.counts[topic] += 1
-            self._start = min(self._start, time_ns)
-            self._end = max(self._end, time_ns)
-            if time.monotonic() - self._flushed >= self._flush_period:
-                self._flush()
         except OSError as error:
             self._broken = True
             raise self._failure(error) from error
-
-    def flush(self) -> None:
-        """Close the chunk and hand it to the operating system: kill -9 cannot take it back."""
-        try:
-            self._flush()
-        except OSError as error:
-            self._broken = True
-            raise self._failure(error) from error
+        self.counts[topic] += 1
+        first, last = self._span
+        self._span = min(first, time_ns), max(last, time_ns)
+        self.flush_if_due()
 
     def flush_if_due(self) -> None:
-        """Flush if the last time is longer ago than the flush period."""
-        if time.monotonic() - self._flushed >= self._flush_period:
-            self.flush()
-
-    def _flush(self):
-        self._mcap.flush()
+        """Hand what is written to the system, where kill -9 leaves it, once a flush period."""
+        if time.monotonic() - self._flushed < self._flush_period:
+            return
+        try:
+            self._mcap.flush()
+        except OSError as error:
+            self._broken = True
+            raise self._failure(error) from error
         self._flushed = time.monotonic()
-
-    @property
-    def message_count(self) -> int:
-        """Return how many messages were written."""
-        return sum(self.counts.values())
 
     def __exit__(self, kind, value, trace):
         """End the bag; an ``atomic`` one gets its name, or is removed after an exception."""
@@ -217,15 +206,15 @@ class BagWriter:
                 raw.close()
 
     def _abandon(self):
-        if getattr(self, '_stream', None) is not None:
+        if self._stream is not None:
             with suppress(ValueError):
                 self._release()
         shutil.rmtree(self._folder, ignore_errors=True)
 
     def _metadata(self, final=False):
         entries = [entry._replace(count=self.counts[name] if final else 0)
-                   for name, entry in self._entries.items()]
-        return metadata.render(entries, self._file_name, self._start, self._end, self.custom)
+                   for name, (_, entry) in self._channels.items()]
+        return metadata.render(entries, f'{self._final.name}_0.mcap', *self._span, self.custom)
 
     def _save_metadata(self, final=False):
         write_text(self._folder / 'metadata.yaml',
@@ -240,7 +229,7 @@ class BagWriter:
                         'give another name or remove it first')
 
     def _failure(self, error):
-        kept = '' if self._atomic or self._folder is None else (
+        kept = '' if self._atomic or self._stream is None else (
             f'; what was flushed is kept, see it with gms_flex repair {self.path}')
         return BagError(f'{self.path}: cannot be written ({error.strerror or error}){kept}')
 
