@@ -20,16 +20,8 @@ def atomic_path(path):
     """
     Yield a temporary path beside ``path`` that takes its name when the block succeeds.
 
-    Parameters
-    ----------
-    path : str or Path
-        The file to be written; its folder is made if need be.
-
-    Yields
-    ------
-    Path
-        Write here. On an exception the file is removed and ``path`` stays as it was.
-
+    The folder is made if need be. On an exception the file is removed and ``path`` stays as it
+    was.
     """
     path = Path(path)
     make_folder(path.parent, path)
@@ -48,20 +40,11 @@ def atomic_path(path):
             temporary.unlink()
 
 
-def make_folder(folder, path):
+def make_folder(folder, path) -> None:
     """
     Make the folder that ``path`` is to be written to, if need be.
 
-    Parameters
-    ----------
-    folder, path : Path
-        The folder, and what an error names.
-
-    Raises
-    ------
-    OSError
-        If it cannot be made: NotADirectoryError where a file is in its way.
-
+    OSError if it cannot be made: NotADirectoryError, naming ``path``, where a file is in its way.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -70,34 +53,14 @@ def make_folder(folder, path):
                                  str(path)) from error
 
 
-def read_yaml(path, typ='rt', largest=LARGEST_YAML):
+def read_yaml(path, typ='rt', largest=LARGEST_YAML) -> object:
     """
-    Read a YAML file that somebody else may have written.
+    Return what a YAML file holds that somebody else may have written.
 
-    Parameters
-    ----------
-    path : str or Path
-        The file.
-    typ : {'rt', 'safe'}
-        With line numbers, or plain Python objects; neither makes anything else.
-    largest : int
-        Size from which on it is refused [bytes].
-
-    Returns
-    -------
-    object
-        What the file holds.
-
-    Raises
-    ------
-    OSError
-        If it cannot be read or is too large.
-    UnicodeDecodeError
-        If it is not UTF-8.
-    ruamel.yaml.error.YAMLError
-        If it is not YAML, nested too deeply, or has aliases: a few lines of those stand for
-        more than fits any memory.
-
+    ``typ`` is 'rt', with line numbers, or 'safe', plain Python objects; neither makes anything
+    else. OSError if it cannot be read or is larger than ``largest`` bytes, UnicodeDecodeError if
+    it is not UTF-8, YAMLError of ruamel if it is not YAML, nested too deeply, or has aliases: a
+    few lines of those stand for more than fits any memory.
     """
     path = Path(path)
     if path.stat().st_size > largest:
@@ -113,7 +76,7 @@ def read_yaml(path, typ='rt', largest=LARGEST_YAML):
         raise MarkedYAMLError(problem='nested too deeply') from None
 
 
-def write_text(path, text):
+def write_text(path, text) -> None:
     """Write ``text`` (str) to ``path`` whole or not at all."""
     with atomic_path(path) as temporary:
         temporary.write_text(text, encoding='utf-8')

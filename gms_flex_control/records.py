@@ -17,39 +17,16 @@ FLOAT = np.float64
 FLAG = np.uint8  # numba knows no arrays of bool inside a record
 
 
-def layout(*fields):
-    """
-    Return the dtype of a record with attribute access.
-
-    Parameters
-    ----------
-    *fields : tuple
-        ``(name, type, shape)`` of each field; the type may be another layout.
-
-    Returns
-    -------
-    numpy.dtype
-
-    """
+def layout(*fields) -> np.dtype:
+    """Return the dtype of a record of fields (name, type or other layout, shape), for `build`."""
     return np.dtype((np.record, np.dtype(list(fields), align=True)))
 
 
-def build(dtype, **values):
+def build(dtype, **values) -> np.record:
     """
-    Return a new record, zero where no value is given.
+    Return a new record of a `layout`, zero where no value is given, values broadcast to fields.
 
-    Parameters
-    ----------
-    dtype : numpy.dtype
-        From `layout`.
-    **values : array_like or record
-        Field values, broadcast to the shape of the field.
-
-    Returns
-    -------
-    numpy.record
-        Owns its memory; ``.copy()`` gives an independent one.
-
+    It owns its memory; ``.copy()`` gives an independent one.
     """
     whole = np.zeros(1, dtype)
     for name, value in values.items():
@@ -57,22 +34,12 @@ def build(dtype, **values):
     return whole[0]
 
 
-def views(record):
+def views(record) -> SimpleNamespace:
     """
-    Return the fields of a record as attributes that Python finds at once.
+    Return the fields of a record as attributes that Python finds at once, in its own memory.
 
-    Looking up a field of a record takes microseconds, each time.
-
-    Parameters
-    ----------
-    record : numpy.record
-        Whose memory the fields share.
-
-    Returns
-    -------
-    types.SimpleNamespace
-        An ndarray for each field, and the same of each field that is a record.
-
+    Looking up a field of a record takes microseconds, each time. A field that is a record becomes
+    the same.
     """
     fields = {name: getattr(record, name) for name in record.dtype.names}
     return SimpleNamespace(**{
@@ -80,21 +47,12 @@ def views(record):
         for name, field in fields.items()})
 
 
-def boxed(record):
+def boxed(record) -> np.ndarray:
     """
-    Return a copy of a record as an array of one, for calls from Python at every tick.
+    Return a copy of a record as an array (1,), for calls from Python at every tick.
 
-    Parameters
-    ----------
-    record : numpy.record
-        Of `build`.
-
-    Returns
-    -------
-    ndarray, shape (1,)
-        ``array[0]`` is a record in the array's memory. numba takes the array in 0.1
-        microseconds, the record in 4: it asks a record for its buffer, and numpy then writes
-        out a description of all its fields.
-
+    numba takes the array in 0.1 microseconds, the record in 4: it asks a record for its buffer,
+    and numpy then writes out a description of all its fields. ``array[0]`` is a record in the
+    array's memory.
     """
     return np.array([record], record.dtype)
