@@ -169,6 +169,7 @@ class McapFile(StorageFile):
         self._unknown = {}        # messages of each channel without a name
 
     def batches(self, only=None):
+        """Yield the messages as `StorageFile` says, what fails a check left out."""
         self._only = only
         try:
             with open(self.path, 'rb') as stream:

@@ -25,6 +25,7 @@ class SqliteFile(StorageFile):
         self.unchecked = 1
 
     def batches(self, only=None):
+        """Yield the messages as `StorageFile` says, in the order they were written."""
         self._only = only
         try:
             with open(self.path, 'rb') as stream:
