@@ -38,6 +38,7 @@ def main():
         folder = Path(folder)
         with Browser(folder / 'profile') as browser:
             picture_bag(browser, folder)
+            picture_space(browser, folder)
             picture_live(browser, folder)
     return 0
 
@@ -55,6 +56,20 @@ def picture_bag(browser, folder):
             browser.until('!!document.querySelector(".trail").getAttribute("d")')
             browser.until('document.querySelector("#plot-blocks canvas").ariaLabel.includes("%")')
             save(browser, name)
+
+
+def picture_space(browser, folder):
+    """Show an arm in space while it moves."""
+    arm, bag = ROOT / 'examples' / 'industrial_arm', folder / 'industrial_arm'
+    files = [word for name in ('robot', 'controller', 'trajectory')
+             for word in (f'--{name}', str(arm / f'{name}.yaml'))]
+    gms_flex(['simulate', *files, '--duration', '6', '--out', str(bag)])
+    with ViewServer(open_bag(bag, load_robot(arm / 'robot.yaml'))) as server:
+        browser.screen(1280, 860, scale=SCALE)
+        browser.visit(f'{server.url}#t=2')
+        browser.until('document.documentElement.dataset.time == 2')
+        browser.until('!!document.querySelector(".trail").getAttribute("d")')
+        save(browser, 'view_space')
 
 
 def picture_live(browser, folder):

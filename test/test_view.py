@@ -70,7 +70,7 @@ def test_frames_of_every_level_are_the_samples_in_order():
         np.testing.assert_array_equal(time, recorded.time[::stride])
         error = np.concatenate([column(table, 'error.1') for table in tables])
         np.testing.assert_allclose(error, 0.002, atol=1e-12)
-        assert all(column(table, 'twist.0') == pytest.approx(0.1) for table in tables)
+        assert all(column(table, 'torsion.0') == pytest.approx(0.1) for table in tables)
 
 
 def test_a_chart_of_few_points_keeps_every_peak_and_the_share_of_sticking():
@@ -100,7 +100,7 @@ def test_a_signal_that_was_not_recorded_is_named_as_missing(field, signal):
     whole = recording()
     missing = replace(whole, **{field: np.full_like(getattr(whole, field), np.nan)})
     found = view_of(missing)[0].session()['signals']
-    gone = {'reference': {'error'}, 'motor': {'twist'}}.get(signal, set())
+    gone = {'reference': {'error'}, 'motor': {'torsion'}}.get(signal, set())
     absent = {name for name, there in found.items() if not there}
     assert absent == {signal, 'block', 'stick', *gone}
 
@@ -241,10 +241,10 @@ def test_rows_are_put_together_by_stamp_whatever_comes_first():
     table = rows.take(1.0)
     first, second = (dict(zip(rows.names, row, strict=True)) for row in table)
     assert first['time'] == 0.0 and second['time'] == pytest.approx(0.002)
-    assert first['error.0'] == pytest.approx(-0.4) and first['twist.1'] == pytest.approx(0.2)
+    assert first['error.0'] == pytest.approx(-0.4) and first['torsion.1'] == pytest.approx(0.2)
     assert (first['command.0'], second['command.1']) == (1.0, 4.0)
     assert second['reference.0'] == pytest.approx(0.10)  # what the controller calls its error
-    assert np.isnan(second['twist.1']) and np.isnan(second['block.0.0'])
+    assert np.isnan(second['torsion.1']) and np.isnan(second['block.0.0'])
     assert [second[f'stick.{j}.{i}'] for j in range(2) for i in range(3)] == [1, 0, 1, 0, 1, 0]
 
 

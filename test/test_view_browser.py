@@ -130,7 +130,7 @@ def test_lines_and_blocks_are_painted_and_a_joint_can_be_hidden(page):
         count += data[i] === red && data[i + 1] === green && data[i + 2] === blue;
       return count;
     }"""
-    for plot in ('error', 'torque', 'twist'):  # angles of both joints are alike here
+    for plot in ('error', 'torque', 'torsion'):  # angles of both joints are alike here
         page.until(f'({painted})("#plot-{plot}", 0, 114, 178) > 20')
     page.until(f'({painted})("#plot-blocks", 224, 112, 27) > 200')  # slips
     label = page.ask('document.querySelector("#plot-blocks canvas").getAttribute("aria-label")')

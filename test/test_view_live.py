@@ -123,8 +123,8 @@ def test_what_belongs_together_is_in_one_row(lab):
     whole[:5] = False  # not everybody may have met everybody yet
     assert whole.any()
     np.testing.assert_allclose(rows['error.1'][whole], -0.25, atol=1e-9)
-    np.testing.assert_allclose(rows['twist.2'], 0.125, atol=1e-9)
-    assert np.isnan(rows['twist.1']).all()
+    np.testing.assert_allclose(rows['torsion.2'], 0.125, atol=1e-9)
+    assert np.isnan(rows['torsion.1']).all()
     assert {tuple(row) for row in np.stack([rows[f'command.{j}'][whole] for j in range(3)], 1)
             } == {(1.0, 2.0, 3.0)}
 

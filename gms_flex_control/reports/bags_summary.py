@@ -19,7 +19,7 @@ from gms_flex_control.identification.words import number, percent
 FORMAT = 1
 _WIDTH = 96
 _COLUMNS = 4  # bags beside each other in text, at most
-_CLEAR = 2.0  # times the scatter that intervals foresee: said to differ from bag to bag
+_CLEAR = 2.0  # times the scatter that intervals predict: they differ from bag to bag
 _LINES = 20   # bags below each other, at most: the others are in summary.csv
 
 
@@ -37,16 +37,16 @@ def summary(found, rows) -> dict:
 
 
 def bags_csv(found) -> str:
-    """Return a line for each bag with what it tells; empty where it does not tell a parameter."""
+    """Return a line for each bag; empty where a parameter is not identified."""
     good = [values for values in found.values() if values['reason'] is None]
     verdicts = ['verdict'] if any('verdict' in values for values in good) else []
     joints = list(dict.fromkeys(joint for values in good for joint in values.get('held_out', ())))
     names = list(dict.fromkeys(one['name'] for values in good for one in values['estimates']))
     lines = [['bag', 'reason', *verdicts, *(f'held_out.{joint}' for joint in joints), *names]]
     for bag, values in found.items():
-        told = {one['name']: one['value'] for one in values.get('estimates', ()) if is_told(one)}
+        known = {one['name']: one['value'] for one in values.get('estimates', ()) if is_told(one)}
         lines.append([bag, values['reason'], *map(values.get, verdicts),
-                      *map(values.get('held_out', {}).get, joints), *map(told.get, names)])
+                      *map(values.get('held_out', {}).get, joints), *map(known.get, names)])
     return _csv(lines)
 
 
@@ -75,7 +75,7 @@ def identification_text(found, rows) -> str:
 
 
 def discrepancy_text(found, rows) -> str:
-    """Return a table of effects and their parameters, and what each bag says."""
+    """Return a table of effects and their parameters, and the answer of each bag."""
     good = _good(found)
     verdicts = Counter(values['verdict'] for values in good.values())
     parts = [', '.join([f'{len(good)} of {len(found)} bags answered', *(
@@ -89,11 +89,11 @@ def discrepancy_text(found, rows) -> str:
 def over_bags_answer(found, rows, bags) -> Answer:
     """Return what differs most from bag to bag, and which to look at first (Answer)."""
     good = _good(found)
-    told = sorted((row for row in rows if row.mean and row.standard_deviation > 0.0),
+    known = sorted((row for row in rows if row.mean and row.standard_deviation > 0.0),
                   key=lambda row: -row.standard_deviation / abs(row.mean))[:3]
     sentence = f'{len(good)} of {len(found)} bags have an answer'
-    if told:
-        first = told[0]
+    if known:
+        first = known[0]
         sentence += (f'; {first.name.removeprefix("friction.")} differs most from bag to bag, by '
                      f'{_share(first)} % of its mean (one standard deviation), where the floor is '
                      'what the intervals of single bags predict')
@@ -102,7 +102,7 @@ def over_bags_answer(found, rows, bags) -> Answer:
                 if name not in good or name in counts), None)
     return Answer(f'{sentence}.', ('mean', 'std over bags', 'floor'), tuple(
         measured(f'{row.name.removeprefix("friction.")} [{row.unit}]', row.mean,
-                 row.standard_deviation, row.foreseen, scale=1.0) for row in told), command(
+                 row.standard_deviation, row.foreseen, scale=1.0) for row in known), command(
         'info', next((bag for bag in bags if Path(bag).name == odd), bags[0])))
 
 
@@ -123,11 +123,11 @@ def _findings(good):
 
 def _parameters(rows, good):
     beside = list(good)[:_COLUMNS] if 1 < len(good) <= _COLUMNS else []
-    told = {bag: {one['name']: one['value'] for one in good[bag]['estimates'] if is_told(one)}
+    known = {bag: {one['name']: one['value'] for one in good[bag]['estimates'] if is_told(one)}
             for bag in beside}
     lines = [[row.name.removeprefix('friction.'), row.unit, str(row.bags), number(row.mean),
               number(row.standard_deviation, 2), _share(row), number(row.foreseen, 2),
-              *(number(told[bag].get(row.name, math.nan)) for bag in beside)] for row in rows]
+              *(number(known[bag].get(row.name, math.nan)) for bag in beside)] for row in rows]
     return (align(['parameter', 'unit', 'bags', 'mean', 'std', 'std [%]', 'foreseen', *beside],
                   lines) + '\nbags: those that estimate it; std over the bags; foreseen: std by '
             'their intervals')

@@ -24,7 +24,7 @@ _LINK_STEPS, _MOTOR_STEPS = 24, 12
 _SLOWEST = 0.3                   # link bandwidth tried [rad/s]
 _FASTEST_LINK, _FASTEST_MOTOR = 0.1, 0.4   # of half the sample rate
 _FASTER = 1.2                    # motor over link bandwidth, at least
-_MORE_DAMPING = (1.0, 1.5, 2.25, 3.4)      # times what is asked, where conditions want it
+_MORE_DAMPING = (1.0, 1.5, 2.25, 3.4)      # times what is required, where conditions want it
 # gains with a value per joint, as a controller file has them
 PER_JOINT = ('kd_link', 'lambda_link', 'kd_motor', 'lambda_motor', 'observer_gain', 'sign_slope',
              'filter_bandwidth', 'torque_limit')
@@ -33,7 +33,7 @@ _ROUNDS, _SLOWER = 10, 0.85      # of the whole arm; bandwidth of a joint that w
 
 
 class Demands(NamedTuple):
-    """What is asked of the loop."""
+    """What is required of the loop."""
 
     timing: Timing
     torque_limit: np.ndarray   # (n,) [N m]
@@ -107,25 +107,25 @@ def _rounded(value):
 def _one_axis(robot, joint, inertia):
     """Return a joint of a robot as an axis of its own with the given inertia."""
     arm = robot.arm
-    take = [joint]
+    only = [joint]
     if arm.rigid[joint]:
         inertia = inertia - arm.motor_inertia[joint]
     alone = ArmParams(kind='decoupled', mass=[0.0], length=[0.0], com=[0.0], inertia=[inertia],
-                      motor_inertia=arm.motor_inertia[take], stiffness=arm.stiffness[take],
-                      damping=arm.damping[take])
+                      motor_inertia=arm.motor_inertia[only], stiffness=arm.stiffness[only],
+                      damping=arm.damping[only])
     friction = robot.friction
     steady = {way: replace(getattr(friction, way), **{
-        name: getattr(getattr(friction, way), name)[take]
+        name: getattr(getattr(friction, way), name)[only]
         for name in ('static', 'coulomb', 'velocity', 'viscous')})
         for way in ('forward', 'backward')}
-    friction = replace(friction, **steady, stiffness=friction.stiffness[take],
-                       weight=friction.weight[take], attraction=friction.attraction[take])
+    friction = replace(friction, **steady, stiffness=friction.stiffness[only],
+                       weight=friction.weight[only], attraction=friction.attraction[only])
     return replace(robot, joints=(robot.joints[joint],), motors=(robot.motors[joint],), arm=alone,
                    friction=friction, effects=())
 
 
 def _joint_gains(robot, base, demands, joint, cap):
-    """Return the gains of a joint (dict) and why they are not what is asked (list of str)."""
+    """Return the gains of a joint (dict) and why they miss what is required (list of str)."""
     inertia = _inertia_range(robot, joint)
     axes = [_one_axis(robot, joint, value) for value in dict.fromkeys(inertia)]
     own = demands._replace(torque_limit=demands.torque_limit[[joint]], bandwidth=None)

@@ -97,7 +97,7 @@ class BagView:
         found = present(self._columns)
         self._summary = {
             'signals': found, 'blocks': {'count': blocks, 'origin': origin if blocks else ''},
-            'twist': self._largest('twist'), 'load': self._largest('block'),
+            'torsion': self._largest('torsion'), 'load': self._largest('block'),
             'extent': extent(scene, recording.q_link)}
 
     def _largest(self, signal):

@@ -107,9 +107,9 @@ class Rows:
         if not ready:
             return np.empty((0, len(self.names)))
         table = np.stack(ready)
-        link, motor, reference, error, twist = (self._part(table, name) for name in (
-            'link', 'motor', 'reference', 'error', 'twist'))
-        twist[:] = motor - link
+        link, motor, reference, error, torsion = (self._part(table, name) for name in (
+            'link', 'motor', 'reference', 'error', 'torsion'))
+        torsion[:] = motor - link
         error[:] = np.where(np.isfinite(error), error, link - reference)
         reference[:] = link - error
         return table

@@ -9,7 +9,7 @@ from gms_flex_control.params.units import in_units
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-PER_JOINT = ('link', 'motor', 'reference', 'error', 'twist', 'command', 'friction')
+PER_JOINT = ('link', 'motor', 'reference', 'error', 'torsion', 'command', 'friction')
 _SHOWN = 2000      # samples whose poses tell how much room the arm needs
 _LENGTH = 0.3      # of links of which nothing is known [m]
 _UNITS = ('rad', 'mrad', 'N m')
@@ -110,7 +110,7 @@ def column_names(n, blocks) -> list:
 
     ``<signal>.<joint>`` for each of PER_JOINT, then ``block.<joint>.<block>`` [N m] and
     ``stick.<joint>.<block>`` (1 sticks, 0 slips), counted from 0. Angles are in rad, ``error`` is
-    link - reference, ``twist`` motor - link.
+    link - reference, ``torsion`` motor - link.
     """
     names = ['time', *(f'{signal}.{j}' for signal in PER_JOINT for j in range(n))]
     return names + [f'{signal}.{j}.{i}' for signal in ('block', 'stick')
@@ -122,7 +122,7 @@ def columns_of(recording, torque=None, sticking=None) -> dict:
     reference = recording.reference[:, 0]
     tables = {'link': recording.q_link, 'motor': recording.q_motor, 'reference': reference,
               'error': recording.q_link - reference,
-              'twist': recording.q_motor - recording.q_link,
+              'torsion': recording.q_motor - recording.q_link,
               'command': recording.command, 'friction': recording.friction_hat}
     columns = {'time': np.asarray(recording.time)}
     columns |= {f'{signal}.{j}': tables[signal][:, j]

@@ -6,7 +6,7 @@ import {base, joint, linkPath, rotate, svg} from './shapes.js';
 const TRAIL = 1.5;       // of the tip [s]
 const TRAIL_POINTS = 50;
 const FACTORS = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000];
-const WOUND = 1.5;       // the largest twist is drawn as at most this [rad]
+const WOUND = 1.5;       // the largest torsion is drawn as at most this [rad]
 
 /* The robot as a drawing that follows frames. */
 export class Arm {
@@ -16,7 +16,7 @@ export class Arm {
     this.words = words;
     this.n = this.scene.joints.length;
     this.chain = this.scene.kind !== 'decoupled';
-    this.largest = session.twist || 0;
+    this.largest = session.torsion || 0;
     this.automatic = true;
     this.factor = niceFactor(this.largest, WOUND);
     this.room = session.extent && this.chain ? session.extent.slice() : null;
@@ -98,7 +98,7 @@ export class Arm {
     this.scale.lastChild.textContent = this.scene.known ? `${bar} m` : 'lengths not known';
   }
 
-  /* The choice of how much the springs' winding is enlarged. */
+  /* The choice of how much the torsion is enlarged. */
   choose() {
     const flexible = this.scene.rigid.some((one) => !one);
     const key = (name, text) => element('span', {class: 'entry'}, element('span', {
@@ -107,7 +107,7 @@ export class Arm {
     if (flexible && !this.scene.frames) parts.push(key('motor', 'motor'));
     if (this.has('reference')) parts.push(key('ghost', 'reference'));
     if (flexible) {
-      this.select = element('select', {'aria-label': 'enlargement of the wind-up', id: 'factor'},
+      this.select = element('select', {'aria-label': 'enlargement of the spring deflection', id: 'factor'},
         element('option', {value: 'auto'}, 'auto'),
         ...FACTORS.map((one) => element('option', {value: String(one)}, `× ${one}`)));
       this.select.addEventListener('change', () => {
@@ -116,7 +116,7 @@ export class Arm {
         this.sayFactor();
         this.again();
       });
-      parts.push(key('wound', element('label', {}, 'spring wind-up, drawn ', this.select)));
+      parts.push(key('wound', element('label', {}, 'spring deflection, drawn ', this.select)));
     } else parts.push(element('span', {}, 'all joints are rigid'));
     this.words.replaceChildren(...parts);
     this.sayFactor();
@@ -132,8 +132,8 @@ export class Arm {
   show(frame, time, past) {
     this.last = [frame, time, past];
     for (let j = 0; j < this.n; j++) {
-      const twist = Math.abs(frame(`twist.${j}`));
-      if (twist > this.largest) this.outgrow(twist);
+      const torsion = Math.abs(frame(`torsion.${j}`));
+      if (torsion > this.largest) this.outgrow(torsion);
     }
     this.pose(frame);
     this.showGhost(frame);
@@ -142,15 +142,15 @@ export class Arm {
 
   pose(frame) {
     for (let j = 0; j < this.n; j++) {
-      const twist = frame(`twist.${j}`);
+      const torsion = frame(`torsion.${j}`);
       this.joints[j].turned.setAttribute('transform', rotate(this.angle(frame, 'link', j)));
-      this.joints[j].turn(this.factor * twist, Math.abs(twist) / (this.largest || 1));
+      this.joints[j].turn(this.factor * torsion, Math.abs(torsion) / (this.largest || 1));
     }
   }
 
-  outgrow(twist) {
-    this.largest = twist;
-    const factor = niceFactor(twist, WOUND);
+  outgrow(torsion) {
+    this.largest = torsion;
+    const factor = niceFactor(torsion, WOUND);
     if (this.automatic && factor !== this.factor) {
       this.factor = factor;
       this.sayFactor();
@@ -214,7 +214,7 @@ export class Arm {
 }
 
 const COLUMNS = [['link', 'link', 'rad', 1, 4], ['error', 'error', 'mrad', 1e3, 2],
-                 ['twist', 'wind-up', 'mrad', 1e3, 1], ['command', 'torque', 'N m', 1, 3],
+                 ['torsion', 'spring', 'mrad', 1e3, 1], ['command', 'torque', 'N m', 1, 3],
                  ['friction', 'friction', 'N m', 1, 3]];
 
 /* The numbers of the moment, a row for each joint. */
@@ -241,7 +241,7 @@ export class JointTable {
   show(frame) {
     this.cells.forEach((cells, j) => cells.forEach((cell, k) => {
       const [signal, , , factor, places] = this.columns[k];
-      cell.textContent = signal === 'twist' && this.rigid[j] ? 'rigid'
+      cell.textContent = signal === 'torsion' && this.rigid[j] ? 'rigid'
         : fixed(frame(`${signal}.${j}`) * factor, places);
     }));
   }

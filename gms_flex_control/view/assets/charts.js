@@ -18,9 +18,9 @@ const PLOTS = [
   {id: 'angle', title: 'Angle', unit: 'rad', factor: 1, places: 3,
    lines: [{signal: 'link', label: 'link'},
            {signal: 'reference', label: 'reference', dashed: true}], missing: ''},
-  {id: 'twist', title: 'Spring wind-up', unit: 'mrad', factor: 1e3, places: 1,
-   lines: [{signal: 'twist', label: 'motor − link'}],
-   missing: 'spring wind-up: there is no motor side'},
+  {id: 'torsion', title: 'Spring deflection', unit: 'mrad', factor: 1e3, places: 1,
+   lines: [{signal: 'torsion', label: 'motor − link'}],
+   missing: 'spring deflection: there is no motor side'},
 ];
 
 function tickLabels(u, ticks, axis, space, step) {
@@ -42,7 +42,7 @@ class Plot {
     this.lines = spec.lines.flatMap((line) => session.scene.joints.flatMap((name, j) => bags.map(
       (bag) => ({...line, joint: j, column: `${line.signal}.${j}${bag}`, name, pale: bag !== ''}))))
       .filter((line) => group.source.has(line.signal)
-        && !(line.signal === 'twist' && session.scene.rigid[line.joint]));
+        && !(line.signal === 'torsion' && session.scene.rigid[line.joint]));
     this.values = element('div', {class: 'values'});
     this.box = element('div', {class: 'plot'});
     this.root = element('section', {class: 'chart', id: `plot-${spec.id}`,

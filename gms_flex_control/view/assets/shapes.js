@@ -24,8 +24,8 @@ export function linkPath(length, radius) {
 }
 
 /* A clock spring from the link's hub to the motor's ring; winding adds to its turns. */
-export function springPath(radius, twist) {
-  const turns = 2 * Math.PI * 2.25 + twist, steps = 72;
+export function springPath(radius, torsion) {
+  const turns = 2 * Math.PI * 2.25 + torsion, steps = 72;
   let path = '';
   for (let k = 0; k <= steps; k++) {
     const share = k / steps;
@@ -35,9 +35,9 @@ export function springPath(radius, twist) {
 }
 
 /* The angle between link and motor as a filled piece of a ring. */
-export function wedgePath(radius, twist) {
+export function wedgePath(radius, torsion) {
   const inner = 1.5 * radius, outer = 2.0 * radius;
-  const angle = Math.max(-6.2, Math.min(6.2, twist));
+  const angle = Math.max(-6.2, Math.min(6.2, torsion));
   const large = Math.abs(angle) > Math.PI ? 1 : 0, way = angle > 0 ? 1 : 0;
   return `M${point(inner, 0)} L${point(outer, 0)} A${outer} ${outer} 0 ${large} ${way}`
     + ` ${point(outer, angle)} L${point(inner, angle)}`
@@ -60,13 +60,13 @@ export function joint(radius, rigid, colour) {
   const group = svg('g', {class: 'joint', style: `--joint: var(${colour})`},
     svg('circle', {r: 1.4 * radius, class: 'housing'}), wedge, ring, spring, wound, ...hub);
   if (rigid) for (const part of [wedge, ring, spring, wound]) part.remove();
-  return {group, turn(twist, share) {
+  return {group, turn(torsion, share) {
     if (rigid) return;
-    const there = Number.isFinite(twist);
-    ring.setAttribute('transform', rotate(there ? twist : 0));
-    for (const path of [spring, wound]) path.setAttribute('d', springPath(radius, there ? twist : 0));
+    const there = Number.isFinite(torsion);
+    ring.setAttribute('transform', rotate(there ? torsion : 0));
+    for (const path of [spring, wound]) path.setAttribute('d', springPath(radius, there ? torsion : 0));
     wound.style.opacity = there ? Math.min(1, share).toFixed(3) : 0;
-    wedge.setAttribute('d', there ? wedgePath(radius, twist) : '');
+    wedge.setAttribute('d', there ? wedgePath(radius, torsion) : '');
   }};
 }
 

@@ -8,7 +8,7 @@ const VIEW = [0.6, 0.35]; // yaw and pitch of who looks [rad]
 const TURN = 0.01;        // for a pixel [rad]
 const STEP = 0.1;         // for a key [rad]
 const KEYS = {ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1]};
-const ROOM = 0.7;         // of the box's diagonal: its corners are hardly ever reached
+const ROOM = 0.75;        // of the box's diagonal: its corners are hardly ever reached
 const CIRCLE = Array.from({length: 25}, (_, k) => k * Math.PI / 12);
 
 const add = (a, b, factor = 1) => a.map((value, i) => value + factor * b[i]);
@@ -136,12 +136,12 @@ export class SpaceArm extends Arm {
       depth.push([this.seen(points[k])[2] + this.seen(points[k + 1])[2], bone]);
     });
     this.joints.forEach(({hub, wedge, group}, j) => {
-      const {at, turned} = places[j], twist = this.factor * frame(`twist.${j}`);
+      const {at, turned} = places[j], torsion = this.factor * frame(`torsion.${j}`);
       const rim = (radius, angle) => add(at, times(turned, [
         radius * Math.cos(angle), radius * Math.sin(angle), 0]));
       hub.setAttribute('points', this.text(CIRCLE.map((angle) => rim(this.radius, angle))));
-      const shown = Number.isFinite(twist) && !this.scene.rigid[j]
-        && !this.scene.frames.prismatic[j] ? clamp(twist, -6.2, 6.2) : 0;
+      const shown = Number.isFinite(torsion) && !this.scene.rigid[j]
+        && !this.scene.frames.prismatic[j] ? clamp(torsion, -6.2, 6.2) : 0;
       wedge.setAttribute('points', this.text([at, ...CIRCLE.map((_, k) =>
         rim(1.7 * this.radius, shown * k / (CIRCLE.length - 1)))]));
       depth.push([2 * this.seen(at)[2] - this.radius, group]);
