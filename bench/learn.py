@@ -37,6 +37,7 @@ import numpy as np
 STATE = ('local_bump', 'stick_at_angle', 'speed_band')  # outsiders that are functions of state
 OTHERS = ('friction_step', 'periodic_link_torque', 'random_link_torque', 'sliding_cogging')
 REAL = ('emps', 'xl330', 'kr300_axis2', 'arts_friction_damper')
+CLEAN = 20.0          # recordings of clean robots [s]
 ASKED_TORQUE, ASKED_FREE = 0.3, 0.6  # held-out energy above the floor, free-run error: at most
 _SAMPLES = 800        # that a Gaussian process or a network is fitted to
 _AWAY = 10.0          # times the error of the identified model: such a free run has run away
@@ -68,7 +69,7 @@ def add_parser(subparsers):
     parser.add_argument('--machines', nargs='*', default=list(REAL), metavar='MACHINE',
                         help=f'real ones (default: {" ".join(REAL)})')
     parser.add_argument('--duration', type=float, default=30.0, metavar='S',
-                        help='of each recording (default: %(default)g)')
+                        help='of recordings with a disturbance (default: %(default)g)')
     add_batch_options(parser)
     parser.add_argument('--out', default='learned', metavar='DIR',
                         help='learned.json, journal (default: %(default)s)')
@@ -82,10 +83,10 @@ def run(args):
         raise ConfigError(f'--machines {unknown[0]}: unknown, known are {", ".join(MACHINES)}')
     items = [Item('outside', name, seed, args.duration) for seed in seeds_of(args.seeds)
              for name in STATE]
+    items += [Item('clean', '', seed, CLEAN) for seed in seeds_of(args.clean)]
     items += [Item('outside', name, 0, args.duration) for name in OTHERS]
     items += [Item('real', name, 0, 0.0) for name in args.machines
               if not MACHINES[name].absent()]
-    items += [Item('clean', '', seed, args.duration) for seed in seeds_of(args.clean)]
     journal = Journal(args.out, fingerprint(_SOURCES)
                       + fingerprint(('learn.py',), Path(__file__).parent))
     with open_executor(args.workers, args.scheduler) as executor:

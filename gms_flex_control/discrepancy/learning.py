@@ -14,14 +14,13 @@ from typing import NamedTuple
 
 from gms_flex_control import blas
 from gms_flex_control.discrepancy.evidence import State, state_of
-from gms_flex_control.discrepancy.findings import caution_of, plausible_limit
+from gms_flex_control.discrepancy.findings import plausible_limit
 from gms_flex_control.discrepancy.fitting import (
     at_values,
     extended,
     informative,
     numbers_of,
     prior_cost,
-    prior_of,
     refitted,
     step_of,
     values_of,
@@ -31,7 +30,7 @@ from gms_flex_control.discrepancy.likelihood import Likelihood, with_effect
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.nuisance import with_nuisances
 from gms_flex_control.discrepancy.result import LearnedTerm
-from gms_flex_control.discrepancy.thresholds import CLEARLY, EVIDENCE
+from gms_flex_control.discrepancy.thresholds import CLEARLY, EVIDENCE, UNSEEN
 from gms_flex_control.discrepancy.validation import gain_of, gap_of
 from gms_flex_control.effects import learned as shapes
 from gms_flex_control.params.robot import EffectSpec
@@ -137,6 +136,7 @@ class _Learning:
         self._likelihood, self._measured, self._say = likelihood, measured, say
         self._nuisances = likelihood.columns(before.robot, before.x, before.rows)
         self._before = State(before, extended(likelihood, before, self._nuisances), -np.inf)
+        self._caution = UNSEEN if likelihood.unseen else 1.0
         joints = range(likelihood.robot.n_joints)
         self._ranges = [_ranges(likelihood, j) for j in joints]
         self._begun = [spec for j in joints for spec in _specs(likelihood, j, self._ranges[j])]
@@ -144,7 +144,7 @@ class _Learning:
 
     def state(self, model):
         """Return a model fitted again as a State."""
-        model, columns = refitted(self._likelihood, model, self._nuisances, _ITERATIONS)
+        model, columns = refitted(self._likelihood, model, self._nuisances)
         return state_of(self._likelihood, model, columns, self._count)
 
     def run(self, state):
@@ -156,8 +156,7 @@ class _Learning:
                 if one.state.evidence < state.evidence + EVIDENCE:
                     return state, tuple(terms), gap, ''
                 gain = self._gain(one, state)
-                if not gain._replace(
-                        sigmas=gain.sigmas / caution_of(self._likelihood)).is_real:
+                if not gain._replace(sigmas=gain.sigmas / self._caution).is_real:
                     continue
                 if not shapes.KINDS[one.spec.name].written:
                     return state, tuple(terms), gap, described(one.spec, self._ranges_of(one))[0]
@@ -200,9 +199,9 @@ class _Learning:
         """Return how many parameters of a term the data determine, its effective parameters."""
         likelihood, model = self._likelihood, one.state.model
         columns = informative(likelihood, model, one.state.columns)[len(one.others):]
-        values = np.array(one.spec.values[:len(columns)])
-        precision = prior_of(likelihood, model.robot, numbers_of(likelihood, model.robot))[0]
-        scaled = (columns / np.sqrt(precision[-len(columns):])[:, None])[values != 0.0]
+        values, size = np.array(one.spec.values[:len(columns)]), [
+            number.sd for number in numbers_of(likelihood, model.robot)[-len(columns):]]
+        scaled = (columns * np.array(size)[:, None])[values != 0.0]
         told = np.linalg.eigvalsh((scaled * likelihood.weights(model.sums.groups)) @ scaled.T)
         return float(np.sum(np.maximum(told, 0.0) / (1.0 + np.maximum(told, 0.0))))
 
