@@ -25,7 +25,7 @@ from gms_flex_control.discrepancy.fitting import (
     step_of,
     values_of,
 )
-from gms_flex_control.discrepancy.learned_words import described, words_of
+from gms_flex_control.discrepancy.learned_words import described, words_of, words_of_drift
 from gms_flex_control.discrepancy.likelihood import Likelihood, with_effect
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.nuisance import with_nuisances
@@ -159,7 +159,8 @@ class _Learning:
                 if not gain._replace(sigmas=gain.sigmas / self._caution).is_real:
                     continue
                 if not shapes.KINDS[one.spec.name].written:
-                    return state, tuple(terms), gap, described(one.spec, self._ranges_of(one))[0]
+                    return state, tuple(terms), gap, words_of_drift(one.spec,
+                                                                    self._ranges_of(one))
                 closer = self._closer(one.state, gap)
                 if closer is not None:
                     break

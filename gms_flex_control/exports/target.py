@@ -6,7 +6,7 @@
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
-from gms_flex_control.effects import registry
+from gms_flex_control.effects import learned, registry
 from gms_flex_control.effects.table import with_changes
 from gms_flex_control.errors import ConfigError, did_you_mean
 from gms_flex_control.params.robot import RobotParams
@@ -80,7 +80,7 @@ def export(robot: RobotParams, target: Target, without: Iterable[str] = ()) -> s
     """
     without = tuple(without)
     for name in without:
-        known = (*PARTS, *registry.names())
+        known = (*PARTS, *registry.names(), *learned.KINDS)
         if name not in known:
             raise ConfigError(f'--without {name}: no such part or effect'
                               f'{did_you_mean(name, known)}')
