@@ -13,7 +13,7 @@ setup(
     name=package_name,
     version='0.1.0',
     packages=find_packages(include=[package_name, package_name + '.*']),
-    package_data={package_name: ['nodes/*.xml', 'reports/*.css', 'reports/*.js',
+    package_data={package_name: ['py.typed', 'nodes/*.xml', 'reports/*.css', 'reports/*.js',
                                  'reports/vendor/*', 'view/assets/*']},
     data_files=[
         ('share/ament_index/resource_index/packages', ['resource/' + package_name]),
@@ -57,7 +57,8 @@ setup(
             'flake8-docstrings',
             'flake8-import-order',
             'flake8-quotes',
-            'gms_flex_control[bench,dask]',  # what is compared with MuJoCo, and given to Dask
+            'gms_flex_control[bench,dask,pandas]',  # compared with MuJoCo, given to Dask
+            'mypy>=1.11,<3',
             'pytest>=8,<10',
             'pytest-rerunfailures>=14,<17',
             'pytest-xdist>=3.6,<4',
@@ -68,6 +69,7 @@ setup(
         ],
         'bench': ['mujoco>=4,<5'],
         'dask': ['distributed>=2024.12'],
+        'pandas': ['pandas>=2,<4'],
         'peers': ['pysindy>=2,<3'],
         'docs': ['myst-parser>=4,<6', 'sphinx>=8,<10', 'sphinx-mathjax-offline>=0.0.2,<1',
                  'sphinx-rtd-theme>=3,<4'],

@@ -21,7 +21,7 @@ LAYERS = ['errors', 'files', 'batches', 'answer', 'resources', 'blas', 'compiled
           'records', 'params', 'friction', 'effects', 'dynamics', 'trajectory',
           'control', 'hardware', 'schema', 'exports', 'simulation', 'effect_compensation', 'data',
           'experiment', 'analysis', 'identification', 'discrepancy', 'design',
-          'demonstration', 'tuning', 'comparison', 'reports', 'view', 'nodes', 'cli']
+          'demonstration', 'tuning', 'comparison', 'reports', 'results', 'view', 'nodes', 'cli']
 ROS = re.compile(r'rclpy|rcl_interfaces|ament_index_python|launch(_ros)?|\w+_(msgs|srvs)')
 BAGS = re.compile(r'rosbags|mcap')
 NOT_INSTALLED = {'bench', 'scripts', 'test'}

@@ -321,7 +321,7 @@ def test_tune_refuses_before_it_searches(tmp_path, capsys, monkeypatch, args, se
     def propose(*_):
         raise AssertionError('searched for gains')
 
-    monkeypatch.setattr('gms_flex_control.cli.tune.propose.propose', propose)
+    monkeypatch.setattr('gms_flex_control.results.propose', propose)
     assert main(['tune', '--out', str(tmp_path), *args]) == 2
     assert sentence in capsys.readouterr().err
 

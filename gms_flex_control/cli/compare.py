@@ -18,6 +18,7 @@ from gms_flex_control.files import write_text
 from gms_flex_control.params.units import in_units
 from gms_flex_control.reports import comparison_page
 from gms_flex_control.resources import controller_file, robot_file
+from gms_flex_control.results import prediction_values
 from gms_flex_control.schema.build import robot_values
 from gms_flex_control.schema.files import load_controller, load_robot
 from gms_flex_control.tuning.propose import controller_values
@@ -102,9 +103,7 @@ def _along_bag(args):
     fits = _finished(args, prediction.fit_item, items, robot, gains,
                     (content_of(bag), args.fit), 'fits')
     predictions = prediction.compare_along(found, gains, args.fit, fits)
-    values = {'bag': bag, 'fit': args.fit, 'rows': [
-        {name: getattr(one, name) for name in ('mode', 'name', 'error', 'fitted', 'remark')}
-        for one in predictions]}
+    values = {'bag': bag, 'fit': args.fit, 'rows': prediction_values(predictions)}
     return (comparison_page.bag_text(predictions, found, robot.joints), values,
             comparison_page.bag_page(predictions, found, robot, bag, args.fit,
                                      args.robot or ()),

@@ -3,13 +3,13 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """The verbs on gains: `tune` proposes them, `check-gains` judges them."""
 
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from functools import partial
 import json
 import math
 from pathlib import Path
 
-from gms_flex_control import __version__
+from gms_flex_control import __version__, results
 from gms_flex_control.batches.batch import run_kept
 from gms_flex_control.batches.journal import digest_of, fingerprint
 from gms_flex_control.cli.output import conclude, refuse_unwritable
@@ -28,19 +28,15 @@ from gms_flex_control.tuning.linear_loop import Timing
 from gms_flex_control.tuning.propose import Demands
 from gms_flex_control.tuning.trial import (
     Drawn,
-    MOTIONS,
     read_intervals,
     summary,
     try_drawn,
-    try_gains,
 )
 import numpy as np
 
-_MOST_AT_LIMIT = 0.02  # share of a motion that may be spent at the torque limit
 # what a simulated figure depends on
 SOURCES = ('params', 'friction', 'effects', 'dynamics', 'trajectory', 'control', 'simulation',
            'tuning')
-_KINDS = {'gershgorin': 'Gershgorin', 'exact': 'exact, N_2 > 0'}
 
 
 def tune(args) -> int:
@@ -48,11 +44,11 @@ def tune(args) -> int:
     robot, base, demands = _asked(args)
     intervals = _intervals_asked(args)
     refuse_unwritable(args.out)
-    proposal, trials = _proposed(robot, base, demands, args.amplitude)
-    values = tuning_page.as_values(proposal, robot, demands.timing, trials)
+    tuned = results.tune(robot, base, demands=demands, amplitude=args.amplitude)
+    proposal, trials, values = tuned.proposal, tuned.trials, tuned.to_dict()
     units = partial(in_units, robot.arm)
     if not args.json:
-        print(units(_text_of(proposal, trials, robot, demands)))
+        print(tuned.summary())
     if not proposal.unmet:
         if args.verify:
             values['verify'] = _verified(robot, proposal.gains, demands, intervals, args)
@@ -116,45 +112,6 @@ def _per_joint(name, values, n):
     return np.broadcast_to(np.array(values, dtype=float), (n,)).copy()
 
 
-def _proposed(robot, base, demands, amplitude):
-    """Return the Proposal, completed by what simulation shows, and Trials by mode and motion."""
-    proposal = propose.propose(robot, base, demands)
-    reach, trials, unmet = np.full(robot.n_joints, amplitude), {}, []
-    for mode in dict.fromkeys(('none', base.compensation)):
-        gains = replace(proposal.gains, compensation=mode)
-        trials[mode] = {}
-        for motion in MOTIONS:
-            trial, run = try_gains(robot, robot, gains, demands.timing, motion, reach)
-            trials[mode][motion] = trial
-            if trial.lost:
-                unmet.append(f'{motion}, compensation {mode}: the simulated robot was lost')
-            else:
-                unmet += _at_limit(run, robot, demands.torque_limit,
-                                  f'{motion}, compensation {mode}')
-    return proposal._replace(unmet=tuple(dict.fromkeys([*proposal.unmet, *unmet]))), trials
-
-
-def _at_limit(run, robot, limit, motion):
-    """Return a sentence for each joint whose torque limit is met too often in a Run."""
-    share = np.mean(np.abs(run.command) >= limit, axis=0)
-    return [f'{joint}: at the torque limit for {100 * share[j]:.0f} % of the {motion}; give a '
-            'smaller --amplitude or a larger --torque-limit'
-            for j, joint in enumerate(robot.joints) if share[j] > _MOST_AT_LIMIT]
-
-
-def _text_of(proposal, trials, robot, demands):
-    """Return gains, margins, conditions and expected errors as lines of text."""
-    return '\n'.join([
-        tuning_page.gains_table(proposal.gains, robot),
-        '\nMargins of the sampled loop, worst of all poses',
-        tuning_page.margins_table(proposal.judgement, robot),
-        *tuning_page.loop_lines(proposal.judgement, robot, demands.timing),
-        f'\n{gains_text(proposal.judgement.conditions)}',
-        f'\nSimulated, exact model\n{tuning_page.trials_table(trials, robot)}',
-        *tuning_page.expected_lines(trials, proposal.judgement, robot),
-        *(f'NOT MET: {sentence}' for sentence in proposal.unmet)])
-
-
 def _verified(robot, gains, demands, intervals, args):
     """Return the summary of the draws asked for; finished ones are kept in --out."""
     amplitude = np.full(robot.n_joints, args.amplitude)
@@ -188,7 +145,7 @@ def check_gains(args) -> int:
     if args.json:
         print(json.dumps(_gains_values(report), indent=2, allow_nan=False))
     else:
-        print(gains_text(report))
+        print(tuning_page.conditions_text(report))
     return 0 if report.met else 1
 
 
@@ -200,45 +157,3 @@ def _gains_values(report):
             'mass_eigenvalues': report.mass_range, 'n1_eigenvalues': report.energy_range,
             'disturbance_bound': report.disturbance,
             'residual_bound': report.residual if math.isfinite(report.residual) else None}
-
-
-def gains_text(report) -> str:
-    """Return a GainReport as a table and a few lines."""
-    rows = [('joint', 'condition', 'value', 'limit', 'verdict')]
-    for c in report.conditions:
-        verdict = 'ok' if c.met else 'VIOLATED'
-        if not c.met and c.kind == 'gershgorin':
-            verdict = 'not met (sufficient only)'
-        rows.append((c.joint, f'{c.condition}  ({_KINDS[c.kind]})', f'{c.value:.5g}',
-                     f'{c.limit:.5g}', verdict))
-    widths = [max(len(row[i]) for row in rows) for i in range(5)]
-    lines = [f'{row[0]:<{widths[0]}}  {row[1]:<{widths[1]}}  {row[2]:>{widths[2]}}  '
-             f'{row[3]:>{widths[3]}}  {row[4]}'.rstrip() for row in rows]
-    alphas = ', '.join(f'{joint} {alpha:.5g}'
-                       for joint, alpha in zip(report.joints, report.alpha, strict=True))
-    low, high = report.mass_range
-    bottom, top = report.energy_range
-    return '\n'.join([
-        *lines, '',
-        f'alpha, smallest eigenvalue of N_2 (37): {alphas}',
-        f'eigenvalues over all configurations: M {low:.5g} to {high:.5g} kg m^2, '
-        f'N_1 (34) {bottom:.5g} to {top:.5g}',
-        *_bound_lines(report)])
-
-
-def _bound_lines(report):
-    """Return the residual set (43) of a GainReport, and what it is worth, as lines of text."""
-    if not math.isfinite(report.residual):
-        return ['residual set (43): none, because N_2 is not positive definite; stability is not '
-                'guaranteed']
-    bottom, top = report.energy_range
-    pushed, spread = report.disturbance / report.alpha.min(), math.sqrt(top / bottom)
-    return [
-        'residual set (43): the norm of all errors together (angles, rates, block torques) ends '
-        f'below {report.residual:.4g}.',
-        '  Not a prediction: it assumes the largest error of all friction, at once and for ever, '
-        'against the weakest',
-        f'  damping (D_bar / alpha = {report.disturbance:.4g} / {report.alpha.min():.4g} = '
-        f'{pushed:.3g}), and all of that energy in the lightest',
-        f'  error (sqrt(lmax / lmin of N_1) = {spread:.3g}). Simulate what to expect: gms_flex '
-        'tune, simulate']

@@ -16,6 +16,7 @@ from gms_flex_control.tuning.trial import MOTIONS
 from matplotlib.figure import Figure
 import numpy as np
 
+_KINDS = {'gershgorin': 'Gershgorin', 'exact': 'exact, N_2 > 0'}
 _LOWEST, _COUNT = 0.5, 400  # frequencies of the picture [rad/s]
 _HIGHEST = 0.95             # of half the sample rate: there the hold takes everything away
 
@@ -102,6 +103,48 @@ def _expected(found, j):
         [[math.sqrt(one) for one in trial.mse] for trial in found],
         [trial.peak for trial in found]))
     return f'{rms:.3g} mrad rms, {peak:.3g} at most'
+
+
+def conditions_text(report) -> str:
+    """Return a GainReport as a table and a few lines."""
+    rows = [('joint', 'condition', 'value', 'limit', 'verdict')]
+    for c in report.conditions:
+        verdict = 'ok' if c.met else 'VIOLATED'
+        if not c.met and c.kind == 'gershgorin':
+            verdict = 'not met (sufficient only)'
+        rows.append((c.joint, f'{c.condition}  ({_KINDS[c.kind]})', f'{c.value:.5g}',
+                     f'{c.limit:.5g}', verdict))
+    widths = [max(len(row[i]) for row in rows) for i in range(5)]
+    lines = [f'{row[0]:<{widths[0]}}  {row[1]:<{widths[1]}}  {row[2]:>{widths[2]}}  '
+             f'{row[3]:>{widths[3]}}  {row[4]}'.rstrip() for row in rows]
+    alphas = ', '.join(f'{joint} {alpha:.5g}'
+                       for joint, alpha in zip(report.joints, report.alpha, strict=True))
+    low, high = report.mass_range
+    bottom, top = report.energy_range
+    return '\n'.join([
+        *lines, '',
+        f'alpha, smallest eigenvalue of N_2 (37): {alphas}',
+        f'eigenvalues over all configurations: M {low:.5g} to {high:.5g} kg m^2, '
+        f'N_1 (34) {bottom:.5g} to {top:.5g}',
+        *_bound_lines(report)])
+
+
+def _bound_lines(report):
+    """Return the residual set (43) of a GainReport, and what it is worth, as lines of text."""
+    if not math.isfinite(report.residual):
+        return ['residual set (43): none, because N_2 is not positive definite; stability is not '
+                'guaranteed']
+    bottom, top = report.energy_range
+    pushed, spread = report.disturbance / report.alpha.min(), math.sqrt(top / bottom)
+    return [
+        'residual set (43): the norm of all errors together (angles, rates, block torques) ends '
+        f'below {report.residual:.4g}.',
+        '  Not a prediction: it assumes the largest error of all friction, at once and for ever, '
+        'against the weakest',
+        f'  damping (D_bar / alpha = {report.disturbance:.4g} / {report.alpha.min():.4g} = '
+        f'{pushed:.3g}), and all of that energy in the lightest',
+        f'  error (sqrt(lmax / lmin of N_1) = {spread:.3g}). Simulate what to expect: gms_flex '
+        'tune, simulate']
 
 
 def trials_table(trials, robot) -> str:

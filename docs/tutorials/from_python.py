@@ -1,0 +1,36 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+# %% [markdown]
+# # From a bag to a named effect, in Python
+#
+# `examples/arm_with_play` is 12 s of an arm that follows a sinusoid; its robot file does not know
+# that the gear of `joint2` has 12 mrad of play at either side.
+
+# %%
+import gms_flex_control as gms
+from gms_flex_control.resources import share_path
+
+robot = gms.load_robot(share_path() / 'config' / 'robot.yaml')
+bag = share_path() / 'examples' / 'arm_with_play'
+recording = gms.read_recording(bag, robot.joints, robot.motors)
+
+# %% [markdown]
+# What does the model lack? A minute, then one paragraph, the same as of `gms_flex discrepancy`.
+
+# %%
+missing = gms.find_discrepancy([recording], robot)
+print(missing.summary())
+
+# %% [markdown]
+# Every result has `to_dict()`, `to_dataframe()` and `plot()`; in a notebook it shows itself.
+
+# %%
+print(missing.to_dataframe()[['effect', 'joint', 'parameter', 'value', 'low', 'high']])
+missing.plot().savefig('gap.png')
+
+# %% [markdown]
+# The model with what was found is a robot file for nodes and tools.
+
+# %%
+gms.save_robot(missing.robot, 'with_play.yaml')
