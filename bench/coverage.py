@@ -32,12 +32,11 @@ from gms_flex_control.files import write_text
 from gms_flex_control.identification.beside import known_presliding, known_values
 from gms_flex_control.identification.identify import identify, Options
 from gms_flex_control.params.arm import ArmParams
-from gms_flex_control.params.encoder import EncoderParams
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
 from gms_flex_control.params.gains import ControllerParams
-from gms_flex_control.params.robot import RobotParams
+from gms_flex_control.params.robot import EncoderParams, RobotParams
 from gms_flex_control.schema.files import load_robot, save_values
-from gms_flex_control.simulation.stretches import StretchedLoop
+from gms_flex_control.simulation.closed_loop import Loop
 from gms_flex_control.trajectory import builders
 import numpy as np
 
@@ -131,10 +130,11 @@ def recorded(motion, robot, believed, seed):
         return simulate_identification(plan, robot, GAINS, seed, rate=RATE, torque_noise=0.0,
                                        model=believed)
     rng = np.random.default_rng([seed, 4])
-    loop = StretchedLoop(robot, believed, period=1.0 / RATE, substeps=SUBSTEPS, seed=seed,
-                         q_link=rng.uniform(-1e-3, 1e-3, 1))
+    loop = Loop(robot, believed, period_ns=round(1e9 / RATE), substeps=SUBSTEPS, seed=seed,
+                q_link=rng.uniform(-1e-3, 1e-3, 1))
     pieces = [loop.run(reference, GAINS) for reference in MOTIONS[motion](rng)]
-    measured, command, applied = (np.concatenate(parts) for parts in zip(*pieces, strict=True))
+    measured, command, applied = (np.concatenate([getattr(piece, name) for piece in pieces])
+                                  for name in ('measured', 'command', 'applied'))
     nothing = np.full_like(command, np.nan)
     return Recording(
         joints=robot.joints, time=np.arange(len(command)) / RATE, q_link=measured[:, 0],

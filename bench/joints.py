@@ -21,10 +21,9 @@ from bench.speed.timing import interleaved
 from gms_flex_control.analysis.table4 import align
 from gms_flex_control.errors import ConfigError, SimulationError
 from gms_flex_control.params.arm import ArmParams
-from gms_flex_control.params.encoder import EncoderParams
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
 from gms_flex_control.params.gains import ControllerParams
-from gms_flex_control.params.robot import RobotParams
+from gms_flex_control.params.robot import EncoderParams, RobotParams
 from gms_flex_control.schema.urdf import robot_urdf
 from gms_flex_control.schema.urdf_arm import read_links
 from gms_flex_control.simulation import closed_loop

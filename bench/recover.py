@@ -34,7 +34,7 @@ ASKED = {'static': 0.03, 'coulomb': 0.03, 'viscous': 0.03, 'velocity': 0.15, 'at
 CURVE = 0.02  # of F_s, at every displacement
 # what an outcome depends on
 SOURCES = ('params', 'friction', 'effects', 'dynamics', 'trajectory', 'control',
-           'effect_compensation', 'simulation', 'experiment', 'identification')
+           'simulation', 'experiment', 'identification')
 
 
 def add_parser(subparsers):

@@ -25,10 +25,9 @@ from gms_flex_control.errors import ConfigError
 from gms_flex_control.identification import identify as identification
 from gms_flex_control.identification.output import report_json
 from gms_flex_control.identification.result import Identification
-from gms_flex_control.params.arm import ArmParams
+from gms_flex_control.params.arm import ArmParams, in_units
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.robot import RobotParams
-from gms_flex_control.params.units import in_units
 from gms_flex_control.reports import comparison_page, pictures, tuning_page
 from gms_flex_control.reports.discrepancy_values import report_values
 from gms_flex_control.reports.figures import stacked_panels, svg

@@ -10,7 +10,7 @@ from pathlib import Path
 import signal
 
 from devtools import Browser, BrowserError, chromium
-from gms_flex_control.params.encoder import EncoderParams
+from gms_flex_control.params.robot import EncoderParams
 from gms_flex_control.schema.files import load_controller, load_robot
 import numpy as np
 import pytest

@@ -5,12 +5,13 @@
 
 from dataclasses import replace
 
+from gms_flex_control import records
 from gms_flex_control.compiled import compiled
+from gms_flex_control.dynamics import chain, spatial
 from gms_flex_control.friction import gms
 from gms_flex_control.params.arm import ArmParams
-from gms_flex_control.params.encoder import EncoderParams
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
-from gms_flex_control.params.robot import RobotParams
+from gms_flex_control.params.robot import EncoderParams, RobotParams
 from gms_flex_control.simulation import plant
 import numpy as np
 
@@ -56,6 +57,29 @@ def single_axis(friction, inertia, *, stiffness=np.inf, motor_inertia=0.0, **opt
     motor = '' if np.isinf(stiffness) else 'axis_motor'
     return RobotParams(joints=('axis',), motors=(motor,), arm=arm, friction=friction,
                        encoder=EncoderParams(), **options)
+
+
+def energy(q_link, dq_link, q_motor, dq_motor, arm):
+    """Return the mechanical energy of links, motors, springs and gravity [J]."""
+    still, flexible = np.zeros(arm.n_joints), ~arm.rigid
+    moving = 0.5 * dq_link @ chain.matrices(q_link, still, still, still, arm).mass @ dq_link
+    moving += 0.5 * np.sum(arm.motor_inertia[flexible] * np.asarray(dq_motor)[flexible] ** 2)
+    spring = 0.5 * arm.stiffness[flexible] * np.subtract(q_motor, q_link)[flexible] ** 2
+    return float(moving + np.sum(spring) - arm.mass @ (_centres(q_link, arm) @ arm.gravity))
+
+
+def _centres(q, arm):
+    """Return where the centres of mass are (n, 2) or (n, 3) [m]."""
+    if arm.frames is not None:
+        work = records.build(chain.work_layout(arm.n_joints))
+        spatial.pose(np.asarray(q, dtype=float), chain.constants_of(arm), work)
+        return work.centre
+    theta = q + arm.offset
+    if arm.kind == 'planar':
+        theta = np.cumsum(theta)
+    along = np.stack([np.cos(theta), np.sin(theta)], axis=1)
+    joints = np.cumsum(arm.length[:, None] * along, axis=0) - arm.length[:, None] * along
+    return arm.com[:, None] * along + (joints if arm.kind == 'planar' else 0.0)
 
 
 @compiled

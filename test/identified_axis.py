@@ -10,10 +10,9 @@ from gms_flex_control.data.recording import Recording
 from gms_flex_control.experiment.identification_plan import plan_identification
 from gms_flex_control.experiment.identification_simulated import simulate_identification
 from gms_flex_control.params.arm import ArmParams
-from gms_flex_control.params.encoder import EncoderParams
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
 from gms_flex_control.params.gains import ControllerParams
-from gms_flex_control.params.robot import RobotParams
+from gms_flex_control.params.robot import EncoderParams, RobotParams
 import numpy as np
 
 JOINT = 'joint1'

@@ -9,7 +9,7 @@ from pathlib import Path
 from gms_flex_control.experiment.identification_plan import read_identification_plan
 from gms_flex_control.experiment.identification_simulated import simulate_identification
 from gms_flex_control.identification.stretches import drive_sides, half_count, stretches_of
-from gms_flex_control.params.encoder import EncoderParams
+from gms_flex_control.params.robot import EncoderParams
 import numpy as np
 
 CONFIG = Path(__file__).parents[1] / 'config'

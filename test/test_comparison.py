@@ -16,8 +16,8 @@ from gms_flex_control.comparison.prediction import along, predicted
 from gms_flex_control.comparison.study import Condition, conditions, CONTESTANTS, plant_of
 from gms_flex_control.experiment.plan import read_plan
 from gms_flex_control.experiment.simulated import run_plan, simulate, simulate_to_bag, to_recording
-from gms_flex_control.params.encoder import EncoderParams
 from gms_flex_control.params.gains import COMPENSATIONS
+from gms_flex_control.params.robot import EncoderParams
 from gms_flex_control.reports import comparison_page
 from gms_flex_control.resources import controller_file, robot_file, share_path
 from gms_flex_control.schema.build import robot_values

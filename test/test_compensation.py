@@ -6,16 +6,14 @@
 from dataclasses import replace
 
 from core_runs import model_with_error, single_axis
-from gms_flex_control.control.compensation import gms_adaptive, lugre
+from gms_flex_control.control import compensation
 from gms_flex_control.friction import gms, steady_friction, stribeck_level
-from gms_flex_control.params.encoder import EncoderParams
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
 from gms_flex_control.params.gains import COMPENSATIONS, ControllerParams
-from gms_flex_control.params.robot import EffectSpec
+from gms_flex_control.params.robot import EffectSpec, EncoderParams
 from gms_flex_control.resources import controller_file, robot_file
 from gms_flex_control.schema.files import load_controller, load_robot
 from gms_flex_control.simulation import closed_loop
-from gms_flex_control.simulation.friction_replay import replay
 from gms_flex_control.trajectory import builders
 import numpy as np
 import pytest
@@ -40,15 +38,15 @@ def test_lugre_at_constant_velocity_is_the_stribeck_curve(arm, velocity):
     stiffness = float(friction.stiffness[1].sum())
     bristle = 0.0
     for _ in range(3000):
-        bristle = lugre.advance(bristle, velocity * dt, stiffness, level)
+        bristle = compensation.advance_bristle(bristle, velocity * dt, stiffness, level)
     viscous = (friction.forward if velocity > 0 else friction.backward).viscous[1] * velocity
     steady = float(steady_friction(np.full(2, velocity), friction)[1])
     assert stiffness * bristle + viscous == pytest.approx(steady, rel=1e-9)
 
 
 def test_lugre_begins_as_a_spring_and_rests_where_it_is():
-    assert lugre.advance(0.0, 1e-9, 400.0, 0.1) == pytest.approx(1e-9, rel=1e-5)
-    assert lugre.advance(1e-4, 0.0, 400.0, 0.1) == 1e-4
+    assert compensation.advance_bristle(0.0, 1e-9, 400.0, 0.1) == pytest.approx(1e-9, rel=1e-5)
+    assert compensation.advance_bristle(1e-4, 0.0, 400.0, 0.1) == 1e-4
 
 
 @pytest.mark.parametrize('mode', ['stribeck', 'lugre', 'gms_paper', 'gms', 'gms_desired'])
@@ -68,7 +66,7 @@ def test_gms_of_the_desired_motion_is_friction_replayed_along_the_reference(arm)
     robot, gains = arm
     coarse = replace(robot, encoder=EncoderParams(counts=500.0, velocity_cutoff=20.0))
     found = run(coarse, gains, 'gms_desired', builders.sinusoid(np.ones(2), 6.0))
-    expected = replay(found.reference[:, 0], found.reference[:, 1], 2e-3,
+    expected = gms.replay(found.reference[:, 0], found.reference[:, 1], 2e-3,
                       gms.constants_of(robot.friction))
     np.testing.assert_allclose(found.friction_hat, expected, atol=1e-12)
 
@@ -107,7 +105,7 @@ def test_adaptation_learns_friction_that_was_believed_too_small(arm):
     learnt = np.sqrt(np.mean((found.friction_hat - found.friction)[last] ** 2, axis=0))
     believed = np.sqrt(np.mean((fixed.friction_hat - fixed.friction)[last] ** 2, axis=0))
     assert np.all(learnt < 0.7 * believed)
-    assert 0.0 < gms_adaptive.LEAST < 1.0 < gms_adaptive.MOST
+    assert 0.0 < compensation.LEAST_FACTOR < 1.0 < compensation.LARGEST_FACTOR
 
 
 @pytest.mark.parametrize('mode', [mode for mode in COMPENSATIONS if mode != 'none'])

@@ -5,6 +5,7 @@
 
 from dataclasses import replace
 
+import core_runs
 from gms_flex_control import records
 from gms_flex_control.dynamics import chain
 from gms_flex_control.errors import ParameterError
@@ -146,7 +147,7 @@ def test_energy_is_that_of_points_springs_and_motors(n):
     flexible = ~arm.rigid
     springs = 0.5 * np.sum(arm.stiffness[flexible] * (motor - q)[flexible] ** 2)
     motors = 0.5 * np.sum((arm.motor_inertia * dmotor ** 2)[flexible])
-    assert chain.energy(q, dq, motor, dmotor, arm) == pytest.approx(
+    assert core_runs.energy(q, dq, motor, dmotor, arm) == pytest.approx(
         kinetic + potential + springs + motors, rel=1e-12)
 
 

@@ -6,17 +6,12 @@
 from dataclasses import replace
 
 from core_runs import single_axis
-from gms_flex_control.effect_compensation import loop
-from gms_flex_control.effect_compensation.feedforward import (
-    as_parameters,
-    compensated,
-    CompensatingController,
-)
+from gms_flex_control.control.feedforward import as_parameters, compensated
 from gms_flex_control.effects.registry import find
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
 from gms_flex_control.params.robot import EffectSpec
 from gms_flex_control.simulation import closed_loop
-from gms_flex_control.simulation.stepped import SteppedController
+from gms_flex_control.simulation.stepped import SteppedController, SteppedPlant
 from gms_flex_control.trajectory.builders import via_points
 import numpy as np
 import pytest
@@ -35,26 +30,31 @@ def rms(run):
     return np.sqrt(np.mean((run.true[:, 0] - run.reference[:, 0]) ** 2, axis=0))
 
 
-@pytest.fixture(scope='module')
-def plain(robot, gains):
-    """Return a run of the default loop, which no effect disturbs."""
+@pytest.mark.parametrize('effects', [(), (
+    spec('load_friction', ratio=0.3, load=0.05),
+    spec('torque_ripple', amplitude=0.01, order=12.0, phase=0.3))])
+def test_stepped_as_by_nodes_it_is_the_compiled_loop_bit_by_bit(effects, robot, gains):
     noisy = replace(robot, encoder=replace(robot.encoder, noise=1e-4))
-    return noisy, closed_loop.run(noisy, noisy, gains, MOTION, duration=2.0, seed=4)
-
-
-def test_without_effects_it_is_the_cascade_controller_bit_by_bit(plain, gains):
-    noisy, compiled_run = plain
-    run = loop.run(noisy, noisy, gains, compiled_run.reference, seed=4)
-    for name in ('time', 'measured', 'true', 'command', 'applied', 'friction_hat'):
-        assert np.array_equal(getattr(run, name), getattr(compiled_run, name)), name
+    model = replace(noisy, effects=effects)
+    run = closed_loop.run(noisy, model, gains, MOTION, duration=2.0, seed=4)
+    plant = SteppedPlant(noisy, period=PERIOD, substeps=20, seed=4)
+    controller = SteppedController(gains, model)
+    plant.measure()
+    for k, reference in enumerate(run.reference):
+        for i, name in enumerate(('q_link', 'dq_link', 'q_motor', 'dq_motor')):
+            getattr(controller.measured, name)[:] = getattr(plant.measured, name)
+            assert np.array_equal(getattr(plant.measured, name), run.measured[k, i]), (k, name)
+        command = controller.tick(reference, PERIOD if k else 0.0)
+        assert np.array_equal(command, run.command[k]), k
+        assert np.array_equal(controller.state.friction_hat, run.friction_hat[k]), k
+        plant.advance(command)
 
 
 def answers(effects, robot, gains, ticks=40):
     """Return commands and friction estimates along a made-up measurement, with model effects."""
     found = []
-    for model, kind in ((robot, SteppedController),
-                        (replace(robot, effects=effects), CompensatingController)):
-        controller, rows = kind(gains, model), []
+    for model in (robot, replace(robot, effects=effects)):
+        controller, rows = SteppedController(gains, model), []
         for k in range(ticks):
             t = k * PERIOD
             controller.measured.q_link[:] = 0.1 * t, 0.2 + 0.5 * t
@@ -108,7 +108,7 @@ def test_of_a_rigid_joint_the_load_is_the_command_less_what_the_rotor_asks_for(g
     effect = EffectSpec(name='load_friction', joint='axis', values=(0.3, 0.05))
     found = []
     for effects in ((), (effect,)):
-        controller = CompensatingController(one, replace(axis, effects=effects))
+        controller = SteppedController(one, replace(axis, effects=effects))
         for k in range(10):
             controller.measured.q_link[:] = controller.measured.q_motor[:] = 1e-3 * k
             controller.measured.dq_link[:] = controller.measured.dq_motor[:] = 0.5
@@ -145,9 +145,9 @@ def test_effects_that_are_parameters_become_parameters(robot):
     (spec('viscous_asymmetry', slope=0.1), 1, 0.7),
     (spec('viscous_error', slope=0.15), 1, 0.7)])
 def test_the_links_follow_better_once_the_effect_is_known(effect, joint, at_most, robot, gains):
-    reference = MOTION.sample(np.arange(4150) * PERIOD)
     true = replace(robot, effects=(effect,))
-    before, after = (rms(loop.run(true, model, gains, reference)) for model in (robot, true))
+    before, after = (rms(closed_loop.run(true, model, gains, MOTION, duration=8.3))
+                     for model in (robot, true))
     assert after[joint] < at_most * before[joint]
 
 

@@ -6,8 +6,8 @@
 from dataclasses import replace
 from pathlib import Path
 
+import core_runs
 from core_runs import push_plant
-from gms_flex_control.dynamics import chain
 from gms_flex_control.effects import catalogue, registry, table
 from gms_flex_control.effects import signals as sig
 from gms_flex_control.effects.base import Change, Stage, Term
@@ -414,7 +414,8 @@ def test_a_payload_adds_the_energy_of_a_mass_at_the_tip(ideal_robot):
     loaded = with_effect(ideal_robot, 'tip_payload', 'arm', 0.25).arm
     theta, omega = np.cumsum(q), np.cumsum(dq)
     tip = (ideal_robot.arm.length * omega) @ np.stack([-np.sin(theta), np.cos(theta)], axis=1)
-    added = chain.energy(q, dq, q, dq, loaded) - chain.energy(q, dq, q, dq, ideal_robot.arm)
+    added = (core_runs.energy(q, dq, q, dq, loaded)
+             - core_runs.energy(q, dq, q, dq, ideal_robot.arm))
     assert added == pytest.approx(0.5 * 0.25 * tip @ tip, rel=1e-12)
 
 

@@ -4,7 +4,7 @@
 """Encoders: counts, noise, and the low-passed velocity."""
 
 from gms_flex_control.errors import ParameterError
-from gms_flex_control.params.encoder import EncoderParams
+from gms_flex_control.params.robot import EncoderParams
 from gms_flex_control.simulation import encoder
 import numpy as np
 import pytest

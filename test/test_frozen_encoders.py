@@ -11,11 +11,10 @@ from gms_flex_control.control import frozen_encoders as frozen
 from gms_flex_control.control.frozen_encoders import FrozenEncoders, torque_thresholds
 from gms_flex_control.hardware.limits import limited, Limits
 from gms_flex_control.nodes.following import EncoderWatch
-from gms_flex_control.params.encoder import EncoderParams
-from gms_flex_control.params.robot import EffectSpec
+from gms_flex_control.params.robot import EffectSpec, EncoderParams
 from gms_flex_control.simulation import closed_loop
 from gms_flex_control.simulation.stepped import SteppedController, SteppedPlant
-from gms_flex_control.trajectory import builders, levels
+from gms_flex_control.trajectory import builders
 import numpy as np
 import pytest
 
@@ -233,7 +232,8 @@ def test_presliding_and_break_away_do_not_look_frozen(robot, gains, stiffness, t
     rigid = np.isinf(stiffness)
     model = replace(robot, encoder=COARSE, arm=replace(robot.arm, stiffness=np.full(2, stiffness)),
                     motors=('', '') if rigid else robot.motors)
-    ramp = levels.torque_levels(top * 0.1 * np.array([[1.0, -1.0], [-1.0, 1.0], [1.0, 1.0]]), 0.1)
+    levels = top * 0.1 * np.array([[1.0, -1.0], [-1.0, 1.0], [1.0, 1.0]])
+    ramp = builders.torque_levels(levels, 0.1)
     plant = SteppedPlant(model, period=DT, substeps=20)
     judge, torque = FrozenEncoders(model, 0.3 * gains.torque_limit), np.zeros(2)
     plant.measure()

@@ -10,6 +10,7 @@ from types import SimpleNamespace
 from bench.__main__ import main
 from bench.hidden_robots import cases, motions, outsiders, plants, sizes, truth
 from bench.hidden_robots.kernels import friction as hidden_friction
+import core_runs
 from core_runs import push_plant, single_axis
 from gms_flex_control.data.reader import read_recording
 from gms_flex_control.dynamics import chain
@@ -75,7 +76,7 @@ def test_without_friction_energy_is_kept(ideal_robot):
     state = truth.at_rest(robot)
     state.q_motor[:] = [0.4, -0.3]
     states = truth.simulate_open(robot, np.zeros((2000, 2)), state=state)
-    energy = [chain.energy(*states[k], robot.arm) for k in (0, 500, 1000, 2000)]
+    energy = [core_runs.energy(*states[k], robot.arm) for k in (0, 500, 1000, 2000)]
     np.testing.assert_allclose(energy, energy[0], rtol=1e-6)
 
 

@@ -22,9 +22,8 @@ from gms_flex_control.identification.equations import filtered, rigid_torque
 from gms_flex_control.identification.findings import signals_of
 from gms_flex_control.identification.unknown_robot import rigid_axes
 from gms_flex_control.params.arm import ArmParams
-from gms_flex_control.params.encoder import EncoderParams
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
-from gms_flex_control.params.robot import RobotParams
+from gms_flex_control.params.robot import EncoderParams, RobotParams
 from gms_flex_control.schema.files import load_controller, load_robot
 from identified_axis import pendulum
 import numpy as np

@@ -19,7 +19,7 @@ ROOT = Path(gms_flex_control.__file__).parent
 # each may import those before it, and itself; one that does not exist yet does no harm
 LAYERS = ['errors', 'files', 'batches', 'answer', 'resources', 'blas', 'compiled',
           'records', 'params', 'friction', 'effects', 'dynamics', 'trajectory',
-          'control', 'hardware', 'schema', 'exports', 'simulation', 'effect_compensation', 'data',
+          'control', 'hardware', 'schema', 'exports', 'simulation', 'data',
           'experiment', 'analysis', 'identification', 'discrepancy', 'design',
           'demonstration', 'tuning', 'comparison', 'reports', 'results', 'view', 'nodes', 'cli']
 ROS = re.compile(r'rclpy|rcl_interfaces|ament_index_python|launch(_ros)?|\w+_(msgs|srvs)')
@@ -134,7 +134,7 @@ def test_an_allowed_import_passes(module, source):
 # a nuisance parameter that an effect of equal name replaces; what MuJoCo has for each effect;
 # examples of commands
 ALLOWED = {'discrepancy/nuisance.py': {'viscous_asymmetry'},
-           'params/uncertainty.py': {'viscous_asymmetry'},
+           'params/robot.py': {'viscous_asymmetry'},
            'exports/mujoco.py': set(registry.names()), 'cli/verbs.py': set(registry.names())}
 
 

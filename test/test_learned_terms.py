@@ -9,11 +9,11 @@ import json
 from bench.hidden_robots import outsiders
 from bench.hidden_robots.cases import make_case
 from gms_flex_control.compiled import compiled
+from gms_flex_control.control.feedforward import as_parameters
 from gms_flex_control.discrepancy.learned_words import described, formula_of
 from gms_flex_control.discrepancy.learning import learn
 from gms_flex_control.discrepancy.result import Signature, UNEXPLAINED
 from gms_flex_control.discrepancy.workflow import find_discrepancy
-from gms_flex_control.effect_compensation.feedforward import as_parameters
 from gms_flex_control.effects import learned, registry, table
 from gms_flex_control.effects import signals as sig
 from gms_flex_control.effects.base import Stage

@@ -10,7 +10,7 @@ import re
 from gms_flex_control.cli.main import main
 from gms_flex_control.errors import GmsFlexError
 from gms_flex_control.identification.output import report_json
-from gms_flex_control.params.units import in_units
+from gms_flex_control.params.arm import in_units
 from gms_flex_control.reports.figures import save_figure
 from gms_flex_control.reports.identification_page import (
     identification_text,

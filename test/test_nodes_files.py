@@ -12,6 +12,7 @@ from std_msgs.msg import String
 
 EXAMPLE = CONFIG.parent / 'examples/industrial_arm'
 
+INDUSTRIAL = CONFIG.parent / 'examples' / 'industrial_arm'
 # node, text of a file after the usual two (None: it is missing), what the sentence says; values
 # that no robot has are test_schema's
 REFUSED = {
@@ -67,6 +68,9 @@ def outcomes(tmp_path_factory):
                 start, 'no robot', 'controller_node', 'mode: realtime', files=[FILES[1]])
             running['no gains'] = pool.submit(
                 start, 'no gains', 'controller_node', 'mode: realtime', files=[FILES[0]])
+            running['limit'] = pool.submit(
+                start, 'limit', 'trajectory_node', 'trajectory: {joint2: {amplitude: 1.7}}',
+                files=[INDUSTRIAL / name for name in ('robot.yaml', 'trajectory.yaml')])
             # whole numbers where doubles belong, and parameters of ROS itself
             running['whole numbers'] = pool.submit(
                 start, 'whole numbers', 'plant_node',
@@ -93,6 +97,12 @@ def test_a_missing_robot_or_controller_file_is_named(outcomes):
     assert code == 2 and 'joints is missing: no robot file was read' in printed
     code, printed, _ = outcomes['no gains']
     assert code == 2 and 'gains.joint1.kd_link is missing' in printed
+
+
+def test_a_motion_beyond_a_limit_of_the_urdf_is_refused(outcomes):
+    code, printed, _ = outcomes['limit']
+    assert code == 2 and 'Traceback' not in printed, printed
+    assert 'beyond its limit of 1.6 rad in ' in printed or 'limit of -1.6 rad in ' in printed
 
 
 def test_whole_numbers_are_taken_for_doubles(outcomes):

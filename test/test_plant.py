@@ -5,11 +5,11 @@
 
 from dataclasses import replace
 
+import core_runs
 from core_runs import joint_friction, push_plant, scaled_friction, single_axis
-from gms_flex_control.dynamics import chain
 from gms_flex_control.errors import ParameterError
 from gms_flex_control.friction import steady_friction
-from gms_flex_control.params.encoder import EncoderParams
+from gms_flex_control.params.robot import EncoderParams
 from gms_flex_control.simulation import closed_loop, plant
 from gms_flex_control.trajectory.builders import sinusoid
 import numpy as np
@@ -61,14 +61,14 @@ def test_without_friction_it_moves_as_the_textbook_arm(smooth_robot):
 
 def energies(run, arm):
     """Return the mechanical energy at each sample."""
-    return np.array([chain.energy(*x, arm) for x in run])
+    return np.array([core_runs.energy(*x, arm) for x in run])
 
 
 def test_without_friction_it_keeps_its_energy(smooth_robot):
     """For 20 s at the default substep of 0.1 ms, within 0.2 % of what swings to and fro."""
     energy = energies(free_run(smooth_robot, 1e-4, 20.0), smooth_robot.arm)
     down = np.array([-np.pi / 2, 0.0])
-    lowest = chain.energy(down, np.zeros(2), down, np.zeros(2), smooth_robot.arm)
+    lowest = core_runs.energy(down, np.zeros(2), down, np.zeros(2), smooth_robot.arm)
     swing = energy[0] - lowest
     assert np.ptp(energy) < 2e-3 * swing
     assert abs(energy[-1000:].mean() - energy[:1000].mean()) < 1e-3 * swing

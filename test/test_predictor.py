@@ -15,11 +15,9 @@ from gms_flex_control.identification.coordinates import (
     MOST_BLOCKS,
 )
 from gms_flex_control.params.arm import ArmParams
-from gms_flex_control.params.encoder import EncoderParams
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
-from gms_flex_control.params.robot import RobotParams
+from gms_flex_control.params.robot import EncoderParams, RobotParams
 from gms_flex_control.simulation import plant, predictor
-from gms_flex_control.simulation.friction_replay import replay
 import numpy as np
 import pytest
 
@@ -296,5 +294,5 @@ def test_replay_is_the_friction_of_each_step():
     for step in np.diff(angle, axis=0):
         state, tau = gms.step(state, step, PERIOD, friction)
         expected.append(tau)
-    np.testing.assert_allclose(replay(angle, rate, PERIOD, record), expected, rtol=0.0,
+    np.testing.assert_allclose(gms.replay(angle, rate, PERIOD, record), expected, rtol=0.0,
                                atol=1e-14)

@@ -6,7 +6,7 @@
 from gms_flex_control.errors import ConfigError, TrajectoryError
 from gms_flex_control.schema.motion import trajectory_from_values
 from gms_flex_control.schema.node_keys import trajectory_keys
-from gms_flex_control.trajectory import builders, levels
+from gms_flex_control.trajectory import builders
 import numpy as np
 import pytest
 
@@ -22,7 +22,7 @@ def assert_consistent(trajectory, bound):
 
 
 def test_velocities_are_held_in_turn_between_two_rests():
-    trajectory = levels.velocity_levels([[0.3, 0.0], [-0.1, 0.2]], [2.0, 1.0], settle_time=0.5)
+    trajectory = builders.velocity_levels([[0.3, 0.0], [-0.1, 0.2]], [2.0, 1.0], settle_time=0.5)
     assert trajectory.end == pytest.approx(4.5)
     at = trajectory.sample(np.array([0.0, 0.5, 1.5, 2.5, 3.0, 4.0, 4.5, 9.0]))
     assert at[:, 1] == pytest.approx(np.array(
@@ -33,7 +33,7 @@ def test_velocities_are_held_in_turn_between_two_rests():
 
 
 def test_torques_reach_their_levels_at_the_mean_rate_and_stop_there():
-    trajectory = levels.torque_levels([[0.2, 0.0], [-0.1, 0.0]], 0.1)
+    trajectory = builders.torque_levels([[0.2, 0.0], [-0.1, 0.0]], 0.1)
     assert trajectory.quantity == 'effort' and trajectory.end == pytest.approx(2.0 + 3.0 + 1.0)
     at = trajectory.sample(np.array([0.0, 2.0, 5.0, 6.0, 9.0]))
     assert at[:, 0, 0] == pytest.approx([0.0, 0.2, -0.1, 0.0, 0.0], abs=1e-12)
@@ -56,20 +56,20 @@ def test_a_smooth_torque_leaves_the_motor_on_its_spring_quiet():
                 tail.append(x)
         return max(map(abs, tail))
 
-    assert ringing(levels.torque_levels([[0.1]], 0.05)) < 1e-4
+    assert ringing(builders.torque_levels([[0.1]], 0.05)) < 1e-4
     assert ringing(builders.torque_ramp([0.1], 0.05)) > 1e-3
 
 
 def test_zero_levels_are_a_lasting_zero_torque():
-    trajectory = levels.torque_levels(np.zeros((1, 2)), 1.0)
+    trajectory = builders.torque_levels(np.zeros((1, 2)), 1.0)
     assert trajectory.end == 0.0 and np.all(trajectory.sample(np.array([0.0, 5.0])) == 0.0)
 
 
 @pytest.mark.parametrize('make', [
-    lambda: levels.velocity_levels([[0.1]], [1.0, 2.0]),
-    lambda: levels.velocity_levels([[0.1]], [0.0]),
-    lambda: levels.velocity_levels([[0.1]], [1.0], settle_time=0.0),
-    lambda: levels.torque_levels([[0.1]], 0.0)])
+    lambda: builders.velocity_levels([[0.1]], [1.0, 2.0]),
+    lambda: builders.velocity_levels([[0.1]], [0.0]),
+    lambda: builders.velocity_levels([[0.1]], [1.0], settle_time=0.0),
+    lambda: builders.torque_levels([[0.1]], 0.0)])
 def test_what_makes_no_reference_is_refused(make):
     with pytest.raises(TrajectoryError):
         make()

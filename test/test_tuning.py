@@ -12,10 +12,9 @@ from core_runs import joint_friction, single_axis
 from gms_flex_control.cli.main import main
 from gms_flex_control.control.gain_conditions import violations
 from gms_flex_control.hardware.limits import limited, violation
-from gms_flex_control.params.encoder import EncoderParams
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
 from gms_flex_control.params.gains import ControllerParams
-from gms_flex_control.params.robot import EffectSpec
+from gms_flex_control.params.robot import EffectSpec, EncoderParams
 from gms_flex_control.resources import controller_file, robot_file
 from gms_flex_control.schema.bridge import limits_from_values
 from gms_flex_control.schema.build import robot_values

@@ -5,12 +5,21 @@
 
 from dataclasses import replace
 from pathlib import Path
+import xml.etree.ElementTree as ElementTree
 
+import core_runs
 from gms_flex_control import load_robot, read_plan, records, save_robot
 from gms_flex_control.cli.main import main
 from gms_flex_control.discrepancy.nuisance import nuisances_of, PRIOR, tuned, with_nuisances
 from gms_flex_control.dynamics import chain
-from gms_flex_control.errors import ConfigError, IdentificationError, ParameterError
+from gms_flex_control.effects import signals as sig
+from gms_flex_control.effects.table import with_changes
+from gms_flex_control.errors import (
+    ConfigError,
+    IdentificationError,
+    ParameterError,
+    TrajectoryError,
+)
 from gms_flex_control.experiment.simulated import run_plan
 from gms_flex_control.identification.identify import identify, Options
 from gms_flex_control.identification.steady import friction_torque
@@ -21,6 +30,8 @@ from gms_flex_control.resources import robot_file
 from gms_flex_control.schema.urdf import robot_urdf
 from gms_flex_control.schema.urdf_arm import read_links
 from gms_flex_control.simulation import plant
+from gms_flex_control.trajectory import builders
+from gms_flex_control.trajectory.limits import require_within
 import numpy as np
 import pytest
 
@@ -133,7 +144,7 @@ def test_a_planar_chain_written_as_urdf_has_the_terms_of_the_closed_form(n, tmp_
         chain.mass_times(ddq, terms, space, out[0])
         chain.mass_solve(ddq, terms, space, out[1])
         chain.mass_between(np.arange(n), terms, space, between)
-        energy = chain.energy(q, dq, q, dq, arm)
+        energy = core_runs.energy(q, dq, q, dq, arm)
         m.append([space.acceleration.copy(), *out, *between, energy])
     for one, other in zip(*m, strict=True):
         np.testing.assert_allclose(other, one, rtol=1e-11)
@@ -301,8 +312,8 @@ def test_a_free_swing_keeps_its_energy():
     state, constants = plant.init(robot, np.linspace(-0.5, 0.5, n)), plant.constants_of(robot)
     energies = []
     for k in range(40):
-        energies.append(chain.energy(state.q_link, state.dq_link, state.q_motor, state.dq_motor,
-                                     robot.arm))
+        energies.append(core_runs.energy(state.q_link, state.dq_link, state.q_motor,
+                                         state.dq_motor, robot.arm))
         plant.advance(state, np.zeros(n), 0.01 * k, 0.01, 200, constants, plant.workspace(n))
     moving = state.dq_motor @ np.diag(robot.arm.motor_inertia) @ state.dq_motor
     assert moving > 10.0  # it fell
@@ -366,7 +377,116 @@ def test_what_does_not_know_such_an_arm_says_so(tmp_path, capsys):
     assert 'MuJoCo reads' in capsys.readouterr().err
     payload = tmp_path / 'payload.yaml'
     payload.write_text('/**:\n  ros__parameters:\n    effects.arm.tip_payload.mass: 1.0\n')
-    with pytest.raises(ConfigError, match=r'payload.yaml:3: .*put a payload into the URDF'):
-        load_robot([robot, payload])
+    save_robot(load_robot([robot, payload]), tmp_path / 'saved.yaml')
+    assert [spec.values for spec in load_robot(tmp_path / 'saved.yaml').effects] == [(1.0,)]
     with pytest.raises(IdentificationError, match='leave --estimate all out'):
         identify([], load_robot(robot), options=Options(estimate='all'))
+
+
+def hidden(robot, name, *values, joint='arm'):
+    """Return a robot with an effect put into its parameters."""
+    return with_changes(replace(robot, effects=(EffectSpec(
+        name=name, joint=joint, values=values),)))
+
+
+@pytest.mark.parametrize('tip', ['', 'tool'])
+def test_a_payload_at_the_tip_is_a_link_on_a_fixed_joint_there(tip, tmp_path):
+    """Without arm.tip it hangs on the frame farthest from the last joint, here the tool's."""
+    text = crooked().replace('xyz="0 0 0.1"', 'xyz="0.3 -0.2 0.9"')
+    ball = text.replace('<link name="tool"/>', LINK.format('tool', '0 0 0', '0 0 0', 0.7).replace(
+        '"0.05"', '"1e-12"').replace('"0.04"', '"1e-12"').replace('"0.03"', '"1e-12"').replace(
+        '"0.004"', '"0"').replace('"-0.003"', '"0"').replace('"0.002"', '"0"'))
+    robot, found = load_robot(ARMS['industrial_arm']), []
+    for name, content in (('bare', text), ('loaded', ball)):
+        path = tmp_path / f'{name}.urdf'
+        path.write_text(content)
+        links = read_links(path, JOINTS, tip=tip)
+        found.append(replace(robot.arm, frames=links.frames, mass=links.mass, com=links.com,
+                             inertia=links.inertia))
+    bare, loaded = found
+    changed = hidden(replace(robot, arm=bare), 'tip_payload', 0.7).arm
+    for name in ('mass', 'com', 'inertia'):
+        np.testing.assert_allclose(getattr(changed, name), getattr(loaded, name), atol=1e-10)
+    assert not np.allclose(changed.com[-1], bare.com[-1])
+
+
+def test_a_tilted_base_turns_gravity_towards_a_direction():
+    """Level, from the x axis towards y; hung on a wall, in the plane across gravity."""
+    robot = load_robot(ARMS['industrial_arm'])
+    found = hidden(robot, 'gravity_tilt', 0.1, 0.4).arm.gravity
+    np.testing.assert_allclose(found, 9.81 * np.array([
+        np.sin(0.1) * np.cos(0.4), np.sin(0.1) * np.sin(0.4), -np.cos(0.1)]), rtol=1e-12)
+    wall = replace(robot, arm=replace(robot.arm, gravity=[-9.81, 0.0, 0.0]))
+    found = hidden(wall, 'gravity_tilt', 0.1, 0.0).arm.gravity
+    np.testing.assert_allclose(found, 9.81 * np.array([-np.cos(0.1), np.sin(0.1), 0.0]),
+                               rtol=1e-12, atol=1e-15)
+
+
+@pytest.mark.parametrize(('axis', 'cosine'), [
+    ('0 0 1', 1.0), ('0 0.6 0.8', 0.8), ('0 1 0', 0.0), ('0 0 -1', -1.0)])
+def test_a_motor_carried_by_a_link_is_coupled_by_the_cosine_of_both_axes(axis, cosine, tmp_path):
+    """At rest M q'' + S cos e_1 q_m'' = 0 and J q_m'' + S cos q_1'' = u."""
+    (tmp_path / 'arm.urdf').write_text(two(axis='0 0 1').replace(
+        '<axis xyz="0 0 1"/><limit lower="-1"', f'<axis xyz="{axis}"/><limit lower="-1"'))
+    robot = load_robot(ARMS['industrial_arm'])
+    arm = replace(arm_of(tmp_path / 'arm.urdf', ('j1', 'j2'), robot.arm), gravity=np.zeros(3))
+    friction = replace(
+        robot.friction, stiffness=robot.friction.stiffness[:2], weight=robot.friction.weight[:2],
+        attraction=robot.friction.attraction[:2], **{side: StribeckParams(**{
+            name: getattr(getattr(robot.friction, side), name)[:2]
+            for name in ('static', 'coulomb', 'velocity', 'viscous')})
+            for side in ('forward', 'backward')})
+    coupling, motor = 0.05, arm.motor_inertia[1]
+    pair = replace(robot, joints=('j1', 'j2'), motors=('m1', 'm2'), arm=arm, friction=friction,
+                   effects=(EffectSpec(name='motor_inertia_coupling', joint='j2',
+                                       values=(coupling,)),))
+    state, work = plant.init(pair), plant.workspace(2)
+    command = np.array([0.0, 3.0])
+    for _ in range(30):  # the accelerations of the substep before converge
+        plant.advance(state, command, 0.0, 1e-12, 1, plant.constants_of(pair), work)
+    mass = np.zeros((3, 3))
+    mass[:2, :2] = chain.mass_matrices(np.zeros((1, 2)), arm)[0]
+    mass[2, 2], mass[0, 2] = motor, coupling * cosine
+    mass[2, 0] = mass[0, 2]
+    q1, _, q_motor = np.linalg.solve(mass, [0.0, 0.0, 3.0])
+    found = work.signals[0, sig.DDQ_LINK], work.signals[1, sig.DDQ_MOTOR]
+    assert found == pytest.approx((q1, q_motor), rel=1e-6, abs=1e-9)
+
+
+@pytest.mark.parametrize(('name', 'value', 'sentence'), [
+    ('joint2.amplitude', 1.7, r'joint2 goes to -?1\.7 rad at .* s, beyond its limit of -?1.6 rad'),
+    ('joint6.period', 0.3, r'joint6 moves at .* rad/s at .*, beyond its limit of -?7 rad/s'),
+    ('joint4.amplitude', 0.5, None)])
+def test_a_motion_beyond_the_limits_of_the_urdf_is_refused(name, value, sentence):
+    files = [ARMS['industrial_arm'].with_name(f'{what}.yaml')
+             for what in ('robot', 'controller', 'trajectory')]
+    overrides = {f'trajectory.{name}': value}
+    if sentence is None:
+        assert read_plan(files, overrides=overrides).trajectory.n_joints == 6
+        return
+    with pytest.raises(TrajectoryError, match=f'{sentence} in .*industrial_arm.urdf; reduce'):
+        read_plan(files, overrides=overrides)
+
+
+def test_a_robot_that_stands_beyond_a_limit_may_move_inwards():
+    frames = load_robot(ARMS['industrial_arm']).arm.frames
+    joints, still = [f'joint{j}' for j in range(1, 7)], np.zeros(6)
+    outside = still + [0.0, 1.7, 0.0, 0.0, 0.0, 0.0]
+    inwards = builders.approach(builders.at_rest(outside), builders.hold(still), 0.0)
+    require_within(inwards, joints, frames, still)
+    with pytest.raises(TrajectoryError, match='joint2 goes to 1.9 rad'):
+        require_within(builders.approach(builders.at_rest(outside), builders.hold(
+            outside + [0.0, 0.2, 0.0, 0.0, 0.0, 0.0]), 0.0), joints, frames, still)
+    offset = np.array([0.0, 0.5, 0.0, 0.0, 0.0, 0.0])  # as the URDF counts
+    with pytest.raises(TrajectoryError, match='joint2 goes to 1.8 rad'):
+        require_within(builders.via_points([still, 2.6 * offset], 2.0, 0.0), joints, frames,
+                       offset)
+
+
+def test_the_urdf_written_back_keeps_the_limits():
+    robot = load_robot(ARMS['industrial_arm'])
+    root = ElementTree.fromstring(robot_urdf(robot))
+    for name in ('lower', 'upper', 'velocity', 'effort'):
+        written = [float(root.find(f"joint[@name='{joint}']/limit").get(name))
+                   for joint in robot.joints]
+        assert written == getattr(robot.arm.frames, name).tolist()

@@ -7,10 +7,9 @@ from dataclasses import replace
 
 from gms_flex_control.errors import ParameterError, SimulationError
 from gms_flex_control.params.arm import ArmParams
-from gms_flex_control.params.encoder import EncoderParams
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
 from gms_flex_control.params.gains import ControllerParams
-from gms_flex_control.params.robot import RobotParams
+from gms_flex_control.params.robot import EncoderParams, RobotParams
 import numpy as np
 
 NOMINAL_SUPPLY = 24.0  # [V]

@@ -17,9 +17,8 @@ from gms_flex_control.effects.catalogue.spring_offset import SpringOffset
 from gms_flex_control.errors import BagError, ParameterError
 from gms_flex_control.friction.stribeck import steady_friction
 from gms_flex_control.params.arm import ArmParams
-from gms_flex_control.params.encoder import EncoderParams
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
-from gms_flex_control.params.robot import EffectSpec, RobotParams
+from gms_flex_control.params.robot import EffectSpec, EncoderParams, RobotParams
 import numpy as np
 from scipy.signal import savgol_filter
 

@@ -22,7 +22,7 @@ from gms_flex_control.identification.identify import identify, Options
 from gms_flex_control.identification.output import report_json, write_friction, write_report_json
 from gms_flex_control.identification.over_bags import bag_values
 from gms_flex_control.identification.unknown_robot import only_joints, rigid_joints
-from gms_flex_control.params.units import in_units
+from gms_flex_control.params.arm import in_units
 from gms_flex_control.reports import bags_summary
 from gms_flex_control.reports.identification_page import (
     identification_answer,

@@ -14,7 +14,7 @@ from gms_flex_control.errors import ConfigError
 from gms_flex_control.experiment.plan import read_plan
 from gms_flex_control.experiment.simulated import simulate_to_bag
 from gms_flex_control.exports import friction, mujoco, target
-from gms_flex_control.params.units import in_units
+from gms_flex_control.params.arm import in_units
 from gms_flex_control.resources import controller_file, robot_file, share_path
 from gms_flex_control.schema.files import load_limits, load_robot
 from gms_flex_control.schema.urdf import robot_urdf

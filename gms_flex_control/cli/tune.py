@@ -16,8 +16,8 @@ from gms_flex_control.cli.output import conclude, refuse_unwritable
 from gms_flex_control.control.gain_conditions import check
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.files import write_text
+from gms_flex_control.params.arm import in_units
 from gms_flex_control.params.gains import ControllerParams
-from gms_flex_control.params.units import in_units
 from gms_flex_control.reports import tuning_page
 from gms_flex_control.reports.figures import save_figure
 from gms_flex_control.resources import controller_file, robot_file

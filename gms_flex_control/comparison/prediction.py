@@ -14,8 +14,7 @@ from typing import NamedTuple
 
 from gms_flex_control.comparison.study import CONTESTANTS, gains_of
 from gms_flex_control.compiled import compiled
-from gms_flex_control.control import cascade
-from gms_flex_control.control.compensation import choice, common, gms_adaptive
+from gms_flex_control.control import cascade, compensation
 from gms_flex_control.data.reader import read_recording
 from gms_flex_control.errors import IdentificationError
 from gms_flex_control.friction import gms
@@ -95,7 +94,8 @@ def _estimate_loop(angle, rate, reference, drive, period, state, measured, const
         measured.q_link[:], measured.dq_link[:] = angle[k], rate[k]
         cascade.link_errors(state, measured, reference[k], constants, work)
         work.spring[:] = drive[k]
-        choice.estimate(state, measured, reference[k], period if k > 0 else 0.0, constants, work)
+        compensation.estimate(state, measured, reference[k], period if k > 0 else 0.0,
+                              constants, work)
         out[k] = work.estimate[0]
 
 
@@ -144,8 +144,9 @@ def _adapt_loop(angle, rate, friction, period, blocks, constants, displacement, 
             step = _ADAPTATION_RATE * period * (friction[k, j] - total) / max(
                 size, 0.01 * constants.static[row, j] ** 2)
             for i in range(factor.shape[1]):
-                factor[j, i] = common.limited(factor[j, i] + step * blocks.torque[j, i],
-                                              gms_adaptive.LEAST, gms_adaptive.MOST)
+                factor[j, i] = compensation.limited(
+                    factor[j, i] + step * blocks.torque[j, i], compensation.LEAST_FACTOR,
+                    compensation.LARGEST_FACTOR)
 
 
 class Prediction(NamedTuple):

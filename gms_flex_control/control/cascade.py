@@ -13,9 +13,8 @@ from functools import cache, lru_cache
 
 from gms_flex_control import records
 from gms_flex_control.compiled import compiled
-from gms_flex_control.control import observer
-from gms_flex_control.control.compensation import choice
-from gms_flex_control.control.compensation.choice import GMS, GMS_PAPER
+from gms_flex_control.control import compensation, observer
+from gms_flex_control.control.compensation import GMS, GMS_PAPER
 from gms_flex_control.dynamics import chain
 from gms_flex_control.friction import gms
 from gms_flex_control.params.gains import COMPENSATIONS
@@ -35,7 +34,7 @@ _GAINS = ('kd_link', 'lambda_link', 'kd_motor', 'lambda_motor', 'observer_gain',
 @cache
 def state_layout(n, n_blocks):
     """
-    Return the dtype of what the controller remembers and what it says, in one record.
+    Return the dtype of what the controller remembers and what it answers, in one record.
 
     ``command`` (n,), motor torque [N m]; ``friction_hat`` (n,), estimate it compensates [N m];
     ``error``, ``error_rate`` (n,), tracking error actual - desired; ``observer``; ``q_before``
@@ -44,8 +43,7 @@ def state_layout(n, n_blocks):
     """
     return records.layout(
         *((name, FLOAT, (n,)) for name in ('command', 'friction_hat', 'error', 'error_rate',
-                                           'q_before', 'deviation',
-                                           'saturated')),
+                                           'q_before', 'deviation', 'saturated')),
         ('started', FLOAT, (1,)), ('observer', observer.state_layout(n, n_blocks)))
 
 
@@ -103,21 +101,21 @@ def link_errors(state, measured, reference, constants, work):
         state.error_rate[j] = measured.dq_link[j] - reference[1, j]
         rate = state.error_rate[j]
         if work.resting[j]:
-            rate *= rest_damping(measured.dq_link[j])
+            rate *= _rest_damping(measured.dq_link[j])
         work.dq_ref[j] = reference[1, j] - constants.lambda_link[j] * state.error[j]
         work.ddq_ref[j] = reference[2, j] - constants.lambda_link[j] * rate
         work.sliding[j] = rate + constants.lambda_link[j] * state.error[j]
 
 
 @compiled
-def rest_damping(velocity):
+def _rest_damping(velocity):
     """Return the part of the velocity feedback that stays at rest, see REST_DAMPING."""
     x = velocity / REST_VELOCITY
     return (REST_DAMPING + x * x) / (1.0 + x * x)
 
 
 @compiled
-def spring_torques(state, measured, constants, work):
+def _spring_torques(state, measured, constants, work):
     """Write the torque of the joint springs and its rate, as the model has them."""
     links = constants.chain
     for j in range(constants.kd_link.shape[0]):
@@ -130,7 +128,7 @@ def spring_torques(state, measured, constants, work):
 
 
 @compiled
-def model_motion(state, measured, constants, work):
+def _model_motion(state, measured, constants, work):
     """Form acceleration and jerk of the model, and the derivatives of F_hat on the way."""
     n = constants.kd_link.shape[0]
     links, out = constants.chain, work.estimate
@@ -152,7 +150,7 @@ def model_motion(state, measured, constants, work):
 
 
 @compiled
-def friction_derivatives(state, measured, constants, work):
+def _friction_derivatives(state, measured, constants, work):
     """Complete F_hat with the derivatives the chosen compensation defines."""
     out = work.estimate
     if constants.compensation[0] == GMS_PAPER:
@@ -165,7 +163,7 @@ def friction_derivatives(state, measured, constants, work):
 
 
 @compiled
-def elastic_torque(measured, reference, constants, work):
+def _elastic_torque(measured, reference, constants, work):
     """Write u_ed and its first two derivatives into work.torque, Eq. (11)."""
     n, ref = constants.kd_link.shape[0], work.ref
     for j in range(n):
@@ -185,7 +183,7 @@ def elastic_torque(measured, reference, constants, work):
 
 
 @compiled
-def motor_law(state, measured, constants, work):
+def _motor_law(state, measured, constants, work):
     """Write the limited motor torque into state.command, Eqs. (9), (27) to (29)."""
     links, torque = constants.chain, work.torque
     for j in range(constants.kd_link.shape[0]):
@@ -209,12 +207,12 @@ def motor_law(state, measured, constants, work):
 @compiled
 def tick(state, measured, reference, dt, constants, work):
     """
-    Compute the torque that answers one measurement.
+    Answer one measurement with a torque, ``state.command``.
 
     Parameters
     ----------
     state : numpy.record
-        Of `state_layout`, changed in place; ``state.command`` is the answer.
+        Of `state_layout`, changed in place.
     measured : numpy.record
         Fields ``q_link``, ``dq_link``, ``q_motor``, ``dq_motor`` (n,).
     reference : ndarray, shape (5, n_joints)
@@ -226,10 +224,10 @@ def tick(state, measured, reference, dt, constants, work):
 
     """
     link_errors(state, measured, reference, constants, work)
-    spring_torques(state, measured, constants, work)
-    choice.estimate(state, measured, reference, dt, constants, work)
+    _spring_torques(state, measured, constants, work)
+    compensation.estimate(state, measured, reference, dt, constants, work)
     state.friction_hat[:] = work.estimate[0]
-    model_motion(state, measured, constants, work)
-    friction_derivatives(state, measured, constants, work)
-    elastic_torque(measured, reference, constants, work)
-    motor_law(state, measured, constants, work)
+    _model_motion(state, measured, constants, work)
+    _friction_derivatives(state, measured, constants, work)
+    _elastic_torque(measured, reference, constants, work)
+    _motor_law(state, measured, constants, work)

@@ -90,15 +90,10 @@ class _Angle:
 
 class FrozenEncoders:
     """
-    Tell encoders that have frozen from an arm that stands.
+    Distinguish encoders that have frozen from an arm that stands.
 
-    Parameters
-    ----------
-    robot : RobotParams
-        As believed: springs, friction and encoders set what is to be expected.
-    torque_limit : ndarray, shape (n_joints,)
-        Largest torque that is sent [N m].
-
+    Springs, friction and encoders of the RobotParams, as believed, set what is to be expected;
+    ``torque_limit`` (n_joints,) is the largest torque that is sent [N m].
     """
 
     def __init__(self, robot, torque_limit):
@@ -109,8 +104,8 @@ class FrozenEncoders:
         self._angles = [*self._links, *filter(None, self._motors)]
         self.use(torque_limit)
 
-    def use(self, torque_limit):
-        """Take another torque limit (n_joints,) [N m]."""
+    def use(self, torque_limit) -> None:
+        """Use another torque limit (n_joints,) [N m]."""
         arm = self._robot.arm
         limits = torque_thresholds(self._robot, torque_limit)
         for j, motor in enumerate(self._motors):
@@ -120,15 +115,15 @@ class FrozenEncoders:
                 motor.patience = max(STANDING, math.sqrt(
                     6.0 * arm.motor_inertia[j] * _given_way(self._robot) / limits[j]))
 
-    def reset(self):
-        """Take back every finding: to be looked at anew."""
+    def reset(self) -> None:
+        """Withdraw every finding."""
         for one in self._angles:
             one.sentence = None
             one.wait()
 
-    def look(self, measured, torque, dt):
+    def look(self, measured, torque, dt) -> str | None:
         """
-        Take one state.
+        Return which angle is frozen, since when and why, until each of them changes.
 
         Parameters
         ----------
@@ -139,11 +134,6 @@ class FrozenEncoders:
         dt : float
             Time since the state before, by the stamps [s]. If it is not positive or there was a
             silence, nothing is known of the time between.
-
-        Returns
-        -------
-        str or None
-            Which angle is frozen, since when and why. It stays so until each of them changes.
 
         """
         torque = torque.tolist()
@@ -161,31 +151,20 @@ class FrozenEncoders:
             if one is not None:
                 one.look(angle, rate, given, dt)
                 found = found or one.sentence
-        return self._told() if found else None
+        return self._sentence() if found else None
 
-    def _told(self):
+    def _sentence(self):
         frozen = [one for one in self._angles if one.sentence]
         others = ', '.join(one.name for one in frozen[1:])
         return frozen[0].sentence + (f'; so are {others}' if others else '')
 
 
-def torque_thresholds(robot, torque_limit):
+def torque_thresholds(robot, torque_limit) -> np.ndarray:
     """
-    Return by how much a torque may change while a motor stands still.
+    Return by how much a torque may change while a motor stands still (n_joints,) [N m].
 
-    Parameters
-    ----------
-    robot : RobotParams
-        As believed.
-    torque_limit : ndarray, shape (n_joints,)
-        Largest torque that is sent [N m].
-
-    Returns
-    -------
-    ndarray, shape (n_joints,)
-        What friction could hold wherever in the joint it is, and what the spring gives way to,
-        with room for both [N m]; infinite for joints without a spring.
-
+    What friction could hold wherever in the joint it is, and what the spring gives way to, with
+    room for both; infinite for joints without a spring.
     """
     arm, friction = robot.arm, robot.friction
     static = np.maximum(friction.forward.static, friction.backward.static)

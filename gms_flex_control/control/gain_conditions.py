@@ -23,88 +23,42 @@ _CONFIGURATIONS = 4000  # at most, over which the extremes of M(q) are sought
 
 @dataclass(frozen=True, kw_only=True)
 class Condition:
-    """
-    One inequality on the gains of one joint: ``value`` must be above ``limit``.
+    """One inequality on the gains of one joint: ``value`` must be above ``limit``."""
 
-    Parameters
-    ----------
-    joint : str
-        Link name.
-    kind : {'gershgorin', 'exact'}
-        Sufficient only, a row of Eq. (39), or necessary and sufficient for N_2 > 0.
-    condition : str
-        The inequality in the paper's symbols.
-    value, limit : float
-        Its left and right side.
-
-    """
-
-    joint: str
-    kind: str
-    condition: str
-    value: float
-    limit: float
+    joint: str      # link name
+    kind: str       # GERSHGORIN, sufficient only, a row of Eq. (39), or EXACT for N_2 > 0
+    condition: str  # the inequality in the paper's symbols
+    value: float    # its left side
+    limit: float    # its right side
 
     @property
-    def met(self):
+    def met(self) -> bool:
         """Return whether the inequality holds."""
         return self.value > self.limit
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GainReport:
-    """
-    What the stability proof says about a controller on a robot.
+    """What the stability proof says about a controller on a robot."""
 
-    Parameters
-    ----------
-    conditions : tuple of Condition
-        Joint by joint; rigid joints have none, because nothing couples into them.
-    joints : tuple of str
-        Link names.
-    alpha : ndarray, shape (n_joints,)
-        Smallest eigenvalue of each joint's N_2 (37).
-    mass_range, energy_range : tuple of float
-        Smallest and largest eigenvalue of M(q) [kg m^2] and of N_1 (34), over all
-        configurations.
-    disturbance : float
-        D_bar, bound on the norm of the disturbance (38); see `disturbance_bound`.
-    residual : float
-        Bound on the norm of rho as time goes on, ``sqrt(lmax / lmin of N_1) D_bar / alpha``;
-        infinite where N_2 is not positive definite. Safe, and far from tight.
-
-    """
-
-    conditions: tuple
-    joints: tuple
-    alpha: np.ndarray
-    mass_range: tuple
-    energy_range: tuple
-    disturbance: float
+    conditions: tuple    # of Condition, joint by joint; nothing couples into rigid joints
+    joints: tuple        # link names
+    alpha: np.ndarray    # (n,) smallest eigenvalue of each joint's N_2 (37)
+    mass_range: tuple    # smallest and largest eigenvalue of M(q), all configurations [kg m^2]
+    energy_range: tuple  # the same of N_1 (34)
+    disturbance: float   # D_bar, bound on the norm of the disturbance (38)
+    # bound on the norm of rho as time goes on, sqrt(lmax / lmin of N_1) D_bar / alpha; infinite
+    # where N_2 is not positive definite; safe, and far from tight
     residual: float
 
     @property
-    def met(self):
+    def met(self) -> bool:
         """Return whether every condition holds."""
         return all(condition.met for condition in self.conditions)
 
 
-def check(gains, robot):
-    """
-    Judge the gains of a controller on the robot it believes in.
-
-    Parameters
-    ----------
-    gains : ControllerParams
-        The gains.
-    robot : RobotParams
-        Of the same joints.
-
-    Returns
-    -------
-    GainReport
-
-    """
+def check(gains, robot) -> GainReport:
+    """Judge the gains of a controller on the robot it believes in."""
     alpha = np.array([np.linalg.eigvalsh(matrix)[0] for matrix in n2_matrices(gains, robot)])
     mass, energy = _extremes(gains, robot)
     disturbance = disturbance_bound(gains, robot)
@@ -116,23 +70,8 @@ def check(gains, robot):
         mass_range=mass, energy_range=energy, disturbance=disturbance, residual=residual)
 
 
-def violations(gains, robot):
-    """
-    Return what the gains break, as sentences with the numbers.
-
-    Parameters
-    ----------
-    gains : ControllerParams
-        The gains.
-    robot : RobotParams
-        Of the same joints.
-
-    Returns
-    -------
-    list of str
-        Empty where all conditions hold.
-
-    """
+def violations(gains, robot) -> list[str]:
+    """Return what the gains break, as sentences with the numbers."""
     conditions = list(_conditions(gains, robot))
     exact = {c.joint: c for c in conditions if c.kind == EXACT}
     sentences = []
@@ -179,24 +118,12 @@ def _largest_level(friction):
     return np.maximum(friction.forward.static, friction.backward.static)
 
 
-def n2_matrices(gains, robot):
+def n2_matrices(gains, robot) -> list[np.ndarray]:
     """
-    Return the matrix N_2 of Eq. (37), which falls apart into one per joint.
+    Return the matrix N_2 of Eq. (37), which falls apart into a symmetric one per joint.
 
-    Parameters
-    ----------
-    gains : ControllerParams
-        The gains.
-    robot : RobotParams
-        Of the same joints.
-
-    Returns
-    -------
-    list of ndarray
-        Square and symmetric: 2 rows of the link, 2 of the motor unless the joint is rigid,
-        and one per block unless there is no observer with feedback. ``s`` in C / s is the
-        largest, the break-away level.
-
+    2 rows of the link, 2 of the motor unless the joint is rigid, and one per block unless there
+    is no observer with feedback. ``s`` in C / s is the largest, the break-away level.
     """
     found = []
     levels = _largest_level(robot.friction)
@@ -219,32 +146,17 @@ def n2_matrices(gains, robot):
     return found
 
 
-def disturbance_bound(gains, robot):
+def disturbance_bound(gains, robot) -> float:
     """
     Return D_bar, a bound on the norm of the disturbance D of Eq. (38).
 
-    Parameters
-    ----------
-    gains : ControllerParams
-        The gains; what remains uncompensated depends on ``compensation``.
-    robot : RobotParams
-        Its friction bounds the disturbance.
-
-    Returns
-    -------
-    float
-        From the friction error F~ of the link rows, (Lambda_1 F~, F~), and ``C alpha_i Delta /
-        k_e`` of every block.
-
-    Notes
-    -----
-    With known parameters and F_s the larger of both directions: ``none``: F~ is the friction of
-    the blocks, at most F_s. ``gms_paper``: abs(F~_i) <= alpha_i s abs(Delta) in slip and in the
-    stick after it, with abs(Delta) <= 1 the sign less its tanh, so F~ <= F_s. ``gms``: Delta =
-    0 while blocks slip, so they contribute nothing; estimate and friction both lie within
-    F_s, and while the command filter follows a reversal they differ by up to 2 F_s; so it is
-    taken for the others. The viscous part is compensated or damps.
-
+    From the friction error F~ of the link rows, (Lambda_1 F~, F~), and ``C alpha_i Delta / k_e``
+    of every block, with known parameters and F_s the larger of both directions. ``none``: F~ is
+    the friction of the blocks, at most F_s. ``gms_paper``: abs(F~_i) <= alpha_i s abs(Delta) in
+    slip and in the stick after it, with abs(Delta) <= 1 the sign less its tanh, so F~ <= F_s.
+    ``gms``: Delta = 0 while blocks slip, so they contribute nothing; estimate and friction both
+    lie within F_s and differ by up to 2 F_s while the command filter follows a reversal; the same
+    is assumed of the others. The viscous part is compensated or damps.
     """
     total = 0.0
     levels = _largest_level(robot.friction)
@@ -258,38 +170,24 @@ def disturbance_bound(gains, robot):
 
 
 @lru_cache(maxsize=16)
-def mass_matrices(arm):
+def mass_matrices(arm) -> np.ndarray:
     """
-    Return M(q) over the configurations of an arm.
+    Return M(q) (m, n_joints, n_joints) over the configurations of ArmParams [kg m^2].
 
-    Parameters
-    ----------
-    arm : ArmParams
-        The arm.
-
-    Returns
-    -------
-    ndarray, shape (m, n_joints, n_joints)
-        On a grid of the relative angles, which holds the stretched and the folded arm, or spread
-        over the ranges of a chain in space; [kg m^2].
-
+    On a grid of the relative angles, which holds the stretched and the folded arm, or spread over
+    the ranges of a chain in space.
     """
     n = arm.n_joints
     if arm.kind == 'urdf':
         return chain.mass_matrices(chain.configurations(arm, _CONFIGURATIONS), arm)
-    terms = chain.constants_of(arm)
     if arm.kind != 'planar' or n == 1:
-        theta = np.zeros((1, n))
-    else:
-        # an even number, so that 0 and pi are both on the grid
-        count = max(2, 2 * int(_CONFIGURATIONS ** (1.0 / (n - 1)) / 2.0))
-        angles = 2.0 * np.pi * np.arange(count) / count
-        grid = np.meshgrid(*[angles] * (n - 1), indexing='ij')
-        relative = np.stack([np.zeros(count ** (n - 1)), *(axis.ravel() for axis in grid)], 1)
-        theta = relative @ terms.orientation.T
-    phi = theta[:, :, None] - theta[:, None, :]
-    square = terms.coupling * np.cos(phi) + terms.rigid_inertia
-    return terms.orientation.T @ square @ terms.orientation
+        return chain.mass_matrices(np.zeros((1, n)), arm)
+    # an even number, so that 0 and pi are both on the grid
+    count = max(2, 2 * int(_CONFIGURATIONS ** (1.0 / (n - 1)) / 2.0))
+    angles = 2.0 * np.pi * np.arange(count) / count
+    grid = np.meshgrid(*[angles] * (n - 1), indexing='ij')
+    relative = np.stack([np.zeros(count ** (n - 1)), *(axis.ravel() for axis in grid)], 1)
+    return chain.mass_matrices(relative - arm.offset, arm)
 
 
 def _extremes(gains, robot):

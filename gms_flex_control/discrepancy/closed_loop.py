@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 from gms_flex_control.discrepancy.motion import supply_voltage
 from gms_flex_control.discrepancy.nuisance import with_nuisances
-from gms_flex_control.effect_compensation import loop
 from gms_flex_control.errors import BagError
+from gms_flex_control.simulation.closed_loop import Loop
 import numpy as np
 
 LEAST_TIME = 1.0   # with a reference all along, shorter recordings are of no use [s]
@@ -129,17 +129,13 @@ def simulated(robot, believed, gains, stretch, seed=_SEED):
         [rad]
 
     """
-    rates = stretch.reference[0, 1]
-
-    def prepare(plant):
-        q_motor = np.where(np.isfinite(stretch.q_motor), stretch.q_motor, stretch.measured[0])
-        plant.state.q_motor[:] = np.where(robot.arm.rigid, stretch.measured[0], q_motor)
-        plant.state.dq_link[:] = plant.state.dq_motor[:] = rates
-
-    run = loop.run(robot, believed, gains, stretch.reference, period_ns=stretch.period_ns,
-                   seed=seed, q_link=stretch.measured[0], supply=stretch.supply,
-                   begin=stretch.begin, prepare=prepare)
-    return run.measured[:, 0]
+    loop = Loop(robot, believed, period_ns=stretch.period_ns, seed=seed,
+                q_link=stretch.measured[0], begin=stretch.begin)
+    q_motor = np.where(np.isfinite(stretch.q_motor), stretch.q_motor, stretch.measured[0])
+    state = loop.plant_state
+    state.q_motor[:] = np.where(robot.arm.rigid, stretch.measured[0], q_motor)
+    state.dq_link[:] = state.dq_motor[:] = stretch.reference[0, 1]
+    return loop.run(stretch.reference, gains, supply=stretch.supply).measured[:, 0]
 
 
 def closed_loop_of(behind, recordings, gains):

@@ -74,7 +74,7 @@ def guesses_of(likelihood, excluded=(), fine=None, only=None):
     Returns
     -------
     list of (str, str, Guess)
-        Effect, joint and Guess; effects of the whole arm for planar arms only.
+        Effect, joint and Guess; effects of the whole arm where links carry each other.
 
     """
     robot, found = likelihood.robot, []
@@ -82,7 +82,7 @@ def guesses_of(likelihood, excluded=(), fine=None, only=None):
     for name in sorted(set(names()).difference(excluded)):
         kind = find(name)
         if (kind.needs_commands and not commanded
-                or kind.needs_planar and robot.arm.kind != 'planar'):
+                or kind.needs_chain and robot.arm.kind == 'decoupled'):
             continue
         for at, joint in enumerate([WHOLE_ARM] if kind.whole_arm else robot.joints):
             if (only is not None and (name, joint) not in only

@@ -13,7 +13,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from gms_flex_control import records
-from gms_flex_control.params.uncertainty import KINDS
+from gms_flex_control.params.robot import KINDS
 from gms_flex_control.simulation import plant
 import numpy as np
 

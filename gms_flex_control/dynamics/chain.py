@@ -24,27 +24,15 @@ _SLIDE = 0.5  # [m]
 
 
 class ChainMatrices(NamedTuple):
-    """
-    M, C, g and their first and second time derivatives in joint coordinates.
+    """M, C and g with first and second time derivatives, in joint coordinates."""
 
-    Parameters
-    ----------
-    mass, dmass, ddmass : ndarray, shape (n_joints, n_joints)
-        M(q1) [kg m^2] and its time derivatives.
-    coriolis, dcoriolis, ddcoriolis : ndarray, shape (n_joints, n_joints)
-        C(q1, dq1) of the Christoffel symbols, so that dM/dt - 2 C is skew.
-    gravity, dgravity, ddgravity : ndarray, shape (n_joints,)
-        g(q1) [N m] and its time derivatives.
-
-    """
-
-    mass: np.ndarray
+    mass: np.ndarray         # (n, n) M(q1) [kg m^2]
     dmass: np.ndarray
     ddmass: np.ndarray
-    coriolis: np.ndarray
+    coriolis: np.ndarray     # (n, n) C(q1, dq1) of the Christoffel symbols: dM/dt - 2 C is skew
     dcoriolis: np.ndarray
     ddcoriolis: np.ndarray
-    gravity: np.ndarray
+    gravity: np.ndarray      # (n,) g(q1) [N m]
     dgravity: np.ndarray
     ddgravity: np.ndarray
 
@@ -112,19 +100,10 @@ def rigid_body(q, dq, ddq, links, work, bias, inertial):
 @compiled_choice
 def reference_torque(dq, ddq, d3q, velocity, acceleration, links, work, out):
     """
-    Write ``M dr + C r + g`` and its first and second time derivative into ``out`` (3, n).
+    Write ``M dr + C r + g`` and its first and second time derivative into ``out`` (3, n) [N m].
 
-    Parameters
-    ----------
-    dq, ddq, d3q : ndarray, shape (n,)
-        True motion; the angles are those of the pose in ``work``.
-    velocity, acceleration : ndarray, shape (3, n)
-        r and dr, each with two time derivatives; (3, n) rows of one array may be both.
-    links, work : numpy.record
-        From `constants_of`; of `work_layout`.
-    out : ndarray, shape (3, n)
-        Filled [N m].
-
+    ``dq`` to ``d3q`` (n,) are the true motion, the angles those of the pose in ``work``;
+    ``velocity`` and ``acceleration`` (3, n) are r and dr, each with two time derivatives.
     """
     return _kernels(links, 'reference_torque')
 
@@ -136,87 +115,54 @@ def rigid_body_along(states, second, links, work, bias, inertial):
         rigid_body(states[k, 0], states[k, 1], second[k], links, work, bias[k], inertial[k])
 
 
-def matrices(q, dq, ddq, d3q, arm):
+@compiled
+def _fill_matrices(q, dq, ddq, d3q, links, work, mass, coriolis, gravity):
+    """Write M and C, (3, n, n) each, and g (3, n), with two time derivatives, by columns."""
+    n = q.shape[0]
+    accelerations(q, dq, links, work)  # for the pose
+    still, unit, column = np.zeros((3, n)), np.zeros((3, n)), np.empty((3, n))
+    reference_torque(dq, ddq, d3q, still, still, links, work, gravity)
+    for j in range(n):
+        unit[0, j] = 1.0
+        reference_torque(dq, ddq, d3q, still, unit, links, work, column)
+        mass[:, :, j] = column - gravity
+        reference_torque(dq, ddq, d3q, unit, still, links, work, column)
+        coriolis[:, :, j] = column - gravity
+        unit[0, j] = 0.0
+
+
+def matrices(q, dq, ddq, d3q, arm) -> ChainMatrices:
     """
-    Return M, C, g and their time derivatives along a motion.
+    Return M, C, g and their time derivatives, left side of the link equation (1).
 
-    Parameters
-    ----------
-    q, dq, ddq, d3q : ndarray, shape (n_joints,)
-        Link angle and its first three time derivatives.
-    arm : ArmParams
-        The arm; motor inertia of rigid joints is part of M.
-
-    Returns
-    -------
-    ChainMatrices
-        In joint coordinates.
-
-    Notes
-    -----
-    Left side of the link equation (1).
-
+    ``q`` to ``d3q`` are the link angles and their derivatives (n_joints,); motor inertia of
+    rigid joints of the ArmParams is part of M.
     """
-    links = constants_of(arm)
-    if arm.frames is None:
-        return ChainMatrices(*planar.matrices(q, dq, ddq, d3q, links))
     n = arm.n_joints
     gravity, mass, coriolis = np.empty((3, n)), np.empty((3, n, n)), np.empty((3, n, n))
-    spatial.matrices(*(np.array(x, dtype=float) for x in (q, dq, ddq, d3q)), links,
-                     records.build(work_layout(n)), mass, coriolis, gravity)
+    _fill_matrices(*(np.array(x, dtype=float) for x in (q, dq, ddq, d3q)), constants_of(arm),
+                   records.build(work_layout(n)), mass, coriolis, gravity)
     return ChainMatrices(*mass, *coriolis, *gravity)
 
 
-def inverse_dynamics(q, dq, ddq, arm):
+def inverse_dynamics(q, dq, ddq, arm) -> np.ndarray:
     """
-    Return the torque on the links that a motion takes without friction.
+    Return ``M ddq + C dq + g`` (..., n_joints), the torque of a motion without friction [N m].
 
-    Parameters
-    ----------
-    q, dq, ddq : ndarray, shape (..., n_joints)
-        Link angles and their derivatives.
-    arm : ArmParams
-        The arm; motor inertia of rigid joints is part of M.
-
-    Returns
-    -------
-    ndarray, shape (..., n_joints)
-        ``M ddq + C dq + g`` [N m].
-
-    Notes
-    -----
-    Left side of the link equation (1).
-
+    ``q`` to ``ddq`` are the link angles and their derivatives (..., n_joints); motor inertia of
+    rigid joints of the ArmParams is part of M. Left side of the link equation (1).
     """
-    links = constants_of(arm)
-    if arm.frames is None:
-        return planar.inverse_dynamics(q, dq, ddq, links)
     q, dq, ddq = np.broadcast_arrays(*(np.asarray(x, dtype=float) for x in (q, dq, ddq)))
     shape, n = q.shape, arm.n_joints
     states = np.stack([q.reshape(-1, n), dq.reshape(-1, n)], axis=1)
     bias, inertial = np.empty((2, len(states), n))
-    rigid_body_along(states, ddq.reshape(-1, n).copy(), links, records.build(work_layout(n)),
-                     bias, inertial)
+    rigid_body_along(states, ddq.reshape(-1, n).copy(), constants_of(arm),
+                     records.build(work_layout(n)), bias, inertial)
     return (bias + inertial).reshape(shape)
 
 
-def mass_matrices(q, arm):
-    """
-    Return M at many poses.
-
-    Parameters
-    ----------
-    q : ndarray, shape (m, n_joints)
-        Link angles.
-    arm : ArmParams
-        The arm; motor inertia of rigid joints is part of M.
-
-    Returns
-    -------
-    ndarray, shape (m, n_joints, n_joints)
-        [kg m^2]
-
-    """
+def mass_matrices(q, arm) -> np.ndarray:
+    """Return M (m, n_joints, n_joints) at poses ``q`` (m, n_joints) of ArmParams [kg m^2]."""
     q = np.asarray(q, dtype=float)
     m, n = q.shape
     states = np.repeat(np.stack([q, np.zeros((m, n))], axis=1), n, axis=0)
@@ -226,21 +172,12 @@ def mass_matrices(q, arm):
     return columns.reshape(m, n, n).swapaxes(1, 2)
 
 
-def own_inertia(links):
+def own_inertia(links) -> np.ndarray:
     """
     Return the inertia about each joint of all it carries, and that of its motor where rigid.
 
-    Parameters
-    ----------
-    links : numpy.record
-        Of `constants_of`; a planar chain is taken as folded around each joint, one in space with
-        all joints at 0.
-
-    Returns
-    -------
-    ndarray, shape (2, n_joints)
-        [kg m^2]
-
+    (2, n_joints) [kg m^2] of a record of `constants_of`; a planar chain is folded around each
+    joint, one in space has all joints at 0.
     """
     if 'coupling' in links.dtype.names:
         return np.stack([np.diag(links.coupling), np.diag(links.rigid_inertia)])
@@ -251,22 +188,12 @@ def own_inertia(links):
     return np.stack([np.diag(work.matrix) - motors, motors])
 
 
-def configurations(arm, count):
+def configurations(arm, count) -> np.ndarray:
     """
-    Return poses spread evenly over the ranges of the joints of a chain in space.
+    Return poses (count, n_joints) spread evenly over the joint ranges of a chain in space.
 
-    Parameters
-    ----------
-    arm : ArmParams
-        Of kind urdf; a joint without a range turns once, or slides `_SLIDE` either way.
-    count : int
-        How many.
-
-    Returns
-    -------
-    ndarray, shape (count, n_joints)
-        The first with all joints at 0, the others an additive recurrence.
-
+    The first has all joints at 0, the others are an additive recurrence. A joint without a range
+    turns once, or slides `_SLIDE` either way.
     """
     n, frames = arm.n_joints, arm.frames
     wide = np.where(frames.prismatic, _SLIDE, np.pi)
@@ -277,33 +204,3 @@ def configurations(arm, count):
     steps = np.arange(1, count)[:, None] * root ** -np.arange(1.0, n + 1.0)
     spread = lower + (upper - lower) * ((0.5 + steps) % 1.0)
     return np.concatenate([np.zeros((1, n)), spread])
-
-
-def energy(q_link, dq_link, q_motor, dq_motor, arm):
-    """
-    Return the mechanical energy of links, motors, springs and gravity.
-
-    Parameters
-    ----------
-    q_link, dq_link, q_motor, dq_motor : ndarray, shape (n_joints,)
-        State; the motor side of a rigid joint is not used.
-    arm : ArmParams
-        The arm.
-
-    Returns
-    -------
-    float
-        Energy [J]; gravity counts from the height of the first joint, or of the URDF's base.
-
-    """
-    links = constants_of(arm)
-    flexible = ~arm.rigid
-    twist = (q_motor - q_link)[flexible]
-    motors = arm.motor_inertia[flexible] * np.asarray(dq_motor)[flexible] ** 2
-    if arm.frames is None:
-        moving = planar.link_energy(q_link, dq_link, links)
-    else:
-        work = records.build(work_layout(arm.n_joints))
-        moving = spatial.link_energy(q_link, dq_link, links, work)
-    return float(moving + 0.5 * np.sum(motors)
-                 + 0.5 * np.sum(arm.stiffness[flexible] * twist ** 2))

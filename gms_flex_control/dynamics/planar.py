@@ -16,7 +16,7 @@ from functools import cache
 
 from gms_flex_control import records
 from gms_flex_control.compiled import compiled
-from gms_flex_control.dynamics.linear import (
+from gms_flex_control.dynamics.vectors import (
     factorise,
     multiply,
     multiply_transposed,
@@ -220,46 +220,3 @@ def _pull(i, links, work):
     slope = links.moment[i] * (gx * work.cosine[i] + gy * work.sine[i])
     return (weight, slope * work.omega[i],
             slope * work.alpha[i] - weight * work.omega[i] ** 2)
-
-
-def matrices(q, dq, ddq, d3q, chain):
-    """Return the fields of ChainMatrices, by the product rule on the closed form."""
-    transform = chain.orientation
-    theta, omega, alpha, jerk = (transform @ np.asarray(x, dtype=float)
-                                 for x in (q, dq, ddq, d3q))
-    theta = theta + chain.offset
-    phi, dphi, ddphi = (x[:, None] - x[None, :] for x in (theta, omega, alpha))
-    a, cos, sin = chain.coupling, np.cos(phi), np.sin(phi)
-    rate = dphi * cos  # d/dt sin(phi)
-    squares = (
-        a * cos + chain.rigid_inertia, -a * sin * dphi, -a * (rate * dphi + sin * ddphi),
-        a * sin * omega, a * (rate * omega + sin * alpha),
-        a * ((cos * ddphi - sin * dphi ** 2) * omega + 2 * rate * alpha + sin * jerk))
-    gx, gy = chain.gravity
-    pull = chain.moment * (gx * np.sin(theta) - gy * np.cos(theta))
-    slope = chain.moment * (gx * np.cos(theta) + gy * np.sin(theta))
-    vectors = (pull, slope * omega, slope * alpha - pull * omega ** 2)
-    return (*(transform.T @ square @ transform for square in squares),
-            *(transform.T @ vector for vector in vectors))
-
-
-def inverse_dynamics(q, dq, ddq, chain):
-    """Return ``M ddq + C dq + g`` (..., n) in joint coordinates."""
-    turn = chain.orientation.T
-    theta, omega, alpha = (np.asarray(x, dtype=float) @ turn for x in (q, dq, ddq))
-    theta = theta + chain.offset
-    gx, gy = chain.gravity
-    torque = chain.moment * (gx * np.sin(theta) - gy * np.cos(theta))
-    for i in range(len(chain.moment)):
-        between = theta[..., i, None] - theta
-        torque[..., i] += ((chain.coupling[i] * np.cos(between) + chain.rigid_inertia[i]) * alpha
-                           + chain.coupling[i] * np.sin(between) * omega ** 2).sum(-1)
-    return torque @ chain.orientation
-
-
-def link_energy(q, dq, chain):
-    """Return the energy of the links and their weight [J]."""
-    theta, omega = chain.orientation @ q + chain.offset, chain.orientation @ dq
-    mass = chain.coupling * np.cos(theta[:, None] - theta[None, :]) + chain.rigid_inertia
-    height = np.stack([np.cos(theta), np.sin(theta)])
-    return 0.5 * omega @ mass @ omega - chain.gravity @ height @ chain.moment

@@ -18,7 +18,6 @@ from functools import cache
 from gms_flex_control import records
 from gms_flex_control.compiled import compiled
 from gms_flex_control.dynamics import vectors as vec
-from gms_flex_control.dynamics.linear import factorise, solve_factorised
 from gms_flex_control.records import FLOAT
 import numpy as np
 
@@ -175,8 +174,8 @@ def accelerations(q, dq, links, work):
         work.acceleration[i] = work.tau[i] - work.right[i]
         for j in range(i, links.motor_inertia.shape[0]):
             work.factor[i, j] = work.matrix[i, j]
-    factorise(work.factor)
-    solve_factorised(work.factor, work.acceleration)
+    vec.factorise(work.factor)
+    vec.solve_factorised(work.factor, work.acceleration)
 
 
 @compiled
@@ -195,7 +194,7 @@ def mass_solve(vector, links, work, out):
     """Write the inverse of M times ``vector`` into ``out``; see dynamics.chain."""
     for i in range(links.motor_inertia.shape[0]):
         out[i] = vector[i]
-    solve_factorised(work.factor, out)
+    vec.solve_factorised(work.factor, out)
 
 
 @compiled
@@ -318,31 +317,3 @@ def _about_frame(m, c, own):
     half = 0.5 * (about[0] + about[3] + about[5])
     return h, about, (half - about[0], -about[1], -about[2], half - about[3], -about[4],
                       half - about[5])
-
-
-@compiled
-def matrices(q, dq, ddq, d3q, links, work, mass, coriolis, gravity):
-    """
-    Write M and C, (3, n, n) each, and g (3, n), with two time derivatives, column by column.
-
-    Angles and their derivatives are arrays (n,).
-    """
-    n = q.shape[0]
-    pose(q, links, work)
-    still, unit, column = np.zeros((3, n)), np.zeros((3, n)), np.empty((3, n))
-    reference_torque(dq, ddq, d3q, still, still, links, work, gravity)
-    for j in range(n):
-        unit[0, j] = 1.0
-        reference_torque(dq, ddq, d3q, still, unit, links, work, column)
-        mass[:, :, j] = column - gravity
-        reference_torque(dq, ddq, d3q, unit, still, links, work, column)
-        coriolis[:, :, j] = column - gravity
-        unit[0, j] = 0.0
-
-
-def link_energy(q, dq, links, work):
-    """Return the energy of the links and their weight [J]."""
-    pose(np.asarray(q, dtype=float), links, work)
-    mass_matrix(links, work)
-    heights = work.centre @ links.gravity
-    return 0.5 * dq @ work.matrix @ dq - links.mass @ heights

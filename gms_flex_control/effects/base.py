@@ -4,6 +4,7 @@
 """What an effect is: a named term with parameters that joins the model at one stage."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cache
@@ -11,16 +12,17 @@ import math
 
 from gms_flex_control.compiled import compiled_effect
 from gms_flex_control.errors import ParameterError
+import numpy as np
 
-LEAST_RELATIVE = -0.8   # least relative error looked for: ratios near -1 are implausible
+LEAST_RELATIVE = -0.8   # least relative error searched for: ratios near -1 are implausible
 
 
 class Stage(IntEnum):
     """Where in the model an effect acts; the stages run in this order in every substep."""
 
     ACTUATOR = 0  # torque command -> torque of the motor
-    TWIST = 1     # q_motor - q_link -> twist the spring sees
-    SPRING = 2    # twist -> spring torque
+    TWIST = 1     # q_motor - q_link -> torsion the spring sees
+    SPRING = 2    # torsion -> spring torque
     FRICTION = 3  # friction torque of the link
     LINK = 4      # extra torque on the link
     MOTOR = 5     # extra torque on the motor
@@ -30,28 +32,21 @@ class Stage(IntEnum):
 @dataclass(frozen=True)
 class Parameter:
     """
-    One parameter of an effect.
+    One parameter of an effect, ``effects.<joint>.<effect>.<name>`` in a robot file.
 
-    Parameters
-    ----------
-    name, unit, description : str
-        As shown in reports and YAML (``effects.<joint>.<effect>.<name>``).
-    lower, upper : float
-        Closed bounds of the values the model allows.
-    relative : bool
-        Whether it is a relative error, looked for from `LEAST_RELATIVE` on.
-    fixed : bool
-        Whether it only sets the unit of another and is not fitted.
-
+    ``typical`` is the standard deviation of a zero-mean prior, or computes it from Scales; it is
+    None for phases, orders, places and limits, of which zero is not the likeliest.
     """
 
     name: str
     unit: str
     description: str
-    lower: float = -math.inf
+    lower: float = -math.inf   # closed bounds of the values that the model allows
     upper: float = math.inf
-    relative: bool = False
-    fixed: bool = False
+    relative: bool = False     # a relative error, searched for from LEAST_RELATIVE on
+    fixed: bool = False        # only sets the unit of another and is not fitted
+    searched: tuple = (-math.inf, math.inf)  # bounds of the search, where narrower
+    typical: float | Callable | None = None
 
 
 class Effect(ABC):
@@ -66,159 +61,79 @@ class Effect(ABC):
     parameters: tuple         # of Parameter
     whole_arm = False         # stands under effects.arm instead of under a joint
     evidence: str             # what it shows against, of discrepancy.signature.VARIABLES
-    confusable: tuple         # names of effects that data hardly tell from it
-    slowest = 0.0             # order from which on a wave is looked for, of a parameter 'order'
-    declared_from = 0.8       # share of what it explains from which these are said to do as well
-    tells: str                # motion that tells it from others, as '... would tell'
+    confusable = ()           # names of effects that data hardly distinguish from it
+    declared_from = 0.8       # share of what it explains from which these are reported as well
+    tells: str                # the discriminating experiment, as '... would tell'
     of_feedback = False       # encoder noise in the torque of a feedback resembles a little of it
     replaces = None           # kind of known parameter of which this is a larger error
     needs_link_encoder = False  # cannot be judged on a flexible joint without one
     needs_commands = False    # what is measured as torque has passed it already
-    needs_planar = False      # requires links that carry each other
+    needs_chain = False       # requires links that carry each other
     of_recording = False      # an error of the recording, not of the robot
     needs_supply = False      # requires a recorded voltage of the supply
     fed_forward = False       # a torque that follows smoothly from what a controller measures
     acts_along_motion = True  # what was measured is enough to compute it
     estimated_with_arm = False  # identification finds it anew with the arm
 
-    @classmethod
+    @staticmethod
     @abstractmethod
-    def guesses(cls, scales):
-        """
-        Return how the effect might be there on a joint.
-
-        Parameters
-        ----------
-        scales : Scales
-            Usual sizes there, see guess.py; those of the first joint for the whole arm.
-
-        Returns
-        -------
-        list of Guess
-            Empty where it cannot act.
-
-        """
+    def guesses(scales):
+        """Return how the effect might act on a joint of Scales (guess.py), list of Guess."""
 
     @classmethod
-    @abstractmethod
-    def typical(cls, scales):
-        """
-        Return the standard deviation of a zero-mean prior on each parameter.
+    def typical(cls, scales) -> tuple:
+        """Return ``typical`` of each parameter on a joint of Scales, floats or None."""
+        return tuple(one.typical(scales) if callable(one.typical) else one.typical
+                     for one in cls.parameters)
 
-        Parameters
-        ----------
-        scales : Scales
-            Of a joint on which the effect can act, see `guesses`.
-
-        Returns
-        -------
-        tuple of float or None
-            As ``parameters``; None for phases, orders, places and limits, of which zero is not
-            the likeliest, and for those that are fixed.
-
-        """
-
-    @classmethod
-    def excludes(cls, rigid):
+    @staticmethod
+    def excludes(rigid) -> tuple:
         """Return the names of effects that may not stand beside it on a joint, rigid or not."""
         return ()
 
-    @classmethod
-    def torque_acted(cls, torque, period, values):
+    @staticmethod
+    def torque_acted(torque, period, values) -> np.ndarray | None:
         """
-        Return recorded torques as they acted, of an effect that is an error of the recording.
+        Return recorded torques (T, n_joints) [N m] as they acted, held over samples.
 
-        Parameters
-        ----------
-        torque : ndarray, shape (T, n_joints)
-            As recorded, held over samples [N m].
-        period : float
-            Sample [s].
-        values : tuple of float
-            Values of ``parameters``.
-
-        Returns
-        -------
-        ndarray, shape (T, n_joints), or None
-            None where it is no error of recorded torques.
-
+        None where the effect is no error of recorded torques.
         """
         return None
 
-    @classmethod
-    def torque_scale(cls, values, supply):
+    @staticmethod
+    def torque_scale(values, supply) -> float:
         """
         Return the factor by which it scales the whole torque of an actuator.
 
         A model that shrinks all torques has smaller residuals and explains nothing: they count
-        per unit of the torque that was commanded.
-
-        Parameters
-        ----------
-        values : tuple of float
-            Values of ``parameters``.
-        supply : float
-            Mean voltage of the supply [V].
-
-        Returns
-        -------
-        float
-
+        per unit of the torque that was commanded. ``supply`` is its mean voltage [V].
         """
         return 1.0
 
-    @classmethod
-    def in_friction(cls, steady, direction, values):
+    @staticmethod
+    def in_friction(steady, direction, values):
         """
-        Return the friction parameters of one direction with the effect in them.
+        Return the StribeckParams of one direction (1, -1) with the effect in them.
 
-        Parameters
-        ----------
-        steady : StribeckParams
-            Of one direction of motion.
-        direction : float
-            1 forward, -1 backward.
-        values : list of ndarray, shape (n_joints,)
-            Of each of ``parameters``, zero at joints without the effect.
-
-        Returns
-        -------
-        StribeckParams, or None
-            None where these parameters cannot express it.
-
+        ``values`` of each parameter are (n_joints,), zero at joints without the effect. None
+        where these parameters cannot express it.
         """
         return None
 
-    @classmethod
-    def holding_torque(cls, values):
+    @staticmethod
+    def holding_torque(values) -> float:
         """Return the friction torque [N m] that it adds where a motor stands still."""
         return 0.0
 
     @classmethod
-    def search_bounds(cls, joint_index, robot):
-        """
-        Return the least and the largest values that are looked for.
-
-        Parameters
-        ----------
-        joint_index : int
-            Of the joint; 0 for the whole arm.
-        robot : RobotParams
-            As believed.
-
-        Returns
-        -------
-        lower, upper : list of float
-            Of each parameter, within the bounds that the model allows.
-
-        """
-        lower = [max(one.lower, LEAST_RELATIVE) if one.relative else
-                 max(one.lower, cls.slowest) if one.name == 'order' else one.lower
+    def search_bounds(cls, joint_index, robot) -> tuple[list, list]:
+        """Return the least and the largest values of the search, within those of the model."""
+        lower = [max(one.lower, one.searched[0], LEAST_RELATIVE if one.relative else -math.inf)
                  for one in cls.parameters]
-        return lower, [one.upper for one in cls.parameters]
+        return lower, [min(one.upper, one.searched[1]) for one in cls.parameters]
 
     @classmethod
-    def values(cls, given, where):
+    def values(cls, given, where) -> tuple:
         """
         Return the parameter values in declared order.
 
@@ -228,11 +143,6 @@ class Effect(ABC):
             One entry per parameter.
         where : str
             Key of the effect in its file, for the message.
-
-        Returns
-        -------
-        tuple of float
-            Finite values within their bounds.
 
         Raises
         ------
@@ -261,22 +171,19 @@ class Term(Effect):
     memory_size = 0           # floats it keeps from substep to substep, zero at the start
 
     @staticmethod
+    def on_arm(values, arm, joint) -> tuple:
+        """Return the values that `apply` gets at index ``joint`` of ArmParams."""
+        return values
+
+    @staticmethod
     @abstractmethod
     def apply(s, p, memory, dt):
         """
         Change the signals of one joint; compiled, so plain scalar code only.
 
-        Parameters
-        ----------
-        s : pointer to float64
-            Signals of the joint, see signals.py.
-        p : pointer to float64
-            Values of ``parameters``, in that order.
-        memory : pointer to float64
-            ``memory_size`` numbers of its own.
-        dt : float
-            Substep; the sample period in stage SENSOR [s].
-
+        ``s``, ``p`` and ``memory`` point to the signals of the joint (signals.py), the values of
+        ``parameters`` and ``memory_size`` numbers of its own; ``dt`` is the substep, the sample
+        period in stage SENSOR [s].
         """
 
     @classmethod
@@ -292,20 +199,4 @@ class Change(Effect):
     @staticmethod
     @abstractmethod
     def change(robot, joint, values):
-        """
-        Return the robot with the effect in it.
-
-        Parameters
-        ----------
-        robot : RobotParams
-            As believed.
-        joint : int
-            Index of the joint; 0 for the whole arm.
-        values : tuple of float
-            Values of ``parameters``.
-
-        Returns
-        -------
-        RobotParams
-
-        """
+        """Return the RobotParams with the effect at index ``joint``, 0 for the whole arm."""

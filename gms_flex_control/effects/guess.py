@@ -43,27 +43,13 @@ class Scales(NamedTuple):
 
 
 class Guess(NamedTuple):
-    """
-    One way an effect might be there: columns of a linear problem, and what its numbers mean.
+    """One way an effect might act: columns of a linear problem, and what its numbers mean."""
 
-    Parameters
-    ----------
-    probes : tuple of tuple of float
-        Values of all parameters of the effect, one set per column.
-    values : callable
-        Coefficients -> values of all parameters.
-    lowest, highest : float
-        Of every coefficient.
-    within : callable
-        Coefficients -> share of them that the bounds of the parameters allow, 0 to 1.
-
-    """
-
-    probes: tuple
-    values: Callable
-    lowest: float = -np.inf
+    probes: tuple              # values of all parameters of the effect, one set per column
+    values: Callable           # coefficients -> values of all parameters
+    lowest: float = -np.inf    # of every coefficient
     highest: float = np.inf
-    within: Callable = lambda c: 1.0
+    within: Callable = lambda c: 1.0  # coefficients -> share that the bounds allow, 0 to 1
 
     @property
     def is_linear(self):

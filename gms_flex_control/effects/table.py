@@ -35,18 +35,7 @@ def with_changes(robot):
     """
     Return the robot with every effect that is a `Change` put into its parameters.
 
-    Those of joints first: an error of a link is none of what the arm carries.
-
-    Parameters
-    ----------
-    robot : RobotParams
-        With any effects.
-
-    Returns
-    -------
-    RobotParams
-        Its effects are all of kind `Term`.
-
+    Those of joints first: what the arm carries has no part in an error of a link.
     """
     changes = [spec for spec in robot.effects if issubclass(find(spec.name), Change)]
     changes.sort(key=lambda spec: find(spec.name).whole_arm)  # stable
@@ -60,7 +49,7 @@ def with_changes(robot):
 
 def is_friction(kind):
     """Return whether parameters of the friction model express an effect as well."""
-    return kind.in_friction.__func__ is not Effect.in_friction.__func__
+    return kind.in_friction is not Effect.in_friction
 
 
 def with_friction(robot):
@@ -79,31 +68,18 @@ def with_friction(robot):
     return replace(robot, friction=friction, effects=tuple(left))
 
 
-def build(effects, joints):
+def build(effects, joints, arm=None):
     """
-    Compile the terms among ``effects`` into a table.
+    Return EffectSpecs of terms, as `with_changes` leaves them, as a record of `LAYOUT`.
 
-    Parameters
-    ----------
-    effects : sequence of EffectSpec
-        Terms only, as `with_changes` leaves them.
-    joints : sequence of str
-        Link names in order.
-
-    Returns
-    -------
-    numpy.record
-        Of `LAYOUT`.
-
-    Raises
-    ------
-    ParameterError
-        If there are more terms, parameters or memory than the table holds.
-
+    They are on ``joints`` (names) of ArmParams, which only effects that depend on them need.
+    ParameterError if there are more terms, parameters or memory than the table holds.
     """
     terms = [(find(spec.name), spec) for spec in effects]
     terms.sort(key=lambda term: term[0].stage)  # stable: the file's order within a stage
-    params = [value for _, spec in terms for value in spec.values]
+    rows = [0 if kind.whole_arm else joints.index(spec.joint) for kind, spec in terms]
+    params = [value for (kind, spec), row in zip(terms, rows, strict=True)
+              for value in (spec.values if arm is None else kind.on_arm(spec.values, arm, row))]
     sizes = [kind.memory_size for kind, _ in terms]
     for count, most, what in ((len(terms), MAX_TERMS, 'effects'),
                               (len(params), MAX_PARAMS, 'parameters of effects'),
@@ -113,8 +89,7 @@ def build(effects, joints):
                                  'holds; remove the smallest effects')
     table = records.build(LAYOUT)
     table.address[:len(terms)] = [kind.compiled().address for kind, _ in terms]
-    table.joint[:len(terms)] = [0 if kind.whole_arm else joints.index(spec.joint)
-                                for kind, spec in terms]
+    table.joint[:len(terms)] = rows
     table.first_param[:len(terms)] = np.cumsum([0, *(len(s.values) for _, s in terms)])[:-1]
     table.first_memory[:len(terms)] = np.cumsum([0, *sizes])[:-1]
     table.stage_start[:] = np.searchsorted([kind.stage for kind, _ in terms],

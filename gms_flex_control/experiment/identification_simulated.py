@@ -9,7 +9,7 @@ from gms_flex_control.data.recording import Phase, Recording
 from gms_flex_control.errors import SimulationError
 from gms_flex_control.experiment.identification_progress import Adaptation, LEAVING
 from gms_flex_control.experiment.identification_steps import BRAKING_TIME
-from gms_flex_control.simulation.stretches import StretchedLoop
+from gms_flex_control.simulation.closed_loop import Loop
 from gms_flex_control.trajectory import builders
 import numpy as np
 
@@ -72,11 +72,11 @@ class _Experiment:
         self._period_ns = round(NANOSECONDS / rate)
         self._period = self._period_ns / NANOSECONDS
         start = _START * np.random.default_rng([seed, 2]).uniform(-1.0, 1.0, robot.n_joints)
-        self._loop = StretchedLoop(robot, model, period=self._period, seed=seed, q_link=start,
-                                   substeps=max(1, round(self._period / _INTEGRATION_STEP)))
+        self._loop = Loop(robot, replace(model, effects=()), period_ns=self._period_ns, seed=seed,
+                          q_link=start, substeps=max(1, round(self._period / _INTEGRATION_STEP)))
         self._state = builders.at_rest(np.zeros(robot.n_joints))
         self._q_link = self._state[0].copy()
-        self._stretches, self._references, self.phases = [], [], []
+        self._runs, self._references, self.phases = [], [], []
 
     def phase(self, name, joint, step, value):
         """Note that a phase begins with the next sample."""
@@ -110,13 +110,13 @@ class _Experiment:
         self._keep(trajectory, trajectory.end, self._relaxed, is_effort=True, travel=travel)
         if step.phase == 'break_away':
             j = self._robot.joints.index(step.joint)
-            q_link = self._stretches[-1].measured[:, 0, j]
+            q_link = self._runs[-1].measured[:, 0, j]
             still = np.flatnonzero(np.abs(q_link - q_link[0]) <= LEAVING * step.travel)
             self._adaptation.broke_away(step, still[-1] * self._period)
 
     def _brake(self):
         state = builders.at_rest(self._q_link)
-        state[1] = self._stretches[-1].measured[-1, 1]
+        state[1] = self._runs[-1].measured[-1, 1]
         goal = self._q_link + 0.5 * BRAKING_TIME * state[1]
         way = builders.approach(state, builders.hold(goal), 0.0, duration=BRAKING_TIME)
         self._state = builders.at_rest(goal)
@@ -128,19 +128,19 @@ class _Experiment:
     def _keep(self, trajectory, duration, gains, *, is_effort, travel):
         time = self._period * np.arange(max(1, round(duration / self._period)))
         reference = trajectory.sample(time)
-        stretch = self._loop.run(reference, gains, is_effort=is_effort, travel=travel)
-        reference = reference[:len(stretch.command)]
-        self._q_link = stretch.measured[-1, 0].copy()
-        if not np.isfinite(stretch.measured).all():
+        run = self._loop.run(reference, gains, is_effort=is_effort, travel=travel)
+        reference = reference[:len(run.command)]
+        self._q_link = run.measured[-1, 0].copy()
+        if not np.isfinite(run.measured).all():
             raise SimulationError(f'the simulated experiment diverged in '
                                   f'{self.phases[-1].step}; check gains, inertia and stiffness')
-        self._stretches.append(stretch)
+        self._runs.append(run)
         self._references.append(np.full_like(reference, np.nan) if is_effort else reference)
 
     def recording(self, torque_noise, rng):
         """Return all samples as a Recording."""
-        measured, command, applied = (np.concatenate(parts) for parts in zip(
-            *self._stretches, strict=True))
+        measured, command, applied = (np.concatenate([getattr(run, name) for run in self._runs])
+                                      for name in ('measured', 'command', 'applied'))
         q_link, dq_link, q_motor, dq_motor = np.moveaxis(measured, 1, 0)
         rigid = self._robot.arm.rigid
         noise = torque_noise * rng.standard_normal(applied.shape)

@@ -16,6 +16,7 @@ from gms_flex_control.schema.motion import trajectory_from_values
 from gms_flex_control.schema.node_keys import plant_node_keys, trajectory_keys
 from gms_flex_control.simulation.stepped import SteppedPlant
 from gms_flex_control.trajectory import builders
+from gms_flex_control.trajectory.limits import require_within
 from gms_flex_control.trajectory.segments import Trajectory
 import numpy as np
 
@@ -128,8 +129,10 @@ def _reference(motion, robot, plant):
     plant.measure()
     if motion['trajectory.type'] == 'hold':
         return builders.hold(plant.measured.q_link)
-    return builders.approach(builders.at_rest(plant.measured.q_link), chosen, 0.0,
-                             duration=motion['trajectory.approach_time'])
+    reference = builders.approach(builders.at_rest(plant.measured.q_link), chosen, 0.0,
+                                  duration=motion['trajectory.approach_time'])
+    require_within(reference, robot.joints, robot.arm.frames, robot.arm.offset)
+    return reference
 
 
 def _filled(keys, values):

@@ -5,7 +5,6 @@
 
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.data.writer import write_recording
-from gms_flex_control.effect_compensation import loop
 from gms_flex_control.errors import SimulationError
 from gms_flex_control.experiment.plan import Plan
 from gms_flex_control.simulation import closed_loop
@@ -40,24 +39,14 @@ def simulate(plan: Plan, source: str = 'simulation') -> Recording:
 
 def run_plan(plan: Plan) -> Run:
     """Return the Run of a plan, true states included; arguments and errors as of `simulate`."""
-    run = _run(plan)
+    run = closed_loop.run(
+        plan.robot, plan.model, plan.gains, plan.trajectory, duration=plan.duration,
+        period_ns=plan.period_ns, substeps=plan.substeps, seed=plan.seed, q_link=plan.q_link)
     sound = np.isfinite(run.true).all(axis=(1, 2)) & np.isfinite(run.command).all(axis=1)
     if not sound.all():
         raise SimulationError(f'the simulation diverged at {run.time[np.argmin(sound)]:g} s; '
                               'raise substeps, or check stiffness, inertia and gains')
     return run
-
-
-def _run(plan):
-    """Return the Run of a plan, faster where the controller's model has no effects."""
-    timing = {'period_ns': plan.period_ns, 'substeps': plan.substeps, 'seed': plan.seed,
-              'q_link': plan.q_link}
-    if not plan.model.effects:
-        return closed_loop.run(plan.robot, plan.model, plan.gains, plan.trajectory,
-                               duration=plan.duration, **timing)
-    count = round(plan.duration * closed_loop.NANOSECONDS / plan.period_ns)
-    time = np.arange(count) * plan.period_ns / closed_loop.NANOSECONDS
-    return loop.run(plan.robot, plan.model, plan.gains, plan.trajectory.sample(time), **timing)
 
 
 def to_recording(run: Run, plan: Plan, source: str = 'simulation') -> Recording:

@@ -9,8 +9,8 @@ import io
 from gms_flex_control.effects.catalogue.viscous_error import ViscousError
 from gms_flex_control.effects.table import with_friction
 from gms_flex_control.exports.target import Target
+from gms_flex_control.params.arm import in_units
 from gms_flex_control.params.robot import RobotParams, WHOLE_ARM
-from gms_flex_control.params.units import in_units
 from gms_flex_control.schema.build import robot_values
 from gms_flex_control.schema.keys import known_keys
 from gms_flex_control.schema.urdf import robot_urdf
@@ -49,18 +49,9 @@ ROS2_CONTROL = Target(title='ros2_control', write=ros2_control, effects=(Viscous
 
 def table(robot: RobotParams) -> str:
     """
-    Return a robot as CSV with the columns `COLUMNS`.
+    Return a robot, effects included, as CSV with the columns `COLUMNS`.
 
-    Parameters
-    ----------
-    robot : RobotParams
-        As its files state it, effects included.
-
-    Returns
-    -------
-    str
-        One row per number; entry k of an array is ``name[k]``.
-
+    One row per number; entry k of an array is ``name[k]``.
     """
     values = robot_values(robot)
     keys = known_keys(values, robot.joints)

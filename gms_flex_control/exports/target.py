@@ -28,55 +28,22 @@ _AT_ONCE = 1e6  # attraction of friction that follows its Stribeck curve [N m/s]
 
 @dataclass(frozen=True, kw_only=True)
 class Target:
-    """
-    A program that reads robots.
+    """A program that reads robots."""
 
-    Parameters
-    ----------
-    title : str
-        For messages.
-    write : callable
-        Returns the text of a RobotParams whose effects are among ``effects``, with the names
-        that were left out as second argument.
-    parts : tuple of str
-        Which of `PARTS` it cannot express.
-    effects : tuple of str
-        Catalogue names that it can express, beside those that change parameters.
-    also_lacks : callable, optional
-        Yields further (name, where) of a RobotParams that it cannot express.
-
-    """
-
-    title: str
-    write: Callable
-    parts: tuple
-    effects: tuple
+    title: str       # for messages
+    write: Callable  # (RobotParams with effects among these, names left out) -> text
+    parts: tuple     # which of PARTS it cannot express
+    effects: tuple   # names that it can express, beside those that change parameters
+    # yields further (name, where) of a RobotParams that it cannot express
     also_lacks: Callable = lambda _robot: ()
 
 
 def export(robot: RobotParams, target: Target, without: Iterable[str] = ()) -> str:
     """
-    Return a robot as text for a target.
+    Return a robot as text for a target, without some `PARTS` of the model and effects.
 
-    Parameters
-    ----------
-    robot : RobotParams
-        With any effects.
-    target : Target
-        Who reads it.
-    without : iterable of str
-        Parts of the model (`PARTS`) and effects to leave out.
-
-    Returns
-    -------
-    str
-
-    Raises
-    ------
-    ConfigError
-        If a name in ``without`` is unknown, or the target cannot express something that is not
-        left out.
-
+    ConfigError if a name in ``without`` is unknown, or the target cannot express something that
+    is not left out.
     """
     without = tuple(without)
     for name in without:

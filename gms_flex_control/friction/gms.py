@@ -51,24 +51,12 @@ def constants_of(params):
                          attraction=params.attraction)
 
 
-def init(params, torque=None, direction=None):
+def init(params, torque=None, direction=None) -> np.record:
     """
-    Return the friction state of joints at rest.
+    Return the friction state of joints with FrictionParams at rest, all blocks sticking.
 
-    Parameters
-    ----------
-    params : FrictionParams
-        Gives the number of joints and blocks.
-    torque : ndarray, shape (n_joints, n_blocks), optional
-        Torque each block starts with [N m]; default none.
-    direction : ndarray, shape (n_joints,), optional
-        Direction of the motion before, +1 or -1; default +1.
-
-    Returns
-    -------
-    numpy.record
-        Of `state_layout`; all blocks sticking.
-
+    ``torque`` (n, N) of the blocks is 0 by default [N m], ``direction`` (n,) of the motion before
+    is +1.
     """
     return records.build(state_layout(*params.stiffness.shape), sticking=1,
                          torque=0.0 if torque is None else torque,
@@ -164,3 +152,29 @@ def total(state, velocity, constants, tau):
         tau[j] = constants.viscous[row, j] * velocity[j]  # Eq. (5)
         for i in range(state.torque.shape[1]):
             tau[j] += state.torque[j, i]
+
+
+@compiled
+def _replay(angle, rate, period, constants, state, displacement, tau):
+    """Write the friction torque (T, n) along ``angle`` and ``rate`` (T, n) into ``tau``."""
+    for k in range(angle.shape[0]):
+        if k > 0:
+            for j in range(angle.shape[1]):
+                displacement[j] = angle[k, j] - angle[k - 1, j]
+            advance(state, displacement, rate[k], period, constants)
+        total(state, rate[k], constants, tau[k])
+
+
+def replay(angle, rate, period, constants) -> np.ndarray:
+    """
+    Return the friction torque (T, n) along a motion, blocks unloaded at its beginning [N m].
+
+    ``angle`` and ``rate`` are (T, n) [rad, rad/s], ``period`` the sample [s], ``constants`` a
+    record of `constants_layout`. Eqs. (2), (3) and (5).
+    """
+    n, blocks = constants.stiffness.shape
+    state = records.build(state_layout(n, blocks), sticking=1, direction=1.0)
+    tau = np.empty(angle.shape)
+    _replay(np.ascontiguousarray(angle), np.ascontiguousarray(rate), period, constants, state,
+            np.zeros(n), tau)
+    return tau

@@ -25,53 +25,23 @@ def _of_direction(dq, params, name):
     return np.where(np.asarray(dq) >= 0, forward, backward)
 
 
-def stribeck_level(dq, params):
+def stribeck_level(dq, params) -> np.ndarray:
     """
-    Return the Stribeck level s(dq) > 0 for the direction of each velocity.
+    Return the Stribeck level s(dq) > 0 of FrictionParams at velocities (..., n_joints) [N m].
 
-    Parameters
-    ----------
-    dq : ndarray, shape (..., n_joints)
-        Link velocity [rad/s]; zero counts as forward.
-    params : FrictionParams
-        Friction of the same joints.
-
-    Returns
-    -------
-    ndarray, shape (..., n_joints)
-        ``static`` at rest, falling to ``coulomb`` at speed [N m].
-
-    Notes
-    -----
-    Eq. (4) with the direction-dependent values of Table 1. The sign of motion enters in
-    Eq. (3), not here.
-
+    ``static`` at rest, falling to ``coulomb`` at speed: Eq. (4) with the direction-dependent
+    values of Table 1; zero counts as forward. The sign of motion enters in Eq. (3), not here.
     """
     static, coulomb, velocity = (
         _of_direction(dq, params, name) for name in ('static', 'coulomb', 'velocity'))
     return coulomb + (static - coulomb) * np.exp(-(np.asarray(dq) / velocity) ** 2)  # Eq. (4)
 
 
-def steady_friction(dq, params):
+def steady_friction(dq, params) -> np.ndarray:
     """
-    Return the friction torque at constant velocity.
+    Return the friction torque at constant velocities (..., n_joints) [N m].
 
-    Parameters
-    ----------
-    dq : ndarray, shape (..., n_joints)
-        Link velocity [rad/s].
-    params : FrictionParams
-        Friction of the same joints.
-
-    Returns
-    -------
-    ndarray, shape (..., n_joints)
-        ``sgn(dq) s(dq) + viscous dq`` [N m]; zero at rest.
-
-    Notes
-    -----
-    Eq. (6).
-
+    ``sgn(dq) s(dq) + viscous dq``, Eq. (6), with FrictionParams; zero at rest.
     """
     viscous = _of_direction(dq, params, 'viscous')
     return np.sign(dq) * stribeck_level(dq, params) + viscous * np.asarray(dq)  # Eq. (6)

@@ -16,7 +16,6 @@ from gms_flex_control.identification.result import HeldOut, Trace
 from gms_flex_control.identification.smoothing import low_pass, low_pass_bandwidth
 from gms_flex_control.identification.steady import friction_torque
 from gms_flex_control.simulation import plant, predictor
-from gms_flex_control.simulation.friction_replay import replay
 import numpy as np
 
 HORIZON = 0.5       # of a free simulation [s]
@@ -29,7 +28,7 @@ _LONGEST_TRACE = 20_000
 def model_friction(objective, stretch, theta, period):
     """Return friction of the joint (T,) along the smoothed motion, further torques included."""
     angle = smooth_angle(stretch, period)
-    tau = replay(angle, stretch.rate, period, objective.friction(theta))[:, objective.joint]
+    tau = gms.replay(angle, stretch.rate, period, objective.friction(theta))[:, objective.joint]
     extra = objective.extra(stretch)
     return tau - extra @ theta[len(theta) - extra.shape[1]:]
 

@@ -18,8 +18,8 @@ from gms_flex_control.identification.words import (
     short_name,
     standing,
 )
-from gms_flex_control.params.uncertainty import KINDS
-from gms_flex_control.params.units import in_units
+from gms_flex_control.params.arm import in_units
+from gms_flex_control.params.robot import KINDS
 from gms_flex_control.schema.build import robot_values
 from gms_flex_control.schema.files import save_values
 import numpy as np

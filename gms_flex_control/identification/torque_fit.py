@@ -9,13 +9,13 @@ Robust to moments unlike the rest, and drawn weakly to a belief.
 
 from typing import NamedTuple
 
+from gms_flex_control.friction import gms
 from gms_flex_control.identification import held_out as errors
 from gms_flex_control.identification.coordinates import friction_record
 from gms_flex_control.identification.objective import BLOCK_TIME
 from gms_flex_control.identification.smoothing import low_pass
 from gms_flex_control.identification.steady import friction_torque
 from gms_flex_control.identification.uncertainty import clustered, Spread
-from gms_flex_control.simulation.friction_replay import replay
 import numpy as np
 from scipy.optimize import least_squares
 
@@ -77,7 +77,7 @@ class TorqueError:
         """Return the unexplained torque (S,) of parameters [N m]."""
         record, parts = friction_record([theta]), []
         for piece in self._pieces:
-            friction = replay(piece.angle, piece.rate, self._period, record)[:, 0]
+            friction = gms.replay(piece.angle, piece.rate, self._period, record)[:, 0]
             model = friction - piece.extra @ theta[len(theta) - piece.extra.shape[1]:]
             parts.append(low_pass(piece.measured - model, piece.window)[piece.counts])
         return np.concatenate(parts)

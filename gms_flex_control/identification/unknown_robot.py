@@ -7,9 +7,8 @@ from dataclasses import fields, replace
 
 from gms_flex_control.errors import IdentificationError
 from gms_flex_control.params.arm import ArmParams
-from gms_flex_control.params.encoder import EncoderParams
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
-from gms_flex_control.params.robot import RobotParams
+from gms_flex_control.params.robot import EncoderParams, RobotParams
 import numpy as np
 
 

@@ -7,8 +7,8 @@ import os
 import sys
 import time
 
+from gms_flex_control.control.feedforward import as_parameters, compensated
 from gms_flex_control.control.gain_conditions import violations
-from gms_flex_control.effect_compensation.feedforward import as_parameters, compensated
 from gms_flex_control.nodes import messages, process
 from gms_flex_control.nodes.following import Follower, Reference
 from gms_flex_control.nodes.health import Health, WARN

@@ -8,10 +8,10 @@ import time
 from typing import NamedTuple
 
 from gms_flex_control.control.frozen_encoders import FrozenEncoders
-from gms_flex_control.effect_compensation.feedforward import CompensatingController
 from gms_flex_control.hardware.supervision import SourceWatch
 from gms_flex_control.nodes.health import OK, WARN
 from gms_flex_control.nodes.messages import all_finite, EFFORT, NANOSECONDS
+from gms_flex_control.simulation.stepped import SteppedController
 from gms_flex_control.trajectory import builders
 from gms_flex_control.trajectory.segments import extrapolate
 import numpy as np
@@ -243,7 +243,7 @@ class Follower:
 
     def __init__(self, robot, gains, values, health):
         self._health, self._lockstep = health, values['mode'] == 'lockstep'
-        self.controller = CompensatingController(gains, robot)
+        self.controller = SteppedController(gains, robot)
         self.references = References(*(values[f'reference_{what}']
                                        for what in ('timeout', 'hold', 'relax')))
         self.handover = Handover(values['resume_time'])

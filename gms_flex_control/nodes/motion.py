@@ -5,7 +5,7 @@
 
 from gms_flex_control.errors import TrajectoryError
 from gms_flex_control.nodes.messages import EFFORT, JointNumbers, NANOSECONDS, RefusedError
-from gms_flex_control.trajectory import builders, levels
+from gms_flex_control.trajectory import builders
 import numpy as np
 
 _STANDING = 1e-3    # slower than this counts as rest [rad/s]
@@ -41,11 +41,12 @@ class Motion:
 
     ``chosen`` is the trajectory of ``values``, checked parameters; `choose` changes both. Stamps
     are those of joint states [ns]. ``current`` is another object whenever the motion is another.
+    ``require`` raises TrajectoryError for one that the robot is not to follow.
     """
 
-    def __init__(self, joints, links, chosen, values):
+    def __init__(self, joints, links, chosen, values, require):
         self.joints, self.links = joints, links
-        self.chosen, self.values = chosen, values
+        self.chosen, self.values, self._require = chosen, values, require
         self.current = None      # Trajectory in the node's time, None before the first state
         self.running = self.has_points = False  # the latter: of a joint trajectory
         self._origin = self.last = self.published = None  # stamps [ns]
@@ -99,9 +100,11 @@ class Motion:
         state = self._state(time)
         if trajectory.quantity == EFFORT and np.abs(state[1]).max() > _STANDING:
             raise TrajectoryError('a torque ramp begins at rest: call ~/stop first')
+        entered = builders.approach(state, trajectory, time,
+                                    duration=self.values['trajectory.approach_time'])
+        self._require(entered)
         self._origin_of_torque[:] = self.links.q
-        self.current = builders.approach(state, trajectory, time,
-                                          duration=self.values['trajectory.approach_time'])
+        self.current = entered
         self.running, self.has_points = True, False
 
     def _state(self, time):
@@ -151,7 +154,7 @@ class Motion:
 
     def let_go(self):
         """Ask for zero torque from the next state on, until another motion begins."""
-        self.current = levels.torque_levels(np.zeros((1, len(self.joints))), 1.0)
+        self.current = builders.torque_levels(np.zeros((1, len(self.joints))), 1.0)
         self.running = self.has_points = False
 
     def follow_points(self, times, states, stamp) -> tuple:
@@ -175,7 +178,9 @@ class Motion:
                 'joint states; is its stamp of another clock? Zero begins at once')
         now = self._state(self._now())
         end, times = int(times[-1]), np.array([begin, *times[ahead]])
-        self.current = builders.through((times - self._origin) / NANOSECONDS,
-                                         np.stack([now, *states[ahead]]))
+        through = builders.through((times - self._origin) / NANOSECONDS,
+                                   np.stack([now, *states[ahead]]))
+        self._require(through)
+        self.current = through
         self.running = self.has_points = True
         return int(ahead.sum()), end

@@ -14,9 +14,11 @@ from gms_flex_control.nodes.messages import NANOSECONDS, RefusedError
 from gms_flex_control.nodes.motion import Links, LONGEST_PAUSE, Motion
 from gms_flex_control.nodes.parameters import NodeParameters
 from gms_flex_control.nodes.topics import Direct, Inbox, Outlet
+from gms_flex_control.schema.build import frames_from_values
 from gms_flex_control.schema.keys import robot_keys
 from gms_flex_control.schema.motion import trajectory_from_values
 from gms_flex_control.schema.node_keys import trajectory_keys
+from gms_flex_control.trajectory.limits import require_within
 import numpy as np
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
@@ -29,8 +31,10 @@ _NO_STATE = 'no joint state has come yet'
 
 
 def reference_names_keys(joints) -> tuple:
-    """Return the keys of joint names and of the trajectory."""
-    return (robot_keys(())[0], *trajectory_keys(joints))
+    """Return the keys of joint names, of what a URDF says of them, and of the trajectory."""
+    names = ('joints', 'arm.kind', 'arm.urdf', 'arm.base', 'arm.tip',
+             *(f'arm.{joint}.offset' for joint in joints))
+    return (*(key for key in robot_keys(joints) if key.name in names), *trajectory_keys(joints))
 
 
 class TrajectoryNode(Node):
@@ -43,9 +47,16 @@ class TrajectoryNode(Node):
         parameters = NodeParameters(self, reference_names_keys)
         values, joints = parameters.values, parameters.joints
         self._lockstep, self._links = values['mode'] == 'lockstep', Links(joints)
+        frames = frames_from_values(values, joints)
+        offset = np.array([values[f'arm.{joint}.offset'] for joint in joints])
+
+        def require(trajectory):
+            require_within(trajectory, joints, frames, offset)
+
         chosen = trajectory_from_values(values, joints)
+        require(chosen)
         chosen.sample(0.0)  # compile before the first state comes
-        self._motion = Motion(joints, self._links, chosen, values)
+        self._motion = Motion(joints, self._links, chosen, values, require)
         self._writer = messages.ReferenceWriter(
             len(joints), f'{self.get_fully_qualified_name()}#{os.getpid()}')
         self._counts = dict.fromkeys(('states followed', 'states refused', 'jumps of time'), 0)
@@ -60,8 +71,13 @@ class TrajectoryNode(Node):
                               ('reset', self._reset), ('release', self._release)):
             self.create_service(Trigger, f'~/{name}', guard(handler))
             self.direct.services[self.resolve_service_name(f'~/{name}')] = guard(handler)
-        parameters.watch(lambda new: (trajectory_from_values(new, joints), new),
-                         self._choose, guard)
+
+        def judge(new):
+            trajectory = trajectory_from_values(new, joints)
+            require(trajectory)
+            return trajectory, new
+
+        parameters.watch(judge, self._choose, guard)
         self._following = self._serve_action()
         self.get_logger().info(f"{values['trajectory.type']}, call ~/start to begin"
                                if not values['trajectory.autostart'] else

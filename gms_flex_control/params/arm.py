@@ -4,6 +4,8 @@
 """Inertia, stiffness and gravity of an arm with flexible or rigid joints."""
 
 from dataclasses import dataclass, replace
+from functools import reduce
+import re
 
 from gms_flex_control.errors import ParameterError
 from gms_flex_control.params.checks import freeze_arrays, require_finite, require_shape
@@ -11,38 +13,26 @@ import numpy as np
 
 KINDS = ('planar', 'decoupled', 'urdf')
 AXES = ('rotary', 'linear')
+# of linear axes in what is printed
+_OF_LINEAR = ((r'\bkg m\^2', 'kg'), (r'\b([mk]?N) m\b', r'\1'), (r'\bmrad\b', 'mm'),
+              (r'\brad\b', 'm'))
 _ROUNDING = 1e-3  # of a principal moment of inertia: files round their numbers
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Frames:
-    """
-    Where the joints of a chain in space are, read from a URDF.
+    """Where the joints of a chain in space are, read from a URDF."""
 
-    Parameters
-    ----------
-    rotation : ndarray, shape (n_joints, 3, 3)
-        Of each joint's frame in that of the link before, the joint at 0; its axis is z.
-    position : ndarray, shape (n_joints, 3)
-        Of its origin there [m].
-    prismatic : ndarray of bool, shape (n_joints,)
-        Which joints slide; of these m stands for rad, N for N m, kg for kg m^2.
-    lower, upper, velocity, effort : ndarray, shape (n_joints,)
-        Limits of the URDF; infinite where it has none.
-    source, base, tip : str
-        The URDF file, and the links the chain begins and ends with.
-
-    """
-
-    rotation: np.ndarray
-    position: np.ndarray
-    prismatic: np.ndarray
-    lower: np.ndarray
+    rotation: np.ndarray   # (n, 3, 3) of each joint's frame in that of the link before, at 0
+    position: np.ndarray   # (n, 3) of its origin there [m]; its axis is z
+    prismatic: np.ndarray  # (n,) bool; where true, m stands for rad, N for N m, kg for kg m^2
+    lower: np.ndarray      # (n,) limits of the URDF; infinite where it has none [rad]
     upper: np.ndarray
-    velocity: np.ndarray
-    effort: np.ndarray
-    source: str = ''
-    base: str = ''
+    velocity: np.ndarray   # [rad/s]
+    effort: np.ndarray     # [N m]
+    end: np.ndarray = (0.0, 0.0, 0.0)  # (3,) of the chain, in the frame of the last link [m]
+    source: str = ''       # the URDF file
+    base: str = ''         # the links the chain begins and ends with
     tip: str = ''
 
     def __post_init__(self):
@@ -51,6 +41,7 @@ class Frames:
         n = len(self.prismatic)
         require_shape('rotation', self.rotation, (n, 3, 3))
         require_shape('position', self.position, (n, 3))
+        require_shape('end', self.end, (3,))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -179,17 +170,9 @@ class ArmParams:
 
 def require_body(name, mass, inertia):
     """
-    Raise ParameterError unless a body can have this mass and inertia.
+    Raise ParameterError unless a body can have this mass [kg] and inertia (3, 3) [kg m^2].
 
-    Parameters
-    ----------
-    name : str
-        What the sentence is about.
-    mass : float
-        [kg]
-    inertia : ndarray, shape (3, 3)
-        About the centre of mass [kg m^2].
-
+    The inertia is about the centre of mass; ``name`` begins the sentence.
     """
     if not mass > 0.0:
         raise ParameterError(f'{name} has mass {mass:g} kg: give a mass above 0')
@@ -202,3 +185,10 @@ def require_body(name, mass, inertia):
         raise ParameterError(f'{name} has principal moments of inertia {shown} kg m^2: no body '
                              'has one above the sum of the other two; are they about the centre '
                              'of mass, as URDF wants them?')
+
+
+def in_units(arm: ArmParams, text: str) -> str:
+    """Return a text that is written for rotary axes, its units those of an arm."""
+    if arm.axes == 'rotary':
+        return text
+    return reduce(lambda told, unit: re.sub(*unit, told), _OF_LINEAR, text)

@@ -17,26 +17,13 @@ class StribeckParams:
     """
     Steady-state friction in one direction of motion (Eq. 4 and Table 1).
 
-    Parameters
-    ----------
-    static, coulomb : ndarray, shape (n_joints,)
-        F_s and F_c [N m], 0 < coulomb <= static.
-    velocity : ndarray, shape (n_joints,)
-        Stribeck velocity v_s [rad/s].
-    viscous : ndarray, shape (n_joints,)
-        sigma_2 [N m s/rad].
-
-    Raises
-    ------
-    ParameterError
-        If a value is not finite, out of range, or static lies below coulomb.
-
+    ParameterError if a value is not finite, out of range, or static lies below coulomb.
     """
 
-    static: np.ndarray
-    coulomb: np.ndarray
-    velocity: np.ndarray
-    viscous: np.ndarray
+    static: np.ndarray    # (n,) F_s [N m]
+    coulomb: np.ndarray   # (n,) F_c [N m], 0 < coulomb <= static
+    velocity: np.ndarray  # (n,) Stribeck velocity v_s [rad/s]
+    viscous: np.ndarray   # (n,) sigma_2 [N m s/rad]
 
     def __post_init__(self):
         freeze_arrays(self)
@@ -54,31 +41,16 @@ class StribeckParams:
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FrictionParams:
     """
-    GMS friction of n joints (Eqs. 2 to 5, Tables 1 to 3).
+    GMS friction of n joints with N blocks each (Eqs. 2 to 5, Tables 1 to 3).
 
-    Parameters
-    ----------
-    forward, backward : StribeckParams
-        Steady state for positive and negative velocity.
-    stiffness : ndarray, shape (n_joints, n_blocks)
-        Stiffness k_i of the asperities [N m/rad].
-    weight : ndarray, shape (n_joints, n_blocks)
-        Share alpha_i of the Stribeck level each block carries; sums to 1 per joint.
-    attraction : ndarray, shape (n_joints,)
-        C, how fast a slipping block nears its level [N m/s].
-
-    Raises
-    ------
-    ParameterError
-        If a shape does not fit, a value is out of range or the weights do not sum to 1.
-
+    ParameterError if a shape does not fit, a value is out of range or the weights do not sum to 1.
     """
 
-    forward: StribeckParams
+    forward: StribeckParams   # for positive velocity
     backward: StribeckParams
-    stiffness: np.ndarray
-    weight: np.ndarray
-    attraction: np.ndarray
+    stiffness: np.ndarray     # (n, N) k_i of the asperities [N m/rad]
+    weight: np.ndarray        # (n, N) alpha_i of the Stribeck level; sums to 1 per joint
+    attraction: np.ndarray    # (n,) C, how fast a slipping block nears its level [N m/s]
 
     def __post_init__(self):
         freeze_arrays(self, skip=('forward', 'backward'))

@@ -9,6 +9,8 @@ from gms_flex_control.errors import ParameterError
 from gms_flex_control.params.checks import freeze_arrays, require_finite, require_shape
 import numpy as np
 
+# gms_paper is the paper's observer, corrected, with tanh; gms the better one, with the sign of the
+# last motion, a command filter on the estimate and a bounded gain; see control.compensation
 COMPENSATIONS = ('none', 'gms_paper', 'gms', 'stribeck', 'lugre', 'gms_desired', 'gms_adaptive',
                  'disturbance_observer')
 
@@ -18,43 +20,18 @@ class ControllerParams:
     """
     Gains per joint and the kind of friction compensation.
 
-    Parameters
-    ----------
-    compensation : str
-        ``none``; ``gms_paper``, the paper's observer, corrected, with tanh; ``gms``, the better
-        one: sign of the last motion, command filter on the estimate, bounded observer gain.
-        For comparison ``stribeck``, ``lugre``, ``gms_desired`` (driven by the reference),
-        ``gms_adaptive`` and ``disturbance_observer``; see control.compensation.
-    kd_link, lambda_link : ndarray, shape (n_joints,)
-        K_D1 [N m s/rad] and Lambda_1 [1/s] of the link law (11).
-    kd_motor, lambda_motor : ndarray, shape (n_joints,)
-        K_D2 [N m s/rad] and Lambda_2 [1/s] of the motor law (27).
-    observer_gain : ndarray, shape (n_joints,)
-        k_e, how strongly the tracking error corrects slipping blocks.
-    sign_slope : ndarray, shape (n_joints,)
-        k_v of r(v) = tanh(k_v v), modes gms_paper and stribeck [s/rad].
-    filter_bandwidth : ndarray, shape (n_joints,)
-        Natural frequency of the command filter on the friction estimate, all modes but
-        none and gms_paper [rad/s].
-    torque_limit : ndarray, shape (n_joints,)
-        Largest motor torque the controller asks for [N m].
-
-    Raises
-    ------
-    ParameterError
-        If a gain is not finite or has the wrong sign, or the compensation is unknown.
-
+    ParameterError if a gain is not finite or has the wrong sign, or the compensation is unknown.
     """
 
-    compensation: str
-    kd_link: np.ndarray
-    lambda_link: np.ndarray
-    kd_motor: np.ndarray
-    lambda_motor: np.ndarray
-    observer_gain: np.ndarray
-    sign_slope: np.ndarray
-    filter_bandwidth: np.ndarray
-    torque_limit: np.ndarray
+    compensation: str             # one of COMPENSATIONS
+    kd_link: np.ndarray           # (n,) K_D1 of the link law (11) [N m s/rad]
+    lambda_link: np.ndarray       # (n,) Lambda_1 [1/s]
+    kd_motor: np.ndarray          # (n,) K_D2 of the motor law (27) [N m s/rad]
+    lambda_motor: np.ndarray      # (n,) Lambda_2 [1/s]
+    observer_gain: np.ndarray     # (n,) k_e: how much the tracking error corrects slipping blocks
+    sign_slope: np.ndarray        # (n,) k_v of r(v) = tanh(k_v v), gms_paper and stribeck [s/rad]
+    filter_bandwidth: np.ndarray  # (n,) of the command filter on the friction estimate [rad/s]
+    torque_limit: np.ndarray      # (n,) largest motor torque the controller asks for [N m]
 
     def __post_init__(self):
         if self.compensation not in COMPENSATIONS:

@@ -5,34 +5,66 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from gms_flex_control.errors import ParameterError
 from gms_flex_control.params.arm import ArmParams
-from gms_flex_control.params.encoder import EncoderParams
+from gms_flex_control.params.checks import freeze_arrays, require_finite, require_shape
 from gms_flex_control.params.friction import FrictionParams
+import numpy as np
 
 WHOLE_ARM = 'arm'
 
 
+class Kind(NamedTuple):
+    """One kind of known parameter, and how well it is known where nothing else is stated."""
+
+    sd: float          # relative standard deviation
+    description: str
+
+
+# data sheets and weighing for masses and springs, repeated identification for friction
+KINDS = {
+    'inertia': Kind(0.015, 'inertia of the link, or coupling of the arm (under arm)'),
+    'gravity': Kind(0.015, 'mass moment of the link under gravity'),
+    'stiffness': Kind(0.015, 'stiffness of the spring'),
+    'motor_inertia': Kind(0.015, 'inertia of the motor'),
+    'damping': Kind(0.05, 'damping of the spring'),
+    'level': Kind(0.02, 'level of friction, both directions together'),
+    'asymmetry': Kind(0.02, 'difference of the levels of both directions'),
+    'viscous': Kind(0.025, 'viscous friction, both directions together'),
+    'viscous_asymmetry': Kind(0.025, 'difference of viscous friction of both directions'),
+    'static': Kind(0.015, 'static friction beside the level'),
+    'velocity': Kind(0.12, 'Stribeck velocity'),
+    'attraction': Kind(0.15, 'attraction of slipping blocks'),
+    'blocks': Kind(0.08, 'stiffness of the friction blocks')}
+LEAST_SD, LARGEST_SD = 1e-4, 10.0   # that may be stated
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class EncoderParams:
+    """What is measured on both sides of the joints; ParameterError if a value is negative."""
+
+    counts: np.ndarray = 0.0           # () per revolution of every encoder; 0 is an ideal one
+    noise: np.ndarray = 0.0            # () standard deviation added before the counting [rad]
+    velocity_cutoff: np.ndarray = 0.0  # () of the low-pass on the differenced angle [Hz]; 0 reads
+    # the true velocity
+
+    def __post_init__(self):
+        freeze_arrays(self)
+        for name in ('counts', 'noise', 'velocity_cutoff'):
+            value = getattr(self, name)
+            require_shape(f'encoder {name}', value, ())
+            require_finite(f'encoder {name}', value, at_least=0.0)
+
+
 @dataclass(frozen=True, kw_only=True)
 class EffectSpec:
-    """
-    One effect on one joint.
+    """One effect on one joint."""
 
-    Parameters
-    ----------
-    name : str
-        Catalogue name.
-    joint : str
-        Link name, or 'arm' for an effect of the whole arm.
-    values : tuple of float
-        In the order of the effect's ``parameters``.
-
-    """
-
-    name: str
-    joint: str
-    values: tuple
+    name: str      # of the catalogue
+    joint: str     # link name, or 'arm' for an effect of the whole arm
+    values: tuple  # of float, in the order of the effect's parameters
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -40,35 +72,16 @@ class RobotParams:
     """
     Everything the model knows of one robot.
 
-    Parameters
-    ----------
-    joints, motors : tuple of str
-        Names of the link and motor sides; the motor of a rigid joint is ''.
-    arm : ArmParams
-        Inertia, stiffness, gravity.
-    friction : FrictionParams
-        Friction of the links.
-    encoder : EncoderParams
-        What is measured.
-    effects : tuple of EffectSpec
-        Named terms beyond these.
-    uncertainty : dict of (str, str) to float
-        Relative standard deviation of a kind (of params.uncertainty) on a joint, or on 'arm',
-        where it is not the usual one.
-
-    Raises
-    ------
-    ParameterError
-        If names repeat, or numbers of joints differ.
-
+    ParameterError if names repeat, or numbers of joints differ.
     """
 
-    joints: tuple
-    motors: tuple
+    joints: tuple            # names of the link sides
+    motors: tuple            # names of the motor sides; '' where the joint is rigid
     arm: ArmParams
     friction: FrictionParams
     encoder: EncoderParams
-    effects: tuple = ()
+    effects: tuple = ()      # of EffectSpec
+    # relative standard deviation of (one of KINDS, joint or 'arm') where it is not the usual one
     uncertainty: Mapping = field(default_factory=dict)
 
     def __post_init__(self):

@@ -10,8 +10,8 @@ from gms_flex_control import __version__
 from gms_flex_control.analysis.table4 import align
 from gms_flex_control.analysis.tracking import link_error, link_rms
 from gms_flex_control.answer import Answer, command, measured
+from gms_flex_control.control.feedforward import compensated
 from gms_flex_control.discrepancy.result import Discrepancy
-from gms_flex_control.effect_compensation.feedforward import compensated
 from gms_flex_control.reports.discrepancy_page import add_discrepancy, gap_numbers
 from gms_flex_control.reports.discrepancy_values import (
     described,

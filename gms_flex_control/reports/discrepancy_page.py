@@ -27,7 +27,7 @@ from gms_flex_control.discrepancy.residual_views import (
 )
 from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE, FOUND, UNEXPLAINED
 from gms_flex_control.effects.registry import in_words
-from gms_flex_control.params.units import in_units
+from gms_flex_control.params.arm import in_units
 from gms_flex_control.reports.discrepancy_values import comparison_rows
 from gms_flex_control.reports.figures import file_stem, save_figure
 from gms_flex_control.reports.page import Curve, Report, Series

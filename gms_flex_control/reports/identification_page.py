@@ -30,7 +30,7 @@ from gms_flex_control.identification.words import (
     standing,
     STANDINGS,
 )
-from gms_flex_control.params.units import in_units
+from gms_flex_control.params.arm import in_units
 from gms_flex_control.reports.figures import file_stem, save_figure
 from gms_flex_control.reports.page import Curve, decimate, Report, Series
 from gms_flex_control.reports.pictures import DIRECTIONS, loops_figure, map_figure, MOST_LOOPS

@@ -8,11 +8,10 @@ from contextlib import contextmanager
 from gms_flex_control.effects import registry
 from gms_flex_control.effects.catalogue.gravity_tilt import GravityTilt
 from gms_flex_control.errors import ConfigError, ParameterError
-from gms_flex_control.params.arm import ArmParams
-from gms_flex_control.params.encoder import EncoderParams
+from gms_flex_control.params.arm import ArmParams, Frames
 from gms_flex_control.params.friction import FrictionParams, StribeckParams, WEIGHT_TOLERANCE
 from gms_flex_control.params.gains import ControllerParams
-from gms_flex_control.params.robot import EffectSpec, RobotParams
+from gms_flex_control.params.robot import EffectSpec, EncoderParams, RobotParams
 from gms_flex_control.schema.key import checked, REQUIRED
 from gms_flex_control.schema.keys import (
     ARM,
@@ -78,8 +77,6 @@ def robot_from_values(values: dict) -> RobotParams:
                                for name in ('counts', 'noise', 'velocity_cutoff')})
     effects = _effects({name: checked(known[name], value) for name, value in values.items()
                         if name.startswith('effects.')})
-    if arm.frames is not None:
-        _refuse_planar(effects)
     uncertainty = {(name.split('.')[2], name.split('.')[1]): checked(known[name], value)
                    for name, value in values.items() if name.startswith('uncertainty.')}
     return RobotParams(joints=joints, motors=tuple(motors), arm=arm, encoder=encoder,
@@ -99,14 +96,11 @@ def _require_links(kind, joints, values):
                           'link and the length of all but the last')
 
 
-def _refuse_planar(effects):
-    """Refuse effects that a chain in space cannot have."""
-    for spec in effects:
-        if registry.find(spec.name).needs_planar:
-            raise ConfigError(
-                f'effects.{spec.joint}.{spec.name} goes with planar arms, this is arm.kind urdf: '
-                'put a payload into the URDF as a link on a fixed joint, a tilt into '
-                'arm.gravity_vector')
+def frames_from_values(flat, joints) -> Frames | None:
+    """Return where the URDF of a robot file has its joints, None without one."""
+    if flat['arm.kind'] != 'urdf':
+        return None
+    return read_links(flat['arm.urdf'], joints, flat['arm.base'], flat['arm.tip']).frames
 
 
 def _links(flat, joints):

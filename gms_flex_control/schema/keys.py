@@ -7,9 +7,8 @@ from gms_flex_control.effects import registry
 from gms_flex_control.errors import ConfigError, did_you_mean, ParameterError
 from gms_flex_control.params.arm import AXES, KINDS
 from gms_flex_control.params.gains import COMPENSATIONS
-from gms_flex_control.params.robot import WHOLE_ARM
-from gms_flex_control.params.uncertainty import KINDS as UNCERTAIN
-from gms_flex_control.params.uncertainty import LEAST, MOST
+from gms_flex_control.params.robot import KINDS as UNCERTAIN
+from gms_flex_control.params.robot import LARGEST_SD, LEAST_SD, WHOLE_ARM
 from gms_flex_control.schema import node_keys
 from gms_flex_control.schema.key import below, Key, SMALLEST
 
@@ -152,7 +151,7 @@ def _uncertainty_key(name, joints):
         raise ConfigError(f'{name}: unknown kind of parameter {kind!r}'
                           f'{did_you_mean(kind, UNCERTAIN)}; known: {", ".join(UNCERTAIN)}')
     return Key(name, 'double', f'relative standard deviation: {UNCERTAIN[kind].description}', '1',
-               lower=LEAST, upper=MOST)
+               lower=LEAST_SD, upper=LARGEST_SD)
 
 
 def known_keys(names, joints) -> dict[str, Key]:

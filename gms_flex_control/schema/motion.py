@@ -4,7 +4,7 @@
 """The reference motion that a set of ``trajectory.*`` parameters describes."""
 
 from gms_flex_control.errors import ConfigError, TrajectoryError
-from gms_flex_control.trajectory import builders, levels
+from gms_flex_control.trajectory import builders
 
 
 def trajectory_from_values(values, joints):
@@ -51,11 +51,11 @@ class _Motion:
 
     def moved(self, trajectory):
         """Return a motion from zero as one from where it is to begin."""
-        return levels.displaced(trajectory, self.each('offset'))
+        return trajectory.displaced(self.each('offset'))
 
     def held(self, trajectory):
         """Return a torque with what holds the arm against gravity."""
-        return levels.displaced(trajectory, self.each('bias'))
+        return trajectory.displaced(self.each('bias'))
 
 
 _BUILDERS = {
@@ -67,11 +67,11 @@ _BUILDERS = {
     'via_points': lambda p: builders.via_points(p.rows('points'), p['move_time'], p['hold_time']),
     'constant_velocity': lambda p: p.moved(builders.constant_velocity(
         p.each('velocity'), p['travel'], settle_time=p['ramp_time'])),
-    'velocity_levels': lambda p: p.moved(levels.velocity_levels(
+    'velocity_levels': lambda p: p.moved(builders.velocity_levels(
         p.rows('velocities'), p['durations'], settle_time=p['ramp_time'])),
     'torque_ramp': lambda p: p.held(builders.torque_ramp(p.torques(), p['rate'],
                                                          p['repeats'])),
-    'torque_levels': lambda p: p.held(levels.torque_levels(p.rows('levels'), p['rate'])),
+    'torque_levels': lambda p: p.held(builders.torque_levels(p.rows('levels'), p['rate'])),
     'sliding': lambda p: p.moved(builders.sliding(
         p.each('velocity'), p['modulation'], p.each('period')[0], p['duration'],
         settle_time=p['ramp_time'])),

@@ -161,13 +161,14 @@ class _Tree:
             turn, frame = aligned, (np.eye(3), np.zeros(3))
             stop = {other.name for other in moving}
             bodies.append(_turned(self._moved(joint, stop), aligned))
+        end = frame[1] if tip else self._farthest(moving[-1].child)
         limits = [_limits(joint) for joint in moving]
         rotation, position = (np.array(part) for part in zip(*frames, strict=True))
         return Links(
             Frames(rotation=rotation, position=position,
                    prismatic=[joint.kind == 'prismatic' for joint in moving],
                    **{name: [limit[name] for limit in limits] for name in limits[0]},
-                   source=source, base=base, tip=tip),
+                   end=turn.T @ end, source=source, base=base, tip=tip),
             *(np.array(part) for part in zip(*bodies, strict=True)))
 
     def _end(self, names, tip):
@@ -264,6 +265,16 @@ class _Tree:
             raise ConfigError(f'link {joint.child!r}, which joint {joint.name!r} moves, has no '
                               '<inertial>: give it mass and inertia')
         return _together(bodies)
+
+    def _farthest(self, link):
+        """Return where the farthest of the frames fixed to a link is, in its frame (3,) [m]."""
+        places, waiting = [], [(link, (np.eye(3), np.zeros(3)))]
+        while waiting:
+            name, frame = waiting.pop()
+            places.append(frame[1])
+            waiting += [(below.child, _then(frame, (below.rotation, below.position)))
+                        for below in self.joints if below.parent == name and below.kind == 'fixed']
+        return max(places, key=np.linalg.norm)
 
     def _body(self, name):
         """Return the Body of one link, None of a frame without mass and shape."""

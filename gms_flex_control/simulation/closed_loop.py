@@ -3,12 +3,10 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Plant, encoders and controller in one compiled loop: the experiment without ROS."""
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-import os
 
 from gms_flex_control.compiled import compiled
-from gms_flex_control.control import cascade
+from gms_flex_control.control import cascade, feedforward
 from gms_flex_control.effects import signals as sig
 from gms_flex_control.simulation import encoder, plant
 import numpy as np
@@ -18,39 +16,21 @@ NANOSECONDS = 1_000_000_000
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Run:
-    """
-    What happened at T sample times; the command at k acts from sample k to k + 1.
+    """What happened at T sample times; the command at k acts from sample k to k + 1."""
 
-    Parameters
-    ----------
-    time : ndarray, shape (T,)
-        [s].
-    reference : ndarray, shape (T, 5, n_joints)
-        Desired link angle and derivatives.
-    measured : ndarray, shape (T, 4, n_joints)
-        Measured q_link, dq_link, q_motor, dq_motor.
-    true : ndarray, shape (T, 4, n_joints)
-        The same without encoders.
-    command, applied : ndarray, shape (T, n_joints)
-        Torque asked for at the sample, and given by the actuators in the one before [N m].
-    friction, friction_hat : ndarray, shape (T, n_joints)
-        True friction torque of the blocks plus viscous part, and the estimate [N m].
-
-    """
-
-    time: np.ndarray
-    reference: np.ndarray
-    measured: np.ndarray
-    true: np.ndarray
-    command: np.ndarray
-    applied: np.ndarray
-    friction: np.ndarray
-    friction_hat: np.ndarray
+    time: np.ndarray          # (T,) [s]
+    reference: np.ndarray     # (T, 5, n) desired link angle and derivatives
+    measured: np.ndarray      # (T, 4, n) q_link, dq_link, q_motor, dq_motor
+    true: np.ndarray          # (T, 4, n) the same without encoders
+    command: np.ndarray       # (T, n) torque asked for at the sample [N m]
+    applied: np.ndarray       # (T, n) given by the actuators over the sample before [N m]
+    friction: np.ndarray      # (T, n) of the blocks, and viscous [N m]
+    friction_hat: np.ndarray  # (T, n) its estimate [N m]
 
 
 @compiled
 def sense(measured, state, time, period, constants, encoders, work):
-    """Take one sample with the noise drawn before: sensor effects first, then encoders."""
+    """Measure one sample with the noise drawn before: sensor effects first, then encoders."""
     plant.sensed(state, state.applied, time, period, constants, work)
     s = work.signals
     encoder.measure(measured, s[:, sig.SENSED_LINK], s[:, sig.SENSED_MOTOR], state.dq_link,
@@ -58,20 +38,29 @@ def sense(measured, state, time, period, constants, encoders, work):
 
 
 @compiled
-def run_loop(reference, period, substeps, plant_state, plant_constants, plant_work, measured,
-             encoders, rng, control_state, control_constants, control_work, angles, torques):
-    """Run T samples; fills ``angles`` (T, 8, n) and ``torques`` (T, 4, n)."""
+def _run_loop(reference, is_effort, travel, supply, begin, first, period, substeps, plant_state,
+              plant_constants, plant_work, measured, encoders, rng, control_state, feed_state,
+              control_constants, feed_constants, control_work, angles, torques):
+    """Fill ``angles`` (T, 8, n) and ``torques`` (T, 4, n); return samples, see `Loop.run`."""
+    n = plant_state.q_link.shape[0]
     for k in range(reference.shape[0]):
-        time = k * period
+        time = begin + (first + k) * period
         encoder.draw(measured, encoders, rng)
         sense(measured, plant_state, time, period, plant_constants, encoders, plant_work)
-        # as a node that has no earlier state to form a difference with
-        elapsed = period if k > 0 else 0.0
-        cascade.tick(control_state, measured, reference[k], elapsed, control_constants,
-                     control_work)
+        if is_effort:
+            for j in range(n):
+                limit = control_constants.torque_limit[j]
+                control_state.command[j] = min(max(reference[k, 0, j], -limit), limit)
+        else:  # as a node that has no earlier state to form a difference with
+            elapsed = period if first + k > 0 else 0.0
+            cascade.tick(control_state, measured, reference[k], elapsed, control_constants,
+                         control_work)
+            feedforward.feed(control_state, measured, reference[k], elapsed, feed_constants,
+                             feed_state)
         plant.gms.total(plant_state.friction, plant_state.dq_link, plant_constants.friction,
                         plant_work.friction)
-        for j in range(plant_state.q_link.shape[0]):
+        arrived = False
+        for j in range(n):
             angles[k, 0, j], angles[k, 1, j] = measured.q_link[j], measured.dq_link[j]
             angles[k, 2, j], angles[k, 3, j] = measured.q_motor[j], measured.dq_motor[j]
             angles[k, 4, j], angles[k, 5, j] = plant_state.q_link[j], plant_state.dq_link[j]
@@ -79,74 +68,101 @@ def run_loop(reference, period, substeps, plant_state, plant_constants, plant_wo
             torques[k, 0, j], torques[k, 1, j] = control_state.command[j], plant_state.applied[j]
             torques[k, 2, j] = plant_work.friction[j]
             torques[k, 3, j] = control_state.friction_hat[j]
+            arrived |= abs(measured.q_link[j] - angles[0, 0, j]) > travel[j]
+            plant_work.signals[j, sig.SUPPLY] = supply[k]
         plant.advance(plant_state, control_state.command, time, period, substeps,
                       plant_constants, plant_work)
+        if arrived:
+            return k + 1
+    return reference.shape[0]
 
 
-def run(robot, model, gains, trajectory, *, duration, period_ns=2_000_000, substeps=20, seed=0,
-        q_link=None):
+class Loop:
     """
-    Simulate the closed loop.
+    A robot and its controller, run along one reference after the other.
 
     Parameters
     ----------
-    robot : RobotParams
-        The plant as it is.
-    model : RobotParams
-        The robot as the controller believes it to be.
-    gains : ControllerParams
-        Of the controller.
-    trajectory : Trajectory
-        Reference, a motion.
-    duration : float
-        Length of the run [s].
+    robot, model : RobotParams
+        As it is, and as the controller believes it to be. Effects of the model that a controller
+        can compensate are compensated.
     period_ns : int
-        Length of a sample [ns]; an integer, as the stamps of the nodes are.
+        Sample [ns]; an integer, as the stamps of the nodes are.
     substeps : int
-        Integration steps per sample.
+        Integration steps in it.
     seed : int
         Of the encoder noise.
     q_link : ndarray, shape (n_joints,), optional
         Where the links rest at the start [rad]; default zero.
-
-    Returns
-    -------
-    Run
-
-    Notes
-    -----
-    Releases the GIL: `run_batch` runs many in threads.
+    begin : float
+        Time of the first sample, for effects that depend on it [s].
 
     """
-    n, period = robot.n_joints, period_ns / NANOSECONDS
-    time = np.arange(round(duration / period)) * period_ns / NANOSECONDS
-    reference = trajectory.sample(time)
-    angles, torques = np.empty((len(time), 8, n)), np.empty((len(time), 4, n))
-    run_loop(reference, period, substeps, plant.init(robot, q_link), plant.constants_of(robot),
-             plant.workspace(n), encoder.init(n), encoder.constants_of(robot.encoder),
-             np.random.default_rng(seed), cascade.init(model),
-             cascade.constants_of(gains, model), cascade.workspace(n), angles, torques)
-    return Run(time=time, reference=reference, measured=angles[:, :4], true=angles[:, 4:],
-               command=torques[:, 0], applied=torques[:, 1], friction=torques[:, 2],
-               friction_hat=torques[:, 3])
+
+    def __init__(self, robot, model, *, period_ns=2_000_000, substeps=20, seed=0, q_link=None,
+                 begin=0.0):
+        n = robot.n_joints
+        self.samples = 0                             # so far
+        self.plant_state = plant.init(robot, q_link)  # may be changed before the first sample
+        self._model, self._period_ns, self._substeps = (
+            feedforward.as_parameters(model), period_ns, substeps)
+        self._begin = begin
+        self._plant = (self.plant_state, plant.constants_of(robot), plant.workspace(n))
+        self._encoders = (encoder.init(n), encoder.constants_of(robot.encoder),
+                          np.random.default_rng(seed))
+        self._control_work = cascade.workspace(n)
+        self._reset()
+
+    def _reset(self):
+        """Forget the motion so far: observer and filters begin anew."""
+        self._control = cascade.init(self._model), feedforward.init(self._model.n_joints)
+
+    def run(self, reference, gains, *, is_effort=False, travel=None, supply=None) -> Run:
+        """
+        Follow a reference.
+
+        Parameters
+        ----------
+        reference : ndarray, shape (T, 5, n_joints)
+            Of each sample; of an effort the first row counts.
+        gains : ControllerParams
+            From here on.
+        is_effort : bool
+            Whether the reference is a torque; the controller then forgets its past.
+        travel : ndarray, shape (n_joints,), optional
+            End when a link has moved by more than this [rad].
+        supply : ndarray, shape (T,), optional
+            Voltage of the drives' supply [V]; default not known.
+
+        """
+        # a copy: the loop is compiled anew for a read-only reference
+        reference = np.array(reference, dtype=float, order='C')
+        samples, _, n = reference.shape
+        angles, torques = np.empty((samples, 8, n)), np.empty((samples, 4, n))
+        done = _run_loop(
+            reference, is_effort,
+            np.full(n, np.inf) if travel is None else np.array(travel, dtype=float),
+            np.zeros(samples) if supply is None else np.array(supply, dtype=float),
+            self._begin, self.samples, self._period_ns / NANOSECONDS, self._substeps,
+            *self._plant, *self._encoders, *self._control,
+            cascade.constants_of(gains, self._model),
+            feedforward.constants_of(gains, self._model), self._control_work, angles, torques)
+        if is_effort:
+            self._reset()
+        time = (self.samples + np.arange(done)) * self._period_ns / NANOSECONDS
+        self.samples += done
+        angles, torques = angles[:done], torques[:done]
+        return Run(time=time, reference=reference[:done], measured=angles[:, :4],
+                   true=angles[:, 4:], command=torques[:, 0], applied=torques[:, 1],
+                   friction=torques[:, 2], friction_hat=torques[:, 3])
 
 
-def run_batch(jobs, *, workers=None):
+def run(robot, model, gains, trajectory, *, duration, period_ns=2_000_000, **options) -> Run:
     """
-    Simulate many parameter sets, in threads.
+    Simulate the closed loop along a Trajectory from its beginning for ``duration`` [s].
 
-    Parameters
-    ----------
-    jobs : sequence of dict
-        Arguments of `run`, by name.
-    workers : int, optional
-        Threads; default one per processor.
-
-    Returns
-    -------
-    list of Run
-        In the order of the jobs.
-
+    Robots, gains and ``options`` as of `Loop`. Releases the GIL.
     """
-    with ThreadPoolExecutor(max_workers=workers or os.cpu_count()) as pool:
-        return list(pool.map(lambda job: run(**job), jobs))
+    time = np.arange(round(duration * NANOSECONDS / period_ns)) * period_ns / NANOSECONDS
+    loop = Loop(robot, model, period_ns=period_ns, **options)
+    return loop.run(trajectory.sample(time), gains)

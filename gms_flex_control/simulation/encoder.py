@@ -52,7 +52,7 @@ def draw(measured, constants, rng):
 
 
 @compiled
-def count(angle, normal, constants):
+def _count(angle, normal, constants):
     """Return what an encoder reads of ``angle``: noise first, then whole counts."""
     if constants.noise[0] > 0.0:
         angle += constants.noise[0] * normal
@@ -62,7 +62,7 @@ def count(angle, normal, constants):
 
 
 @compiled
-def estimate_velocity(velocity, change, true_velocity, started, period, gain):
+def _velocity(velocity, change, true_velocity, started, period, gain):
     """Return the low-passed difference quotient, or the true velocity without a filter gain."""
     if gain == 0.0:
         return true_velocity
@@ -74,32 +74,21 @@ def estimate_velocity(velocity, change, true_velocity, started, period, gain):
 @compiled
 def measure(measured, seen_link, seen_motor, dq_link, dq_motor, period, constants):
     """
-    Take one sample of all encoders into ``measured``.
+    Write one sample of all encoders into ``measured``, whose noise is from `draw`.
 
-    Parameters
-    ----------
-    measured : numpy.record
-        Of `state_layout`, changed in place; the noise is in it, from `draw`.
-    seen_link, seen_motor : ndarray, shape (n_joints,)
-        Angles the encoders are given [rad].
-    dq_link, dq_motor : ndarray, shape (n_joints,)
-        True rates [rad/s], read where there is no velocity cut-off.
-    period : float
-        Time since the sample before [s].
-    constants : numpy.record
-        From `constants_of`.
-
+    ``seen_link``, ``seen_motor`` (n,) are the angles the encoders are given [rad]; the true rates
+    ``dq_link``, ``dq_motor`` (n,) are read where there is no velocity cut-off [rad/s].
     """
     started = measured.started[0] > 0.0
     gain = 1.0 - np.exp(-2.0 * np.pi * constants.velocity_cutoff[0] * period)
     for j in range(measured.q_link.shape[0]):
-        angle = count(seen_link[j], measured.normal[j, 0], constants)
-        measured.dq_link[j] = estimate_velocity(
+        angle = _count(seen_link[j], measured.normal[j, 0], constants)
+        measured.dq_link[j] = _velocity(
             measured.dq_link[j], angle - measured.q_link[j], dq_link[j], started, period,
             gain)
         measured.q_link[j] = angle
-        angle = count(seen_motor[j], measured.normal[j, 1], constants)
-        measured.dq_motor[j] = estimate_velocity(
+        angle = _count(seen_motor[j], measured.normal[j, 1], constants)
+        measured.dq_motor[j] = _velocity(
             measured.dq_motor[j], angle - measured.q_motor[j], dq_motor[j], started, period,
             gain)
         measured.q_motor[j] = angle

@@ -66,26 +66,11 @@ def constants_of(robot):
     return records.build(
         constants_layout(links.dtype, *robot.friction.stiffness.shape), chain=links,
         friction=gms.constants_of(changed.friction),
-        effects=effect_table.build(changed.effects, changed.joints))
+        effects=effect_table.build(changed.effects, changed.joints, changed.arm))
 
 
 def init(robot, q_link=None):
-    """
-    Return the robot at rest with unloaded springs.
-
-    Parameters
-    ----------
-    robot : RobotParams
-        The robot.
-    q_link : ndarray, shape (n_joints,), optional
-        Link angles [rad]; default zero.
-
-    Returns
-    -------
-    numpy.record
-        Of `state_layout`.
-
-    """
+    """Return the robot at rest with unloaded springs, links at ``q_link`` (n_joints,) [rad]."""
     q = 0.0 if q_link is None else q_link
     return records.build(state_layout(*robot.friction.stiffness.shape), q_link=q, q_motor=q,
                          friction=gms.init(robot.friction))
@@ -164,21 +149,10 @@ def run_sensors(state, period, constants, work):
 @compiled
 def take_place(k, motion, torque, time, state, work):
     """
-    Put the robot where a measured motion has it, and fill the signals.
+    Put the robot where a measured motion has it at sample ``k``, and fill the signals.
 
-    Parameters
-    ----------
-    k : int
-        Sample.
-    motion : ndarray, shape (T, 6, n)
-        Angle, rate and acceleration of links, then of motors [rad, s].
-    torque : ndarray, shape (n,)
-        Of the actuators [N m].
-    time : float
-        [s]
-    state, work : numpy.record
-        Changed.
-
+    ``motion`` (T, 6, n) is angle, rate and acceleration of links, then of motors [rad, s];
+    ``torque`` (n,) that of the actuators [N m].
     """
     for j in range(torque.shape[0]):
         state.q_link[j], state.dq_link[j] = motion[k, 0, j], motion[k, 1, j]
@@ -215,23 +189,10 @@ def substep(state, command, time, dt, constants, work):
 @compiled
 def advance(state, command, time, period, substeps, constants, work):
     """
-    Advance the true state in place by one sample under a held command.
+    Advance the true state in place by one sample under a held ``command`` (n_joints,) [N m].
 
-    Parameters
-    ----------
-    state : numpy.record
-        Changed in place; ``state.applied`` is then the mean torque the actuators gave.
-    command : ndarray, shape (n_joints,)
-        Torque command [N m].
-    time : float
-        Time of the state [s].
-    period : float
-        Length of the sample [s].
-    substeps : int
-        Integration steps in it.
-    constants, work : numpy.record
-        From `constants_of` and `workspace`.
-
+    ``time`` is that of the state, ``period`` the sample [s]; ``state.applied`` is then the mean
+    torque the actuators gave.
     """
     dt = period / substeps
     state.applied[:] = 0.0

@@ -207,7 +207,7 @@ def torque_tangents(j, a, k, dq, extra, state, directions, friction, d_torque, d
 def predict(angle, rate, torque, extra, coefficients, period, links, friction, carried,
             directions, gains, half, state, work, predicted, innovation, jacobian):
     """
-    Predict one stretch of a recording, with the derivatives of one joint's prediction.
+    Predict one segment of a recording, with the derivatives of one joint's prediction.
 
     Parameters
     ----------
@@ -318,23 +318,11 @@ def further_torque(coefficients, extra):
 def simulate_freely(angle, rate, torque, extra, coefficients, period, links, friction, joint,
                     gains, half, first, stride, horizon, state, freed, work, predicted):
     """
-    Simulate ``horizon`` samples without correction from every ``stride``-th corrected state.
+    Simulate ``horizon`` samples without correction from corrected states, see `predict`.
 
-    Parameters
-    ----------
-    angle, rate, torque, extra, coefficients, period, links, friction
-        As `predict`, here of the corrected prediction the simulations start from.
-    joint : int
-        Whose further torques ``extra`` are.
-    gains, half, state, work
-        As `predict`.
-    first, stride, horizon : int
-        The first start, samples from one to the next, and samples each goes on.
-    freed : numpy.record
-        Of friction.gms.state_layout; overwritten.
-    predicted : ndarray, shape (S, horizon, n)
-        Filled: angles from each start on [rad]; S starts fit into the stretch.
-
+    The simulations start at sample ``first`` and every ``stride`` further; ``extra`` acts on
+    ``joint``. ``predicted`` (S, horizon, n) gets the angles from each of the S starts that fit
+    into the segment [rad]; ``freed`` is overwritten as ``state``.
     """
     samples, n = angle.shape
     q, dq, free_q, free_dq = np.empty(n), np.empty(n), np.empty(n), np.empty(n)

@@ -1,10 +1,10 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""Plant, controller and reference one sample at a time, as the nodes run them."""
+"""Plant and controller one sample at a time, as the nodes run them."""
 
 from gms_flex_control.compiled import compiled
-from gms_flex_control.control import cascade
+from gms_flex_control.control import cascade, feedforward
 from gms_flex_control.effects import signals as sig
 from gms_flex_control.records import boxed, views
 from gms_flex_control.simulation import closed_loop, encoder, plant
@@ -12,21 +12,22 @@ import numpy as np
 
 
 @compiled
-def advance_boxed(state, command, time, period, substeps, constants, work):
-    """Advance a plant by one sample; records come boxed, as Python can hand them over fast."""
+def _advance(state, command, time, period, substeps, constants, work):
+    """Advance a plant by one sample; records come boxed, as Python hands them over fast."""
     plant.advance(state[0], command, time, period, substeps, constants[0], work[0])
 
 
 @compiled
-def sense_boxed(measured, state, time, period, constants, encoders, work):
+def _sense(measured, state, time, period, constants, encoders, work):
     """Read the encoders; records come boxed."""
     closed_loop.sense(measured[0], state[0], time, period, constants[0], encoders[0], work[0])
 
 
 @compiled
-def tick_boxed(state, measured, reference, dt, constants, work):
-    """Tick the controller; records come boxed."""
+def _tick(state, measured, reference, dt, constants, work, feeding, fed):
+    """Tick the controller and feed effects forward; records come boxed."""
     cascade.tick(state[0], measured[0], reference, dt, constants[0], work[0])
+    feedforward.feed(state[0], measured[0], reference, dt, feeding[0], fed[0])
 
 
 class SteppedPlant:
@@ -47,13 +48,11 @@ class SteppedPlant:
         Of the encoder noise.
     q_link : array_like, shape (n_joints,), optional
         Where the links rest at the start [rad].
-    begin : float
-        Time of the start [s].
 
     """
 
-    def __init__(self, robot, *, period, substeps, seed=0, q_link=None, begin=0.0):
-        self._period, self._substeps, self._begin, self._ticks = period, substeps, begin, 0
+    def __init__(self, robot, *, period, substeps, seed=0, q_link=None):
+        self._period, self._substeps, self._ticks = period, substeps, 0
         self._constants = boxed(plant.constants_of(robot))
         self._encoders = boxed(encoder.constants_of(robot.encoder))
         self._work = boxed(plant.workspace(robot.n_joints))
@@ -62,28 +61,19 @@ class SteppedPlant:
         self._noisy, self._rng = bool(robot.encoder.noise > 0), np.random.default_rng(seed)
         self.state, self.measured = self._state[0], views(self._measured[0])
         self.supply = self._work[0].signals[:, sig.SUPPLY]
-        self._normal, self._applied = self.measured.normal, self.state.applied
+        self.applied = self.state.applied  # torque given over the last sample (n_joints,) [N m]
 
-    @property
-    def _time(self):
-        return self._begin + self._ticks * self._period
-
-    @property
-    def applied(self):
-        """Return the torque really applied over the last sample (n_joints,) [N m]."""
-        return self._applied
-
-    def measure(self):
+    def measure(self) -> None:
         """Read the encoders into ``measured``."""
         if self._noisy:
-            self._rng.standard_normal(out=self._normal)
-        sense_boxed(self._measured, self._state, self._time, self._period, self._constants,
-                    self._encoders, self._work)
+            self._rng.standard_normal(out=self.measured.normal)
+        _sense(self._measured, self._state, self._ticks * self._period, self._period,
+               self._constants, self._encoders, self._work)
 
-    def advance(self, command):
+    def advance(self, command) -> None:
         """Hold ``command`` (n_joints,) [N m] for one sample, then read the encoders."""
-        advance_boxed(self._state, command, self._time, self._period, self._substeps,
-                      self._constants, self._work)
+        _advance(self._state, command, self._ticks * self._period, self._period, self._substeps,
+                 self._constants, self._work)
         self._ticks += 1
         self.measure()
 
@@ -97,29 +87,32 @@ class SteppedController:
     gains : ControllerParams
         Of the start.
     model : RobotParams
-        The robot as believed.
+        The robot as believed; effects that no controller can compensate are left aside.
 
     """
 
     def __init__(self, gains, model):
-        self._model = model
+        self._model = feedforward.as_parameters(model)
         self._work = boxed(cascade.workspace(model.n_joints))
         self._measured = boxed(encoder.init(model.n_joints))
         self.measured = views(self._measured[0])
         self.use(gains)
         self.reset()
 
-    def use(self, gains):
-        """Take other gains from the next tick on."""
+    def use(self, gains) -> None:
+        """Use other ControllerParams from the next tick on."""
         self._constants = boxed(cascade.constants_of(gains, self._model))
+        self._feeding = boxed(feedforward.constants_of(gains, self._model))
 
-    def reset(self):
+    def reset(self) -> None:
         """Forget the motion so far: observer and filters begin anew."""
         self._state = boxed(cascade.init(self._model))
+        self._fed = boxed(feedforward.init(self._model.n_joints))
         self.state = views(self._state[0])
         self._command = self.state.command
 
-    def tick(self, reference, dt):
+    def tick(self, reference, dt) -> np.ndarray:
         """Answer ``measured`` with a torque (n_joints,) [N m]; see control.cascade.tick."""
-        tick_boxed(self._state, self._measured, reference, dt, self._constants, self._work)
+        _tick(self._state, self._measured, reference, dt, self._constants, self._work,
+              self._feeding, self._fed)
         return self._command

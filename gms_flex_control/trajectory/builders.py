@@ -3,12 +3,11 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Reference motions by name, and the smooth way into them from wherever the robot is."""
 
-from dataclasses import replace
 from functools import cache
 from math import factorial, perm
 
 from gms_flex_control.errors import TrajectoryError
-from gms_flex_control.trajectory.segments import COEFFICIENTS, DERIVATIVES, Trajectory
+from gms_flex_control.trajectory.segments import COEFFICIENTS, DERIVATIVES, joined, Trajectory
 import numpy as np
 
 _ALREADY_THERE = 1e-8  # what rounding leaves of a state and its derivatives
@@ -29,29 +28,20 @@ def _derivative_at_one(k, count):
     return np.array([perm(power, k) for power in range(count)], dtype=float)
 
 
-def hermite(begin, end, duration):
+def hermite(begin, end, duration) -> np.ndarray:
     """
     Return the polynomial between two states, of degree 9 for states of five rows.
 
-    Parameters
-    ----------
-    begin, end : ndarray, shape (..., k, n_joints)
-        Value and time derivatives, 1 to 4 for k = 5, at both ends.
-    duration : float or ndarray, shape (...)
-        Time between them [s].
-
-    Returns
-    -------
-    ndarray, shape (..., 2 k, n_joints)
-        Coefficients in powers of t / duration.
-
+    ``begin`` and ``end`` (..., k, n_joints) are value and time derivatives 1 to k - 1,
+    ``duration`` (...) lies between [s]; coefficients (..., 2 k, n_joints) in powers of
+    t / duration.
     """
     order = begin.shape[-2]
     scales = np.asarray(duration)[..., None, None] ** np.arange(order)[:, None]
     return _hermite_inverse(order) @ np.concatenate([begin * scales, end * scales], axis=-2)
 
 
-def at_rest(q):
+def at_rest(q) -> np.ndarray:
     """Return the state (5, n_joints) of resting at ``q`` (n_joints,)."""
     return np.vstack([np.asarray(q, dtype=float), np.zeros((DERIVATIVES - 1, len(q)))])
 
@@ -62,7 +52,7 @@ def _positive(**values):
             raise TrajectoryError(f'{name} must be above 0, got {value}')
 
 
-def polynomials(starts, scales, polys, **options):
+def polynomials(starts, scales, polys, **options) -> Trajectory:
     """Return a trajectory of polynomial segments alone, see Trajectory."""
     m, _, n = np.shape(polys)
     flat = np.zeros((m, n))
@@ -71,32 +61,28 @@ def polynomials(starts, scales, polys, **options):
                       omega=flat, phase=flat, **options)
 
 
-def constant(q):
+def constant(q) -> np.ndarray:
     """Return the coefficients (10, n_joints) of staying at ``q`` (n_joints,)."""
     return np.vstack([np.asarray(q, dtype=float), np.zeros((COEFFICIENTS - 1, len(q)))])
 
 
-def hold(q):
+def _straight(q, velocity):
+    """Return the coefficients (10, n_joints) of leaving ``q`` at a constant velocity."""
+    line = constant(q)
+    line[1] = velocity
+    return line
+
+
+def hold(q) -> Trajectory:
     """Return a reference that stays at ``q`` (n_joints,) [rad]."""
     return polynomials([0.0], [1.0], [constant(q)], end=0.0)
 
 
-def via_points(points, move_time, hold_time):
+def via_points(points, move_time, hold_time) -> Trajectory:
     """
-    Return rest-to-rest moves of degree 9 through points, with holds between.
+    Return rest-to-rest moves of degree 9 through ``points`` (m, n_joints) [rad], with holds.
 
-    Parameters
-    ----------
-    points : ndarray, shape (m, n_joints)
-        Angles to rest at, the first one included [rad].
-    move_time, hold_time : float
-        Duration of each move and of each rest, also the first [s].
-
-    Returns
-    -------
-    Trajectory
-        Holds the last point at its end.
-
+    Each move lasts ``move_time``, each rest, also at the first point, ``hold_time`` [s].
     """
     points = np.atleast_2d(np.asarray(points, dtype=float))
     _positive(move_time=move_time)
@@ -111,7 +97,7 @@ def via_points(points, move_time, hold_time):
     return polynomials(starts, scales, polys, end=time)
 
 
-def through(times, states):
+def through(times, states) -> Trajectory:
     """
     Return the motion through states, of which derivatives may be left open.
 
@@ -121,11 +107,6 @@ def through(times, states):
         Of the states, rising [s].
     states : ndarray, shape (m, 5, n_joints)
         Value and time derivatives 1 to 4; NaN where a derivative is open.
-
-    Returns
-    -------
-    Trajectory
-        Continuous in all derivatives to the fourth, holds the last value at its end.
 
     Notes
     -----
@@ -151,45 +132,23 @@ def through(times, states):
                        end=times[-1])
 
 
-def polynomial(amplitude, move_time, hold_time, repeats=1):
+def polynomial(amplitude, move_time, hold_time, repeats=1) -> Trajectory:
     """
-    Return the paper's polynomial reference: to ``amplitude`` and back, with holds.
+    Return the paper's polynomial reference: ``repeats`` times from 0 to an angle and back.
 
-    Parameters
-    ----------
-    amplitude : ndarray, shape (n_joints,)
-        Angle of the far rest; the near one is zero [rad].
-    move_time, hold_time : float
-        Durations [s].
-    repeats : int
-        How often it goes there and back.
-
-    Returns
-    -------
-    Trajectory
-
+    ``amplitude`` (n_joints,) is the angle of the far rest [rad]; times as of `via_points`.
     """
     far = np.asarray(amplitude, dtype=float)
     return via_points([np.zeros_like(far), *[far, np.zeros_like(far)] * int(repeats)],
                       move_time, hold_time)
 
 
-def sinusoid(amplitude, period, *, phase=0.0, ramp_time=None):
+def sinusoid(amplitude, period, *, phase=0.0, ramp_time=None) -> Trajectory:
     """
-    Return ``amplitude sin(2 pi t / period + phase)``, its amplitude ramped in smoothly.
+    Return ``amplitude sin(2 pi t / period + phase)`` without end, its amplitude ramped in.
 
-    Parameters
-    ----------
-    amplitude, period, phase : ndarray, shape (n_joints,) or float
-        Of each joint [rad, s, rad].
-    ramp_time : float, optional
-        Duration of the ramp [s]; default half the longest period.
-
-    Returns
-    -------
-    Trajectory
-        Without end.
-
+    ``amplitude``, ``period`` and ``phase`` are (n_joints,) or a number [rad, s, rad]; the ramp
+    lasts half the longest period by default [s].
     """
     amplitude, period, phase = (
         np.atleast_1d(x).astype(float)
@@ -206,65 +165,53 @@ def sinusoid(amplitude, period, *, phase=0.0, ramp_time=None):
         omega=[omega] * 2, phase=[phase, phase + omega * ramp_time])
 
 
-def constant_velocity(velocity, travel, *, settle_time=0.5):
+def velocity_levels(velocities, durations, *, settle_time=0.5) -> Trajectory:
     """
-    Return one stroke of constant velocity between two rests.
+    Return velocities held one after another between two rests, from angle zero.
 
-    Parameters
-    ----------
-    velocity : ndarray, shape (n_joints,)
-        Signed velocity [rad/s]; joints with 0 stay.
-    travel : float
-        Angle covered at constant velocity by the fastest joint [rad].
-    settle_time : float
-        Duration of speeding up and of slowing down [s].
-
-    Returns
-    -------
-    Trajectory
-        Begins at angle zero.
-
+    ``velocities`` (m, n_joints) are signed [rad/s], ``durations`` (m,) how long each is held and
+    ``settle_time`` each change of velocity, also from and to rest [s].
     """
-    velocity = np.asarray(velocity, dtype=float)
-    _positive(travel=travel, settle_time=settle_time, velocity=np.max(np.abs(velocity)))
-    cruise = travel / np.max(np.abs(velocity))
-    state = at_rest(np.zeros_like(velocity))
-    moving = state.copy()
-    moving[0], moving[1] = 0.5 * velocity * settle_time, velocity
-    leaving = moving.copy()
-    leaving[0] += velocity * cruise
-    end = at_rest(leaving[0] + 0.5 * velocity * settle_time)
-    straight = constant(moving[0])
-    straight[1] = velocity
-    stop = settle_time + cruise
-    return polynomials(
-        [0.0, settle_time, stop, stop + settle_time], [settle_time, 1.0, settle_time, 1.0],
-        [hermite(state, moving, settle_time), straight, hermite(leaving, end, settle_time),
-         constant(end[0])], end=stop + settle_time)
+    velocities = np.atleast_2d(np.asarray(velocities, dtype=float))
+    durations = np.atleast_1d(np.asarray(durations, dtype=float))
+    if len(durations) != len(velocities):
+        raise TrajectoryError(f'{len(velocities)} velocities need as many durations, '
+                              f'got {len(durations)}')
+    if not (np.all(durations > 0) and settle_time > 0):
+        raise TrajectoryError(f'durations and settle_time must be above 0, got '
+                              f'{durations.tolist()} and {settle_time}')
+    state = at_rest(np.zeros(velocities.shape[1]))
+    starts, scales, polys, time = [], [], [], 0.0
+    for velocity, duration in zip([*velocities, 0.0 * velocities[0]], [*durations, 1.0],
+                                  strict=True):
+        held = at_rest(state[0] + 0.5 * settle_time * (state[1] + velocity))
+        held[1] = velocity
+        starts += [time, time + settle_time]
+        scales += [settle_time, 1.0]
+        polys += [hermite(state, held, settle_time), _straight(held[0], velocity)]
+        time += settle_time + duration
+        state = held.copy()
+        state[0] += velocity * duration
+    return polynomials(starts, scales, polys, end=starts[-1])
 
 
-def sliding(velocity, modulation, period, duration, *, settle_time=1.0):
+def constant_velocity(velocity, travel, *, settle_time=0.5) -> Trajectory:
     """
-    Return sliding at varying velocity without reversal.
+    Return one stroke of constant velocity between two rests, from angle zero.
 
-    Parameters
-    ----------
-    velocity : ndarray, shape (n_joints,)
-        Mean velocity [rad/s].
-    modulation : float
-        Relative amplitude of the variation, 0 to below 1.
-    period : float
-        Of the variation [s].
-    duration : float
-        Of the sliding [s].
-    settle_time : float
-        Duration of speeding up and of slowing down [s].
+    ``velocity`` (n_joints,) is signed [rad/s]; the fastest joint covers ``travel`` [rad] at it.
+    """
+    fastest = np.max(np.abs(velocity))
+    _positive(travel=travel, settle_time=settle_time, velocity=fastest)
+    return velocity_levels(velocity, travel / fastest, settle_time=settle_time)
 
-    Returns
-    -------
-    Trajectory
-        ``dq = velocity (1 + modulation sin(2 pi t / period))`` between two rests.
 
+def sliding(velocity, modulation, period, duration, *, settle_time=1.0) -> Trajectory:
+    """
+    Return ``dq = velocity (1 + modulation sin(2 pi t / period))`` between two rests.
+
+    ``velocity`` (n_joints,) [rad/s], ``modulation`` from 0 to below 1, so that nothing reverses;
+    the sliding lasts ``duration``, speeding up and slowing down ``settle_time`` each [s].
     """
     velocity = np.asarray(velocity, dtype=float)
     _positive(period=period, duration=duration, settle_time=settle_time)
@@ -273,16 +220,10 @@ def sliding(velocity, modulation, period, duration, *, settle_time=1.0):
                               'the motion would reverse')
     omega = 2.0 * np.pi / period
     swing = -velocity * modulation / omega  # integral of the variation, cosine phase
-    line = constant(np.zeros_like(velocity))
-    line[1] = velocity
-    body = Trajectory(start=[0.0], scale=[1.0], poly=[line], envelope=[constant([1.0])[:, 0]],
-                      amplitude=[swing], omega=[np.full_like(velocity, omega)],
-                      phase=[np.full_like(velocity, 0.5 * np.pi)])
-    return _between_rests(body, duration, settle_time)
-
-
-def _between_rests(body, duration, settle_time):
-    """Return ``body`` from 0 to ``duration`` with smooth ways in from and out to rest."""
+    body = Trajectory(
+        start=[0.0], scale=[1.0], poly=[_straight(np.zeros_like(velocity), velocity)],
+        envelope=[constant([1.0])[:, 0]], amplitude=[swing],
+        omega=[np.full_like(velocity, omega)], phase=[np.full_like(velocity, 0.5 * np.pi)])
     first, last = body.sample(0.0), body.sample(duration)
     into = at_rest(first[0] - 0.5 * settle_time * first[1])
     out = at_rest(last[0] + 0.5 * settle_time * last[1])
@@ -290,28 +231,16 @@ def _between_rests(body, duration, settle_time):
         [0.0, settle_time + duration, 2 * settle_time + duration],
         [settle_time, settle_time, 1.0],
         [hermite(into, first, settle_time), hermite(last, out, settle_time), constant(out[0])])
-    parts = [_take(ways, slice(0, 1)), body.shifted(settle_time), _take(ways, slice(1, 3))]
-    return _joined(parts, end=2 * settle_time + duration)
+    return joined([ways.part(slice(0, 1)), body.shifted(settle_time), ways.part(slice(1, 3))],
+                  end=2 * settle_time + duration)
 
 
-def torque_ramp(amplitude, rate, repeats=1):
+def torque_ramp(amplitude, rate, repeats=1) -> Trajectory:
     """
-    Return slow open-loop torque ramps between plus and minus an amplitude.
+    Return slow open-loop torque ramps between plus and minus ``amplitude`` (n_joints,) [N m].
 
-    Parameters
-    ----------
-    amplitude : ndarray, shape (n_joints,)
-        Largest torque [N m].
-    rate : float
-        Slope of the joint with the largest amplitude [N m/s].
-    repeats : int
-        Number of cycles.
-
-    Returns
-    -------
-    Trajectory
-        Of quantity 'effort', from zero to zero.
-
+    ``rate`` is the slope of the joint with the largest amplitude [N m/s]; ``repeats`` cycles,
+    from zero to zero.
     """
     amplitude = np.asarray(amplitude, dtype=float)
     _positive(rate=rate, amplitude=np.max(np.abs(amplitude)))
@@ -319,44 +248,51 @@ def torque_ramp(amplitude, rate, repeats=1):
     levels = [0.0, *[1.0, -1.0] * int(repeats), 0.0]
     starts, polys, time = [], [], 0.0
     for begin, end in zip(levels[:-1], levels[1:], strict=True):
-        line = constant(begin * amplitude)
-        line[1] = np.sign(end - begin) * amplitude / quarter
-        starts, polys = [*starts, time], [*polys, line]
+        starts.append(time)
+        polys.append(_straight(begin * amplitude, np.sign(end - begin) * amplitude / quarter))
         time += abs(end - begin) * quarter
     return polynomials([*starts, time], np.ones(len(starts) + 1),
                        [*polys, constant(0.0 * amplitude)], end=time, quantity='effort')
 
 
-def _take(trajectory, segments):
-    names = ('start', 'scale', 'poly', 'envelope', 'amplitude', 'omega', 'phase')
-    return replace(trajectory, **{name: getattr(trajectory, name)[segments] for name in names})
-
-
-def _joined(parts, *, end):
-    names = ('start', 'scale', 'poly', 'envelope', 'amplitude', 'omega', 'phase')
-    return replace(parts[0], end=end, **{
-        name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
-
-
-def approach(state, trajectory, time, *, duration=2.0):
+def torque_levels(levels, rate) -> Trajectory:
     """
-    Return ``trajectory`` entered smoothly from a state at a given time.
+    Return open-loop torques from zero through ``levels`` (m, n_joints) and back [N m].
+
+    ``rate`` is the mean slope of the joint that changes most [N m/s]; the steepest is 2.5 times
+    that, and at each level it is zero: a torque that jumps, or whose slope does, makes a motor on
+    a spring ring.
+    """
+    if not rate > 0:
+        raise TrajectoryError(f'rate must be above 0, got {rate}')
+    levels = np.atleast_2d(np.asarray(levels, dtype=float))
+    zero = np.zeros((1, levels.shape[1]))
+    points = np.vstack([zero, levels, zero])
+    starts, scales, polys, time = [], [], [], 0.0
+    for begin, end in zip(points[:-1], points[1:], strict=True):
+        duration = np.max(np.abs(end - begin)) / rate
+        if duration > 0.0:
+            starts, scales = [*starts, time], [*scales, duration]
+            polys = [*polys, hermite(at_rest(begin), at_rest(end), duration)]
+            time += duration
+    return polynomials([*starts, time], [*scales, 1.0], [*polys, constant(zero[0])], end=time,
+                       quantity='effort')
+
+
+def approach(state, trajectory, time, *, duration=2.0) -> Trajectory:
+    """
+    Return ``trajectory``, its own time beginning at 0, entered smoothly from a state.
 
     Parameters
     ----------
     state : ndarray, shape (5, n_joints)
         Reference and derivatives now; at rest where the robot is if there was none.
     trajectory : Trajectory
-        What to do, its own time beginning at 0.
+        Of a motion; an effort starts at once.
     time : float
         Now [s].
     duration : float
-        Time for the way to its beginning; not taken where it already is there [s].
-
-    Returns
-    -------
-    Trajectory
-        Continuous in all derivatives to the fourth. An effort starts at once.
+        Of the way to its beginning, left out where it already is there [s].
 
     """
     begin = trajectory.sample(0.0)
@@ -366,4 +302,4 @@ def approach(state, trajectory, time, *, duration=2.0):
     _positive(duration=duration)
     way = polynomials([time], [duration], [hermite(state, begin, duration)])
     moved = trajectory.shifted(time + duration)
-    return _joined([way, moved], end=moved.end)
+    return joined([way, moved], end=moved.end)

@@ -2,7 +2,7 @@
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """
-Every reference is a row of segments: a polynomial of degree 9 plus an enveloped sinusoid.
+Every reference is a sequence of segments: a polynomial of degree 9 plus an enveloped sinusoid.
 
 One compiled function evaluates all of them with their derivatives to the fourth, so the
 trajectory node and the in-process simulation give the same bits.
@@ -17,6 +17,7 @@ import numpy as np
 DERIVATIVES = 5
 DEGREE = 9
 COEFFICIENTS = DEGREE + 1
+_SEGMENTED = ('start', 'scale', 'poly', 'envelope', 'amplitude', 'omega', 'phase')
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -24,46 +25,23 @@ class Trajectory:
     """
     A reference for n joints over m segments; the last one goes on without end.
 
-    Parameters
-    ----------
-    start : ndarray, shape (m,)
-        When each segment begins, increasing [s].
-    scale : ndarray, shape (m,)
-        Time unit of the segment's polynomials, usually its duration [s].
-    poly : ndarray, shape (m, 10, n_joints)
-        Coefficients in powers of (t - start) / scale [rad, or N m for an effort].
-    envelope : ndarray, shape (m, 10)
-        Polynomial that multiplies the sinusoid.
-    amplitude, omega, phase : ndarray, shape (m, n_joints)
-        Sinusoid ``amplitude sin(omega (t - start) + phase)`` [rad, rad/s, rad].
-    end : float
-        When the motion has come to its end; infinite if it never does [s].
-    quantity : {'motion', 'effort'}
-        A link angle with derivatives, or an open-loop torque.
-
-    Raises
-    ------
-    TrajectoryError
-        If a shape does not fit or the segments are out of order.
-
+    TrajectoryError if a shape does not fit or the segments are out of order.
     """
 
-    start: np.ndarray
-    scale: np.ndarray
-    poly: np.ndarray
-    envelope: np.ndarray
-    amplitude: np.ndarray
-    omega: np.ndarray
-    phase: np.ndarray
-    end: float = np.inf
-    quantity: str = 'motion'
+    start: np.ndarray      # (m,) when each segment begins, increasing [s]
+    scale: np.ndarray      # (m,) time unit of the segment's polynomials, often its duration [s]
+    poly: np.ndarray       # (m, 10, n) in powers of (t - start) / scale [rad, or N m of an effort]
+    envelope: np.ndarray   # (m, 10) polynomial that multiplies the sinusoid
+    amplitude: np.ndarray  # (m, n) of amplitude sin(omega (t - start) + phase) [rad]
+    omega: np.ndarray      # (m, n) [rad/s]
+    phase: np.ndarray      # (m, n) [rad]
+    end: float = np.inf    # of the motion [s]
+    quantity: str = 'motion'  # a link angle with derivatives, or 'effort', an open-loop torque
 
     def __post_init__(self):
         m, _, n = np.shape(self.poly)
-        shapes = {'start': (m,), 'scale': (m,), 'poly': (m, COEFFICIENTS, n),
-                  'envelope': (m, COEFFICIENTS), 'amplitude': (m, n), 'omega': (m, n),
-                  'phase': (m, n)}
-        for name, shape in shapes.items():
+        shapes = ((m,), (m,), (m, COEFFICIENTS, n), (m, COEFFICIENTS), (m, n), (m, n), (m, n))
+        for name, shape in zip(_SEGMENTED, shapes, strict=True):
             value = np.ascontiguousarray(getattr(self, name), dtype=float)
             if value.shape != shape or not np.all(np.isfinite(value)):
                 raise TrajectoryError(f'{name} of a trajectory must be finite with shape '
@@ -74,38 +52,45 @@ class Trajectory:
                                   f'and scale {self.scale}')
 
     @property
-    def n_joints(self):
+    def n_joints(self) -> int:
         """Return the number of joints."""
         return self.poly.shape[2]
 
-    def sample(self, time):
+    def sample(self, time) -> np.ndarray:
         """
-        Return the reference and its derivatives.
+        Return the reference and its time derivatives 1 to 4.
 
-        Parameters
-        ----------
-        time : float or ndarray, shape (T,)
-            Time [s]; before the first segment its beginning counts.
-
-        Returns
-        -------
-        ndarray, shape (5, n_joints) or (T, 5, n_joints)
-            Value and time derivatives 1 to 4.
-
+        (5, n_joints) at a time, (T, 5, n_joints) at times (T,) [s]; before the first segment its
+        beginning counts.
         """
         times = np.atleast_1d(np.asarray(time, dtype=float))
         out = np.empty((len(times), DERIVATIVES, self.n_joints))
-        sample_all(times, self.start, self.scale, self.poly, self.envelope, self.amplitude,
-                   self.omega, self.phase, out)
+        _sample_all(times, *(getattr(self, name) for name in _SEGMENTED), out)
         return out if np.ndim(time) else out[0]
 
-    def shifted(self, delay):
+    def shifted(self, delay) -> 'Trajectory':
         """Return the same trajectory beginning ``delay`` seconds later."""
         return replace(self, start=self.start + delay, end=self.end + delay)
 
+    def displaced(self, offset) -> 'Trajectory':
+        """Return the trajectory with ``offset`` (n_joints,) added to its angle or torque."""
+        poly = self.poly.copy()
+        poly[:, 0, :] += np.asarray(offset, dtype=float)
+        return replace(self, poly=poly)
+
+    def part(self, segments) -> 'Trajectory':
+        """Return the trajectory of a slice of its segments."""
+        return replace(self, **{name: getattr(self, name)[segments] for name in _SEGMENTED})
+
+
+def joined(parts, *, end) -> Trajectory:
+    """Return the segments of Trajectories one after another, ending at ``end`` [s]."""
+    return replace(parts[0], end=end, **{
+        name: np.concatenate([getattr(part, name) for part in parts]) for name in _SEGMENTED})
+
 
 @compiled
-def poly_derivatives(coefficients, x, rate, out):
+def _poly_derivatives(coefficients, x, rate, out):
     """Write value and time derivatives 1 to 4 of a polynomial in x, dx/dt = rate, to ``out``."""
     scale = 1.0
     for k in range(DERIVATIVES):
@@ -120,7 +105,7 @@ def poly_derivatives(coefficients, x, rate, out):
 
 
 @compiled
-def wave_derivatives(amplitude, omega, angle, out):
+def _wave_derivatives(amplitude, omega, angle, out):
     """Write ``amplitude sin(angle)`` and its time derivatives 1 to 4 to ``out`` (5,)."""
     sine, cosine = amplitude * np.sin(angle), amplitude * np.cos(angle)
     for k in range(DERIVATIVES):
@@ -129,7 +114,7 @@ def wave_derivatives(amplitude, omega, angle, out):
 
 
 @compiled
-def sample_all(times, start, scale, poly, envelope, amplitude, omega, phase, out):
+def _sample_all(times, start, scale, poly, envelope, amplitude, omega, phase, out):
     """Evaluate the segments at ``times`` (T,) into ``out`` (T, 5, n)."""
     shape, wave = np.empty(DERIVATIVES), np.empty(DERIVATIVES)
     binomial = np.array([[1, 0, 0, 0, 0], [1, 1, 0, 0, 0], [1, 2, 1, 0, 0], [1, 3, 3, 1, 0],
@@ -139,12 +124,12 @@ def sample_all(times, start, scale, poly, envelope, amplitude, omega, phase, out
         local = max(times[i] - start[m], 0.0)
         rate = 1.0 / scale[m]
         for j in range(poly.shape[2]):
-            poly_derivatives(poly[m, :, j], local * rate, rate, out[i, :, j])
+            _poly_derivatives(poly[m, :, j], local * rate, rate, out[i, :, j])
             if amplitude[m, j] == 0.0:
                 continue
-            poly_derivatives(envelope[m], local * rate, rate, shape)
-            wave_derivatives(amplitude[m, j], omega[m, j], omega[m, j] * local + phase[m, j],
-                             wave)
+            _poly_derivatives(envelope[m], local * rate, rate, shape)
+            _wave_derivatives(amplitude[m, j], omega[m, j], omega[m, j] * local + phase[m, j],
+                              wave)
             for k in range(DERIVATIVES):  # Leibniz rule
                 for r in range(k + 1):
                     out[i, k, j] += binomial[k, r] * shape[r] * wave[k - r]
@@ -152,21 +137,7 @@ def sample_all(times, start, scale, poly, envelope, amplitude, omega, phase, out
 
 @compiled
 def extrapolate(reference, delay):
-    """
-    Return a sampled reference moved in time by its Taylor series.
-
-    Parameters
-    ----------
-    reference : ndarray, shape (5, n_joints)
-        Value and derivatives 1 to 4.
-    delay : float
-        How much later, a few samples at most [s].
-
-    Returns
-    -------
-    ndarray, shape (5, n_joints)
-
-    """
+    """Return a sampled reference (5, n_joints) a few samples later [s], by its Taylor series."""
     moved = np.zeros_like(reference)
     for k in range(DERIVATIVES):
         factor = 1.0

@@ -5,7 +5,7 @@
 
 from dataclasses import asdict, dataclass, field
 
-from gms_flex_control.params.units import in_units
+from gms_flex_control.params.arm import in_units
 import numpy as np
 from scipy.spatial.transform import Rotation
 

@@ -1,7 +1,6 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-
 """Small commands that move nothing."""
 
 from gms_flex_control.effects.base import Parameter, Stage, Term
@@ -19,21 +18,10 @@ class ActuatorDeadzone(Term):
     confusable = ('backlash',)
     tells = 'fast motion with small torque beside slow motion with large torque'
     needs_commands = True
-    parameters = (
-        Parameter('deadzone', 'N m', 'half width', lower=0.0),
-    )
-
-    @classmethod
-    def guesses(cls, scales):
-        """Return how it might be there, list of Guess."""
-        return sizes(scales.friction * np.geomspace(0.02, 1.0, 10))
-
-    @classmethod
-    def typical(cls, scales):
-        """Return usual sizes of its parameters, tuple of float or None."""
-        return (0.3 * scales.friction,)
+    parameters = (Parameter('deadzone', 'N m', 'half width', lower=0.0,
+                            typical=lambda s: 0.3 * s.friction),)
+    guesses = staticmethod(lambda s: sizes(s.friction * np.geomspace(0.02, 1.0, 10)))
 
     @staticmethod
     def apply(s, p, memory, dt):
-        """Change the signals of one joint."""
         s[TORQUE] -= min(max(s[TORQUE], -p[0]), p[0])

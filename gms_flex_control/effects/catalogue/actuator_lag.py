@@ -1,7 +1,6 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-
 """First-order lag of the torque loop."""
 
 from gms_flex_control.effects.base import Parameter, Stage, Term
@@ -20,28 +19,12 @@ class ActuatorLag(Term):
     confusable = ('input_delay', 'recording_delay')
     tells = 'torque that changes faster, up to a tenth of the sample rate'
     of_feedback = True
-    parameters = (
-        Parameter('time_constant', 's', 'time constant', lower=0.0),
-    )
-
-    @classmethod
-    def guesses(cls, scales):
-        """Return how it might be there, list of Guess."""
-        return sizes((0.001, 0.003, 0.006, 0.012, 0.02))
-
-    @classmethod
-    def typical(cls, scales):
-        """Return usual sizes of its parameters, tuple of float or None."""
-        return (8e-3,)
-
-    @classmethod
-    def excludes(cls, rigid):
-        """Return what may not stand beside it, tuple of str."""
-        return ('input_delay',)  # their sum alone shows
+    parameters = (Parameter('time_constant', 's', 'time constant', lower=0.0, typical=8e-3),)
+    guesses = staticmethod(lambda s: sizes((0.001, 0.003, 0.006, 0.012, 0.02)))
+    excludes = staticmethod(lambda rigid: ('input_delay',))  # their sum alone shows
 
     @staticmethod
     def apply(s, p, memory, dt):
-        """Change the signals of one joint."""
         if p[0] > 0.0:
             short, gone = memory[0] - s[TORQUE], -np.expm1(-dt / p[0])
             memory[0] -= short * gone

@@ -1,7 +1,6 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-
 """Largest torque the actuator gives."""
 
 from gms_flex_control.effects.base import Parameter, Stage, Term
@@ -16,24 +15,11 @@ class ActuatorSaturation(Term):
     name = 'actuator_saturation'
     stage = Stage.ACTUATOR
     evidence = 'torque'
-    confusable = ()
     tells = 'faster motion, which asks for torque well beyond the limit'
     needs_commands = True
-    parameters = (
-        Parameter('limit', 'N m', 'largest torque either way', lower=0.0),
-    )
-
-    @classmethod
-    def guesses(cls, scales):
-        """Return how it might be there, list of Guess."""
-        return sizes(scales.torque * np.linspace(0.2, 0.95, 16))
-
-    @classmethod
-    def typical(cls, scales):
-        """Return usual sizes of its parameters, tuple of float or None."""
-        return (None,)
+    parameters = (Parameter('limit', 'N m', 'largest torque either way', lower=0.0),)
+    guesses = staticmethod(lambda s: sizes(s.torque * np.linspace(0.2, 0.95, 16)))
 
     @staticmethod
     def apply(s, p, memory, dt):
-        """Change the signals of one joint."""
         s[TORQUE] = min(max(s[TORQUE], -p[0]), p[0])

@@ -1,7 +1,6 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-
 """Play in the transmission."""
 
 from gms_flex_control.effects.base import Parameter, Stage, Term
@@ -18,25 +17,13 @@ class Backlash(Term):
     evidence = 'torsion'
     confusable = ('actuator_deadzone',)
     tells = 'slow reversals under load, and with the link free'
-    parameters = (
-        Parameter('half_gap', 'rad', 'half width of the play', lower=0.0),
-    )
-
-    @classmethod
-    def guesses(cls, scales):
-        """Return how it might be there, list of Guess."""
-        if scales.rigid:
-            return []
-        return sizes(scales.twist * np.geomspace(0.01, 0.6, 12))
-
-    @classmethod
-    def typical(cls, scales):
-        """Return usual sizes of its parameters, tuple of float or None."""
-        return (0.2 * scales.twist,)
+    parameters = (Parameter('half_gap', 'rad', 'half width of the play', lower=0.0,
+                            typical=lambda s: 0.2 * s.twist),)
+    guesses = staticmethod(
+        lambda s: [] if s.rigid else sizes(s.twist * np.geomspace(0.01, 0.6, 12)))
 
     @staticmethod
     def apply(s, p, memory, dt):
-        """Change the signals of one joint."""
         e = s[TWIST]
         s[TWIST] = e - min(max(e, -p[0]), p[0])
         if -p[0] < e < p[0]:

@@ -1,7 +1,6 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-
 """A base that gives way under the torque of a joint."""
 
 from gms_flex_control.effects.base import Parameter, Stage, Term
@@ -23,33 +22,24 @@ class BaseFlexibility(Term):
     stage = Stage.SENSOR
     memory_size = 2
     evidence = 'link acceleration'
-    confusable = ()
     tells = 'short pulses of torque with the arm at rest'
     needs_link_encoder = True
     acts_along_motion = False  # needs torques that only a simulation has
     parameters = (
         Parameter('frequency', 'Hz', 'natural frequency w / 2 pi', lower=0.0),
         Parameter('inertia', 'kg m^2', 'inertia of the base about the joint', lower=0.0),
-        Parameter('damping', '1', 'damping ratio', lower=0.0, upper=0.99),
-    )
+        Parameter('damping', '1', 'damping ratio', lower=0.0, upper=0.99))
 
-    @classmethod
-    def guesses(cls, scales):
-        """Return how it might be there, list of Guess."""
+    @staticmethod
+    def guesses(scales):
         heavy = 5.0 * scales.link_inertia
         return [Guess(((frequency, heavy, 0.05),),
                       lambda c, frequency=frequency: (
                           frequency, heavy / np.clip(c[0], 0.02, 20.0), 0.05), 0.0)
                 for frequency in np.geomspace(3.0, 15.0, 9)]
 
-    @classmethod
-    def typical(cls, scales):
-        """Return usual sizes of its parameters, tuple of float or None."""
-        return (None, None, None)
-
     @staticmethod
     def apply(s, p, memory, dt):
-        """Change the signals of one joint."""
         w = 2.0 * np.pi * p[0]
         if w > 0.0 and p[1] > 0.0:
             rest = (s[FRICTION] - s[TORQUE]) / (p[1] * w * w)

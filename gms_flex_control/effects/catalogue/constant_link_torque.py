@@ -1,7 +1,6 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-
 """Constant torque on the link, as from a cable."""
 
 from gms_flex_control.effects.base import Parameter, Stage, Term
@@ -20,21 +19,9 @@ class ConstantLinkTorque(Term):
     tells = 'motion both ways over the whole range, with rests between'
     fed_forward = True
     estimated_with_arm = True
-    parameters = (
-        Parameter('bias', 'N m', 'torque'),
-    )
-
-    @classmethod
-    def guesses(cls, scales):
-        """Return how it might be there, list of Guess."""
-        return linear(0.1 * scales.friction)
-
-    @classmethod
-    def typical(cls, scales):
-        """Return usual sizes of its parameters, tuple of float or None."""
-        return (0.3 * scales.friction,)
+    parameters = (Parameter('bias', 'N m', 'torque', typical=lambda s: 0.3 * s.friction),)
+    guesses = staticmethod(lambda s: linear(0.1 * s.friction))
 
     @staticmethod
     def apply(s, p, memory, dt):
-        """Change the signals of one joint."""
         s[LINK_TORQUE] += p[0]

@@ -1,7 +1,6 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-
 """Level of the friction other than believed."""
 
 from dataclasses import replace
@@ -19,23 +18,12 @@ class CoulombError(Change):
     confusable = ('friction_drift',)
     tells = 'the same motion at the beginning and at the end of a long run'
     replaces = 'level'
-    parameters = (
-        Parameter('ratio', '1', 'relative error', lower=-0.95, relative=True),
-    )
-
-    @classmethod
-    def guesses(cls, scales):
-        """Return how it might be there, list of Guess."""
-        return linear(0.1)
-
-    @classmethod
-    def typical(cls, scales):
-        """Return usual sizes of its parameters, tuple of float or None."""
-        return (0.3,)
+    parameters = (Parameter('ratio', '1', 'relative error', lower=-0.95, relative=True,
+                            typical=0.3),)
+    guesses = staticmethod(lambda s: linear(0.1))
 
     @staticmethod
     def change(robot, joint, values):
-        """Return the robot with the effect in it."""
         factor = np.ones(robot.n_joints)
         factor[joint] += values[0]
         sides = {side: replace(steady, static=steady.static * factor,

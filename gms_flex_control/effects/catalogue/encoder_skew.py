@@ -1,7 +1,6 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-
 """The two encoders of a joint are not read at the same time."""
 
 from gms_flex_control.effects.base import Parameter, Stage, Term
@@ -15,27 +14,12 @@ class EncoderSkew(Term):
     name = 'encoder_skew'
     stage = Stage.SENSOR
     evidence = 'motor rate'
-    confusable = ()
     tells = 'motion at constant speeds, slow and fast, both ways'
     needs_link_encoder = True
-    parameters = (
-        Parameter('delay', 's', 'by which the motor side is older than the link side',
-                  lower=-0.05, upper=0.05),
-    )
-
-    @classmethod
-    def guesses(cls, scales):
-        """Return how it might be there, list of Guess."""
-        if scales.rigid:
-            return []
-        return linear(0.0005)
-
-    @classmethod
-    def typical(cls, scales):
-        """Return usual sizes of its parameters, tuple of float or None."""
-        return (3e-3,)
+    parameters = (Parameter('delay', 's', 'by which the motor side is older than the link side',
+                            lower=-0.05, upper=0.05, typical=3e-3),)
+    guesses = staticmethod(lambda s: [] if s.rigid else linear(0.0005))
 
     @staticmethod
     def apply(s, p, memory, dt):
-        """Change the signals of one joint."""
         s[SENSED_MOTOR] -= p[0] * (s[DQ_MOTOR] - 0.5 * p[0] * s[DDQ_MOTOR])

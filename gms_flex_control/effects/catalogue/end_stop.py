@@ -1,7 +1,6 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-
 """Stop met beyond an angle: a one-sided spring."""
 
 from gms_flex_control.effects.base import Parameter, Stage, Term
@@ -16,30 +15,22 @@ class EndStop(Term):
     name = 'end_stop'
     stage = Stage.LINK
     evidence = 'link angle'
-    confusable = ()
     tells = 'slow motion into the stop and out of it'
     parameters = (
         Parameter('angle', 'rad', 'where it begins'),
-        Parameter('stiffness', 'N m/rad', 'stiffness of the stop', lower=0.0),
-    )
+        Parameter('stiffness', 'N m/rad', 'stiffness of the stop', lower=0.0,
+                  typical=lambda s: s.friction / 0.01))
 
-    @classmethod
-    def guesses(cls, scales):
-        """Return how it might be there, list of Guess."""
+    @staticmethod
+    def guesses(scales):
         span, stiffness = scales.highest - scales.lowest, scales.friction / 0.05
         inside = span * np.array([0.02, 0.05, 0.1, 0.18])
         above, below = scales.highest - inside, scales.lowest + inside
         return [Guess(((angle, stiffness),), lambda c, angle=angle: (angle, c[0] * stiffness), 0.0)
                 for angle in (*above[above > 0.0], *below[below < 0.0])]
 
-    @classmethod
-    def typical(cls, scales):
-        """Return usual sizes of its parameters, tuple of float or None."""
-        return (None, scales.friction / 0.01)
-
     @staticmethod
     def apply(s, p, memory, dt):
-        """Change the signals of one joint."""
         depth = s[Q_LINK] - p[0]
         if depth * p[0] > 0.0:
             s[LINK_TORQUE] -= p[1] * depth

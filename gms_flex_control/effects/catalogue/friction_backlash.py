@@ -26,14 +26,15 @@ class FrictionBacklash(Term):
     confusable = ('friction_hysteresis',)
     tells = 'many reversals of several sizes, smaller and larger than the play'
     parameters = (
-        Parameter('force', 'N m', 'torque once it slips', lower=0.0),
-        Parameter('half_gap', 'rad', 'half width of the play', lower=0.0),
-        Parameter('reach', 'rad', 'displacement beyond the play at which it slips', lower=0.0),
-    )
+        Parameter('force', 'N m', 'torque once it slips', lower=0.0,
+                  typical=lambda s: 0.3 * s.friction),
+        Parameter('half_gap', 'rad', 'half width of the play', lower=0.0,
+                  typical=lambda s: 0.1 * (s.highest - s.lowest)),
+        Parameter('reach', 'rad', 'displacement beyond the play at which it slips', lower=0.0,
+                  typical=lambda s: 0.1 * (s.highest - s.lowest)))
 
-    @classmethod
-    def guesses(cls, scales):
-        """Return how it might be there, list of Guess."""
+    @staticmethod
+    def guesses(scales):
         span, size = scales.highest - scales.lowest, _FORCE * scales.friction
         if not (scales.rigid and span):
             return []
@@ -42,15 +43,8 @@ class FrictionBacklash(Term):
                 for gap in span * np.geomspace(3e-3, 0.1, 4)
                 for reach in span * np.geomspace(3e-3, 0.1, 3)]
 
-    @classmethod
-    def typical(cls, scales):
-        """Return usual sizes of its parameters, tuple of float or None."""
-        span = scales.highest - scales.lowest
-        return 0.3 * scales.friction, 0.1 * span, 0.1 * span
-
     @staticmethod
     def apply(s, p, memory, dt):
-        """Change the signals of one joint."""
         moved = (s[Q_LINK] - memory[0]) * memory[1]
         memory[0], memory[1] = s[Q_LINK], 1.0
         gap, reach = p[1], p[2]

@@ -1,7 +1,6 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-
 """Friction that changes over the run, by warming or wear."""
 
 from gms_flex_control.effects.base import Parameter, Stage, Term
@@ -18,22 +17,11 @@ class FrictionDrift(Term):
     confusable = ('coulomb_error',)
     tells = 'the same motion at the beginning and at the end of a long run'
     parameters = (
-        Parameter('ratio', '1', 'relative change over the duration', relative=True),
-        Parameter('duration', 's', 'time in which the change happens', lower=0.0, fixed=True),
-    )
-
-    @classmethod
-    def guesses(cls, scales):
-        """Return how it might be there, list of Guess."""
-        return linear(0.1, scales.duration)
-
-    @classmethod
-    def typical(cls, scales):
-        """Return usual sizes of its parameters, tuple of float or None."""
-        return (0.3, None)
+        Parameter('ratio', '1', 'relative change over the duration', relative=True, typical=0.3),
+        Parameter('duration', 's', 'time in which the change happens', lower=0.0, fixed=True))
+    guesses = staticmethod(lambda s: linear(0.1, s.duration))
 
     @staticmethod
     def apply(s, p, memory, dt):
-        """Change the signals of one joint."""
         if p[1] > 0.0:
             s[FRICTION] *= 1.0 + p[0] * min(s[TIME] / p[1], 1.0)

@@ -22,24 +22,18 @@ class FrictionHysteresis(Term):
     tells = 'many reversals of several sizes, from small ones to beyond the reach'
     fed_forward = True
     parameters = (
-        Parameter('force', 'N m', 'torque of all elements once they yield', lower=0.0),
-        Parameter('reach', 'rad', 'largest displacement at which one yields', lower=0.0),
-    )
+        Parameter('force', 'N m', 'torque of all elements once they yield', lower=0.0,
+                  typical=lambda s: 0.3 * s.friction),
+        Parameter('reach', 'rad', 'largest displacement at which one yields', lower=0.0,
+                  typical=lambda s: 0.1 * (s.highest - s.lowest)))
 
-    @classmethod
-    def guesses(cls, scales):
-        """Return how it might be there, list of Guess."""
+    @staticmethod
+    def guesses(scales):
         span = scales.highest - scales.lowest
         return shapes(0.1 * scales.friction, span * np.geomspace(1e-3, 0.2, 6)) if span else []
 
-    @classmethod
-    def typical(cls, scales):
-        """Return usual sizes of its parameters, tuple of float or None."""
-        return 0.3 * scales.friction, 0.1 * (scales.highest - scales.lowest)
-
     @staticmethod
     def apply(s, p, memory, dt):
-        """Change the signals of one joint."""
         moved, reach = (s[Q_LINK] - memory[0]) * memory[1], p[1]
         memory[0], memory[1] = s[Q_LINK], 1.0
         if reach > 0.0:

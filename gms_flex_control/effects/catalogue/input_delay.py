@@ -1,7 +1,6 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-
 """Dead time between the command and the torque."""
 
 from gms_flex_control.effects.base import Parameter, Stage, Term
@@ -25,28 +24,12 @@ class InputDelay(Term):
     confusable = ('actuator_lag', 'recording_delay')
     tells = 'torque that changes faster, up to a tenth of the sample rate'
     of_feedback = True
-    parameters = (
-        Parameter('delay', 's', 'dead time', lower=0.0, upper=0.05),
-    )
-
-    @classmethod
-    def guesses(cls, scales):
-        """Return how it might be there, list of Guess."""
-        return sizes((0.001, 0.003, 0.006, 0.012, 0.02))
-
-    @classmethod
-    def typical(cls, scales):
-        """Return usual sizes of its parameters, tuple of float or None."""
-        return (8e-3,)
-
-    @classmethod
-    def excludes(cls, rigid):
-        """Return what may not stand beside it, tuple of str."""
-        return ('actuator_lag',)  # their sum alone shows
+    parameters = (Parameter('delay', 's', 'dead time', lower=0.0, upper=0.05, typical=8e-3),)
+    guesses = staticmethod(lambda s: sizes((0.001, 0.003, 0.006, 0.012, 0.02)))
+    excludes = staticmethod(lambda rigid: ('actuator_lag',))  # their sum alone shows
 
     @staticmethod
     def apply(s, p, memory, dt):
-        """Change the signals of one joint."""
         if p[0] <= 0.0:
             return
         newest = int(memory[1])

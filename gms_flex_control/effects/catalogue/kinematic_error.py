@@ -1,7 +1,6 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-
 """Position error of a strain-wave gear, twice per motor revolution."""
 
 from gms_flex_control.effects.base import Parameter, Stage, Term
@@ -20,23 +19,11 @@ class KinematicError(Term):
     tells = 'the same path under another load'
     needs_link_encoder = True
     parameters = (
-        Parameter('amplitude', 'rad', 'amplitude of the error', lower=0.0),
-        Parameter('phase', 'rad', 'phase at q_motor = 0'),
-    )
-
-    @classmethod
-    def guesses(cls, scales):
-        """Return how it might be there, list of Guess."""
-        if scales.rigid:
-            return []
-        return wave(0.02 * scales.twist)
-
-    @classmethod
-    def typical(cls, scales):
-        """Return usual sizes of its parameters, tuple of float or None."""
-        return (0.1 * scales.twist, None)
+        Parameter('amplitude', 'rad', 'amplitude of the error', lower=0.0,
+                  typical=lambda s: 0.1 * s.twist),
+        Parameter('phase', 'rad', 'phase at q_motor = 0'))
+    guesses = staticmethod(lambda s: [] if s.rigid else wave(0.02 * s.twist))
 
     @staticmethod
     def apply(s, p, memory, dt):
-        """Change the signals of one joint."""
         s[TWIST] += p[0] * np.sin(2.0 * s[Q_MOTOR] + p[1])

@@ -1,7 +1,6 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-
 """Link encoder mounted off centre."""
 
 from gms_flex_control.effects.base import Parameter, Stage, Term
@@ -16,27 +15,14 @@ class LinkEncoderEccentricity(Term):
     name = 'link_encoder_eccentricity'
     stage = Stage.SENSOR
     evidence = 'link angle'
-    confusable = ()
     tells = 'whole revolutions without load'
     needs_link_encoder = True
     parameters = (
-        Parameter('amplitude', 'rad', 'amplitude of the error', lower=0.0),
-        Parameter('phase', 'rad', 'phase at q_link = 0'),
-    )
-
-    @classmethod
-    def guesses(cls, scales):
-        """Return how it might be there, list of Guess."""
-        if scales.rigid:
-            return []
-        return wave(0.02 * scales.twist)
-
-    @classmethod
-    def typical(cls, scales):
-        """Return usual sizes of its parameters, tuple of float or None."""
-        return (0.1 * scales.twist, None)
+        Parameter('amplitude', 'rad', 'amplitude of the error', lower=0.0,
+                  typical=lambda s: 0.1 * s.twist),
+        Parameter('phase', 'rad', 'phase at q_link = 0'))
+    guesses = staticmethod(lambda s: [] if s.rigid else wave(0.02 * s.twist))
 
     @staticmethod
     def apply(s, p, memory, dt):
-        """Change the signals of one joint."""
         s[SENSED_LINK] += p[0] * np.sin(s[Q_LINK] + p[1])

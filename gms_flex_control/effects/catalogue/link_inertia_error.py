@@ -1,7 +1,6 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-
 """Inertia of a link other than believed."""
 
 from dataclasses import replace
@@ -19,28 +18,13 @@ class LinkInertiaError(Change):
     confusable = ('tip_payload',)
     tells = 'the joint alone with the others bent and stretched'
     replaces = 'inertia'
-    parameters = (
-        Parameter('ratio', '1', 'relative error', lower=-0.95, relative=True),
-    )
-
-    @classmethod
-    def guesses(cls, scales):
-        """Return how it might be there, list of Guess."""
-        return linear(0.1)
-
-    @classmethod
-    def typical(cls, scales):
-        """Return usual sizes of its parameters, tuple of float or None."""
-        return (0.3,)
-
-    @classmethod
-    def excludes(cls, rigid):
-        """Return what may not stand beside it, tuple of str."""
-        return ('torque_gain',) if rigid else ()
+    parameters = (Parameter('ratio', '1', 'relative error', lower=-0.95, relative=True,
+                            typical=0.3),)
+    guesses = staticmethod(lambda s: linear(0.1))
+    excludes = staticmethod(lambda rigid: ('torque_gain',) if rigid else ())
 
     @staticmethod
     def change(robot, joint, values):
-        """Return the robot with the effect in it."""
         factor = np.ones(robot.n_joints)
         factor[joint] += values[0]
         return replace(robot, arm=robot.arm.scaled(factor))

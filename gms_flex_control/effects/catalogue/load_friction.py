@@ -1,7 +1,6 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-
 """Friction that grows with the torque carried."""
 
 from gms_flex_control.effects.base import Parameter, Stage, Term
@@ -19,26 +18,15 @@ class LoadFriction(Term):
     name = 'load_friction'
     stage = Stage.FRICTION
     evidence = 'torsion'
-    confusable = ()
     tells = 'the same motion under another load'
     fed_forward = True
     parameters = (
-        Parameter('ratio', '1', 'relative growth at the load', lower=0.0, relative=True),
-        Parameter('load', 'N m', 'torque at which it is reached', lower=0.0, fixed=True),
-    )
-
-    @classmethod
-    def guesses(cls, scales):
-        """Return how it might be there, list of Guess."""
-        return linear(0.1, scales.spring, positive=True)
-
-    @classmethod
-    def typical(cls, scales):
-        """Return usual sizes of its parameters, tuple of float or None."""
-        return (0.2, None)
+        Parameter('ratio', '1', 'relative growth at the load', lower=0.0, relative=True,
+                  typical=0.2),
+        Parameter('load', 'N m', 'torque at which it is reached', lower=0.0, fixed=True))
+    guesses = staticmethod(lambda s: linear(0.1, s.spring, positive=True))
 
     @staticmethod
     def apply(s, p, memory, dt):
-        """Change the signals of one joint."""
         if p[1] > 0.0:
             s[FRICTION] *= 1.0 + p[0] * abs(s[SPRING]) / p[1]

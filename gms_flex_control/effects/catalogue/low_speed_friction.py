@@ -24,22 +24,14 @@ class LowSpeedFriction(Term):
     tells = 'slow motion at many constant speeds'
     fed_forward = True
     parameters = (
-        Parameter('ratio', '1', 'relative change as the speed nears zero', relative=True),
-        Parameter('velocity', 'rad/s', 'speed over which it decays', lower=0.0),
-    )
-
-    @classmethod
-    def guesses(cls, scales):
-        """Return how it might be there, list of Guess."""
-        return shapes(0.1, scales.speed * np.geomspace(0.03, 0.6, 5), positive=False)
-
-    @classmethod
-    def typical(cls, scales):
-        """Return usual sizes of its parameters, tuple of float or None."""
-        return 0.3, 0.3 * scales.speed
+        Parameter('ratio', '1', 'relative change as the speed nears zero', relative=True,
+                  typical=0.3),
+        Parameter('velocity', 'rad/s', 'speed over which it decays', lower=0.0,
+                  typical=lambda s: 0.3 * s.speed))
+    guesses = staticmethod(
+        lambda s: shapes(0.1, s.speed * np.geomspace(0.03, 0.6, 5), positive=False))
 
     @staticmethod
     def apply(s, p, memory, dt):
-        """Change the signals of one joint."""
         if p[1] > 0.0:
             s[FRICTION] *= 1.0 + p[0] * np.exp(-abs(s[DQ_LINK]) / p[1])

@@ -1,7 +1,6 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-
 """Dry friction of the motor side."""
 
 from gms_flex_control.effects.base import Parameter, Stage, Term
@@ -15,28 +14,12 @@ class MotorCoulomb(Term):
     name = 'motor_coulomb'
     stage = Stage.MOTOR
     evidence = 'motor rate'
-    confusable = ()
     tells = 'slow motion of the motor with the link taken off'
-    parameters = (
-        Parameter('coulomb', 'N m', 'level', lower=0.0),
-    )
-
-    @classmethod
-    def guesses(cls, scales):
-        """Return how it might be there, list of Guess."""
-        return linear(0.1 * scales.friction, positive=True)
-
-    @classmethod
-    def typical(cls, scales):
-        """Return usual sizes of its parameters, tuple of float or None."""
-        return (0.3 * scales.friction,)
-
-    @classmethod
-    def holding_torque(cls, values):
-        """Return the friction torque [N m] that it adds where a motor stands still."""
-        return values[0]
+    parameters = (Parameter('coulomb', 'N m', 'level', lower=0.0,
+                            typical=lambda s: 0.3 * s.friction),)
+    guesses = staticmethod(lambda s: linear(0.1 * s.friction, positive=True))
+    holding_torque = staticmethod(lambda values: values[0])
 
     @staticmethod
     def apply(s, p, memory, dt):
-        """Change the signals of one joint."""
         s[MOTOR_TORQUE] -= p[0] * min(max(s[DQ_MOTOR] * 1e3, -1.0), 1.0)

@@ -1,7 +1,6 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-
 """Motor inertia other than believed."""
 
 from dataclasses import replace
@@ -15,33 +14,20 @@ class MotorInertiaError(Change):
 
     name = 'motor_inertia_error'
     evidence = 'link acceleration'
-    confusable = ()
     tells = 'fast motion of the motor with the link held'
     replaces = 'motor_inertia'
-    parameters = (
-        Parameter('ratio', '1', 'relative error', lower=-0.99, relative=True),
-    )
+    parameters = (Parameter('ratio', '1', 'relative error', lower=-0.99, relative=True,
+                            typical=0.3),)
+    excludes = staticmethod(lambda rigid: ('torque_gain',) if rigid else ())
 
-    @classmethod
-    def guesses(cls, scales):
-        """Return how it might be there, list of Guess."""
+    @staticmethod
+    def guesses(scales):
         if scales.rigid and scales.link_inertia > 0.0:
             return []  # the joint's inertia is that of its link, too
         return linear(0.1)
 
-    @classmethod
-    def typical(cls, scales):
-        """Return usual sizes of its parameters, tuple of float or None."""
-        return (0.3,)
-
-    @classmethod
-    def excludes(cls, rigid):
-        """Return what may not stand beside it, tuple of str."""
-        return ('torque_gain',) if rigid else ()
-
     @staticmethod
     def change(robot, joint, values):
-        """Return the robot with the effect in it."""
         motor_inertia = robot.arm.motor_inertia.copy()
         motor_inertia[joint] *= 1.0 + values[0]
         return replace(robot, arm=replace(robot.arm, motor_inertia=motor_inertia))

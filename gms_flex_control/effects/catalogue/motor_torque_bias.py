@@ -1,7 +1,6 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-
 """Constant torque on the motor, as from an amplifier offset."""
 
 from gms_flex_control.effects.base import Parameter, Stage, Term
@@ -15,24 +14,11 @@ class MotorTorqueBias(Term):
     name = 'motor_torque_bias'
     stage = Stage.MOTOR
     evidence = 'motor rate'
-    confusable = ()
     tells = 'a recording with another load, or with the link held'
     fed_forward = True
-    parameters = (
-        Parameter('bias', 'N m', 'torque'),
-    )
-
-    @classmethod
-    def guesses(cls, scales):
-        """Return how it might be there, list of Guess."""
-        return linear(0.1 * scales.friction)
-
-    @classmethod
-    def typical(cls, scales):
-        """Return usual sizes of its parameters, tuple of float or None."""
-        return (0.3 * scales.friction,)
+    parameters = (Parameter('bias', 'N m', 'torque', typical=lambda s: 0.3 * s.friction),)
+    guesses = staticmethod(lambda s: linear(0.1 * s.friction))
 
     @staticmethod
     def apply(s, p, memory, dt):
-        """Change the signals of one joint."""
         s[MOTOR_TORQUE] += p[0]

@@ -1,7 +1,6 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-
 """Friction before sliding other than believed."""
 
 from dataclasses import replace
@@ -26,26 +25,20 @@ class PreslidingError(Change):
     tells = 'many small reversals, of a few mrad'
     replaces = 'blocks'
     parameters = (
-        Parameter('stiffness', '1', 'relative error of all block stiffnesses', lower=-0.95),
+        Parameter('stiffness', '1', 'relative error of all block stiffnesses', lower=-0.95,
+                  typical=0.5),
         Parameter('tilt', '1', 'load moved from the softer to the stiffer blocks', lower=-1.0,
-                  upper=1.0),
-    )
+                  upper=1.0, typical=0.3))
 
-    @classmethod
-    def guesses(cls, scales):
+    @staticmethod
+    def guesses(scales):
         """Return how it might be there, list of Guess; not where counts hide presliding."""
         if scales.count * _RESOLVED > scales.presliding:
             return []
         return [Guess(((-0.3, 0.0),), lambda c: (max(-0.3 * c[0], -0.9), 0.0))]
 
-    @classmethod
-    def typical(cls, scales):
-        """Return usual sizes of its parameters, tuple of float or None."""
-        return (0.5, 0.3)
-
     @staticmethod
     def change(robot, joint, values):
-        """Return the robot with the effect in it."""
         friction = robot.friction
         stiffness, weight = friction.stiffness.copy(), friction.weight.copy()
         order = np.argsort(np.argsort(stiffness[joint], kind='stable'), kind='stable')

@@ -1,7 +1,6 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-
 """Drag of a fluid."""
 
 from gms_flex_control.effects.base import Parameter, Stage, Term
@@ -18,21 +17,10 @@ class QuadraticDrag(Term):
     confusable = ('viscous_error',)
     tells = 'faster motion, over a range of speeds of 1 to 5'
     fed_forward = True
-    parameters = (
-        Parameter('drag', 'N m s^2/rad^2', 'coefficient', lower=0.0),
-    )
-
-    @classmethod
-    def guesses(cls, scales):
-        """Return how it might be there, list of Guess."""
-        return linear(0.1 * scales.friction / scales.speed ** 2, positive=True)
-
-    @classmethod
-    def typical(cls, scales):
-        """Return usual sizes of its parameters, tuple of float or None."""
-        return (0.2 * scales.friction / scales.speed ** 2,)
+    parameters = (Parameter('drag', 'N m s^2/rad^2', 'coefficient', lower=0.0,
+                            typical=lambda s: 0.2 * s.friction / s.speed ** 2),)
+    guesses = staticmethod(lambda s: linear(0.1 * s.friction / s.speed ** 2, positive=True))
 
     @staticmethod
     def apply(s, p, memory, dt):
-        """Change the signals of one joint."""
         s[LINK_TORQUE] -= p[0] * s[DQ_LINK] * abs(s[DQ_LINK])

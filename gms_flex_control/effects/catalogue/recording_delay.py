@@ -59,29 +59,16 @@ class RecordingDelay(Term):
     needs_link_encoder = True
     of_feedback = True
     of_recording = True
-    parameters = (
-        Parameter('delay', 's', 'by which all angles are older than the torques',
-                  lower=-0.02, upper=0.02),
-    )
+    parameters = (Parameter('delay', 's', 'by which all angles are older than the torques',
+                            lower=-0.02, upper=0.02, typical=3e-3),)
+    guesses = staticmethod(lambda s: linear(0.0005))
 
-    @classmethod
-    def guesses(cls, scales):
-        """Return how it might be there, list of Guess."""
-        return linear(0.0005)
-
-    @classmethod
-    def typical(cls, scales):
-        """Return usual sizes of its parameters, tuple of float or None."""
-        return (3e-3,)
-
-    @classmethod
-    def torque_acted(cls, torque, period, values):
-        """Return recorded torques as they acted where the recorded angles belong."""
+    @staticmethod
+    def torque_acted(torque, period, values):
         return torque_at_angles(torque, period, values[0])
 
     @staticmethod
     def apply(s, p, memory, dt):
-        """Change the signals of all joints."""
         for j in range(int(s[sig.JOINTS])):
             k = sig.WIDTH * j
             s[k + sig.SENSED_LINK] -= p[0] * (s[k + sig.DQ_LINK] - 0.5 * p[0] * s[

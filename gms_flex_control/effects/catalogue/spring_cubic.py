@@ -1,7 +1,6 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-
 """Spring that stiffens or softens with twist."""
 
 from gms_flex_control.effects.base import Parameter, Stage, Term
@@ -15,25 +14,11 @@ class SpringCubic(Term):
     name = 'spring_cubic'
     stage = Stage.SPRING
     evidence = 'torsion'
-    confusable = ()
     tells = 'slow torque up to the largest, both ways, with the link held'
-    parameters = (
-        Parameter('cubic', 'N m/rad^3', 'cubic stiffness'),
-    )
-
-    @classmethod
-    def guesses(cls, scales):
-        """Return how it might be there, list of Guess."""
-        if scales.rigid:
-            return []
-        return linear(0.1 * scales.spring / scales.twist ** 3)
-
-    @classmethod
-    def typical(cls, scales):
-        """Return usual sizes of its parameters, tuple of float or None."""
-        return (0.1 * scales.spring / scales.twist ** 3,)
+    parameters = (Parameter('cubic', 'N m/rad^3', 'cubic stiffness',
+                            typical=lambda s: 0.1 * s.spring / s.twist ** 3),)
+    guesses = staticmethod(lambda s: [] if s.rigid else linear(0.1 * s.spring / s.twist ** 3))
 
     @staticmethod
     def apply(s, p, memory, dt):
-        """Change the signals of one joint."""
         s[SPRING] += p[0] * s[TWIST] ** 3

@@ -1,7 +1,6 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-
 """Damping of the joint spring beyond the modelled one."""
 
 from gms_flex_control.effects.base import Parameter, Stage, Term
@@ -15,25 +14,11 @@ class SpringDamping(Term):
     name = 'spring_damping'
     stage = Stage.SPRING
     evidence = 'time since reversal'
-    confusable = ()
     tells = 'free swings of the link with the motor held'
-    parameters = (
-        Parameter('damping', 'N m s/rad', 'damping of the twist', lower=0.0),
-    )
-
-    @classmethod
-    def guesses(cls, scales):
-        """Return how it might be there, list of Guess."""
-        if scales.rigid:
-            return []
-        return linear(0.003, positive=True)
-
-    @classmethod
-    def typical(cls, scales):
-        """Return usual sizes of its parameters, tuple of float or None."""
-        return (0.2 * (scales.inertia * scales.spring / scales.twist) ** 0.5,)
+    parameters = (Parameter('damping', 'N m s/rad', 'damping of the twist', lower=0.0,
+                            typical=lambda s: 0.2 * (s.inertia * s.spring / s.twist) ** 0.5),)
+    guesses = staticmethod(lambda s: [] if s.rigid else linear(0.003, positive=True))
 
     @staticmethod
     def apply(s, p, memory, dt):
-        """Change the signals of one joint."""
         s[SPRING] += p[0] * s[TWIST_RATE]

@@ -1,7 +1,6 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-
 """Rate-independent loss in the spring."""
 
 from gms_flex_control.effects.base import Parameter, Stage, Term
@@ -17,28 +16,17 @@ class SpringHysteresis(Term):
     stage = Stage.SPRING
     memory_size = 3
     evidence = 'torsion'
-    confusable = ()
     tells = 'slow torque up and down to several heights, with the link held'
     parameters = (
-        Parameter('force', 'N m', 'torque at which the element yields', lower=0.0),
-        Parameter('yield', 'rad', 'twist at which it yields', lower=0.0),
-    )
-
-    @classmethod
-    def guesses(cls, scales):
-        """Return how it might be there, list of Guess."""
-        if scales.rigid:
-            return []
-        return shapes(0.1 * scales.friction, scales.twist * np.geomspace(0.02, 2.0, 8))
-
-    @classmethod
-    def typical(cls, scales):
-        """Return usual sizes of its parameters, tuple of float or None."""
-        return (0.2 * scales.friction, scales.twist)
+        Parameter('force', 'N m', 'torque at which the element yields', lower=0.0,
+                  typical=lambda s: 0.2 * s.friction),
+        Parameter('yield', 'rad', 'twist at which it yields', lower=0.0,
+                  typical=lambda s: s.twist))
+    guesses = staticmethod(lambda s: [] if s.rigid else shapes(
+        0.1 * s.friction, s.twist * np.geomspace(0.02, 2.0, 8)))
 
     @staticmethod
     def apply(s, p, memory, dt):
-        """Change the signals of one joint."""
         e_before, torque, begun = memory[0], memory[1], memory[2]
         if begun > 0.0 and p[1] > 0.0:
             torque += p[0] / p[1] * (s[TWIST] - e_before)

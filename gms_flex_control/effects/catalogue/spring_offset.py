@@ -1,7 +1,6 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-
 """Rest position of the spring away from zero."""
 
 from gms_flex_control.effects.base import Parameter, Stage, Term
@@ -18,23 +17,10 @@ class SpringOffset(Term):
     confusable = ('constant_link_torque',)
     tells = 'a recording with another load, or with the link held'
     needs_link_encoder = True
-    parameters = (
-        Parameter('offset', 'rad', 'twist of the unloaded spring, negative'),
-    )
-
-    @classmethod
-    def guesses(cls, scales):
-        """Return how it might be there, list of Guess."""
-        if scales.rigid:
-            return []
-        return linear(0.05 * scales.twist)
-
-    @classmethod
-    def typical(cls, scales):
-        """Return usual sizes of its parameters, tuple of float or None."""
-        return (0.2 * scales.twist,)
+    parameters = (Parameter('offset', 'rad', 'twist of the unloaded spring, negative',
+                            typical=lambda s: 0.2 * s.twist),)
+    guesses = staticmethod(lambda s: [] if s.rigid else linear(0.05 * s.twist))
 
     @staticmethod
     def apply(s, p, memory, dt):
-        """Change the signals of one joint."""
         s[TWIST] += p[0]

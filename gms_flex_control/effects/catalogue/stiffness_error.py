@@ -1,7 +1,6 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-
 """Joint stiffness other than believed."""
 
 from dataclasses import replace
@@ -18,30 +17,13 @@ class StiffnessError(Change):
     confusable = ('stiffness_drift',)
     tells = 'a longer recording, or one before and one after warming up'
     replaces = 'stiffness'
-    parameters = (
-        Parameter('ratio', '1', 'relative error', lower=-0.99, relative=True),
-    )
-
-    @classmethod
-    def guesses(cls, scales):
-        """Return how it might be there, list of Guess."""
-        if scales.rigid:
-            return []
-        return linear(0.1)
-
-    @classmethod
-    def typical(cls, scales):
-        """Return usual sizes of its parameters, tuple of float or None."""
-        return (0.2,)
-
-    @classmethod
-    def excludes(cls, rigid):
-        """Return what may not stand beside it, tuple of str."""
-        return () if rigid else ('torque_gain',)
+    parameters = (Parameter('ratio', '1', 'relative error', lower=-0.99, relative=True,
+                            typical=0.2),)
+    guesses = staticmethod(lambda s: [] if s.rigid else linear(0.1))
+    excludes = staticmethod(lambda rigid: () if rigid else ('torque_gain',))
 
     @staticmethod
     def change(robot, joint, values):
-        """Return the robot with the effect in it."""
         stiffness = robot.arm.stiffness.copy()
         stiffness[joint] *= 1.0 + values[0]
         return replace(robot, arm=replace(robot.arm, stiffness=stiffness))

@@ -1,7 +1,6 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-
 """Friction at low speed other than believed."""
 
 from dataclasses import replace
@@ -19,24 +18,12 @@ class StribeckError(Change):
     confusable = ('low_speed_friction',)
     tells = 'slow motion at many constant speeds'
     replaces = 'static'
-    parameters = (
-        Parameter('ratio', '1', 'further friction at rest over the Coulomb level', lower=-0.95,
-                  relative=True),
-    )
-
-    @classmethod
-    def guesses(cls, scales):
-        """Return how it might be there, list of Guess."""
-        return linear(0.1)
-
-    @classmethod
-    def typical(cls, scales):
-        """Return usual sizes of its parameters, tuple of float or None."""
-        return (0.3,)
+    parameters = (Parameter('ratio', '1', 'further friction at rest over the Coulomb level',
+                            lower=-0.95, relative=True, typical=0.3),)
+    guesses = staticmethod(lambda s: linear(0.1))
 
     @staticmethod
     def change(robot, joint, values):
-        """Return the robot with the effect in it."""
         ratio = np.zeros(robot.n_joints)
         ratio[joint] = values[0]
         sides = {side: replace(steady, static=np.maximum(

@@ -1,7 +1,6 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-
 """Torque that follows the voltage of the supply."""
 
 from gms_flex_control.effects.base import Parameter, Stage, Term
@@ -15,18 +14,16 @@ class SupplySag(Term):
     name = 'supply_sag'
     stage = Stage.ACTUATOR
     evidence = 'torque'
-    confusable = ()
     tells = 'the same motion at two voltages of the supply'
     needs_supply = True
     parameters = (
-        Parameter('ratio', '1/V', 'relative fall of the torque constant per volt less',
-                  lower=0.0),
-        Parameter('nominal', 'V', 'voltage at which the torque is as asked for', lower=0.0),
-    )
+        Parameter('ratio', '1/V', 'relative fall of the torque constant per volt less', lower=0.0,
+                  typical=lambda s: 1.0 / s.supply),
+        Parameter('nominal', 'V', 'voltage at which the torque is as asked for', lower=0.0))
+    torque_scale = staticmethod(lambda values, supply: 1.0 + values[0] * (supply - values[1]))
 
-    @classmethod
-    def guesses(cls, scales):
-        """Return how it might be there, list of Guess."""
+    @staticmethod
+    def guesses(scales):
         if scales.supply <= 0.0:
             return []
         volts, size = scales.supply, 0.05
@@ -38,18 +35,7 @@ class SupplySag(Term):
             return ratio * size, volts - shift
         return [Guess(((size, volts), (size, volts - 1.0)), values)]
 
-    @classmethod
-    def typical(cls, scales):
-        """Return usual sizes of its parameters, tuple of float or None."""
-        return (1.0 / scales.supply, None)
-
-    @classmethod
-    def torque_scale(cls, values, supply):
-        """Return the factor of the whole torque."""
-        return 1.0 + values[0] * (supply - values[1])
-
     @staticmethod
     def apply(s, p, memory, dt):
-        """Change the signals of one joint."""
         if s[SUPPLY] > 0.0:
             s[TORQUE] *= 1.0 + p[0] * (s[SUPPLY] - p[1])

@@ -1,8 +1,9 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-
 """Ripple of motor or gear, periodic in the motor angle."""
+
+import math
 
 from gms_flex_control.effects.base import Parameter, Stage, Term
 from gms_flex_control.effects.guess import HIGHEST_ORDER, orders, waves
@@ -15,29 +16,18 @@ class TorqueRipple(Term):
 
     name = 'torque_ripple'
     stage = Stage.MOTOR
-    slowest = 1.5             # order it is looked for: a slower wave is a constant and a slope
     evidence = 'motor angle'
     confusable = ('kinematic_error',)
     tells = 'the same path under another load'
     fed_forward = True
     parameters = (
-        Parameter('amplitude', 'N m', 'amplitude', lower=0.0),
-        Parameter('order', '1', 'periods per revolution', lower=0.0),
-        Parameter('phase', 'rad', 'phase at q_motor = 0'),
-    )
-
-    @classmethod
-    def guesses(cls, scales):
-        """Return how it might be there, list of Guess."""
-        return waves(0.05 * scales.friction,
-                     (*orders(scales.turned, HIGHEST_ORDER, 2.0), *scales.fine_orders))
-
-    @classmethod
-    def typical(cls, scales):
-        """Return usual sizes of its parameters, tuple of float or None."""
-        return (0.1 * scales.friction, None, None)
+        Parameter('amplitude', 'N m', 'amplitude', lower=0.0, typical=lambda s: 0.1 * s.friction),
+        Parameter('order', '1', 'periods per revolution', lower=0.0,
+                  searched=(1.5, math.inf)),  # a slower wave is a constant and a slope
+        Parameter('phase', 'rad', 'phase at q_motor = 0'))
+    guesses = staticmethod(lambda s: waves(
+        0.05 * s.friction, (*orders(s.turned, HIGHEST_ORDER, 2.0), *s.fine_orders)))
 
     @staticmethod
     def apply(s, p, memory, dt):
-        """Change the signals of one joint."""
         s[MOTOR_TORQUE] += p[0] * np.sin(p[1] * s[Q_MOTOR] + p[2])

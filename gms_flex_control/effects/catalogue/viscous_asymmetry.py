@@ -20,27 +20,16 @@ class ViscousAsymmetry(Term):
     confusable = ('friction_asymmetry',)
     tells = 'motion both ways over a range of speeds of 1 to 5'
     replaces = 'viscous_asymmetry'
-    parameters = (
-        Parameter('slope', 'N m s/rad', 'viscous friction added forward, taken off backward'),
-    )
+    parameters = (Parameter('slope', 'N m s/rad',
+                            'viscous friction added forward, taken off backward',
+                            typical=lambda s: 0.2 * s.friction / s.speed),)
+    guesses = staticmethod(lambda s: linear(0.1 * s.friction / s.speed))
 
-    @classmethod
-    def guesses(cls, scales):
-        """Return how it might be there, list of Guess."""
-        return linear(0.1 * scales.friction / scales.speed)
-
-    @classmethod
-    def typical(cls, scales):
-        """Return usual sizes of its parameters, tuple of float or None."""
-        return (0.2 * scales.friction / scales.speed,)
-
-    @classmethod
-    def in_friction(cls, steady, direction, values):
-        """Return the friction parameters of one direction with the effect in them."""
+    @staticmethod
+    def in_friction(steady, direction, values):
         return replace(steady, viscous=np.maximum(
             steady.viscous + direction * values[0], 0.0))
 
     @staticmethod
     def apply(s, p, memory, dt):
-        """Change the signals of one joint."""
         s[FRICTION] += p[0] * abs(s[DQ_LINK])

@@ -1,7 +1,6 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-
 """Slope of the friction over velocity other than believed."""
 
 from dataclasses import replace
@@ -21,19 +20,9 @@ class ViscousError(Term):
     confusable = ('quadratic_drag',)
     tells = 'faster motion, over a range of speeds of 1 to 5'
     replaces = 'viscous'
-    parameters = (
-        Parameter('slope', 'N m s/rad', 'further viscous friction'),
-    )
-
-    @classmethod
-    def guesses(cls, scales):
-        """Return how it might be there, list of Guess."""
-        return linear(0.1 * scales.friction / scales.speed)
-
-    @classmethod
-    def typical(cls, scales):
-        """Return usual sizes of its parameters, tuple of float or None."""
-        return (0.3 * scales.friction / scales.speed,)
+    parameters = (Parameter('slope', 'N m s/rad', 'further viscous friction',
+                            typical=lambda s: 0.3 * s.friction / s.speed),)
+    guesses = staticmethod(lambda s: linear(0.1 * s.friction / s.speed))
 
     @classmethod
     def search_bounds(cls, joint_index, robot):
@@ -41,12 +30,10 @@ class ViscousError(Term):
         steady = robot.friction.forward, robot.friction.backward
         return [-max(float(one.viscous[joint_index]) for one in steady)], [cls.parameters[0].upper]
 
-    @classmethod
-    def in_friction(cls, steady, direction, values):
-        """Return the friction parameters of one direction with the effect in them."""
+    @staticmethod
+    def in_friction(steady, direction, values):
         return replace(steady, viscous=np.maximum(steady.viscous + values[0], 0.0))
 
     @staticmethod
     def apply(s, p, memory, dt):
-        """Change the signals of one joint."""
         s[FRICTION] += p[0] * s[DQ_LINK]

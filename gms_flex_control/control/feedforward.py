@@ -2,12 +2,12 @@
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """
-The cascade controller that also makes up for the effects its model names.
+What the controller does about the effects that its model names.
 
-The cascade law is linear in the elastic torque it asks for, Eqs. (9) and (27) to (29): a torque
-x that the links need on top adds ``J K^-1 Lambda_2 x' + K_D2 K^-1 (x' + Lambda_2 x)`` to the
-command, and one that the motors get, y, is taken off it. x' comes from the command filter of the
-friction estimate; the term ``J K^-1 x''``, 4 % at 1 Hz, would be mostly encoder noise.
+The cascade law is linear in the elastic torque u_ed, Eqs. (9) and (27) to (29): a torque x that
+the links need on top adds ``J K^-1 Lambda_2 x' + K_D2 K^-1 (x' + Lambda_2 x)`` to the command,
+and one that the motors get, y, is subtracted. x' comes from the command filter of the friction
+estimate; the term ``J K^-1 x''``, 4 % at 1 Hz, would be mostly encoder noise.
 """
 
 from dataclasses import replace
@@ -21,50 +21,33 @@ from gms_flex_control.effects import table as effect_table
 from gms_flex_control.effects.base import Change, Stage
 from gms_flex_control.effects.registry import find
 from gms_flex_control.effects.table import is_friction, with_changes, with_friction
-from gms_flex_control.records import boxed, FLOAT
-from gms_flex_control.simulation.stepped import SteppedController
+from gms_flex_control.params.robot import RobotParams
+from gms_flex_control.records import FLOAT
 import numpy as np
 
 _FRICTION, _LINK, _MOTOR = int(Stage.FRICTION), int(Stage.LINK), int(Stage.MOTOR)
 
 
-def compensated(name):
+def compensated(name: str) -> bool:
     """
     Return whether a controller that knows an effect compensates it.
 
-    Parameters
-    ----------
-    name : str
-        Of the catalogue.
-
-    Returns
-    -------
-    bool
-        False for effects that no torque can undo (backlash), that follow signs of noisy rates
-        (motor_coulomb), that need what a controller lacks (drifts) or that act on torque or
-        encoders themselves.
-
+    Not those that no torque can undo (backlash), that follow signs of noisy rates (motor_coulomb),
+    that need what a controller lacks (drifts) or that act on torque or encoders themselves.
     """
     kind = find(name)
     return kind.fed_forward or is_friction(kind) or issubclass(kind, Change)
 
 
-def as_parameters(robot):
+def as_parameters(robot: RobotParams) -> RobotParams:
     """
-    Return a model as the cascade law can take it.
+    Return a model as the cascade law can use it.
 
-    Parameters
-    ----------
-    robot : RobotParams
-        With any effects.
-
-    Returns
-    -------
-    RobotParams
-        Effects that are other values of parameters are in the parameters, asymmetric and further
-        viscous friction in those of the directions; of its effects those fed forward are left.
-
+    Effects that are other values of parameters are in the parameters, asymmetric and further
+    viscous friction in those of the directions; of its effects those fed forward are left.
     """
+    if not robot.effects:
+        return robot
     kinds = [(find(spec.name), spec) for spec in robot.effects]
     robot = with_friction(robot)
     return with_changes(replace(robot, effects=tuple(
@@ -92,11 +75,12 @@ def state_layout(n):
         ('signals', FLOAT, (n, sig.WIDTH)), ('memory', FLOAT, (effect_table.MEMORY_SIZE,)))
 
 
-def constants_of(gains, model):
-    """Return gains and a model from `as_parameters` as the record `feed` takes."""
+def constants_of(gains, model) -> np.record:
+    """Return ControllerParams and a model from `as_parameters` as the record `feed` takes."""
     arm = model.arm
     return records.build(
-        constants_layout(model.n_joints), effects=effect_table.build(model.effects, model.joints),
+        constants_layout(model.n_joints),
+        effects=effect_table.build(model.effects, model.joints, arm),
         links=gains.compensation != 'disturbance_observer', flexible=~arm.rigid,
         stiffness=np.where(arm.rigid, 1.0, arm.stiffness),
         motor_inertia=arm.motor_inertia, kd_motor=gains.kd_motor,
@@ -104,14 +88,20 @@ def constants_of(gains, model):
         torque_limit=gains.torque_limit)
 
 
+def init(n) -> np.record:
+    """Return the memory of `feed` for n joints before the first tick."""
+    return records.build(state_layout(n))
+
+
 @compiled
-def sense(control, measured, constants, state):
+def _sense(control, measured, reference, constants, state):
     """Write what the effects may read, as measured and estimated, into the signal table."""
     s = state.signals
     for j in range(s.shape[0]):
         s[j, sig.JOINT], s[j, sig.JOINTS] = j, s.shape[0]
         s[j, sig.Q_LINK], s[j, sig.DQ_LINK] = measured.q_link[j], measured.dq_link[j]
         s[j, sig.Q_MOTOR], s[j, sig.DQ_MOTOR] = measured.q_motor[j], measured.dq_motor[j]
+        s[j, sig.DDQ_LINK] = reference[2, j]  # none is measured
         s[j, sig.TORQUE] = control.command[j]
         s[j, sig.SPRING] = control.command[j] - constants.motor_inertia[j] * s[j, sig.DDQ_LINK]
         if constants.flexible[j]:
@@ -123,15 +113,16 @@ def sense(control, measured, constants, state):
 
 
 @compiled
-def feed(controls, measurements, dt, constant, states):
+def feed(control, measured, reference, dt, constants, state):
     """
-    Add what the effects ask for to the answer of the cascade law; records come boxed.
+    Add what the effects require to the answer of the cascade law; arguments as of its ``tick``.
 
     Changes ``command``, ``friction_hat`` and ``saturated`` of the controller's state.
     """
-    control, measured, constants, state = controls[0], measurements[0], constant[0], states[0]
+    if constants.effects.stage_start[-1] == 0:
+        return
     s, further, filtered = state.signals, state.further, state.filtered
-    sense(control, measured, constants, state)
+    _sense(control, measured, reference, constants, state)
     for stage in (_FRICTION, _LINK, _MOTOR):
         effect_table.run_stage(stage, s, state.memory, dt, constants.effects)
     for j in range(s.shape[0]):
@@ -153,39 +144,3 @@ def feed(controls, measurements, dt, constant, states):
         if abs(command) > limit:
             control.saturated[j] = 1.0
         control.command[j] = min(max(command, -limit), limit)
-
-
-class CompensatingController(SteppedController):
-    """
-    The cascade controller with a model that may name effects, tick by tick.
-
-    Parameters
-    ----------
-    gains : ControllerParams
-        Of the start; they may change in between.
-    model : RobotParams
-        The robot as believed. Effects that no controller can make up for are left aside.
-
-    """
-
-    def __init__(self, gains, model):
-        super().__init__(gains, as_parameters(model))
-
-    def use(self, gains):
-        """Take other gains from the next tick on."""
-        super().use(gains)
-        self._feeding = boxed(constants_of(gains, self._model))
-
-    def reset(self):
-        """Forget the motion so far: observer and filters begin anew."""
-        super().reset()
-        self._fed = boxed(records.build(state_layout(self._model.n_joints)))
-        self._acceleration = self._fed[0].signals[:, sig.DDQ_LINK]
-
-    def tick(self, reference, dt):
-        """Answer ``measured`` with a torque (n_joints,) [N m]; see control.cascade.tick."""
-        command = super().tick(reference, dt)
-        if self._model.effects:
-            self._acceleration[:] = reference[2]  # none is measured
-            feed(self._state, self._measured, dt, self._feeding, self._fed)
-        return command
