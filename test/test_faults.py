@@ -1,7 +1,7 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""Every row of the fault table on real node processes; and the table tells a bad node."""
+"""Rows of the fault table on real node processes; and the table shows a bad node."""
 
 import json
 import os
@@ -20,50 +20,29 @@ table = pytest.importorskip('bench.faults.table')
 soak = pytest.importorskip('bench.faults.soak')
 scheduling = pytest.importorskip('gms_flex_control.nodes.process')
 
-# how far beyond its limit a time may be on a shared machine; other times are not asserted
-SAFETY = {'clocks': 2.0, 'dead-controller': 2.0, 'silence': 2.0, 'two-controllers': 2.0,
-          'two-trajectories': 2.0, 'frozen-encoders': 2.0, 'emergency-stop': 2.0}
-# each kind once: frozen and killed, states that stop and that come again, either node; and two
-# stops without a storm, which on a crowded machine delays the others
-TRIES = {'emergency-stop': 2, 'dead-controller': 2, 'silence': 2, 'exceptions': 2}
-TORQUE = 'N m'
+# rows that no other test tries on processes, with the fewest tries; the verb has all of them
+ROWS = {'dead-controller': 1, 'silence': 1, 'clocks': 1}
+SLACK = 2.0  # times their limits that a shared machine may take
 
 
-@pytest.mark.parametrize('name', [
-    name for name in table.FAULTS if name != 'mismatch'])  # which the verb tries
+@pytest.mark.parametrize('name', ROWS)
 def test_a_fault_never_moves_the_arm(name, tmp_path):
     fault = table.FAULTS[name]
-    tries = TRIES.get(name, fault.tries[0])
-    row = table.try_fault(fault, tries, tmp_path)
-    found = [problem for problem in row.problems if not problem.startswith(fault.figure)]
-    assert not found
-    assert row.tries >= tries and row.worst is not None
-    if fault.unit == TORQUE or name in SAFETY:
-        assert row.worst <= SAFETY.get(name, 1.0) * fault.limit
+    row = table.try_fault(fault, ROWS[name], tmp_path)
+    assert not [problem for problem in row.problems if not problem.startswith(fault.figure)]
+    assert row.tries >= ROWS[name] and row.worst <= SLACK * fault.limit
 
 
-BAD_NODES = {
-    # never notices that the states have stopped
-    'silence': (1, 'ControllerNode._watch = lambda self: None', 'no zero was commanded'),
-    # never notices that angles stay the same
-    'frozen-encoders': (1, 'from gms_flex_control.nodes.following import EncoderWatch; '
-                           "EncoderWatch.look = lambda *_: ''", 'the controller says'),
-    # takes any number for a joint state
-    'numbers': (2, 'messages.JointNumbers._refuse_bad = lambda *_: None', 'counts 0')}
-
-
-@pytest.mark.parametrize('name', BAD_NODES)
-def test_a_node_that_lacks_a_guard_fails_its_row(name, tmp_path, monkeypatch):
-    tries, spoilt, complaint = BAD_NODES[name]
+def test_a_node_that_lacks_a_guard_fails_its_row(tmp_path, monkeypatch):
+    """It never notices that the states have stopped."""
     sound = bench.executable
-    code = ('from gms_flex_control.nodes import messages; '
-            'from gms_flex_control.nodes.controller_node import ControllerNode, main; '
-            f'{spoilt}; main()')
+    code = ('from gms_flex_control.nodes.controller_node import ControllerNode, main; '
+            'ControllerNode._watch = lambda self: None; main()')
     monkeypatch.setattr(bench, 'executable', lambda node: (
         [sys.executable, '-c', code] if node == 'controller_node' else sound(node)))
-    row = table.try_fault(table.FAULTS[name], tries, tmp_path)
+    row = table.try_fault(table.FAULTS['silence'], 1, tmp_path)
     assert row.verdict == table.FAILED
-    assert any(complaint in problem for problem in row.problems), row.problems
+    assert any('no zero was commanded' in problem for problem in row.problems), row.problems
 
 
 def test_the_verb_prints_the_table(capfd, tmp_path):
@@ -99,9 +78,9 @@ def window(missed, memory):
 
 def test_a_soak_counts_each_command_and_sees_each_process(tmp_path):
     with bench.Bench(tmp_path) as place:
-        windows = soak.soak(place, 4.5, window=1.5)
-    assert len(windows) == 3
-    assert all(0 < one.commands <= 1.5 * 1.2 * soak.RATE for one in windows)
+        windows = soak.soak(place, 2.0, window=1.0)
+    assert len(windows) == 2
+    assert all(0 < one.commands <= 1.2 * soak.RATE for one in windows)
     assert all(20e6 < part < 2e9 for one in windows for part in one.memory)
     assert 0.9 / soak.RATE < windows[-1].p99 <= windows[-1].longest
 

@@ -27,15 +27,16 @@ class RemoteNode:
     """
     Clients of another node, whose ``name`` without a '/' in front is in the same namespace.
 
-    ``triggers`` are its private Trigger services. `describe` and `change` wait for answers: ``do``
-    takes a callable that the spinning thread is to call soon.
+    ``triggers`` are its private Trigger services. `ask_all`, `describe` and `change` need ``do``,
+    which takes a callable that the spinning thread is to call soon.
     """
 
     def __init__(self, node, name, triggers=(), do=None):
         self.name = name = node.resolve_service_name(name)
         self._do = do
-        self._clients = {kind: node.create_client(kind, f'{name}/{service}')
-                         for kind, service in _SERVICES.items()}
+        kinds = _SERVICES if do else (GetParameters, SetParametersAtomically)
+        self._clients = {kind: node.create_client(kind, f'{name}/{_SERVICES[kind]}')
+                         for kind in kinds}
         self._triggers = {service: node.create_client(Trigger, f'{name}/{service}')
                           for service in triggers}
 
