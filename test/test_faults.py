@@ -79,7 +79,7 @@ def window(missed, memory):
 def test_a_soak_counts_each_command_and_sees_each_process(tmp_path):
     with bench.Bench(tmp_path) as place:
         windows = soak.soak(place, 2.0, window=1.0)
-    assert len(windows) == 2
+    assert len(windows) in (2, 3)
     assert all(0 < one.commands <= 1.2 * soak.RATE for one in windows)
     assert all(20e6 < part < 2e9 for one in windows for part in one.memory)
     assert 0.9 / soak.RATE < windows[-1].p99 <= windows[-1].longest
