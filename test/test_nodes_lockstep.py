@@ -28,7 +28,6 @@ from node_harness import (
     write_parameters,
 )
 import numpy as np
-import pytest
 
 EXAMPLES = Path(__file__).parents[1] / 'examples' / 'light_arm'
 RIGID = """
