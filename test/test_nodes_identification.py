@@ -119,7 +119,8 @@ def test_a_whole_experiment_is_recorded_with_its_phases_and_compared_when_asked(
     lab.until_step(node, 'constant_velocity')
     early = lab.call(Trigger, '/identification/discrepancy')
     assert not early.success and 'no recording is finished' in early.message
-    lab.until(lambda: 'no fit: the plan leaves out joint1' in node.printed() or not node.runs)
+    lab.until(lambda: 'no fit: the plan leaves out joint1' in node.printed() or not node.runs,
+              bound=300.0)
     assert not lab.bag.with_name('bag_identified').exists()
     check_recording(lab)
     assert lab.journal()['finished'] == [step.name for step in lab.plan.experiments]
