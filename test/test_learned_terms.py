@@ -19,7 +19,7 @@ from gms_flex_control.effects import signals as sig
 from gms_flex_control.effects.base import Stage
 from gms_flex_control.errors import ParameterError
 from gms_flex_control.params.robot import EffectSpec
-from gms_flex_control.reports.discrepancy_page import discrepancy_answer
+from gms_flex_control.reports.answers import discrepancy_answer
 from gms_flex_control.reports.discrepancy_values import report_values, write_robot
 from gms_flex_control.schema.files import load_robot, save_robot
 import numpy as np

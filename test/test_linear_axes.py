@@ -11,11 +11,9 @@ from gms_flex_control.cli.main import main
 from gms_flex_control.errors import GmsFlexError
 from gms_flex_control.identification.output import report_json
 from gms_flex_control.params.arm import in_units
+from gms_flex_control.reports.answers import identification_text
 from gms_flex_control.reports.figures import save_figure
-from gms_flex_control.reports.identification_page import (
-    identification_text,
-    write_identification_report,
-)
+from gms_flex_control.reports.identification_page import write_identification_report
 from gms_flex_control.schema.files import load_robot, save_robot
 from gms_flex_control.view.scene import scene_of
 from identified import identification

@@ -14,10 +14,8 @@ from devtools import chromium
 from gms_flex_control.answer import Answer
 from gms_flex_control.identification.result import Interval
 from gms_flex_control.identification.steady import FrictionMap
-from gms_flex_control.reports.identification_page import (
-    identification_text,
-    write_identification_report,
-)
+from gms_flex_control.reports.answers import identification_text
+from gms_flex_control.reports.identification_page import write_identification_report
 from gms_flex_control.reports.page import Curve, Report, Series
 from gms_flex_control.reports.pictures import loops_figure, map_figure
 from gms_flex_control.resources import robot_file

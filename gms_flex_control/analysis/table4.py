@@ -181,7 +181,8 @@ class Table4:
 def align(header, rows) -> str:
     """Return a header and rows of cells as text with aligned columns, numbers to the right."""
     widths = [max(len(row[i]) for row in [header, *rows]) for i in range(len(header))]
-    numeric = [all(row[i][:1] in '-+0123456789' for row in rows) for i in range(len(header))]
+    numeric = [all(row[i][:1] in '-+(0123456789' and '..' not in row[i] for row in rows)
+               for i in range(len(header))]
 
     def line(cells):
         return '  '.join(cell.rjust(width) if right else cell.ljust(width) for

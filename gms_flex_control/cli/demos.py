@@ -32,6 +32,7 @@ from gms_flex_control.experiment.plan import read_plan
 from gms_flex_control.experiment.simulated import simulate, simulate_to_bag
 from gms_flex_control.identification.identify import identify
 from gms_flex_control.identification.output import write_friction, write_report_json
+from gms_flex_control.reports.answers import identification_text
 from gms_flex_control.reports.demo_page import (
     demo_answer,
     DemoOutcome,
@@ -39,10 +40,7 @@ from gms_flex_control.reports.demo_page import (
     write_demo_report,
 )
 from gms_flex_control.reports.discrepancy_values import write_robot
-from gms_flex_control.reports.identification_page import (
-    identification_text,
-    write_identification_report,
-)
+from gms_flex_control.reports.identification_page import write_identification_report
 from gms_flex_control.reports.recordings_page import write_tracking_report
 from gms_flex_control.resources import controller_file, robot_file, share_path
 from gms_flex_control.schema.files import load_controller, load_robot, save_robot, save_values

@@ -23,12 +23,9 @@ from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
 from gms_flex_control.effects import registry
 from gms_flex_control.errors import BagError, ConfigError
 from gms_flex_control.reports import discrepancy_values as files
+from gms_flex_control.reports.answers import discrepancy_answer
 from gms_flex_control.reports.bags_summary import discrepancy_text
-from gms_flex_control.reports.discrepancy_page import (
-    discrepancy_answer,
-    units_of,
-    write_discrepancy_report,
-)
+from gms_flex_control.reports.discrepancy_page import units_of, write_discrepancy_report
 from gms_flex_control.schema.files import load_controller, load_robot
 import numpy as np
 

@@ -24,11 +24,8 @@ from gms_flex_control.identification.over_bags import bag_values
 from gms_flex_control.identification.unknown_robot import only_joints, rigid_joints
 from gms_flex_control.params.arm import in_units
 from gms_flex_control.reports import bags_summary
-from gms_flex_control.reports.identification_page import (
-    identification_answer,
-    identification_text,
-    write_identification_report,
-)
+from gms_flex_control.reports.answers import identification_answer, identification_text
+from gms_flex_control.reports.identification_page import write_identification_report
 from gms_flex_control.schema.build import robot_values
 from gms_flex_control.schema.files import load_robot
 

@@ -12,7 +12,8 @@ from gms_flex_control.analysis.tracking import link_error, link_rms
 from gms_flex_control.answer import Answer, command, measured
 from gms_flex_control.control.feedforward import compensated
 from gms_flex_control.discrepancy.result import Discrepancy
-from gms_flex_control.reports.discrepancy_page import add_discrepancy, gap_numbers
+from gms_flex_control.reports.answers import gap_numbers, WITH, WITHOUT
+from gms_flex_control.reports.discrepancy_page import add_discrepancy
 from gms_flex_control.reports.discrepancy_values import (
     described,
     plain,
@@ -27,7 +28,6 @@ from gms_flex_control.reports.figures import (
     thinned,
 )
 from gms_flex_control.reports.page import Report, Series
-from gms_flex_control.reports.pictures import WITH, WITHOUT
 import numpy as np
 
 BELIEFS = {'believed': WITHOUT, 'found': WITH, 'true': 'true model'}

@@ -7,15 +7,11 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from gms_flex_control.answer import Answer, command, Number
 from gms_flex_control.discrepancy.compared import free_runs_of
 from gms_flex_control.discrepancy.describe import (
-    angle_scale,
     capitalised,
     of_noise,
-    Scale,
     torque_scale,
-    value_words,
 )
 from gms_flex_control.discrepancy.free_run import HORIZON
 from gms_flex_control.discrepancy.residual_views import (
@@ -28,6 +24,7 @@ from gms_flex_control.discrepancy.residual_views import (
 from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE, FOUND, UNEXPLAINED
 from gms_flex_control.effects.registry import in_words
 from gms_flex_control.params.arm import in_units
+from gms_flex_control.reports.answers import COLUMNS, discrepancy_answer, WITH, WITHOUT
 from gms_flex_control.reports.discrepancy_values import comparison_rows
 from gms_flex_control.reports.figures import file_stem, save_figure
 from gms_flex_control.reports.page import Curve, Report, Series
@@ -36,19 +33,13 @@ from gms_flex_control.reports.pictures import (
     gap_figure,
     maps_figure,
     over_figure,
-    WITH,
-    WITHOUT,
 )
 import numpy as np
 
 TITLES = {COMPLETE: 'Nothing is missing', FOUND: 'Effects the model lacks',
           UNEXPLAINED: 'Something is missing that the catalogue does not name',
           BAD_DATA: 'The data are at fault'}
-COLUMNS = (WITHOUT, WITH, 'noise floor')
 MOST_PICTURES = 8     # findings with a picture and a chart of their own
-_AT_FLOOR = 1.3       # error over floor that counts as the floor itself
-_SCALES = {'rad': angle_scale, 'N m': torque_scale}
-_CHANGED = 0.02       # share of an error that is worth a word
 
 
 def write_discrepancy_report(result, folder, *, holdout=(), models=()) -> list:
@@ -63,83 +54,6 @@ def write_discrepancy_report(result, folder, *, holdout=(), models=()) -> list:
                     ', '.join(result.sources), units_of(result))
     pictures = add_discrepancy(report, result, folder, holdout=holdout, models=models)
     return [report.write(folder / 'report.html'), *pictures]
-
-
-def discrepancy_answer(result, folder) -> Answer:
-    """Return what the model lacks and how much closer it came (Answer); robot.yaml in a folder."""
-    if result.gap is None:
-        return Answer(result.faults[0] if result.faults else result.words, (), (),
-                      command('info', *result.sources))
-    torque, angle = gap_numbers(result.gap)
-    numbers = [torque[0], angle[0], *_values(result), *torque[1:], *angle[1:]]
-    if result.unexplained is None:
-        after = ('identify', *result.sources, '--robot', Path(folder) / 'robot.yaml', '--out',
-                 Path(folder) / 'friction')
-    elif not result.learned:
-        after = ('discrepancy', *result.sources, '--robot', Path(folder) / 'robot.yaml',
-                 '--learn', '--out', Path(folder) / 'learned')
-    else:
-        after = 'simulate', '--robot', Path(folder) / 'robot.yaml', '--out', 'simulated'
-    return Answer(_sentence(result), COLUMNS, tuple(numbers[:3]), command(*after))
-
-
-def gap_numbers(gap) -> tuple:
-    """Return Numbers of residual torque and of free-run error, the largest change first."""
-    torque, angle = torque_scale(gap.retuned), angle_scale(gap.free_before)
-    return tuple([
-        Number(f'{name} of {gap.joints[j]} [{scale.unit}]', *(
-            scale.text(values[j]) for values in (without, found, floor)))
-        for j in np.argsort(-np.nan_to_num(without - found), kind='stable')]
-        for name, scale, without, found, floor in (
-            ('residual torque', torque, gap.retuned, gap.after, gap.floor),
-            ('error of free runs', angle, gap.free_before, gap.free_after, gap.free_floor)))
-
-
-def _values(result):
-    """Return the values of the finding that matters most as Numbers; noise makes its interval."""
-    if not result.named:
-        return []
-    first, numbers = result.named[0], []
-    for value in first.values:
-        scale = _SCALES.get(value.unit, lambda _, unit=value.unit: Scale(unit, 1.0))(value.value)
-        numbers.append(Number(
-            f'{value.name} of {first.effect}' + ('' if scale.unit == '1' else f' [{scale.unit}]'),
-            '-', *map(scale.text, (value.value, 0.5 * (value.high - value.low)))))
-    return numbers
-
-
-def _sentence(result):
-    if not result.findings:
-        return ('Something is missing that no effect of the catalogue explains: '
-                f'{result.unexplained.sentence}' if result.unexplained is not None else
-                'Nothing that matters is missing: on held-out data the error of the model does '
-                'not exceed the noise floor, which encoders and torque noise alone produce.')
-    effects = ' and '.join(
-        f'{one.effect} of {one.joint} ({value_words(one)}'
-        + (f'; indistinguishable here from {", ".join(one.confusable_with)})'
-           if one.confusable_with else ')') for one in result.findings)
-    gap = result.gap
-    changes = [_change(*figures) for figures in (
-        ('the residual torque', gap.retuned, gap.after, gap.floor),
-        ('the error of free runs', gap.free_before, gap.free_after, gap.free_floor))
-        if np.nansum(figures[1]) > 0.0]
-    at_floor = [name for name, _, there in changes if there]
-    which = 'both' if len(at_floor) == 2 else ''.join(at_floor)
-    where = f', {which} to about the noise floor, which' if at_floor else '. The noise floor'
-    found = 'it' if len(result.findings) == 1 else 'them'
-    return (f'The model lacks {effects}: with {found}, on held-out data, '
-            f'{" and ".join(change for _, change, _ in changes)}{where} is what encoders and '
-            'torque noise alone would leave.')
-
-
-def _change(name, without, found, floor):
-    """Return an error's name, how it changes in words, and whether it shrinks to its floor."""
-    before, after, least = (float(np.sqrt(np.nansum(one ** 2))) for one in (without, found, floor))
-    share = 1.0 - after / before
-    if abs(share) < _CHANGED:
-        return name, f'{name} stays as it is', False
-    return (name, f'{name} {"shrinks" if share > 0.0 else "grows"} by {100.0 * abs(share):.0f} %',
-            share > 0.0 and after <= _AT_FLOOR * least)
 
 
 def units_of(result) -> Callable:

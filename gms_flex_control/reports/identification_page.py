@@ -1,29 +1,18 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""An identification as text for a terminal, and as a page with pictures."""
+"""The page of an identification: what can be trusted, shown in pictures and tables."""
 
 from functools import partial
 from pathlib import Path
-from textwrap import fill
 
-from gms_flex_control.answer import Answer, command, measured
-from gms_flex_control.identification.beside import (
-    known_presliding,
-    known_steady,
-    known_values,
-    presliding_difference,
-)
+from gms_flex_control.identification.beside import known_presliding, known_steady, known_values
 from gms_flex_control.identification.words import (
     data_sentence,
-    DOUBTFUL,
-    floor_shares,
     joint_sentences,
     NOT_IDENTIFIABLE,
     notes,
     number,
-    percent,
-    SET,
     short_label,
     short_name,
     span,
@@ -31,6 +20,7 @@ from gms_flex_control.identification.words import (
     STANDINGS,
 )
 from gms_flex_control.params.arm import in_units
+from gms_flex_control.reports.answers import held_out_rows, identification_answer, worst_joint
 from gms_flex_control.reports.figures import file_stem, save_figure
 from gms_flex_control.reports.page import Curve, decimate, Report, Series
 from gms_flex_control.reports.pictures import DIRECTIONS, loops_figure, map_figure, MOST_LOOPS
@@ -38,98 +28,9 @@ import numpy as np
 
 MOST_TRACES = 6          # of one joint on the page
 _TRACE_POINTS = 20_000   # of one line of a trace; longer ones are written as extremes
-_KNOWN = ('well known', 'roughly known')
 _SYMBOLS = {'static': 'F_s', 'coulomb': 'F_c', 'velocity': 'v_s', 'viscous': 'σ_2',
             'attraction': 'C', 'motor_inertia': 'J'}
 _BLOCK_SYMBOLS = {'stiffness': 'k', 'weight': 'α'}
-_WIDTH = 98               # of text
-_LONGEST_NAME = 22       # of a joint in text
-
-
-def identification_text(identification, beside=None) -> str:
-    """Return an identification as lines of text; ``beside`` as of the report."""
-    blocks = [_wrapped(f'{data_sentence(identification)}; fitted in '
-                       f'{identification.seconds:.1f} s')]
-    blocks += [_wrapped(f'warning: {text}') for text in identification.warnings]
-    for result in identification.joints:
-        known = known_values(beside, identification.robot, result.joint) if beside else None
-        blocks.append(_joint_text(result, known, beside))
-    blocks.append('Errors on held-out data; C+v: Coulomb + viscous alone\n'
-                  + _aligned(*_held_out_rows(identification.joints)))
-    return '\n\n'.join(blocks)
-
-
-def _parameter_rows(result, known=None):
-    """Return header and rows of a joint's parameters; ``known`` values by name, if any."""
-    header = ('parameter', 'unit', 'value', '95 % interval', *(('true',) if known else ()),
-              'to be noted')
-    rows = []
-    for estimate in result.estimates:
-        lost = standing(estimate) == NOT_IDENTIFIABLE
-        value, interval = number(estimate.value), span(estimate.interval)
-        rows.append((short_name(estimate.name, result.joint), estimate.unit,
-                     f'({value})' if lost else value, interval,
-                     *((number(known.get(estimate.name, np.nan)),) if known else ()),
-                     _remark(estimate)))
-    return header, rows
-
-
-def _remark(estimate):
-    if standing(estimate) == NOT_IDENTIFIABLE:
-        return 'NOT IDENTIFIABLE'
-    if len(estimate.flags) > 1:
-        return f'{estimate.flags[0]}, +{len(estimate.flags) - 1}'
-    return estimate.flags[0] if estimate.flags else SET if standing(estimate) == SET else ''
-
-
-def _held_out_rows(results):
-    """Return header and rows of held-out errors, one row per joint."""
-    header = ('joint', 'torque [%]', 'C+v [%]', 'noise [%]', 'repeat [%]', 'free run [mrad]',
-              'C+v [mrad]')
-    rows = []
-    for result in results:
-        errors = result.held_out
-        noise, repeat = floor_shares(errors)
-        rows.append((_clipped(result.joint), *(number(100 * share, 3) for share in (
-            errors.relative, errors.coulomb_viscous, noise, repeat)),
-            number(1e3 * errors.free_run_rms, 3),
-            number(1e3 * errors.free_run_coulomb_viscous, 3)))
-    return header, rows
-
-
-def _joint_text(result, known, beside):
-    blocks = [(candidate.n_blocks, candidate.chosen) for candidate in result.candidates]
-    chosen = next((f', N = {n} blocks' for n, used in blocks if used), '')
-    source = {'spring': 'the spring', 'motor': 'the motor torque'}.get(result.side, result.side)
-    lines = [f'{_clipped(result.joint)}: friction torque by {source}{chosen}',
-             _aligned(*_parameter_rows(result, known))]
-    if known:
-        share, where = presliding_difference(result, beside)
-        lines.append(f'presliding curve: at most {number(100 * share, 3)} % of F_s off the true '
-                     f'one, at {number(1e3 * where, 3)} mrad')
-    lines += [_wrapped(f'- {note}') for note in notes(result)]
-    lines += [_wrapped(f'warning: {text}') for text in result.warnings]
-    return '\n'.join(lines)
-
-
-def _aligned(header, rows):
-    """Return a table as text: the first column to the left, columns of numbers to the right."""
-    cells = [header, *rows]
-    widths = [max(len(row[i]) for row in cells) for i in range(len(header))]
-    right = [all(row[i][:1] in '-(0123456789.' for row in rows) and '..' not in
-             ''.join(row[i] for row in rows) for i in range(len(header))]
-    return '\n'.join('  '.join(
-        f'{cell:>{width}}' if to_right else f'{cell:<{width}}'
-        for cell, width, to_right in zip(row, widths, right, strict=True)).rstrip()
-        for row in cells)
-
-
-def _clipped(name):
-    return name if len(name) <= _LONGEST_NAME else f'{name[:_LONGEST_NAME - 1]}…'
-
-
-def _wrapped(text):
-    return fill(text, _WIDTH, subsequent_indent='  ')
 
 
 def write_identification_report(identification, folder, *, beside=None, robot=()) -> list:
@@ -142,62 +43,12 @@ def write_identification_report(identification, folder, *, beside=None, robot=()
     folder, words = Path(folder), partial(in_units, identification.robot.arm)
     answer = identification_answer(identification, folder, robot)
     report = Report('Friction identification', answer, data_sentence(identification), words)
-    worst = _worst(identification)
+    worst = worst_joint(identification)
     _add_map(report, worst, _known_curves(worst, beside)[0])
     _add_summary(report, identification)
     for result in identification.joints:
         _add_joint(report, result, identification, beside, opened=result is worst)
     return [report.write(folder / 'report.html'), *_save_pictures(identification, folder, beside)]
-
-
-def identification_answer(identification, folder, robot=()) -> Answer:
-    """Return how far the friction found predicts (Answer); ``robot`` files were believed."""
-    worst, folder = _worst(identification), Path(folder)
-    errors, joint = worst.held_out, worst.joint
-    numbers = [
-        measured(f'torque error of {joint} [% of the drive torque]', errors.coulomb_viscous,
-                 errors.relative, np.fmax(*floor_shares(errors)), scale=100.0),
-        measured(f'error of free runs of {joint} [mrad]', errors.free_run_coulomb_viscous,
-                 errors.free_run_rms, _reading(identification.robot.encoder, errors))]
-    known = next((one for one in worst.estimates if standing(one) in _KNOWN), None)
-    if known is not None:
-        low, high = known.interval
-        numbers.append(measured(f'{short_name(known.name, joint)} of {joint} [{known.unit}]', None,
-                                known.value, 0.5 * (high - low), scale=1.0))
-    files = robot or (('robot.yaml',) if identification.described else ())
-    return Answer(_sentence(identification, worst),
-                  ('Coulomb + viscous', 'identified', 'noise floor'), tuple(numbers), command(
-                      'discrepancy', *identification.sources, '--robot', *files,
-                      folder / 'friction.yaml', '--out', folder / 'gap'))
-
-
-def _reading(encoder, errors):
-    """Return what encoder steps make of a reading, if unknown the error a sample ahead [rad]."""
-    known = encoder.counts > 0.0
-    return 2.0 * np.pi / encoder.counts / np.sqrt(12.0) if known else errors.innovation_rms
-
-
-def _worst(identification):
-    """Return the joint whose torque is predicted worst."""
-    return max(identification.joints, key=lambda result: np.nan_to_num(result.held_out.relative))
-
-
-def _sentence(identification, worst):
-    errors = worst.held_out
-    standings = [standing(one) for result in identification.joints for one in result.estimates]
-    found, fitted = (len(standings) - sum(map(standings.count, those)) for those in (
-        (NOT_IDENTIFIABLE, DOUBTFUL, SET), (SET,)))
-    known = (f'{found} of {fitted} parameters {"is" if found == 1 else "are"} identified'
-             if found < fitted else
-             f'all {fitted} parameters are identified')
-    if not np.isfinite(errors.relative):
-        return f'{known.capitalize()}, but no held-out data check them.'
-    simple = ('no better than Coulomb + viscous friction alone' if errors.relative
-              >= errors.coulomb_viscous else 'Coulomb + viscous friction alone to '
-              + percent(errors.coulomb_viscous))
-    return ('On motion left out of the fit, the identified friction predicts the torque of '
-            f'{worst.joint}, the worst joint, to {percent(errors.relative)}, {simple}; {known}. '
-            'The noise floor is what the readings alone, or the repeated motion, would leave.')
 
 
 def _save_pictures(identification, folder, beside):
@@ -234,7 +85,7 @@ def _add_summary(report, identification):
                   for kind in STANDINGS]
         rows.append((result.joint, *counts))
     report.table(('joint', *STANDINGS), rows, 'Parameters by how well they are known')
-    report.table(*_held_out_rows(identification.joints),
+    report.table(*held_out_rows(identification.joints),
                  'Errors on held-out data. Torque: of the rms of the drive torque; C+v: Coulomb '
                  '+ viscous alone; noise: that of the readings; repeat: of equal motions. Free '
                  'run: rms of the angle')

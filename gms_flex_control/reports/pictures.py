@@ -4,6 +4,7 @@
 """Figures of an identification (the paper's Figs. 3 and 4) and of a discrepancy, for print."""
 
 from gms_flex_control.discrepancy.describe import angle_scale, torque_scale
+from gms_flex_control.reports.answers import WITH, WITHOUT
 from gms_flex_control.reports.figures import (
     COLOURS,
     finished,
@@ -23,7 +24,6 @@ _COLUMNS = 4          # of panels over each variable
 _CLEAR = 0.99         # of what is drawn there: the farthest bins are cut
 # one colour for one model in every picture and chart
 GIVEN, BEFORE, AFTER, FLOOR, OWN = '0.65', COLOURS[1], COLOURS[0], '0.35', COLOURS[2]
-WITHOUT, WITH = 'without effects', 'with effects'
 
 
 def map_figure(result, reference=None) -> Figure:

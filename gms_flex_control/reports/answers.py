@@ -1,0 +1,237 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""What identification and discrepancy come to, in words: answers, and the text of a terminal."""
+
+from pathlib import Path
+from textwrap import fill
+
+from gms_flex_control.analysis.table4 import align
+from gms_flex_control.answer import Answer, command, measured, Number
+from gms_flex_control.discrepancy.describe import angle_scale, Scale, torque_scale, value_words
+from gms_flex_control.identification.beside import known_values, presliding_difference
+from gms_flex_control.identification.result import JointResult
+from gms_flex_control.identification.words import (
+    data_sentence,
+    DOUBTFUL,
+    floor_shares,
+    NOT_IDENTIFIABLE,
+    notes,
+    number,
+    percent,
+    SET,
+    short_name,
+    span,
+    standing,
+)
+import numpy as np
+
+WITHOUT, WITH = 'without effects', 'with effects'
+COLUMNS = (WITHOUT, WITH, 'noise floor')
+_KNOWN = ('well known', 'roughly known')
+_WIDTH = 98           # of text
+_LONGEST_NAME = 22    # of a joint in text
+_AT_FLOOR = 1.3       # error over floor that counts as the floor itself
+_SCALES = {'rad': angle_scale, 'N m': torque_scale}
+_CHANGED = 0.02       # share of an error that is worth a word
+
+
+def identification_text(identification, beside=None) -> str:
+    """Return an identification as lines of text; ``beside`` as of the report."""
+    blocks = [_wrapped(f'{data_sentence(identification)}; fitted in '
+                       f'{identification.seconds:.1f} s')]
+    blocks += [_wrapped(f'warning: {text}') for text in identification.warnings]
+    for result in identification.joints:
+        known = known_values(beside, identification.robot, result.joint) if beside else None
+        blocks.append(_joint_text(result, known, beside))
+    blocks.append('Errors on held-out data; C+v: Coulomb + viscous alone\n'
+                  + align(*held_out_rows(identification.joints)))
+    return '\n\n'.join(blocks)
+
+
+def _parameter_rows(result, known=None):
+    """Return header and rows of a joint's parameters; ``known`` values by name, if any."""
+    header = ('parameter', 'unit', 'value', '95 % interval', *(('true',) if known else ()),
+              'to be noted')
+    rows = []
+    for estimate in result.estimates:
+        lost = standing(estimate) == NOT_IDENTIFIABLE
+        value, interval = number(estimate.value), span(estimate.interval)
+        rows.append((short_name(estimate.name, result.joint), estimate.unit,
+                     f'({value})' if lost else value, interval,
+                     *((number(known.get(estimate.name, np.nan)),) if known else ()),
+                     _remark(estimate)))
+    return header, rows
+
+
+def _remark(estimate):
+    if standing(estimate) == NOT_IDENTIFIABLE:
+        return 'NOT IDENTIFIABLE'
+    if len(estimate.flags) > 1:
+        return f'{estimate.flags[0]}, +{len(estimate.flags) - 1}'
+    return estimate.flags[0] if estimate.flags else SET if standing(estimate) == SET else ''
+
+
+def held_out_rows(results) -> tuple:
+    """Return header and rows of held-out errors, one row per joint."""
+    header = ('joint', 'torque [%]', 'C+v [%]', 'noise [%]', 'repeat [%]', 'free run [mrad]',
+              'C+v [mrad]')
+    rows = []
+    for result in results:
+        errors = result.held_out
+        noise, repeat = floor_shares(errors)
+        rows.append((_clipped(result.joint), *(number(100 * share, 3) for share in (
+            errors.relative, errors.coulomb_viscous, noise, repeat)),
+            number(1e3 * errors.free_run_rms, 3),
+            number(1e3 * errors.free_run_coulomb_viscous, 3)))
+    return header, rows
+
+
+def _joint_text(result, known, beside):
+    blocks = [(candidate.n_blocks, candidate.chosen) for candidate in result.candidates]
+    chosen = next((f', N = {n} blocks' for n, used in blocks if used), '')
+    source = {'spring': 'the spring', 'motor': 'the motor torque'}.get(result.side, result.side)
+    lines = [f'{_clipped(result.joint)}: friction torque by {source}{chosen}',
+             align(*_parameter_rows(result, known))]
+    if known:
+        share, where = presliding_difference(result, beside)
+        lines.append(f'presliding curve: at most {number(100 * share, 3)} % of F_s off the true '
+                     f'one, at {number(1e3 * where, 3)} mrad')
+    lines += [_wrapped(f'- {note}') for note in notes(result)]
+    lines += [_wrapped(f'warning: {text}') for text in result.warnings]
+    return '\n'.join(lines)
+
+
+def _clipped(name):
+    return name if len(name) <= _LONGEST_NAME else f'{name[:_LONGEST_NAME - 1]}…'
+
+
+def _wrapped(text):
+    return fill(text, _WIDTH, subsequent_indent='  ')
+
+
+def identification_answer(identification, folder, robot=()) -> Answer:
+    """Return how far the friction found predicts (Answer); ``robot`` files were believed."""
+    worst, folder = worst_joint(identification), Path(folder)
+    errors, joint = worst.held_out, worst.joint
+    numbers = [
+        measured(f'torque error of {joint} [% of the drive torque]', errors.coulomb_viscous,
+                 errors.relative, np.fmax(*floor_shares(errors)), scale=100.0),
+        measured(f'error of free runs of {joint} [mrad]', errors.free_run_coulomb_viscous,
+                 errors.free_run_rms, _reading(identification.robot.encoder, errors))]
+    known = next((one for one in worst.estimates if standing(one) in _KNOWN), None)
+    if known is not None:
+        low, high = known.interval
+        numbers.append(measured(f'{short_name(known.name, joint)} of {joint} [{known.unit}]', None,
+                                known.value, 0.5 * (high - low), scale=1.0))
+    files = robot or (('robot.yaml',) if identification.described else ())
+    return Answer(_identified(identification, worst),
+                  ('Coulomb + viscous', 'identified', 'noise floor'), tuple(numbers), command(
+                      'discrepancy', *identification.sources, '--robot', *files,
+                      folder / 'friction.yaml', '--out', folder / 'gap'))
+
+
+def _reading(encoder, errors):
+    """Return what encoder steps make of a reading, if unknown the error a sample ahead [rad]."""
+    known = encoder.counts > 0.0
+    return 2.0 * np.pi / encoder.counts / np.sqrt(12.0) if known else errors.innovation_rms
+
+
+def worst_joint(identification) -> JointResult:
+    """Return the joint whose torque is predicted worst."""
+    return max(identification.joints, key=lambda result: np.nan_to_num(result.held_out.relative))
+
+
+def _identified(identification, worst):
+    errors = worst.held_out
+    standings = [standing(one) for result in identification.joints for one in result.estimates]
+    found, fitted = (len(standings) - sum(map(standings.count, those)) for those in (
+        (NOT_IDENTIFIABLE, DOUBTFUL, SET), (SET,)))
+    known = (f'{found} of {fitted} parameters {"is" if found == 1 else "are"} identified'
+             if found < fitted else
+             f'all {fitted} parameters are identified')
+    if not np.isfinite(errors.relative):
+        return f'{known.capitalize()}, but no held-out data check them.'
+    simple = ('no better than Coulomb + viscous friction alone' if errors.relative
+              >= errors.coulomb_viscous else 'Coulomb + viscous friction alone to '
+              + percent(errors.coulomb_viscous))
+    return ('On motion left out of the fit, the identified friction predicts the torque of '
+            f'{worst.joint}, the worst joint, to {percent(errors.relative)}, {simple}; {known}. '
+            'The noise floor is what the readings alone, or the repeated motion, would leave.')
+
+
+def discrepancy_answer(result, folder) -> Answer:
+    """Return what the model lacks and how much closer it came (Answer); robot.yaml in a folder."""
+    if result.gap is None:
+        return Answer(result.faults[0] if result.faults else result.words, (), (),
+                      command('info', *result.sources))
+    torque, angle = gap_numbers(result.gap)
+    numbers = [torque[0], angle[0], *_values(result), *torque[1:], *angle[1:]]
+    if result.unexplained is None:
+        after = ('identify', *result.sources, '--robot', Path(folder) / 'robot.yaml', '--out',
+                 Path(folder) / 'friction')
+    elif not result.learned:
+        after = ('discrepancy', *result.sources, '--robot', Path(folder) / 'robot.yaml',
+                 '--learn', '--out', Path(folder) / 'learned')
+    else:
+        after = 'simulate', '--robot', Path(folder) / 'robot.yaml', '--out', 'simulated'
+    return Answer(_lacking(result), COLUMNS, tuple(numbers[:3]), command(*after))
+
+
+def gap_numbers(gap) -> tuple:
+    """Return Numbers of residual torque and of free-run error, the largest change first."""
+    torque, angle = torque_scale(gap.retuned), angle_scale(gap.free_before)
+    return tuple([
+        Number(f'{name} of {gap.joints[j]} [{scale.unit}]', *(
+            scale.text(values[j]) for values in (without, found, floor)))
+        for j in np.argsort(-np.nan_to_num(without - found), kind='stable')]
+        for name, scale, without, found, floor in (
+            ('residual torque', torque, gap.retuned, gap.after, gap.floor),
+            ('error of free runs', angle, gap.free_before, gap.free_after, gap.free_floor)))
+
+
+def _values(result):
+    """Return the values of the finding that matters most as Numbers; noise makes its interval."""
+    if not result.named:
+        return []
+    first, numbers = result.named[0], []
+    for value in first.values:
+        scale = _SCALES.get(value.unit, lambda _, unit=value.unit: Scale(unit, 1.0))(value.value)
+        numbers.append(Number(
+            f'{value.name} of {first.effect}' + ('' if scale.unit == '1' else f' [{scale.unit}]'),
+            '-', *map(scale.text, (value.value, 0.5 * (value.high - value.low)))))
+    return numbers
+
+
+def _lacking(result):
+    if not result.findings:
+        return ('Something is missing that no effect of the catalogue explains: '
+                f'{result.unexplained.sentence}' if result.unexplained is not None else
+                'Nothing that matters is missing: on held-out data the error of the model does '
+                'not exceed the noise floor, which encoders and torque noise alone produce.')
+    effects = ' and '.join(
+        f'{one.effect} of {one.joint} ({value_words(one)}'
+        + (f'; indistinguishable here from {", ".join(one.confusable_with)})'
+           if one.confusable_with else ')') for one in result.findings)
+    gap = result.gap
+    changes = [_change(*figures) for figures in (
+        ('the residual torque', gap.retuned, gap.after, gap.floor),
+        ('the error of free runs', gap.free_before, gap.free_after, gap.free_floor))
+        if np.nansum(figures[1]) > 0.0]
+    at_floor = [name for name, _, there in changes if there]
+    which = 'both' if len(at_floor) == 2 else ''.join(at_floor)
+    where = f', {which} to about the noise floor, which' if at_floor else '. The noise floor'
+    found = 'it' if len(result.findings) == 1 else 'them'
+    return (f'The model lacks {effects}: with {found}, on held-out data, '
+            f'{" and ".join(change for _, change, _ in changes)}{where} is what encoders and '
+            'torque noise alone would leave.')
+
+
+def _change(name, without, found, floor):
+    """Return an error's name, how it changes in words, and whether it shrinks to its floor."""
+    before, after, least = (float(np.sqrt(np.nansum(one ** 2))) for one in (without, found, floor))
+    share = 1.0 - after / before
+    if abs(share) < _CHANGED:
+        return name, f'{name} stays as it is', False
+    return (name, f'{name} {"shrinks" if share > 0.0 else "grows"} by {100.0 * abs(share):.0f} %',
+            share > 0.0 and after <= _AT_FLOOR * least)
