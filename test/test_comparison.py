@@ -211,15 +211,6 @@ def test_compare_fits_along_a_bag(plan, tmp_path, capsys, only, monkeypatch):
     assert 'Torque over time' in (tmp_path / 'out' / 'report.html').read_text()
 
 
-@pytest.mark.parametrize(('args', 'sentence'), [
-    (['--fit', '2'], '--fit 2'), (['--draws', '-1'], '--draws -1'), (['--rate', '0'], '--rate 0'),
-    (['nowhere'], 'nowhere'), (['nowhere.yaml'], 'nowhere.yaml'),
-    (['--draws', '0', '--workers', '0'], '--workers 0')])
-def test_what_compare_cannot_do_is_refused(tmp_path, capsys, args, sentence):
-    assert main(['compare', '--out', str(tmp_path), *args]) == 2
-    assert sentence in capsys.readouterr().err
-
-
 def test_the_robot_as_identified_is_the_plant_wherever_it_is_named(arm, tmp_path, only, capsys):
     """As `gms_flex identify` writes it: a file beside that of the robot, the later one winning."""
     only('none')
@@ -237,6 +228,9 @@ def test_the_robot_as_identified_is_the_plant_wherever_it_is_named(arm, tmp_path
 
 
 @pytest.mark.parametrize(('args', 'sentence'), [
+    (['--fit', '2'], '--fit 2'), (['--draws', '-1'], '--draws -1'), (['--rate', '0'], '--rate 0'),
+    (['nowhere'], 'nowhere'), (['nowhere.yaml'], 'nowhere.yaml'),
+    (['--draws', '0', '--workers', '0'], '--workers 0'),
     (['bag', '--rate', '100'], '--rate 100: applies to a plant'),
     (['bag', '--draws', '50'], '--draws 50: applies to a plant'),
     (['bag', '--seed', '0'], '--seed 0: applies to a plant'),
@@ -245,6 +239,6 @@ def test_the_robot_as_identified_is_the_plant_wherever_it_is_named(arm, tmp_path
     (['one', 'two'], 'two: give one bag at a time'),
     (['bag', 'a.yaml'], 'robot files behind --robot'),
     (['--out', '/proc/cmp'], '--out /proc/cmp: /proc cannot be written')])
-def test_compare_refuses_what_it_would_not_use(tmp_path, capsys, args, sentence):
+def test_compare_refuses_what_it_cannot_do_or_would_not_use(tmp_path, capsys, args, sentence):
     assert main(['compare', '--out', str(tmp_path), *args]) == 2
     assert sentence in capsys.readouterr().err

@@ -305,13 +305,6 @@ def test_tune_says_no_where_nothing_fits(tmp_path, axis_file, capsys):
     (['--rate', '0'], '--rate 0'), (['--damping', '0.5'], 'at least 1'),
     (['--torque-limit', '1', '2', '3'], 'each of the 2 joints'),
     (['--robot', str(robot_file())], '--torque-limit is required'),
-    (['--verify', '1', '--bandwidth', '4', '--intervals', 'nowhere.json'], 'cannot be read')])
-def test_what_tune_cannot_do_is_refused(tmp_path, capsys, args, sentence):
-    assert main(['tune', '--out', str(tmp_path), *args]) == 2
-    assert sentence in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(('args', 'sentence'), [
     (['--intervals', 'nowhere.json'], 'give --verify N as well'),
     (['--verify', '1', '--intervals', 'nowhere.json'], 'cannot be read'),
     (['--out', str(robot_file() / 'tuned')], 'is a file; name a folder'),
