@@ -17,7 +17,7 @@ from gms_flex_control.errors import ConfigError
 from gms_flex_control.files import write_text
 from gms_flex_control.params.robot import WHOLE_ARM
 from gms_flex_control.reports.figures import save_figure
-from gms_flex_control.reports.next_figure import next_figure
+from gms_flex_control.reports.pictures import next_figure
 from gms_flex_control.resources import controller_file
 from gms_flex_control.schema.files import load_controller, load_limits, load_robot
 import numpy as np

@@ -1,7 +1,7 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""Figures of an identification (the paper's Figs. 3 and 4) and of a discrepancy, for print."""
+"""Figures for print: identification (the paper's Figs. 3 and 4), discrepancy, planned motion."""
 
 from gms_flex_control.discrepancy.describe import angle_scale, torque_scale
 from gms_flex_control.reports.answers import WITH, WITHOUT
@@ -11,17 +11,20 @@ from gms_flex_control.reports.figures import (
     labelled,
     panels_of,
     side_by_side,
+    STYLES,
     thinned,
     WIDTH,
 )
 from matplotlib.figure import Figure
 import numpy as np
+from scipy.signal import butter, sosfiltfilt
 
 DIRECTIONS = ((1.0, 'forward', COLOURS[0]), (-1.0, 'backward', COLOURS[1]))
 MOST_LOOPS = 6        # drawn in one picture
 _MOST_POINTS = 4000   # of a cloud
 _COLUMNS = 4          # of panels over each variable
 _CLEAR = 0.99         # of what is drawn there: the farthest bins are cut
+_LOW_PASS = 8.0       # of predicted torques [Hz]
 # one colour for one model in every picture and chart
 GIVEN, BEFORE, AFTER, FLOOR, OWN = '0.65', COLOURS[1], COLOURS[0], '0.35', COLOURS[2]
 
@@ -223,4 +226,35 @@ def over_figure(found) -> Figure:
                     parse_math=False)
     figure.subplots_adjust(left=0.07, right=0.985, bottom=0.16 / rows, top=1.0 - 0.8 / height,
                            hspace=0.62, wspace=0.08)
+    return figure
+
+
+def next_figure(plan) -> Figure:
+    """Return a NextRecording: reference, and torques of each explanation less the first's."""
+    runs, hypotheses = plan.best.runs, plan.beliefs.hypotheses
+    joints = plan.beliefs.robot.joints
+    count = len(joints)
+    figure, panels = panels_of(count + 1, 1, (WIDTH, 1.4 + 1.5 * count), sharex=True)
+    panels = panels[:, 0]
+    rate = 1.0 / np.median(np.diff(runs[0].time))
+    low_pass = butter(2, _LOW_PASS, fs=rate, output='sos')
+    for j, joint in enumerate(joints):
+        panels[0].plot(runs[0].time, runs[0].reference[:, 0, j], STYLES[j % len(STYLES)],
+                       color=COLOURS[j % len(COLOURS)], linewidth=0.9, label=joint)
+        for k, (run, one) in enumerate(zip(runs[1:], hypotheses[1:], strict=True)):
+            panels[j + 1].plot(run.time, 1e3 * sosfiltfilt(
+                low_pass, run.command[:, j] - runs[0].command[:, j]),
+                               color=COLOURS[(k + 1) % len(COLOURS)], linewidth=0.8,
+                               label=one.words)
+        panels[j + 1].set_ylabel(f'{joint} [mN m]')
+    panels[0].set_ylabel('reference [rad]')
+    panels[1].set_title(f'predicted torque less that with {hypotheses[0].words}, '
+                        f'below {_LOW_PASS:g} Hz', fontsize=9)
+    panels[-1].set_xlabel('time [s]')
+    for panel in panels[:2]:
+        panel.legend(frameon=False, fontsize=8)
+    for panel in panels:
+        panel.grid(color='0.9', linewidth=0.6)
+        panel.tick_params(direction='in', labelsize=8)
+        panel.set_xlim(0.0, float(np.max(runs[0].time)))
     return figure
