@@ -6,12 +6,13 @@
 from dataclasses import replace
 
 from core_runs import single_axis
+from gms_flex_control.control.controller import SteppedController
 from gms_flex_control.control.feedforward import as_parameters, compensated
 from gms_flex_control.effects.registry import find
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
 from gms_flex_control.params.robot import EffectSpec
 from gms_flex_control.simulation import closed_loop
-from gms_flex_control.simulation.stepped import SteppedController, SteppedPlant
+from gms_flex_control.simulation.stepped import SteppedPlant
 from gms_flex_control.trajectory.builders import via_points
 import numpy as np
 import pytest

@@ -8,12 +8,13 @@ import math
 from types import SimpleNamespace
 
 from gms_flex_control.control import frozen_encoders as frozen
+from gms_flex_control.control.controller import SteppedController
 from gms_flex_control.control.frozen_encoders import FrozenEncoders, torque_thresholds
 from gms_flex_control.hardware.limits import limited, Limits
 from gms_flex_control.nodes.following import EncoderWatch
 from gms_flex_control.params.robot import EffectSpec, EncoderParams
 from gms_flex_control.simulation import closed_loop
-from gms_flex_control.simulation.stepped import SteppedController, SteppedPlant
+from gms_flex_control.simulation.stepped import SteppedPlant
 from gms_flex_control.trajectory import builders
 import numpy as np
 import pytest

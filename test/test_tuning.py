@@ -10,6 +10,7 @@ import re
 
 from core_runs import joint_friction, single_axis
 from gms_flex_control.cli.main import main
+from gms_flex_control.control.controller import SteppedController
 from gms_flex_control.control.gain_conditions import violations
 from gms_flex_control.hardware.limits import limited, violation
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
@@ -26,7 +27,7 @@ from gms_flex_control.schema.files import (
     save_values,
 )
 from gms_flex_control.simulation import closed_loop
-from gms_flex_control.simulation.stepped import SteppedController, SteppedPlant
+from gms_flex_control.simulation.stepped import SteppedPlant
 from gms_flex_control.trajectory import builders
 from gms_flex_control.tuning import margins, trial
 from gms_flex_control.tuning.linear_loop import compliance, linear_loop, Timing

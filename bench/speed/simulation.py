@@ -9,10 +9,11 @@ from bench.speed import mujoco_arm, numpy_loop
 from bench.speed.timing import interleaved, Measurement
 from gms_flex_control.compiled import compiled
 from gms_flex_control.control import cascade
+from gms_flex_control.control.controller import SteppedController
 from gms_flex_control.params.robot import EffectSpec, EncoderParams
 from gms_flex_control.records import boxed
 from gms_flex_control.simulation import closed_loop, encoder, plant
-from gms_flex_control.simulation.stepped import SteppedController, SteppedPlant
+from gms_flex_control.simulation.stepped import SteppedPlant
 from gms_flex_control.trajectory.builders import sinusoid
 import numpy as np
 

@@ -16,6 +16,7 @@ from gms_flex_control.answer import Answer, command, measured
 from gms_flex_control.cli.output import conclude, import_ros, prepare, refuse_foreign, say
 from gms_flex_control.cli.robots import trajectory_file
 from gms_flex_control.cli.verbs import ALLOWED, BELIEVED_FRICTION, DEMO_MOTIONS
+from gms_flex_control.control.controller import SteppedController
 from gms_flex_control.data import further_topics
 from gms_flex_control.demonstration import hide_effect
 from gms_flex_control.discrepancy.closed_loop import with_closed_loop
@@ -44,7 +45,7 @@ from gms_flex_control.reports.identification_page import write_identification_re
 from gms_flex_control.reports.recordings_page import write_tracking_report
 from gms_flex_control.resources import controller_file, robot_file, share_path
 from gms_flex_control.schema.files import load_controller, load_robot, save_robot, save_values
-from gms_flex_control.simulation.stepped import SteppedController, SteppedPlant
+from gms_flex_control.simulation.stepped import SteppedPlant
 import numpy as np
 
 RATE = 500.0  # joint states per second [Hz]

@@ -7,11 +7,11 @@ import math
 import time
 from typing import NamedTuple
 
+from gms_flex_control.control.controller import SteppedController
 from gms_flex_control.control.frozen_encoders import FrozenEncoders
 from gms_flex_control.hardware.supervision import SourceWatch
 from gms_flex_control.nodes.health import OK, WARN
 from gms_flex_control.nodes.messages import all_finite, EFFORT, NANOSECONDS
-from gms_flex_control.simulation.stepped import SteppedController
 from gms_flex_control.trajectory import builders
 from gms_flex_control.trajectory.segments import extrapolate
 import numpy as np

@@ -1,10 +1,9 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""Plant and controller one sample at a time, as the nodes run them."""
+"""The plant one sample at a time, as a node runs it."""
 
 from gms_flex_control.compiled import compiled
-from gms_flex_control.control import cascade, feedforward
 from gms_flex_control.effects import signals as sig
 from gms_flex_control.records import boxed, views
 from gms_flex_control.simulation import closed_loop, encoder, plant
@@ -21,13 +20,6 @@ def _advance(state, command, time, period, substeps, constants, work):
 def _sense(measured, state, time, period, constants, encoders, work):
     """Read the encoders; records come boxed."""
     closed_loop.sense(measured[0], state[0], time, period, constants[0], encoders[0], work[0])
-
-
-@compiled
-def _tick(state, measured, reference, dt, constants, work, feeding, fed):
-    """Tick the controller and feed effects forward; records come boxed."""
-    cascade.tick(state[0], measured[0], reference, dt, constants[0], work[0])
-    feedforward.feed(state[0], measured[0], reference, dt, feeding[0], fed[0])
 
 
 class SteppedPlant:
@@ -76,43 +68,3 @@ class SteppedPlant:
                  self._constants, self._work)
         self._ticks += 1
         self.measure()
-
-
-class SteppedController:
-    """
-    The cascade controller, tick by tick, with gains that may change in between.
-
-    Parameters
-    ----------
-    gains : ControllerParams
-        Of the start.
-    model : RobotParams
-        The robot as believed; effects that no controller can compensate are left aside.
-
-    """
-
-    def __init__(self, gains, model):
-        self._model = feedforward.as_parameters(model)
-        self._work = boxed(cascade.workspace(model.n_joints))
-        self._measured = boxed(encoder.init(model.n_joints))
-        self.measured = views(self._measured[0])
-        self.use(gains)
-        self.reset()
-
-    def use(self, gains) -> None:
-        """Use other ControllerParams from the next tick on."""
-        self._constants = boxed(cascade.constants_of(gains, self._model))
-        self._feeding = boxed(feedforward.constants_of(gains, self._model))
-
-    def reset(self) -> None:
-        """Forget the motion so far: observer and filters begin anew."""
-        self._state = boxed(cascade.init(self._model))
-        self._fed = boxed(feedforward.init(self._model.n_joints))
-        self.state = views(self._state[0])
-        self._command = self.state.command
-
-    def tick(self, reference, dt) -> np.ndarray:
-        """Answer ``measured`` with a torque (n_joints,) [N m]; see control.cascade.tick."""
-        _tick(self._state, self._measured, reference, dt, self._constants, self._work,
-              self._feeding, self._fed)
-        return self._command
