@@ -3,7 +3,7 @@ SHELL := /bin/bash
 BIN := .venv/bin
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo demo-identify demo-discrepancy test lint bench bench-real screenshots pictures \
+.PHONY: help demo demo-identify demo-discrepancy test test-fast lint bench bench-real screenshots pictures \
         newcomers docs lock clean
 
 # A ROS installation or another environment in the caller's shell must not leak in.
@@ -27,6 +27,9 @@ demo-discrepancy: .venv/.with-ros  ## Hide an effect, find it and drive with it 
 
 test: lint  ## Run the linters, the tests and a colcon build
 	@$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder test
+
+test-fast: .venv/.with-test  ## Run the tests without nodes, browser and long fits, in a minute
+	@$(BIN)/python -m pytest -q -n 2 --fast test
 
 lint: .venv/.with-test  ## Run ruff (the ament linters run among the tests)
 	@$(BIN)/ruff check .

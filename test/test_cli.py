@@ -23,6 +23,7 @@ from gms_flex_control.cli.verbs import GROUPS
 from gms_flex_control.data.bag import BagWarning
 from gms_flex_control.effects import registry
 from gms_flex_control.errors import own_warnings
+import numba
 import numpy as np
 import pytest
 
@@ -196,6 +197,31 @@ def test_an_older_python_is_told_what_is_needed():
     assert (done.returncode, done.stderr) == (
         1, 'gms_flex_control needs Python 3.11 or later, this is 3.10.12\n')
     ast.parse((ROOT / 'gms_flex_control' / '__init__.py').read_text(), feature_version=(3, 8))
+
+
+@pytest.mark.parametrize('arguments', [
+    ['--help'], ['tune', '--help'], ['idenify'], ['tune', '--rate', 'x'], ['identify'],
+    ['tune', '--out', 'x', '--rate', '0']])
+def test_help_and_bad_arguments_start_no_compiler(arguments, tmp_path):
+    script = tmp_path / 'script.py'
+    script.write_text(
+        'import sys\nfrom gms_flex_control.cli.main import main\ntry:\n'
+        f'    main({arguments})\nexcept SystemExit:\n    pass\n'
+        "sys.exit(str([one for one in ('numba', 'scipy', 'matplotlib') if one in sys.modules]))")
+    ran = subprocess.run([sys.executable, str(script)], capture_output=True, text=True,
+                         check=False, env={**os.environ, 'PYTHONPATH': str(ROOT)})
+    assert ran.stderr.splitlines()[-1] == '[]', ran.stderr
+
+
+@pytest.mark.parametrize('terminal', [True, False])
+def test_a_command_that_compiles_says_so_on_a_terminal(terminal, monkeypatch, capsys):
+    def compiles(args):
+        return numba.njit(lambda x: x + 1)(-1)
+
+    monkeypatch.setattr('gms_flex_control.cli.bag_files.info', compiles)
+    monkeypatch.setattr(sys.stderr, 'isatty', lambda: terminal)
+    assert tool.main(['info', 'bag']) == tool.OK
+    assert capsys.readouterr().err.count('compiling the inner loops') == terminal
 
 
 def test_every_effect_is_listed_with_its_parameters(capsys):

@@ -61,7 +61,6 @@ def demo(args) -> int:
     begin, out = time.monotonic(), Path(args.out)
     refuse_foreign(out, 'demo')
     import_ros()  # which the processes will need
-    say('compiling the inner loops (once)')
     plans = {(motion, mode): plan_of(motion, mode, args.duration)
              for motion, mode in product(args.motions, args.modes)}
     prepare(out, 'demo')
@@ -260,7 +259,6 @@ def _drive_experiment(out, experiment):
     plan, model, bag = experiment.plan, out / 'believed_robot.yaml', out / 'bag'
     save_robot(experiment.believed, model, comment='The robot as it is believed to be before '
                f'identification: friction x {BELIEVED_FRICTION:g}.')
-    say('compiling the inner loops (once)')
     _step_loops(experiment.believed, experiment.believed, experiment.gains,
                 plan.trajectory(plan.experiments[0]))
     joints = {step.joint for step in plan.experiments}
@@ -295,7 +293,7 @@ def demo_discrepancy(args) -> int:
 
 def _draw(args):
     """Return the HiddenEffect that the arguments ask for, and the gains."""
-    say('drawing what is hidden (compiles the inner loops once)')
+    say('drawing what is hidden')
     robot = load_robot(robot_file())
     gains = load_controller(controller_file(), robot)
     return hide_effect(robot, gains, args.seed, effect=args.effect,

@@ -4,8 +4,10 @@
 """Options that verbs share, and how a verb of the table becomes a parser."""
 
 from argparse import RawDescriptionHelpFormatter
+from contextlib import contextmanager
 from functools import partial
 from importlib import import_module
+import sys
 import textwrap
 from typing import NamedTuple
 
@@ -119,7 +121,33 @@ def _run(place, args):
     module, _, function = place.partition('.')
     for action, one in getattr(args, 'ranges', ()):
         _require_range(action.option_strings[0], getattr(args, action.dest), one.least, one.most)
-    return getattr(import_module(f'gms_flex_control.cli.{module}'), function)(args)
+    verb = getattr(import_module(f'gms_flex_control.cli.{module}'), function)
+    with _told_of_compiling():
+        return verb(args)
+
+
+@contextmanager
+def _told_of_compiling():
+    """Say once, on a terminal, that inner loops are compiled meanwhile, where they are."""
+    if 'numba' not in sys.modules or not sys.stderr.isatty():
+        yield
+        return
+    from numba.core import event
+
+    class Listener(event.Listener):
+        told = False
+
+        def on_start(self, _):
+            if not self.told:
+                print('compiling the inner loops for this machine (once after an installation, up '
+                      'to two minutes)', file=sys.stderr, flush=True)
+            self.told = True
+
+        def on_end(self, _):
+            pass
+
+    with event.install_listener('numba:compile', Listener()):
+        yield
 
 
 def _require_range(name, value, least, most):
