@@ -21,13 +21,12 @@ from gms_flex_control.batches.workers import open_executor
 from gms_flex_control.cli.options import add_batch_options
 from gms_flex_control.discrepancy import motion as measured
 from gms_flex_control.discrepancy.fitting import retuned
-from gms_flex_control.discrepancy.free_run import HORIZON, STRIDE
+from gms_flex_control.discrepancy.gap import HORIZON, STRIDE, torque_rms
 from gms_flex_control.discrepancy.learning import learn
 from gms_flex_control.discrepancy.likelihood import Likelihood
 from gms_flex_control.discrepancy.residuals import fresh_state
 from gms_flex_control.discrepancy.result import Signature
 from gms_flex_control.discrepancy.thresholds import PLAUSIBLE
-from gms_flex_control.discrepancy.validation import torque_rms
 from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.files import write_text

@@ -104,10 +104,11 @@ def test_the_model_written_has_the_effect_and_loads(case, folder, report):
 
 
 def test_the_terminal_ends_with_the_answer_and_shows_no_progress(case, outcome, report):
-    words, *_, answer, numbers, last = outcome.stdout.rstrip().split('\n\n')
-    assert ' '.join(words.split()) == report['words']
-    assert max(map(len, [*words.splitlines(), *answer.splitlines()])) < 99
+    *_, answer, numbers, last = outcome.stdout.rstrip().split('\n\n')
+    assert max(map(len, answer.splitlines())) < 99
     joint, gap = case.truth.effects[0].joint, report['gap']
+    assert outcome.stdout.count(f'lacks backlash of {joint}') == 1 and report['words'].startswith(
+        f'The model lacks backlash of {joint}')
     assert f'lacks backlash of {joint}' in answer and 'torque noise alone would leave' in answer
     for row, figures in zip(numbers.splitlines()[2:4], (
             ('retuned', 'after', 'floor'), ('free_before', 'free_after', 'free_floor')),

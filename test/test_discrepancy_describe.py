@@ -15,8 +15,8 @@ from gms_flex_control.discrepancy.describe import (
 )
 from gms_flex_control.discrepancy.findings import Worth
 from gms_flex_control.discrepancy.likelihood import Likelihood
+from gms_flex_control.discrepancy.remainder import signature_of
 from gms_flex_control.discrepancy.result import Noise, Signature
-from gms_flex_control.discrepancy.signature import signature_of
 from gms_flex_control.discrepancy.validation import Gain
 from gms_flex_control.discrepancy.workflow import _known_off
 from gms_flex_control.params.robot import EffectSpec
@@ -54,7 +54,7 @@ def test_an_effect_of_the_variable_that_is_left_has_another_shape(variable, join
 
 def test_an_effect_that_changes_nothing_that_is_fitted_is_none():
     idle = Worth(0, 0.1, 0.0, 0.0, 50.0, 50.0, Gain(0.0, 0.0, 0), None, None)
-    assert not idle.is_real() and idle.alone == idle.weight == 0.0
+    assert not idle.is_real() and idle.weight == 0.0
     assert '0 % of which' in evidence_of(idle, ())
     assert not idle._replace(evidence=1.0, gain=Gain(50.0, 5.0, 10)).is_real()
     assert idle._replace(gain=Gain(50.0, 5.0, 10)).is_real()

@@ -9,7 +9,7 @@ from discrepancy_runs import driven_motion
 from gms_flex_control.discrepancy.motion import make_motion
 from gms_flex_control.discrepancy.null_simulation import null_simulation
 from gms_flex_control.discrepancy.residuals import (
-    corrected,
+    cleared,
     drive_torque,
     fresh_state,
     unexplained,
@@ -99,9 +99,9 @@ def test_a_late_encoder_is_cleared_where_its_motor_is_quick(ideal_robot):
     readings = np.repeat(late[:, :, None], robot.n_joints, axis=2)
     motion = make_motion(robot.joints, time, 1e-3, readings, np.zeros((2000, robot.n_joints)),
                          np.zeros(2000), True, 'a tone')
-    constants, work = plant.constants_of(robot), plant.workspace(robot.n_joints)
-    drive = drive_torque(motion, constants, work)
-    states, second = corrected(motion, drive, motion.states, motion.second, constants, work)
+    constants = plant.constants_of(robot)
+    states, second = cleared(motion, drive_torque(motion, constants), motion.states,
+                             motion.second, constants)
     inner = slice(20, -20)
     angle = true[::motion.factor][inner, 1]
     assert states[inner, 3, 0] == pytest.approx(angle, abs=0.02 * 0.1)

@@ -31,7 +31,8 @@ class Linear:
 
     def __init__(self, offset, slopes):
         self._offset, self.slopes_by, self.sd = offset, slopes, SD
-        self.robot = SimpleNamespace(effects=(), joints=('j',))
+        self.robot, self.known = SimpleNamespace(effects=(), joints=('j',)), 0
+        self.encoder_noise = self
 
     def resting(self, robot):
         return np.zeros(2, dtype=bool)
@@ -94,8 +95,8 @@ def test_a_softer_spring_has_less_density_where_noise_is_not_of_encoders(robot, 
     likelihood = Likelihood([driven_motion(robot, gains, seed=1, duration=6.0)], robot)
     spec = EffectSpec(name='stiffness_error', joint='joint2', values=(ratio,))
     model = likelihood.fitted(with_effect(robot, spec), np.zeros(len(likelihood.sd)))
-    sums = model.sums._replace(groups=level * likelihood.count)
-    torsions = np.sum(likelihood.channel == 3)  # of two joints, link equations first
+    sums = model.sums._replace(groups=level * likelihood.groups.count)
+    torsions = np.sum(likelihood.groups.channel == 3)  # of two joints, link equations first
     assert log_determinant(likelihood, replace(model, sums=sums)) == pytest.approx(
         torsions * (1.0 - 1.0 / level) * np.log1p(ratio), rel=1e-3, abs=1e-9)
 

@@ -28,7 +28,8 @@ GROUPS = np.repeat(np.arange(3), [50, 80, 100])
 
 def grouped():
     """Return what the misfit needs of a Likelihood: three groups of rows."""
-    given = SimpleNamespace(group=GROUPS, count=np.bincount(GROUPS).astype(float))
+    given = SimpleNamespace(groups=SimpleNamespace(
+        group=GROUPS, count=np.bincount(GROUPS).astype(float)))
     given.noise_levels = lambda sums: Likelihood.noise_levels(given, sums)
     return given
 
@@ -43,7 +44,7 @@ def test_the_misfit_is_twice_the_log_likelihood_of_normal_rows():
     rows = rng.standard_normal(len(GROUPS)) * np.array([0.5, 2.0, 7.0])[GROUPS]
     sums = np.bincount(GROUPS, rows ** 2)
     expected = sum(np.sum(rows[GROUPS == g] ** 2 / s2 + np.log(s2)) for g, s2 in enumerate(
-        np.maximum(sums / given.count, 1.0)))
+        np.maximum(sums / given.groups.count, 1.0)))
     assert Likelihood.misfit(given, sums) == pytest.approx(expected, rel=1e-12)
     several = Likelihood.misfit(given, np.stack([sums, 2.0 * sums]))
     assert several[0] == pytest.approx(expected) and several[1] > several[0]
@@ -59,10 +60,10 @@ def test_groups_below_their_noise_count_as_least_squares():
 @pytest.mark.parametrize('levels', [(0.3, 0.9, 0.99), (1.5, 0.5, 30.0), (1e-3, 1e3, 2.0)])
 def test_weights_are_the_derivative_of_the_misfit_by_squares(levels):
     given = grouped()
-    sums = np.array(levels) * given.count
+    sums = np.array(levels) * given.groups.count
     weights = Likelihood.weights(given, sums)
     for g in range(3):
-        step = 1e-5 * given.count * max(levels[g], 0.1) * (np.arange(3) == g)
+        step = 1e-5 * given.groups.count * max(levels[g], 0.1) * (np.arange(3) == g)
         slope = (Likelihood.misfit(given, sums + step) - Likelihood.misfit(given, sums - step)
                  ) / (2.0 * step[g])
         np.testing.assert_allclose(weights[g == GROUPS], slope, rtol=1e-5)
@@ -71,11 +72,11 @@ def test_weights_are_the_derivative_of_the_misfit_by_squares(levels):
 def test_one_octave_that_is_noisy_does_not_hide_the_others(likelihood):
     """Ten times the noise in a group costs its own rows their weight, and no other."""
     model = as_believed(likelihood)
-    loudest = int(np.argmax(likelihood.count))
-    rows = np.where(likelihood.group == loudest, 10.0, 1.0) * model.rows
+    loudest = int(np.argmax(likelihood.groups.count))
+    rows = np.where(likelihood.groups.group == loudest, 10.0, 1.0) * model.rows
     before, after = (likelihood.weights(likelihood.sums(one, model.robot, model.x).groups)
                      for one in (model.rows, rows))
-    same = likelihood.group != loudest
+    same = likelihood.groups.group != loudest
     np.testing.assert_allclose(after[same], before[same])
     assert np.all(after[~same] < 0.05)
 
@@ -94,13 +95,14 @@ def test_fresh_clean_runs_have_unit_variance(likelihood, robot):
 
 
 def test_every_row_has_a_group_a_block_and_an_equation(likelihood):
-    assert likelihood.count.sum() == len(likelihood.group) == len(as_believed(likelihood).rows)
-    assert np.all(likelihood.count > 0)
-    for g in range(len(likelihood.count)):  # one equation and one octave each
-        mine = likelihood.group == g
-        assert len(set(likelihood.channel[mine])) == len(set(likelihood.part[mine])) == 1
-    assert set(likelihood.block) == set(range(likelihood.blocks))
-    assert set(likelihood.channel) == set(range(4))
+    groups = likelihood.groups
+    assert groups.count.sum() == len(groups.group) == len(as_believed(likelihood).rows)
+    assert np.all(groups.count > 0)
+    for g in range(len(groups.count)):  # one equation and one octave each
+        mine = groups.group == g
+        assert len(set(groups.channel[mine])) == len(set(groups.part[mine])) == 1
+    assert set(groups.block) == set(range(groups.blocks))
+    assert set(groups.channel) == set(range(4))
 
 
 def test_priors_pull_known_parameters_by_their_standard_deviation(likelihood):
@@ -155,7 +157,7 @@ def test_the_same_robot_costs_the_same_however_it_is_said(robot, gains, name, nu
     plain = likelihood.fitted(robot, x)
     spec = EffectSpec(name=name, joint=robot.joints[likelihood.nuisances[index].joint],
                       values=(ratio,))
-    likelihood.learn_noise(replace(spec, values=(0.1,)), [(0, (0.1,))])
+    likelihood.encoder_noise.learn(replace(spec, values=(0.1,)), [(0, (0.1,))])
     same = with_effect(robot, spec)
     x[index] = 1.0 / (1.0 + ratio) - 1.0
     other = likelihood.fitted(same, x)

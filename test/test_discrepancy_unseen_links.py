@@ -57,9 +57,7 @@ def test_each_model_puts_the_link_where_its_own_effects_want_it():
     off = []
     for robot in (replace(case.truth.robot, effects=()), case.truth.robot):
         constants = plant.constants_of(robot)
-        work = plant.workspace(robot.n_joints)
-        states, _ = motion_as_modelled(motion, constants, work,
-                                       drive_torque(motion, constants, work))
+        states, _ = motion_as_modelled(motion, constants, drive_torque(motion, constants))
         off.append(strayed(case, np.stack([np.interp(case.recording.time, motion.time, column)
                                            for column in states[:, 0].T], axis=1)))
     joint = case.truth.robot.joints.index(case.truth.effects[0].joint)
@@ -88,9 +86,7 @@ def test_a_spring_that_stiffens_puts_the_link_where_its_encoder_saw_it():
     off = []
     for robot in (replace(case.truth.robot, effects=()), case.truth.robot):
         constants = plant.constants_of(robot)
-        work = plant.workspace(robot.n_joints)
-        states, _ = motion_as_modelled(motion, constants, work,
-                                       drive_torque(motion, constants, work))
+        states, _ = motion_as_modelled(motion, constants, drive_torque(motion, constants))
         off.append(np.std((states - seen.states)[200:-200, 0], axis=0))
     joint = case.truth.robot.joints.index(case.truth.effects[0].joint)
     assert off[1][joint] < 0.2 * off[0][joint]

@@ -11,18 +11,15 @@ from bench.hidden_robots.cases import make_case
 from discrepancy_runs import as_believed, likelihood_of, retuned_of
 from gms_flex_control.discrepancy.evidence import State
 from gms_flex_control.discrepancy.fitting import extended, fit
-from gms_flex_control.discrepancy.free_run import all_known, HORIZON
+from gms_flex_control.discrepancy.gap import all_known, free_rms, HeldOut, HORIZON, torque_rms
 from gms_flex_control.discrepancy.likelihood import Likelihood, with_effect
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.thresholds import PLAUSIBLE
 from gms_flex_control.discrepancy.validation import (
     _innovation_cost,
     FOLDS,
-    free_rms,
     Gain,
     gain_of,
-    gap_of,
-    torque_rms,
 )
 from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
 from gms_flex_control.params.robot import EffectSpec
@@ -58,7 +55,7 @@ def test_the_true_effect_gains_on_every_part_of_the_recording(case, likelihood):
     true, = case.truth.effects
     gain = gain_with(likelihood, replace(true, values=(0.5 * true.values[0],)))
     assert gain.is_real and gain.nats > 1000.0 and gain.sigmas > 5.0
-    assert gain.blocks == likelihood.blocks
+    assert gain.blocks == likelihood.groups.blocks
 
 
 @pytest.mark.parametrize(('name', 'values'), [
@@ -77,7 +74,7 @@ def test_a_model_gains_nothing_over_itself(seed, population):
     """Where known parameters are at the end of what is plausible, or beyond, as well."""
     likelihood = likelihood_of(make_case('clean', seed, population=population, duration=20.0))
     state = retuned_of(likelihood, PLAUSIBLE)
-    gain = gain_of(likelihood, state, state, np.ones(len(likelihood.group)))
+    gain = gain_of(likelihood, state, state, np.ones(len(likelihood.groups.group)))
     assert abs(gain.nats) < 1.0 and not gain.is_real
 
 
@@ -93,7 +90,7 @@ def test_a_perfect_model_is_at_its_floor(case):
     """Torque and free runs of the true robot, against those of its null simulations."""
     likelihood = Likelihood([motion_of(case.recording, case.truth.robot)], case.truth.robot)
     model, columns = retuned_of(likelihood, 0.0)
-    gap = gap_of(likelihood, *(2 * [State(model, columns, 0.0)]))
+    gap = HeldOut(likelihood).gap(*(2 * [State(model, columns, 0.0)]))
     np.testing.assert_allclose(torque_rms(likelihood, model), gap.floor, rtol=0.3)
     np.testing.assert_allclose(free_rms(likelihood, model), gap.free_floor, rtol=0.5)
     np.testing.assert_allclose(gap.before, gap.floor, rtol=0.3)
@@ -164,11 +161,12 @@ def test_all_of_every_recording_is_left_out_once_and_never_all_at_a_time(duratio
     cases = [make_case('clean', 3, duration=duration) for duration in durations]
     motions = [motion_of(case.recording, case.nominal) for case in cases]
     likelihood = Likelihood(motions, cases[0].nominal)
-    folds = [likelihood.block % FOLDS == k for k in range(min(FOLDS, likelihood.blocks))]
+    folds = [likelihood.groups.block % FOLDS == k
+             for k in range(min(FOLDS, likelihood.groups.blocks))]
     assert len(folds) > 1 and np.all(np.sum(folds, axis=0) == 1)
     for fold in folds:
         assert 0 < fold.sum() <= 0.6 * len(fold)
-    assert [len(np.unique(block)) > 1 for block in likelihood.block_at] == [True] * len(motions)
+    assert all(len(np.unique(block)) > 1 for block in likelihood.groups.block_at)
 
 
 def test_a_stop_that_is_met_in_few_blocks_is_found():
@@ -179,7 +177,7 @@ def test_a_stop_that_is_met_in_few_blocks_is_found():
     assert [one.effect for one in result.findings] == ['end_stop'], result.words
     joint = case.nominal.joints.index(stop.joint)
     assert result.gap.after[joint] < 0.5 * result.gap.retuned[joint]
-    assert result.findings[0].held_out.blocks < result.behind.likelihood.blocks
+    assert result.findings[0].held_out.blocks < result.behind.likelihood.groups.blocks
 
 
 @pytest.fixture

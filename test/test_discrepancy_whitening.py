@@ -61,7 +61,7 @@ def test_rows_of_even_noise_are_white_and_of_unit_variance():
     white = rng.standard_normal((7, 10000, 2)) @ [[1.0, 0.8], [0.0, 0.5]]
     noise = white - 0.9 * np.roll(white, 1, axis=1)
     noise[..., 1] = uniform_filter1d(noise[..., 1], 5, axis=1)
-    whitening = Whitening(noise[:6], period, np.zeros(2), np.ones(noise.shape[1:], dtype=bool))
+    whitening = Whitening(noise[:6], period, np.zeros(2), np.ones(noise.shape[1], dtype=bool))
     rows = whitening.rows_of(noise[6])
     rows = rows[np.any(rows, axis=1)]
     assert np.all(np.abs(rows.var(axis=0) - 1.0) < 0.15)
@@ -75,9 +75,9 @@ def test_rows_of_even_noise_are_white_and_of_unit_variance():
 def test_where_an_equation_tells_nothing_its_residual_counts_nothing():
     """A torque of a thousand times the noise while a link stands changes no row elsewhere."""
     noise = np.random.default_rng(2).standard_normal((7, 10000, 1))
-    seen = np.ones((10000, 1), dtype=bool)
-    seen[4000:6000] = False
-    whitening = Whitening(noise[:6], 4e-3, np.zeros(1), seen)
+    known = np.ones(10000, dtype=bool)
+    known[4000:6000] = False
+    whitening = Whitening(noise[:6], 4e-3, np.zeros(1), known)
     stuck = noise[6].copy()
     stuck[4000:6000] += 1000.0
     rows = whitening.rows_of(stuck)
@@ -99,7 +99,7 @@ def test_slow_noise_of_rests_does_not_hide_what_is_slow_in_motion():
     slow = uniform_filter1d(rng.standard_normal(noise.shape), 250, axis=1)
     resting = (np.arange(15000) % 3000 < 900)[:, None]
     noise += 20.0 * slow / slow.std() * uniform_filter1d(resting.astype(float), 100, axis=0)
-    whitening = Whitening(noise[:6], period, np.zeros(1), np.ones(noise.shape[1:], dtype=bool))
+    whitening = Whitening(noise[:6], period, np.zeros(1), np.ones(noise.shape[1], dtype=bool))
     torque = np.sign(np.sin(2.0 * np.pi * 0.2 * period * np.arange(15000)))[:, None]
     assert np.sum(whitening.rows_of(torque) ** 2) > 0.1 * np.sum(torque[~resting] ** 2)
     rows = whitening.rows_of(noise[6])
@@ -112,6 +112,6 @@ def test_a_floor_makes_all_below_it_small():
     share = 20.0 / 125.0  # of the power of white noise that lies below 20 Hz
     for floor, level in ((10.0, 0.01), (0.1, 1.0)):
         whitening = Whitening(noise[:6], 4e-3, np.array([floor * np.sqrt(share)]),
-                              np.ones(noise.shape[1:], dtype=bool))
+                              np.ones(noise.shape[1], dtype=bool))
         whitening.scale[:] = 1.0
         assert whitening.rows_of(noise[6]).var() == pytest.approx(level, rel=0.1)

@@ -32,7 +32,6 @@ CASES = {
     'actuator_deadzone': 13,
     'encoder_skew': 35,
     'gravity_tilt': 26,
-    'motor_torque_bias': 15,
     'spring_cubic': 1,
 }
 ANGLES = ('phase', 'direction')
@@ -172,13 +171,6 @@ def test_noise_is_told_though_nothing_was_hidden_in_it(named):
         assert one.rms < 0.03 * friction
 
 
-def test_the_same_seed_says_the_same(named):
-    case, result = named
-    again = find_discrepancy([case.recording], case.nominal)
-    assert again.words == result.words
-    np.testing.assert_array_equal(again.gap.after, result.gap.after)
-
-
 @pytest.mark.parametrize('change', ['constant', 'short', 'light'])
 def test_odd_input_ends_as_a_sentence_or_a_verdict(change):
     """A recording that stands still, one of 3 s, an inertia believed five times too small."""
@@ -215,7 +207,7 @@ def test_odd_input_ends_as_a_sentence_or_a_verdict(change):
 
 
 @pytest.mark.parametrize(('seed', 'name'), [
-    (4, 'random_link_torque'), (6, 'speed_band'), (5, 'periodic_motor_torque')])
+    (4, 'random_link_torque'), (5, 'periodic_motor_torque')])
 def test_what_the_catalogue_lacks_is_unexplained(seed, name):
     """And the equation in which it is left is told."""
     result, found, truth = outcome('outside', seed, effect=name, duration=SHORT)
@@ -225,10 +217,9 @@ def test_what_the_catalogue_lacks_is_unexplained(seed, name):
     assert 'does not explain' in result.words
 
 
-@pytest.mark.parametrize('seed', [5])
-def test_what_changes_at_a_moment_is_no_drift(seed):
+def test_what_changes_at_a_moment_is_no_drift():
     """Friction that grows from one moment to the next resembles one that grows evenly."""
-    result, found, truth = outcome('outside', seed, effect='friction_step')
+    result, found, _ = outcome('outside', 5, effect='friction_step')
     assert (result.verdict, found) == (UNEXPLAINED, ()), result.words
 
 
@@ -304,9 +295,8 @@ def test_a_ripple_finer_than_any_guess_is_found():
     assert result.gap.after[0] < 0.5 * result.gap.before[0]
 
 
-@pytest.mark.parametrize('seed', [2])
-def test_two_effects_are_both_named(seed):
-    result, found, truth = outcome('double', seed, most=3, duration=30.0)
+def test_two_effects_are_both_named():
+    result, found, truth = outcome('double', 2, most=3, duration=30.0)
     assert result.verdict == FOUND
     named = {(one.effect, one.joint) for one in found[:2]}
     assert named == {(spec.name, spec.joint) for spec in truth.effects}, result.words
@@ -370,8 +360,9 @@ def test_what_makes_a_model_worse_is_no_finding(named, monkeypatch):
     """It is listed apart, in the words too, and changes no verdict."""
     monkeypatch.setattr(workflow, '_best_predicting',
                         lambda likelihood, found, *_: found.before)
-    case, _ = named
+    case, before = named
     result = find_discrepancy([case.recording], case.nominal, holdout=[case.held_out])
+    assert result.tried == before.tried  # the same seed, the same numbers
     true, = case.truth.effects
     assert result.verdict == COMPLETE and not result.findings and result.robot.effects == ()
     assert [one.key for one in result.minor] == [(true.name, true.joint)]

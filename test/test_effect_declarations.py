@@ -3,7 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """What effects declare of themselves: exclusions, bounds of the search, usual sizes."""
 
-from gms_flex_control.discrepancy.signature import VARIABLES
+from gms_flex_control.discrepancy.remainder import VARIABLES
 from gms_flex_control.effects import registry
 from gms_flex_control.effects.base import Stage, Term
 from gms_flex_control.effects.guess import Scales

@@ -57,7 +57,7 @@ class Motion:
 
     def filtered(self, column):
         """Return a function of the motion (S,) as the filter of the torque shows it."""
-        return equations.seen(column, self.weight)
+        return equations.filtered_alike(column, self.weight)
 
     @property
     def used(self):
@@ -102,7 +102,7 @@ def motion_of(recording, fine=False):
         time=full.time - full.time[0], period=full.period, angle=full.states[:, 0, _DRIVEN],
         rate=full.states[:, 1, _DRIVEN], acceleration=full.second[:, 0, _DRIVEN],
         torque=full.drive[:, _DRIVEN], standing=full.standing[:, _DRIVEN],
-        weight=equations.sampled_weight(full.factor), source=recording.source)
+        weight=equations.weight_of_neighbours(full.factor), source=recording.source)
 
 
 def residual_torque(recording, robot, fine=False):

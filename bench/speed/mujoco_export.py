@@ -18,7 +18,7 @@ from bench.hidden_robots.cases import make_case
 from bench.speed.mujoco_arm import available
 from bench.speed.timing import Measurement
 from gms_flex_control.data.recording import Recording
-from gms_flex_control.discrepancy.free_run import free_runs, HORIZON, STRIDE
+from gms_flex_control.discrepancy.gap import free_runs, HORIZON, STRIDE
 from gms_flex_control.discrepancy.motion import Motion, motion_of
 from gms_flex_control.effects.base import Change
 from gms_flex_control.effects.registry import find, names

@@ -114,19 +114,20 @@ def _earlier(out):
 
 def _printed(result, compared, values, args):
     """Print the words or the report; return the exit code."""
-    out, bad, words = Path(args.out), result.verdict == BAD_DATA, units_of(result)(result.words)
+    out, bad, words = Path(args.out), result.verdict == BAD_DATA, units_of(result)
     if args.json:
         print(files.as_json(values))
-    else:
-        stream = sys.stderr if bad else sys.stdout
-        print(fill(f'gms_flex discrepancy: {words}' if bad else words, _WIDTH,
-                   break_on_hyphens=False), file=stream)
+    elif bad:
+        print(fill(f'gms_flex discrepancy: {result.words}', _WIDTH, break_on_hyphens=False),
+              file=sys.stderr)
+    elif result.details:
+        print(fill(words(result.details), _WIDTH, break_on_hyphens=False))
     if not args.json and not bad:
         if compared:
-            print(units_of(result)(f'\n{files.comparison_text(compared, result.gap.joints)}'))
+            print(words(f'\n{files.comparison_text(compared, result.gap.joints)}'))
         conclude(discrepancy_answer(result, out), {
             'model': out / 'robot.yaml', 'report': out / 'report.html',
-            'numbers': out / 'report.json'}, units_of(result))
+            'numbers': out / 'report.json'}, words)
     return 2 if bad else int(result.verdict != COMPLETE)
 
 

@@ -147,10 +147,11 @@ def _fitted(likelihood, base, nuisances, dictionary, effects):
         left -= {(best.spec.name, best.spec.joint)}
     model, columns = refitted(likelihood, model, nuisances)
     numbers = numbers_of(likelihood, model.robot)
-    prior, centred, _ = prior_of(likelihood, model.robot, numbers)
+    prior = prior_of(likelihood, model, numbers)
     rows = informative(likelihood, model, columns)
     gram = (rows * likelihood.weights(model.sums.groups)) @ rows.T
-    information = gram + np.diag(np.maximum(prior * centred, prior / _LARGEST_SD ** 2))
+    information = gram + np.diag(np.maximum(
+        prior.pull, 1.0 / (prior.sd * _LARGEST_SD) ** 2))
     return Hypothesis(effects, model, numbers, np.linalg.inv(information),
                       state_of(likelihood, model, columns, 2).evidence)
 

@@ -54,16 +54,7 @@ class ClosedLoop(NamedTuple):
 
 def stretch_of(recording):
     """
-    Return what a closed loop can be simulated along.
-
-    Parameters
-    ----------
-    recording : Recording
-        Of a robot under the cascade controller.
-
-    Returns
-    -------
-    Stretch
+    Return the Stretch of a Recording of a robot under the cascade controller.
 
     Raises
     ------
@@ -108,26 +99,9 @@ def _resampled(grid, time, values):
 
 def simulated(robot, believed, gains, stretch, seed=_SEED):
     """
-    Return the link angles that a closed loop would have measured.
+    Return the link angles (T, n) that the closed loop of a robot would have measured [rad].
 
-    Parameters
-    ----------
-    robot : RobotParams
-        The model of the plant.
-    believed : RobotParams
-        What the controller of the recording believed.
-    gains : ControllerParams
-        Of that controller.
-    stretch : Stretch
-        Where its motion began, and its reference.
-    seed : int
-        Of the encoder noise.
-
-    Returns
-    -------
-    ndarray, shape (T, n)
-        [rad]
-
+    The controller of the Stretch believed another robot; ``seed`` draws the encoder noise.
     """
     loop = Loop(robot, believed, period_ns=stretch.period_ns, seed=seed,
                 q_link=stretch.measured[0], begin=stretch.begin)
@@ -140,21 +114,10 @@ def simulated(robot, believed, gains, stretch, seed=_SEED):
 
 def closed_loop_of(behind, recordings, gains):
     """
-    Simulate the closed loop of recordings with the model before and after.
+    Return the ClosedLoop of recordings with references, with the models before and after.
 
-    Parameters
-    ----------
-    behind : Behind
-        The search; the robot it began with is what the recordings' controller believed in.
-    recordings : sequence of Recording
-        With references.
-    gains : ControllerParams
-        Of the controller that drove them.
-
-    Returns
-    -------
-    ClosedLoop
-
+    The robot that the search ``behind`` began with is what their controller, of ``gains``,
+    believed in.
     """
     given, nuisances = behind.likelihood.robot, behind.likelihood.nuisances
     stretches = [stretch_of(recording.of_joints(given.joints)) for recording in recordings]
@@ -182,22 +145,10 @@ def _rms(runs, others):
 
 def with_closed_loop(result, recordings, gains):
     """
-    Return a Discrepancy whose gap has the closed loop, too.
+    Return a Discrepancy of which gap and words have the closed loop, too; bad data as they are.
 
-    Parameters
-    ----------
-    result : Discrepancy
-        From `workflow.find_discrepancy`.
-    recordings : sequence of Recording
-        Those held out, or else those that were fitted.
-    gains : ControllerParams
-        Of the controller that drove them; it believed the robot the workflow was given.
-
-    Returns
-    -------
-    Discrepancy
-        ``gap.closed_loop`` is a ClosedLoop, and ``words`` has a sentence on it. Bad data, of
-        which there is no model, are returned as they are.
+    ``recordings`` are those held out, or else those that were fitted; their controller, of
+    ``gains``, believed the robot the workflow was given.
 
     Raises
     ------
@@ -208,8 +159,7 @@ def with_closed_loop(result, recordings, gains):
     if result.gap is None:
         return result
     again = closed_loop_of(result.behind, recordings, gains)
-    return replace(result, gap=replace(result.gap, closed_loop=again),
-                   words=f'{result.words} {sentence_of(again)}')
+    return replace(result.saying(sentence_of(again)), gap=replace(result.gap, closed_loop=again))
 
 
 def sentence_of(again):

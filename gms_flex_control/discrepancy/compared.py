@@ -6,12 +6,11 @@
 from typing import NamedTuple
 
 from gms_flex_control.discrepancy.fitting import retuned
-from gms_flex_control.discrepancy.free_run import all_known, free_runs
+from gms_flex_control.discrepancy.gap import all_known, free_rms, free_runs, torque_rms
 from gms_flex_control.discrepancy.likelihood import Likelihood
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.nuisance import with_nuisances
 from gms_flex_control.discrepancy.thresholds import PLAUSIBLE
-from gms_flex_control.discrepancy.validation import free_rms, torque_rms
 from gms_flex_control.params.robot import RobotParams
 import numpy as np
 
@@ -52,7 +51,7 @@ def compare(result, models, holdout=()) -> list:
 
 def _missing(likelihood, model):
     """Return the mean square of a model's whitened residuals above that of null simulations."""
-    return float(model.sums.groups.sum() / likelihood.count.sum() - np.mean(likelihood.clean ** 2))
+    return float(model.sums.groups.sum() / len(model.rows) - np.mean(likelihood.clean ** 2))
 
 
 def as_found(result) -> RobotParams:

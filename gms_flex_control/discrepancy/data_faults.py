@@ -18,18 +18,8 @@ def faults_of(recordings, robot):
     """
     Return the findings of `identification.checks` in what the equations will use.
 
-    Parameters
-    ----------
-    recordings : sequence of Recording
-        Joints in any order; torque commands are looked over beside efforts, or instead of them.
-    robot : RobotParams
-        As believed.
-
-    Returns
-    -------
-    list of Finding
-        Those that forbid a fit first.
-
+    Those that forbid a fit first. Recordings may have joints in any order; torque commands are
+    checked beside efforts, or instead of them.
     """
     found = [finding for recording in recordings for finding in _faults(recording, robot)]
     return sorted(found, key=lambda finding: finding.severity != 'refuse')

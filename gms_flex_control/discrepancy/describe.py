@@ -96,82 +96,74 @@ def of_noise(noise):
     return f'{where}: {per_sample}{scale.text(noise.rms)} {scale.unit} rms up to 8 Hz, {colour}'
 
 
-def paragraph(result, unseen=(), known_off=None):
+def paragraph(result, unseen=(), known_off=None) -> tuple:
     """
-    Return one paragraph on a Discrepancy.
+    Return one paragraph on a Discrepancy, and what of it an answer in short leaves out.
 
-    Parameters
-    ----------
-    result : Discrepancy
-        With a gap.
-    unseen : sequence of str
-        Joints whose links have no encoder.
-    known_off : (str, str), optional
-        Effect and joint of an effect the model has that another value would serve best.
-
-    Returns
-    -------
-    str
-
+    ``unseen`` are joints whose links have no encoder, ``known_off`` the effect and joint of an
+    effect the model has that another value would serve best.
     """
     if result.verdict == BAD_DATA:
-        return result.words
+        return result.words, ''
     parts = [*_verdict(result), *_remainder(result)]
     if result.stand_ins:
         names_of = ' and '.join(f'{one.name} of {one.joint}' for one in result.stand_ins)
-        parts.append(
+        parts.append((
             f'The written model has {names_of} as well: it predicts better so, though by '
             'less than what matters in practice.' if result.verdict == COMPLETE else
             f'The written model has {names_of} in its place: it predicts better so, but '
-            'this only resembles what is missing.')
-    parts += [_gap(result), *_noise(result)]
+            'this only resembles what is missing.', True))
+    parts.append((_gap(result), False))
+    more = [*_noise(result)]
     if result.recordings:
-        parts.append(f'Different from the first recording: {"; ".join(result.recordings)}.')
+        more.append(f'Different from the first recording: {"; ".join(result.recordings)}.')
     if unseen:
         lost = [name for name in names() if find(name).needs_link_encoder]
-        parts.append(f'No link encoder of {", ".join(unseen)} was recorded: the link angle is '
-                     "computed from the motor's, its torque, inertia and stiffness as believed. "
-                     f'Not identifiable there: {", ".join(lost)}.')
+        more.append(f'No link encoder of {", ".join(unseen)} was recorded: the link angle is '
+                    "computed from the motor's, its torque, inertia and stiffness as believed. "
+                    f'Not identifiable there: {", ".join(lost)}.')
     if known_off:
-        parts.append(f'{known_off[0]} of {known_off[1]} is in the model already; another value of '
-                     'it would explain more than any new effect. Correct it or take it out, and '
-                     'run again.')
-    return ' '.join(parts)
+        more.append(f'{known_off[0]} of {known_off[1]} is in the model already; another value of '
+                    'it would explain more than any new effect. Correct it or take it out, and '
+                    'run again.')
+    return (' '.join([*(one for one, _ in parts), *more]),
+            ' '.join([*(one for one, is_detail in parts if is_detail), *more]))
 
 
 def _verdict(result):
-    """Yield sentences: what is missing, and what each finding could also be."""
+    """Yield what is missing, and what each finding could also be: sentence, whether a detail."""
     if result.verdict == COMPLETE:
         yield ('Nothing that matters is missing: the residual is noise, and no effect of the '
-               'catalogue improves held-out prediction by as much as matters in practice.')
-    if result.findings:
-        shown = result.findings[:_IN_FULL]
-        yield f'The model lacks {"; ".join(named(one) for one in shown)}.'
-        for one in shown:
-            if one.confusable_with:
-                yield (f'{one.effect} of {one.joint} is indistinguishable here from '
-                       f'{" or ".join(one.confusable_with)}; discriminating experiment: '
-                       f'{one.tells_apart}.')
+               'catalogue improves held-out prediction by as much as matters in practice.', False)
+    shown = result.findings[:_IN_FULL]
+    if shown:
+        yield f'The model lacks {"; ".join(named(one) for one in shown)}.', False
+    for one in shown:
+        if one.confusable_with:
+            yield (f'{one.effect} of {one.joint} is indistinguishable here from '
+                   f'{" or ".join(one.confusable_with)}; discriminating experiment: '
+                   f'{one.tells_apart}.'), True
     added = {(spec.name, spec.joint) for spec in result.robot.effects}
     beside = [*result.findings[_IN_FULL:], *(one for one in result.minor if one.key in added)]
     if beside:
-        yield f'Too small to matter in practice: {_briefly(beside)}.'
+        yield f'Too small to matter in practice: {_briefly(beside)}.', True
     without = [one for one in result.minor if one.key not in added]
     if without:
         yield ('The recordings also support these, but the model predicts better without them: '
-               f'{_briefly(without)}.')
+               f'{_briefly(without)}.', True)
 
 
 def _remainder(result):
-    """Yield sentences on how much is explained, and what remains."""
+    """Yield how much is explained, and what remains: sentence, whether a detail."""
     gap, left = result.gap, result.unexplained
     if result.verdict == FOUND and left is not None and left.share > _REMAINS:
         sure = min(one.probability for one in result.findings)
         yield (f'That explains {100.0 * (1.0 - gap.energy_ratio):.0f} % of what is missing '
                f'({sure:.2f} sure); {100.0 * gap.energy_ratio:.0f} % remains unexplained: '
-               f'{left.sentence}')
+               f'{left.sentence}', True)
     elif left is not None and result.verdict != FOUND:
-        yield f'Something is missing that the catalogue does not explain: {left.sentence}'
+        yield (f'Something is missing that the catalogue does not explain: {left.sentence}',
+               False)
 
 
 def _gap(result):

@@ -12,14 +12,8 @@ from collections import Counter
 from typing import NamedTuple
 
 from gms_flex_control.data.signals import standing_out
-from gms_flex_control.discrepancy.fitting import (
-    informative,
-    limits,
-    numbers_of,
-    prior_of,
-    solve,
-    values_of,
-)
+from gms_flex_control.discrepancy.evidence import NormalEquations
+from gms_flex_control.discrepancy.fitting import informative, numbers_of, prior_of
 from gms_flex_control.discrepancy.likelihood import with_effect
 from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.effects.base import Change, Stage, Term
@@ -31,7 +25,6 @@ import numpy as np
 _AT_BOUND = 0.99      # of what is plausible of a nuisance parameter: it can give no more
 _NEW = 1e-6           # of the squares of a guess's columns: nothing else makes so much of them
 _EXACT = 8            # effects of joints whose gain is found within bounds, either way
-_WEIGHINGS = 3        # times that noise levels are taken anew
 _MOST_TRIED = 40      # guesses, to find so many: some have a ladder of sizes
 _RATIO_STEP = 0.1     # of a relative change that an effect is
 
@@ -42,8 +35,13 @@ class Ranked(NamedTuple):
     gain: float      # decrease of the cost, all else re-tuned
     spec: EffectSpec
 
+    @property
+    def key(self):
+        """Return (effect, joint)."""
+        return self.spec.name, self.spec.joint
 
-def fine_orders(likelihood, model):
+
+def _fine_orders(likelihood, model):
     """Return the orders of waves over the motor angle finer than any guess, tuple per joint."""
     constants = likelihood.constants(model.robot, model.x)
     left = [unexplained(motion, constants) for motion in likelihood.motions]
@@ -56,7 +54,7 @@ def fine_orders(likelihood, model):
     return found
 
 
-def guesses_of(likelihood, excluded=(), fine=None, only=None):
+def guesses_of(likelihood, excluded=(), fine=None, only=None) -> list:
     """
     Return what is looked for.
 
@@ -111,7 +109,7 @@ def allowed(guess, lower, upper):
                           within=within)
 
 
-def may_join(spec, robot, known):
+def may_join(spec, robot, known) -> bool:
     """
     Return whether an effect may be added to a robot: not twice, and none that undoes another.
 
@@ -128,14 +126,14 @@ def may_join(spec, robot, known):
 
 class Dictionary:
     """
-    The rows of all guesses.
+    The whitened residuals of all guesses.
 
     Parameters
     ----------
     likelihood : Likelihood
         Of the recordings.
     model : Fitted
-        Where the rows are taken.
+        Where the columns are taken.
     excluded : collection of str
         Effects that are left out.
     only : collection of (str, str), optional
@@ -145,19 +143,20 @@ class Dictionary:
 
     def __init__(self, likelihood, model, excluded=(), only=None):
         self._likelihood = likelihood
-        self.guesses = guesses_of(likelihood, excluded, fine_orders(likelihood, model), only)
-        jobs = [(name, joint, values) for name, joint, guess in self.guesses
-                for values in guess.probes]
+        self.guesses = guesses_of(likelihood, excluded, _fine_orders(likelihood, model), only)
+        self._specs = [EffectSpec(name=name, joint=joint, values=values)
+                       for name, joint, guess in self.guesses for values in guess.probes]
+        self.columns = np.empty((len(self._specs), len(model.rows)))
 
-        def column(job):
-            spec = EffectSpec(name=job[0], joint=job[1], values=job[2])
-            return likelihood.rows(with_effect(model.robot, spec), model.x) - model.rows
-        self.columns = np.reshape(likelihood.each(column, jobs), (len(jobs), len(model.rows)))
-        self._noise, self._unknown = self._noise_of(jobs)
+        def fill(k):
+            self.columns[k] = likelihood.rows(
+                with_effect(model.robot, self._specs[k]), model.x) - model.rows
+        list(likelihood.pool.map(fill, range(len(self._specs))))
+        self._learn_noise()
         self._places = np.cumsum([0, *(len(guess.probes) for _, _, guess in self.guesses)])
 
-    def _noise_of(self, jobs):
-        """Return how noise shows in each column (K, R), and where that is not known (K,)."""
+    def _learn_noise(self):
+        """Learn how encoder noise shows in linear guesses; clear columns in which it hides."""
         likelihood = self._likelihood
         ways = Counter((name, joint) for name, joint, _ in self.guesses)
         linear = [(name, joint, guess.probes[0]) for name, joint, guess in self.guesses
@@ -169,19 +168,26 @@ class Dictionary:
             if issubclass(kind, Change):  # its further ratios, one by one
                 sets += [(k, tuple(_RATIO_STEP * (np.arange(len(values)) == k)))
                          for k in range(1, len(values)) if kind.parameters[k].unit == '1']
-            likelihood.learn_noise(EffectSpec(name=name, joint=joint, values=values), sets)
+            likelihood.encoder_noise.learn(EffectSpec(name=name, joint=joint, values=values), sets)
         list(likelihood.pool.map(learn, linear))
-        added = np.zeros_like(self.columns)
-        for column, row, (name, joint, values) in zip(self.columns, added, jobs, strict=True):
-            spec, values = EffectSpec(name=name, joint=joint, values=values), np.asarray(values)
-            shown = likelihood.informative_of(spec)
-            column *= shown[np.argmax(values != 0.0)]
-            row += values @ (likelihood.noise_rows(spec) * shown)
+        for column, spec in zip(self.columns, self._specs, strict=True):
+            column *= likelihood.encoder_noise.informative_of(spec)[
+                np.argmax(np.asarray(spec.values) != 0.0)]
         learned = {one[:2] for one in linear}
-        return added, ~np.array([(name, joint) in learned or _is_of_torque(name)
-                                 for name, joint, _ in jobs], dtype=bool)
+        self._unknown = ~np.array([(spec.name, spec.joint) in learned or _is_of_torque(spec.name)
+                                   for spec in self._specs], dtype=bool)
 
-    def gains(self, model, columns, plausible=np.inf, even=False):
+    def _noise_along(self, direction):
+        """Return the products (K,) of the noise in all columns with a direction (R,)."""
+        noise, of_effect = self._likelihood.encoder_noise, {}
+        for spec in self._specs:
+            if (spec.name, spec.joint) not in of_effect:
+                of_effect[spec.name, spec.joint] = np.sum(
+                    noise.of_effect(spec) * noise.informative_of(spec) * direction, axis=1)
+        return np.array([np.asarray(spec.values) @ of_effect[spec.name, spec.joint]
+                         for spec in self._specs])
+
+    def gains(self, model, columns, plausible=np.inf, even=False) -> tuple:
         """
         Return what guesses gain beside a model, bounds left aside (G,), and noise (K,).
 
@@ -190,37 +196,36 @@ class Dictionary:
         """
         likelihood = self._likelihood
         numbers = numbers_of(likelihood, model.robot)
-        precision, centred, free = prior_of(likelihood, model.robot, numbers)
-        values = np.concatenate([model.x, values_of(model.robot, numbers)])
+        prior = prior_of(likelihood, model, numbers)
+        free = prior.free
         free[:len(model.x)] &= np.abs(model.x) < _AT_BOUND * plausible * likelihood.sd
-        weight = likelihood.weights(likelihood.count if even else model.sums.groups)
-        root, pull = np.sqrt(weight), np.sqrt(precision * centred)
+        weight = likelihood.weights(likelihood.groups.count if even else model.sums.groups)
+        root, pull = np.sqrt(weight), np.sqrt(prior.pull)
         columns = informative(likelihood, model, columns)
-        # priors are rows of their own
+        # priors are residuals of their own
         own = np.concatenate([columns * root, np.diag(pull)], axis=1)[free]
-        rows = np.concatenate([model.rows * root, pull * values])
+        rows = np.concatenate([model.rows * root, pull * prior.values])
         basis, triangle = np.linalg.qr(own.T)
-        scaled = self.columns * root
-        along = scaled @ basis[:len(root)]
         left = (rows - basis @ (basis.T @ rows))[:len(root)]
+        along = self.columns @ (root[:, None] * basis[:len(root)])
         own_noise = likelihood.noise_slopes(model, weight, numbers)
         shared = along @ np.linalg.lstsq(triangle.T, own_noise[free], rcond=1e-10)[0]
         # where it was not learned, noise adds what it adds to all that makes the column: a
         # friction that varies with place is friction
-        noise = np.where(self._unknown, shared, self._noise @ (
-            0.5 * weight * model.sums.cleared[likelihood.group]
-            * likelihood.noise_along(model.robot, model.x)))
-        right = -(scaled @ left) + noise - shared
+        noise = np.where(self._unknown, shared, self._noise_along(
+            likelihood.noise_cleared(model, weight)))
+        right = -(self.columns @ (root * left)) + noise - shared
         gains = np.zeros(len(self.guesses))
         for i, (first, last) in enumerate(zip(self._places[:-1], self._places[1:], strict=True)):
-            whole, mine = scaled[first:last] @ scaled[first:last].T, along[first:last]
+            part, mine = self.columns[first:last], along[first:last]
+            whole = (part * weight) @ part.T
             gram = whole - mine @ mine.T
             if np.trace(gram) > _NEW * np.trace(whole):
                 gains[i] = right[first:last] @ np.linalg.lstsq(gram, right[first:last],
                                                                rcond=1e-10)[0]
         return np.where(np.isfinite(gains), gains, 0.0), noise
 
-    def ranked(self, model, columns, plausible=np.inf):
+    def ranked(self, model, columns, plausible=np.inf) -> list:
         """
         Return the hypotheses with the largest gains, each effect of a joint once.
 
@@ -239,9 +244,8 @@ class Dictionary:
             Best first.
 
         """
-        likelihood, best = self._likelihood, {}
-        known, tried = len(likelihood.robot.effects), set()
-        normal = _Normal(likelihood, model, columns, plausible)
+        likelihood, best, tried = self._likelihood, {}, set()
+        normal = NormalEquations(likelihood, model, columns, plausible)
         for even in (False, True):
             gains, noise = self.gains(model, columns, plausible, even)
             found = set()
@@ -249,86 +253,30 @@ class Dictionary:
                 name, joint, guess = self.guesses[i]
                 if len(found) == _EXACT or gains[i] <= 0.0:
                     break
-                if i in tried or not may_join(EffectSpec(name=name, joint=joint, values=()),
-                                              model.robot, known):
+                part = slice(self._places[i], self._places[i + 1])
+                if i in tried or not may_join(self._specs[part.start], model.robot,
+                                              likelihood.known):
                     continue
                 found.add((name, joint))
                 tried.add(i)
-                part = slice(self._places[i], self._places[i + 1])
-                gain, coefficients = normal.with_guess(self.columns[part], noise[part], guess)
-                share = guess.within(coefficients)
-                gain *= share * (2.0 - share)
+                minimum = normal.beside(self.columns[part], noise[part], guess.lowest,
+                                        guess.highest)
+                share = guess.within(minimum.added)
+                gain = (normal.alone.cost - minimum.cost if np.any(minimum.added) else 0.0) * (
+                    share * (2.0 - share))
                 if gain > best.get((name, joint), Ranked(0.0, None)).gain:
-                    values = tuple(float(v) for v in guess.values(coefficients))
+                    values = tuple(float(v) for v in guess.values(minimum.added))
                     best[name, joint] = Ranked(gain, EffectSpec(name=name, joint=joint,
                                                                 values=values))
         return sorted(best.values(), key=lambda one: -one.gain)
 
-    def largest(self, model, columns):
-        """Return what each hypothesis gains, bounds left aside, dict by effect and joint."""
+    def largest(self, model, columns) -> dict:
+        """Return what each hypothesis gains, bounds left aside, by (effect, joint)."""
         found = {}
         for (name, joint, _), gain in zip(self.guesses, self.gains(model, columns)[0],
                                           strict=True):
             found[name, joint] = max(found.get((name, joint), 0.0), float(gain))
         return found
-
-
-class _Normal:
-    """The normal equations of a model, group by group, to be extended by one guess."""
-
-    def __init__(self, likelihood, model, columns, plausible):
-        self._likelihood, self._model = likelihood, model
-        self._columns = informative(likelihood, model, columns)[:, likelihood.by_group]
-        self._rows = model.rows[likelihood.by_group]
-        numbers = numbers_of(likelihood, model.robot)
-        precision, centred, free = prior_of(likelihood, model.robot, numbers)
-        self._values = np.concatenate([model.x, values_of(model.robot, numbers)])
-        self._pull = precision * centred
-        self._gram = self._products(self._columns, self._columns)
-        self._slope = -self._products(self._columns, self._rows[None])[:, :, 0]
-        self._noise = likelihood.noise_slopes(
-            model, likelihood.weights(model.sums.groups), numbers)
-        self._limits = limits(model, numbers, self._values, free, plausible * likelihood.sd)
-        self._before = self._least(self._gram, self._slope, self._noise, *self._limits)[0]
-
-    def _products(self, one, other):
-        """Return products of rows of each group (G, A, B), of (A, R) and (B, R) in its order."""
-        ends = self._likelihood.ends
-        products = [one[:, a:b] @ other[:, a:b].T for a, b in zip(ends[:-1], ends[1:],
-                                                                  strict=True)]
-        return np.reshape(products, (len(products), len(one), len(other)))
-
-    def _least(self, gram, slope, noise, low, high):
-        """Return the least cost to first order, noise levels at their likeliest, and the step."""
-        likelihood, k = self._likelihood, len(self._values)
-        pull = np.concatenate([self._pull, np.zeros(slope.shape[1] - k)])
-        values = np.concatenate([self._values, np.zeros(slope.shape[1] - k)])
-        sums = self._model.sums.groups
-        for _ in range(_WEIGHINGS):
-            weight = 1.0 / likelihood.noise_levels(sums)
-            step = solve(np.tensordot(weight, gram, 1) + np.diag(pull),
-                         weight @ slope + noise - pull * values, low, high)
-            sums = (self._model.sums.groups - 2.0 * slope @ step
-                    + np.einsum('i,gij,j->g', step, gram, step))
-        return (likelihood.misfit(sums) - 2.0 * float(noise @ step)
-                + float(np.sum(pull * (values + step) ** 2))), step
-
-    def with_guess(self, added, noise, guess):
-        """Return the gain of a guess with columns ``added``, and its coefficients."""
-        k, count = len(self._values), len(added)
-        added = added[:, self._likelihood.by_group]
-        gram = np.zeros((len(self._gram), k + count, k + count))
-        gram[:, :k, :k] = self._gram
-        gram[:, k:, k:] = self._products(added, added)
-        gram[:, k:, :k] = self._products(added, self._columns)
-        gram[:, :k, k:] = gram[:, k:, :k].swapaxes(1, 2)
-        slope = np.concatenate([self._slope, -self._products(added, self._rows[None])[:, :, 0]],
-                               axis=1)
-        low, high = self._limits
-        cost, step = self._least(gram, slope, np.concatenate([self._noise, noise]),
-                                 np.concatenate([low, np.full(count, guess.lowest)]),
-                                 np.concatenate([high, np.full(count, guess.highest)]))
-        return (self._before - cost if np.any(step[k:]) else 0.0), step[k:]
 
 
 def _is_of_torque(name):

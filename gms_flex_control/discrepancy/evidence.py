@@ -11,13 +11,21 @@ before anything was measured.
 
 from typing import NamedTuple
 
-from gms_flex_control.discrepancy.fitting import informative, numbers_of, prior_cost, prior_of
+from gms_flex_control.discrepancy.fitting import (
+    informative,
+    limits,
+    numbers_of,
+    prior_cost,
+    prior_of,
+    solve,
+)
 from gms_flex_control.discrepancy.likelihood import Fitted
 from gms_flex_control.discrepancy.residuals import stiffness_along
 from gms_flex_control.discrepancy.thresholds import CREDIBLE
 import numpy as np
 
 _SOFTEST = 0.05       # of the stiffness believed, which a play has
+_WEIGHINGS = 3        # times that noise levels are taken anew
 
 
 class State(NamedTuple):
@@ -34,31 +42,18 @@ class State(NamedTuple):
 
 def state_of(likelihood, model, columns, hypotheses):
     """
-    Return a model with its evidence.
+    Return a model at its likeliest, with its evidence, a State.
 
-    Parameters
-    ----------
-    likelihood : Likelihood
-        Of the recordings.
-    model : Fitted
-        At its likeliest.
-    columns : ndarray, shape (C, R)
-        Derivatives of its rows.
-    hypotheses : int
-        How many effects of joints are looked for; one is expected to be missing.
-
-    Returns
-    -------
-    State
-
+    ``columns`` (C, R) are the derivatives of its rows; of ``hypotheses``, the effects of joints
+    that are looked for, one is expected to be missing.
     """
     numbers = numbers_of(likelihood, model.robot)
-    precision, _, free = prior_of(likelihood, model.robot, numbers)
+    prior = prior_of(likelihood, model, numbers)
     weight = likelihood.weights(model.sums.groups)
-    scaled = informative(likelihood, model, columns)[free] / np.sqrt(precision[free])[:, None]
+    scaled = informative(likelihood, model, columns)[prior.free] * prior.sd[prior.free, None]
     gram = (scaled * weight) @ scaled.T
     _, occam = np.linalg.slogdet(np.eye(len(gram)) + gram)
-    added = len(model.robot.effects) - len(likelihood.robot.effects)
+    added = len(model.robot.effects) - likelihood.known
     exact = likelihood.sums(model.rows, model.robot, model.x, exact=True)
     evidence = (-exact.cost - prior_cost(likelihood, model) - occam
                 + 2.0 * log_determinant(likelihood, model)
@@ -74,21 +69,13 @@ def log_determinant(likelihood, model):
     is that of rows times the slope of the spring. A softer spring makes less torque of all that
     is read wrongly, which explains none of it. What null simulations show is cleared from the
     sums; what levels have beyond counts here. As believed the determinant is 1.
-
-    Parameters
-    ----------
-    likelihood : Likelihood
-        Of the recordings.
-    model : Fitted
-        With its noise levels.
-
     """
     beyond = 1.0 - likelihood.weights(model.sums.groups)
     if not beyond.any():
         return 0.0
     n, joints = likelihood.robot.n_joints, likelihood.robot.joints
     believed, out = likelihood.robot.arm.stiffness, 0.0
-    beyond = np.bincount(likelihood.recording * 2 * n + likelihood.channel, beyond,
+    beyond = np.bincount(likelihood.groups.recording * 2 * n + likelihood.groups.channel, beyond,
                          2 * n * len(likelihood.motions)).reshape(-1, 2, n)[:, 1]
     seen = np.isfinite(believed) & [joint not in likelihood.unseen for joint in joints]
     constants = likelihood.constants(model.robot, model.x)
@@ -101,20 +88,9 @@ def log_determinant(likelihood, model):
 
 def posterior(states, known):
     """
-    Return the probabilities of models that were tried, those of equal effects once.
+    Return the probabilities of States that were tried, those of equal effects once.
 
-    Parameters
-    ----------
-    states : sequence of State
-        Tried.
-    known : int
-        Effects the user knew of.
-
-    Returns
-    -------
-    list of (frozenset, float)
-        Effects and probability, the likeliest first.
-
+    List of (frozenset of effects beside the first ``known``, probability), the likeliest first.
     """
     best = {}
     for state in states:
@@ -130,3 +106,83 @@ def credible(models, mass=CREDIBLE):
     """Return the fewest models (of `posterior`) that hold so much of the probability."""
     shares = np.cumsum([share for _, share in models])
     return models[:int(np.searchsorted(shares, mass)) + 1]
+
+
+# --- further columns beside a model -------------------------------------------------------------
+
+
+class Least(NamedTuple):
+    """A minimum."""
+
+    cost: float
+    step: np.ndarray    # (C,) of all that is free in the model
+    added: np.ndarray   # (K,) of the columns beside it
+    sums: np.ndarray    # (G,) of squares by group
+
+
+class NormalEquations:
+    """
+    Products of a model's columns group by group, which any noise levels can weigh.
+
+    Parameters
+    ----------
+    likelihood : Likelihood
+        Of the recordings.
+    model : Fitted
+        Where the columns were taken.
+    columns : ndarray, shape (C, R)
+        Derivatives by nuisance parameters, then by numbers of its effects.
+    plausible : float or ndarray, shape (P,)
+        Standard deviations of their priors that nuisance parameters may go.
+
+    """
+
+    def __init__(self, likelihood, model, columns, plausible=np.inf):
+        self._likelihood, self._sums = likelihood, model.sums.groups
+        self._columns = likelihood.groups.ordered(informative(likelihood, model, columns))
+        self._rows = likelihood.groups.ordered(model.rows[None])
+        numbers = numbers_of(likelihood, model.robot)
+        self.prior = prior_of(likelihood, model, numbers)
+        self._products = likelihood.groups.products
+        self._gram = self._products(self._columns, self._columns)
+        self._slope = -self._products(self._columns, self._rows)[:, :, 0]
+        self._noise = likelihood.noise_slopes(model, likelihood.weights(self._sums), numbers)
+        self._limits = limits(model, numbers, self.prior, plausible * likelihood.sd)
+        self.alone = self._least(self._gram, self._slope, self._noise, self.prior.pull,
+                                 *self._limits)
+
+    def _least(self, gram, slope, noise, pull, low, high):
+        likelihood, k = self._likelihood, len(self.prior.values)
+        values = np.concatenate([self.prior.values, np.zeros(slope.shape[1] - k)])
+        sums = self._sums
+        for _ in range(_WEIGHINGS):
+            weight = 1.0 / likelihood.noise_levels(sums)
+            step = solve(np.tensordot(weight, gram, 1) + np.diag(pull),
+                         weight @ slope + noise - pull * values, low, high)
+            sums = self._sums - 2.0 * slope @ step + (gram @ step) @ step
+        cost = (likelihood.misfit(sums) - 2.0 * float(noise @ step)
+                + float(np.sum(pull * (values + step) ** 2)))
+        return Least(cost, step[:k], step[k:], sums)
+
+    def beside(self, added, noise=0.0, lowest=-np.inf, highest=np.inf, pull=0.0) -> Least:
+        """
+        Return the Least with columns ``added`` (K, R), within bounds.
+
+        ``noise`` is what encoder noise adds to their slopes, ``pull`` the inverse variance of a
+        prior about zero: each (K,) or a number.
+        """
+        k, count = len(self.prior.values), len(added)
+        added = self._likelihood.groups.ordered(added)
+        gram = np.empty((len(self._gram), k + count, k + count))
+        gram[:, :k, :k] = self._gram
+        gram[:, k:, k:] = self._products(added, added)
+        gram[:, k:, :k] = self._products(added, self._columns)
+        gram[:, :k, k:] = gram[:, k:, :k].swapaxes(1, 2)
+        slope = np.concatenate([self._slope, -self._products(added, self._rows)[:, :, 0]],
+                               axis=1)
+
+        def whole(own, value):
+            return np.concatenate([own, np.broadcast_to(value, count)])
+        low, high = self._limits
+        return self._least(gram, slope, whole(self._noise, noise), whole(self.prior.pull, pull),
+                           whole(low, lowest), whole(high, highest))

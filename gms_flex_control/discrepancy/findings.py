@@ -23,28 +23,21 @@ from gms_flex_control.discrepancy.fitting import (
     refitted,
     without,
 )
-from gms_flex_control.discrepancy.free_functions import FreeFunctions
 from gms_flex_control.discrepancy.likelihood import Fitted
+from gms_flex_control.discrepancy.remainder import FreeFunctions
 from gms_flex_control.discrepancy.result import Finding, Value
-from gms_flex_control.discrepancy.search import with_only
 from gms_flex_control.discrepancy.thresholds import (
     BETTER,
     CLEARLY,
+    CREDIBLE,
     EVIDENCE,
     LARGEST_NOISE,
     PLAUSIBLE,
     PRACTICAL,
     RESEMBLES,
-    TRIFLE,
     UNSEEN,
 )
-from gms_flex_control.discrepancy.validation import (
-    energy_of,
-    Gain,
-    gain_of,
-    held_out_torque,
-    prediction_cost,
-)
+from gms_flex_control.discrepancy.validation import Gain, gain_of, prediction_cost
 from gms_flex_control.effects.registry import find
 from gms_flex_control.identification.result import CONFIDENT
 import numpy as np
@@ -65,12 +58,7 @@ class Worth(NamedTuple):
     outright: float    # likewise, known parameters no farther off than plausible without it
     gain: Gain         # on held-out blocks
     less: Fitted       # the model without it, known parameters plausible
-    others: np.ndarray  # derivatives of that (C, R)
-
-    @property
-    def alone(self):
-        """Return the torque that nothing else can make, rms [N m]."""
-        return self.torque * self.share ** 0.5
+    rest: State        # likewise, known parameters anywhere
 
     @property
     def weight(self):
@@ -79,7 +67,7 @@ class Worth(NamedTuple):
 
         A large effect that others can make the better part of is large all the same.
         """
-        return (self.torque * self.alone) ** 0.5
+        return self.torque * self.share ** 0.25
 
     def is_real(self, caution=1.0):
         """Return whether evidence and held-out data speak for it, with so much ``caution``."""
@@ -87,7 +75,7 @@ class Worth(NamedTuple):
             sigmas=self.gain.sigmas / caution).is_real
 
 
-def plausible_limit(likelihood, model):
+def plausible_limit(likelihood, model) -> np.ndarray:
     """
     Return how far known parameters may go where they stand for an effect of a model, (P,).
 
@@ -96,7 +84,7 @@ def plausible_limit(likelihood, model):
     return np.maximum(PLAUSIBLE, np.abs(model.x) / likelihood.sd)
 
 
-def worth_of(likelihood, found, i):
+def _worth_of(likelihood, found, i):
     """Return what the i-th effect of a search's end is worth."""
     model, columns, _ = found.best
     spec = model.robot.effects[i]
@@ -110,22 +98,21 @@ def worth_of(likelihood, found, i):
     if is_at_limit(spec, model.robot) or (find(spec.name).of_feedback and not _predicts(
             likelihood, found, spec, plausible)):
         gain = gain._replace(nats=min(gain.nats, 0.0))
-    evidence = found.best.evidence - state_of(likelihood, anything, others,
-                                              found.hypotheses).evidence
+    rest = state_of(likelihood, anything, others, found.hypotheses)
+    evidence = found.best.evidence - rest.evidence
     return Worth(i, likelihood.torque_rms(less, model), min(loss / own, 1.0) if own > 0.0 else 0.0,
                  max(plausible.cost - model.cost, 0.0), evidence,
-                 evidence + plausible.cost - anything.cost, gain, plausible, others)
+                 evidence + plausible.cost - anything.cost, gain, plausible, rest)
 
 
 def _beside(likelihood, model, less, others, change):
     """Return the squares of what an effect changes, and of what nothing else can make of it."""
     weight = likelihood.weights(model.sums.groups)
-    numbers = numbers_of(likelihood, less.robot)
-    precision, centred, _ = prior_of(likelihood, less.robot, numbers)
+    pull = prior_of(likelihood, less).pull
     kept = np.ones(len(others), dtype=bool)
     kept[:len(model.x)] = likelihood.resting(less.robot) | ~likelihood.resting(model.robot)
     used = informative(likelihood, less, others)[kept]
-    gram = (used * weight) @ used.T + np.diag((precision * centred)[kept])
+    gram = (used * weight) @ used.T + np.diag(pull[kept])
     slope = used @ (weight * change)
     own = float(change @ (weight * change))
     return own, max(own - float(slope @ np.linalg.lstsq(gram, slope, rcond=1e-12)[0]), 0.0)
@@ -141,7 +128,7 @@ def _predicts(likelihood, found, spec, less):
     return without_it - with_it > EVIDENCE + 2.0 * np.log(found.hypotheses)
 
 
-def judged(likelihood, found):
+def judged(likelihood, found) -> tuple:
     """
     Return the search's end with effects that are real alone, their Worths, and what is left.
 
@@ -168,58 +155,31 @@ def judged(likelihood, found):
         found, worths = _pruned(likelihood, _dropped(likelihood, found, worst))
 
 
-def predictive(likelihood, found, worths, holdout=None):
-    """
-    Return the search's end without effects that make held-out torque worse, and their Worths.
-
-    Parameters
-    ----------
-    likelihood : Likelihood
-        Of the recordings.
-    found : Found
-        The search's end.
-    worths : list of Worth
-        Its effects.
-    holdout : Likelihood, optional
-        Of other recordings; default the blocks of time that are left out in turn.
-
-    Returns
-    -------
-    Found, list of Worth
-
-    """
+def predictive(likelihood, found, worths, held_out) -> tuple:
+    """Return the search's end without effects that worsen HeldOut prediction, and its Worths."""
     while worths:
-        energy = energy_of(likelihood, found.best, holdout)
+        energy = held_out.energy(found.best)
         if len(worths) == 1 and np.isfinite(energy):
             break
-        without_each = _energies_without_each(likelihood, found, holdout)
-        worst = min(without_each, key=without_each.get)
-        if CLEARLY * without_each[worst] > energy:
+        worst = min(worths, key=lambda one: held_out.energy(one.rest))
+        if CLEARLY * held_out.energy(worst.rest) > energy:
             break
-        found, worths = _pruned(likelihood, _dropped(likelihood, found, worst))
-    return _alone(likelihood, found, worths, holdout)
+        found, worths = _pruned(likelihood, _dropped(likelihood, found, worst.index))
+    return _alone(likelihood, found, worths, held_out)
 
 
-def _energies_without_each(likelihood, found, holdout):
-    """Return `energy_of` the search's end without one effect, dict by its index."""
-    added = range(len(likelihood.robot.effects), len(found.best.model.robot.effects))
-    return {i: energy_of(likelihood, with_only(
-        found, likelihood, [k for k in added if k != i]), holdout) for i in added}
-
-
-def predicting_subset(likelihood, found, holdout=None):
+def predicting_subset(likelihood, found, held_out) -> State:
     """
     Return the State with those of the effects found that together predict held-out data best.
 
-    One effect after the other is added to none, while that predicts better. Arguments as of
-    `predictive`.
+    One effect after the other is added to none, while that predicts better.
     """
-    added = range(len(likelihood.robot.effects), len(found.best.model.robot.effects))
+    added = range(likelihood.known, len(found.best.model.robot.effects))
 
     def tried(subset):
-        state = (found.best if len(subset) == len(added)
-                 else with_only(found, likelihood, sorted(subset)))
-        return energy_of(likelihood, state, holdout), state, subset
+        state = (found.best if len(subset) == len(added) else _without(
+            likelihood, found, *(i for i in added if i not in subset)))
+        return held_out.energy(state), state, subset
     last, every = tried(()), tried(tuple(added))
     while len(last[2]) < len(added) - 1:
         other = min((tried((*last[2], i)) for i in added if i not in last[2]),
@@ -230,17 +190,16 @@ def predicting_subset(likelihood, found, holdout=None):
     return min(every, last, key=lambda one: one[0])[1]
 
 
-def _alone(likelihood, found, worths, holdout):
-    """Return the search's end with one effect alone if that predicts held-out torque better."""
-    known = len(likelihood.robot.effects)
-    single = sorted((state for state in found.tried if len(state.key(known)) == 1),
+def _alone(likelihood, found, worths, held_out):
+    """Return the search's end with one effect alone if that predicts held-out data better."""
+    single = sorted((state for state in found.tried if len(state.key(likelihood.known)) == 1),
                     key=lambda state: -state.evidence)[:_RUNNERS]
-    energies = [energy_of(likelihood, state, holdout) for state in single]
-    now = energy_of(likelihood, found.best, holdout)
-    if not worths or not single or BETTER * min(energies) > now:
+    if not worths or not single:
         return found, worths
-    other = found._replace(best=single[int(np.argmin(energies))])
-    other, others = _pruned(likelihood, other)
+    best = min(single, key=held_out.energy)
+    if BETTER * held_out.energy(best) > held_out.energy(found.best):
+        return found, worths
+    other, others = _pruned(likelihood, found._replace(best=best))
     return (other, others) if others else (found, worths)
 
 
@@ -251,7 +210,7 @@ def _share(functions, spec, one, left):
     Of what a free function would in its place; and of what is left over its own variable, where
     its shape is not that of what is there.
     """
-    free = functions.ranked(one.less, one.others, spec.joint)
+    free = functions.ranked(one.less, one.rest.columns, spec.joint)
     if not free or free[0].evidence <= 0.0:
         return np.inf
     share = one.outright / free[0].evidence
@@ -260,7 +219,7 @@ def _share(functions, spec, one, left):
     return share
 
 
-def is_noisy(likelihood, model):
+def is_noisy(likelihood, model) -> bool:
     """Return whether a model leaves more than drives make of noise, and than encoders do."""
     return bool(np.any(likelihood.excess_torque(model) > np.maximum(
         LARGEST_NOISE * np.tile(likelihood.coulomb, 2),
@@ -268,7 +227,7 @@ def is_noisy(likelihood, model):
 
 
 def caution_of(likelihood):
-    """Return times as many standard errors as usual that held-out data must tell."""
+    """Return times as many standard errors as usual that held-out data must show."""
     return UNSEEN if likelihood.unseen else 1.0
 
 
@@ -279,7 +238,7 @@ def _timed(likelihood, found):
     Lag and delay differ above the frequencies of the rows only. Both are compared beside all else
     as fitted with the one, and as with the other.
     """
-    for i in range(len(likelihood.robot.effects), len(found.best.model.robot.effects)):
+    for i in range(likelihood.known, len(found.best.model.robot.effects)):
         model = found.best.model
         spec = model.robot.effects[i]
         for name in find(spec.name).confusable if find(spec.name).of_feedback else ():
@@ -289,7 +248,7 @@ def _timed(likelihood, found):
             rest = model.robot.effects[:i] + model.robot.effects[i + 1:]
             if (kind.whole_arm != find(spec.name).whole_arm or not kind.of_feedback
                     or not may_join(other, replace(model.robot, effects=rest),
-                                    len(likelihood.robot.effects))):
+                                    likelihood.known)):
                 continue
             swapped, columns = refitted(likelihood, likelihood.fitted(
                 _instead(model.robot, i, other), model.x), found.nuisances)
@@ -312,15 +271,15 @@ def _instead(robot, i, spec):
 
 def _pruned(likelihood, found):
     """Return the search's end with effects that data speak for alone, and their Worths, ranked."""
-    known = len(likelihood.robot.effects)
     while True:
-        count = len(found.best.model.robot.effects)
-        worths = [worth_of(likelihood, found, i) for i in range(known, count)]
+        worths = [_worth_of(likelihood, found, i) for i in range(
+            likelihood.known, len(found.best.model.robot.effects))]
         weak = [one for one in worths if not one.is_real(caution_of(likelihood))]
         if not weak:
             most = max((one.loss for one in worths), default=0.0)
-            return found, sorted(worths, key=lambda one: (one.loss < TRIFLE * most, -one.weight))
-        # what has no evidence goes first: beside it others are told badly by few data
+            return found, sorted(worths, key=lambda one: (one.loss < (1.0 - CREDIBLE) * most,
+                                                          -one.weight))
+        # what has no evidence goes first: beside it others are known badly from few data
         worst = min(weak, key=lambda one: (one.evidence > EVIDENCE, min(one.evidence,
                                                                         2.0 * one.gain.nats)))
         found = _dropped(likelihood, found, worst.index)
@@ -332,59 +291,48 @@ def _dropped(likelihood, found, index):
 
     It goes on with the likeliest of the others: one of them may have what stood in its place.
     """
-    known, effects = len(likelihood.robot.effects), found.best.model.robot.effects
-    less = with_only(found, likelihood, [i for i in range(known, len(effects)) if i != index])
-    tried = (less, *_tried_without(likelihood, found, effects[index]))
+    tried = (_without(likelihood, found, index), *_tried_without(
+        likelihood, found, found.best.model.robot.effects[index]))
     return found._replace(best=max(tried, key=lambda state: state.evidence), tried=tried)
+
+
+def _without(likelihood, found, *dropped):
+    """Return the State of a search's end without effects (indices), all else re-tuned."""
+    less, columns = without(likelihood, *found.best[:2], *dropped)
+    return state_of(likelihood, fit(likelihood, less.robot, less.x, columns), columns,
+                    found.hypotheses)
 
 
 def _tried_without(likelihood, found, spec):
     """Return the States that were tried without an effect."""
-    known = len(likelihood.robot.effects)
-    return (state for state in found.tried if (spec.name, spec.joint) not in state.key(known))
+    return (state for state in found.tried
+            if (spec.name, spec.joint) not in state.key(likelihood.known))
 
 
-def findings_of(likelihood, found, worths, holdout=None):
+def findings_of(likelihood, found, worths, held_out) -> list:
     """
-    Return a Finding for each Worth.
+    Return a Finding for each Worth of a search's end.
 
-    Parameters
-    ----------
-    likelihood : Likelihood
-        Of the recordings.
-    found : Found
-        The search's end.
-    worths : list of Worth
-        Its effects.
-    holdout : Likelihood, optional
-        Of other recordings; default the blocks of time that are left out in turn.
-
-    Returns
-    -------
-    list of Finding
-        Those that matter, ``main``, lessen held-out residual torque by what matters in practice.
-
+    Those that matter, ``main``, lessen the residual torque of HeldOut data by what matters in
+    practice.
     """
-    known = len(likelihood.robot.effects)
-    models = posterior(found.tried, known)
+    models = posterior(found.tried, likelihood.known)
     whole = max(found.before.model.cost - found.best.model.cost, 1e-12)
     limit = plausible_limit(likelihood, found.best.model)
-    after, out = held_out_torque(likelihood, found.best, holdout), []
+    after, out = held_out.torque(found.best), []
     for one in worths:
         spec = found.best.model.robot.effects[one.index]
-        key = spec.name, spec.joint
-        others = _rivals(likelihood, found, one)
-        alike = {name for name, _, share in others if share > _ALIKE}
-        kind = find(spec.name)
-        alike |= {name for name, _, share in others
-                  if name in kind.confusable and share > kind.declared_from}
-        before = held_out_torque(likelihood, State(one.less, one.others, -np.inf), holdout, limit)
+        others, kind = _rivals(found, one, spec), find(spec.name)
+        alike = {name for name, _, share in others if share > _ALIKE or (
+            name in kind.confusable and share > kind.declared_from)}
+        before = held_out.torque(one.rest._replace(model=one.less), limit)
         better = np.sqrt(np.maximum(before ** 2 - after ** 2, 0.0)) / likelihood.coulomb
         out.append(Finding(
             effect=spec.name, joint=spec.joint, values=_values(likelihood, found, one.index),
             main=bool(better.max() >= PRACTICAL), torque=one.torque,
             share=min(one.loss / whole, 1.0), score=one.evidence, held_out=one.gain,
-            probability=float(sum(mass for names, mass in models if key in names)),
+            probability=float(sum(mass for names, mass in models
+                                  if (spec.name, spec.joint) in names)),
             runner_up=f'{others[0][0]} of {others[0][1]}' if others else None,
             runner_up_score=others[0][2] * one.evidence if others else 0.0,
             confusable_with=tuple(sorted(alike - {spec.name})),
@@ -393,36 +341,34 @@ def findings_of(likelihood, found, worths, holdout=None):
     return [one for one in out if one.main or not find(one.effect).of_recording]
 
 
-def _rivals(likelihood, found, one):
+def _rivals(found, one, spec):
     """Return (name, joint, share of its loss) of what could stand in an effect's place."""
-    spec = found.best.model.robot.effects[one.index]
-    ranked = found.dictionary.ranked(one.less, one.others, PLAUSIBLE)
-    return [(other.spec.name, other.spec.joint, min(other.gain / max(one.loss, 1e-12), 1.0))
-            for other in ranked[:_RUNNERS]
-            if (other.spec.name, other.spec.joint) != (spec.name, spec.joint)]
+    ranked = found.dictionary.ranked(one.less, one.rest.columns, PLAUSIBLE)
+    return [(*other.key, min(other.gain / max(one.loss, 1e-12), 1.0))
+            for other in ranked[:_RUNNERS] if other.key != (spec.name, spec.joint)]
 
 
 def _values(likelihood, found, index):
     """
     Return the Values of one effect, intervals by the curvature of the likelihood.
 
-    Or by how far null simulations scatter, if that is more: the curvature takes it that rows are
+    Or by how far null simulations scatter, if that is more: the curvature assumes that rows are
     independent.
     """
     model, columns, _ = found.best
     numbers, weight = numbers_of(likelihood, model.robot), likelihood.weights(model.sums.groups)
-    precision, _, free = prior_of(likelihood, model.robot, numbers)
-    scale = 1.0 / np.sqrt(precision[free])
+    prior = prior_of(likelihood, model, numbers)
+    free, scale = prior.free, prior.sd[prior.free]
     used = informative(likelihood, model, columns)[free] * scale[:, None]
     inverse = np.linalg.pinv((used * weight) @ used.T + np.eye(len(used)), hermitian=True)
     scatter = inverse @ (used * weight) @ likelihood.clean.T
     variance = np.zeros(len(free))
     variance[free] = np.maximum(np.diag(inverse), np.mean(scatter ** 2, axis=1)) * scale ** 2
-    spec, out = model.robot.effects[index], []
-    for k, parameter in enumerate(find(spec.name).parameters):
-        half = sum(CONFIDENT * float(np.sqrt(variance[len(model.x) + place]))
-                   for place, number in enumerate(numbers)
-                   if (number.effect, number.parameter) == (index, k))
-        value = float(spec.values[k])
-        out.append(Value(parameter.name, parameter.unit, value, value - half, value + half))
-    return tuple(out)
+    half = {(one.effect, one.parameter): CONFIDENT * float(np.sqrt(own))
+            for one, own in zip(numbers, variance[len(model.x):], strict=True)}
+    spec = model.robot.effects[index]
+    return tuple(
+        Value(parameter.name, parameter.unit, float(value),
+              float(value) - half.get((index, k), 0.0), float(value) + half.get((index, k), 0.0))
+        for k, (parameter, value) in enumerate(zip(find(spec.name).parameters, spec.values,
+                                                   strict=True)))

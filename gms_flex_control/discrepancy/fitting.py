@@ -6,14 +6,12 @@
 from dataclasses import replace
 from typing import NamedTuple
 
-from gms_flex_control.compiled import compiled
 from gms_flex_control.discrepancy.nuisance import LARGEST
 from gms_flex_control.effects.registry import find
 import numpy as np
 
-_SWEEPS = 400                 # of descent by coordinates
-_SETTLED = 1e-10              # decrease of half the cost below which descent ends
 _RIDGE = 1e-10                # of the diagonal, where parameters are nearly one
+_PULL = 1e-9                  # relative slope at a bound below which it holds
 _STEP = 0.01                  # of a value, for its derivative
 _LEAST = 0.1                  # of its usual size: so large a value is for that, at least
 _ANGLES = {'phase': 0.02, 'direction': 0.02, 'order': 0.02}
@@ -22,67 +20,46 @@ _SHRINK = (1.0, 0.3, 0.1)     # of a step that does not help
 _ENOUGH = 0.3                 # decrease of the cost below which a fit has ended
 _NEAR = 2.0                   # steps of a derivative within which it is kept
 _PHASE_SD = np.pi / np.sqrt(3.0)  # of a phase that nothing is known of
-_LEAST_TOLD = 0.3             # of the squares of a derivative, beside encoder noise
+_LEAST_SHARE = 0.3            # of the squares of a derivative that is not encoder noise
+_LEAST_EIGENVALUE = 1e-10     # of scaled products of derivatives
 _RETUNED = 3                  # times at most that derivatives are taken anew
 _AT_LIMIT = 0.01              # relative distance from a limit of the search
 
 
-@compiled
-def descend(gram, right, lower, upper, x):
-    """Minimise ``x' G x / 2 - b' x`` within bounds, coordinate by coordinate, in place."""
-    size = x.shape[0]
-    for _ in range(_SWEEPS):
-        moved = 0.0
-        for i in range(size):
-            if gram[i, i] <= 0.0:
+def solve(gram, right, lower, upper) -> np.ndarray:
+    """
+    Return the minimiser (P,) of ``x' G x / 2 - b' x`` within bounds that hold zero.
+
+    A primal active set: from zero to the minimiser of all that is free, or to the first bound on
+    the way; at the minimiser, the bound with the largest slope inward is freed.
+    """
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    gram = gram * np.outer(scale, scale)
+    gram.flat[::len(gram) + 1] += _RIDGE
+    right, bounds, lower, upper = right * scale, (lower, upper), lower / scale, upper / scale
+    x, free = np.zeros(len(right)), upper > lower
+    for _ in range(10 * len(right)):
+        if free.any():
+            target = np.linalg.solve(gram[np.ix_(free, free)], right[free]
+                                     - gram[np.ix_(free, ~free)] @ x[~free])
+            step = target - x[free]
+            room = np.where(step > 0.0, upper[free] - x[free], lower[free] - x[free])
+            room = np.divide(room, step, out=np.full_like(step, np.inf), where=step != 0.0)
+            share = room.min()
+            if share < 1.0:
+                at = np.flatnonzero(free)[room <= share]
+                x[free] += share * step
+                x[at] = np.where(step[room <= share] > 0.0, upper[at], lower[at])
+                free[at] = False
                 continue
-            slope = right[i]
-            for k in range(size):
-                slope -= gram[i, k] * x[k]
-            value = min(max(x[i] + slope / gram[i, i], lower[i]), upper[i])
-            moved = max(moved, gram[i, i] * (value - x[i]) ** 2)
-            x[i] = value
-        if moved < _SETTLED:
+            x[free] = target
+        slope = right - gram @ x
+        inward = np.where(x <= lower, slope, -slope) * (~free & (upper > lower))
+        worst = int(np.argmax(inward))
+        if not inward[worst] > _PULL * np.abs(right).max():
             break
-
-
-def solve(gram, right, lower, upper):
-    """
-    Return the minimiser of ``x' G x / 2 - b' x`` within bounds.
-
-    Parameters
-    ----------
-    gram : ndarray, shape (P, P)
-        Symmetric, positive semi-definite.
-    right, lower, upper : ndarray, shape (P,)
-        b and the bounds.
-
-    Returns
-    -------
-    ndarray, shape (P,)
-
-    """
-    free = np.ones(len(right), dtype=bool)
-    x = np.zeros(len(right))
-    fixed = np.zeros(len(right))
-    for _ in range(3 * len(right)):  # active set: quick where few bounds are met
-        rest = right[free] - gram[np.ix_(free, ~free)] @ fixed[~free]
-        part = gram[np.ix_(free, free)]
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(part), 1e-300))
-        inside = scale * np.linalg.solve(
-            part * np.outer(scale, scale) + _RIDGE * np.eye(len(scale)), scale * rest)
-        x[free], x[~free] = inside, fixed[~free]
-        beyond = (x < lower) | (x > upper)
-        if not beyond.any():
-            break
-        fixed[beyond] = np.clip(x, lower, upper)[beyond]
-        free &= ~beyond
-        if not free.any():
-            x = np.clip(x, lower, upper)
-            break
-    x = np.clip(x, lower, upper)
-    descend(np.ascontiguousarray(gram), right, lower, upper, x)  # frees what was bound too soon
-    return x
+        free[worst] = True
+    return np.clip(x * scale, *bounds)
 
 
 class Number(NamedTuple):
@@ -98,16 +75,16 @@ class Number(NamedTuple):
     centred: bool      # whether zero is its likeliest value
 
 
-def bounds_of(spec, robot):
+def bounds_of(spec, robot) -> tuple:
     """Return the least and the largest values that are looked for of an effect's parameters."""
     at = robot.joints.index(spec.joint) if spec.joint in robot.joints else 0
     return find(spec.name).search_bounds(at, robot)
 
 
-def numbers_of(likelihood, robot, first=None):
+def numbers_of(likelihood, robot, first=None) -> list:
     """Return the Numbers of all effects of a robot from the ``first`` on, default the added."""
     numbers = []
-    first = len(likelihood.robot.effects) if first is None else first
+    first = likelihood.known if first is None else first
     for i, spec in enumerate(robot.effects[first:], start=first):
         kind = find(spec.name)
         typical = kind.typical(likelihood.scales_of(spec.joint))
@@ -124,7 +101,7 @@ def numbers_of(likelihood, robot, first=None):
     return numbers
 
 
-def values_of(robot, numbers):
+def values_of(robot, numbers) -> np.ndarray:
     """Return the values (V,) of parameters."""
     return np.array([robot.effects[n.effect].values[n.parameter] for n in numbers])
 
@@ -134,30 +111,28 @@ def at_values(robot, numbers, values):
     lists = [list(spec.values) for spec in robot.effects]
     for number, value in zip(numbers, values, strict=True):
         lists[number.effect][number.parameter] = float(np.clip(value, number.lower, number.upper))
-    return replace(robot, effects=tuple(replace(spec, values=tuple(entries)) for spec, entries
-                                        in zip(robot.effects, lists, strict=True)))
+    return replace(robot, effects=tuple(
+        spec if list(spec.values) == entries else replace(spec, values=tuple(entries))
+        for spec, entries in zip(robot.effects, lists, strict=True)))
 
 
-def is_at_limit(spec, robot):
+def is_at_limit(spec, robot) -> bool:
     """
     Return whether an effect has a parameter where the search for it ends, which is no value.
 
     What the catalogue allows is such an end, too, unless physics ends there: at zero, or a share.
     """
-    kind = find(spec.name)
-
     def is_end(limit, allowed, unit):
-        """Return whether a limit of the search, beside what the catalogue allows, is no value."""
         return limit != allowed or (np.isfinite(limit) and limit != 0.0 and unit != '1')
     return any(
         is_end(lower, one.lower, one.unit) and value < lower + _AT_LIMIT * abs(lower)
         or is_end(upper, one.upper, one.unit) and value > upper - _AT_LIMIT * abs(upper)
         for one, value, lower, upper in zip(
-            kind.parameters, spec.values, *bounds_of(spec, robot), strict=True))
+            find(spec.name).parameters, spec.values, *bounds_of(spec, robot), strict=True))
 
 
-def effect_columns(likelihood, robot, x, rows, numbers):
-    """Return derivatives (V, R) of rows by parameters of effects."""
+def effect_columns(likelihood, robot, x, rows, numbers) -> np.ndarray:
+    """Return derivatives (V, R) of whitened residuals by parameters of effects."""
     values = values_of(robot, numbers)
 
     def column(i):
@@ -168,83 +143,80 @@ def effect_columns(likelihood, robot, x, rows, numbers):
     return likelihood.each(column, range(len(numbers))).reshape(len(numbers), len(rows))
 
 
-def prior_of(likelihood, robot, numbers):
-    """
-    Return the priors of all that is free.
+class Prior(NamedTuple):
+    """The priors of all C numbers that are free, and where a model is in them."""
 
-    Returns
-    -------
-    precision : ndarray, shape (C,)
-        Inverse variance of nuisance parameters, then of numbers.
-    centred : ndarray, shape (C,)
-        Whether the prior pulls to zero, 1 or 0.
-    free : ndarray, shape (C,)
-        False for nuisance parameters that an effect replaces.
+    pull: np.ndarray     # (C,) inverse variance, 0 where zero is not the likeliest value
+    sd: np.ndarray       # (C,)
+    free: np.ndarray     # (C,) bool, False for nuisance parameters that an effect replaces
+    values: np.ndarray   # (C,) nuisance parameters, then numbers of effects
 
-    """
+
+def prior_of(likelihood, model, numbers=None) -> Prior:
+    """Return the Prior of a Fitted."""
+    numbers = numbers_of(likelihood, model.robot) if numbers is None else numbers
     sd = np.concatenate([likelihood.sd, [one.sd for one in numbers]])
-    ones = np.ones(len(likelihood.sd))
-    centred = np.concatenate([ones, [float(one.centred) for one in numbers]])
-    free = np.concatenate([~likelihood.resting(robot), np.ones(len(numbers), dtype=bool)])
-    return 1.0 / sd ** 2, centred, free
+    centred = np.concatenate([np.ones(len(model.x)), [float(one.centred) for one in numbers]])
+    return Prior(centred / sd ** 2, sd, np.concatenate(
+        [~likelihood.resting(model.robot), np.ones(len(numbers), dtype=bool)]),
+        np.concatenate([model.x, values_of(model.robot, numbers)]))
 
 
-def step_of(likelihood, model, columns, numbers, weight=None, plausible=np.inf):
+def step_of(likelihood, model, columns, numbers, weight=None, plausible=np.inf) -> np.ndarray:
     """
     Return the step (C,) of all that is free to where a model is likeliest, to first order.
 
-    ``weight`` (R,) of the rows is that of the model unless given; nuisance parameters go no
+    ``weight`` (R,) of the residuals is that of the model unless given; nuisance parameters go no
     farther than ``plausible`` standard deviations of their priors.
     """
-    precision, centred, free = prior_of(likelihood, model.robot, numbers)
+    prior = prior_of(likelihood, model, numbers)
     weight = likelihood.weights(model.sums.groups) if weight is None else weight
-    values = np.concatenate([model.x, values_of(model.robot, numbers)])
-    gram = _cleared(likelihood, model, columns, numbers, weight) + np.diag(precision * centred)
-    slope = (likelihood.slopes(columns, model, weight, numbers)
-             - precision * centred * values)
-    low, high = limits(model, numbers, values, free, plausible * likelihood.sd)
-    return solve(gram, slope, low, high)
+    return solve(_cleared(likelihood, model, columns, numbers, weight) + np.diag(prior.pull),
+                 likelihood.slopes(columns, model, weight, numbers) - prior.pull * prior.values,
+                 *limits(model, numbers, prior, plausible * likelihood.sd))
 
 
 def _cleared(likelihood, model, columns, numbers, weight):
     """
     Return the products (C, C) of columns, less what encoder noise makes of them on average.
 
-    At least `_LEAST_TOLD` of the products of any combination of columns is left.
+    At least `_LEAST_SHARE` of the products of any combination of columns is left.
     """
-    noise = likelihood.noise_columns(model.robot, numbers)
-    added = 0.5 * (noise * (weight * model.sums.cleared[likelihood.group])) @ noise.T
-    shown = likelihood.known_noise(columns)
+    noise = likelihood.encoder_noise.columns(model.robot, numbers)
+    added = 0.5 * (noise * (weight * model.sums.cleared[likelihood.groups.group])) @ noise.T
+    shown = likelihood.encoder_noise.known(columns)
     whole = (shown * weight) @ shown.T
     size = np.sqrt(np.diag(whole))
     scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0.0)
     value, vector = np.linalg.eigh(whole * np.outer(scale, scale))
-    root = np.sqrt(np.maximum(value, _SETTLED))
+    root = np.sqrt(np.maximum(value, _LEAST_EIGENVALUE))
     back = (vector / root).T * scale
     share, at = np.linalg.eigh(back @ added @ back.T)
     most = size[:, None] * vector * root @ at
-    return whole - (most * np.clip(share, 0.0, 1.0 - _LEAST_TOLD)) @ most.T
+    return whole - (most * np.clip(share, 0.0, 1.0 - _LEAST_SHARE)) @ most.T
 
 
-def informative(likelihood, model, columns):
-    """Return the columns (C, R) of a model, 0 in rows in which encoder noise hides them."""
-    return columns * likelihood.informative(model.robot, numbers_of(likelihood, model.robot))
+def informative(likelihood, model, columns) -> np.ndarray:
+    """Return the columns (C, R) of a model, 0 where encoder noise hides them."""
+    return columns * likelihood.encoder_noise.informative(
+        model.robot, numbers_of(likelihood, model.robot))
 
 
-def limits(model, numbers, values, free, plausible=np.inf):
-    """Return how far all that is free may go, (C,) each."""
+def limits(model, numbers, prior, farthest=np.inf) -> tuple:
+    """Return how far all that is free may go, (C,) each; nuisances to ``farthest`` from zero."""
+    count = len(model.x)
     reach = np.array([one.reach for one in numbers])
-    farthest = np.broadcast_to(np.minimum(plausible, LARGEST), model.x.shape)
-    low = np.concatenate([-farthest, [one.lower for one in numbers]])
-    high = np.concatenate([farthest, [one.upper for one in numbers]])
-    low, high = np.minimum(low - values, 0.0), np.maximum(high - values, 0.0)
-    low[len(model.x):] = np.maximum(low[len(model.x):], -reach)
-    high[len(model.x):] = np.minimum(high[len(model.x):], reach)
-    low[~free] = high[~free] = -values[~free]
+    farthest = np.broadcast_to(np.minimum(farthest, LARGEST), model.x.shape)
+    low = np.concatenate([-farthest, [one.lower for one in numbers]]) - prior.values
+    high = np.concatenate([farthest, [one.upper for one in numbers]]) - prior.values
+    low, high = np.minimum(low, 0.0), np.maximum(high, 0.0)
+    low[count:] = np.maximum(low[count:], -reach)
+    high[count:] = np.minimum(high[count:], reach)
+    low[~prior.free] = high[~prior.free] = -prior.values[~prior.free]
     return low, high
 
 
-def fit(likelihood, robot, x, columns, first=None, iterations=8, plausible=np.inf):
+def fit(likelihood, robot, x, columns, first=None, plausible=np.inf, iterations=8):
     """
     Move nuisance parameters and the numbers of effects to where a model is likeliest.
 
@@ -261,10 +233,10 @@ def fit(likelihood, robot, x, columns, first=None, iterations=8, plausible=np.in
         first numbers of these effects; the others are taken anew each time.
     first : int, optional
         Effects before are left as they are; default those the user knows.
-    iterations : int
-        At most.
     plausible : float or ndarray, shape (P,)
         Standard deviations of their priors that nuisance parameters may go.
+    iterations : int
+        At most.
 
     Returns
     -------
@@ -273,8 +245,7 @@ def fit(likelihood, robot, x, columns, first=None, iterations=8, plausible=np.in
     """
     x = np.where(likelihood.resting(robot), 0.0, x)
     x = np.clip(x, -plausible * likelihood.sd, plausible * likelihood.sd)
-    model, known = likelihood.fitted(robot, x), len(columns) - len(x)
-    own = None
+    model, known, own = likelihood.fitted(robot, x), len(columns) - len(x), None
     for _ in range(iterations):
         numbers = numbers_of(likelihood, model.robot, first)
         if own is None:
@@ -308,12 +279,12 @@ def _prior_cost(model, numbers):
                      if one.centred))
 
 
-def prior_cost(likelihood, model):
+def prior_cost(likelihood, model) -> float:
     """Return -2 log prior of the sizes of a model's effects."""
     return _prior_cost(model, numbers_of(likelihood, model.robot))
 
 
-def retuned(likelihood, robot, x, plausible=np.inf, columns=None):
+def retuned(likelihood, robot, x, plausible=np.inf, columns=None) -> tuple:
     """
     Return a robot with its nuisance parameters re-tuned from ``x`` (P,), a Fitted, and columns.
 
@@ -321,8 +292,7 @@ def retuned(likelihood, robot, x, plausible=np.inf, columns=None):
     """
     fixed = columns is not None
     if not fixed:
-        model = likelihood.fitted(robot, x)
-        columns = likelihood.columns(robot, x, model.rows)
+        columns = likelihood.columns(robot, x, likelihood.rows(robot, x))
     for _ in range(_RETUNED):
         model = fit(likelihood, robot, x, columns, first=len(robot.effects), plausible=plausible)
         moved, x = np.abs(model.x - x) / likelihood.sd, model.x
@@ -332,40 +302,24 @@ def retuned(likelihood, robot, x, plausible=np.inf, columns=None):
     return model, columns
 
 
-def refitted(likelihood, model, nuisances, iterations=8):
+def refitted(likelihood, model, nuisances, iterations=8) -> tuple:
     """
-    Return a model with all its effects fitted together, and its columns anew.
+    Return a Fitted with all its effects fitted together, and its columns (C, R) anew.
 
-    Parameters
-    ----------
-    likelihood : Likelihood
-        Of the recordings.
-    model : Fitted
-        Where to begin.
-    nuisances : ndarray, shape (P, R)
-        Derivatives by the nuisance parameters.
-    iterations : int
-        At most.
-
-    Returns
-    -------
-    model : Fitted
-    columns : ndarray, shape (C, R)
-        Derivatives by nuisance parameters and by the numbers of its effects.
-
+    ``nuisances`` (P, R) are the derivatives by the nuisance parameters.
     """
     model = fit(likelihood, model.robot, model.x, nuisances, iterations=iterations)
     return model, extended(likelihood, model, nuisances)
 
 
-def extended(likelihood, model, columns, first=None):
+def extended(likelihood, model, columns, first=None) -> np.ndarray:
     """Return columns (C, R), then those by the numbers of effects from the ``first`` on."""
     own = effect_columns(likelihood, model.robot, model.x, model.rows,
                          numbers_of(likelihood, model.robot, first))
     return np.concatenate([columns, own])
 
 
-def without(likelihood, model, columns, *dropped):
+def without(likelihood, model, columns, *dropped) -> tuple:
     """Return a model less some of its effects, nothing re-tuned, and the columns of all else."""
     effects = model.robot.effects
     robot = replace(model.robot, effects=tuple(

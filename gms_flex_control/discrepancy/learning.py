@@ -25,13 +25,14 @@ from gms_flex_control.discrepancy.fitting import (
     step_of,
     values_of,
 )
+from gms_flex_control.discrepancy.gap import HeldOut
 from gms_flex_control.discrepancy.learned_words import described, words_of, words_of_drift
 from gms_flex_control.discrepancy.likelihood import Likelihood, with_effect
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.nuisance import with_nuisances
 from gms_flex_control.discrepancy.result import LearnedTerm
 from gms_flex_control.discrepancy.thresholds import CLEARLY, EVIDENCE, UNSEEN
-from gms_flex_control.discrepancy.validation import gain_of, gap_of
+from gms_flex_control.discrepancy.validation import gain_of
 from gms_flex_control.effects import learned as shapes
 from gms_flex_control.params.robot import EffectSpec
 import numpy as np
@@ -112,15 +113,14 @@ def _learned(result, holdout, say):
         end = learning.run(state)
     state, terms, gap, drift = end
     if not terms:
-        return replace(result, words=f'{result.words} {drift or words_of(())}')
+        return result.saying(drift or words_of(()))
     robot = with_nuisances(state.model.robot, likelihood.nuisances, state.model.x)
     kept = {(one.name, one.joint) for one in robot.effects}
     return replace(
-        result, learned=terms, robot=robot, gap=gap,
+        result.saying(words_of(terms, result.gap, gap), drift), learned=terms, robot=robot,
+        gap=gap,
         stand_ins=tuple(one for one in result.stand_ins if (one.name, one.joint) in kept),
-        behind=result.behind._replace(written=state.model),
-        words=' '.join([result.words, words_of(terms, result.gap, gap), *([drift] if drift else
-                                                                          [])]))
+        behind=result.behind._replace(written=state.model))
 
 
 def _distance(likelihood, gap):
@@ -174,7 +174,7 @@ class _Learning:
         return state, tuple(terms), gap, ''
 
     def _gap(self, state):
-        return gap_of(self._likelihood, self._before, state, self._measured)
+        return HeldOut(self._likelihood, self._measured).gap(self._before, state)
 
     def _ranges_of(self, one):
         """Return the range of the variable of a candidate's term, None of no curve."""

@@ -122,21 +122,7 @@ class OfRecording(NamedTuple):
 
 
 def of_recordings(motions, robot):
-    """
-    Return the nuisance parameters of all recordings but the first.
-
-    Parameters
-    ----------
-    motions : sequence of Motion
-        The recordings.
-    robot : RobotParams
-        As believed.
-
-    Returns
-    -------
-    tuple of OfRecording
-
-    """
+    """Return the nuisance parameters of all recordings (Motions) but the first, tuple."""
     level = 0.5 * (robot.friction.forward.coulomb + robot.friction.backward.coulomb)
     unseen, found = {link.joint for motion in motions for link in motion.unseen}, []
     for j in range(robot.n_joints):
@@ -151,21 +137,10 @@ def of_recordings(motions, robot):
 
 def nuisances_of(constants, prior, stated=None):
     """
-    Return the nuisance parameters of a robot.
+    Return the nuisance parameters of a robot, tuple of Nuisance and RotorNuisance.
 
-    Parameters
-    ----------
-    constants : numpy.record
-        Of simulation.plant.constants_of.
-    prior : dict of str to float
-        Standard deviation of each kind.
-    stated : dict of (str, int) to float, optional
-        Standard deviations that the user states for a kind on a joint.
-
-    Returns
-    -------
-    tuple of Nuisance and RotorNuisance
-
+    ``constants`` are of simulation.plant; ``prior`` is the standard deviation of each kind,
+    ``stated`` that of (kind, joint) where the user states one.
     """
     chain, friction, found = constants.chain, constants.friction, []
     n, stated = len(chain.motor_inertia), stated or {}
@@ -228,22 +203,9 @@ def tuned(constants, nuisances, values):
 
 def with_nuisances(robot, nuisances, x):
     """
-    Return a robot whose own parameters are what its nuisance parameters make them.
+    Return a robot whose own parameters are what its nuisance parameters ``x`` (P,) make them.
 
-    Parameters
-    ----------
-    robot : RobotParams
-        With effects.
-    nuisances : sequence of Nuisance
-        Of `nuisances_of`.
-    x : ndarray, shape (P,)
-        Their values.
-
-    Returns
-    -------
-    RobotParams
-        Its record is that of `tuned`.
-
+    Its record is that of `tuned`.
     """
     wanted = tuned(plant.constants_of(robot), nuisances, x).chain
     record = tuned(plant.constants_of(replace(robot, effects=())), nuisances, x)

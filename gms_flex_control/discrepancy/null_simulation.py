@@ -2,13 +2,17 @@
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """
-The motion of a recording as a model would have made it: the data if nothing were missing.
+Null simulations: what a recording would look like if nothing were missing.
 
 The model is simulated under the recorded torque plus what keeps its motors on the recorded motion,
 and a gentle push that keeps links that are seen there: a link that stood stands, one that crept
 creeps. Torque, push and motion then fit the model exactly, whatever it lacks. Read through the
-same encoders and put through the same filters, such a run shows what a residual looks like where
-nothing is missing: noise, rounding, and the filters' own errors at every reversal.
+same encoders and put through the same filters, such a run shows noise, rounding, and the filters'
+own errors at every reversal.
+
+Noise of the readings enters times inertia and stiffness (errors in variables), which would favour
+light arms. Two null simulations of one motion, not one noise, differ by nothing else: sums, slopes
+and curvature are cleared of their difference, linear in all parameters.
 """
 
 from dataclasses import replace
@@ -16,6 +20,7 @@ from dataclasses import replace
 from gms_flex_control.compiled import compiled
 from gms_flex_control.data.signals import quantum
 from gms_flex_control.discrepancy.motion import encoder_step, make_motion
+from gms_flex_control.discrepancy.nuisance import OF_SHAPE
 from gms_flex_control.discrepancy.residuals import fresh_state
 from gms_flex_control.dynamics.chain import own_inertia
 from gms_flex_control.effects import signals as sig
@@ -29,6 +34,8 @@ _OF_LINKS = 15.0      # likewise, of the push [rad/s]
 _DAMPED = 1.4         # twice the damping ratio of both
 _OF_RATE = 0.3        # of the sample rate: so much it is at most [rad]
 _STEP = 4e-4          # of the integration [s]
+NUISANCE_STEP = 0.01  # relative change of a nuisance parameter, for its derivative
+_MOSTLY = 0.3         # of the squares of a derivative: noise shows more than the model does
 
 
 @compiled
@@ -44,7 +51,8 @@ def simulate_along(states, command, supply, time, period, substeps, gains, const
     flexible = constants.chain.flexible
     ahead = 0.5 * period / substeps  # semi-implicit angles run half a step ahead of their rates
     for k in range(samples):
-        work.signals[:, sig.SUPPLY] = supply[k]
+        for j in range(n):
+            work.signals[j, sig.SUPPLY] = supply[k]
         plant.sensed(state, state.applied, time[k], period, constants, work)
         for j in range(n):
             link[k, j] = work.signals[j, sig.SENSED_LINK] - ahead * state.dq_link[j]
@@ -60,20 +68,10 @@ def simulate_along(states, command, supply, time, period, substeps, gains, const
 
 def null_simulation(motion, constants, rng):
     """
-    Return a Motion the model makes of a recording, read through encoders like those of it.
+    Return the Motion that a model makes of a recording, read through encoders like those of it.
 
-    Parameters
-    ----------
-    motion : Motion
-        The recording.
-    constants : numpy.record
-        The model, of simulation.plant.constants_of.
-    rng : numpy.random.Generator
-        For noise, and for where within a count the robot stands.
-
-    Returns
-    -------
-    Motion
+    ``constants`` are of simulation.plant.constants_of; ``rng`` draws noise, and where within a
+    count the robot stands.
 
     Raises
     ------
@@ -102,17 +100,129 @@ def null_simulation(motion, constants, rng):
                               'its inertia, stiffness and friction are not those of this robot')
     for side in range(2):
         for j in range(n):
-            readings[:, side, j] = read(readings[:, side, j], motion.readings[:, side, j],
+            readings[:, side, j] = _read(readings[:, side, j], motion.readings[:, side, j],
                                         motion.noise[side, j], rng)
     made = make_motion(motion.joints, motion.fine_time, motion.fine_period, readings, held,
                        motion.supply, motion.commanded, motion.source, motion.unseen)
     return replace(made, known=motion.known, pushed=pushed)
 
 
-def read(angle, like, noise, rng):
+def _read(angle, like, noise, rng):
     """Return an angle (T,) as an encoder gives it that gave ``like`` (T,)."""
     step = encoder_step(like, noise)
     own = np.sqrt(max(noise ** 2 - quantum(like) ** 2 / 12.0, 0.0))
     shift = step * rng.uniform()
     noisy = angle + own * rng.standard_normal(len(angle))
     return np.round((noisy + shift) / step) * step - shift if step > 0.0 else noisy
+
+
+# --- what encoder noise adds --------------------------------------------------------------------
+
+
+class EncoderNoise:
+    """
+    How encoder noise shows in R whitened residuals and in their derivatives.
+
+    Parameters
+    ----------
+    likelihood : Likelihood
+        With its groups.
+    residuals_of : callable
+        Robot and nuisance parameters (P,) to whitened residuals of two null simulations.
+    robot, x : RobotParams and ndarray, shape (P,)
+        Of the null simulations.
+    by_step : sequence of pair of ndarray, shape (R,)
+        Of both with each nuisance parameter `NUISANCE_STEP` off; the last pair as simulated.
+
+    """
+
+    def __init__(self, likelihood, residuals_of, robot, x, by_step):
+        self._groups, self._known = likelihood.groups, likelihood.known
+        self._residuals_of, self._robot, self._x = residuals_of, robot, x
+        self._begun = by_step[-1]
+        self.own = self._begun[0] - self._begun[1]
+        self.own_sums = self._groups.sums(self.own ** 2)
+        self._by_nuisance, self._informative = np.moveaxis(np.array(
+            [self._shown(pair, NUISANCE_STEP) for pair in by_step[:-1]]).reshape(
+                len(x), 2, len(self.own)), 1, 0)
+        self._shapes = np.array([one.name in OF_SHAPE for one in likelihood.nuisances], dtype=bool)
+        self._by_effect = {}  # (effect, joint): as `_shown`, (parameters, R) each
+
+    def _shown(self, pair, step):
+        """
+        Return what a ``step`` of a parameter makes of two null simulations, (2, R).
+
+        How noise shows in the derivative, and 1 where the derivative is informative: not in
+        groups in which it is mostly noise.
+        """
+        noise = pair[0] - pair[1] - self.own
+        hidden = (self._groups.sums(noise ** 2)
+                  > 2.0 * _MOSTLY * self._groups.sums((pair[0] - self._begun[0]) ** 2))
+        return noise / step, ~hidden[self._groups.group]
+
+    def pair(self, robot, x):
+        """Return the difference (R,) of the residuals of a model along both null simulations."""
+        return np.subtract(*self._residuals_of(robot, x))
+
+    def learn(self, spec, linear):
+        """
+        Learn how noise shows in the derivatives by an effect.
+
+        Parameters
+        ----------
+        spec : EffectSpec
+            At a small size.
+        linear : sequence of (int, tuple)
+            Parameters in which it is linear, and values at which only that one is not zero.
+
+        """
+        shown = np.zeros((len(spec.values), 2, len(self.own)))
+        shown[:, 1] = 1.0
+        for k, values in linear:
+            changed = replace(self._robot, effects=(*self._robot.effects,
+                                                    replace(spec, values=values)))
+            shown[k] = self._shown(self._residuals_of(changed, self._x), values[k])
+        self._by_effect[spec.name, spec.joint] = shown[:, 0], shown[:, 1]
+
+    def of_effect(self, spec) -> np.ndarray:
+        """Return how noise shows in the derivatives by parameters of an effect, or 0 (K, R)."""
+        return self._by_effect.get((spec.name, spec.joint), (np.zeros((len(spec.values), 1)),))[0]
+
+    def informative_of(self, spec) -> np.ndarray:
+        """Return 1 where residuals show parameters of an effect, 0 where mostly noise (K, R)."""
+        return self._by_effect.get((spec.name, spec.joint),
+                                   (None, np.ones((len(spec.values), 1))))[1]
+
+    def informative(self, robot, numbers) -> np.ndarray:
+        """Return `informative_of` of nuisance parameters and numbers (C, R)."""
+        return self._with_numbers(self._informative, self.informative_of, robot, numbers)
+
+    def known(self, columns) -> np.ndarray:
+        """
+        Return columns (C, R), 0 in residuals of mostly noise that is known to first order only.
+
+        That is where residuals are not linear in a nuisance parameter.
+        """
+        known = columns.copy()
+        known[:len(self._shapes)][self._shapes] *= self._informative[self._shapes]
+        return known
+
+    def columns(self, robot, numbers) -> np.ndarray:
+        """Return how noise shows in derivatives by nuisances and numbers (C, R)."""
+        return self.known(self._with_numbers(self._by_nuisance, self.of_effect, robot, numbers))
+
+    def _with_numbers(self, nuisances, of_effect, robot, numbers):
+        out = np.empty((len(nuisances) + len(numbers), len(self.own)))
+        out[:len(nuisances)] = nuisances
+        for row, one in zip(out[len(nuisances):], numbers, strict=True):
+            row[:] = of_effect(robot.effects[one.effect])[one.parameter]
+        return out
+
+    def along(self, robot, x) -> np.ndarray:
+        """Return by how much residuals of both null simulations would differ for a model (R,)."""
+        out = self.own + (x - self._x) @ self._by_nuisance
+        for sign, effects in ((1.0, robot.effects), (-1.0, self._robot.effects)):
+            for spec in effects[self._known:]:
+                if (spec.name, spec.joint) in self._by_effect:
+                    out += sign * (np.asarray(spec.values) @ self.of_effect(spec))
+        return out

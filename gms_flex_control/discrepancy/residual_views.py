@@ -6,14 +6,14 @@
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from gms_flex_control.discrepancy import signature
+from gms_flex_control.discrepancy import remainder
 from gms_flex_control.discrepancy.null_simulation import null_simulation
 from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.effects.registry import find
 import numpy as np
 from scipy.stats import t
 
-VARIABLES = signature.VARIABLES
+VARIABLES = remainder.VARIABLES
 UNITS = {'time': 's', 'link angle': 'rad', 'motor angle': 'rad', 'link rate': 'rad/s',
          'motor rate': 'rad/s', 'torsion': 'rad', 'torque': 'N m',
          'link acceleration': 'rad/s^2', 'time since reversal': 's', 'direction': '',
@@ -39,39 +39,19 @@ class Binned(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Evidence:
-    """
-    How one effect shows.
+    """How one effect shows."""
 
-    Parameters
-    ----------
-    effect, joint : str
-        The finding.
-    equation : str
-        'link' or 'motor' equation of ``of_joint``, where it shows most.
-    of_joint : str
-        Joint of that equation.
-    x_label : str
-        With unit.
-    times : str
-        What the residual is multiplied by; '' for nothing.
-    x, y : ndarray, shape (S,)
-        Variable, and the residual without the effect [N m].
-    before, after, own : Binned
-        The residual without and with the effect, and what the effect itself contributes.
-
-    """
-
-    effect: str
+    effect: str      # the finding
     joint: str
-    equation: str
-    of_joint: str
-    x_label: str
-    times: str
-    x: np.ndarray
-    y: np.ndarray
-    before: Binned
-    after: Binned
-    own: Binned
+    equation: str    # 'link' or 'motor', where it shows most
+    of_joint: str    # joint of that equation
+    x_label: str     # with unit
+    times: str       # what the residual is multiplied by; '' for nothing
+    x: np.ndarray    # (S,) variable
+    y: np.ndarray    # (S,) residual without the effect [N m]
+    before: Binned   # the residual without the effect
+    after: Binned    # with it
+    own: Binned      # what the effect itself contributes
 
     @property
     def title(self):
@@ -81,15 +61,7 @@ class Evidence:
 
 
 class Along:
-    """
-    Residuals and variables of all recordings at the moments that count.
-
-    Parameters
-    ----------
-    likelihood : Likelihood
-        Of the recordings.
-
-    """
+    """Residuals and variables of all recordings of a Likelihood, where filters are settled."""
 
     def __init__(self, likelihood):
         self.likelihood = likelihood
@@ -124,7 +96,7 @@ class Along:
             for motion, whitening in zip(self.likelihood.motions, self.likelihood.whitenings,
                                          strict=True):
                 time, settled = motion.time - motion.time[0], whitening.time[whitening.settled]
-                known = signature.variables(motion, j) | further(motion, j)
+                known = remainder.variables(motion, j) | further(motion, j)
                 parts.append({name: np.interp(settled, time, values)
                               for name, values in known.items()})
             self._variables[j] = {name: np.concatenate([part[name] for part in parts])
@@ -156,19 +128,9 @@ def _moves(rate):
 
 def binned(x, y, edges=None):
     """
-    Return the means of y (S,) over bins of x (S,); bins of few samples are left out.
+    Return the Binned means of y (S,) over bins of x (S,); bins of few samples are left out.
 
-    Parameters
-    ----------
-    x, y : ndarray, shape (S,)
-        Variable and residual.
-    edges : ndarray, optional
-        Inner edges of the bins, so that others have the same.
-
-    Returns
-    -------
-    Binned
-
+    ``edges`` are inner ones, so that others have the same.
     """
     edges = bin_edges(x) if edges is None else edges
     places = np.searchsorted(edges, x)
@@ -192,28 +154,12 @@ def bin_edges(x):
 
 def evidence_of(along, model, finding):
     """
-    Return how an effect shows against its own variable.
+    Return how a Finding of a Fitted shows against its own variable, an Evidence.
 
-    Parameters
-    ----------
-    along : Along
-        The recordings.
-    model : Fitted
-        With all effects found.
-    finding : Finding
-        The effect.
-
-    Returns
-    -------
-    Evidence
-
-    Notes
-    -----
     Friction changes sign with the motion: where the effect's contribution follows its variable
     better after multiplication by the sign of the link's rate, that is what is shown, of samples
     that move. Over time, the residual is shown in the direction of the effect's contribution,
     which the noise knows nothing of.
-
     """
     specs = model.robot.effects
     spec = next(one for one in specs if (one.name, one.joint) == (finding.effect, finding.joint))
@@ -300,23 +246,7 @@ class Map(NamedTuple):
 
 
 def maps_of(along, before, after, j):
-    """
-    Return maps of the residual of a joint.
-
-    Parameters
-    ----------
-    along : Along
-        The recordings.
-    before, after : ndarray, shape (S, 2n)
-        Residuals of two models.
-    j : int
-        The joint.
-
-    Returns
-    -------
-    list of Map
-
-    """
+    """Return Maps of the residuals (S, 2n) of two models in the equations of joint ``j``."""
     values, rigid = along.variables(j), along.likelihood.robot.arm.rigid[j]
     pairs = [(0, 'link angle', 'link rate'), (0, 'link acceleration', 'link rate')]
     pairs += [(0, 'torque', 'link rate')] if rigid else [(1, 'torsion', 'motor rate'),
@@ -359,20 +289,9 @@ class Over(NamedTuple):
 
 def over_all(along, *residuals):
     """
-    Return what residuals depend on.
+    Return what residuals (S, 2n) depend on, list of Over by joint, equation and variable.
 
-    Parameters
-    ----------
-    along : Along
-        The recordings.
-    *residuals : ndarray, shape (S, 2n)
-        Before, after, and of a null simulation, which tells what is chance.
-
-    Returns
-    -------
-    list of Over
-        By joint and equation, each variable in turn.
-
+    They are those before, after, and of a null simulation, which shows what is chance.
     """
     found = []
     for j, joint in enumerate(along.joints):
@@ -383,7 +302,7 @@ def over_all(along, *residuals):
                 found.append(Over(
                     joint, equation, f'{name} [{UNITS[name]}]' if UNITS[name] else name,
                     curves[0], curves[1],
-                    tuple(signature.dependence(x, one) for one in own),
+                    tuple(remainder.dependence(x, one) for one in own),
                     tuple(float(np.mean(np.abs(one.mean) > one.half)) for one in curves)))
     return found
 

@@ -4,44 +4,187 @@
 """
 What Eq. (1) leaves unexplained along a measured motion, without differentiating noise.
 
-Link and motor equation are formed from second differences of the readings as they are, filtered
-with the torques alike, so that nothing but the model's error remains. Smoothed motion serves only
-where a torque is a function of it.
+The functions that move the simulated robot are called along the measured motion, so an effect
+needs no second description. Link and motor equation are formed from second differences of the
+readings as they are, filtered with the torques alike; smoothed motion serves only where a torque
+is a function of it.
 """
 
 from functools import partial
 
 from gms_flex_control import records
-from gms_flex_control.discrepancy import equations
+from gms_flex_control.compiled import compiled
 from gms_flex_control.discrepancy.motion import (
-    sampled_weight,
+    filtered_alike,
     second_difference,
-    seen,
     smoothing,
+    weight_of_neighbours,
 )
 from gms_flex_control.dynamics import chain
+from gms_flex_control.effects import signals as sig
+from gms_flex_control.effects import table as effect_table
 from gms_flex_control.effects.base import Stage
+from gms_flex_control.friction import gms
 from gms_flex_control.identification.smoothing import derivatives, low_pass
 from gms_flex_control.simulation import plant
 import numpy as np
 
-ACTUATOR, SENSOR = int(Stage.ACTUATOR), int(Stage.SENSOR)
+_ACTUATOR, _TWIST, _SPRING, _FRICTION, _LINK, _MOTOR, SENSOR = (int(stage) for stage in Stage)
+_SUBSTEPS = 4         # of a sample, where an actuator changes its command
 _CORRECTIONS = 4      # of an unseen link's angle, where a spring is not linear
-_CLEARINGS = 3        # of a motion from errors of its encoders
-_OF_SLOPE = 2000      # moments that tell the slope of a spring
-_TOLD = 1e-3          # of the largest shift: with less, no stiffness is told by it
+_CLEARINGS = 3        # iterations that clear a motion of the errors of its encoders
+_OF_SLOPE = 2000      # samples of the regression that gives the slope of a spring
+_LEAST_SHIFT = 1e-3   # of the largest: smaller ones give no secant
 _STIFFEST = 6.0       # times a spring's stiffness, at most
 _OF_BODIES = {  # by a field that the record of that kind of arm has
     'coupling': ('orientation', 'offset', 'moment', 'coupling', 'rigid_inertia', 'gravity'),
     'rotation': ('rotation', 'position', 'offset', 'mass', 'com', 'inertia', 'gravity',
                  'motor_inertia')}
-_OF_SPRINGS = int(Stage.TWIST), int(Stage.SPRING)
-_BEFORE_LINKS = ACTUATOR, *_OF_SPRINGS, int(Stage.MOTOR)
 
 
-def unexplained(motion, constants):
+@compiled
+def mean_applied(command, supply, time, period, constants, state, work, out):
+    """Write the mean torque (T, n) of the actuators from each sample to the next."""
+    s, effects = work.signals, constants.effects
+    samples, n = command.shape
+    for k in range(samples):
+        for j in range(n):
+            out[k, j] = 0.0
+            s[j, sig.SUPPLY] = supply[k]
+        for part in range(_SUBSTEPS):
+            for j in range(n):
+                s[j, sig.TIME] = time[k] + part * period / _SUBSTEPS
+                s[j, sig.JOINT], s[j, sig.JOINTS], s[j, sig.TORQUE] = j, n, command[k, j]
+            effect_table.run_stage(_ACTUATOR, s, state.memory, period / _SUBSTEPS, effects)
+            for j in range(n):
+                out[k, j] += s[j, sig.TORQUE] / _SUBSTEPS
+
+
+@compiled
+def replay_friction(k, states, period, constants, state, work):
+    """Move the blocks to sample ``k`` and write the friction torques into ``work.friction``."""
+    for j in range(states.shape[2]):
+        state.dq_link[j] = states[k, 1, j]
+        work.displacement[j] = states[k, 0, j] - states[max(k - 1, 0), 0, j]
+    if k > 0:
+        gms.advance(state.friction, work.displacement, state.dq_link, period, constants.friction)
+    gms.total(state.friction, state.dq_link, constants.friction, work.friction)
+
+
+@compiled
+def friction_along(states, period, constants, state, work, friction):
+    """Fill ``friction`` (T, n) [N m] along a motion (T, 6, n); state and work are overwritten."""
+    for k in range(states.shape[0]):
+        replay_friction(k, states, period, constants, state, work)
+        for j in range(states.shape[2]):
+            friction[k, j] = work.friction[j]
+
+
+@compiled
+def spring_torques(states, drive, time, period, constants, state, work, spring):
+    """Fill the torques (T, n) of springs along a motion (T, 6, n)."""
+    for k in range(drive.shape[0]):
+        plant.take_place(k, states, drive[k], time[k], state, work)
+        plant.springs(state, period, constants, work)
+        for j in range(drive.shape[1]):
+            spring[k, j] = work.signals[j, sig.SPRING]
+
+
+@compiled
+def clear_sensor_errors(states, friction, drive, time, period, constants, state, work, true, bend):
     """
-    Return the residual torques of a model along a motion.
+    Fill motion ``true`` (T, 6, n) and by how much second differences ``bend`` (T, 2, n) too far.
+
+    Errors of encoders are functions of the true motion, which is the measured one less these
+    errors. ``friction`` (T, n) is that of the measured motion: joints turn against it where a
+    base bends.
+    """
+    samples, n = drive.shape
+    s, off = work.signals, bend.copy()
+    for turn in range(_CLEARINGS):
+        for i in range(state.memory.shape[0]):
+            state.memory[i] = 0.0
+        for k in range(samples):
+            plant.take_place(k, true if turn else states, drive[k], time[k], state, work)
+            for j in range(n):
+                s[j, sig.FRICTION] = friction[k, j]
+            plant.run_sensors(state, period, constants, work)
+            for j in range(n):
+                off[k, 0, j] = s[j, sig.SENSED_LINK] - state.q_link[j]
+                off[k, 1, j] = s[j, sig.SENSED_MOTOR] - state.q_motor[j]
+        for k in range(samples):
+            a, b = max(k - 1, 0), min(k + 1, samples - 1)
+            for side in range(2):
+                for j in range(n):
+                    bend[k, side, j] = 0.0
+                    if b - a == 2:
+                        bend[k, side, j] = (off[b, side, j] - 2.0 * off[k, side, j]
+                                            + off[a, side, j]) / period ** 2
+                    true[k, 3 * side, j] = states[k, 3 * side, j] - off[k, side, j]
+                    true[k, 3 * side + 1, j] = states[k, 3 * side + 1, j] - (
+                        off[b, side, j] - off[a, side, j]) / ((b - a) * period)
+                    true[k, 3 * side + 2, j] = states[k, 3 * side + 2, j] - bend[k, side, j]
+
+
+@compiled
+def residuals_along(states, second, friction, bias, inertial, drive, rest, time, period, weight,
+                    constants, state, work, out):
+    """
+    Fill the residual torques ``out`` (T, 2 n) of link and motor equations [N m].
+
+    Parameters
+    ----------
+    states, second : ndarray, shapes (T, 6, n) and (T, 2, n)
+        Smoothed motion; filtered second differences of the readings.
+    friction, bias, inertial : ndarray, shape (T, n)
+        Torques of the blocks, ``C dq + g`` and ``M second`` [N m].
+    drive, rest : ndarray, shape (T, n)
+        Filtered torque of the actuators [N m]; torsion as read less the smoothed one [rad].
+    time, period : ndarray, shape (T,), and float
+        [s].
+    weight : float
+        Of both neighbours of a sampled torque, `motion.weight_of_neighbours`.
+    constants, state, work : numpy.record
+        From simulation.plant; the state is overwritten.
+    out : ndarray, shape (T, 2 n)
+        Filled.
+
+    """
+    s, links, effects = work.signals, constants.chain, constants.effects
+    samples, n = drive.shape
+    for k in range(samples):
+        plant.take_place(k, states, drive[k], time[k], state, work)
+        plant.springs(state, period, constants, work)
+        for j in range(n):
+            s[j, sig.FRICTION] = friction[k, j]
+        for stage in (_FRICTION, _LINK, _MOTOR):
+            effect_table.run_stage(stage, s, state.memory, period, effects)
+        for j in range(n):
+            out[k, j] = s[j, sig.LINK_TORQUE] - s[j, sig.FRICTION] - bias[k, j]
+            if links.flexible[j]:
+                out[k, j] += s[j, sig.SPRING]
+                out[k, n + j] = s[j, sig.MOTOR_TORQUE] - s[j, sig.SPRING]
+            else:
+                out[k, j] += s[j, sig.MOTOR_TORQUE]
+                out[k, n + j] = 0.0
+    for c in range(2 * n):
+        j, before = c % n, out[0, c]
+        flexible = links.flexible[j]
+        for k in range(samples):
+            now = seen = out[k, c]
+            if 0 < k < samples - 1:
+                seen += weight * (before - 2.0 * now + out[k + 1, c])
+            before, unsmoothed = now, links.stiffness[j] * rest[k, j]
+            if c < n:
+                out[k, c] = inertial[k, j] - seen - unsmoothed - (1.0 - flexible) * drive[k, j]
+            else:
+                out[k, c] = flexible * (links.motor_inertia[j] * second[k, 1, j] - seen
+                                        + unsmoothed - drive[k, j])
+
+
+def unexplained(motion, constants) -> np.ndarray:
+    """
+    Return the residual torques of a model along a motion, Eq. (1).
 
     Parameters
     ----------
@@ -53,43 +196,38 @@ def unexplained(motion, constants):
     Returns
     -------
     ndarray, shape (S, 2 n)
-        What is missing in the link equations, then in the motor equations, zero where a joint
-        is rigid [N m]: positive pushes forward. Of a link that is unseen, both in the first.
-
-    Notes
-    -----
-    Eq. (1): ``M ddq + C dq + g - s + F`` and ``J ddq_motor + s - u``.
+        ``M ddq + C dq + g - s + F`` of the links, then ``J ddq_motor + s - u`` of the motors,
+        zero where a joint is rigid [N m]: positive pushes forward. Of an unseen link, both in the
+        first.
 
     """
-    work = plant.workspace(len(motion.joints))
-    drive = drive_torque(motion, constants, work)
-    both = _residuals(motion, constants, work, drive,
-                      *motion_as_modelled(motion, constants, work, drive),
-                      _of_springs(motion, constants))
+    drive = drive_torque(motion, constants)
+    left, n = _residuals(motion, constants, drive, *motion_as_modelled(motion, constants, drive),
+                         _key_of_links(motion, constants)), len(motion.joints)
     for link in motion.unseen:  # the motor equation has been used
-        both[0, :, link.joint] += both[1, :, link.joint]
-        both[1, :, link.joint] = 0.0
-    return np.concatenate(both, axis=1)
+        left[:, link.joint] += left[:, n + link.joint]
+        left[:, n + link.joint] = 0.0
+    return left
 
 
-def stiffness_along(motion, constants):
+def stiffness_along(motion, constants) -> np.ndarray:
     """
     Return by how much spring torques change with the torsion along a motion, (n,) [N m/rad].
 
-    The slope of the regression line over some moments: that of a linear spring is its stiffness.
+    The slope of the regression line over some samples: that of a linear spring is its stiffness.
     """
     every = max(len(motion.time) // _OF_SLOPE, 1)
     states, drive, time = (np.ascontiguousarray(one[::every]) for one in (
         motion.states, motion.drive, motion.time))
     torque = np.empty_like(drive)
-    equations.spring_torques(states, drive, time, motion.period * every, constants,
-                             fresh_state(constants), plant.workspace(len(motion.joints)), torque)
+    spring_torques(states, drive, time, motion.period * every, constants,
+                   fresh_state(constants), plant.workspace(len(motion.joints)), torque)
     torsion = states[:, 3] - states[:, 0]
     torsion = torsion - torsion.mean(axis=0)
     return np.sum(torque * torsion, axis=0) / np.maximum(np.sum(torsion ** 2, axis=0), 1e-300)
 
 
-def motion_as_modelled(motion, constants, work, drive):
+def motion_as_modelled(motion, constants, drive) -> tuple:
     """
     Return motion (S, 6, n) and second differences (S, 2, n), unseen links where a model has them.
 
@@ -97,36 +235,37 @@ def motion_as_modelled(motion, constants, work, drive):
     """
     if not motion.unseen:
         return motion.states, motion.second
-    return motion.once(_of_springs(motion, constants), partial(
-        _with_unseen_links, motion, constants, work, drive))
+    return motion.once(_key_of_links(motion, constants), partial(
+        _with_unseen_links, motion, constants, drive))
 
 
-def _of_springs(motion, constants):
-    """Return what tells motions with unseen links apart, tuple of bytes."""
+def _key_of_links(motion, constants):
+    """Return what distinguishes motions with unseen links, tuple of bytes."""
     if not motion.unseen:
         return ()
-    key = _key(constants, _BEFORE_LINKS, 'stiffness', 'damping', 'motor_inertia')
+    key = _key(constants, (_ACTUATOR, _TWIST, _SPRING, _MOTOR), 'stiffness', 'damping',
+               'motor_inertia')
     return ('unseen', *key, *(_key(constants, (SENSOR,), 'friction', *_of_bodies(constants))
                               if acts(constants, SENSOR) else ()))
 
 
-def _with_unseen_links(motion, constants, work, drive):
-    """Return motion (S, 6, n) and second differences (S, 2, n), unseen links worked out."""
-    states, second = motion.states, motion.second
-    weight, before = sampled_weight(motion.factor), None
-    shift = np.zeros_like(drive)
+def _with_unseen_links(motion, constants, drive):
+    """Return motion (S, 6, n) and second differences (S, 2, n) with computed links."""
+    states, second, before = motion.states, motion.second, None
+    weight, shift = weight_of_neighbours(motion.factor), np.zeros_like(drive)
     joints = [link.joint for link in motion.unseen]
-    linear = not any(acts(constants, stage) for stage in _OF_SPRINGS)
+    linear = not (acts(constants, _TWIST) or acts(constants, _SPRING))
     for _ in range(1 if linear else _CORRECTIONS):  # one is exact for a linear spring
-        _, on_motor = _residuals(motion, constants, work, drive, states, second,
-                                 () if before is None else None)
-        stiffness = _secant(before, on_motor, seen(shift, weight), constants.chain.stiffness)
+        on_motor = _on_motors(motion, constants, drive, states, second)
+        stiffness = _secant(before, on_motor, filtered_alike(shift, weight),
+                            constants.chain.stiffness)
         before, states, second = on_motor, states.copy(), second.copy()
         for link in motion.unseen:
             j = link.joint
             begun = states[:, 0, j]
-            shift[:, j] = low_pass(seen(begun, weight) + on_motor[:, j] / stiffness[:, j],
-                                   max(round(link.window / motion.factor), 2)) - begun
+            shift[:, j] = low_pass(
+                filtered_alike(begun, weight) + on_motor[:, j] / stiffness[:, j],
+                max(round(link.window / motion.factor), 2)) - begun
         moved = np.stack(derivatives(shift[:, joints], motion.period, smoothing(motion.period)),
                          axis=1)
         moved[:, 0] = shift[:, joints]
@@ -143,38 +282,47 @@ def _secant(before, after, shift, stiffness):
     """
     if before is None:
         return np.broadcast_to(stiffness, shift.shape)
-    told = np.abs(shift) > _TOLD * np.abs(shift).max(axis=0)
-    slope = np.where(told, (before - after) / np.where(told, shift, 1.0), stiffness)
+    large = np.abs(shift) > _LEAST_SHIFT * np.abs(shift).max(axis=0)
+    slope = np.where(large, (before - after) / np.where(large, shift, 1.0), stiffness)
     return np.clip(slope, stiffness, _STIFFEST * stiffness)
 
 
-def _residuals(motion, constants, work, drive, states, second, way=None):
-    """
-    Return what is missing in the link and in the motor equations along a motion (2, S, n).
-
-    Torques are kept where ``way``, tuple of bytes, tells motions of this recording apart.
-    """
-    flexible = constants.chain.flexible
-    kept = motion.once if way is not None else lambda key, make: make()
-    way, friction = way or (), _key(constants, (), 'friction')
+def _on_motors(motion, constants, drive, states, second):
+    """Return what is missing in the motor equations along a motion (S, n)."""
     if acts(constants, SENSOR):
-        way = (*way, *_key(constants, (ACTUATOR, SENSOR)), *friction)
-        states, second = kept(('corrected', *way), partial(
-            corrected, motion, drive, states, second, constants, work))
-    link, motor = np.empty((2, *drive.shape))
-    equations.torques_along(
-        states, kept((*way, *friction), partial(_friction, motion, states, constants, work)),
-        drive, motion.time, motion.period, constants, fresh_state(constants), work, link, motor)
+        states, second = cleared(motion, drive, states, second, constants)
+    nothing = np.zeros_like(drive)  # links do not enter
+    return _formed(motion, constants, drive, states, second, nothing, nothing, nothing)[
+        :, drive.shape[1]:]
+
+
+def _residuals(motion, constants, drive, states, second, way):
+    """
+    Return what is missing in the link and in the motor equations along a motion (S, 2 n).
+
+    Torques are kept: ``way``, tuple of bytes, distinguishes motions of this recording.
+    """
+    own, work, kept = _key(constants, (), 'friction'), plant.workspace(drive.shape[1]), motion.once
+    friction = kept((*way, *own), partial(_friction, motion, states, constants, work))
+    if acts(constants, SENSOR):
+        way = (*way, *_key(constants, (_ACTUATOR, SENSOR)), *own)
+        states, second = kept(('cleared', *way), partial(
+            cleared, motion, drive, states, second, constants, friction))
+        friction = kept(way, partial(_friction, motion, states, constants, work))
     bias, inertial = kept((*way, *_key(constants, (), *_of_bodies(constants))), partial(
         _rigid_body, states, second, constants, work))
-    weight = sampled_weight(motion.factor)
-    unsmoothed = constants.chain.stiffness * motion.twist_rest  # what smoothing took of the spring
-    on_link = inertial - seen(link - bias, weight) - unsmoothed - (1.0 - flexible) * drive
+    out = _formed(motion, constants, drive, states, second, friction, bias, inertial)
     if motion.pushed is not None:
-        on_link -= motion.through_filter(motion.pushed)
-    on_motor = flexible * (constants.chain.motor_inertia * second[:, 1]
-                           - seen(motor, weight) + unsmoothed - drive)
-    return np.stack([on_link, on_motor])
+        out[:, :drive.shape[1]] -= motion.push
+    return out
+
+
+def _formed(motion, constants, drive, states, second, friction, bias, inertial):
+    out, n = np.empty((len(drive), 2 * drive.shape[1])), drive.shape[1]
+    residuals_along(states, second, friction, bias, inertial, drive, motion.twist_rest,
+                    motion.time, motion.period, weight_of_neighbours(motion.factor), constants,
+                    fresh_state(constants), plant.workspace(n), out)
+    return out
 
 
 def _of_bodies(constants):
@@ -184,8 +332,8 @@ def _of_bodies(constants):
 
 
 def _key(constants, stages, *fields):
-    """Return what tells models apart by some stages of effects and fields, tuple of bytes."""
-    effects, chain, found = constants.effects, constants.chain, []
+    """Return what distinguishes models by some stages of effects and fields, tuple of bytes."""
+    effects, links, found = constants.effects, constants.chain, []
     starts, params = effects['stage_start'], effects['first_param']
     for stage in stages:
         terms = slice(starts[stage], starts[stage + 1])
@@ -193,15 +341,14 @@ def _key(constants, stages, *fields):
             last = params[terms.stop] or None  # 0 behind the last term
             found += [effects['address'][terms].tobytes(), effects['joint'][terms].tobytes(),
                       effects['params'][params[terms.start]:last].tobytes()]
-    return (*found, *((constants.friction if name == 'friction' else chain[name]).tobytes()
+    return (*found, *((constants.friction if name == 'friction' else links[name]).tobytes()
                       for name in fields))
 
 
 def _friction(motion, states, constants, work):
     """Return the friction torques (S, n) along a motion (S, 6, n) [N m]."""
     friction = np.empty((len(states), states.shape[2]))
-    equations.friction_along(states, motion.period, constants, fresh_state(constants), work,
-                             friction)
+    friction_along(states, motion.period, constants, fresh_state(constants), work, friction)
     return friction
 
 
@@ -213,40 +360,31 @@ def _rigid_body(states, second, constants, work):
     return bias, inertial
 
 
-def drive_torque(motion, constants, work):
+def drive_torque(motion, constants) -> np.ndarray:
     """Return the torque of the actuators (S, n) as the equations see it [N m]."""
-    if not acts(constants, ACTUATOR):
+    if not acts(constants, _ACTUATOR):
         return motion.drive
 
     def made():
         applied = np.empty_like(motion.command)
-        equations.mean_applied(motion.command, motion.supply, motion.fine_time,
-                               motion.fine_period, constants, fresh_state(constants), work,
-                               applied)
+        mean_applied(motion.command, motion.supply, motion.fine_time, motion.fine_period,
+                     constants, fresh_state(constants), plant.workspace(len(motion.joints)),
+                     applied)
         return motion.through_filter(applied)
-    return motion.once(('drive', *_key(constants, (ACTUATOR,))), made)
+    return motion.once(('drive', *_key(constants, (_ACTUATOR,))), made)
 
 
-def corrected(motion, drive, states, second, constants, work):
-    """
-    Return motion (S, 6, n) and second differences (S, 2, n) cleared of sensor errors.
-
-    Errors are functions of the true motion, which is the measured one less these errors.
-    """
-    link, motor = np.empty((2, *drive.shape))
-    true, friction = states, _friction(motion, states, constants, work)
-    for _ in range(_CLEARINGS):
-        equations.sensor_errors(true, friction, drive, motion.time, motion.period, constants,
-                                fresh_state(constants), work, link, motor)
-        off = np.stack([link, motor], axis=1)
-        rate = np.gradient(off, motion.period, axis=0)
-        bend = second_difference(off, motion.period)
-        errors = np.stack([off, rate, bend], axis=2).reshape(len(off), 6, -1)
-        true = np.ascontiguousarray(states - errors)
+def cleared(motion, drive, states, second, constants, friction=None) -> tuple:
+    """Return motion (S, 6, n) and second differences (S, 2, n) cleared of sensor errors."""
+    work = plant.workspace(drive.shape[1])
+    friction = _friction(motion, states, constants, work) if friction is None else friction
+    true, bend = np.empty_like(states), np.empty_like(second)
+    clear_sensor_errors(states, friction, drive, motion.time, motion.period, constants,
+                        fresh_state(constants), work, true, bend)
     return true, second - bend
 
 
-def fresh_state(constants):
+def fresh_state(constants) -> np.record:
     """Return a state of the plant whose blocks are unloaded and stick."""
     state = records.build(plant.state_layout(*constants.friction.stiffness.shape))
     state.friction.sticking[:] = 1
@@ -254,7 +392,7 @@ def fresh_state(constants):
     return state
 
 
-def acts(constants, stage):
+def acts(constants, stage) -> bool:
     """Return whether any effect of a model acts at a stage."""
     start = constants.effects.stage_start
     return start[stage] < start[stage + 1]

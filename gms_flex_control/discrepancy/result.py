@@ -3,7 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """What a comparison of a model with recordings ended with, as plain values."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from gms_flex_control.effects.registry import find
@@ -24,58 +24,24 @@ class Value(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Finding:
-    """
-    One effect the model lacked.
+    """One effect the model lacked."""
 
-    Parameters
-    ----------
-    effect, joint : str
-        Catalogue name, and where; 'arm' for the whole arm.
-    values : tuple of Value
-        Its parameters.
-    main : bool
-        Whether it matters, in practice or beside the others; small ones are listed apart.
-    torque : float
-        What it contributes, rms over the fitted motion [N m].
-    share : float
-        Of what known parameters cannot explain, what would be left without it.
-    score : float
-        2 log evidence that it adds, all else re-tuned.
-    probability : float
-        Of all models that hold it.
-    held_out : Gain
-        What it adds to the log likelihood of blocks of time that were left out.
-    runner_up : str or None
-        The next best explanation in its place, 'effect of joint'.
-    runner_up_score : float
-        ``score`` times the share of it that this one would explain.
-    confusable_with : tuple of str
-        Effects these data tell apart only weakly, or not.
-    tells_apart : str
-        Motion that would tell it from those and the runner-up; '' where there is none.
-    evidence : str
-        One sentence.
-    rms_before, rms_after : ndarray, shape (n,)
-        Held-out residual of each joint without it and with it [N m].
-
-    """
-
-    effect: str
-    joint: str
-    values: tuple
-    main: bool
-    torque: float
-    share: float
-    score: float
-    probability: float
-    held_out: object
-    runner_up: str | None
-    runner_up_score: float
-    confusable_with: tuple
-    tells_apart: str
-    evidence: str
-    rms_before: np.ndarray
-    rms_after: np.ndarray
+    effect: str             # catalogue name
+    joint: str              # 'arm' for the whole arm
+    values: tuple           # of Value, its parameters
+    main: bool              # whether it matters in practice; small ones are listed apart
+    torque: float           # what it contributes, rms over the fitted motion [N m]
+    share: float            # of what known parameters cannot explain, left without it
+    score: float            # 2 log evidence that it adds, all else re-tuned
+    probability: float      # of all models that hold it
+    held_out: object        # Gain of the log likelihood of blocks that were left out
+    runner_up: str | None   # the next best explanation in its place, 'effect of joint'
+    runner_up_score: float  # ``score`` times the share of it that this one would explain
+    confusable_with: tuple  # of str, effects indistinguishable from it in these data
+    tells_apart: str        # experiment that separates it from those and the runner-up, or ''
+    evidence: str           # one sentence
+    rms_before: np.ndarray  # (n,) held-out residual of each joint without it [N m]
+    rms_after: np.ndarray   # (n,) with it [N m]
 
     @property
     def key(self):
@@ -93,38 +59,23 @@ class Gap:
     """
     Distance between model and measurement on data that took no part in the fit.
 
-    Parameters
-    ----------
-    joints : tuple of str
-        Names.
-    before, retuned, after, floor : ndarray, shape (n,)
-        Residual torque in motion, rms [N m]: of the model as given, with known parameters
-        re-tuned, with the effects found, and of a null simulation.
-    rest_before, rest_after : ndarray, shape (n,)
-        Likewise while the link stands, re-tuned and with the effects found, which decides
-        nothing; NaN where it never stands.
-    free_before, free_after, free_floor : ndarray, shape (n,)
-        Free-run error: angle between half a second of free simulation and the measurement, rms
-        [rad]; before is re-tuned; NaN where no half second was read without a hole.
-    energy_ratio : float
-        Squared residual above the floor, after over re-tuned, all joints together.
-    closed_loop : ClosedLoop or None
-        The closed loop of the recordings simulated anew; None where it was not asked for.
-
+    Residual torque in motion, ``rest_`` at rest (which decides nothing; NaN where a link never
+    stands), rms [N m]; ``free_`` is the error of half a second of free simulation, rms [rad], NaN
+    where no half second was read without a hole. All of shape (n,).
     """
 
-    joints: tuple
-    before: np.ndarray
-    retuned: np.ndarray
-    after: np.ndarray
-    floor: np.ndarray
-    rest_before: np.ndarray
+    joints: tuple             # of str
+    before: np.ndarray        # of the model as given
+    retuned: np.ndarray       # with known parameters re-tuned
+    after: np.ndarray         # with the effects found
+    floor: np.ndarray         # of a null simulation
+    rest_before: np.ndarray   # re-tuned
     rest_after: np.ndarray
-    free_before: np.ndarray
+    free_before: np.ndarray   # re-tuned
     free_after: np.ndarray
     free_floor: np.ndarray
-    energy_ratio: float
-    closed_loop: object = None
+    energy_ratio: float       # squared residual above the floor, after over re-tuned, all joints
+    closed_loop: object = None  # ClosedLoop, where it was asked for
 
 
 class Noise(NamedTuple):
@@ -193,68 +144,32 @@ class Behind(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Discrepancy:
-    """
-    Everything that is reported about a model and its recordings.
+    """Everything that is reported about a model and its recordings."""
 
-    Parameters
-    ----------
-    verdict : str
-        'complete', 'effects_found', 'unexplained' or 'bad_data'.
-    findings, minor : tuple of Finding
-        Effects that matter, the largest first; then those that change no verdict: small ones,
-        and ones that ``robot`` lacks since it predicts better without.
-    stand_ins : tuple of EffectSpec
-        Effects in ``robot`` that only resemble what is missing: prediction is better with them,
-        but a free function of one variable explains more.
-    models : tuple of Credible
-        The sets of effects that hold 95 % of the probability, the likeliest first.
-    noise : tuple of Noise
-        Torque noise of the recordings.
-    unexplained : Signature or None
-        What is left, where it matters.
-    learned : tuple of LearnedTerm
-        Terms of ``robot`` that were learned for it, where that was asked for.
-    gap : Gap or None
-        None where the data are bad.
-    robot : RobotParams or None
-        With known parameters re-tuned, all findings, and what else improves prediction.
-    retuned : tuple of (str, str, float)
-        Known parameter, joint and relative change.
-    recordings : tuple of str
-        What is particular about one of them beyond its prior: an encoder zero, torque, time.
-    tried : tuple of Tried
-        The first scan.
-    faults : tuple of str
-        What is wrong with the data.
-    sources : tuple of str
-        The recordings.
-    seconds : float
-        Time it took.
-    words : str
-        One paragraph.
-    behind : Behind or None
-        The search behind it, for figures.
+    verdict: str              # COMPLETE, FOUND, UNEXPLAINED or BAD_DATA
+    findings: tuple = ()      # of Finding that matter, the largest first
+    minor: tuple = ()         # of Finding: small, or ``robot`` predicts better without
+    stand_ins: tuple = ()     # of EffectSpec in ``robot`` that only resemble what is missing
+    models: tuple = ()        # of Credible, the likeliest first
+    noise: tuple = ()         # of Noise of the recordings
+    unexplained: Signature | None = None  # what is left, where it matters
+    learned: tuple = ()       # of LearnedTerm of ``robot``, where that was asked for
+    gap: Gap | None = None    # None where the data are bad
+    robot: object = None      # RobotParams: re-tuned, with what improves prediction
+    retuned: tuple = ()       # of (known parameter, joint, relative change)
+    recordings: tuple = ()    # of str: what is particular about one, beyond its prior
+    tried: tuple = ()         # of Tried, the first scan
+    faults: tuple = ()        # of str, what is wrong with the data
+    sources: tuple = ()       # of str, the recordings
+    seconds: float = 0.0      # time it took
+    words: str = ''           # one paragraph
+    details: str = ''         # what of it the answer of the command line leaves out
+    behind: Behind | None = None  # the search, for figures
 
-    """
-
-    verdict: str
-    findings: tuple = ()
-    minor: tuple = ()
-    stand_ins: tuple = ()
-    models: tuple = ()
-    noise: tuple = ()
-    unexplained: Signature | None = None
-    learned: tuple = ()
-    gap: Gap | None = None
-    robot: object = None
-    retuned: tuple = ()
-    recordings: tuple = ()
-    tried: tuple = ()
-    faults: tuple = ()
-    sources: tuple = ()
-    seconds: float = 0.0
-    words: str = ''
-    behind: Behind | None = None
+    def saying(self, *sentences):
+        """Return the Discrepancy with further sentences, of which none is in the answer."""
+        return replace(self, words=' '.join(filter(None, (self.words, *sentences))),
+                       details=' '.join(filter(None, (self.details, *sentences))))
 
     @property
     def named(self):

@@ -4,11 +4,10 @@
 """
 The search for what is missing: a beam over sets of effects, ordered by evidence.
 
-The dictionary tells which effects would gain most; only those are fitted in full. Neighbours of a
+The dictionary shows which effects would gain most; only those are fitted in full. Neighbours of a
 set have one effect more, another in the place of one, or one in the place of two.
 """
 
-from dataclasses import replace
 from itertools import combinations
 from typing import NamedTuple
 
@@ -51,13 +50,12 @@ class Found(NamedTuple):
 
     def near(self, known):
         """Return the effects of joints (effect, joint) that came near, set."""
-        ranked = (*self.first, *self.dictionary.ranked(self.best.model, self.best.columns,
-                                                       PLAUSIBLE))
-        return {(one.spec.name, one.spec.joint) for one in ranked}.union(
+        ranked = self.dictionary.ranked(self.best.model, self.best.columns, PLAUSIBLE)
+        return {one.key for one in (*self.first, *ranked)}.union(
             *(state.key(known) for state in self.tried))
 
 
-def search(likelihood, *, most=MOST, excluded=(), begin=None, say=lambda text: None):
+def search(likelihood, *, most=MOST, excluded=(), begin=None, say=lambda text: None) -> Found:
     """
     Return the likeliest set of effects.
 
@@ -73,7 +71,7 @@ def search(likelihood, *, most=MOST, excluded=(), begin=None, say=lambda text: N
         Of a search with other null simulations: its effects are begun with, and what came near
         is looked for.
     say : callable, optional
-        Told what is being done.
+        Called with what is being done.
 
     Returns
     -------
@@ -87,9 +85,9 @@ def search(likelihood, *, most=MOST, excluded=(), begin=None, say=lambda text: N
     for _ in range(_ROUNDS):
         before = hunt.best.evidence
         hunt.grow(most)
-        if hunt.effects != improved:
+        if hunt.best.key(likelihood.known) != improved:
             hunt.improve()
-            improved = hunt.effects
+            improved = hunt.best.key(likelihood.known)
         hunt.settle()
         if hunt.best.evidence < before + EVIDENCE:
             break
@@ -97,7 +95,7 @@ def search(likelihood, *, most=MOST, excluded=(), begin=None, say=lambda text: N
                  hunt.dictionary, hunt.nuisances, hunt.hypotheses)
 
 
-def count_of(likelihood, excluded):
+def count_of(likelihood, excluded) -> int:
     """Return how many effects of joints are looked for."""
     return len({guess[:2] for guess in guesses_of(likelihood, excluded)})
 
@@ -106,16 +104,14 @@ class _Search:
     """The best set so far, and all that were tried."""
 
     def __init__(self, likelihood, excluded, begin, say):
-        self._likelihood, self._say = likelihood, say
-        self._known = len(likelihood.robot.effects)
+        self._likelihood, self._say, self._known = likelihood, say, likelihood.known
         x = begin.before.model.x if begin else np.zeros(len(likelihood.nuisances))
         # where nuisance parameters stand for something else, nothing would be left to explain
         plausible, self.nuisances = retuned(likelihood, likelihood.robot, x, PLAUSIBLE)
         self.hypotheses = begin.hypotheses if begin else count_of(likelihood, excluded)
         say('every effect along the motion')
         only = begin.near(self._known) if begin else None
-        self.dictionary = Dictionary(likelihood, plausible, excluded, only)
-        self.tried = {}
+        self.dictionary, self.tried = Dictionary(likelihood, plausible, excluded, only), {}
         self.before = State(plausible, self.nuisances, -np.inf)  # no more than a yardstick
         self.best = self._tried(*retuned(
             likelihood, likelihood.robot, np.where(np.abs(x) > np.abs(plausible.x), x,
@@ -124,71 +120,64 @@ class _Search:
             self.dictionary.ranked(plausible, self.nuisances, PLAUSIBLE))
         self.scan = begin.scan if begin else self.dictionary.largest(plausible, self.nuisances)
 
-    @property
-    def effects(self):
-        """Return the effects that were added so far, frozenset of (effect, joint)."""
-        return self.best.key(self._known)
-
     def _tried(self, model, columns):
         """Return a model as a State, the best of those tried with the same effects."""
         state = state_of(self._likelihood, model, columns, self.hypotheses)
-        if any(is_at_limit(spec, model.robot) for spec in model.robot.effects[self._known:]):
+        if self._is_at_limit(model):
             state = state._replace(evidence=-np.inf)  # where the search ends is no value
         key = state.key(self._known)
         if key not in self.tried or state.evidence > self.tried[key].evidence:
             self.tried[key] = state
         return self.tried[key]
 
-    def take(self, model):
+    def _is_at_limit(self, model):
+        return any(is_at_limit(spec, model.robot) for spec in model.robot.effects[self._known:])
+
+    def _take(self, model):
         """Go on with a model, its effects fitted together."""
         self.best = self._tried(*refitted(self._likelihood, model, self.nuisances))
 
     def take_up(self, begin):
         """Go on with the likeliest of the sets that another search found likeliest."""
-        self.take(begin.best.model)
+        self._take(begin.best.model)
         rest = sorted((state for state in begin.tried
                        if state.key(self._known) != begin.best.key(self._known)),
                       key=lambda state: -state.evidence)[:_BEAM]
         for state in rest:
             best = self.best
-            self.take(state.model)
+            self._take(state.model)
             self.best = max(best, self.best, key=lambda one: one.evidence)
 
     def grow(self, most):
         """Add effects to the best sets while the evidence grows."""
         beam = [self.best]
-        while len(self.best.model.robot.effects) - self._known < most:
-            added = len(self.best.model.robot.effects) - self._known
+        while (added := len(self.best.model.robot.effects) - self._known) < most:
             width = _BEAM if added < _FEW else 1
-            found = {}
-            for state in beam:
-                for one in self._neighbours(state, width + 1 if width > 1 else 1):
-                    found[one.key(self._known)] = one
+            found = {one.key(self._known): one for state in beam
+                     for one in self._neighbours(state, width + 1 if width > 1 else 1)}
             states = sorted(found.values(), key=lambda one: -one.evidence)[:width]
             if not states or states[0].evidence < self.best.evidence + EVIDENCE:
                 break
             self.best, beam = states[0], states
             last = self.best.model.robot.effects[-1]
             self._say(f'{last.name} of {last.joint}')
-        if len(self.best.model.robot.effects) > self._known + 1:
-            self.take(self.best.model)
+        if added > 1:
+            self._take(self.best.model)
 
     def _neighbours(self, state, shortlist):
         """Return the States with one effect more, so many with more evidence."""
-        worth = EVIDENCE + 2.0 * np.log(self.hypotheses)
-        found = {}
+        worth, found = EVIDENCE + 2.0 * np.log(self.hypotheses), {}
         for model, columns, limit in self._bases(state):
             ranked, better = self.dictionary.ranked(model, columns, limit), 0
             for one in ranked:
-                key = one.spec.name, one.spec.joint
                 if one.gain < max(_CLOSE * ranked[0].gain, worth) or better == shortlist:
                     break
-                if key in found:
+                if one.key in found:
                     continue
-                other = self._fitted(with_effect(model.robot, one.spec), model.x, columns)
+                other = self._with(one.spec, model, columns)
                 if other is not None:
-                    found[key] = self._tried(other[0], self._extended(*other))
-                    better += found[key].evidence > state.evidence + EVIDENCE
+                    found[one.key] = other
+                    better += other.evidence > state.evidence + EVIDENCE
             if better == shortlist:
                 break
         found = sorted(found.values(), key=lambda one: -one.evidence)
@@ -208,11 +197,11 @@ class _Search:
             yield (fit(self._likelihood, model.robot, model.x, columns, plausible=PLAUSIBLE),
                    columns, PLAUSIBLE)
 
-    def _fitted(self, robot, x, columns):
-        """Return a fit with the columns of all but its last effect, None if it ends at a limit."""
-        model = fit(self._likelihood, robot, x, columns)
-        added = model.robot.effects[self._known:]
-        return None if any(is_at_limit(spec, model.robot) for spec in added) else (model, columns)
+    def _with(self, spec, model, columns):
+        """Return the State of a model with one effect more, None if it ends at a limit."""
+        model = fit(self._likelihood, with_effect(model.robot, spec), model.x, columns)
+        return None if self._is_at_limit(model) else self._tried(model, extended(
+            self._likelihood, model, columns, len(model.robot.effects) - 1))
 
     def _anew(self, state, x):
         """
@@ -230,10 +219,6 @@ class _Search:
                         key=lambda one: one.evidence)
             model = state.model
         return state
-
-    def _extended(self, model, columns):
-        """Return columns (C, R), then those of the last effect."""
-        return extended(self._likelihood, model, columns, len(model.robot.effects) - 1)
 
     def improve(self):
         """Drop, exchange and merge effects where that has more evidence."""
@@ -253,35 +238,21 @@ class _Search:
         less, others = without(likelihood, model, self.best.columns, *dropped)
         states = [self._tried(fit(likelihood, less.robot, model.x, others), others)]
         less = fit(likelihood, less.robot, model.x, others, plausible=PLAUSIBLE)
-        loss = less.cost - model.cost
+        loss, keys = less.cost - model.cost, {
+            (model.robot.effects[i].name, model.robot.effects[i].joint) for i in dropped}
         for one in self.dictionary.ranked(less, others, PLAUSIBLE)[:_SHORTLIST]:
-            if one.gain < _NEARLY * loss or (one.spec.name, one.spec.joint) in {
-                    (model.robot.effects[i].name, model.robot.effects[i].joint)
-                    for i in dropped}:
-                continue
-            other = self._fitted(with_effect(less.robot, one.spec), less.x, others)
-            if other is not None:
-                states.append(self._tried(other[0], self._extended(*other)))
+            other = one.gain >= _NEARLY * loss and one.key not in keys and self._with(
+                one.spec, less, others)
+            if other:
+                states.append(other)
         best = max(states, key=lambda one: one.evidence)
         if best.evidence > self.best.evidence:
             self._say(f'{len(dropped)} effects fewer or others')
-            self.take(best.model)
+            self._take(best.model)
 
     def settle(self):
         """Fit all once more by derivatives of the model found: those of the first are stale."""
         model = self.best.model
         if len(model.robot.effects) > self._known:
             self.nuisances = self._likelihood.columns(model.robot, model.x, model.rows)
-            again = self._tried(*refitted(self._likelihood, model, self.nuisances))
-            self.best = again
-
-
-def with_only(found, likelihood, keep):
-    """Return a State with only some effects (indices), all re-tuned."""
-    effects = found.best.model.robot.effects
-    known = len(likelihood.robot.effects)
-    robot = replace(found.best.model.robot,
-                    effects=effects[:known] + tuple(effects[i] for i in keep))
-    model = likelihood.fitted(robot, found.best.model.x)
-    return state_of(likelihood, *refitted(likelihood, model, found.nuisances),
-                    found.hypotheses)
+            self.best = self._tried(*refitted(self._likelihood, model, self.nuisances))

@@ -15,8 +15,9 @@ PRACTICAL_FLOOR = 0.5 * PRACTICAL
 # hypotheses. Kass and Raftery: "positive"; held-out prediction must agree.
 EVIDENCE = 2.0
 
-# Standard errors by which held-out log likelihood must gain, over blocks: one in forty by chance.
-HELD_OUT = 2.0
+# Standard deviations that are still chance, one in forty: within which a known parameter may stand
+# for an effect, and by which the mean gain of held-out log likelihood over blocks must exceed 0.
+PLAUSIBLE = 2.0
 
 # Times as many standard errors where links have no encoder: their angles are computed with the
 # model that is in question.
@@ -33,14 +34,8 @@ FEW_BLOCKS = 6
 # cogging of small motors; more of it is called unexplained.
 LARGEST_NOISE = 0.10
 
-# Share of what the largest effect explains below which an effect is not ranked by its torque:
-# where noise is large, so may be the torque of what is hardly known.
-TRIFLE = 0.05
-
-# Standard deviations of its prior within which a known parameter may stand for an effect.
-PLAUSIBLE = 2.0
-
-# Probability of the set of models that is reported.
+# Probability of the set of models that is reported; effects whose loss is no more than the rest of
+# the largest one's are ranked last: where noise is large, so may be a torque that is hardly known.
 CREDIBLE = 0.95
 
 # Times by which squared held-out torque times squared free-run error must fall for one effect to

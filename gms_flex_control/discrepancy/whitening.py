@@ -5,10 +5,9 @@
 The measure of residuals: how far beyond what shows where nothing is missing.
 
 Residuals of all equations are seen together, frequency by frequency, through the inverse root of
-the spectral matrix they have in runs in which nothing is missing, and then octave by octave and
-moment by moment at the scale they have there. While a link stands, friction that slowly changes
-is hidden by encoder counts, and in motion it is not: slow rows count little in the one and much
-in the other, and quick ones alike in both. The rows that come out are all alike, about normal,
+the spectral matrix they have in null simulations, and then octave by octave and moment by moment
+at the scale they have there. While a link stands, friction that slowly changes is hidden by
+encoder counts, and in motion it is not. The numbers that come out are all alike, about normal,
 and few.
 """
 
@@ -23,28 +22,28 @@ _OCTAVES = 4          # below HIGHEST; the rest is slow
 _MOMENT = 0.3         # s, over which the scale in time is taken as even
 _FEWEST = 3           # rows of an octave, likewise
 _RAMP = 0.1           # s, from where an equation tells nothing to where it does
+BLOCK = 2.0           # of time, left out as a whole: longer than friction remembers [s]
+_FEWEST_SEEN = 40     # residuals of a group that show a noise level
 
 
 class Whitening:
     """
-    Turns residual torques into rows of unit variance.
+    Turns residual torques of C equations into numbers of unit variance, the whitened residuals.
 
     Parameters
     ----------
     clean : ndarray, shape (R, T, C)
-        Residuals of C equations in R runs in which nothing is missing [N m].
+        Residuals of R null simulations [N m].
     period : float
         Sample [s].
     floor : ndarray, shape (C,)
         Torque below which nothing matters, as white noise up to ``HIGHEST`` [N m].
-    seen : ndarray, shape (T, C)
-        Where an equation tells something, bool.
-    even : bool
-        Whether noise is taken as even in time.
+    known : ndarray, shape (T,)
+        Whether all angles were read, bool.
 
     """
 
-    def __init__(self, clean, period, floor, seen, even=False):
+    def __init__(self, clean, period, floor, known):
         self._samples = clean.shape[1]
         length, step = self._samples * period, 1 << _OCTAVES
         self._rows = max(2 * min(int(HIGHEST * length), self._samples // 2) // step, 1) * step
@@ -52,8 +51,8 @@ class Whitening:
         self.row_period = length / self._rows
         self._octaves = Octaves(self._rows, _OCTAVES)
         ramp = max(round(_RAMP / period), 1)
-        self._window = _taper(self._samples, round(_EDGE / period))[:, None] * uniform_filter1d(
-            minimum_filter1d(seen.astype(float), ramp, axis=0), ramp, axis=0)
+        self._window = (_taper(self._samples, round(_EDGE / period)) * uniform_filter1d(
+            minimum_filter1d(known.astype(float), ramp), ramp))[:, None]
         spectra = self._spectra(clean)
         width = max(round(_BINS * length), 1)
         power = np.einsum('rfc,rfd->fcd', spectra, spectra.conj()) / len(clean)
@@ -67,9 +66,10 @@ class Whitening:
         self.part = np.repeat(np.arange(len(self._octaves.parts)),
                               [len(part) for part in self._octaves.parts])  # of each row
         self.scale = np.ones((self._rows, clean.shape[2]))
-        tells = (self._away_from_ends(self.row_time)[:, None] & np.any(clean, axis=(0, 1)) & seen[
-            np.minimum((self.row_time / period).astype(int), self._samples - 1)])
-        self.scale = np.where(tells, 1.0 if even else self._evening(clean, white), 0.0)
+        used = self._away_from_ends(self.row_time) & known[
+            np.minimum((self.row_time / period).astype(int), self._samples - 1)]
+        self.scale = np.where(used[:, None] & np.any(clean, axis=(0, 1)),
+                              self._evening(clean, white), 0.0)
 
     def _evening(self, clean, white):
         """Return what makes rows even in time (S, C)."""
@@ -117,15 +117,9 @@ def _taper(samples, edge):
 
 class Octaves:
     """
-    Takes signals of one length apart.
+    Meyer wavelets: signals of one length, split into ``levels`` octaves and the rest.
 
-    Parameters
-    ----------
-    samples : int
-        Of a signal; a multiple of ``2 ** levels``.
-    levels : int
-        How many octaves below half of the sampling rate; one number beside them for the rest.
-
+    ``samples``, a multiple of ``2 ** levels``, become as many numbers.
     """
 
     def __init__(self, samples, levels):
@@ -145,18 +139,9 @@ class Octaves:
 
     def __call__(self, spectrum):
         """
-        Return the numbers of each part, one after the other.
+        Return the numbers (samples, C) of each part, one after the other, see `parts`.
 
-        Parameters
-        ----------
-        spectrum : ndarray, shape (samples, C)
-            numpy.fft.fft of C real signals.
-
-        Returns
-        -------
-        ndarray, shape (samples, C)
-            The highest octave first; see `parts`.
-
+        ``spectrum`` (samples, C) is the numpy.fft.fft of C real signals.
         """
         out = []
         for low, high in self._filters:
@@ -166,17 +151,9 @@ class Octaves:
 
     def spread(self, power):
         """
-        Return the variance of the numbers of each part of noise.
+        Return the variance (C,) of the numbers of each part of noise.
 
-        Parameters
-        ----------
-        power : ndarray, shape (samples, C)
-            Of each frequency of numpy.fft, 1 where it is that of white noise of variance 1.
-
-        Returns
-        -------
-        list of ndarray, shape (C,)
-
+        ``power`` (samples, C) of each frequency of numpy.fft is 1 for white noise of variance 1.
         """
         out = []
         for low, high in self._filters:
@@ -197,3 +174,72 @@ def _low(angle):
     x = np.clip(3.0 * away / np.pi - 1.0, 0.0, 1.0)
     smooth = x ** 4 * (35.0 - 84.0 * x + 70.0 * x ** 2 - 20.0 * x ** 3)
     return np.sqrt(2.0) * np.cos(0.5 * np.pi * smooth)
+
+
+# --- groups of whitened residuals ---------------------------------------------------------------
+
+
+class Groups:
+    """
+    What each of R whitened residuals is.
+
+    A group is one recording, one equation, one octave, links at rest or in motion.
+
+    Parameters
+    ----------
+    motions : sequence of Motion
+        The recordings.
+    whitenings : sequence of Whitening
+        Of each.
+
+    """
+
+    def __init__(self, motions, whitenings):
+        used, groups, blocks, channels, parts = [], [], [], [], []
+        self.block_at, self.at_rest = [], []  # (S,), (S, n) at the times of each whitening
+        self.blocks, first_group = 0, 0
+        for motion, whitening in zip(motions, whitenings, strict=True):
+            shape, end = whitening.scale.shape, whitening.time[-1]
+            channel = np.broadcast_to(np.arange(shape[1]), shape)
+            still, at_rest = (motion.standing[np.minimum(
+                (time / motion.period).astype(int), len(motion.standing) - 1)]
+                for time in (whitening.row_time, whitening.time))
+            group = (whitening.part[:, None] * shape[1] + channel) * 2 + np.tile(still, 2)
+            count = max(round(end / BLOCK), 2)
+            block, block_at = (self.blocks + np.minimum(
+                (time * count / end).astype(int), count - 1)
+                for time in (whitening.row_time, whitening.time))
+            groups.append((first_group + group).ravel())
+            blocks.append(np.repeat(block, shape[1]))
+            channels.append(channel.ravel())
+            parts.append(np.repeat(whitening.part, shape[1]))
+            used.append(whitening.scale.ravel() > 0.0)
+            self.block_at.append(block_at)
+            self.at_rest.append(at_rest)
+            first_group += 2 * int(group.max() // 2 + 1)
+            self.blocks += count
+        self.used = np.flatnonzero(np.concatenate(used))
+        group = np.concatenate(groups)[self.used]
+        count = np.bincount(group)
+        group[count[group] < _FEWEST_SEEN] &= ~1  # rests that are too few join motion
+        _, self.group = np.unique(group, return_inverse=True)  # (R,)
+        self.block, self.channel, self.part = (  # (R,) block, equation, octave, highest first
+            np.concatenate(one)[self.used] for one in (blocks, channels, parts))
+        self.recording = np.repeat(np.arange(len(used)), [len(one) for one in used])[self.used]
+        self.count = np.bincount(self.group).astype(float)  # (G,)
+        self._order = np.argsort(self.group, kind='stable')
+        self._ends = np.concatenate([[0], np.cumsum(self.count)]).astype(int)
+
+    def sums(self, values) -> np.ndarray:
+        """Return the sums (G,) of values (R,) by group."""
+        return np.bincount(self.group, values, minlength=len(self.count))
+
+    def ordered(self, columns) -> np.ndarray:
+        """Return columns (C, R) group after group, as `products` take them."""
+        return columns[:, self._order]
+
+    def products(self, one, other) -> np.ndarray:
+        """Return products by group (G, A, B) of columns (A, R) and (B, R), both `ordered`."""
+        found = [one[:, a:b] @ other[:, a:b].T for a, b in zip(self._ends[:-1], self._ends[1:],
+                                                               strict=True)]
+        return np.reshape(found, (len(found), len(one), len(other)))

@@ -4,7 +4,7 @@
 """From recordings and a model to what the model lacks: check, measure noise, search, validate."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 import time
 
 from gms_flex_control import blas
@@ -21,9 +21,11 @@ from gms_flex_control.discrepancy.findings import (
     predictive,
 )
 from gms_flex_control.discrepancy.fitting import retuned
+from gms_flex_control.discrepancy.gap import HeldOut
 from gms_flex_control.discrepancy.likelihood import Likelihood
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.nuisance import OfRecording, with_nuisances
+from gms_flex_control.discrepancy.remainder import signature_of
 from gms_flex_control.discrepancy.result import (
     BAD_DATA,
     Behind,
@@ -36,14 +38,12 @@ from gms_flex_control.discrepancy.result import (
     UNEXPLAINED,
 )
 from gms_flex_control.discrepancy.search import search
-from gms_flex_control.discrepancy.signature import signature_of
 from gms_flex_control.discrepancy.thresholds import (
     BETTER,
     CLEARLY,
     PLAUSIBLE,
     PRACTICAL_FLOOR,
 )
-from gms_flex_control.discrepancy.validation import energy_of, gap_of
 from gms_flex_control.params.robot import RobotParams
 import numpy as np
 
@@ -53,29 +53,13 @@ _EVEN = 2.0           # times the white part: noise of more is slow or fast
 
 @dataclass(frozen=True, kw_only=True)
 class Options:
-    """
-    How the workflow goes about it.
+    """How the workflow goes about it."""
 
-    Parameters
-    ----------
-    most : int
-        How many effects may be found.
-    without : tuple of str
-        Effects that are not considered.
-    force : bool
-        Go on where the data are bad.
-    seed : int
-        Of the null simulations.
-    doubt : float
-        How many times as far as usual known parameters may be off.
-
-    """
-
-    most: int = 20
-    without: tuple = field(default=())
-    force: bool = False
-    seed: int = 0
-    doubt: float = 1.0
+    most: int = 20       # effects that may be found
+    without: tuple = ()  # of str, effects that are not considered
+    force: bool = False  # go on where the data are bad
+    seed: int = 0        # of the null simulations
+    doubt: float = 1.0   # how many times as far as usual known parameters may be off
 
 
 def find_discrepancy(
@@ -122,8 +106,7 @@ def find_discrepancy(
                                [motion_of(recording, robot) for recording in holdout],
                                robot, options, say)
         if faults:
-            result = replace(
-                result, words=f'{result.words} About the data: {describe.first_of(faults, 2)}')
+            result = result.saying(f'About the data: {describe.first_of(faults, 2)}')
     return replace(result, faults=faults, sources=sources, seconds=time.monotonic() - begun)
 
 
@@ -135,42 +118,47 @@ def _compared(motions, holdout, robot, options, say):
     likelihood, found = _again(likelihood, found, options, say)
     say('held-out prediction')
     found, worths, free, whole = judged(likelihood, found)
-    measured = (Likelihood(holdout, robot, options.seed, options.doubt, held_out=True)
-                if holdout else None)
-    found, worths = predictive(likelihood, found, worths, measured)
-    findings = findings_of(likelihood, found, worths, measured)
-    gap = gap_of(likelihood, found.before, found.best, measured)
-    left = _left_over(likelihood, found.best.model, free, gap, measured)
+    held_out = HeldOut(likelihood, Likelihood(holdout, robot, options.seed, options.doubt,
+                                              held_out=True) if holdout else None)
+    found, worths = predictive(likelihood, found, worths, held_out)
+    findings = findings_of(likelihood, found, worths, held_out)
+    gap = held_out.gap(found.before, found.best)
+    left = _left_over(likelihood, found.best.model, free, gap, held_out.other)
     if left is not None:
         findings = [one for one in findings if not left.is_of(one)]
         if not (any(one.main for one in findings) and _explain_most(gap)):
             findings = []  # they only resemble some of it
     more = left is not None or np.any(gap.after ** 2 > BETTER * gap.floor ** 2)
-    after = _best_predicting(likelihood, found, whole if left else found, measured, more)
-    known, changes = len(robot.effects), list(zip(likelihood.nuisances, after.model.x.tolist(),
-                                                  strict=True))
+    after = _best_predicting(likelihood, found, whole if left else found, held_out, more)
     if after is not found.best:
-        gap = gap_of(likelihood, found.before, after, measured)
+        gap = held_out.gap(found.before, after)
+    result = _result(likelihood, found, after, findings, left, gap)
+    words, details = describe.paragraph(result, sorted(likelihood.unseen),
+                                        _known_off(found, robot))
+    return replace(result, words=words, details=details)
+
+
+def _result(likelihood, found, after, findings, left, gap):
+    """Return the Discrepancy, without words, that writes the State ``after``."""
+    known, joints = likelihood.known, likelihood.robot.joints
+    changes = list(zip(likelihood.nuisances, after.model.x.tolist(), strict=True))
     main = tuple(one for one in findings if one.main and one.key in after.key(known))
     named = {one.key for one in findings}
-    stand_ins = tuple(spec for spec in after.model.robot.effects[known:]
-                      if (spec.name, spec.joint) not in named)
-    noise = noise_of(likelihood, found.best.model)
-    result = Discrepancy(
+    return Discrepancy(
         verdict=FOUND if main else UNEXPLAINED if left else COMPLETE,
         findings=main, minor=tuple(one for one in findings if one not in main),
         models=tuple(Credible(tuple(sorted(names)), mass) for names, mass in credible(
             posterior(found.tried, known))),
-        stand_ins=stand_ins, noise=noise if left is None else (), unexplained=left, gap=gap,
+        stand_ins=tuple(spec for spec in after.model.robot.effects[known:]
+                        if (spec.name, spec.joint) not in named),
+        noise=() if left else noise_of(likelihood, found.best.model), unexplained=left, gap=gap,
         tried=_tried(found),
-        retuned=tuple((one.name, robot.joints[one.joint] if one.joint >= 0 else 'arm', value)
+        retuned=tuple((one.name, joints[one.joint] if one.joint >= 0 else 'arm', value)
                       for one, value in changes if not isinstance(one, OfRecording)),
-        recordings=tuple(one.words(robot.joints, value) for one, value in changes
+        recordings=tuple(one.words(joints, value) for one, value in changes
                          if isinstance(one, OfRecording) and one.is_reported(value)),
         behind=Behind(likelihood, found.before.model, found.best.model, after.model),
         robot=with_nuisances(after.model.robot, likelihood.nuisances, after.model.x))
-    return replace(result, words=describe.paragraph(result, sorted(likelihood.unseen),
-                                                    _known_off(found, robot)))
 
 
 def _with_noise(likelihood):
@@ -186,12 +174,13 @@ def _again(likelihood, found, options, say):
     Noise depends on the robot: where it sticks, say, encoder counts hide its friction; and torque
     noise was measured beside all that was missing.
     """
-    found, known = _sound(likelihood, found), len(likelihood.robot.effects)
+    found = _sound(likelihood, found)
     model = found.best.model
-    if len(model.robot.effects) == known and np.all(np.abs(model.x) < PLAUSIBLE * likelihood.sd):
+    if len(model.robot.effects) == likelihood.known and np.all(
+            np.abs(model.x) < PLAUSIBLE * likelihood.sd):
         return likelihood, found
     say('once more, with the noise of such a robot')
-    other = likelihood.simulated_as(model).with_noise(0.0 * likelihood.noise)
+    other = likelihood.simulated_as(model)
     # beside more effects there is less that may be taken for noise
     other = other.with_noise(np.minimum(likelihood.noise, other.white_noise(
         other.fitted(model.robot, model.x))))
@@ -207,21 +196,7 @@ def _sound(likelihood, found):
 
 
 def noise_of(likelihood, model):
-    """
-    Return the torque noise of each equation beyond what encoders make.
-
-    Parameters
-    ----------
-    likelihood : Likelihood
-        Of the recordings.
-    model : Fitted
-        With all that was found.
-
-    Returns
-    -------
-    tuple of Noise
-
-    """
+    """Return the torque noise of each equation beyond what encoders make, tuple of Noise."""
     robot, found = model.robot, []
     n, total = robot.n_joints, likelihood.excess_torque(model)
     white = np.sqrt(np.mean(likelihood.noise ** 2, axis=0))
@@ -258,7 +233,7 @@ def _explain_most(gap):
     return gap.energy_ratio <= 0.5 and not worse
 
 
-def _best_predicting(likelihood, found, whole, measured, more):
+def _best_predicting(likelihood, found, whole, held_out, more):
     """
     Return the State that predicts torque and free runs best on held-out data.
 
@@ -266,7 +241,7 @@ def _best_predicting(likelihood, found, whole, measured, more):
     only resemble what is missing. Where there is ``more`` than noise left, any of them together.
     A known parameter beyond its prior takes no effect's place: that is a wrong belief, unnamed.
     """
-    known, best = len(likelihood.robot.effects), {}
+    known, best = likelihood.known, {}
     limit = plausible_limit(likelihood, found.best.model)
     for state in sorted(found.tried, key=lambda state: -state.evidence):
         if np.all(np.abs(state.model.x) / likelihood.sd <= limit):
@@ -275,16 +250,14 @@ def _best_predicting(likelihood, found, whole, measured, more):
                                   *(best[size] for size in sorted(best)[:_SIZES]))
               if state is not found.best]
     if more:
-        others.append(predicting_subset(likelihood, whole, measured))
-    energies = [energy_of(likelihood, state, measured) for state in others]
-    if CLEARLY * min(energies) < energy_of(likelihood, found.best, measured):
-        return others[int(np.argmin(energies))]
-    return found.best
+        others.append(predicting_subset(likelihood, whole, held_out))
+    other = min(others, key=held_out.energy)
+    return other if CLEARLY * held_out.energy(other) < held_out.energy(found.best) else found.best
 
 
 def _tried(found):
     """Return all hypotheses of the first scan: the best of them, then those fitted roughly."""
-    best = {(one.spec.name, one.spec.joint): one.gain for one in found.first}
+    best = {one.key: one.gain for one in found.first}
     others = sorted((gain, key) for key, gain in found.scan.items() if key not in best)
     return (*(Tried(*key, gain, True) for key, gain in best.items()),
             *(Tried(*key, gain, False) for gain, key in reversed(others)))

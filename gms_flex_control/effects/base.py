@@ -60,7 +60,7 @@ class Effect(ABC):
     name: str                 # catalogue name, equal to the name of its module
     parameters: tuple         # of Parameter
     whole_arm = False         # stands under effects.arm instead of under a joint
-    evidence: str             # what it shows against, of discrepancy.signature.VARIABLES
+    evidence: str             # what it shows against, of discrepancy.remainder.VARIABLES
     confusable = ()           # names of effects that data hardly distinguish from it
     declared_from = 0.8       # share of what it explains from which these are reported as well
     tells: str                # the discriminating experiment, as '... would tell'

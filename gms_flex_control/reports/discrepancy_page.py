@@ -13,7 +13,7 @@ from gms_flex_control.discrepancy.describe import (
     of_noise,
     torque_scale,
 )
-from gms_flex_control.discrepancy.free_run import HORIZON
+from gms_flex_control.discrepancy.gap import HORIZON
 from gms_flex_control.discrepancy.residual_views import (
     Along,
     evidence_of,
@@ -58,7 +58,9 @@ def write_discrepancy_report(result, folder, *, holdout=(), models=()) -> list:
 
 def units_of(result) -> Callable:
     """Return the function that puts a text into the units of the robot of a Discrepancy."""
-    return str if result.robot is None else partial(in_units, result.robot.arm)
+    if result.robot is None or result.robot.arm.axes == 'rotary':
+        return str
+    return partial(in_units, result.robot.arm)
 
 
 def add_discrepancy(report, result, folder, *, holdout=(), models=(), opened=False) -> list:

@@ -95,6 +95,7 @@ def save_figure(figure, path, words=str):
     _translate(figure, words)
     with atomic_path(path) as temporary:
         figure.savefig(temporary, dpi=150)
+    figure.set_layout_engine('none')  # drawn again, it keeps its layout
 
 
 def svg(figure, words=str) -> str:
@@ -111,5 +112,5 @@ def svg(figure, words=str) -> str:
 
 
 def _translate(figure, words):
-    for text in figure.findobj(Text):
+    for text in figure.findobj(Text) if words is not str else ():  # as slow as drawing
         text.set_text(words(text.get_text()))

@@ -214,7 +214,7 @@ def over_figure(found) -> Figure:
         panel.set_xlabel(one.variable, fontsize=8, labelpad=1)
         panel.tick_params(labelsize=7)
         panel.locator_params(axis='x', nbins=5)
-        panel.ticklabel_format(axis='x', scilimits=(-2, 4), useMathText=True)
+        panel.ticklabel_format(axis='x', scilimits=(-2, 4))
         panel.xaxis.get_offset_text().set_fontsize(7)
         panel.set_ylim(-(limit or 1.0), limit or 1.0)
     for panel in panels.flat[len(found):]:

@@ -1,0 +1,265 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""The gap between model and measurement on data held out: residual torque and free runs."""
+
+from gms_flex_control.compiled import compiled
+from gms_flex_control.discrepancy.fitting import at_values, numbers_of, values_of
+from gms_flex_control.discrepancy.null_simulation import null_simulation
+from gms_flex_control.discrepancy.residuals import (
+    acts,
+    cleared,
+    drive_torque,
+    fresh_state,
+    motion_as_modelled,
+    replay_friction,
+    SENSOR,
+)
+from gms_flex_control.discrepancy.result import Gap
+from gms_flex_control.discrepancy.thresholds import PLAUSIBLE
+from gms_flex_control.discrepancy.validation import FOLDS, steps
+from gms_flex_control.effects import signals as sig
+from gms_flex_control.simulation import plant
+from gms_flex_control.simulation.predictor import copy_state
+import numpy as np
+
+_FARTHEST = 10.0      # errors of free runs that run away count as so much [rad]
+_SEED = 991           # of the null simulation behind the noise floor, used in no fit
+HORIZON, STRIDE = 0.5, 0.5   # length of a run, and from one start to the next [s]
+_STEP = 4e-4                 # of the integration [s]
+
+
+class HeldOut:
+    """
+    Data that took no part in a fit: other recordings, or blocks of time left out in turn.
+
+    Parameters
+    ----------
+    likelihood : Likelihood
+        Of the recordings that were fitted.
+    other : Likelihood, optional
+        Of other recordings.
+
+    """
+
+    def __init__(self, likelihood, other=None):
+        self._likelihood, self.other, self._energies = likelihood, other, {}
+
+    @property
+    def _measured(self):
+        return self.other or self._likelihood
+
+    def energy(self, state) -> float:
+        """
+        Return the squared residual torque of a State on held-out data times that of free runs.
+
+        In Coulomb frictions squared and in rad^2, the geometric mean of all runs: one that slips
+        decides nothing. Infinite of a model whose simulation runs away.
+        """
+        if id(state.model) not in self._energies:  # the model is kept, so that its id is its own
+            self._energies[id(state.model)] = state.model, self._energy(state)
+        return self._energies[id(state.model)][1]
+
+    def _energy(self, state):
+        if not self._measured.is_followed(state.model):
+            return np.inf
+        runs = np.sum(_free_squares(self._measured, _whole(self._measured, state.model)), axis=1)
+        free = np.exp(np.mean(np.log(np.maximum(runs, 1e-30)))) if len(runs) else 1.0
+        return float(np.sum((self.torque(state) / self._likelihood.coulomb) ** 2) * free)
+
+    def torque(self, state, plausible=np.inf) -> np.ndarray:
+        """
+        Return the residual torque of each joint in motion, rms (n,) [N m].
+
+        Nuisance parameters of folds may go ``plausible`` standard deviations.
+        """
+        return _torque(self._measured, self._parts(state, plausible))[0]
+
+    def gap(self, before, after) -> Gap:
+        """Return the Gap of States: parameters re-tuned as far as plausible, effects found."""
+        likelihood, measured = self._likelihood, self._measured
+        given = likelihood.fitted(likelihood.robot, np.zeros(len(likelihood.nuisances)))
+        parts = {'before': _whole(measured, given), 'retuned': self._parts(before, PLAUSIBLE),
+                 'after': self._parts(after)}
+        torque = {name: _torque(measured, one) for name, one in parts.items()}
+        clean, whole = _clean(measured, after.model), _whole(measured, after.model)
+        floor = _torque(measured, whole, clean)
+        free = {name: _rms(_free_squares(measured, parts[name])) for name in ('retuned', 'after')}
+        above = [float(np.sum(np.maximum(torque[name][0] ** 2 - floor[0] ** 2, 0.0)))
+                 for name in ('retuned', 'after')]
+        return Gap(
+            joints=likelihood.robot.joints,
+            **{name: one[0] for name, one in torque.items()}, floor=floor[0],
+            rest_before=torque['retuned'][1], rest_after=torque['after'][1],
+            free_before=free['retuned'], free_after=free['after'],
+            free_floor=_rms(_free_squares(measured, whole, clean)),
+            energy_ratio=above[1] / above[0] if above[0] > 0.0 else 1.0)
+
+    def _parts(self, state, plausible=np.inf):
+        """Return what predicts which held-out moments: a State as it is, or refitted in folds."""
+        model, likelihood = state.model, self._likelihood
+        if self.other is not None:
+            return _whole(self.other, model)
+        numbers = numbers_of(likelihood, model.robot)
+        values, found = values_of(model.robot, numbers), []
+        for k, (_, step) in enumerate(steps(likelihood, model, state.columns, plausible)):
+            robot = at_values(model.robot, numbers, values + step[len(model.x):])
+            masks = [whitening.settled & (block % FOLDS == k) for whitening, block in zip(
+                likelihood.whitenings, likelihood.groups.block_at, strict=True)]
+            found.append((robot, model.x + step[:len(model.x)], masks))
+        return found
+
+
+def torque_rms(likelihood, model) -> np.ndarray:
+    """Return the residual torque of each joint in motion, rms (n,) [N m], of a Fitted."""
+    return _torque(likelihood, _whole(likelihood, model))[0]
+
+
+def free_rms(likelihood, model) -> np.ndarray:
+    """Return the free-run error of each joint, rms (n,) [rad], of a Fitted; NaN without runs."""
+    return _rms(_free_squares(likelihood, _whole(likelihood, model)))
+
+
+def _whole(likelihood, model):
+    """Return robot, nuisance parameters and all settled moments (masks) of one model."""
+    return [(model.robot, model.x, [whitening.settled for whitening in likelihood.whitenings])]
+
+
+def _clean(likelihood, model):
+    """Return null simulations of a model, Motion each."""
+    constants = likelihood.constants(model.robot, model.x)
+    return [null_simulation(motion, constants, np.random.default_rng(_SEED))
+            for motion in likelihood.motions]
+
+
+def _torque(likelihood, parts, motions=None):
+    """Return residual torques (n,) of each joint in motion and at rest, rms [N m]."""
+    n = likelihood.robot.n_joints
+    squares, counts = np.zeros((2, n)), np.zeros((2, n))
+    for robot, x, masks in parts:
+        if motions:  # simulated, none of which is particular
+            x = likelihood.as_robot(x)
+        residuals = likelihood.residuals(motions or likelihood.motions, robot, x)
+        for m, (residual, mask) in enumerate(zip(residuals, masks, strict=True)):
+            whitening = likelihood.whitenings[m]
+            if motions:
+                residual = residual + likelihood.torque_noise(m, np.random.default_rng(_SEED))
+            rows = whitening.torque_rows(residual) ** 2
+            still = likelihood.groups.at_rest[m]
+            for side, where in enumerate((~still & mask[:, None], still & mask[:, None])):
+                squares[side] += np.sum((rows[:, :n] + rows[:, n:]) * where, axis=0)
+                counts[side] += where.sum(axis=0)
+    moving, still = np.sqrt(squares / np.maximum(counts, 1))
+    return np.where(counts[0] > 0, moving, still), np.where(counts[1] > 0, still, np.nan)
+
+
+def _rms(squares):
+    """Return the root of the mean of squares of runs (S, n), NaN where there are none."""
+    return np.sqrt(np.sum(squares, axis=0) / (len(squares) or np.nan))
+
+
+def _free_squares(likelihood, parts, motions=None):
+    """Return the mean squares of the errors of free runs (S, n) [rad^2]."""
+    squares = []
+    for robot, x, masks in parts:
+        constants = likelihood.constants(robot, x)
+        for motion, whitening, mask in zip(
+                motions or likelihood.recorded(likelihood.motions, x), likelihood.whitenings,
+                masks, strict=True):
+            starts, link, motor = free_runs(motion, constants)
+            at = np.clip(np.searchsorted(whitening.time, starts - motion.fine_time[0]), 0,
+                         len(mask) - 1)
+            kept = mask[at] & all_known(motion, starts)
+            link, motor = (np.clip(np.nan_to_num(one[kept], nan=_FARTHEST), -_FARTHEST, _FARTHEST)
+                           for one in (link, motor))
+            squares.append(np.mean(link ** 2 + motor ** 2, axis=1) / 2.0)
+    return np.concatenate(squares)
+
+
+# --- free runs ----------------------------------------------------------------------------------
+
+
+@compiled
+def run_freely(states, command, pushed, supply, time, period, substeps, starts, horizon, constants,
+               state, replayed, work, link, motor):
+    """
+    Fill angles (S, horizon, n) of runs from the measured state at each of ``starts`` (S,).
+
+    Blocks are loaded as the measured motion up to there has loaded them.
+    """
+    n = command.shape[1]
+    at, ahead = 0, 0.5 * period / substeps
+    for k in range(command.shape[0]):
+        replay_friction(k, states, period, constants, replayed, work)
+        if at < starts.shape[0] and k == starts[at]:
+            copy_state(replayed.friction, states[k, 0], states[k, 1], state.friction,
+                       state.q_link, state.dq_link)
+            for j in range(n):
+                state.q_motor[j], state.dq_motor[j] = states[k, 3, j], states[k, 4, j]
+                state.q_link[j] += ahead * state.dq_link[j]
+                state.q_motor[j] += ahead * state.dq_motor[j]
+            for step in range(horizon):
+                for j in range(n):
+                    link[at, step, j] = state.q_link[j] - ahead * state.dq_link[j]
+                    motor[at, step, j] = state.q_motor[j] - ahead * state.dq_motor[j]
+                    work.signals[j, sig.SUPPLY] = supply[k + step]
+                    work.outside[j] = pushed[k + step, j]
+                plant.advance(state, command[k + step], time[k + step], period, substeps,
+                              constants, work)
+            at += 1
+
+
+def free_runs(motion, constants) -> tuple:
+    """
+    Return how far free runs of a model are from a recording.
+
+    Parameters
+    ----------
+    motion : Motion
+        The recording.
+    constants : numpy.record
+        The model.
+
+    Returns
+    -------
+    starts : ndarray, shape (S,)
+        Times of the starts [s].
+    link, motor : ndarray, shape (S, H, n)
+        Measured minus simulated angles [rad]; of a link that is unseen, its motor's.
+
+    """
+    period, n = motion.fine_period, len(motion.joints)
+    horizon = max(round(HORIZON / period), 2)
+    starts = np.arange(round(STRIDE / period), len(motion.fine_time) - horizon,
+                       max(round(STRIDE / period), 1))
+    states, readings = motion.fine_states, motion.readings
+    if acts(constants, SENSOR) or motion.unseen:
+        states, readings = _as_modelled(motion, constants)
+    link, motor = np.empty((2, len(starts), horizon, n))
+    pushed = np.zeros_like(motion.command) if motion.pushed is None else motion.pushed
+    run_freely(states, motion.command, pushed, motion.supply, motion.fine_time, period,
+               max(1, round(period / _STEP)), starts, horizon, constants, fresh_state(constants),
+               fresh_state(constants), plant.workspace(n), link, motor)
+    rows = starts[:, None] + np.arange(horizon)
+    link, motor = readings[rows, 0] - link, readings[rows, 1] - motor
+    for unseen in motion.unseen:
+        link[..., unseen.joint] = motor[..., unseen.joint]
+    return motion.fine_time[starts], link, motor
+
+
+def _as_modelled(motion, constants):
+    """Return motion (T, 6, n) and readings (T, 2, n) of a recording, as the model sees them."""
+    drive = drive_torque(motion, constants)
+    states, second = motion_as_modelled(motion, constants, drive)
+    off = motion.states - cleared(motion, drive, states, second, constants)[0]
+    fine = np.stack([[np.interp(motion.fine_time, motion.time, off[:, i, j])
+                      for j in range(off.shape[2])] for i in range(6)])
+    fine = np.moveaxis(fine, 2, 0)
+    return np.ascontiguousarray(motion.fine_states - fine), motion.readings - fine[:, [0, 3]]
+
+
+def all_known(motion, starts) -> np.ndarray:
+    """Return of which runs, by their starts (S,) [s], all angles were read, bool."""
+    unread = np.concatenate([[0], np.cumsum(~motion.known)])
+    first, last = (np.searchsorted(motion.time, when) for when in (starts, starts + HORIZON))
+    return unread[last] == unread[first]

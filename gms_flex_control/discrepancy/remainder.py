@@ -1,0 +1,255 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""
+What is left where no effect of the catalogue explains it: described, not named.
+
+Torques that are a free function of one variable are hypotheses without a name. Where one of them
+explains what is missing much better than an effect of the catalogue does, the effect only
+resembles what is there.
+"""
+
+from typing import NamedTuple
+
+from gms_flex_control.discrepancy.describe import torque_scale
+from gms_flex_control.discrepancy.evidence import NormalEquations
+from gms_flex_control.discrepancy.fitting import informative, numbers_of, prior_of
+from gms_flex_control.discrepancy.result import Signature
+from gms_flex_control.discrepancy.thresholds import EVIDENCE, PRACTICAL
+from gms_flex_control.discrepancy.validation import folds, gain_over, of_blocks
+from gms_flex_control.discrepancy.whitening import BLOCK
+import numpy as np
+
+_BINS = 24
+_PERIODS = 8          # fewer in a recording are no tone
+VARIABLES = ('time', 'link angle', 'motor angle', 'link rate', 'motor rate', 'torsion', 'torque',
+             'link acceleration', 'time since reversal')
+_KNOTS = 20           # of a function, even in the samples
+_OF_TIME = 12         # likewise, of time, at most
+# not of torque: a function of it may shrink the whole equation
+_OF_FUNCTIONS = ('time', 'link angle', 'link rate', 'torsion')
+_DIRECTED = ('time', 'link angle')  # multiplied by the direction of motion, too
+_LEAST = 3.0 * PRACTICAL  # of Coulomb friction: a function that is free fits some noise
+_TRIED = 4            # functions of most evidence, of which one may be real
+
+
+def variables(motion, j):
+    """Return what a residual of joint ``j`` may depend on: dict of str to (S,)."""
+    states = motion.states
+    rate = states[:, 1, j]
+    since = np.zeros(len(rate))
+    for k in range(1, len(rate)):
+        since[k] = 0.0 if rate[k] * rate[k - 1] < 0.0 else since[k - 1] + motion.period
+    return dict(zip(VARIABLES, (
+        motion.time - motion.time[0], states[:, 0, j], states[:, 3, j], rate, states[:, 4, j],
+        states[:, 3, j] - states[:, 0, j], motion.drive[:, j], states[:, 2, j], since),
+        strict=True))
+
+
+def of_others(motion, j):
+    """Return where the other joints are and how fast: dict of str to (S,)."""
+    return {f'{name} of {joint}': motion.states[:, place, k]
+            for k, joint in enumerate(motion.joints) if k != j
+            for place, name in enumerate(('link angle', 'link rate'))}
+
+
+def dependence(values, residual):
+    """Return the share of a residual's (S,) variance that bins of values explain."""
+    edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, _BINS + 1)[1:-1]))
+    places = np.searchsorted(edges, values)
+    count = np.maximum(np.bincount(places, minlength=_BINS), 1)
+    means = np.bincount(places, weights=residual, minlength=_BINS) / count
+    return float(np.sum(count * (means - residual.mean()) ** 2)
+                 / max(np.sum((residual - residual.mean()) ** 2), 1e-300))
+
+
+def tone(rows, period):
+    """Return frequency [Hz] and share of power of the strongest line of a residual (S,)."""
+    power = np.abs(np.fft.rfft((rows - rows.mean()) * np.hanning(len(rows)))) ** 2
+    k = int(np.argmax(power[1:])) + 1
+    near = power[max(k - 2, 1):k + 3].sum()
+    return k / (len(rows) * period), float(near / max(power.sum(), 1e-300))
+
+
+def signature_of(likelihood, model, share, free=None):
+    """
+    Return the Signature of what a model, with all that was found, leaves.
+
+    In the equation in which it leaves most, or of ``free``, the Free function that explains most
+    of it; ``share`` is how much of what was missing is left.
+    """
+    joints, n = likelihood.robot.joints, likelihood.robot.n_joints
+    if free is not None:
+        scale, variable = torque_scale(free.torque), free.variable
+        column = joints.index(free.joint) + n * (free.equation == 'motor')
+        left = np.concatenate([one[:, column] for one in likelihood.torque(model)])
+        if variable == 'time' and np.mean(left) ** 2 > 0.5 * np.mean(left ** 2):
+            variable = 'constant'
+        return Signature(
+            float(share), free.equation, free.joint, variable,
+            f'{scale.text(free.torque)} {scale.unit} rms in the {free.equation} equation of '
+            f'{free.joint} are '
+            + ('constant.' if variable == 'constant' else f'a function of {variable}.'))
+    channel = int(np.argmax(likelihood.excess_torque(model) / np.tile(likelihood.coulomb, 2)))
+    equation, j = ('link', channel) if channel < n else ('motor', channel - n)
+    squares = [np.mean(left[:, channel] ** 2) for left in likelihood.torque(model)]
+    worst = int(np.argmax(squares))
+    motion, whitening = likelihood.motions[worst], likelihood.whitenings[worst]
+    residual = likelihood.torque(model)[worst][:, channel]
+    at = np.clip(np.searchsorted(motion.time - motion.time[0], whitening.time), 0,
+                 len(motion.time) - 1)
+    shares = {name: dependence(values[at], residual)
+              for name, values in (variables(motion, j) | of_others(motion, j)).items()}
+    variable = max(shares, key=shares.get)
+    frequency, line = tone(residual, whitening.row_period)
+    rms = float(np.sqrt(np.mean(residual ** 2)))
+    scale = torque_scale(rms)
+    text = (f'{scale.text(rms)} {scale.unit} rms are left in the {equation} equation of '
+            f'{joints[j]}')
+    if np.mean(residual) ** 2 > 0.5 * rms ** 2:
+        text += ', most of it constant'
+        variable = 'constant'
+    elif line > 0.5 and frequency * len(residual) * whitening.row_period > _PERIODS:
+        text += f', most of it a tone of {frequency:.2f} Hz'
+        variable = 'time'
+    elif shares[variable] > 0.2:
+        text += f', {100 * shares[variable]:.0f} % of it a function of {variable}'
+    else:
+        text += ', which follows none of position, speed, torsion, torque or time alone'
+        variable = ''
+    return Signature(float(share), equation, joints[j], variable, text + '.')
+
+
+# --- free functions -----------------------------------------------------------------------------
+
+
+class Free(NamedTuple):
+    """A function of one variable in one equation, and what it would gain."""
+
+    evidence: float    # 2 log, over the model it was added to
+    torque: float      # rms of what it adds [N m]
+    joint: str
+    equation: str      # 'link' or 'motor'
+    variable: str
+    rows: np.ndarray   # (K, R) of its triangles
+
+
+class FreeFunctions:
+    """All free functions along the recordings of a Likelihood."""
+
+    def __init__(self, likelihood):
+        self._likelihood = likelihood
+        robot, jobs = likelihood.robot, []
+        for j, joint in enumerate(robot.joints):
+            shapes = _shapes(likelihood, j)
+            for side, equation in enumerate(('link', 'motor')):
+                if equation == 'motor' and (robot.arm.rigid[j] or joint in likelihood.unseen):
+                    continue
+                jobs += [(joint, equation, name, hats, j + side * robot.n_joints)
+                         for name, hats in shapes.items()]
+        self._all = list(likelihood.pool.map(lambda job: _function(likelihood, *job), jobs))
+
+    def ranked(self, model, columns, joint=None) -> list:
+        """
+        Return the free functions beside a model, list of Free, that of most evidence first.
+
+        Parameters
+        ----------
+        model : Fitted
+            What is there.
+        columns : ndarray, shape (C, R)
+            Derivatives of its rows.
+        joint : str, optional
+            Only functions of this joint.
+
+        """
+        normal = NormalEquations(self._likelihood, model, columns)
+        here = [one for one in self._all if joint in (None, 'arm', one[0])]
+        found = self._likelihood.pool.map(lambda one: self._gained(normal, *one), here)
+        return sorted(found, key=lambda one: -one.evidence)
+
+    def _gained(self, normal, joint, equation, variable, rows, square):
+        """Return a function as a Free."""
+        likelihood, level = self._likelihood, self._likelihood.level_of(joint)
+        least = normal.beside(rows, pull=1.0 / level ** 2)
+        scaled = level * rows
+        _, occam = np.linalg.slogdet(np.eye(len(rows)) + (
+            scaled * likelihood.weights(least.sums)) @ scaled.T)
+        return Free(normal.alone.cost - least.cost - occam - 2.0 * np.log(len(self._all)),
+                    float(np.sqrt(max(least.added @ square @ least.added, 0.0))),
+                    joint, equation, variable, rows)
+
+    def left_in(self, model, columns, caution=1.0):
+        """Return the free function that a model lacks, a Free, None where nothing matters."""
+        without = None
+        for free in self.ranked(model, columns)[:_TRIED]:
+            if (free.evidence <= EVIDENCE
+                    or free.torque <= _LEAST * self._likelihood.level_of(free.joint)):
+                continue
+            if without is None:
+                without = self._predicted(model, columns, free.rows[:0])
+            gain = gain_over(self._predicted(model, columns, free.rows) - without)
+            if gain._replace(sigmas=gain.sigmas / caution).is_real:
+                return free
+        return None
+
+    def _predicted(self, model, columns, rows):
+        """Return the log likelihood of blocks left out (B,), with a function of rows (K, R)."""
+        likelihood, numbers = self._likelihood, numbers_of(self._likelihood, model.robot)
+        pull = 1.0 / likelihood.coulomb.max() ** 2
+        weight = likelihood.weights(NormalEquations(likelihood, model, columns).beside(
+            rows, pull=pull).sums)
+        prior, every = prior_of(likelihood, model, numbers), np.concatenate(
+            [informative(likelihood, model, columns), rows])
+        free = np.concatenate([prior.free, np.ones(len(rows), dtype=bool)])
+        towards = np.concatenate([prior.pull * prior.values, np.zeros(len(rows))])
+        pull = np.concatenate([prior.pull, np.full(len(rows), pull)])
+        out, step = np.zeros(likelihood.groups.blocks), np.zeros(len(every))
+        for left_out in folds(likelihood):
+            kept = weight * ~left_out
+            slope = -every @ (kept * model.rows) - towards
+            slope[:len(columns)] += likelihood.noise_slopes(model, kept, numbers)
+            used = every[free]
+            step[free] = np.linalg.lstsq((used * kept) @ used.T + np.diag(pull[free]),
+                                         slope[free], rcond=1e-12)[0]
+            out += of_blocks(likelihood, left_out, model.rows + step @ every, weight)
+        return out
+
+
+def _shapes(likelihood, j):
+    """Return triangles over variables of joint ``j``, dict of list of ndarray (S, K)."""
+    motions, found = likelihood.motions, {}
+    own = [variables(motion, j) for motion in motions]
+    others = [of_others(motion, j) for motion in motions]
+    longest = max(motion.time[-1] - motion.time[0] for motion in motions)
+    moving = [_direction(one['link rate']) for one in own]
+    for name in (*_OF_FUNCTIONS, *(name for name in others[0] if name.startswith('link angle'))):
+        if name == 'torsion' and likelihood.robot.arm.rigid[j]:
+            continue
+        values = [one[name] for one in (own if name in _OF_FUNCTIONS else others)]
+        # a block of time that is left out must not hold a knot alone
+        knots = int(np.clip(longest / (2.0 * BLOCK), 3, _OF_TIME)) if name == 'time' else _KNOTS
+        at = np.unique(np.quantile(np.concatenate(values), np.linspace(0.0, 1.0, knots)))
+        found[name] = [np.stack([np.interp(one, at, unit) for unit in np.eye(len(at))], axis=1)
+                       for one in values]
+        if name in _DIRECTED:
+            found[f'{name} times the direction of motion'] = [
+                hats * way[:, None] for hats, way in zip(found[name], moving, strict=True)]
+    return found
+
+
+def _function(likelihood, joint, equation, name, hats, column):
+    """Return what `Free` begins with, rows (K, R) and mean products (K, K) of the triangles."""
+    rows = []
+    for k in range(hats[0].shape[1]):
+        torques = [np.zeros((len(own), 2 * likelihood.robot.n_joints)) for own in hats]
+        for torque, own in zip(torques, hats, strict=True):
+            torque[:, column] = own[:, k]
+        rows.append(likelihood.rows_of(torques))
+    every = np.concatenate(hats)
+    return joint, equation, name, np.array(rows), every.T @ every / len(every)
+
+
+def _direction(rate):
+    """Return the direction of motion (S,), smoothly through rest."""
+    return np.tanh(rate / max(0.05 * float(np.sqrt(np.mean(rate ** 2))), 1e-12))
