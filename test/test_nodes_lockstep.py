@@ -146,7 +146,7 @@ def test_a_robot_of_one_decoupled_axis_runs(tmp_path, monkeypatch):
 def test_an_arm_of_a_urdf_runs(tmp_path, monkeypatch):
     """The nodes find the URDF beside the parameter file that names it; its springs carry links."""
     files = [EXAMPLES / name for name in ('robot.yaml', 'controller.yaml', 'trajectory.yaml')]
-    extra = write_parameters(tmp_path / 'extra.yaml', 'trajectory: {ramp_time: 0.3}')
+    extra = write_parameters(tmp_path / 'extra.yaml', 'trajectory: {ramp_time: 1.0}')
     driven, simulated, _ = both(tmp_path, monkeypatch, [*files, extra], duration=0.8,
                                 compensation='gms', rate=1000.0)
     assert len(driven.time) == 800
