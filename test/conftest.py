@@ -45,7 +45,8 @@ def pytest_runtest_setup(item):
 WITH_NODES = {
     'controller': 20,  # compiles what the nodes run
     'nodes_identification': 60, 'demo_discrepancy': 60, 'tutorials': 55,
-    'faults': 35, 'nodes_lockstep': 28, 'nodes_bridge': 25, 'nodes_signals': 18, 'demo': 15, 'nodes_files': 15,
+    'faults': 35, 'nodes_lockstep': 28, 'nodes_bridge': 25, 'nodes_signals': 18,
+    'demo': 15, 'nodes_files': 15,
     'demo_identify': 12, 'nodes_composed': 12, 'sros2': 12}
 WITHOUT_NODES = {
     'discrepancy_workflow': 230, 'discrepancy_validation': 60, 'discrepancy_recordings': 50,
