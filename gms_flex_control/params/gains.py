@@ -3,7 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Gains of the cascade controller and of its friction observer."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 from gms_flex_control.errors import ParameterError
 from gms_flex_control.params.checks import freeze_arrays, require_finite, require_shape
@@ -38,10 +38,13 @@ class ControllerParams:
             raise ParameterError(f"compensation must be one of {', '.join(COMPENSATIONS)}, "
                                  f'got {self.compensation!r}')
         freeze_arrays(self, skip=('compensation',))
-        for name in ('kd_link', 'lambda_link', 'kd_motor', 'lambda_motor', 'observer_gain',
-                     'sign_slope', 'filter_bandwidth', 'torque_limit'):
+        for name in GAINS:
             value = getattr(self, name)
             require_shape(name, value, self.kd_link.shape)
             require_finite(name, value, at_least=0.0)
         for name in ('filter_bandwidth', 'sign_slope'):
             require_finite(name, getattr(self, name), above=0.0)
+
+
+# with a value per joint, as a controller file has them
+GAINS = tuple(one.name for one in fields(ControllerParams) if one.name != 'compensation')

@@ -8,10 +8,11 @@ from pathlib import Path
 
 from gms_flex_control.analysis.table4 import align
 from gms_flex_control.answer import Answer, command, measured
+from gms_flex_control.params.gains import GAINS
 from gms_flex_control.reports.figures import COLOURS, panels_of, STYLES, WIDTH
 from gms_flex_control.tuning.linear_loop import linear_loop
 from gms_flex_control.tuning.margins import joint_margins, open_loop, poses
-from gms_flex_control.tuning.propose import controller_values, link_bandwidth, PER_JOINT
+from gms_flex_control.tuning.propose import controller_values, link_bandwidth
 from gms_flex_control.tuning.trial import MOTIONS
 from matplotlib.figure import Figure
 import numpy as np
@@ -24,7 +25,7 @@ _HIGHEST = 0.95             # of half the sample rate: there the hold takes ever
 def gains_table(gains, robot) -> str:
     """Return the gains and the link's bandwidth, a row per joint, as text."""
     speed = link_bandwidth(gains, robot)
-    rows = [[joint, *(f'{getattr(gains, name)[j]:.4g}' for name in PER_JOINT[:4]),
+    rows = [[joint, *(f'{getattr(gains, name)[j]:.4g}' for name in GAINS[:4]),
              f'{speed[j]:.3g}'] for j, joint in enumerate(robot.joints)]
     return align(['joint', 'kd_link', 'lambda_link', 'kd_motor', 'lambda_motor',
                   'link bandwidth [rad/s]'], rows)

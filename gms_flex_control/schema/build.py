@@ -10,13 +10,12 @@ from gms_flex_control.effects.catalogue.gravity_tilt import GravityTilt
 from gms_flex_control.errors import ConfigError, ParameterError
 from gms_flex_control.params.arm import ArmParams, Frames
 from gms_flex_control.params.friction import FrictionParams, StribeckParams, WEIGHT_TOLERANCE
-from gms_flex_control.params.gains import ControllerParams
+from gms_flex_control.params.gains import ControllerParams, GAINS
 from gms_flex_control.params.robot import EffectSpec, EncoderParams, RobotParams
 from gms_flex_control.schema.key import checked, REQUIRED
 from gms_flex_control.schema.keys import (
     ARM,
     controller_keys,
-    GAINS,
     known_keys,
     robot_keys,
     STANDARD_GRAVITY,
@@ -30,7 +29,6 @@ _FACTORS = ('mass_factor', 'inertia_factor')      # on what a URDF states
 MOST_JOINTS = 7
 _ARM = tuple(key.name for key in ARM if key.name not in _FACTORS)
 _STRIBECK = tuple(key.name for key in STRIBECK)
-_GAINS = tuple(key.name for key in GAINS)
 
 
 def complete(keys, values: dict) -> dict:
@@ -200,7 +198,7 @@ def controller_from_values(values: dict, joints) -> ControllerParams:
     try:
         return ControllerParams(
             compensation=flat['compensation'],
-            **{name: [flat[f'gains.{joint}.{name}'] for joint in joints] for name in _GAINS})
+            **{name: [flat[f'gains.{joint}.{name}'] for joint in joints] for name in GAINS})
     except ParameterError as error:
         raise ParameterError(f"gains of {', '.join(joints)}: {error}") from error
 

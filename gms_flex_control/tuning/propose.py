@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 from gms_flex_control.control import gain_conditions
 from gms_flex_control.params.arm import ArmParams
-from gms_flex_control.params.gains import ControllerParams
+from gms_flex_control.params.gains import ControllerParams, GAINS
 from gms_flex_control.tuning.linear_loop import Timing
 from gms_flex_control.tuning.margins import demands_missed, judged, Judgement
 import numpy as np
@@ -25,9 +25,6 @@ _SLOWEST = 0.3                   # link bandwidth tried [rad/s]
 _FASTEST_LINK, _FASTEST_MOTOR = 0.1, 0.4   # of half the sample rate
 _FASTER = 1.2                    # motor over link bandwidth, at least
 _MORE_DAMPING = (1.0, 1.5, 2.25, 3.4)      # times what is required, where conditions want it
-# gains with a value per joint, as a controller file has them
-PER_JOINT = ('kd_link', 'lambda_link', 'kd_motor', 'lambda_motor', 'observer_gain', 'sign_slope',
-             'filter_bandwidth', 'torque_limit')
 _DIGITS = 4                      # of a gain
 _ROUNDS, _SLOWER = 10, 0.85      # of the whole arm; bandwidth of a joint that was too fast
 
@@ -184,7 +181,7 @@ def _conditions_hold(gains, axis, wanted):
 
 
 def _of_joint(gains, joint):
-    return replace(gains, **{name: getattr(gains, name)[[joint]] for name in PER_JOINT})
+    return replace(gains, **{name: getattr(gains, name)[[joint]] for name in GAINS})
 
 
 def _with_joint(gains, joint, values):
@@ -199,5 +196,5 @@ def controller_values(gains, joints) -> dict:
     """Return gains as the flat parameters of a controller file."""
     values = {'compensation': gains.compensation}
     for j, joint in enumerate(joints):
-        values |= {f'gains.{joint}.{name}': float(getattr(gains, name)[j]) for name in PER_JOINT}
+        values |= {f'gains.{joint}.{name}': float(getattr(gains, name)[j]) for name in GAINS}
     return values
