@@ -69,7 +69,7 @@ def steps(likelihood, model, columns, plausible=np.inf):
                                 plausible)
 
 
-def gain_of(likelihood, state, other, change, plausible) -> Gain:
+def gain_of(likelihood, state, other, change, plausible=PLAUSIBLE) -> Gain:
     """
     Return the Gain of one model over another.
 
