@@ -80,58 +80,36 @@ def read_beside(path, joints=None, motors=None, *, topics=None, aside=()) -> tup
     bag.warn()
     joints, motors = series.resolved()
     series.note_others(joints, motors)
-    begin, columns = _columns(path, series, joints, motors)
+    begin, columns = _columns(path, series, motors)
     return (Recording(joints=joints, source=str(path), **columns), begin,
             {name: Aside(space + name, bag.type_of(space + name), further[space + name])
              for name in aside})
 
 
-def joint_names(path, *, topics=None) -> list[str]:
+def joint_names(path) -> tuple:
     """Return the names in the first joint state of a bag; BagError if there is none."""
     bag = Bag(path)
-    topics = topics or Topics().within(namespace_of(bag))
+    topics = Topics().within(namespace_of(bag))
     for batch in bag.batches({topics.joint_states}):
         for *_, message in batch:
             return names_of(bag, message, topics)
     return names_of(bag, None, topics)
 
 
-def _columns(path, series, joints, motors):
+def _columns(path, series, motors):
     """Return the first stamp [ns], and the arrays of the Recording by name."""
     stamps, received, order = series.clock()
-    n, samples = len(joints), len(stamps)
-    if samples < 2:
-        raise BagError(f'{path}: {series.topics.joint_states} has {samples} joint state of these '
-                       'joints; a recording needs at least 2')
+    if len(stamps) < 2:
+        raise BagError(f'{path}: {series.topics.joint_states} has {len(stamps)} joint state of '
+                       'these joints; a recording needs at least 2')
     period = float(np.median(np.diff(stamps)))
-    sides = _motor_columns(motors, n)
     columns = {'time': (stamps - stamps[0]) * 1e-9}
-    for name, short in (('position', 'q'), ('velocity', 'dq')):
-        columns |= zip((f'{short}_link', f'{short}_motor'),
-                       _links_and_motors(series.states(name), order, sides), strict=True)
-    link, motor = _links_and_motors(series.states('effort'), order, sides)
-    columns['tau_motor'] = np.where([side is None for side in sides], link, motor)
-    del link, motor
+    columns['q_link'], columns['q_motor'] = series.states('position', order)
+    columns['dq_link'], columns['dq_motor'] = series.states('velocity', order)
+    columns['tau_motor'] = np.where([not name for name in motors],
+                                    *series.states('effort', order))
     columns['command'] = series.commands(stamps, received, period)
     columns['reference'] = series.reference(stamps, received, period)
     columns['friction_hat'] = series.friction(stamps)
     columns['supply'] = series.supply(stamps, received)
     return int(stamps[0]), columns
-
-
-def _motor_columns(motors, n):
-    """Return the column of each joint's motor in the table, None where there is none."""
-    columns, at = [], n
-    for name in motors:
-        columns.append(at if name else None)
-        at += bool(name)
-    return columns
-
-
-def _links_and_motors(values, order, sides):
-    """Return the rows ``order`` of the links and of their motors, NaN where there is none."""
-    motors = np.full((len(order), len(sides)), np.nan)
-    for k, column in enumerate(sides):
-        if column is not None:
-            motors[:, k] = values[order, column]
-    return values[order, :len(sides)], motors

@@ -193,11 +193,10 @@ class Series:
     def _make_tables(self):
         """Return a table for each of the topics, none if the joints cannot be told."""
         try:
-            joints, motors = self.resolved()
+            joints, _ = self.resolved()
         except BagError:  # raised again once the bag is known to be sound
             return ()
-        names = self.require_names()
-        n, links = len(joints), link_names(names)
+        n, links = len(joints), link_names(self.require_names())
         self._places = [links.index(name) for name in joints] if set(joints) < set(links) else None
         widest = n if self._places is None else len(links)
 
@@ -214,8 +213,7 @@ class Series:
                     raise
                 return _reference_shape(dims, count, widest)
 
-        there = [name for name in (*joints, *filter(None, motors)) if name in names]
-        return (JointTable(there), ArrayTable((widest,), torques),
+        return (JointTable(self._there()), ArrayTable((widest,), torques),
                 ArrayTable((N_DERIVATIVES, widest), references),
                 JointTable(joints, ('effort',)), ArrayTable((1,), _one_voltage))
 
@@ -271,16 +269,22 @@ class Series:
                           'stamps; the first state of each is taken', BagWarning, stacklevel=4)
         return stamps[order], received[order], order
 
-    def states(self, name) -> np.ndarray:
-        """Return position, velocity or effort of the states, (T, joints and motors), or NaN."""
-        joints, motors = self.resolved()
-        known, names = self._take('joint_states', name)[0], self.require_names()
-        there = [wanted in names for wanted in (*joints, *filter(None, motors))]
-        if all(there):
-            return known
-        values = np.full((len(known), len(there)), np.nan)
-        values[:, there] = known
-        return values
+    def states(self, name, rows) -> tuple:
+        """Return position, velocity or effort of links and of motors, (T, n) each, or NaN."""
+        known, there = self._take('joint_states', name)[0], self._there()
+        sides = []
+        for wanted in self.resolved():
+            values = np.full((len(rows), len(wanted)), np.nan)
+            for k, one in enumerate(wanted):
+                if one in there:
+                    values[:, k] = known[rows, there.index(one)]
+            sides.append(values)
+        return tuple(sides)
+
+    def _there(self):
+        """Return the joints and motors that the states have."""
+        (joints, motors), names = self.resolved(), self.require_names()
+        return [name for name in (*joints, *motors) if name and name in names]
 
     def commands(self, stamps, received, period) -> np.ndarray:
         """Return the command that answers each state, shape (T, n)."""
