@@ -26,10 +26,10 @@ import numpy as np
 
 # what a velocity is of the derivative of its position when units were mixed up
 _MIX_UPS = {57.29578: 'deg/s taken as rad/s', 1 / 57.29578: 'rad/s taken as deg/s',
-           9.549297: 'rpm taken as rad/s', 1 / 9.549297: 'rad/s taken as rpm',
-           6.0: 'rpm taken as deg/s', 1 / 6.0: 'deg/s taken as rpm',
-           6.283185: 'rad/s taken as turn/s or the like', 1000.0: 'a factor of 1000',
-           1e-3: 'a factor of 1000'}
+            9.549297: 'rpm taken as rad/s', 1 / 9.549297: 'rad/s taken as rpm',
+            6.0: 'rpm taken as deg/s', 1 / 6.0: 'deg/s taken as rpm',
+            6.283185: 'rad/s taken as turn/s or the like', 1000.0: 'a factor of 1000',
+            1e-3: 'a factor of 1000'}
 # beyond these something looks wrong
 _PERIOD = (1e-5, 0.5)    # median of a time column [s]
 _GAP = 5.0               # periods without a sample

@@ -69,7 +69,7 @@ class CsvTable:
 
     def column(self, name, asked_by) -> np.ndarray:
         """
-        Return one column (T,) by its name, or its number from 1; NaN where a cell is empty.
+        Return the numbers (T,) under a name, or a number from 1; NaN where a cell is empty.
 
         ImportDataError, naming ``asked_by``, if there is no such column or a cell is no number.
         """

@@ -231,7 +231,7 @@ class Series:
     def resolved(self) -> tuple:
         """Return the joint and motor names."""
         return _resolved(self._path, self.topics.joint_states, self.require_names(),
-                        *self._chosen)
+                         *self._chosen)
 
     def note_others(self, joints, motors) -> None:
         """Issue a BagWarning if there are more joints than those that were asked for."""
