@@ -29,8 +29,8 @@ from gms_flex_control.experiment.believed import scaled_friction
 from gms_flex_control.experiment.identification_plan import plan_identification
 from gms_flex_control.experiment.identification_simulated import simulate_identification
 from gms_flex_control.files import write_text
-from gms_flex_control.identification.beside import known_presliding, known_values
 from gms_flex_control.identification.identify import identify, Options
+from gms_flex_control.identification.result import known_presliding, known_values
 from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
 from gms_flex_control.params.gains import ControllerParams

@@ -20,9 +20,13 @@ from gms_flex_control.experiment.believed import scaled_friction
 from gms_flex_control.experiment.identification_plan import read_identification_plan
 from gms_flex_control.experiment.identification_simulated import simulate_identification
 from gms_flex_control.files import write_text
-from gms_flex_control.identification.beside import known_values, presliding_difference
 from gms_flex_control.identification.identify import identify
-from gms_flex_control.identification.result import Estimate, Interval
+from gms_flex_control.identification.result import (
+    Estimate,
+    Interval,
+    known_values,
+    presliding_difference,
+)
 from gms_flex_control.resources import controller_file, robot_file, share_path
 from gms_flex_control.schema.build import robot_values
 from gms_flex_control.schema.files import load_controller, load_robot

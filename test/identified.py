@@ -9,6 +9,7 @@ from gms_flex_control.friction.stribeck import steady_friction
 from gms_flex_control.identification.result import (
     Candidate,
     Estimate,
+    FrictionMap,
     HeldOut,
     Identification,
     Interval,
@@ -16,7 +17,6 @@ from gms_flex_control.identification.result import (
     Loop,
     Trace,
 )
-from gms_flex_control.identification.steady import FrictionMap
 from gms_flex_control.params.friction import FrictionParams
 from gms_flex_control.resources import robot_file
 from gms_flex_control.schema.build import robot_values

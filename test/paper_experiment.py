@@ -8,7 +8,7 @@ from pathlib import Path
 
 from gms_flex_control.experiment.identification_plan import read_identification_plan
 from gms_flex_control.experiment.identification_simulated import simulate_identification
-from gms_flex_control.identification.stretches import drive_sides, half_count, stretches_of
+from gms_flex_control.identification.segments import drive_sides, half_count, segments_of
 from gms_flex_control.params.robot import EncoderParams
 import numpy as np
 
@@ -46,7 +46,7 @@ def experiment(robot, gains, joint, seed, *, ideal, **options):
         plant = replace(plant, encoder=EncoderParams())
     recording, phases = simulate_identification(plan, plant, gains, seed,
                                                 torque_noise=0.0 if ideal else 1e-3)
-    stretches = stretches_of(recording, robot, drive_sides(recording, robot), phases)
+    stretches = segments_of(recording, robot, drive_sides(recording, robot), phases)
     return recording, phases, stretches, half_count(recording, robot)
 
 

@@ -13,7 +13,7 @@ from bench.real_machines.machines import between, MACHINES, shared_data, VARIABL
 from bench.real_machines.motion import low_pass, Motion, motion_of, residual_torque, rms
 from bench.real_machines.split import Outcome, parts_of
 from gms_flex_control.data.recording import Recording
-from gms_flex_control.identification.unknown_robot import rigid_joints
+from gms_flex_control.identification.assumed_robot import rigid_joints
 from gms_flex_control.params.friction import StribeckParams
 import numpy as np
 import pytest

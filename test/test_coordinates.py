@@ -5,12 +5,13 @@
 
 from gms_flex_control.identification.coordinates import (
     Coordinates,
+    equal_blocks,
     friction_record,
     MOST_BLOCKS,
     N_STEADY,
     presliding_curve,
+    yield_quantiles,
 )
-from gms_flex_control.identification.default_method import equal_blocks, yield_quantiles
 from gms_flex_control.simulation.predictor import BLOCKS
 import numpy as np
 import pytest

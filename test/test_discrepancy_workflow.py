@@ -17,9 +17,9 @@ from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE, FOUND, UNEXP
 from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
 from gms_flex_control.effects import registry
 from gms_flex_control.errors import BagError, SimulationError
+from gms_flex_control.identification.assumed_robot import rigid_joints
 from gms_flex_control.identification.identify import identify
 from gms_flex_control.identification.identify import Options as Identify
-from gms_flex_control.identification.unknown_robot import rigid_axes
 from gms_flex_control.params.robot import EffectSpec
 from identified_axis import pendulum
 import numpy as np
@@ -284,7 +284,7 @@ def test_a_wave_that_hardly_turns_is_none():
 def test_a_ripple_finer_than_any_guess_is_found():
     """As of a gear's teeth seen at its output, hundreds per revolution."""
     take = pendulum(pace=0.2)
-    model = identify([(take, ())], rigid_axes(take), options=Identify(
+    model = identify([(take, ())], rigid_joints(take.joints), options=Identify(
         estimate='all', blocks=(1,))).robot
     result = find_discrepancy([pendulum(pace=0.2, ripple=(0.02, 157.0, 0.6), seed=1)], model)
     assert result.verdict in (FOUND, COMPLETE)

@@ -9,11 +9,14 @@ from pathlib import Path
 from gms_flex_control.data.csv_import import import_csv
 from gms_flex_control.dynamics.chain import inverse_dynamics
 from gms_flex_control.identification.arm_fit import axis_of, estimate_arm, with_axis
-from gms_flex_control.identification.chain_fit import base_regressors, base_values, nearest_arm
+from gms_flex_control.identification.assumed_robot import rigid_joints
+from gms_flex_control.identification.axis_fit import fit_axis, fit_motor, held_torque, rows_of
+from gms_flex_control.identification.base_parameters import (
+    base_regressors,
+    base_values,
+    nearest_arm,
+)
 from gms_flex_control.identification.identify import identify, Options
-from gms_flex_control.identification.motor_side import fit_motor
-from gms_flex_control.identification.rigid_body import fit_axis, held_torque, rows_of
-from gms_flex_control.identification.unknown_robot import rigid_axes
 from identified_axis import axis, experiment, pendulum
 import numpy as np
 import pytest
@@ -45,7 +48,7 @@ def test_a_torque_too_large_for_asymmetry_of_friction_is_a_constant():
 
 def test_a_ripple_of_the_gear_is_found_and_friction_is_not_bent_by_it():
     take = pendulum(ripple=(0.03, 40.0, 0.6))
-    found = identify([(take, ())], rigid_axes(take), options=ALL)
+    found = identify([(take, ())], rigid_joints(take.joints), options=ALL)
     ripple, = found.robot.effects
     amplitude, order, phase = ripple.values
     assert ripple.name == 'torque_ripple'
@@ -61,7 +64,7 @@ def test_a_ripple_of_the_gear_is_found_and_friction_is_not_bent_by_it():
 
 
 def test_a_ripple_of_a_robot_that_is_described_is_told():
-    model = identify([(pendulum(), ())], rigid_axes(pendulum()), options=ALL).robot
+    model = identify([(pendulum(), ())], rigid_joints(pendulum().joints), options=ALL).robot
     for take, told in ((pendulum(seed=1, ripple=(0.03, 40.0, 0.6)), True),
                        (pendulum(seed=1), False)):
         warned = identify([(take, ())], model, options=Options(blocks=(1,))).joints[0].warnings
@@ -70,12 +73,12 @@ def test_a_ripple_of_a_robot_that_is_described_is_told():
 
 def test_no_ripple_is_made_up_where_there_is_none():
     take = pendulum()
-    arm_fit = estimate_arm([take], rigid_axes(take))
+    arm_fit = estimate_arm([take], rigid_joints(take.joints))
     assert arm_fit.ripples == (None,) and not arm_fit.robot.effects
 
 
 def test_an_axis_put_into_the_arm_has_the_torque_it_was_put_in_with():
-    arm = with_axis(rigid_axes(pendulum()).arm, 0, 0.02, 0.3, -0.4)
+    arm = with_axis(rigid_joints(pendulum().joints).arm, 0, 0.02, 0.3, -0.4)
     assert axis_of(arm, 0) == pytest.approx((0.02, 0.3, -0.4))
     for q in (-1.0, 0.3, 2.0):
         assert inverse_dynamics([q], [0.0], [2.0], arm) == pytest.approx(
@@ -131,7 +134,7 @@ def assert_no_worse(found):
 @real
 def test_an_industrial_robot_is_predicted_no_worse_than_by_coulomb_and_viscous():
     take, other = (imported('kr300', f'rec_{name}.csv', 'import_kr300.yaml') for name in 'AB')
-    found = identify(take, rigid_axes(take[0][0]), holdouts=other, options=ALL)
+    found = identify(take, rigid_joints(take[0][0].joints), holdouts=other, options=ALL)
     assert_no_worse(found)
     assert any(estimate.name == 'arm.axis1.stiffness' and 'not identifiable' in estimate.flags
                for estimate in found.joints[0].estimates)
@@ -141,7 +144,7 @@ def test_an_industrial_robot_is_predicted_no_worse_than_by_coulomb_and_viscous()
 def test_a_servo_with_a_pendulum_is_predicted_no_worse_than_by_coulomb_and_viscous():
     takes, others = (imported('bam_xl330', f'*kp{gain}.csv', 'import_bam_xl330.yaml')
                      for gain in (100, 400))
-    found = identify(takes, rigid_axes(takes[0][0]), holdouts=others, options=ALL)
+    found = identify(takes, rigid_joints(takes[0][0].joints), holdouts=others, options=ALL)
     assert_no_worse(found)
     gravity = next(estimate for estimate in found.joints[0].estimates
                    if estimate.name == 'arm.joint1.gravity_torque')

@@ -17,10 +17,9 @@ from gms_flex_control.experiment.identification_plan import read_identification_
 from gms_flex_control.experiment.identification_simulated import simulate_identification
 from gms_flex_control.experiment.plan import read_plan
 from gms_flex_control.experiment.simulated import simulate
-from gms_flex_control.identification.checks import check, require
-from gms_flex_control.identification.equations import filtered, rigid_torque
-from gms_flex_control.identification.findings import signals_of
-from gms_flex_control.identification.unknown_robot import rigid_axes
+from gms_flex_control.identification.assumed_robot import rigid_joints
+from gms_flex_control.identification.recording_checks import check, require
+from gms_flex_control.identification.torque_checks import filtered, rigid_torque
 from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
 from gms_flex_control.params.robot import EncoderParams, RobotParams
@@ -305,7 +304,7 @@ def test_a_drive_that_gives_but_a_part_of_what_is_asked_is_no_fault_of_the_data(
 def test_where_friction_is_nearly_all_an_inertia_hardly_tells_the_scale(share, severity):
     """One that identification could not tell is no reason to refuse the same machine."""
     take = pendulum(inertia=8e-4, pull=0.0)
-    robot = rigid_axes(take)
+    robot = rigid_joints(take.joints)
     robot = replace(robot, arm=replace(robot.arm, inertia=[8e-4 * share]))
     found, = check(take, robot)
     assert (found[0], found.severity) == ('torque_scale', severity)
@@ -321,7 +320,7 @@ def test_the_gap_is_measured():
 
 def test_rigid_torque_is_that_of_the_model():
     recording, robot = healthy('gravity')
-    motion = filtered(signals_of(recording, robot), robot)
+    motion = filtered(recording.of_joints(robot.joints), robot)
     got = rigid_torque(motion, robot.arm)
     for k in range(0, len(got), 97):
         q, dq, ddq = (channel[k] for channel in motion[:3])
@@ -434,6 +433,6 @@ def test_cogging_that_a_drive_works_against_does_not_reverse_its_torque():
     torque = inertia * acceleration + friction - tooth * np.sin(pace * time)
     assert np.corrcoef(torque, acceleration)[0, 1] < -0.99 and torque.min() > 0.0
     recording = replace(like, q_link=angle[:, None], tau_motor=torque[:, None])
-    axis = rigid_axes(recording)
+    axis = rigid_joints(recording.joints)
     robot = replace(axis, arm=replace(axis.arm, inertia=[inertia]))
     assert 'torque_sign' not in {one.kind for one in check(recording, robot)}

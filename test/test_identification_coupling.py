@@ -7,12 +7,11 @@ from functools import cache
 
 from gms_flex_control.experiment.plan import read_plan
 from gms_flex_control.experiment.simulated import simulate
+from gms_flex_control.identification.assumed_robot import believed_model
 from gms_flex_control.identification.coordinates import Coordinates
-from gms_flex_control.identification.coupling import coupling_sentences
-from gms_flex_control.identification.default_method import held_out
 from gms_flex_control.identification.identify import Data
-from gms_flex_control.identification.known_effects import believed_model
-from gms_flex_control.identification.objective import Objective
+from gms_flex_control.identification.objective import held_out, Objective
+from gms_flex_control.identification.prediction_error import coupling_sentences
 import numpy as np
 import pytest
 from test_identification_checks import ROOT, UNLIKE

@@ -9,8 +9,8 @@ from functools import cache
 from gms_flex_control.errors import IdentificationError
 from gms_flex_control.experiment.identification_plan import plan_identification
 from gms_flex_control.experiment.identification_simulated import simulate_identification
+from gms_flex_control.identification.assumed_robot import believed_model, cleared
 from gms_flex_control.identification.identify import Data
-from gms_flex_control.identification.known_effects import believed_model, cleared
 from gms_flex_control.params.robot import EffectSpec
 from identified_axis import axis, GAINS, JOINT, part, PLAN
 import numpy as np

@@ -4,8 +4,8 @@
 """Which numbers of a joint are flagged as not identifiable, however narrow their intervals."""
 
 from gms_flex_control.identification.coordinates import Coordinates
+from gms_flex_control.identification.result import NOT_IDENTIFIABLE
 from gms_flex_control.identification.uncertainty import clustered, estimates_of, Spread
-from gms_flex_control.identification.words import NOT_IDENTIFIABLE
 import numpy as np
 import pytest
 

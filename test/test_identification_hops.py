@@ -3,11 +3,11 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Hops leave wrong hollows of a rough cost, coarse looks at the data come first."""
 
-from gms_flex_control.identification import default_method
+from gms_flex_control.identification import multi_start as search
 from gms_flex_control.identification.coordinates import Coordinates, N_STEADY
-from gms_flex_control.identification.hops import hop
+from gms_flex_control.identification.least_squares import Prior, refine
+from gms_flex_control.identification.multi_start import multi_start
 from gms_flex_control.identification.objective import Bundle, Evaluation
-from gms_flex_control.identification.refine import Prior, refine
 from gms_flex_control.params.arm import ArmParams
 import numpy as np
 import pytest
@@ -47,8 +47,8 @@ def test_hops_find_the_hollow_that_a_single_fit_misses(seed):
     start[COORDINATES.yields] += np.log([1.6, 0.6])
     objective = Rippled()
     alone = refine(objective, COORDINATES, start, PRIOR).free
-    found = hop(objective, COORDINATES, (start,), PRIOR, COUNT, np.random.default_rng(seed),
-                8)
+    found = multi_start(objective, COORDINATES, (start,), PRIOR, COUNT,
+                        np.random.default_rng(seed), 8)
     off = np.abs(np.exp((found.ends[0] - TRUTH)[COORDINATES.yields]) - 1.0).max()
     assert np.abs(alone - TRUTH).max() > 2.0 * np.pi * RIPPLE
     assert off < 0.1
@@ -57,7 +57,8 @@ def test_hops_find_the_hollow_that_a_single_fit_misses(seed):
 
 def test_a_start_in_the_best_hollow_gains_nothing():
     """From the truth no hop finds better, and the best end stays there."""
-    found = hop(Rippled(), COORDINATES, (TRUTH,), PRIOR, COUNT, np.random.default_rng(0), 8)
+    found = multi_start(Rippled(), COORDINATES, (TRUTH,), PRIOR, COUNT,
+                        np.random.default_rng(0), 8)
     assert found.ends[0] == pytest.approx(TRUTH, abs=1e-6)
     assert found.gain == pytest.approx(1.0)
 
@@ -72,7 +73,7 @@ def bundle(period):
 
 def test_hops_begin_coarse_with_a_soft_observer_and_end_fine_with_its_own():
     """Coarse samples and a soft observer leave fewer hollows, fine and full tell the most."""
-    looks = [default_method.looked_at(bundle(1e-3), *look) for look in default_method.LEVELS]
+    looks = [search.looked_at(bundle(1e-3), *look) for look in search.LEVELS]
     periods, observers = [b.period for b in looks], np.array([b.observer for b in looks])
     assert periods == sorted(periods, reverse=True)
     assert observers[0] == pytest.approx([5.0, 10.0])
@@ -81,12 +82,12 @@ def test_hops_begin_coarse_with_a_soft_observer_and_end_fine_with_its_own():
 
 def test_what_good_ends_differ_by_is_kept_when_the_same_look_is_taken_again(monkeypatch):
     """A later round that finds one good end only does not make the intervals narrow."""
-    fit = default_method.JointFit(COORDINATES, TRUTH, PRIOR, None, None, (), True,
-                                  np.full(COORDINATES.size, 0.2), (TRUTH,))
-    monkeypatch.setattr(default_method, 'Objective', lambda *args: Rippled())
+    fit = search.JointFit(COORDINATES, TRUTH, PRIOR, TRUTH, (),
+                          np.full(COORDINATES.size, 0.2), (TRUTH,))
+    monkeypatch.setattr(search, 'Objective', lambda *args: Rippled())
     thetas = [COORDINATES.unpack(TRUTH)[0]] * 2
-    kept, afresh = (default_method.hopped(bundle(1e-3), 0, thetas, fit,
-                                          np.random.default_rng(0), 5, False, again)[0]
+    kept, afresh = (search.searched(bundle(1e-3), 0, thetas, fit,
+                                     np.random.default_rng(0), 5, False, again)[0]
                     for again in (True, False))
     assert np.all(kept.sampling >= 0.2)
     assert np.all(afresh.sampling < 0.2)

@@ -12,8 +12,13 @@ from gms_flex_control.identification.output import (
     write_friction,
     write_report_json,
 )
-from gms_flex_control.identification.result import Estimate, Interval
-from gms_flex_control.identification.words import joint_sentences, notes, standing
+from gms_flex_control.identification.result import (
+    Estimate,
+    Interval,
+    joint_sentences,
+    notes,
+    standing,
+)
 from gms_flex_control.resources import controller_file, robot_file
 from gms_flex_control.schema.files import load_controller, load_robot, read_parameters
 from identified import ERRORS, identification

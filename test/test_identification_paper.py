@@ -9,8 +9,8 @@ from gms_flex_control.errors import IdentificationError
 from gms_flex_control.friction import gms
 from gms_flex_control.friction.stribeck import steady_friction
 from gms_flex_control.identification.coordinates import MOST_BLOCKS, presliding_curve
-from gms_flex_control.identification.paper_data import believable, Piece
-from gms_flex_control.identification.paper_method import (
+from gms_flex_control.identification.paper.experiments import believable, Piece
+from gms_flex_control.identification.paper.method import (
     fit_attraction,
     fit_map,
     fit_paper,

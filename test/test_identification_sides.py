@@ -6,7 +6,7 @@
 from dataclasses import replace
 import warnings
 
-from gms_flex_control.identification.stretches import drive_sides, TorqueWarning
+from gms_flex_control.identification.segments import drive_sides, TorqueWarning
 import numpy as np
 import pytest
 from test_identification_checks import healthy

@@ -219,7 +219,7 @@ def two_joints(reverse=False):
 
 def assert_same_data(one, other):
     """Raise unless two Data hand the same numbers to a fit."""
-    for a, b in zip(one.bundle.stretches, other.bundle.stretches, strict=True):
+    for a, b in zip(one.bundle.segments, other.bundle.stretches, strict=True):
         for name in ('angle', 'rate', 'acceleration', 'torque', 'tested'):
             np.testing.assert_array_equal(getattr(a, name), getattr(b, name), err_msg=name)
     np.testing.assert_array_equal(one.bundle.half, other.bundle.half)
@@ -234,7 +234,7 @@ def test_the_order_of_the_joints_in_a_bag_does_not_matter():
     (take, robot), (turned, _) = two_joints(), two_joints(reverse=True)
     one, other = (Data([each], (), robot) for each in (take, turned))
     assert_same_data(one, other)
-    angle = one.bundle.stretches[0].angle
+    angle = one.bundle.segments[0].angle
     assert not np.array_equal(angle[:, 0], angle[:, 1])
 
 

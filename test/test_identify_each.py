@@ -19,7 +19,7 @@ from gms_flex_control.cli.identify_bags import identify_bag, items_of
 from gms_flex_control.cli.main import build_parser, main
 from gms_flex_control.data.writer import write_recording
 from gms_flex_control.errors import BatchError, ConfigError
-from gms_flex_control.identification.over_bags import is_outlier, over_bags
+from gms_flex_control.identification.output import is_outlier, over_bags
 from identified_axis import pendulum
 from loopback_cluster import cluster, until
 import numpy as np

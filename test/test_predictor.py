@@ -9,11 +9,7 @@ from core_runs import push_plant
 from gms_flex_control import records
 from gms_flex_control.dynamics import chain
 from gms_flex_control.friction import gms
-from gms_flex_control.identification.coordinates import (
-    Coordinates,
-    friction_record,
-    MOST_BLOCKS,
-)
+from gms_flex_control.identification.coordinates import Coordinates, friction_record, MOST_BLOCKS
 from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
 from gms_flex_control.params.robot import EncoderParams, RobotParams

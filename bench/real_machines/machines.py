@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from gms_flex_control.data.csv_import import import_csv
-from gms_flex_control.identification.unknown_robot import rigid_axes
+from gms_flex_control.identification.assumed_robot import rigid_joints
 from gms_flex_control.schema.files import load_robot
 import numpy as np
 
@@ -107,7 +107,7 @@ class Machine:
     def believed(self, recording):
         """Return what is known of the robot beforehand (RobotParams)."""
         if not self.belief:
-            return rigid_axes(recording)
+            return rigid_joints(recording.joints)
         return load_robot(HERE / 'robots' / self.belief)
 
 

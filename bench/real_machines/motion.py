@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 from gms_flex_control.discrepancy import motion as equations
 from gms_flex_control.discrepancy.residuals import unexplained
-from gms_flex_control.identification.unknown_robot import rigid_axes
+from gms_flex_control.identification.assumed_robot import rigid_joints
 from gms_flex_control.simulation.plant import constants_of
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
@@ -97,7 +97,7 @@ def motion_of(recording, fine=False):
     Motion
 
     """
-    full = _measured(driven_side(recording), rigid_axes(recording), fine)
+    full = _measured(driven_side(recording), rigid_joints(recording.joints), fine)
     return Motion(
         time=full.time - full.time[0], period=full.period, angle=full.states[:, 0, _DRIVEN],
         rate=full.states[:, 1, _DRIVEN], acceleration=full.second[:, 0, _DRIVEN],

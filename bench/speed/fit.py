@@ -22,12 +22,11 @@ from gms_flex_control.experiment.identification_plan import (
 )
 from gms_flex_control.experiment.identification_simulated import simulate_identification
 from gms_flex_control.identification.coordinates import Coordinates, N_STEADY
-from gms_flex_control.identification.default_method import fit_all, prior_of, rough_theta
+from gms_flex_control.identification.friction_map import friction_map, start_of
+from gms_flex_control.identification.least_squares import prior_of, refine
+from gms_flex_control.identification.multi_start import fit_all, rough_theta
 from gms_flex_control.identification.objective import Bundle, Objective, observer_bandwidth
-from gms_flex_control.identification.refine import refine
-from gms_flex_control.identification.start import start_of
-from gms_flex_control.identification.steady import friction_map
-from gms_flex_control.identification.stretches import drive_sides, half_count, stretches_of
+from gms_flex_control.identification.segments import drive_sides, half_count, segments_of
 from gms_flex_control.resources import share_path
 from gms_flex_control.schema.files import save_robot
 import numpy as np
@@ -113,7 +112,7 @@ def simulated(robot, gains, values, rate):
         f'identification.{axis.joints[0]}.{name}': value for name, value in _LIMITS.items()},
         axis, own)
     recording, phases = simulate_identification(plan, axis, own, 1, rate=rate)
-    pieces = stretches_of(recording, axis, drive_sides(recording, axis), phases)
+    pieces = segments_of(recording, axis, drive_sides(recording, axis), phases)
     half, period = half_count(recording, axis), recording.period
     observer = observer_bandwidth(axis.arm, axis.friction.forward.coulomb, half, 0.0 * half,
                                   period)
@@ -156,10 +155,10 @@ def fit_presliding(bundle, axis):
 
 def fit_everything(bundle, axis):
     """Return how all parameters of an axis are fitted: a Comparison."""
-    angle = np.concatenate([stretch.angle[:, 0] for stretch in bundle.stretches])
-    start = start_of(friction_map(bundle.stretches, bundle.arm, 0, bundle.period, bundle.half[0]),
+    angle = np.concatenate([stretch.angle[:, 0] for stretch in bundle.segments])
+    start = start_of(friction_map(bundle.segments, bundle.arm, 0, bundle.period, bundle.half[0]),
                      float(np.ptp(angle)), 2.0 * bundle.half[0], axis.joints[0],
-                     bundle.stretches[0].source)
+                     bundle.segments[0].source)
     theta = rough_theta(start, np.zeros(0))
     coordinates, free = packed(theta, np.geomspace(*start.yields[[0, -1]], N_BLOCKS))
 
@@ -204,7 +203,7 @@ def compare(case, budget, repeats):
 
     first = plain_cost(case.start[case.moving])
     found = search(plain_cost, case.start[case.moving], cost * (1.0 + _AS_GOOD), budget)
-    data = sum(len(stretch.angle) for stretch in case.bundle.stretches)
+    data = sum(len(stretch.angle) for stretch in case.bundle.segments)
     if found.reached:
         end = 'it reached our cost'
     elif found.seconds > budget:

@@ -35,7 +35,7 @@ def innovations(stretch, theta, inertia, period, half, bandwidth):
 
     Parameters
     ----------
-    stretch : Stretch
+    stretch : Segment
         Of one joint.
     theta : ndarray
         Its parameters, as in simulation.predictor.

@@ -20,7 +20,7 @@ from gms_flex_control.blas import alone_in_one_thread
 from gms_flex_control.cli.output import conclude
 from gms_flex_control.errors import BatchError, ConfigError, GmsFlexError, own_warnings
 from gms_flex_control.files import write_text
-from gms_flex_control.identification.over_bags import over_bags
+from gms_flex_control.identification.output import over_bags
 from gms_flex_control.reports.bags_summary import bags_csv, over_bags_answer, spread_csv, summary
 
 MARK = '.gms_flex_each'  # in a folder of results: what they are the results of

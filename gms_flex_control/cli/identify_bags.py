@@ -17,11 +17,15 @@ from gms_flex_control.data.further_topics import read_experiment
 from gms_flex_control.data.reader import joint_names
 from gms_flex_control.data.recording import link_names, MOTOR_SUFFIX
 from gms_flex_control.errors import ConfigError
+from gms_flex_control.identification.assumed_robot import only_joints, rigid_joints
 from gms_flex_control.identification.coordinates import MOST_BLOCKS
 from gms_flex_control.identification.identify import identify, Options
-from gms_flex_control.identification.output import report_json, write_friction, write_report_json
-from gms_flex_control.identification.over_bags import bag_values
-from gms_flex_control.identification.unknown_robot import only_joints, rigid_joints
+from gms_flex_control.identification.output import (
+    bag_values,
+    report_json,
+    write_friction,
+    write_report_json,
+)
 from gms_flex_control.params.arm import in_units
 from gms_flex_control.reports import bags_summary
 from gms_flex_control.reports.answers import identification_answer, identification_text

@@ -18,10 +18,14 @@ from gms_flex_control.control import cascade, compensation
 from gms_flex_control.data.reader import read_recording
 from gms_flex_control.errors import IdentificationError
 from gms_flex_control.friction import gms
-from gms_flex_control.identification.held_out import smooth_angle
+from gms_flex_control.identification.friction_map import friction_torque
+from gms_flex_control.identification.segments import (
+    drive_sides,
+    rigid_where,
+    segments_of,
+    smooth_angle,
+)
 from gms_flex_control.identification.smoothing import low_pass
-from gms_flex_control.identification.steady import friction_torque
-from gms_flex_control.identification.stretches import drive_sides, rigid_where, stretches_of
 from gms_flex_control.params.friction import FrictionParams
 from gms_flex_control.params.robot import RobotParams
 from gms_flex_control.simulation import encoder
@@ -69,7 +73,7 @@ def along(recording, robot) -> Along:
     """
     sides = drive_sides(recording, robot)
     seen = rigid_where(robot, sides)
-    pieces = [_piece(stretch, recording, seen) for stretch in stretches_of(
+    pieces = [_piece(stretch, recording, seen) for stretch in segments_of(
         recording, robot, sides)]
     return Along(tuple(pieces), seen, all(np.isfinite(one.reference).all() for one in pieces))
 

@@ -6,9 +6,9 @@
 from dataclasses import replace
 
 from gms_flex_control.discrepancy.motion import has_commands, held, with_links
-from gms_flex_control.identification import clock_checks, motion_checks
-from gms_flex_control.identification.checks import check
-from gms_flex_control.identification.findings import absent_joints, signals_of
+from gms_flex_control.identification import sampling_checks
+from gms_flex_control.identification.check_limits import absent_joints
+from gms_flex_control.identification.recording_checks import check
 import numpy as np
 
 _OF_TORQUE = ('swapped_joints', 'swapped_sides', 'torque_sign', 'torque_scale', 'unexplained')
@@ -16,7 +16,7 @@ _OF_TORQUE = ('swapped_joints', 'swapped_sides', 'torque_sign', 'torque_scale', 
 
 def faults_of(recordings, robot):
     """
-    Return the findings of `identification.checks` in what the equations will use.
+    Return the findings of `identification.recording_checks` in what the equations will use.
 
     Those that forbid a fit first. Recordings may have joints in any order; torque commands are
     checked beside efforts, or instead of them.
@@ -31,8 +31,7 @@ def _faults(recording, robot):
     if absent:
         return absent
     recording = recording.of_joints(robot.joints)
-    signals = signals_of(recording, robot)
-    timing = [*motion_checks.length(signals), *clock_checks.clock(signals)]
+    timing = [*sampling_checks.length(recording), *sampling_checks.clock(recording)]
     if any(finding.severity == 'refuse' for finding in timing):
         return timing  # nothing can be computed along such a time
     recording = with_links(recording, robot)

@@ -2,44 +2,70 @@
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """
-The arm as recordings tell it, before and together with friction: `--estimate all`.
+The arm as recordings determine it, before and together with friction: `--estimate all`.
 
-A regression gives inertia, gravity, stiffness and motor inertia to begin with. On axes that do
-not act on each other, corrections of inertia and gravity are then fitted together with friction
-through the predictor, as further torques, and folded back into the arm.
+A regression gives inertia, gravity, stiffness and motor inertia to begin with. Corrections of
+inertia and gravity are then fitted together with friction through the predictor, as further
+torques, and folded back into the arm.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 from gms_flex_control.effects.catalogue.constant_link_torque import ConstantLinkTorque
-from gms_flex_control.identification.axis_ripple import fit_axis_with_ripple
-from gms_flex_control.identification.chain_fit import (
+from gms_flex_control.identification.axis_fit import (
+    fit_axis_with_ripple,
+    fit_motor,
+    held_torque,
+    RIPPLE,
+    rows_of,
+    SKEWED,
+    spring_torque,
+    STANDARD_GRAVITY,
+)
+from gms_flex_control.identification.base_parameters import (
+    base_estimates,
     base_regressors,
     base_values,
     fit_chain,
     nearest_arm,
 )
-from gms_flex_control.identification.motor_side import fit_motor
-from gms_flex_control.identification.rigid_body import (
-    held_torque,
-    rows_of,
-    spring_torque,
-    STANDARD_GRAVITY,
+from gms_flex_control.identification.inertial_parameters import base_estimates as spatial_estimates
+from gms_flex_control.identification.inertial_parameters import fit_base_parameters
+from gms_flex_control.identification.result import (
+    CONFIDENT,
+    Estimate,
+    Interval,
+    NO_INTERVAL,
+    NOT_IDENTIFIABLE,
 )
-from gms_flex_control.identification.steady import filled
-from gms_flex_control.params.robot import EffectSpec
+from gms_flex_control.identification.segments import filled
+from gms_flex_control.params.arm import ArmParams
+from gms_flex_control.params.robot import EffectSpec, RobotParams
 import numpy as np
 
 CONSTANT = ConstantLinkTorque.name
-_LIGHT = 0.05       # of the torque: inertia that cannot be told is set to what takes this share
+_LIGHT = 0.05       # of the torque: inertia that cannot be told is set to what needs this share
 _ERRORS, _PART = 5.0, 0.1  # of the regression, and of the number: unit of a correction
+_SLIGHT = 0.1      # of the torque: an inertia that needs less is not to be believed
+_WIDE = 0.5         # half an interval this large a part of the value tells nothing
+_TELLS_INERTIA = 'faster changes of speed tell it'
+_TELLS_GRAVITY = 'motion over a wider range of angles tells it'
+_TELLS_MOTOR = ('a motion that makes the motor swing against the link tells it, both encoders '
+                'sampled at one time')
+_TELLS_CONSTANT = ('a constant torque is told from friction by motion both ways at the same '
+                   'angles and speeds')
+_SCALE = Estimate(
+    'arm.torque_scale', '', 1.0, NO_INTERVAL, (NOT_IDENTIFIABLE,),
+    'all torques, stiffnesses and inertias go with the scale of the recorded torque; these data '
+    'cannot tell it, a known mass added to the link would')
 
 
 class ArmFit(NamedTuple):
     """What a regression says of the arm."""
 
-    robot: object   # RobotParams with the arm found
+    robot: RobotParams  # with the arm found
     motors: tuple   # MotorFit per joint, None where not fitted
     numbers: tuple  # per joint which numbers of the arm are corrected along with friction
     units: tuple    # per joint what a correction of 1 means (R,), in the unit of the number
@@ -48,19 +74,21 @@ class ArmFit(NamedTuple):
     friction: tuple  # per joint its usual friction [N m], None where not looked for
     shares: tuple    # per joint the torque of its inertia, of the whole
     ripples: tuple   # per joint its Ripple, None where there is none
+    final: tuple = ()  # per joint its Estimates, where no correction is fitted along with friction
 
     def extras(self):
-        """Return per joint a function Stretch -> further torques (T, R) per unit of correction."""
-        return tuple(self._columns(j) for j in range(len(self.numbers)))
+        """Return per joint a function Segment -> further torques (T, R) per correction."""
+        return tuple(self._columns(j) if len(chosen) else None
+                     for j, chosen in enumerate(self.numbers))
 
     def _columns(self, joint):
         arm, gravity = self.robot.arm, any(self.has_gravity)
         chosen, units = self.numbers[joint], self.units[joint]
 
-        def extra(stretch):
-            motion = filled(stretch.angle), stretch.rate, stretch.acceleration
-            torque = (base_regressors(*motion, arm, gravity) if is_chain(arm)
-                      else axis_regressors(*motion))
+        def extra(segment):
+            motion = filled(segment.angle), segment.rate, segment.acceleration
+            torque = (base_regressors(*motion, arm, gravity) if _is_chain(arm)
+                      else _axis_regressors(*motion))
             return -units * torque[:, joint, chosen]
         return extra
 
@@ -69,38 +97,30 @@ class ArmFit(NamedTuple):
         return theta[len(theta) - len(self.units[joint]):] * self.units[joint]
 
 
-def is_chain(arm):
+def _is_chain(arm):
     """Return whether the links act on each other."""
     return arm.kind == 'planar' and arm.n_joints > 1
 
 
-def axis_regressors(angle, rate, acceleration):
+def _axis_regressors(angle, rate, acceleration):
     """Return the torques (T, n, 4) of inertia, cosine and sine of gravity, and a constant."""
     return np.stack([acceleration, np.cos(angle), np.sin(angle), np.ones(angle.shape)], axis=2)
 
 
-def estimate_arm(recordings, robot):
+def estimate_arm(recordings: Sequence, robot: RobotParams) -> ArmFit:
     """
-    Estimate the arm.
+    Estimate the arm of recordings with joints in the robot's order.
 
-    Parameters
-    ----------
-    recordings : sequence of Recording
-        Joints in the robot's order.
-    robot : RobotParams
-        As far as it is known: kind, lengths and masses of a chain are relied on.
-
-    Returns
-    -------
-    ArmFit
-
+    Of the robot kind, lengths and masses of a chain are relied on.
     """
     n = robot.n_joints
-    motors = tuple(fit_motor(recordings, j) if two_sided(recordings, j) else None
+    motors = tuple(fit_motor(recordings, j) if _two_sided(recordings, j) else None
                    for j in range(n))
     robot = replace(robot, arm=_with_motors(robot.arm, motors))
-    drives = [drive_of(recordings, robot.arm, j) for j in range(n)]
-    if is_chain(robot.arm):
+    if robot.arm.frames:
+        return _in_space(recordings, robot, motors)
+    drives = [_drive_of(recordings, robot.arm, j) for j in range(n)]
+    if _is_chain(robot.arm):
         return _chain(recordings, robot, drives, motors)
     numbers, units, axes, ripples, constant, arm = [], [], [], [], np.zeros(n), robot.arm
     for j in range(n):
@@ -108,7 +128,7 @@ def estimate_arm(recordings, robot):
         axis, ripple = fit_axis_with_ripple(recordings, rows, j, robot.joints[j],
                                             recordings[0].source)
         ripples.append(ripple)
-        inertia = inertia_to_use(axis, rows)
+        inertia = _inertia_to_use(axis, rows)
         arm = with_axis(arm, j, inertia, axis.cosine, axis.sine)
         size = np.array([inertia, axis.gravity_torque, axis.gravity_torque, axis.constant])
         chosen = np.flatnonzero([True, axis.has_gravity, axis.has_gravity, axis.constant != 0.0])
@@ -128,26 +148,39 @@ def _chain(recordings, robot, drives, motors):
     n, gravity = robot.n_joints, bool(robot.arm.gravity.any())
     arm, error = fit_chain(recordings, robot, drives)
     units = np.maximum(_ERRORS * error, _PART * np.abs(base_values(arm, gravity)))
-    numbers = tuple(acting(n, j, gravity) for j in range(n))
+    numbers = tuple(_acting(n, j, gravity) for j in range(n))
     return ArmFit(replace(robot, arm=arm), motors, numbers,
                   tuple(units[chosen] for chosen in numbers), (gravity,) * n, np.zeros(n),
                   (None,) * n, (1.0,) * n, (None,) * n)
 
 
-def acting(n, joint, gravity):
+def _in_space(recordings, robot, motors):
+    n, nothing = robot.n_joints, (np.zeros(0, dtype=int),) * robot.n_joints
+    fit = fit_base_parameters(recordings, robot)
+    rows = spatial_estimates(fit, robot.joints)
+    for j, motor in enumerate(motors):
+        if motor is not None:
+            rows[j] += tuple(_motor_rows(motor, f'arm.{robot.joints[j]}', bool(
+                robot.arm.rigid[j])))
+    rows[0] += (_SCALE,)
+    return ArmFit(replace(robot, arm=fit.arm), motors, nothing, (np.zeros(0),) * n, (True,) * n,
+                  np.zeros(n), (None,) * n, (1.0,) * n, (None,) * n, tuple(rows))
+
+
+def _acting(n, joint, gravity):
     """Return which base parameters of a chain of n joints act on a joint."""
     pairs = [(i, k) for i in range(n) for k in range(i, n)]
     chosen = [b for b, (_, k) in enumerate(pairs) if k >= joint]
     return np.array(chosen + [len(pairs) + i for i in range(joint, n) if gravity])
 
 
-def two_sided(recordings, joint):
+def _two_sided(recordings, joint):
     """Return whether both sides and the torque of a joint were measured."""
     return all(np.isfinite(getattr(recording, name)[:, joint]).sum() > 100
                for recording in recordings for name in ('q_link', 'q_motor', 'tau_motor'))
 
 
-def drive_of(recordings, arm, joint):
+def _drive_of(recordings, arm, joint):
     """Return the function that gives the torque on a link: its spring, or its motor."""
     measured = all(np.isfinite(recording.q_motor[:, joint]).any() for recording in recordings)
     if arm.rigid[joint] or not measured:
@@ -167,38 +200,24 @@ def _with_motors(arm, motors):
     return replace(arm, **values)
 
 
-def inertia_to_use(axis, rows):
+def _inertia_to_use(axis, rows):
     """
     Return the inertia of an axis [kg m^2].
 
-    Where none is seen, one that takes a small part of the torque: with much less, the blocks of
+    Where none is seen, one that needs a small part of the torque: with much less, the blocks of
     friction would be too stiff for the samples.
     """
     least = _LIGHT * np.std(rows.torque) / max(np.std(rows.acceleration), 1e-300)
     return axis.inertia if axis.inertia_told else float(least)
 
 
-def with_axis(arm, joint, inertia, cosine, sine):
+def with_axis(arm: ArmParams, joint: int, inertia: float, cosine: float, sine: float) -> ArmParams:
     """
-    Return the arm with one axis of its own changed.
+    Return a decoupled arm with one axis changed.
 
-    Parameters
-    ----------
-    arm : ArmParams
-        Decoupled.
-    joint : int
-        Which axis.
-    inertia : float
-        About the joint, motor of a rigid joint included [kg m^2].
-    cosine, sine : float
-        Gravity torque ``cosine cos q + sine sin q`` [N m].
-
-    Returns
-    -------
-    ArmParams
-        Mass and centre of mass are one choice of which only the moment and ``inertia`` count;
-        the mass of the file is kept where that is possible.
-
+    ``inertia`` about the joint, motor of a rigid joint included [kg m^2]; gravity torque
+    ``cosine cos q + sine sin q`` [N m]. Mass and centre of mass are one choice of which only the
+    moment and ``inertia`` count; the mass of the file is kept where that is possible.
     """
     pull = float(np.hypot(*arm.gravity)) or STANDARD_GRAVITY
     names = ('mass', 'com', 'inertia', 'offset', 'motor_inertia')
@@ -219,7 +238,7 @@ def with_axis(arm, joint, inertia, cosine, sine):
     return replace(arm, gravity=pull, **values)
 
 
-def axis_of(arm, joint):
+def axis_of(arm: ArmParams, joint: int) -> tuple:
     """Return inertia about the joint [kg m^2], and cosine and sine of gravity [N m]."""
     inertia = arm.inertia[joint] + arm.mass[joint] * arm.com[joint] ** 2
     inertia += arm.motor_inertia[joint] if arm.rigid[joint] else 0.0
@@ -227,34 +246,21 @@ def axis_of(arm, joint):
     return inertia, pull * np.cos(arm.offset[joint]), -pull * np.sin(arm.offset[joint])
 
 
-def folded(robot, arm_fit, thetas, spreads):
+def folded(robot: RobotParams, arm_fit: ArmFit, thetas: Sequence, spreads: Sequence):
     """
     Return the robot with the corrections that were fitted along with friction.
 
-    Parameters
-    ----------
-    robot : RobotParams
-        The arm the corrections are to.
-    arm_fit : ArmFit
-        Which there are.
-    thetas : sequence of ndarray
-        Parameters of each joint, corrections last.
-    spreads : sequence of Spread
-        Of their free numbers.
-
-    Returns
-    -------
-    RobotParams
-
+    ``thetas`` are the parameters of each joint, corrections last, ``spreads`` of their free
+    numbers.
     """
     arm, effects = robot.arm, []
-    if is_chain(arm):
-        values, covariance = combined(arm, arm_fit, thetas, spreads)
+    if _is_chain(arm):
+        values, covariance = _combined(arm, arm_fit, thetas, spreads)
         return replace(robot, arm=nearest_arm(
             arm, values, np.linalg.pinv(covariance, rcond=1e-12, hermitian=True),
             any(arm_fit.has_gravity)))
     for j, theta in enumerate(thetas):
-        inertia, cosine, sine, constant = axis_numbers(arm, arm_fit, j, theta)
+        inertia, cosine, sine, constant = _axis_numbers(arm, arm_fit, j, theta)
         arm = with_axis(arm, j, max(inertia, 0.1 * axis_of(arm, j)[0]), cosine, sine)
         if constant:
             effects.append(EffectSpec(
@@ -263,14 +269,14 @@ def folded(robot, arm_fit, thetas, spreads):
     return replace(robot, arm=arm, effects=(*kept, *effects))
 
 
-def axis_numbers(arm, arm_fit, joint, theta):
+def _axis_numbers(arm, arm_fit, joint, theta):
     """Return inertia, cosine, sine and constant torque of an axis, corrected (4,)."""
     values = np.append(axis_of(arm, joint), arm_fit.constant[joint])
     values[arm_fit.numbers[joint]] += arm_fit.corrections(joint, theta)
     return values
 
 
-def combined(arm, arm_fit, thetas, spreads):
+def _combined(arm, arm_fit, thetas, spreads):
     """
     Return base parameters of a chain and their covariance, all joints put together.
 
@@ -286,3 +292,104 @@ def combined(arm, arm_fit, thetas, spreads):
         right[arm_fit.numbers[j]] += known @ arm_fit.corrections(j, theta)
     covariance = np.linalg.inv(precision)
     return start + covariance @ right, covariance
+
+
+def arm_estimates(robot: RobotParams, arm_fit: ArmFit, thetas: Sequence, spreads: Sequence):
+    """Return the Estimates of the arm, a tuple per joint, those of the whole with the first."""
+    rows = [[] for _ in thetas]
+    if _is_chain(robot.arm):
+        values, covariance = _combined(robot.arm, arm_fit, thetas, spreads)
+        told = np.zeros(len(values))
+        for numbers, spread in zip(arm_fit.numbers, spreads, strict=True):
+            told[numbers] = np.maximum(told[numbers], spread.told[-len(numbers):])
+        rows[0] += base_estimates(values, covariance, told, robot.n_joints,
+                                  any(arm_fit.has_gravity))
+    for j, (theta, spread) in enumerate(zip(thetas, spreads, strict=True)):
+        name = f'arm.{robot.joints[j]}'
+        if not _is_chain(robot.arm):
+            rows[j] += _axis_rows(robot, arm_fit, j, theta, spread, name)
+        if arm_fit.motors[j] is not None:
+            rows[j] += _motor_rows(arm_fit.motors[j], name, bool(robot.arm.rigid[j]))
+    rows[0].append(_SCALE)
+    return [tuple(row._replace(interval=NO_INTERVAL) if row.flags else row for row in part)
+            for part in rows]
+
+
+def _axis_rows(robot, arm_fit, joint, theta, spread, name):
+    scale, numbers = arm_fit.units[joint], arm_fit.numbers[joint]
+    if not len(numbers):
+        return []
+    at = len(spread.covariance) - len(scale)
+    values = _axis_numbers(robot.arm, arm_fit, joint, theta)[numbers]
+    covariance = spread.covariance[at:, at:] * np.outer(scale, scale)
+    error = np.sqrt(np.diag(covariance))
+    rows = [_row(f'{name}.inertia', 'kg m^2', values[0], error[0],
+                 'about the joint, centre of mass and motor included', _TELLS_INERTIA)]
+    if arm_fit.shares[joint] < _SLIGHT:
+        rows[0] = rows[0]._replace(flags=(NOT_IDENTIFIABLE,), note=(
+            f'it takes {100 * max(arm_fit.shares[joint], 0.0):.2g} % of the torque in this '
+            f'motion, less than what the model lacks may take: {_TELLS_INERTIA}'))
+    if 3 in numbers:
+        rows.append(_row(f'effects.{robot.joints[joint]}.{CONSTANT}.bias', 'N m', -values[-1],
+                         error[-1], 'friction would have to be several times '
+                         'larger one way than the other without it', _TELLS_CONSTANT))
+    if 1 in numbers:
+        size = np.hypot(*values[1:3])
+        slope = values[1:3] / max(size, 1e-300)
+        spreads = covariance[1:3, 1:3]
+        angle = np.arctan2(-values[2], values[1])
+        turn = np.array([-slope[1], slope[0]]) / max(size, 1e-300)
+        rows.append(_row(f'{name}.gravity_torque', 'N m', size, np.sqrt(slope @ spreads @ slope),
+                         'of the link held level: mass com '
+                         'gravity; mass and com apart cannot be told', _TELLS_GRAVITY))
+        error = float(np.sqrt(turn @ spreads @ turn))
+        told = error < _WIDE
+        rows.append(Estimate(
+            f'{name}.offset', 'rad', float(angle), Interval(angle - CONFIDENT * error,
+                                                            angle + CONFIDENT * error),
+            () if told else (NOT_IDENTIFIABLE,), '' if told else _TELLS_GRAVITY))
+    if arm_fit.ripples[joint]:
+        rows += _ripple_rows(arm_fit.ripples[joint],
+                             f'effects.{robot.joints[joint]}.{RIPPLE}')
+    if 1 not in numbers:
+        rows.append(Estimate(f'{name}.gravity_torque', 'N m', 0.0, NO_INTERVAL,
+                             (NOT_IDENTIFIABLE,),
+                             'no gravity is seen in this motion: it does not lower the error on '
+                             'data held out'))
+    return rows
+
+
+def _ripple_rows(ripple, name):
+    rows = []
+    for part, unit, error, note in (
+            ('amplitude', 'N m', ripple.amplitude_error, 'taken off the torque before friction '
+             'was fitted'),
+            ('order', '1', ripple.order_error, 'periods in 2 pi of the angle')):
+        value = getattr(ripple, part)
+        interval = Interval(value - CONFIDENT * error, value + CONFIDENT * error)
+        rows.append(Estimate(f'{name}.{part}', unit, value, interval, (), note))
+    return rows
+
+
+def _row(name, unit, value, error, meaning, tells):
+    interval = Interval(value - CONFIDENT * error, value + CONFIDENT * error)
+    told = CONFIDENT * error < _WIDE * abs(value) and (value > 0.0 or 'bias' in name)
+    return Estimate(name, unit, float(value), Interval(*map(float, interval)),
+                    () if told else (NOT_IDENTIFIABLE,), meaning if told else tells)
+
+
+def _motor_rows(motor, name, rigid):
+    rows = []
+    for part, unit, value, error, told in zip(
+            ('motor_inertia', 'stiffness', 'damping'), ('kg m^2', 'N m/rad', 'N m s/rad'),
+            motor[:3], motor.error, motor.believed, strict=True):
+        if rigid and part == 'motor_inertia':
+            continue
+        note = '' if told else _TELLS_MOTOR
+        if not told and motor.skew >= SKEWED:
+            note = ('most of the twist goes with the velocity, as if the two encoders were read '
+                    'at different times: that looks like a soft spring or damping and is neither')
+        wide = Interval(float(value - CONFIDENT * error), float(value + CONFIDENT * error))
+        rows.append(Estimate(f'{name}.{part}', unit, float(value), wide,
+                             () if told else (NOT_IDENTIFIABLE,), note))
+    return rows

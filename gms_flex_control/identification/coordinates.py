@@ -10,6 +10,8 @@ weights. A block's stiffness is then ``k_i = alpha_i F_s / yield_i``, F_s the me
 directions.
 """
 
+from collections.abc import Sequence
+
 from gms_flex_control.friction import gms
 from gms_flex_control.records import build
 from gms_flex_control.simulation.predictor import (
@@ -26,26 +28,19 @@ import numpy as np
 
 MOST_BLOCKS = 8   # of one joint; records of all joints have this many, so that one kernel serves
 N_STEADY = 9      # numbers of Stribeck curves and attraction
+STATICS = [STATIC, PER_DIRECTION + STATIC]  # places of F_s in the parameters
 
 
 class Coordinates:
     """
     One joint's parameters as free numbers.
 
-    Parameters
-    ----------
-    n_blocks : int
-        N, up to MOST_BLOCKS.
-    yields : ndarray, shape (n_blocks,), optional
-        Fixed yield displacements [rad]; by default they are fitted.
-    free_weights : bool
-        Whether the weights are fitted; else they are 1/N, as in the paper.
-    n_extra : int
-        Number of further linear coefficients.
-
+    ``n_blocks`` up to MOST_BLOCKS; ``yields`` (n_blocks,) are fixed yield displacements [rad],
+    by default they are fitted; without ``free_weights`` each weight is 1/N, as in the paper;
+    ``n_extra`` further linear coefficients.
     """
 
-    def __init__(self, n_blocks, *, yields=None, free_weights=False, n_extra=0):
+    def __init__(self, n_blocks: int, *, yields=None, free_weights=False, n_extra=0):
         self.n_blocks, self.n_extra = n_blocks, n_extra
         self._fixed = None if yields is None else np.asarray(yields, dtype=float)
         self._yields = slice(N_STEADY, N_STEADY + (n_blocks if yields is None else 0))
@@ -69,25 +64,12 @@ class Coordinates:
         return self._weights.stop > self._weights.start
 
     def pack(self, static, coulomb, velocity, viscous, attraction, yields, weights=None,
-             extra=()):
+             extra=()) -> np.ndarray:
         """
-        Return the free numbers of given parameters.
+        Return the free numbers (size,) of given parameters.
 
-        Parameters
-        ----------
-        static, coulomb, velocity, viscous : array_like, shape (2,)
-            Forward and backward.
-        attraction : float
-            C [N m/s].
-        yields, weights : array_like, shape (n_blocks,)
-            Yield displacements [rad] and alpha_i; not used where they are fixed.
-        extra : array_like, shape (n_extra,)
-            Further coefficients.
-
-        Returns
-        -------
-        ndarray, shape (size,)
-
+        The steady ones are (2,), forward and backward; yields and weights (n_blocks,) are not
+        used where they are fixed.
         """
         free = np.zeros(self.size)
         drop = np.maximum(np.subtract(static, coulomb), 1e-3 * np.asarray(coulomb))
@@ -102,23 +84,12 @@ class Coordinates:
         free[self._extra] = extra
         return free
 
-    def unpack(self, free):
-        """
-        Return the parameters and their derivatives.
+    def parameters(self, free) -> np.ndarray:
+        """Return the parameters (9 + 2 MOST_BLOCKS + n_extra,), order of simulation.predictor."""
+        return self.unpack(free)[0]
 
-        Parameters
-        ----------
-        free : ndarray, shape (size,)
-            From `pack` or a fit.
-
-        Returns
-        -------
-        theta : ndarray, shape (9 + 2 MOST_BLOCKS + n_extra,)
-            In the order of simulation.predictor; blocks beyond ``n_blocks`` carry nothing.
-        directions : ndarray, shape (9 + 2 MOST_BLOCKS + n_extra, size)
-            Derivative of each.
-
-        """
+    def unpack(self, free) -> tuple[np.ndarray, np.ndarray]:
+        """Return `parameters` (blocks beyond ``n_blocks`` carry nothing) and their Jacobian."""
         rows = parameter_rows(MOST_BLOCKS, self.n_extra)
         theta, directions = np.zeros(rows), np.zeros((rows, self.size))
         for k in range(2):
@@ -157,21 +128,8 @@ class Coordinates:
             directions[stiffness, self._yields] -= np.diag(theta[stiffness])
 
 
-def friction_record(thetas):
-    """
-    Return the kernels' constants of all joints.
-
-    Parameters
-    ----------
-    thetas : sequence of ndarray
-        Parameters of each joint, from `Coordinates.unpack`.
-
-    Returns
-    -------
-    numpy.record
-        Of friction.gms.constants_layout with MOST_BLOCKS blocks.
-
-    """
+def friction_record(thetas: Sequence[np.ndarray]) -> np.record:
+    """Return the kernels' constants (friction.gms.constants_layout) of all joints' parameters."""
     table = np.stack([theta[:parameter_rows(MOST_BLOCKS, 0)] for theta in thetas], axis=1)
     both = {name: table[[row, PER_DIRECTION + row]] for name, row in (
         ('static', STATIC), ('coulomb', COULOMB), ('velocity', VELOCITY), ('viscous', VISCOUS))}
@@ -180,27 +138,39 @@ def friction_record(thetas):
                  stiffness=blocks[0].T, weight=blocks[1].T, attraction=table[ATTRACTION])
 
 
-def presliding_curve(theta, displacement):
+def yields_of(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return yield displacements [rad] and weights of the blocks of a joint that carry load."""
+    stiffness, weight = theta[BLOCKS:BLOCKS + 2 * MOST_BLOCKS].reshape(2, MOST_BLOCKS)
+    used = weight > 0.0
+    return weight[used] * theta[STATICS].mean() / np.maximum(stiffness[used], 1e-300), weight[used]
+
+
+def yield_quantiles(theta: np.ndarray, n_blocks: int) -> np.ndarray:
+    """Return increasing yields [rad] of N equal blocks that make the same presliding curve."""
+    yields, weight = yields_of(theta)
+    order = np.argsort(yields)
+    yields, share = np.log(yields[order]), weight[order]
+    middle = np.cumsum(share) - 0.5 * share
+    at = (np.arange(n_blocks) + 0.5) / n_blocks
+    return np.exp(np.interp(at, np.concatenate([[0.0], middle, [1.0]]),
+                            np.concatenate([yields[:1], yields, yields[-1:]])))
+
+
+def equal_blocks(theta: np.ndarray, n_blocks: int, n_extra: int):
+    """Return Coordinates and free numbers of N equal blocks like those of ``theta``."""
+    coordinates = Coordinates(n_blocks, n_extra=n_extra)
+    return coordinates, coordinates.pack(
+        theta[[0, 4]], theta[[1, 5]], theta[[2, 6]], theta[[3, 7]], theta[8],
+        yield_quantiles(theta, n_blocks), extra=theta[len(theta) - n_extra:])
+
+
+def presliding_curve(theta: np.ndarray, displacement: np.ndarray) -> np.ndarray:
     """
-    Return the torque of a joint pushed from rest with unloaded blocks.
+    Return the torque [N m] of a joint pushed from rest with unloaded blocks.
 
-    Parameters
-    ----------
-    theta : ndarray
-        Parameters of the joint.
-    displacement : ndarray, shape (D,)
-        [rad], 0 or above.
-
-    Returns
-    -------
-    ndarray, shape (D,)
-        [N m]; F_s, the mean of both directions, where all blocks slip.
-
-    Notes
-    -----
-    Eq. (2) with the break-away of each block at ``alpha_i F_s``.
-
+    ``displacement`` (D,) is 0 or above [rad]. Eq. (2) with the break-away of each block at
+    ``alpha_i F_s``; F_s, the mean of both directions, where all blocks slip.
     """
     stiffness, weight = theta[BLOCKS:BLOCKS + 2 * MOST_BLOCKS].reshape(2, MOST_BLOCKS)
-    static = theta[[STATIC, PER_DIRECTION + STATIC]].mean()
+    static = theta[STATICS].mean()
     return np.minimum(np.outer(displacement, stiffness), weight * static).sum(axis=1)

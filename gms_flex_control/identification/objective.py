@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """How badly parameters predict the encoders, with gradient and curvature, block by block."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -10,12 +11,14 @@ from gms_flex_control import records
 from gms_flex_control.dynamics import chain
 from gms_flex_control.friction import gms
 from gms_flex_control.identification.coordinates import friction_record, MOST_BLOCKS
-from gms_flex_control.identification.stretches import own_inertias
+from gms_flex_control.identification.segments import own_inertias, Segment
+from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.simulation import plant, predictor
 import numpy as np
 
 BLOCK_TIME = 2.0      # samples are pooled over this for errors that are not independent [s]
-SETTLE_TIME = 0.5     # at the beginning of a piece, when the blocks' load is not known [s]
+SETTLE_TIME = 0.5     # at the beginning of a segment, when the blocks' load is not known [s]
+FOLDS = 4             # one in so many blocks of time is held out
 _LOAD_PER_STEP = 0.3  # of F_c: torque the observer corrects with per step of the encoder
 _SLOWEST, _FASTEST = 2.0, 100.0  # of the observer [rad/s]
 _FASTEST_STEP = 0.3   # radians of the observer per sample
@@ -26,12 +29,12 @@ _FINEST = 0.01        # of a count, likewise
 class Bundle(NamedTuple):
     """All data of a fit and how they are looked at."""
 
-    stretches: tuple     # of Stretch
-    arm: object          # ArmParams the links move by
+    segments: tuple      # of Segment
+    arm: ArmParams       # the links move by it
     period: float        # [s]
     half: np.ndarray     # half an encoder count (n,) [rad]
     observer: np.ndarray  # bandwidth per joint (n,) [rad/s]
-    extras: tuple        # per joint a function Stretch -> (T, R) of further torques, or None
+    extras: tuple        # per joint a function Segment -> (T, R) of further torques, or None
 
     def observer_gains(self, sharpness=1.0):
         """Return gains of rate and angle (2, n), ``sharpness`` times as fast if samples allow."""
@@ -39,32 +42,43 @@ class Bundle(NamedTuple):
         return np.stack([2.0 * bandwidth, bandwidth ** 2])
 
 
+def held_out(period: float, turn=0) -> Callable:
+    """Return a function Segment -> bool (T,) of the samples not to be fitted in a turn."""
+    length = max(round(BLOCK_TIME / period), 1)
+    return lambda segment: (segment.first_block + np.arange(len(segment.angle)) // length
+                            ) % FOLDS == FOLDS - 1 - turn
+
+
+def train(period: float, turn=0) -> Callable:
+    """Return a function Segment -> bool (T,) of the samples to be fitted in a turn."""
+    out = held_out(period, turn)
+    return lambda segment: ~out(segment)
+
+
+def everything(segment: Segment) -> np.ndarray:
+    """Return that all samples (T,) are chosen."""
+    return np.ones(len(segment.angle), dtype=bool)
+
+
+def numbered(segments: Sequence[Segment], period: float) -> list[Segment]:
+    """Return segments with their blocks of time numbered; the last of few is held out."""
+    counts = [max(len(segment.angle) * period // BLOCK_TIME, 1.0) for segment in segments]
+    begin = max(FOLDS - int(sum(counts)), 0)
+    firsts = begin + np.concatenate([[0], np.cumsum(counts)]).astype(int)
+    return [replace(segment, first_block=int(first))
+            for segment, first in zip(segments, firsts[:-1], strict=True)]
+
+
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """
-    Innovations of one joint in B blocks of time, and how parameters would change them.
+    """Innovations of one joint in B blocks of time, and how P parameters would change them."""
 
-    Parameters
-    ----------
-    square : ndarray, shape (B,)
-        Mean square of the innovations [rad^2].
-    gradient : ndarray, shape (B, P)
-        Sum of derivative of the prediction times innovation.
-    curvature : ndarray, shape (B, P, P)
-        Sum of derivative times derivative.
-    count, seen : ndarray, shape (B,)
-        Samples, and those whose innovation is not zero.
-    floor : float
-        Innovation below which a block counts as explained [rad].
-
-    """
-
-    square: np.ndarray
-    gradient: np.ndarray
-    curvature: np.ndarray
-    count: np.ndarray
-    seen: np.ndarray
-    floor: float
+    square: np.ndarray     # (B,), mean square of the innovations [rad^2]
+    gradient: np.ndarray   # (B, P), sum of derivative of the prediction times innovation
+    curvature: np.ndarray  # (B, P, P), sum of derivative times derivative
+    count: np.ndarray      # (B,), samples
+    seen: np.ndarray       # (B,), samples whose innovation is not zero
+    floor: float           # innovation below which a block counts as explained [rad]
 
     @property
     def dispersion(self):
@@ -88,60 +102,29 @@ class Evaluation:
         return 1.0 / (self.floor ** 2 + self.square)
 
 
-def coarser(bundle, period):
-    """
-    Return a bundle sampled no more often than every ``period`` [s], torques averaged.
-
-    Parameters
-    ----------
-    bundle : Bundle
-        The data.
-    period : float
-        Sample that is fine enough [s].
-
-    Returns
-    -------
-    Bundle
-        The same one if it is coarse enough.
-
-    """
+def coarser(bundle: Bundle, period: float) -> Bundle:
+    """Return a bundle sampled no more often than every ``period`` [s], torques averaged."""
     factor = int(period / bundle.period * (1.0 + 1e-6))
     if factor <= 1:
         return bundle
-    return bundle._replace(period=factor * bundle.period, stretches=tuple(
-        _thinned(stretch, factor) for stretch in bundle.stretches))
+    return bundle._replace(period=factor * bundle.period, segments=tuple(
+        _thinned(segment, factor) for segment in bundle.segments))
 
 
-def _thinned(stretch, factor):
-    samples = len(stretch.angle) // factor * factor
-    thin = {name: getattr(stretch, name)[:samples:factor]
+def _thinned(segment, factor):
+    samples = len(segment.angle) // factor * factor
+    thin = {name: getattr(segment, name)[:samples:factor]
             for name in ('angle', 'rate', 'acceleration', 'tested', 'phase')}
-    mean = stretch.torque[:samples].reshape(-1, factor, stretch.torque.shape[1]).mean(axis=1)
-    return replace(stretch, torque=mean, window=max(stretch.window // factor, 1), **thin)
+    mean = segment.torque[:samples].reshape(-1, factor, segment.torque.shape[1]).mean(axis=1)
+    return replace(segment, torque=mean, window=max(segment.window // factor, 1), **thin)
 
 
-def observer_bandwidth(arm, coulomb, half, noise, period):
+def observer_bandwidth(arm: ArmParams, coulomb, half, noise, period: float) -> np.ndarray:
     """
-    Return the bandwidth of the predictor's observer.
+    Return the bandwidth of the predictor's observer (n,) [rad/s].
 
-    Parameters
-    ----------
-    arm : ArmParams
-        Inertia of the links.
-    coulomb : ndarray, shape (n_joints,)
-        Rough friction level [N m].
-    half : ndarray, shape (n_joints,)
-        Half an encoder count [rad].
-    noise : ndarray, shape (n_joints,)
-        Noise of the angle [rad].
-    period : float
-        Sample [s].
-
-    Returns
-    -------
-    ndarray, shape (n_joints,)
-        [rad/s], so slow that an encoder step corrects by a small part of the friction.
-
+    So slow that an encoder step corrects by a small part of the friction level ``coulomb`` (n,)
+    [N m]; ``half`` an encoder count and ``noise`` of the angle (n,) [rad], sample ``period`` [s].
     """
     inertia = own_inertias(arm)
     step = np.maximum(2.0 * half, 3.0 * noise)
@@ -151,22 +134,13 @@ def observer_bandwidth(arm, coulomb, half, noise, period):
 
 class Objective:
     """
-    Evaluates parameters of one joint against all data.
+    Evaluates parameters of one joint against all data of a Bundle.
 
-    Parameters
-    ----------
-    bundle : Bundle
-        The data.
-    joint : int
-        Whose parameters move.
-    others : sequence of ndarray
-        Parameters of all joints; those of ``joint`` are not used.
-    chosen : callable, optional
-        Stretch -> bool (T,) of the samples that count; default those of tests of the joint.
-
+    ``others`` are the parameters of all joints, those of ``joint`` unused; ``chosen`` Segment ->
+    bool (T,) are the samples that count, by default those of tests of the joint.
     """
 
-    def __init__(self, bundle, joint, others, chosen=None):
+    def __init__(self, bundle: Bundle, joint: int, others: Sequence[np.ndarray], chosen=None):
         self._bundle, self.joint, self._others = bundle, joint, list(others)
         self._chosen = chosen
         self._links = chain.constants_of(bundle.arm)
@@ -174,20 +148,21 @@ class Objective:
         self._carried = np.array([joint, *(other for other in moved if other != joint)])
         self._alone = self._carried[:1]
 
-    def predict(self, stretch, theta, directions, sharpness):
+    def predict(self, segment, theta, directions=None, sharpness=1.0):
         """
-        Return predicted angles, innovations (T, n) and jacobian (T, P) of a stretch.
+        Return predicted angles and innovations (T, n), and the Jacobian (T, P) of a segment.
 
         Contiguous arrays only go into the kernel, which is compiled anew for any other layout.
         """
-        bundle, n = self._bundle, stretch.angle.shape[1]
-        extra = self.extra(stretch)
-        samples, width = len(stretch.angle), directions.shape[1]
+        directions = np.zeros((len(theta), 0)) if directions is None else directions
+        bundle, n = self._bundle, segment.angle.shape[1]
+        extra = self.extra(segment)
+        samples, width = len(segment.angle), directions.shape[1]
         predicted, innovation = np.empty((2, samples, n))
         jacobian = np.empty((samples, width))
         predictor.predict(
-            np.ascontiguousarray(stretch.angle), np.ascontiguousarray(stretch.rate[0]),
-            stretch.torque, extra, theta[len(theta) - extra.shape[1]:], bundle.period, self._links,
+            np.ascontiguousarray(segment.angle), np.ascontiguousarray(segment.rate[0]),
+            segment.torque, extra, theta[len(theta) - extra.shape[1]:], bundle.period, self._links,
             self.friction(theta), self._carried if width else self._alone,
             np.ascontiguousarray(directions),
             bundle.observer_gains(sharpness), bundle.half,
@@ -195,11 +170,11 @@ class Objective:
             innovation, jacobian)
         return predicted, innovation, jacobian
 
-    def extra(self, stretch):
+    def extra(self, segment):
         """Return the further torques per unit of their coefficients, shape (T, R)."""
         make = self._bundle.extras[self.joint]
-        return (np.zeros((len(stretch.angle), 0)) if make is None else
-                np.ascontiguousarray(make(stretch)))
+        return (np.zeros((len(segment.angle), 0)) if make is None else
+                np.ascontiguousarray(make(segment)))
 
     def friction(self, theta):
         """Return the constants of all joints, ``theta`` those of this one."""
@@ -207,76 +182,52 @@ class Objective:
         thetas[self.joint] = theta
         return friction_record(thetas)
 
-    def counted(self, stretch):
+    def counted(self, segment):
         """Return which samples count, bool (T,)."""
-        chosen = stretch.tested[:, self.joint].copy() if self._chosen is None else self._chosen(
-            stretch) & stretch.tested[:, self.joint]
+        chosen = segment.tested[:, self.joint].copy() if self._chosen is None else self._chosen(
+            segment) & segment.tested[:, self.joint]
         chosen[:round(SETTLE_TIME / self._bundle.period)] = False
-        return chosen & np.isfinite(stretch.angle[:, self.joint])
+        return chosen & np.isfinite(segment.angle[:, self.joint])
 
     @property
     def counts(self):
         """Return whether any sample counts."""
-        return any(self.counted(stretch).any() for stretch in self._bundle.stretches)
+        return any(self.counted(segment).any() for segment in self._bundle.segments)
 
     def evaluate(self, coordinates, free, sharpness, floor=None, *, derivatives=True):
         """
         Return the Evaluation of free numbers.
 
-        Parameters
-        ----------
-        coordinates : Coordinates
-            What they stand for.
-        free : ndarray, shape (P,)
-            The numbers.
-        sharpness : float
-            Factor on the observer's bandwidth.
-        floor : float, optional
-            Innovation below which a block counts as explained [rad]; by default as
-            `floor_of` finds it here.
-        derivatives : bool
-            Whether gradient and curvature are wanted; without, they have no columns.
-
+        ``sharpness`` is a factor on the observer's bandwidth; ``floor`` [rad] is by default as
+        `floor_of` finds it here; without ``derivatives`` gradient and curvature have no columns.
         """
         theta, directions = coordinates.unpack(free)
         directions = directions if derivatives else directions[:, :0]
         pools = []
-        for stretch in self._bundle.stretches:
-            counted = self.counted(stretch)
+        for segment in self._bundle.segments:
+            counted = self.counted(segment)
             if counted.any():
-                _, innovation, jacobian = self.predict(stretch, theta, directions, sharpness)
+                _, innovation, jacobian = self.predict(segment, theta, directions, sharpness)
                 pools += _pools(counted, innovation[:, self.joint], jacobian,
                                 self._bundle.period)
         arrays = [np.array(part) for part in zip(*pools, strict=True)]
         return Evaluation(*arrays, floor or self.floor_of(arrays[0]))
 
-    def memory(self, coordinates, free, longest):
+    def memory(self, coordinates, free, longest: float) -> float:
         """
-        Return how many samples an innovation remembers.
+        Return how many samples an innovation remembers, up to ``longest`` [s]; 1 for white noise.
 
-        Parameters
-        ----------
-        coordinates, free
-            As `evaluate`.
-        longest : float
-            Memory that is looked for, at most [s].
-
-        Returns
-        -------
-        float
-            Sum of the autocorrelation of the innovations, each block of time at its own scale;
-            1 for white noise.
-
+        The sum of its autocorrelation, each block of time at its own scale.
         """
         theta, directions = coordinates.unpack(free)
         period = self._bundle.period
         lags, length = round(longest / period), round(BLOCK_TIME / period)
         total = np.zeros(lags)
-        for stretch in self._bundle.stretches:
-            counted = self.counted(stretch)
+        for segment in self._bundle.segments:
+            counted = self.counted(segment)
             if counted.sum() < 2 * lags:
                 continue
-            error = np.where(counted, self.predict(stretch, theta, directions[:, :0], 1.0)[1][
+            error = np.where(counted, self.predict(segment, theta, directions[:, :0], 1.0)[1][
                 :, self.joint], 0.0)
             blocks = np.add.reduceat(error ** 2, np.arange(0, len(error), length))
             level = np.sqrt(np.repeat(blocks, length)[:len(error)] / length)

@@ -1,20 +1,31 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""Files for machines: report.json, and friction.yaml for controller, plant and tools."""
+"""
+Files for machines: report.json, and friction.yaml for controller, plant and tools.
 
+Of bags identified each by itself, also how a parameter scatters from bag to bag, beside what the
+intervals of the bags foresee. More than that is what changed between the recordings: temperature,
+load, wear, another machine.
+"""
+
+from collections import Counter
 from functools import partial
 import json
 import math
 from textwrap import wrap
+from typing import NamedTuple
 
 from gms_flex_control import __version__
 from gms_flex_control.files import write_text
-from gms_flex_control.identification.result import CONFIDENT
-from gms_flex_control.identification.words import (
+from gms_flex_control.identification.result import (
+    CONFIDENT,
     data_sentence,
+    Identification,
     joint_sentences,
+    NOT_IDENTIFIABLE,
     percent,
+    SET,
     short_name,
     standing,
 )
@@ -28,23 +39,15 @@ REPORT_FORMAT = 1
 _COMMENT_WIDTH = 90
 # times what is usual: intervals know nothing of what a model lacks, nor of other days
 _LEAST_TOLD, _MOST_TOLD = 0.5, 4.0
+_NORMAL = 1.4826       # standard deviation over median distance from the median
+_FAR = 3.5             # such deviations: an outlier
+_FEWEST = 4            # of three values that differ nobody knows which is the odd one
+# by how much the median distance of few values is too small (Croux and Rousseeuw, 1992)
+_FEW = {4: 1.363, 5: 1.206, 6: 1.200, 7: 1.140, 8: 1.129, 9: 1.107}
 
 
-def report_json(identification):
-    """
-    Return an identification as plain data, without the long arrays.
-
-    Parameters
-    ----------
-    identification : Identification
-        To be told.
-
-    Returns
-    -------
-    dict
-        Of str, int, float, bool, None, list and dict; a number that is not finite is None.
-
-    """
+def report_json(identification: Identification) -> dict:
+    """Return an identification as plain data for JSON, without the long arrays; None for NaN."""
     words = partial(in_units, identification.robot.arm)
     return _plain({
         'format': REPORT_FORMAT, 'version': __version__, 'method': identification.method,
@@ -79,32 +82,19 @@ def _plain(value, words=str):
     return value
 
 
-def write_report_json(identification, path):
+def write_report_json(identification: Identification, path) -> None:
     """Write `report_json` to ``path``, whole or not at all."""
     write_text(path, json.dumps(report_json(identification), indent=2, allow_nan=False,
                                 ensure_ascii=False) + '\n')
 
 
-def friction_values(identification):
+def friction_values(identification: Identification) -> dict:
     """
     Return the flat parameters that were identified.
 
-    Parameters
-    ----------
-    identification : Identification
-        Its robot differs from the believed one in what was identified.
-
-    Returns
-    -------
-    dict of str to object
-        Names of joints and motors, friction of all joints, and what else the fit has changed;
-        of a robot that no file has described, the whole arm.
-
-    Notes
-    -----
-    A joint the fit took as rigid, for want of a trusted spring, keeps motor and stiffness of the
-    believed robot.
-
+    Names of joints and motors, friction of all joints, and what else the fit has changed; of a
+    robot that no file has described, the whole arm. A joint the fit made rigid, for want of a
+    trusted spring, keeps motor and stiffness of the believed robot.
     """
     found = robot_values(identification.robot)
     believed = robot_values(identification.believed)
@@ -124,33 +114,23 @@ def friction_values(identification):
 
 
 # kinds of known parameters by the parameters of friction that tell them
-_TOLD_BY = {'level': ('coulomb',), 'viscous': ('viscous',), 'static': ('static',),
-            'velocity': ('velocity',), 'attraction': ('attraction',), 'blocks': ('stiffness[',)}
+_TOLD_BY = {'level': 'coulomb', 'viscous': 'viscous', 'static': 'static',
+            'velocity': 'velocity', 'attraction': 'attraction', 'blocks': 'stiffness['}
 
 
-def uncertainty_values(identification):
+def uncertainty_values(identification: Identification) -> dict:
     """
     Return how well friction is known: flat ``uncertainty`` parameters, from the intervals.
 
-    Parameters
-    ----------
-    identification : Identification
-        Estimates that are flagged tell nothing.
-
-    Returns
-    -------
-    dict of str to float
-        Relative standard deviations.
-
+    Relative standard deviations; estimates that are flagged tell nothing.
     """
     values = {}
     for result in identification.joints:
-        for kind, names in _TOLD_BY.items():
+        for kind, name in _TOLD_BY.items():
             sizes = [0.5 * (one.interval.high - one.interval.low)
                      / CONFIDENT / abs(one.value) for one in result.estimates
-                     if not one.flags and one.value
-                     and any(one.name.split('.')[-1].startswith(name) for name in names)
-                     and one.name.startswith('friction.')]
+                     if not one.flags and one.value and one.name.startswith('friction.')
+                     and one.name.split('.')[-1].startswith(name)]
             sizes = [size for size in sizes if np.isfinite(size) and size > 0.0]
             if sizes:
                 values[f'uncertainty.{result.joint}.{kind}'] = float(np.clip(
@@ -165,18 +145,8 @@ def _drop_empty_blocks(values, prefix):
         values[prefix + name] = values[prefix + name][:count]
 
 
-def write_friction(identification, path):
-    """
-    Write friction.yaml: a ROS parameter file to be loaded after the robot's own.
-
-    Parameters
-    ----------
-    identification : Identification
-        What was found.
-    path : str or Path
-        Where to.
-
-    """
+def write_friction(identification: Identification, path) -> None:
+    """Write friction.yaml: a ROS parameter file to be loaded after the robot's own."""
     save_values(friction_values(identification), path, comment=_comment(identification))
 
 
@@ -194,3 +164,109 @@ def _comment(identification):
                   for estimate in result.estimates if estimate.flags]
     return '\n'.join(part for line in lines for part in wrap(
         line, _COMMENT_WIDTH, subsequent_indent='    '))
+
+
+class OverBags(NamedTuple):
+    """One parameter over all bags that tell it."""
+
+    name: str
+    unit: str
+    bags: int                  # that tell it: neither set nor flagged as not identifiable
+    mean: float
+    median: float
+    standard_deviation: float  # over the bags; NaN for one
+    foreseen: float            # standard deviation by the intervals of the bags
+    outliers: tuple            # names of bags
+
+
+def bag_values(identification: Identification) -> dict:
+    """
+    Return what is compared of an Identification of one bag, plain values for JSON.
+
+    ``estimates`` with ``low`` and ``high`` of the interval, ``held_out`` and ``coulomb_viscous``
+    (errors relative to the torque) of each joint, and ``warnings``; None for NaN. The same
+    wherever and however fast it was computed.
+    """
+    joints = identification.joints
+    return _plain({
+        'estimates': [_estimate(one) for result in joints for one in result.estimates],
+        'held_out': {one.joint: one.held_out.relative for one in joints},
+        'coulomb_viscous': {one.joint: one.held_out.coulomb_viscous for one in joints},
+        'warnings': [*identification.warnings, *(f'{one.joint}: {text}' for one in joints
+                                                 for text in one.warnings)]})
+
+
+def _estimate(estimate):
+    low, high = estimate.interval
+    return {'name': estimate.name, 'unit': estimate.unit, 'value': estimate.value,
+            'low': low, 'high': high, 'flags': estimate.flags, 'standing': standing(estimate)}
+
+
+def over_bags(bags: dict) -> tuple:
+    """
+    Return an OverBags of each parameter, from `bag_values` by the name of the bag.
+
+    Stiffnesses of blocks only from the bags that have the commonest number of blocks.
+    """
+    usual = _usual_blocks(bags)
+    told, units = {}, {}
+    for bag, values in bags.items():
+        blocks = _blocks(values)
+        for one in values['estimates']:
+            units[one['name']] = one['unit']
+            told.setdefault(one['name'], {})
+            joint = _block_of(one['name'])
+            if is_told(one) and (joint is None or blocks[joint] == usual[joint]):
+                told[one['name']][bag] = one
+    return tuple(_row(name, units[name], rows) for name, rows in told.items() if rows)
+
+
+def is_told(estimate: dict) -> bool:
+    """Return whether data, and not a prior or a person, gave an estimate of `bag_values`."""
+    return (estimate['standing'] not in (NOT_IDENTIFIABLE, SET)
+            and None not in (estimate['value'], estimate['low'], estimate['high']))
+
+
+def _block_of(name):
+    """Return the prefix that the blocks of a joint have in common, None for other parameters."""
+    prefix, bracket, _ = name.partition('.stiffness[')
+    return prefix if bracket else None
+
+
+def _blocks(values):
+    """Return the number of blocks of each joint of a bag."""
+    return Counter(filter(None, (_block_of(one['name']) for one in values['estimates'])))
+
+
+def _usual_blocks(bags):
+    """Return the commonest number of blocks of each joint, the smaller of two as common."""
+    counts = {}
+    for values in bags.values():
+        for joint, number in _blocks(values).items():
+            counts.setdefault(joint, Counter())[number] += 1
+    return {joint: min(found, key=lambda number: (-found[number], number))
+            for joint, found in counts.items()}
+
+
+def _row(name, unit, rows):
+    values = np.array([one['value'] for one in rows.values()])
+    errors = np.array([0.5 * (one['high'] - one['low']) for one in rows.values()]) / CONFIDENT
+    far = is_outlier(values, errors)
+    return OverBags(
+        name, unit, len(values), float(values.mean()), float(np.median(values)),
+        float(values.std(ddof=1)) if len(values) > 1 else float('nan'),
+        float(np.sqrt(np.mean(errors ** 2))),
+        tuple(bag for bag, out in zip(rows, far, strict=True) if out))
+
+
+def is_outlier(values: np.ndarray, errors: np.ndarray) -> np.ndarray:
+    """
+    Return which values (B,) lie farther from the others than scatter and own error explain.
+
+    ``errors`` (B,) are standard errors; of fewer than four values none.
+    """
+    if len(values) < _FEWEST:
+        return np.zeros(len(values), dtype=bool)
+    distance = np.abs(values - np.median(values))
+    scatter = _NORMAL * _FEW.get(len(values), 1.0) * np.median(distance)
+    return distance > _FAR * np.hypot(scatter, errors)

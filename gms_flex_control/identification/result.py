@@ -1,16 +1,26 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""What an identification found, and how far each number can be trusted."""
+"""What an identification found, how far each number can be trusted, and the words for it."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from gms_flex_control.identification.steady import FrictionMap
+from gms_flex_control.friction.stribeck import steady_friction
 from gms_flex_control.params.robot import RobotParams
+from gms_flex_control.schema.build import robot_values
 import numpy as np
 
 CONFIDENT = 1.959964  # standard deviations of a normal distribution: 95 %, two-sided
+NOT_IDENTIFIABLE = 'not identifiable'
+DEPENDS = 'depends on the model'
+DOUBTFUL = 'doubtful'
+SET = 'set, not fitted'
+STANDINGS = ('well known', 'roughly known', DOUBTFUL, NOT_IDENTIFIABLE, SET)
+WELL_KNOWN = 0.1      # half of the 95 % interval over the value, at most
+_UNEXPLAINED = 0.5    # of the drive torque: beyond, nothing is to be trusted
+_ENDLESS = 1e6       # upper end over lower end of an interval that says nothing
+_AT_FLOOR = 1.3       # error over floor that counts as the floor itself
 
 
 class Interval(NamedTuple):
@@ -18,6 +28,9 @@ class Interval(NamedTuple):
 
     low: float
     high: float
+
+
+NO_INTERVAL = Interval(np.nan, np.nan)
 
 
 class Estimate(NamedTuple):
@@ -30,6 +43,14 @@ class Estimate(NamedTuple):
     interval: Interval     # NaN where a flag says that the data give none
     flags: tuple           # of 'at bound', 'not identifiable', 'depends on the model'; empty: good
     note: str              # a sentence on the flags and what motion would tell; '' without
+
+
+class FrictionMap(NamedTuple):
+    """Mean friction torque in windows of motion."""
+
+    velocity: np.ndarray  # (W,) [rad/s]
+    torque: np.ndarray    # (W,) [N m]
+    steady: np.ndarray    # (W,) bool, the velocity hardly changes
 
 
 class Loop(NamedTuple):
@@ -53,7 +74,7 @@ class Trace(NamedTuple):
 
 
 class HeldOut(NamedTuple):
-    """Errors on data that took no part in the fit."""
+    """Errors on data that had no part in the fit."""
 
     torque_rms: float              # of the drive torque, while moving if encoders count [N m]
     relative: float                # of the rms of the drive torque
@@ -78,95 +99,261 @@ class Candidate(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class JointResult:
-    """
-    The identification of one joint.
+    """The identification of one joint."""
 
-    Parameters
-    ----------
-    joint : str
-        Link name.
-    side : {'spring', 'motor'}
-        What the friction torque was taken from.
-    estimates : tuple of Estimate
-        Steady parameters of both directions, attraction, block stiffnesses and weights; further
-        ones where they were estimated.
-    curve : tuple of ndarray
-        Presliding curve: displacement [rad], torque [N m], low and high of its 95 % interval;
-        as far as blocks are identifiable, empty where none is.
-    friction_map : FrictionMap
-        Measured.
-    steady_velocity, steady_torque : ndarray, shape (V,)
-        Fitted curve of Eq. (6) over velocities of both signs.
-    loops : tuple of Loop
-        Presliding, for Fig. 4.
-    traces : tuple of Trace
-        Sliding and other motion.
-    candidates : tuple of Candidate
-        Numbers of blocks that were tried.
-    held_out : HeldOut
-        Errors.
-    warnings : tuple of str
-        Sentences.
-
-    """
-
-    joint: str
-    side: str
-    estimates: tuple
-    curve: tuple
-    friction_map: FrictionMap
-    steady_velocity: np.ndarray
-    steady_torque: np.ndarray
-    loops: tuple
-    traces: tuple
-    candidates: tuple
+    joint: str                   # link name
+    side: str                    # 'spring' or 'motor': what the friction torque was computed from
+    estimates: tuple             # of Estimate: steady, attraction, blocks; further ones of the arm
+    curve: tuple                 # presliding: displacement [rad], torque [N m], low and high end
+    #                              of 95 %, as far as blocks are identifiable; empty where none is
+    friction_map: FrictionMap    # measured
+    steady_velocity: np.ndarray  # (V,), both signs [rad/s]
+    steady_torque: np.ndarray    # (V,), fitted curve of Eq. (6) [N m]
+    loops: tuple                 # of Loop, presliding, for Fig. 4
+    traces: tuple                # of Trace, sliding and other motion
+    candidates: tuple            # of Candidate, numbers of blocks that were tried
     held_out: HeldOut
-    warnings: tuple
+    warnings: tuple              # sentences
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Identification:
+    """Outcome of `gms_flex identify`."""
+
+    method: str           # 'default' or 'paper'
+    robot: RobotParams    # with what was identified
+    believed: RobotParams  # as it was described
+    joints: tuple         # of JointResult, in the robot's order
+    sources: tuple        # recordings used
+    holdouts: tuple       # recordings set aside whole; empty where blocks of time were held out
+    duration: float       # of all data [s]
+    period: float         # sample [s]
+    warnings: tuple       # of the data as a whole
+    seconds: float        # how long the fit took
+    recorded: str = ''    # when, such as '2026-03-01 14:05 UTC'; '' if not known
+    described: bool = True  # whether ``believed`` is what a file says, not a placeholder
+
+
+def short_name(name: str, joint: str) -> str:
+    """Return 'forward.static' for 'friction.joint1.forward.static'."""
+    head, _, rest = name.partition(f'.{joint}.')
+    if not rest:
+        return name
+    return rest if head == 'friction' else f'{head}.{rest}'
+
+
+def short_label(label: str) -> str:
+    """Return the label of a piece of data without the folders before its recording."""
+    return label.rstrip('/').rsplit('/', 1)[-1]
+
+
+def spread(estimate: Estimate) -> float:
+    """Return half of the interval over the value; NaN if not known."""
+    low, high = estimate.interval
+    return 0.5 * (high - low) / abs(estimate.value) if estimate.value else np.nan
+
+
+def standing(estimate: Estimate) -> str:
+    """Return which of STANDINGS an Estimate has; an interval without width was set."""
+    if NOT_IDENTIFIABLE in estimate.flags or not np.isfinite(estimate.value):
+        return NOT_IDENTIFIABLE
+    if estimate.flags:
+        return DOUBTFUL
+    low, high = estimate.interval
+    if low == high:
+        return SET
+    return 'well known' if spread(estimate) <= WELL_KNOWN else 'roughly known'
+
+
+def number(value: float, digits=4) -> str:
+    """Return a number as text, '-' for none."""
+    return f'{value:.{digits}g}' if np.isfinite(value) else '-'
+
+
+def percent(share: float) -> str:
+    """Return a share as text, such as '4.1 %'; 'unknown' for none."""
+    return f'{100 * share:.3g} %' if np.isfinite(share) else 'unknown'
+
+
+def span(interval: Interval) -> str:
+    """Return an Interval as text, such as '0.1 .. 0.2'; '-' if unknown or without width or end."""
+    low, high = interval
+    if not np.isfinite(interval).any() or low == high or 0.0 < _ENDLESS * low < high:
+        return '-'
+    return f'{number(low)} .. {number(high)}'
+
+
+def floor_shares(held_out: HeldOut) -> tuple[float, float]:
+    """Return noise floor and repeatability relative to the drive torque, NaN where unknown."""
+    known = held_out.relative > 0.0 and held_out.torque_rms > 0.0
+    share = held_out.relative / held_out.torque_rms if known else np.nan
+    return share * held_out.noise_floor, share * held_out.repeatability
+
+
+def joint_sentences(result: JointResult) -> list:
+    """Return (sentence, whether a warning): what can be trusted of a joint and what would tell."""
+    return [*_prediction(result.held_out), *_parameters(result),
+            *((text, True) for text in result.warnings)]
+
+
+def _prediction(errors):
+    own, simple = errors.relative, errors.coulomb_viscous
+    if not np.isfinite(own):
+        return [('There is no held-out error: nothing checks these numbers.', True)]
+    lines = [(f'On motion that took no part in the fit, the drive torque is predicted with an '
+              f'error of {percent(own)} of its rms; Coulomb + viscous friction alone leaves '
+              f'{percent(simple)}.', False)]
+    if own >= simple:
+        lines.append(('For this motion the model is no better than Coulomb + viscous friction '
+                      'alone.', True))
+    if own > _UNEXPLAINED:
+        lines.append(('More than half of the drive torque stays unexplained: trust none of these '
+                      'numbers until the cause is found (scale or sign of the torque, inertia, '
+                      'gravity).', True))
+    lines.append((_floor(errors), False))
+    if np.isfinite(errors.free_run_rms):
+        lines.append((
+            f'Running free for {number(errors.horizon, 3)} s from a measured state, the model '
+            f'ends up {number(1e3 * errors.free_run_rms, 3)} mrad (rms) off; with Coulomb + '
+            f'viscous alone {number(1e3 * errors.free_run_coulomb_viscous, 3)} mrad.', False))
+    return lines
+
+
+def _floor(errors):
+    noise, repeat = floor_shares(errors)
+    floors = [f'noise alone makes {percent(noise)}'] if np.isfinite(noise) else []
+    floors += [f'the same motion repeated differs by {percent(repeat)}'] if np.isfinite(
+        repeat) else ['no motion was repeated, so that repeatability is not known']
+    text = ', '.join(floors)
+    best = np.fmax(noise, repeat)
+    if np.isfinite(best):
+        text += (': the model is as good as these data allow'
+                 if errors.relative <= _AT_FLOOR * best else
+                 ': the rest is due to the model, or to motion too quick for these samples')
+    return f'{text[0].upper()}{text[1:]}.'
+
+
+def _parameters(result):
+    names = {kind: [] for kind in STANDINGS}
+    for estimate in result.estimates:
+        names[standing(estimate)].append(estimate)
+    lines = []
+    for kind, opening, warn in (
+            ('well known', f'Known within {100 * WELL_KNOWN:g} %', False),
+            ('roughly known', 'Known roughly', False),
+            ('doubtful', 'To be taken with care', True),
+            (NOT_IDENTIFIABLE, 'NOT identifiable from these data, not to be taken as facts',
+             True), (SET, 'Set, not fitted', False)):
+        if names[kind]:
+            mentions = [_mention(estimate, kind, result.joint) for estimate in names[kind]]
+            lines.append((f"{opening}: {', '.join(_joined(mentions))}.", warn))
+    return [*lines, *((note, False) for note in notes(result))]
+
+
+def notes(result: JointResult) -> list:
+    """Return the notes on estimates of a JointResult as sentences, those alike as one."""
+    about = {}
+    for estimate in result.estimates:
+        if estimate.note:
+            about.setdefault(estimate.note.rstrip('.'), []).append(
+                short_name(estimate.name, result.joint))
+    return [f"{', '.join(_joined(names))}: {note}." for note, names in about.items()]
+
+
+def _mention(estimate, kind, joint):
+    name = short_name(estimate.name, joint)
+    if kind == 'roughly known':
+        return f'{name} (± {percent(spread(estimate))})' if np.isfinite(
+            spread(estimate)) else f'{name} (no interval)'
+    return f"{name} ({', '.join(estimate.flags)})" if kind == 'doubtful' else name
+
+
+def _joined(mentions):
+    """Return 'weight[0..2]' for 'weight[0]', 'weight[1]', 'weight[2]'; the rest as it is."""
+    out, run = [], []
+    for mention in [*mentions, '']:
+        leaf, bracket, index = mention.partition('[')
+        follows = bracket and index[:-1].isdigit() and index.endswith(']')
+        if run and follows and run[-1] == (leaf, int(index[:-1]) - 1):
+            run.append((leaf, int(index[:-1])))
+            continue
+        if run:
+            last = f'..{run[-1][1]}' if len(run) > 1 else ''
+            out.append(f'{run[0][0]}[{run[0][1]}{last}]')
+        run = [(leaf, int(index[:-1]))] if follows else []
+        out += [mention] if mention and not follows else []
+    return out
+
+
+def data_sentence(identification: Identification) -> str:
+    """Return what data an Identification rests on, how fitted and what was held out."""
+    names = ', '.join(identification.sources)
+    recorded = f', recorded {identification.recorded}' if identification.recorded else ''
+    held = (f"held out: {', '.join(identification.holdouts)}" if identification.holdouts
+            else 'blocks of time held out')
+    return (f'{identification.duration:.4g} s at {1.0 / identification.period:.4g} Hz from '
+            f'{names}{recorded}; method {identification.method}, {held}')
+
+
+def known_values(robot: RobotParams, found: RobotParams, joint: str) -> dict:
     """
-    Outcome of `gms_flex identify`.
+    Return the parameters of one joint of a known robot by the names of estimates.
 
-    Parameters
-    ----------
-    method : {'default', 'paper'}
-        How the parameters were fitted.
-    robot : RobotParams
-        The robot with what was identified.
-    believed : RobotParams
-        The robot as it was described.
-    joints : tuple of JointResult
-        In the robot's order.
-    sources : tuple of str
-        Recordings used.
-    holdouts : tuple of str
-        Recordings set aside whole; empty where blocks of time were held out.
-    duration : float
-        Of all data [s].
-    period : float
-        Sample [s].
-    warnings : tuple of str
-        Of the data as a whole.
-    seconds : float
-        How long the fit took [s].
-    recorded : str
-        When the data were recorded, such as '2026-03-01 14:05 UTC'; '' if not known.
-    described : bool
-        Whether ``believed`` is what a file says, not a placeholder.
-
+    Blocks are matched in the order they slip in the robot ``found``; they are left out where
+    their number differs, since then no block corresponds to another.
     """
+    values = {}
+    if joint not in robot.joints:
+        return values
+    for name, value in robot_values(robot).items():
+        if f'.{joint}.' in name and not isinstance(value, list):
+            values[name] = value
+    known, mine = (_slip_order(each, joint) for each in (robot, found))
+    if len(known) == len(mine):
+        j = robot.joints.index(joint)
+        for theirs, own in zip(known, mine, strict=True):
+            for part in ('stiffness', 'weight'):
+                values[f'friction.{joint}.{part}[{own}]'] = float(
+                    getattr(robot.friction, part)[j, theirs])
+    return values
 
-    method: str
-    robot: RobotParams
-    believed: RobotParams
-    joints: tuple
-    sources: tuple
-    holdouts: tuple
-    duration: float
-    period: float
-    warnings: tuple
-    seconds: float
-    recorded: str = ''
-    described: bool = True
+
+def _slip_order(robot, joint):
+    j = robot.joints.index(joint)
+    stiffness, weight = robot.friction.stiffness[j], robot.friction.weight[j]
+    used = np.flatnonzero(weight > 0.0)
+    return used[np.argsort(weight[used] / np.maximum(stiffness[used], 1e-300))]
+
+
+def known_steady(robot: RobotParams, joint: str, velocity: np.ndarray) -> np.ndarray:
+    """Return the steady friction [N m] of one joint at ``velocity`` (V,) [rad/s], Eq. (6)."""
+    tiled = np.tile(np.asarray(velocity, dtype=float)[:, None], robot.n_joints)
+    return steady_friction(tiled, robot.friction)[:, robot.joints.index(joint)]
+
+
+def known_presliding(robot: RobotParams, joint: str, displacement: np.ndarray) -> np.ndarray:
+    """
+    Return the torque [N m] of one joint pushed by (D,) [rad] with unloaded blocks, Eq. (2).
+
+    The mean F_s of both directions where all blocks slip.
+    """
+    friction, j = robot.friction, robot.joints.index(joint)
+    static = 0.5 * (friction.forward.static[j] + friction.backward.static[j])
+    return np.minimum(np.asarray(displacement)[:, None] * friction.stiffness[j],
+                      friction.weight[j] * static).sum(axis=1)
+
+
+def presliding_difference(result: JointResult, robot: RobotParams) -> tuple[float, float]:
+    """
+    Return the largest difference of an identified presliding curve from the known one.
+
+    As a share of the known F_s, and the displacement it occurs at [rad]; NaN without a curve.
+    """
+    x, torque = result.curve[:2]
+    if not len(x):
+        return np.nan, np.nan
+    j = robot.joints.index(result.joint)
+    static = 0.5 * (robot.friction.forward.static[j] + robot.friction.backward.static[j])
+    off = np.abs(torque - known_presliding(robot, result.joint, x)) / static
+    worst = int(np.argmax(off))
+    return float(off[worst]), float(x[worst])

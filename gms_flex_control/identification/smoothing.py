@@ -15,23 +15,16 @@ _BANDWIDTH = 0.226  # of four moving averages in a row, times the length of one
 _CUBIC_NOISE = np.sqrt(720.0)  # of a second derivative, times window^-2.5 and step^-2
 
 
-def means_held(values, ends, edges):
+def rms(values: np.ndarray) -> float:
+    """Return the root of the mean square, NaN of none."""
+    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else np.nan
+
+
+def means_held(values: np.ndarray, ends: np.ndarray, edges: np.ndarray) -> np.ndarray:
     """
-    Return the means of what was held, over periods of another division of time.
+    Return the means (T, ...) between times ``edges`` (T + 1,) of values held before.
 
-    Parameters
-    ----------
-    values : ndarray, shape (K, ...)
-        Held each from one of ``ends`` to the next.
-    ends : ndarray, shape (K + 1,)
-        Times [s].
-    edges : ndarray, shape (T + 1,)
-        Times between which means are taken [s].
-
-    Returns
-    -------
-    ndarray, shape (T, ...)
-
+    Each of ``values`` (K, ...) is held from one of ``ends`` (K + 1,) to the next [s].
     """
     held = (np.asarray(values).T * np.diff(ends)).T
     impulse = np.concatenate([np.zeros((1, *held.shape[1:])), np.cumsum(held, axis=0)])
@@ -39,26 +32,13 @@ def means_held(values, ends, edges):
     return (np.diff(impulse, axis=0).T / np.diff(edges)).T
 
 
-def smoothing_window(period, noise, inertia, torque):
+def smoothing_window(period: float, noise: float, inertia: float, torque: float) -> int:
     """
     Return the samples of a window behind which the acceleration's noise is a small torque.
 
-    Parameters
-    ----------
-    period : float
-        Sample [s].
-    noise : float
-        Standard deviation of the angle [rad]; that of a count is its step over sqrt(12).
-    inertia : float
-        What the acceleration is multiplied with [kg m^2].
-    torque : float
-        Usual torque [N m].
-
-    Returns
-    -------
-    int
-        Odd, at least 5.
-
+    Odd, at least 5. ``noise`` is the standard deviation of the angle [rad], that of a count its
+    step over sqrt(12); ``inertia`` [kg m^2] times the acceleration is compared with the usual
+    ``torque`` [N m]; sample ``period`` [s].
     """
     allowed = max(_TORQUE_NOISE * torque, 1e-300)
     length = (_CUBIC_NOISE * noise * inertia / allowed / period ** 2) ** 0.4
@@ -66,7 +46,7 @@ def smoothing_window(period, noise, inertia, torque):
     return max(2 * round(length / 2) + 1, 5)
 
 
-def noise_of(angle):
+def noise_of(angle: np.ndarray) -> float:
     """Return the standard deviation of an angle's noise (T,), rounding included [rad]."""
     known = angle[np.isfinite(angle)]
     spread = float(np.std(np.diff(known, 3))) / np.sqrt(20.0)
@@ -74,58 +54,34 @@ def noise_of(angle):
     return max(min(spread, quantum(known) / np.sqrt(12.0)), robust, 1e-12)
 
 
-def low_pass(values, window):
+def low_pass(values: np.ndarray, window: int) -> np.ndarray:
     """
-    Return values through a zero-phase low-pass that hides what `derivatives` do to motion.
+    Return values (T, ...) through a zero-phase low-pass that hides what `derivatives` do.
 
-    Parameters
-    ----------
-    values : ndarray, shape (T, ...)
-        Evenly sampled, without gaps.
-    window : int
-        Samples of the window of `derivatives`.
-
-    Returns
-    -------
-    ndarray, shape (T, ...)
-        Four moving averages in a row, half the window each: the passband, to
-        `low_pass_bandwidth`, is where the local cubic fit leaves motion as it is. Torque and
-        model compared behind it differ by the model, not by the filter.
-
+    Four moving averages in a row, half of the ``window`` of `derivatives` each: the passband, to
+    `low_pass_bandwidth`, is where the local cubic fit leaves motion as it is. Torque and model
+    compared behind it differ by the model, not by the filter.
     """
     for _ in range(4):
         values = uniform_filter1d(values, max(window // 2, 1), axis=0, mode='nearest')
     return values
 
 
-def low_pass_bandwidth(window, period):
+def low_pass_bandwidth(window: int, period: float) -> float:
     """Return the frequency [Hz] at which `low_pass` has lost 3 dB."""
     return _BANDWIDTH / (max(window // 2, 1) * period)
 
 
-def low_pass_window(bandwidth, period):
+def low_pass_window(bandwidth: float, period: float) -> int:
     """Return the window whose `low_pass_bandwidth` is nearest to a frequency [Hz]."""
     return 2 * max(round(_BANDWIDTH / (bandwidth * period)), 1)
 
 
-def derivatives(values, period, window):
+def derivatives(values: np.ndarray, period: float, window: int) -> tuple:
     """
-    Return values and their first and second derivatives, smoothed without lag.
+    Return values (T, ...), evenly sampled without gaps, and two derivatives, all without lag.
 
-    Parameters
-    ----------
-    values : ndarray, shape (T, ...)
-        Evenly sampled, without gaps.
-    period : float
-        Sample [s].
-    window : int
-        Samples of the local cubic fit (Savitzky-Golay), odd.
-
-    Returns
-    -------
-    tuple of ndarray, shape (T, ...)
-        Value, rate and acceleration, all through the same filter.
-
+    All three through the same local cubic fit (Savitzky-Golay) of ``window`` samples, odd.
     """
     window = min(window, 2 * ((len(values) - 1) // 2) + 1)
     order = min(_ORDER, window - 1)

@@ -1,43 +1,54 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""Faults of the torque: clipped, reversed or off by a factor; and motor and link exchanged."""
+"""
+Faults of the torque: clipped, reversed, off by a factor; and channels that were exchanged.
 
-from gms_flex_control.data.signals import friction_columns, is_moving, quantum, sign_fit
-from gms_flex_control.identification.equations import (
-    balance_fit,
-    FEWEST,
-    filtered,
-    spring_fit,
-    spring_joints,
-    torque_joints,
-    total_torque,
+The equations of motion are fits with weights that cannot be negative: the motor's,
+``J ddq_motor + K (q_motor - q_link) = u``, and the whole joint's,
+``M ddq + C dq + g + J ddq_motor + F = u``. Inertia, stiffness and friction are positive, however
+roughly they are known.
+"""
+
+from itertools import combinations
+from typing import NamedTuple
+
+from gms_flex_control.data.recording import Recording
+from gms_flex_control.data.signals import (
+    derivative_window,
+    friction_columns,
+    is_moving,
+    quantum,
+    sign_fit,
+    smoothed,
 )
-from gms_flex_control.identification.exchange_checks import (
-    exchanged_angles,
-    exchanged_joints,
-    exchanged_torques,
-    side_scales,
-)
-from gms_flex_control.identification.findings import Finding
+from gms_flex_control.dynamics.chain import inverse_dynamics
+from gms_flex_control.identification import check_limits as limits
+from gms_flex_control.identification.check_limits import Finding
+from gms_flex_control.params.arm import ArmParams
+from gms_flex_control.params.robot import RobotParams
 import numpy as np
 
-CLIPPED_WARN, CLIPPED_REFUSE = 0.005, 0.5  # shares of the moving samples
-SCALE_STIFFNESS = 4.0       # refused beyond this factor of what the spring says
-SCALE_INERTIA = (3.0, 8.0)  # warned about, refused: the inertia of a rigid joint is less known
-SCALE_SLIGHT = 50.0         # likewise where friction is nearly all: little torque tells inertia
-_NEARLY_ALL = 0.9           # of the variance
-_CLEAR = 0.5                # of the variance a fit must explain to be believed
-_EXACT = 0.95               # a fit as good as this is no delay between encoders
-_UNEXPLAINED = 0.2          # less than this is no fit at all
+
+class Motion(NamedTuple):
+    """Filtered channels of all joints, arrays (S, n), on the rows without gaps."""
+
+    q_link: np.ndarray
+    dq_link: np.ndarray
+    ddq_link: np.ndarray
+    q_motor: np.ndarray
+    dq_motor: np.ndarray
+    ddq_motor: np.ndarray
+    tau: np.ndarray
+    moved: np.ndarray  # (n,), joints that move far enough for their torque to be judged
 
 
-def saturated(signals):
-    """Return findings of torques (Signals) that stay at their extreme while the joint moves."""
+def saturated(signals: Recording) -> list[Finding]:
+    """Return findings of torques that stay at their extreme while the joint moves."""
     found = []
     for j, joint in enumerate(signals.joints):
         tau, q = signals.tau_motor[:, j], signals.q_link[:, j]
-        if np.isfinite(tau).sum() < FEWEST or np.isfinite(q).sum() < FEWEST:
+        if min(np.isfinite(tau).sum(), np.isfinite(q).sum()) < limits.FEWEST_ROWS:
             continue
         clipped = _at_an_extreme(tau)
         if not clipped.any():
@@ -47,10 +58,10 @@ def saturated(signals):
         moving = np.pad(travel > max(0.02 * np.nanmax(travel, initial=0.0), 2 * quantum(q)),
                         width)
         share = np.sum(clipped & moving) / max(np.sum(moving), 1)
-        if share >= CLIPPED_WARN:
+        if share >= limits.CLIPPED_WARN:
             limit = np.abs(tau[clipped]).max()
             found.append(Finding(
-                'saturated', joint, 'refuse' if share > CLIPPED_REFUSE else 'warn',
+                'saturated', joint, 'refuse' if share > limits.CLIPPED_REFUSE else 'warn',
                 f'{signals.source}: the torque of {joint} is clipped at {limit:.4g} N m in '
                 f'{100 * share:.2g} % of the moving samples, so it may have been larger '
                 'than recorded there; move more gently or raise the limit'))
@@ -80,42 +91,29 @@ def _at_an_extreme(tau):
     return clipped & (np.sum(still & ~clipped & (tau != 0)) < 0.3 * np.sum(clipped))
 
 
-def physics(signals, robot, rough=False):
+def physics(signals: Recording, robot: RobotParams, rough=False) -> list[Finding]:
     """
     Compare torque, sides and joints with the equations of motion.
 
-    Parameters
-    ----------
-    signals : Signals
-        The recording; without a torque only the angles are compared.
-    robot : RobotParams
-        Roughly the robot.
-    rough : bool
-        Inertia and stiffness are mere placeholders: a factor is a warning only, and inertia
-        is no evidence of exchanged joints.
-
-    Returns
-    -------
-    list of Finding
-        Kinds 'swapped_joints', 'swapped_sides', 'side_scale', 'torque_sign', 'torque_scale'
-        and 'unexplained'; one fault at a time, since each hides the next.
-
+    Without a torque only the angles are compared. ``rough``: inertia and stiffness are mere
+    placeholders; a factor is a warning only, and inertia is no evidence of exchanged joints.
+    One fault at a time, since each hides the next.
     """
     motion = filtered(signals, robot)
-    if len(motion.tau) < FEWEST:
+    if len(motion.tau) < limits.FEWEST_ROWS:
         return []
-    return (exchanged_angles(signals, robot, motion) or side_scales(signals, robot, motion)
-            or exchanged_torques(signals, robot, motion)
+    return (_exchanged_angles(signals, robot, motion) or _side_scales(signals, robot, motion)
+            or _exchanged_torques(signals, robot, motion)
             or _directions(signals, robot, motion)
-            or (not rough and exchanged_joints(signals, robot, motion))
+            or (not rough and _exchanged_joints(signals, robot, motion))
             or _scales(signals, robot, motion, rough) or _unexplained(signals, robot, motion))
 
 
 def _directions(signals, robot, motion):
     """Find reversed torques and exchanged sides."""
-    total, springs = total_torque(motion, robot), spring_joints(robot, motion)
+    total, springs = _total_torque(motion, robot), _spring_joints(robot, motion)
     found = []
-    for j in torque_joints(robot, motion):
+    for j in _torque_joints(robot, motion):
         balance = _balance_sign(motion, motion.tau[:, j], total, j)
         spring = _spring_sign(motion, j) if j in springs else 0
         name = signals.joints[j]
@@ -137,15 +135,15 @@ def _directions(signals, robot, motion):
 
 def _balance_sign(motion, tau, total, j):
     """Return 1 or -1 if a torque drives joint j forward or backward, 0 if one cannot tell."""
-    fits = balance_fit(motion, tau, total, j)
+    fits = _balance_fit(motion, tau, total, j)
     if fits is None:
         return 0
     known, loose = fits
-    if known.as_is > _CLEAR and known.as_is > known.opposite + 0.3:
+    if known.as_is > limits.CLEAR and known.as_is > known.opposite + limits.APART:
         return 1
-    clear = known.opposite > _CLEAR and known.opposite > known.as_is + 0.3
+    clear = known.opposite > limits.CLEAR and known.opposite > known.as_is + limits.APART
     # a joint that is not driven by its torque takes no work from it in the end
-    driven = _work(tau, motion.dq_link[:, j]) > _CLEAR
+    driven = _work(tau, motion.dq_link[:, j]) > limits.CLEAR
     return -1 if clear and not driven and loose.as_is < max(loose.opposite, 0.5) else 0
 
 
@@ -158,20 +156,20 @@ def _work(tau, velocity):
 def _spring_sign(motion, j):
     """Return 1 or -1 if the torque of joint j fits its spring as it is or with sides exchanged."""
     tau, twist = motion.tau[:, j], motion.q_motor[:, j] - motion.q_link[:, j]
-    explained, gain = spring_fit(tau, motion.ddq_motor[:, j], twist)
-    explained_other, gain_other = spring_fit(tau, motion.ddq_link[:, j], -twist)
-    if explained > _CLEAR and gain > _CLEAR and gain_other < 0.1:
+    explained, gain = _spring_fit(tau, motion.ddq_motor[:, j], twist)
+    explained_other, gain_other = _spring_fit(tau, motion.ddq_link[:, j], -twist)
+    if explained > limits.CLEAR and gain > limits.CLEAR and gain_other < 0.1:
         return 1
-    if explained_other > _CLEAR and gain_other > _CLEAR and gain < 0.1:
+    if explained_other > limits.CLEAR and gain_other > limits.CLEAR and gain < 0.1:
         return -1
     return 0
 
 
 def _scales(signals, robot, motion, rough):
     """Find torques off by a factor."""
-    total, springs = total_torque(motion, robot), spring_joints(robot, motion)
+    total, springs = _total_torque(motion, robot), _spring_joints(robot, motion)
     found = []
-    for j in torque_joints(robot, motion):
+    for j in _torque_joints(robot, motion):
         if j in springs:
             found += _spring_scale(signals, robot, motion, j)
         else:
@@ -180,20 +178,20 @@ def _scales(signals, robot, motion, rough):
 
 
 def _spring_scale(signals, robot, motion, j):
-    """Compare torque over twist with the stiffness; an encoder delay must not decide it."""
+    """Compare torque over deflection with the stiffness; an encoder delay must not decide it."""
     tau, one = motion.tau[:, j], np.ones(len(motion.tau))
     stiffness = robot.arm.stiffness[j]
     twist = motion.q_motor[:, j] - motion.q_link[:, j]
-    ratios, limit = [], SCALE_STIFFNESS
+    ratios, limit = [], limits.SCALE_STIFFNESS
     rest = np.stack([twist, motion.dq_link[:, j]])
-    exact = spring_fit(tau, motion.ddq_motor[:, j], twist)[0] > _EXACT
+    exact = _spring_fit(tau, motion.ddq_motor[:, j], twist)[0] > limits.EXACT
     if not exact and rest[1].any() and np.corrcoef(rest)[0, 1] ** 2 > 0.1:
         limit *= 3.0  # read late, one encoder adds a part of the velocity to the twist
     for others in [[motion.ddq_motor[:, j]]] if exact else (
             [], [motion.ddq_motor[:, j]], [motion.dq_motor[:, j]],
             [motion.ddq_motor[:, j], motion.dq_motor[:, j]]):
         fit = sign_fit(tau, [twist], [one, *others])
-        if fit.as_is > _CLEAR:
+        if fit.as_is > limits.CLEAR:
             ratios.append(fit.weights[0] / stiffness)
     if not ratios or min(ratios) < limit and max(ratios) > 1 / limit:
         return
@@ -209,29 +207,29 @@ def _spring_scale(signals, robot, motion, j):
 def _fits_where_small(tau, ddq_motor, twist, stiffness):
     """Return whether torque (T,) is what the spring makes where it is no more than that ever."""
     small = np.abs(tau) <= stiffness * np.abs(twist - np.median(twist)).max()
-    if small.sum() < FEWEST:
+    if small.sum() < limits.FEWEST_ROWS:
         return False
     free = [np.ones(int(small.sum())), ddq_motor[small]]
     fit = sign_fit(tau[small], [twist[small]], free)
     ratio = fit.weights[0] / stiffness
-    return fit.as_is > _EXACT and 1 / SCALE_STIFFNESS < ratio < SCALE_STIFFNESS
+    return fit.as_is > limits.EXACT and 1 / limits.SCALE_STIFFNESS < ratio < limits.SCALE_STIFFNESS
 
 
 def _inertia_scale(signals, motion, total, j):
     """Compare torque with what the robot's inertia and gravity need."""
-    fits = balance_fit(motion, motion.tau[:, j], total, j)
+    fits = _balance_fit(motion, motion.tau[:, j], total, j)
     if fits is None:
         return
     rows = is_moving(motion.dq_link[:, j])
     friction = sign_fit(motion.tau[rows, j], friction_columns(motion.dq_link[rows, j]),
                         [np.ones(int(rows.sum()))]).as_is
     whole = fits[0]
-    if whole.as_is < 0.6 or (whole.as_is - friction) < _CLEAR * (1 - friction):
+    if whole.as_is < 0.6 or (whole.as_is - friction) < limits.CLEAR * (1 - friction):
         return
     ratio = float(whole.weights[0])
     factor = max(ratio, 1 / ratio)
-    refused = SCALE_SLIGHT if friction > _NEARLY_ALL else SCALE_INERTIA[1]
-    if factor > SCALE_INERTIA[0]:
+    refused = limits.SCALE_SLIGHT if friction > limits.NEARLY_ALL else limits.SCALE_INERTIA[1]
+    if factor > limits.SCALE_INERTIA[0]:
         yield Finding('torque_scale', signals.joints[j],
                       'refuse' if factor > refused else 'warn',
                       f'{signals.source}: the torque of {signals.joints[j]} is {ratio:.3g} '
@@ -241,17 +239,211 @@ def _inertia_scale(signals, motion, total, j):
 
 def _unexplained(signals, robot, motion):
     """Find torques that have nothing to do with the motion."""
-    total, springs, found = total_torque(motion, robot), spring_joints(robot, motion), []
-    for j in torque_joints(robot, motion):
-        fits = balance_fit(motion, motion.tau[:, j], total, j)
+    total, springs, found = _total_torque(motion, robot), _spring_joints(robot, motion), []
+    for j in _torque_joints(robot, motion):
+        fits = _balance_fit(motion, motion.tau[:, j], total, j)
         shares = [fit.as_is for fit in fits or ()]
         if j in springs:
             twist = motion.q_motor[:, j] - motion.q_link[:, j]
-            shares.append(spring_fit(motion.tau[:, j], motion.ddq_motor[:, j], twist)[0])
-        if shares and max(shares) < _UNEXPLAINED:
+            shares.append(_spring_fit(motion.tau[:, j], motion.ddq_motor[:, j], twist)[0])
+        if shares and max(shares) < limits.UNEXPLAINED:
             found.append(Finding(
                 'unexplained', signals.joints[j], 'warn', f'{signals.source}: inertia, gravity, '
                 f'spring and friction explain {100 * max(shares):.0f} % of the torque of '
                 f'{signals.joints[j]}; is it the torque of this joint, at the time of its '
                 'angles, and is the robot file right?'))
     return found
+
+
+def _exchanged_angles(signals, robot, motion):
+    """Find two joints whose motor follows the other's link far better than its own."""
+    found = []
+    for i, j in combinations(_spring_joints(robot, motion), 2):
+        def apart(a, b):
+            return np.var(motion.q_motor[:, a] - motion.q_link[:, b])
+
+        def unlike(a, b):
+            return 1 - _spring_fit(motion.tau[:, a], motion.ddq_motor[:, a],
+                                  motion.q_motor[:, a] - motion.q_link[:, b])[0]
+        judged = {i, j}.issubset(_torque_joints(robot, motion))
+        straight, crossed = ([unlike(i, i), unlike(j, j)], [unlike(i, j), unlike(j, i)]
+                             ) if judged else ([0.0, 0.0], [1.0, 1.0])
+        if apart(i, j) + apart(j, i) < 0.04 * (apart(i, i) + apart(j, j)) or (
+                max(crossed) < 0.1 and min(straight) > 3 * max(crossed)
+                and sum(crossed) < 0.2 * sum(straight)):
+            found.append(_swap(signals, i, j, 'angles of one side',
+                               'each motor follows the other link'))
+    return found
+
+
+def _side_scales(signals, robot, motion):
+    """Find a motor angle with another sign or scale than the link's, far beyond any deflection."""
+    found = []
+    for j in _spring_joints(robot, motion):
+        x, y = (side[:, j] - side[:, j].mean() for side in (motion.q_link, motion.q_motor))
+        if not (x.any() and y.any()):
+            continue
+        slope, fit = x @ y / (x @ x), x @ y / np.sqrt((x @ x) * (y @ y))
+        twist = robot.arm.stiffness[j] * np.std(y - x)
+        tau = motion.tau[:, j]
+        torn = twist > limits.SIDE_FACTOR * np.std(tau) if np.isfinite(tau).all() else abs(
+            np.log(abs(slope) + 1e-12)) > np.log(5.0)
+        low, high = limits.SIDE_SLOPE
+        if abs(fit) > limits.SIDE_FIT and not low < slope < high and (torn or slope < 0.0):
+            found.append(Finding(
+                'side_scale', signals.joints[j], 'refuse', f'{signals.source}: the motor of '
+                f'{signals.joints[j]} moves {slope:.4g} times as far as its link; give motor '
+                'angles as seen at the joint (divide by the gear ratio, correct the sign)'))
+    return found
+
+
+def _exchanged_torques(signals, robot, motion):
+    """Find two joints each of whose torque fits the other's motion far better."""
+    total, found = _total_torque(motion, robot), []
+    springs = _spring_joints(robot, motion)
+
+    def explained(torque, j):
+        tau = motion.tau[:, torque]
+        if j in springs:
+            return _spring_fit(tau, motion.ddq_motor[:, j],
+                              motion.q_motor[:, j] - motion.q_link[:, j])[0]
+        fits = _balance_fit(motion, tau, total, j)
+        return fits[0].as_is if fits else 0.0
+
+    for i, j in combinations(_torque_joints(robot, motion), 2):
+        crossed = [1 - explained(i, j), 1 - explained(j, i)]
+        straight = [1 - explained(i, i), 1 - explained(j, j)]
+        if max(crossed) < 0.3 and sum(crossed) < 0.25 * sum(straight) and all(
+                a < b for a, b in zip(crossed, straight, strict=True)):
+            found.append(_swap(signals, i, j, 'torques', 'each fits the motion of the other'))
+    return found
+
+
+def _exchanged_joints(signals, robot, motion):
+    """Find two joints that, exchanged as a whole, fit the robot's inertia far better."""
+    loads, springs = [], _spring_joints(robot, motion)
+    for j in range(robot.n_joints):
+        twist = motion.q_motor[:, j] - motion.q_link[:, j]
+        loads.append(robot.arm.stiffness[j] * twist if j in springs else motion.tau[:, j])
+    if not all(np.isfinite(load).all() for load in loads):
+        return []
+    n = robot.n_joints
+    base, found = _misfits(motion, robot, loads, range(n)), []
+    for i, j in combinations(range(n), 2):
+        if robot.arm.rigid[i] != robot.arm.rigid[j]:
+            continue
+        order = np.arange(n)
+        order[[i, j]] = j, i
+        other = _misfits(motion, robot, loads, order)
+        if sum(other) < min(limits.FITS * n, limits.BETTER * sum(base)):
+            found.append(_swap(signals, i, j, 'names', "the robot's inertia fits only then"))
+    return found
+
+
+def _misfits(motion, robot, loads, order):
+    """Return per joint what inertia as given and free friction leave of the load's variance."""
+    torque, rests = rigid_torque(motion, robot.arm, list(order)), []
+    for own, recorded in enumerate(order):
+        load, velocity = loads[recorded], motion.dq_link[:, recorded]
+        # the stiffness belongs to the name: rescale where the robot's joints differ
+        if not robot.arm.rigid[own]:
+            load = load * (robot.arm.stiffness[own] / robot.arm.stiffness[recorded])
+        rows = is_moving(velocity)
+        error, load = (load - torque[:, own])[rows], load[rows]
+        spread = np.var(load) if rows.sum() >= limits.FEWEST_ROWS else 0.0
+        if spread > 0:
+            left = 1 - sign_fit(error, friction_columns(velocity[rows]),
+                                [np.ones_like(error)]).as_is
+            rests.append(np.var(error) * left / spread)
+        else:
+            rests.append(0.0)
+    return rests
+
+
+def _swap(signals, i, j, what, reason):
+    first, second = signals.joints[i], signals.joints[j]
+    return Finding('swapped_joints', first, 'refuse', f'{signals.source}: the {what} of {first} '
+                   f'and {second} seem exchanged ({reason}); exchange the names in the '
+                   'recording or the robot file')
+
+
+def filtered(signals: Recording, robot: RobotParams) -> Motion:
+    """Return the Motion of a recording."""
+    window = max(derivative_window(signals.time, q) for q in signals.q_link.T)
+    sides = [signals.q_link.T, np.where(robot.arm.rigid, signals.q_link, signals.q_motor).T,
+             signals.tau_motor.T]
+    known = np.all(np.isfinite(signals.q_link), axis=1)
+    time, gap = signals.time, 3 * signals.period
+    rows = smoothed(time, [time, *(channel for side in sides for channel in side)], window)
+    at, n = rows[0].value, len(signals.joints)
+    stamps = time[known]
+    wide = np.flatnonzero(np.diff(stamps) > max(gap, window / 8))
+    good = np.ones(len(at), dtype=bool)
+    for k in wide:
+        good[np.searchsorted(at, stamps[k] - window / 2):
+             np.searchsorted(at, stamps[k + 1] + window / 2)] = False
+    link, motor, tau = rows[1:n + 1], rows[n + 1:2 * n + 1], rows[2 * n + 1:]
+    columns = [[getattr(part, name)[good] for part in side] for side in (link, motor)
+               for name in ('value', 'first', 'second')]
+    unknown = ~np.isfinite(signals.tau_motor[2:]).any(axis=0)
+    torque = np.stack([part.value[good] for part in tau], axis=1)
+    torque[:, unknown] = np.nan
+    moved = [len(at) and np.ptp(part.value) > limits.TRAVEL * quantum(q)
+             for part, q in zip(link, signals.q_link.T, strict=True)]
+    result = Motion(*(np.stack(column, axis=1) for column in columns), torque,
+                    np.array(moved, dtype=bool))
+    blind = ~np.isfinite(sides[1]).any(axis=1)
+    for values in result[3:6]:
+        values[:, blind] = np.nan
+    return result
+
+
+def rigid_torque(motion: Motion, arm: ArmParams, order=None) -> np.ndarray:
+    """
+    Return the torque (S, n) that moves the links, and the motors of rigid joints.
+
+    ``M(q) ddq + C dq + g`` as in dynamics.chain; with ``order`` the recorded joints stand for the
+    robot's in that order.
+    """
+    order = np.arange(arm.n_joints) if order is None else np.asarray(order)
+    return inverse_dynamics(*(values[:, order] for values in motion[:3]), arm)
+
+
+def _total_torque(motion, robot):
+    """Return the frictionless torque (S, n) at the motors."""
+    inertia = np.where(robot.arm.rigid, 0.0, robot.arm.motor_inertia)
+    motor = np.where(np.isfinite(motion.ddq_motor), motion.ddq_motor, motion.ddq_link)
+    return rigid_torque(motion, robot.arm) + inertia * motor
+
+
+def _spring_joints(robot, motion):
+    """Return the numbers of the joints whose deflection is recorded."""
+    return [j for j in range(robot.n_joints)
+            if not robot.arm.rigid[j] and np.isfinite(motion.q_motor[:, j]).all()]
+
+
+def _torque_joints(robot, motion):
+    """Return the numbers of the joints whose torque is recorded and can be judged."""
+    return [j for j in range(robot.n_joints) if np.isfinite(motion.tau[:, j]).all()
+            and np.ptp(motion.tau[:, j]) > 0 and motion.moved[j]]
+
+
+def _spring_fit(tau, acceleration, twist):
+    """Return what inertia and spring explain of a torque, and the share the spring adds."""
+    free = [np.ones_like(tau)]
+    both = sign_fit(tau, [acceleration, twist], free).as_is
+    alone = sign_fit(tau, [acceleration], free).as_is
+    return both, (both - alone) / max(1.0 - alone, 1e-12)
+
+
+def _balance_fit(motion, tau, total, j):
+    """Return fits (sign_fit) of a torque by rigid-body torque and friction, the second looser."""
+    rows = is_moving(motion.dq_link[:, j])
+    if rows.sum() < limits.FEWEST_ROWS:
+        return None
+    angle = motion.q_link[rows, j]
+    columns = [total[rows, j], *friction_columns(motion.dq_link[rows, j])]
+    constant = np.ones(int(rows.sum()))
+    known = sign_fit(tau[rows], columns, [constant])
+    loose = sign_fit(tau[rows], columns, [constant, np.sin(angle), np.cos(angle)])
+    return known, loose

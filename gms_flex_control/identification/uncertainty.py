@@ -12,13 +12,28 @@ of blocks, which the data do not rule out, differ by. Where the last exceeds the
 the sum is no longer well known, the value is one of the model, and no interval is printed.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
-from gms_flex_control.identification.coordinates import MOST_BLOCKS, presliding_curve
-from gms_flex_control.identification.refine import summed
-from gms_flex_control.identification.result import CONFIDENT, Estimate, Interval
-from gms_flex_control.identification.words import DEPENDS, NOT_IDENTIFIABLE, WELL_KNOWN
-from gms_flex_control.simulation.predictor import BLOCKS, PER_DIRECTION, STATIC, VELOCITY
+from gms_flex_control.identification.coordinates import (
+    Coordinates,
+    MOST_BLOCKS,
+    presliding_curve,
+    STATICS,
+    yields_of,
+)
+from gms_flex_control.identification.least_squares import summed, torque_slopes
+from gms_flex_control.identification.result import (
+    CONFIDENT,
+    DEPENDS,
+    Estimate,
+    Interval,
+    NO_INTERVAL,
+    NOT_IDENTIFIABLE,
+    WELL_KNOWN,
+)
+from gms_flex_control.identification.smoothing import rms
+from gms_flex_control.simulation.predictor import BLOCKS, PER_DIRECTION, VELOCITY
 import numpy as np
 from scipy.stats import t as student
 
@@ -39,7 +54,6 @@ _TELLS = {
     'attraction': 'velocity that varies within a second around v_s tells it',
     'stiffness': 'slow torque ramps below break-away, with small loops, tell it',
 }
-_NONE = Interval(np.nan, np.nan)
 _TOGETHER_NOTE = ('the numbers of a Stribeck curve are told together, and these data leave others '
                   'of this curve open')
 _DEPENDS_NOTE = ('models that explain the data as well or better (another number of blocks, or '
@@ -54,22 +68,9 @@ class Spread(NamedTuple):
     told: np.ndarray        # (P,), share of each number that the data tell, the rest is prior
 
 
-def spread_of(objective, coordinates, free, evaluation, prior, sampling):
-    """
-    Return the Spread of a fit.
-
-    Parameters
-    ----------
-    objective, coordinates, free, evaluation, prior
-        Of the fit, at its minimum.
-    sampling : ndarray, shape (P,)
-        What the numbers move by from one way of looking to another, see default_method.
-
-    Returns
-    -------
-    Spread
-
-    """
+def spread_of(objective, fit) -> Spread:
+    """Return the Spread of a JointFit at the minimum of an Objective."""
+    coordinates, free, prior, evaluation = fit.coordinates, fit.free, fit.prior, fit.evaluation
     curvature, _ = summed(evaluation, free, prior)
     memory = objective.memory(coordinates, free, _LONGEST_MEMORY)
     inverse = inverse_of(curvature)
@@ -78,28 +79,33 @@ def spread_of(objective, coordinates, free, evaluation, prior, sampling):
     own = objective.finest ** 2 * np.tensordot(  # the predictor's error, alike through a block
         evaluation.weight ** 2 * evaluation.count, evaluation.curvature, 1)
     return Spread(clustered(inverse, scores, memory * evaluation.dispersion)
-                  + inverse @ own @ inverse + np.diag(sampling ** 2), told)
+                  + inverse @ own @ inverse + np.diag(fit.sampling ** 2), told)
 
 
-def clustered(inverse, scores, dispersion):
+def torque_spread(error, coordinates: Coordinates, free: np.ndarray, prior) -> Spread:
+    """Return the Spread of a fit to the torque, ``error`` its TorqueError."""
+    off, slope = torque_slopes(error, coordinates, free)
+    noise = rms(off) ** 2 * error.memory
+    curvature = slope.T @ slope / noise + np.diag(prior.precision)
+    inverse = np.linalg.pinv(curvature, rcond=1e-12, hermitian=True)
+    scores = block_sums(slope * off[:, None] / noise, error.block)
+    told = 1.0 - np.clip(prior.precision * np.diag(inverse), 0.0, 1.0)
+    return Spread(clustered(inverse, scores, 1.0), told)
+
+
+def block_sums(rows: np.ndarray, block: np.ndarray) -> np.ndarray:
+    """Return the sums (B, P) of rows (S, P) of each block of time, ``block`` (S,) its number."""
+    return np.stack([np.bincount(block, weights=column) for column in rows.T], axis=1)
+
+
+def clustered(inverse: np.ndarray, scores: np.ndarray, dispersion: float) -> np.ndarray:
     """
-    Return the covariance of numbers whose errors are independent between blocks of time only.
+    Return the covariance (P, P) of numbers whose errors are independent between blocks of time.
 
-    Parameters
-    ----------
-    inverse : ndarray, shape (P, P)
-        Of the curvature.
-    scores : ndarray, shape (B, P)
-        Slope of the cost of each block.
-    dispersion : float
-        What the inverse times it is the covariance if all samples are alike: no number is told
-        to be better known, since few blocks agree by chance.
-
-    Returns
-    -------
-    ndarray, shape (P, P)
-        As wide as Student's distribution for that many blocks asks for.
-
+    ``inverse`` (P, P) is that of the curvature, ``scores`` (B, P) the slope of the cost of each
+    block; the inverse times ``dispersion`` is the covariance if all samples are alike: no number
+    is said to be better known, since few blocks agree by chance. As wide as Student's
+    distribution for that many blocks requires.
     """
     off, blocks = scores - scores.mean(axis=0), max(len(scores), 2)
     few = blocks / (blocks - 1) * (student.ppf(_UPPER, blocks - 1) / CONFIDENT) ** 2
@@ -110,43 +116,21 @@ def clustered(inverse, scores, dispersion):
     return sandwich * np.outer(wider, wider)
 
 
-def inverse_of(curvature):
+def inverse_of(curvature: np.ndarray) -> np.ndarray:
     """Return the inverse of a curvature (P, P) whose numbers have very different scales."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(curvature), 1e-300))
     return np.linalg.pinv(curvature * np.outer(scale, scale), rcond=1e-12,
                           hermitian=True) * np.outer(scale, scale)
 
 
-def estimates_of(joint, coordinates, free, spread, reach, travel=np.inf, rivals=(), units=_UNITS,
-                 top=np.inf):
+def estimates_of(joint: str, coordinates: Coordinates, free: np.ndarray, spread: Spread,
+                 reach: float, travel=np.inf, rivals: Sequence = (), top=np.inf) -> tuple:
     """
     Return the Estimates of one joint's friction.
 
-    Parameters
-    ----------
-    joint : str
-        Link name.
-    coordinates : Coordinates
-        What ``free`` stands for.
-    free : ndarray, shape (P,)
-        The fit.
-    spread : Spread
-        Its uncertainty.
-    reach : float
-        Farthest displacement in presliding [rad]; 0 if there was none.
-    travel : float
-        Farthest displacement at all [rad].
-    rivals : sequence of ndarray
-        Parameters of other models that the data do not rule out.
-    units : tuple of str
-        Of static, coulomb, velocity and viscous.
-    top : float
-        Highest velocity [rad/s]. A curve that still falls there has no F_c in the data.
-
-    Returns
-    -------
-    tuple of Estimate
-
+    ``reach`` is the farthest displacement in presliding [rad], 0 if there was none, ``travel``
+    that at all; ``rivals`` are parameters of other models that the data do not rule out; a curve
+    that still falls at ``top``, the highest velocity [rad/s], has no F_c in the data.
     """
     theta, directions = coordinates.unpack(free)
     variance = np.einsum('ip,pq,iq->i', directions, spread.covariance, directions)
@@ -157,13 +141,13 @@ def estimates_of(joint, coordinates, free, spread, reach, travel=np.inf, rivals=
         if np.exp(-(top / theta[at + VELOCITY]) ** 2) > _STILL_FALLS:
             told[[at, at + VELOCITY]] = 0.0
     for k, direction in enumerate(('forward', 'backward')):
-        for i, (name, unit) in enumerate(zip(_NAMES, units, strict=True)):
+        for i, (name, unit) in enumerate(zip(_NAMES, _UNITS, strict=True)):
             rows.append((f'friction.{joint}.{direction}.{name}', unit, PER_DIRECTION * k + i,
                          told[PER_DIRECTION * k + (1 if name == 'static' else
                                                    0 if name == 'coulomb' else i)], name))
     rows.append((f'friction.{joint}.attraction', 'N m/s', 8, told[8], 'attraction'))
-    order = _order(theta, coordinates.n_blocks)
-    for number, i in enumerate(order):
+    soft_to_stiff = np.argsort(theta[BLOCKS:BLOCKS + coordinates.n_blocks], kind='stable')
+    for number, i in enumerate(soft_to_stiff):
         rows.append((f'friction.{joint}.stiffness[{number}]', 'N m/rad', BLOCKS + i,
                      told[coordinates.yields][i], 'stiffness'))
     return _told_together(f'friction.{joint}.', [
@@ -187,7 +171,7 @@ def _told_together(prefix, estimates):
             if not lost(name):
                 one = rows[name]
                 rows[name] = one._replace(
-                    interval=_NONE, flags=(*one.flags, NOT_IDENTIFIABLE), note='; '.join(
+                    interval=NO_INTERVAL, flags=(*one.flags, NOT_IDENTIFIABLE), note='; '.join(
                         filter(None, (one.note, _TOGETHER_NOTE))))
     for side in ('forward', 'backward'):
         if lost(f'{side}.coulomb'):
@@ -209,10 +193,7 @@ def _model_dependence(theta, n_blocks, rivals):
     off = np.zeros(len(theta))
     if not rivals:
         return off
-    stiffness, weight = theta[BLOCKS:BLOCKS + 2 * MOST_BLOCKS].reshape(2, MOST_BLOCKS)[
-        :, :n_blocks]
-    static = theta[[STATIC, PER_DIRECTION + STATIC]].mean()
-    yields = weight * static / np.maximum(stiffness, 1e-300)
+    yields, _ = yields_of(theta)
 
     def seen(one):
         return np.log(np.maximum(np.concatenate([one[:BLOCKS], presliding_curve(one, yields)]),
@@ -220,11 +201,6 @@ def _model_dependence(theta, n_blocks, rivals):
     off[:BLOCKS + n_blocks] = np.sqrt(np.mean(
         [(seen(rival) - seen(theta)) ** 2 for rival in rivals], axis=0))
     return off
-
-
-def _order(theta, n_blocks):
-    """Return the blocks from soft to stiff."""
-    return np.argsort(theta[BLOCKS:BLOCKS + n_blocks], kind='stable')
 
 
 def _estimate(row, theta, error, off, reaches):
@@ -248,7 +224,7 @@ def _estimate(row, theta, error, off, reaches):
         notes.append(_TELLS[kind])
     if kind == 'stiffness':
         weight = theta[i + MOST_BLOCKS]
-        late = _slips_late(weight * theta[[STATIC, PER_DIRECTION + STATIC]].mean() / value,
+        late = _slips_late(weight * theta[STATICS].mean() / value,
                            *reaches)
         flags += [NOT_IDENTIFIABLE] if late else []
         notes += [late] if late else []
@@ -272,25 +248,12 @@ def _slips_late(yielding, reach, travel):
     return ''
 
 
-def curve_of(coordinates, free, spread, displacement, rivals=()):
-    """
-    Return the presliding curve with its 95 % interval.
+def curve_of(fit, spread: Spread, displacement: np.ndarray) -> tuple:
+    """Return displacement, torque, low and high end of 95 % (D,) of a JointFit's presliding."""
+    coordinates, free, rivals = fit.coordinates, fit.free, fit.rivals
 
-    Parameters
-    ----------
-    coordinates, free, spread, rivals
-        As `estimates_of`.
-    displacement : ndarray, shape (D,)
-        [rad].
-
-    Returns
-    -------
-    tuple of ndarray, shape (D,)
-        Displacement, torque, low and high [N m].
-
-    """
     def at(numbers):
-        return presliding_curve(coordinates.unpack(numbers)[0], displacement)
+        return presliding_curve(coordinates.parameters(numbers), displacement)
     torque = at(free)
     slopes = np.stack([(at(free + step) - at(free - step)) / (2.0 * _SMALL_STEP)
                        for step in _SMALL_STEP * np.eye(len(free))], axis=-1)
@@ -302,29 +265,14 @@ def curve_of(coordinates, free, spread, displacement, rivals=()):
     return displacement, torque, torque / wide, torque * wide
 
 
-def shown_displacements(estimates, static, step, points):
+def shown_displacements(estimates: Sequence[Estimate], static: float, step: float,
+                        points: int) -> np.ndarray:
     """
     Return displacements [rad] from the first to the last yield of identifiable blocks.
 
     Below the first, stiffer blocks would make the curve, of which the data tell nothing, and
-    below a step of the encoder nothing is seen.
-
-    Parameters
-    ----------
-    estimates : sequence of Estimate
-        Of one joint, blocks of equal weight among them.
-    static : float
-        Mean F_s [N m].
-    step : float
-        Encoder step or noise [rad].
-    points : int
-        How many displacements.
-
-    Returns
-    -------
-    ndarray
-        Empty where no stiffness is identifiable, or all yield within a step.
-
+    below a ``step`` of the encoder [rad] nothing is seen; ``static`` is the mean F_s [N m]. Empty
+    where no stiffness is identifiable, or all yield within a step.
     """
     blocks = [one for one in estimates if '.stiffness[' in one.name]
     yields = np.array([static / len(blocks) / max(one.value, 1e-300) for one in blocks])

@@ -9,16 +9,17 @@ from textwrap import fill
 from gms_flex_control.analysis.table4 import align
 from gms_flex_control.answer import Answer, command, measured, Number
 from gms_flex_control.discrepancy.describe import angle_scale, Scale, torque_scale, value_words
-from gms_flex_control.identification.beside import known_values, presliding_difference
-from gms_flex_control.identification.result import JointResult
-from gms_flex_control.identification.words import (
+from gms_flex_control.identification.result import (
     data_sentence,
     DOUBTFUL,
     floor_shares,
+    JointResult,
+    known_values,
     NOT_IDENTIFIABLE,
     notes,
     number,
     percent,
+    presliding_difference,
     SET,
     short_name,
     span,

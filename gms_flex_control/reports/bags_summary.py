@@ -13,8 +13,8 @@ from textwrap import fill
 from gms_flex_control import __version__
 from gms_flex_control.analysis.table4 import align
 from gms_flex_control.answer import Answer, command, measured
-from gms_flex_control.identification.over_bags import is_told
-from gms_flex_control.identification.words import number, percent
+from gms_flex_control.identification.output import is_told
+from gms_flex_control.identification.result import number, percent
 
 FORMAT = 1
 _WIDTH = 96
@@ -27,7 +27,7 @@ def summary(found, rows) -> dict:
     """
     Return all bags and their parameters as plain data.
 
-    ``found`` holds `identification.over_bags.bag_values` and ``reason`` (None, or all there is) by
+    ``found`` holds `identification.output.bag_values` and ``reason`` (None, or all there is) by
     the name of the bag, ``rows`` the OverBags of those without a reason.
     """
     return {'format': FORMAT, 'version': __version__,

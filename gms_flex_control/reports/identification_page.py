@@ -6,10 +6,12 @@
 from functools import partial
 from pathlib import Path
 
-from gms_flex_control.identification.beside import known_presliding, known_steady, known_values
-from gms_flex_control.identification.words import (
+from gms_flex_control.identification.result import (
     data_sentence,
     joint_sentences,
+    known_presliding,
+    known_steady,
+    known_values,
     NOT_IDENTIFIABLE,
     notes,
     number,

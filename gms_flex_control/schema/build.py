@@ -27,7 +27,7 @@ import numpy as np
 _OF_LINKS = ('mass', 'length', 'com', 'inertia')  # which a URDF states
 _FACTORS = ('mass_factor', 'inertia_factor')      # on what a URDF states
 MOST_JOINTS = 7
-_ARM = tuple(key.name for key in ARM if key.name not in _FACTORS)
+_ARM = tuple(key.name for key in ARM if key.name not in (*_FACTORS, 'inertial'))
 _STRIBECK = tuple(key.name for key in STRIBECK)
 
 
@@ -107,8 +107,8 @@ def _links(flat, joints):
                for name in _FACTORS}
     if flat['arm.kind'] != 'urdf':
         for joint in joints:
-            for name in _FACTORS:
-                if flat[f'arm.{joint}.{name}'] != 1.0:
+            for name, usual in (*((name, 1.0) for name in _FACTORS), ('inertial', ())):
+                if flat[f'arm.{joint}.{name}'] != usual:
                     raise ConfigError(f'arm.{joint}.{name} goes with arm.kind urdf, this is '
                                       f"{flat['arm.kind']}")
         kind = flat['arm.kind']
@@ -136,9 +136,19 @@ def _links(flat, joints):
         raise ConfigError(f'joints names {len(joints)}; a chain of a URDF has at most '
                           f'{MOST_JOINTS}')
     links = read_links(flat['arm.urdf'], joints, flat['arm.base'], flat['arm.tip'])
-    return {'gravity': flat['arm.gravity_vector'], 'frames': links.frames,
-            'mass': links.mass * factors['mass_factor'], 'com': links.com,
-            'inertia': links.inertia * factors['inertia_factor'][:, None, None]}
+    mass, com, inertia = links.mass.copy(), links.com.copy(), links.inertia.copy()
+    rows, columns = np.triu_indices(3)
+    for j, joint in enumerate(joints):
+        own = flat[f'arm.{joint}.inertial']
+        if len(own) not in (0, 10):
+            raise ConfigError(f'arm.{joint}.inertial must have ten numbers: mass, centre of mass '
+                              f'x y z, inertia xx xy xz yy yz zz; got {len(own)}')
+        if own:
+            mass[j], com[j] = own[0], own[1:4]
+            inertia[j, rows, columns] = inertia[j, columns, rows] = own[4:]
+    return {'gravity': flat['arm.gravity_vector'], 'frames': links.frames, 'com': com,
+            'mass': mass * factors['mass_factor'],
+            'inertia': inertia * factors['inertia_factor'][:, None, None]}
 
 
 @contextmanager
@@ -243,14 +253,16 @@ def _link_values(robot):
     links = read_links(frames.source, robot.joints, frames.base, frames.tip)
     of_inertia = (np.trace(arm.inertia, axis1=1, axis2=2)
                   / np.trace(links.inertia, axis1=1, axis2=2))
-    if not (np.allclose(arm.com, links.com, rtol=1e-9, atol=1e-12) and np.allclose(
-            arm.inertia, links.inertia * of_inertia[:, None, None], rtol=1e-9, atol=1e-12)):
-        raise ParameterError('a link has another centre of mass or shape than in '
-                             f'{frames.source}, and a robot file scales mass and inertia only: '
-                             'change the URDF')
     values = {'arm.gravity_vector': arm.gravity.tolist(), 'arm.urdf': frames.source}
-    for name, factors in zip(_FACTORS, (arm.mass / links.mass, of_inertia), strict=True):
-        values |= {f'arm.{joint}.{name}': float(factor)
-                   for joint, factor in zip(robot.joints, factors, strict=True)}
+    rows, columns = np.triu_indices(3)
+    for j, joint in enumerate(robot.joints):
+        factors = float(arm.mass[j] / links.mass[j]), float(of_inertia[j])
+        if not (np.allclose(arm.com[j], links.com[j], rtol=1e-9, atol=1e-12) and np.allclose(
+                arm.inertia[j], links.inertia[j] * of_inertia[j], rtol=1e-9, atol=1e-12)):
+            factors = 1.0, 1.0
+            values[f'arm.{joint}.inertial'] = [
+                float(arm.mass[j]), *arm.com[j].tolist(), *arm.inertia[j, rows, columns].tolist()]
+        values |= {f'arm.{joint}.{name}': factor
+                   for name, factor in zip(_FACTORS, factors, strict=True)}
     return values | {f'arm.{name}': getattr(frames, name) for name in ('base', 'tip')
                      if getattr(frames, name)}

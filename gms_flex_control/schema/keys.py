@@ -30,7 +30,10 @@ ARM = (
         'link before it', 'rad', 0.0),
     Key('mass_factor', 'double', 'mass of the link over that of the URDF', '1', 1.0, SMALLEST),
     Key('inertia_factor', 'double', 'inertia of the link about its centre of mass over that of '
-        'the URDF', '1', 1.0, SMALLEST))
+        'the URDF', '1', 1.0, SMALLEST),
+    Key('inertial', 'double_array', 'instead of the URDF, in the frame at the joint whose z is '
+        'its axis: mass, centre of mass x y z, inertia about it xx xy xz yy yz zz',
+        'kg, m, kg m^2', ()))
 # below friction.<joint>.forward and .backward
 STRIBECK = (
     Key('static', 'double', 'static friction F_s', 'N m', lower=SMALLEST),

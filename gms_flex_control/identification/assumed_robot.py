@@ -2,25 +2,30 @@
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """
-The effects that a robot file names, taken into account where friction is identified.
+The robot as a fit assumes it: axes nobody has described, and the effects a robot file names.
 
 Changes of the arm are put into the arm. What springs, links and motors do beyond it acts along the
 measured motion as in the simulated robot, and joins the torque that drives the link; errors of
-encoders are taken off the readings. Effects of the actuator stand between command and torque, and
-the torque is recorded.
+encoders are subtracted from the readings. Effects of the actuator stand between command and
+torque, and the torque is recorded.
 """
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import fields, replace
 import warnings
 
 from gms_flex_control import records
 from gms_flex_control.compiled import compiled
+from gms_flex_control.data.recording import Recording
 from gms_flex_control.effects import signals as sig
 from gms_flex_control.effects import table as effect_table
 from gms_flex_control.effects.base import Change, Stage
 from gms_flex_control.effects.registry import find
 from gms_flex_control.errors import IdentificationError
 from gms_flex_control.identification.smoothing import derivatives
+from gms_flex_control.params.arm import ArmParams
+from gms_flex_control.params.friction import FrictionParams, StribeckParams
+from gms_flex_control.params.robot import EncoderParams, RobotParams
 from gms_flex_control.simulation import plant
 import numpy as np
 
@@ -31,30 +36,60 @@ _WINDOW = 0.05        # of the rates and accelerations that effects look at [s]
 _CLEARINGS = 3        # of a motion from errors of its encoders
 
 
-def believed_model(robot, whole=False, force=False):
+def rigid_joints(names: Sequence[str]) -> RobotParams:
     """
-    Return a robot whose changes of the arm are in its arm.
+    Return a robot of decoupled rigid axes of these names.
 
-    Parameters
-    ----------
-    robot : RobotParams
-        As described, with effects.
-    whole : bool
-        Whether the arm is estimated as well.
-    force : bool
-        Warn instead of refusing, and leave out what cannot be respected.
+    Of unit inertia and friction; `--estimate all` replaces them.
+    """
+    n = len(names)
+    one, zero = np.ones(n), np.zeros(n)
+    steady = StribeckParams(static=one, coulomb=one, velocity=one, viscous=zero)
+    return RobotParams(
+        joints=tuple(names), motors=('',) * n, encoder=EncoderParams(),
+        arm=ArmParams(kind='decoupled', mass=zero, length=zero, com=zero, inertia=one,
+                      motor_inertia=zero, stiffness=np.full(n, np.inf), damping=zero),
+        friction=FrictionParams(forward=steady, backward=steady, stiffness=np.full((n, 1), 100.0),
+                                weight=np.ones((n, 1)), attraction=one))
 
-    Returns
-    -------
-    RobotParams
-        Its effects are those that act along a motion.
 
-    Raises
-    ------
-    IdentificationError
-        If an effect is one of friction, which is what is identified, or of the arm where that is
-        estimated.
+def only_joints(robot: RobotParams, joints: Sequence[str]) -> RobotParams:
+    """
+    Return a decoupled robot with some of its joints, in this order.
 
+    Raises IdentificationError if a joint is not the robot's, or the joints act on each other.
+    """
+    unknown = [joint for joint in joints if joint not in robot.joints]
+    if unknown:
+        raise IdentificationError(f'--joints {unknown[0]}: the robot has '
+                                  f'{", ".join(robot.joints)}')
+    if robot.arm.kind != 'decoupled' and tuple(joints) != robot.joints:
+        raise IdentificationError('the links of an arm act on each other: identify all '
+                                  'its joints together, or describe it as decoupled axes')
+    order = [robot.joints.index(joint) for joint in joints]
+    friction = robot.friction
+    return replace(
+        robot, joints=tuple(joints), motors=tuple(robot.motors[k] for k in order),
+        arm=_taken(robot.arm, order, ('kind', 'gravity')),
+        friction=_taken(friction, order, ('forward', 'backward'),
+                        forward=_taken(friction.forward, order),
+                        backward=_taken(friction.backward, order)),
+        effects=tuple(spec for spec in robot.effects if spec.joint in joints))
+
+
+def _taken(params, order, kept=(), **values):
+    taken = {field.name: getattr(params, field.name)[order] for field in fields(params)
+             if field.name not in kept}
+    return replace(params, **taken, **values)
+
+
+def believed_model(robot: RobotParams, whole=False, force=False) -> RobotParams:
+    """
+    Return a robot whose changes of the arm are in its arm, its effects those along a motion.
+
+    ``whole`` says that the arm is estimated as well; ``force`` warns instead of refusing, and
+    leaves out what cannot be respected. Raises IdentificationError if an effect is one of
+    friction, which is what is identified, or of the arm where that is estimated.
     """
     kept = []
     for spec in robot.effects:
@@ -86,24 +121,11 @@ def _reason(robot, spec, whole):
             'file, what it does is then part of the result') if friction else ''
 
 
-def cleared(recording, robot):
+def cleared(recording: Recording, robot: RobotParams) -> Recording:
     """
-    Return a recording whose angles are without the errors of encoders.
+    Return a recording, joints in the robot's order, without the known errors of encoders.
 
     Errors are functions of the true motion, which is the measured one less these errors.
-
-    Parameters
-    ----------
-    recording : Recording
-        Joints in the robot's order.
-    robot : RobotParams
-        From `believed_model`.
-
-    Returns
-    -------
-    Recording
-        The same one where no effect is of an encoder.
-
     """
     sensors = [spec for spec in robot.effects if find(spec.name).stage == Stage.SENSOR]
     if not sensors:
@@ -118,30 +140,14 @@ def cleared(recording, robot):
     return replace(recording, q_link=recording.q_link - link, q_motor=recording.q_motor - motor)
 
 
-def effect_torque(robot, sides, time, q_link, q_motor, torque, period):
+def effect_torque(robot: RobotParams, sides: Sequence[str], time, q_link, q_motor, torque,
+                  period: float) -> np.ndarray:
     """
-    Return what the effects add to the torque that drives each link.
+    Return what the effects add to the torque that drives each link (T, n) [N m].
 
-    Parameters
-    ----------
-    robot : RobotParams
-        From `believed_model`.
-    sides : sequence of {'spring', 'motor'}
-        What drives each link.
-    time : ndarray, shape (T,)
-        Even, from the beginning of the recording [s].
-    q_link, q_motor : ndarray, shape (T, n)
-        Angles [rad]; those of the motor NaN where there is none.
-    torque : ndarray, shape (T, n)
-        Of the drive, for effects that look at it [N m].
-    period : float
-        Sample [s].
-
-    Returns
-    -------
-    ndarray, shape (T, n)
-        Mean from sample k to k + 1 [N m].
-
+    Means from sample k to k + 1. ``sides`` as of segments.drive_sides; ``time`` (T,) is even,
+    from the beginning of the recording; angles (T, n), of a motor NaN where there is none;
+    ``torque`` (T, n) of the drive, for effects that look at it.
     """
     acting = [spec for spec in robot.effects if find(spec.name).stage in _ON_LINK]
     if not acting:

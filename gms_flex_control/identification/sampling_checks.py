@@ -1,8 +1,9 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""Faults of angles and rates: too little motion, jumps, frozen or missing samples, wrong rates."""
+"""Faults of stamps, angles and rates: lost samples, jumps, frozen values, too little motion."""
 
+from gms_flex_control.data.recording import Recording
 from gms_flex_control.data.signals import (
     derivative_slope,
     derivative_window,
@@ -10,27 +11,131 @@ from gms_flex_control.data.signals import (
     quantum,
     smoothed,
 )
-from gms_flex_control.identification.findings import Finding
+from gms_flex_control.identification import check_limits as limits
+from gms_flex_control.identification.check_limits import Finding, sides
+from gms_flex_control.params.robot import RobotParams
 import numpy as np
 
-FEWEST, SHORTEST, SHORT = 200, 2.0, 4.0  # samples; refused and warned about below [s]
-ONE_WAY = 0.03                           # of the travel goes the other way
-_BESIDE = 5                              # samples that tell the velocity beside a run
+_GAP_BESIDE = 10                         # samples that tell the velocity beside a gap
+_BESIDE = 5                              # likewise beside a run of equal samples
 
 
-def length(signals):
-    """Return a finding if the recording (Signals) is too short."""
+def length(signals: Recording) -> list[Finding]:
+    """Return a finding if the recording is too short."""
     count, duration = len(signals.time), float(signals.time[-1])
-    if count >= FEWEST and duration >= SHORT:
+    if count >= limits.FEWEST and duration >= limits.SHORT:
         return []
-    severity = 'refuse' if count < FEWEST or duration < SHORTEST else 'warn'
+    severity = 'refuse' if count < limits.FEWEST or duration < limits.SHORTEST else 'warn'
     return [Finding('too_short', '', severity, f'{signals.source}: {count} samples in '
                     f'{duration:.3g} s are too short to tell friction from inertia; record at '
-                    f'least {SHORT:g} s and {FEWEST} samples, with motion both ways')]
+                    f'least {limits.SHORT:g} s and {limits.FEWEST} samples, with motion both '
+                    'ways')]
 
 
-def missing(signals, robot):
-    """Return findings for numbers (Signals, RobotParams) that are not there."""
+def clock(signals: Recording) -> list[Finding]:
+    """Return findings of the time stamps, kinds 'clock' and 'dropped'."""
+    steps, period = np.diff(signals.time), signals.period
+    if not limits.FASTEST <= period <= limits.SLOWEST:
+        return [Finding('clock', '', 'refuse', f'{signals.source}: the median sample period is '
+                        f'{period:.4g} s; are the stamps in another unit than seconds?')]
+    multiple = np.rint(steps / period)
+    steady = np.mean((np.abs(steps / period - multiple) < limits.ON_GRID) & (multiple > 0)) > 0.9
+    gaps = np.flatnonzero(steps > (1.5 if steady else 1.8) * period)
+    jumps = np.array([k for k in gaps if steps[k] > 3 * period and _continues(signals, k)],
+                     dtype=int)
+    found = []
+    if jumps.size:
+        found.append(_jumped(signals, steps, jumps))
+    found += _short_steps(signals, steps, steady)
+    found += _lost(signals, steps, np.setdiff1d(gaps, jumps))
+    return found
+
+
+def _jumped(signals, steps, jumps):
+    worst = jumps[np.argmax(steps[jumps])]
+    return Finding('clock', '', 'refuse', f'{signals.source}: the clock jumps ahead '
+                   f'{jumps.size} times, most by {steps[worst]:.4g} s at '
+                   f'{signals.time[worst]:.3f} s, while the joints move on by one period only; '
+                   'correct the stamps or cut the recording there')
+
+
+def _continues(signals, k):
+    """Return whether motion goes on over step k as if only one period had passed."""
+    time, gap = signals.time, signals.time[k + 1] - signals.time[k]
+    first, last = max(0, k - _GAP_BESIDE), min(len(time) - 1, k + 1 + _GAP_BESIDE)
+    if k == first or last == k + 1:
+        return False
+    votes = []
+    for j in range(len(signals.joints)):
+        q = signals.q_link[:, j]
+        before = (q[k] - q[first]) / (time[k] - time[first])
+        after = (q[last] - q[k + 1]) / (time[last] - time[k + 1])
+        mean, gone = 0.5 * (before + after), q[k + 1] - q[k]
+        steady = abs(before - after) < 0.3 * abs(mean)
+        if steady and abs(mean) * gap > 10 * quantum(q[first:last + 1]):
+            votes.append(abs(gone - mean * signals.period) < 0.2 * abs(mean) * gap)
+    return bool(votes) and all(votes)
+
+
+def _short_steps(signals, steps, steady):
+    """Find stamps closer than the sampling really was, as when the clock is set back."""
+    short = np.flatnonzero(steps < limits.TOO_SOON * signals.period)
+    if steady and short.size >= 3:
+        wrong = sum(_contradicts(signals, steps, short, j) for j in range(len(signals.joints)))
+        if wrong >= 3:
+            yield Finding('clock', '', 'refuse', f'{signals.source}: {short.size} stamps follow '
+                          f'the one before too soon, the first at '
+                          f'{signals.time[short[0]]:.3f} s, and the motion contradicts them: '
+                          'the clock was set back or samples are out of order; correct the '
+                          'stamps or cut the recording there')
+            return
+        near = limits.CLUSTER
+        dense = len(short) > near and np.min(short[near:] - short[:-near]) < 5 * near
+        if dense or short.size > limits.TOO_SOON_SHARE * len(steps):
+            yield Finding('clock', '', 'warn', f'{signals.source}: {short.size} stamps follow '
+                          'the one before too soon, the first at '
+                          f'{signals.time[short[0]]:.3f} s; was the clock set back there? If '
+                          'so, cut the recording')
+            return
+    spread = float(np.subtract(*np.quantile(steps, [0.9, 0.1]))) / signals.period
+    if spread > limits.IRREGULAR and not steady:
+        yield Finding('clock', '', 'warn', f'{signals.source}: the sample period is irregular '
+                      f'({spread:.1f} periods between the 10 % and 90 % quantiles); stamp the '
+                      'samples when they are taken')
+
+
+def _contradicts(signals, steps, short, j):
+    """Return at how many short steps joint j moves otherwise than its velocity says."""
+    q, time = signals.q_link[:, j], signals.time
+    first = np.maximum(short - 3 * _GAP_BESIDE, 0)
+    last = np.minimum(short + 1 + 3 * _GAP_BESIDE, len(time) - 1)
+    velocity = (q[last] - q[first]) / (time[last] - time[first])
+    fast = np.abs(velocity) * signals.period > 3 * quantum(q)
+    error = np.abs(q[short + 1] - q[short] - velocity * steps[short])
+    return int(np.sum(fast & (error > 0.3 * np.abs(velocity) * signals.period)))
+
+
+def _lost(signals, steps, gaps):
+    if not gaps.size:
+        return
+    lost = int(np.sum(np.rint(steps[gaps] / signals.period) - 1))
+    share = lost / (lost + len(signals.time))
+    worst = gaps[np.argmax(steps[gaps])]
+    if share >= limits.LOST_REFUSE:
+        severity = 'refuse'
+    elif (share >= limits.LOST_WARN and lost >= 3) or steps[worst] > max(
+            limits.GAP_WARN, 5 * signals.period):
+        severity = 'warn'
+    else:
+        return
+    yield Finding('dropped', '', severity, f'{signals.source}: {lost} samples '
+                  f'({100 * share:.2g} %) are missing in {gaps.size} gaps, the longest '
+                  f'{1e3 * steps[worst]:.4g} ms at {signals.time[worst]:.3f} s; they are '
+                  'bridged only where short: record with less load or a higher priority')
+
+
+def missing(signals: Recording, robot: RobotParams) -> list[Finding]:
+    """Return findings for numbers that are not there."""
     found = []
     for j, joint in enumerate(signals.joints):
         flexible = not robot.arm.rigid[j]
@@ -52,8 +157,8 @@ def _holes(signals, joint, name, values, needed):
         text = (f'the {name} of {joint} was not recorded' + (
             '; nothing can be fitted without it' if needed else
             '; what it alone tells cannot be had: record it as well'))
-    elif share >= 0.001 or lost.size > 10:
-        severity = 'refuse' if share > 0.3 else 'warn'
+    elif share >= limits.MISSING_WARN or lost.size > limits.MISSING_MOST:
+        severity = 'refuse' if share > limits.MISSING_REFUSE else 'warn'
         runs = np.diff(np.flatnonzero(np.diff(np.concatenate([[0], ~np.isfinite(values), [0]]))))
         text = (f'the {name} of {joint} is no number in {lost.size} samples '
                 f'({100 * share:.2g} %), {int(runs[::2].max())} in a row, first at '
@@ -63,22 +168,19 @@ def _holes(signals, joint, name, values, needed):
     yield Finding('missing', joint, severity, f'{signals.source}: {text}')
 
 
-def motion(signals):
-    """
-    Return findings of joints (Signals) that stand still or move one way only.
-
-    Kinds 'still' and 'one_direction'.
-    """
+def motion(signals: Recording) -> list[Finding]:
+    """Return findings 'still' and 'one_direction' of joints."""
     found, still = [], []
     for j, joint in enumerate(signals.joints):
         q = signals.q_link[:, j]
-        if np.isfinite(q).sum() < FEWEST:
+        if np.isfinite(q).sum() < limits.FEWEST:
             continue
         filtered, = smoothed(signals.time, [q], derivative_window(signals.time, q))
         if not len(filtered.value):
             continue
         noise = np.nanstd(np.diff(q)) / np.sqrt(2)
-        if np.ptp(filtered.value) <= 3 * max(quantum(q), min(noise, np.ptp(filtered.value))):
+        span = np.ptp(filtered.value)
+        if span <= limits.STILL_STEPS * max(quantum(q), min(noise, span)):
             still.append((joint, float(np.nanmax(q) - np.nanmin(q))))
         else:
             found += _one_way(signals.source, joint, filtered)
@@ -93,7 +195,7 @@ def motion(signals):
 def _one_way(source, joint, filtered):
     steps = np.diff(filtered.value)[is_moving(filtered.first)[1:]]
     forward, backward = steps[steps > 0].sum(), -steps[steps < 0].sum()
-    if min(forward, backward) >= ONE_WAY * max(forward, backward):
+    if min(forward, backward) >= limits.ONE_WAY * max(forward, backward):
         return
     way, other = ('forward', 'backward') if forward > backward else ('backward', 'forward')
     yield Finding('one_direction', joint, 'warn', f'{source}: {joint} moves {way} only '
@@ -102,16 +204,16 @@ def _one_way(source, joint, filtered):
                   'torque; add motion the other way')
 
 
-def rates(signals):
-    """Return findings of rates, of a Signals, that are not the derivative of their angle."""
+def rates(signals: Recording) -> list[Finding]:
+    """Return findings of rates that are not the derivative of their angle."""
     found = []
     for j, joint in enumerate(signals.joints):
-        for side, q, dq in signals.sides(j):
+        for side, q, dq in sides(signals, j):
             judged = derivative_slope(signals.time, q, dq)
-            if judged is None or (0.85 < judged[0] < 1.15 and judged[1] > 0.9):
+            if judged is None or _within(judged, limits.SLOPE, limits.SLOPE_FIT):
                 continue
             slope, fit = judged
-            mild = 0.7 < slope < 1.4 and fit > 0.8
+            mild = _within(judged, limits.SLOPE_MILD, limits.SLOPE_MILD_FIT)
             found.append(Finding(
                 'velocity', joint, 'warn' if mild else 'refuse', f'{signals.source}: the {side} '
                 f'velocity of {joint} is not the derivative of its angle but {slope:.3g} times '
@@ -120,9 +222,13 @@ def rates(signals):
     return found
 
 
-def broken(signals):
+def _within(judged, slopes, fit):
+    return slopes[0] < judged[0] < slopes[1] and judged[1] > fit
+
+
+def broken(signals: Recording) -> list[Finding]:
     """
-    Return findings of single samples (Signals) that cannot be motion.
+    Return findings of single samples that cannot be motion.
 
     Kinds 'jump' (angle) and 'frozen' (samples repeated while the joint moves).
     """
@@ -134,7 +240,7 @@ def broken(signals):
     rows = np.unique(np.concatenate(caught), axis=0)
     found += _frozen(signals, '', 'all channels stay', rows)
     for j, joint in enumerate(signals.joints):
-        for side, q, _ in signals.sides(j):
+        for side, q, _ in sides(signals, j):
             top, unit = _top_step(q), quantum(q)
             grain = max(unit, 3 * _noise(q))
             runs = _while_moving(q, _runs(np.diff(q) == 0), max(3 * grain, 0.05 * top))
@@ -182,13 +288,13 @@ def _repeated_rows(signals):
 
 
 def _never_repeats(values):
-    """Tell whether a signal (T,) hardly ever takes a value again, apart from standing still."""
+    """Return whether a signal (T,) hardly ever has a value again, apart from standing still."""
     changed = values[1:20000][np.diff(values[:20000]) != 0]
-    return len(np.unique(changed)) > max(0.8 * len(changed), FEWEST / 2)
+    return len(np.unique(changed)) > max(0.8 * len(changed), limits.FEWEST / 2)
 
 
 def _while_moving(q, runs, step):
-    """Return the runs on both sides of which the angle goes the same way by ``step`` a sample."""
+    """Return the runs on both sides of which the angle moves one way by ``step`` a sample."""
     runs = runs[(runs[:, 0] >= _BESIDE) & (runs[:, 1] + _BESIDE < len(q))]
     before = (q[runs[:, 0]] - q[runs[:, 0] - _BESIDE]) / _BESIDE
     after = (q[runs[:, 1] + _BESIDE] - q[runs[:, 1]]) / _BESIDE
@@ -213,11 +319,11 @@ def _caught_up(q, runs, steps, odd):
 def _frozen(signals, joint, what, runs):
     count = int(np.sum(runs[:, 1] - runs[:, 0]))
     share = count / len(signals.time)
-    if count < 5 or share < 0.002:
+    if count < limits.FROZEN or share < limits.FROZEN_WARN:
         return
     longest = runs[np.argmax(runs[:, 1] - runs[:, 0])]
     span = signals.time[longest[1]] - signals.time[longest[0]]
-    yield Finding('frozen', joint, 'refuse' if share > 0.3 else 'warn',
+    yield Finding('frozen', joint, 'refuse' if share > limits.FROZEN_REFUSE else 'warn',
                   f'{signals.source}: {what} the same in {count} samples ({100 * share:.2g} %) '
                   f'in the middle of motion, longest {1e3 * span:.4g} ms at '
                   f'{signals.time[longest[0]]:.3f} s: samples are repeated; record the source '

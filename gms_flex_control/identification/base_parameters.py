@@ -10,53 +10,50 @@ these. The arm is then the one with positive masses and inertias that fits best,
 one described as the data allow.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from gms_flex_control.data.signals import derivative_window, smoothed
 from gms_flex_control.dynamics.chain import constants_of
-from gms_flex_control.identification.result import CONFIDENT, Estimate, Interval
-from gms_flex_control.identification.rigid_body import friction_regressors, robust
+from gms_flex_control.identification.axis_fit import friction_regressors, robust
+from gms_flex_control.identification.objective import BLOCK_TIME
+from gms_flex_control.identification.result import (
+    CONFIDENT,
+    Estimate,
+    Interval,
+    NOT_IDENTIFIABLE,
+)
+from gms_flex_control.identification.uncertainty import block_sums
+from gms_flex_control.params.arm import ArmParams
+from gms_flex_control.params.robot import RobotParams
 import numpy as np
 from scipy.optimize import least_squares
 
-_BLOCK = 2.0
 _SLOWEST = 0.05
-_BELIEF = 1.0     # spread of masses and inertias around those described, of logarithms
-_CLOSED = 0.2     # of the link's length: spread of the centre of mass
+_PRIOR_SD = 1.0     # of masses and inertias around those described, of logarithms
+_COM_SD = 0.2     # of the link's length: of the centre of mass
 _WIDE = 0.5
 _TOLD = 0.95      # share of a parameter that the data must tell
 
 
-def base_names(n, has_gravity):
+def _base_names(n, has_gravity):
     """Return names and units of the base parameters of a chain of n joints."""
     names = [(f'arm.coupling_{i + 1}{k + 1}', 'kg m^2') for i in range(n) for k in range(i, n)]
     return names + [(f'arm.moment_{i + 1}', 'kg m') for i in range(n) if has_gravity]
 
 
-def base_values(arm, has_gravity):
-    """Return the base parameters of an arm, in the order of `base_names`."""
+def base_values(arm: ArmParams, has_gravity: bool) -> np.ndarray:
+    """Return the base parameters (B,) of an arm; moments among them with gravity."""
     chain = constants_of(arm)
     upper = np.triu_indices(arm.n_joints)
     return np.concatenate([chain.coupling[upper], chain.moment if has_gravity else []])
 
 
-def base_regressors(angle, rate, acceleration, arm, has_gravity):
+def base_regressors(angle, rate, acceleration, arm: ArmParams, has_gravity: bool) -> np.ndarray:
     """
-    Return the torque of each joint per unit of each base parameter.
+    Return the torque of each joint per unit of each base parameter (S, n, B).
 
-    Parameters
-    ----------
-    angle, rate, acceleration : ndarray, shape (S, n)
-        Of the joints.
-    arm : ArmParams
-        Gives gravity and where joints read 0.
-    has_gravity : bool
-        Whether moments are among the parameters.
-
-    Returns
-    -------
-    ndarray, shape (S, n, B)
-
+    Along angles, rates and accelerations (S, n); the arm gives gravity and where joints read 0.
     """
     chain, n = constants_of(arm), arm.n_joints
     theta = angle @ chain.orientation.T + chain.offset
@@ -77,54 +74,52 @@ def base_regressors(angle, rate, acceleration, arm, has_gravity):
     return np.stack(columns, axis=2)
 
 
-def fit_chain(recordings, robot, drives):
+def fit_chain(recordings: Sequence, robot: RobotParams, drives: Sequence) -> tuple:
     """
-    Fit the base parameters of a planar chain.
+    Return the arm of a planar chain that is nearest to data and description, and errors (B,).
 
-    Parameters
-    ----------
-    recordings : sequence of Recording
-        All data.
-    robot : RobotParams
-        The chain as described; lengths, offsets, gravity and motors of rigid joints are kept.
-    drives : sequence of callable
-        Recording -> torque (T,) on each joint.
-
-    Returns
-    -------
-    arm : ArmParams
-        Physically possible, nearest to the data and to what was described.
-    error : ndarray, shape (B,)
-        Standard errors of the base parameters.
-
+    Lengths, offsets, gravity and motors of rigid joints are kept. ``drives`` are Recording ->
+    torque (T,) on each joint; the standard errors are of the base parameters.
     """
     arm, n = robot.arm, robot.n_joints
     has_gravity = bool(arm.gravity.any())
     angle, rate, acceleration, torque, block = _filtered(recordings, drives, n)
     torque = torque - np.where(arm.rigid, arm.motor_inertia, 0.0) * acceleration
     regressors = base_regressors(angle, rate, acceleration, arm, has_gravity)
+    values, normal, pieces = regress(regressors, torque, rate, block,
+                                     lambda j, rows: friction_regressors(rate[rows, j]))
+    covariance = _sandwich(normal, pieces, values)
+    found = nearest_arm(arm, values, np.linalg.pinv(covariance, rcond=1e-10, hermitian=True),
+                        has_gravity)
+    return found, np.sqrt(np.diag(covariance))
+
+
+def regress(regressors, torque, rate, block, friction: Callable) -> tuple:
+    """
+    Return weighted least squares of the torque (S, n) of all joints on regressors (S, n, B).
+
+    Each joint counts by its own noise, robustly, where it moves at ``rate`` (S, n); its friction,
+    columns ``friction(joint, rows)``, is eliminated. The values (B,), their normal matrix (B, B)
+    and, for each joint, regressors, torque and numbers of blocks of time, scaled.
+    """
     count = regressors.shape[2]
     normal, right = np.zeros((count, count)), np.zeros(count)
     pieces = []
-    for j in range(n):  # each joint's friction is eliminated with its own rows
+    for j in range(torque.shape[1]):
         usual = np.sqrt(np.mean(rate[:, j] ** 2))
         rows = np.abs(rate[:, j]) > _SLOWEST * usual
-        friction = friction_regressors(rate[rows, j])
-        columns = np.concatenate([regressors[rows, j], friction], axis=1)
+        own = friction(j, rows)
+        columns = np.concatenate([regressors[rows, j], own], axis=1)
         weights, scale = robust(columns, torque[rows, j])
         root = np.sqrt(weights) / scale
-        basis = np.linalg.qr(friction * root[:, None])[0]
+        basis = np.linalg.qr(own * root[:, None])[0]
         scaled, target = regressors[rows, j] * root[:, None], torque[rows, j] * root
         scaled = scaled - basis @ (basis.T @ scaled)
         target = target - basis @ (basis.T @ target)
         normal += scaled.T @ scaled
         right += scaled.T @ target
         pieces.append((scaled, target, block[rows]))
-    values = np.linalg.lstsq(normal, right, rcond=1e-10)[0]
-    covariance = _sandwich(normal, pieces, values)
-    found = nearest_arm(arm, values, np.linalg.pinv(covariance, rcond=1e-10, hermitian=True),
-                        has_gravity)
-    return found, np.sqrt(np.diag(covariance))
+    return np.linalg.lstsq(normal, right, rcond=1e-10)[0], normal, pieces
 
 
 def _filtered(recordings, drives, n):
@@ -135,7 +130,7 @@ def _filtered(recordings, drives, n):
             recording.time, *recording.q_link.T, *(drive(recording) for drive in drives)], window)
         at = channels[0].value
         if len(at):
-            block = used + ((at - at[0]) / _BLOCK).astype(int)
+            block = used + ((at - at[0]) / BLOCK_TIME).astype(int)
             used = block[-1] + 1
             angles, torques = channels[1:n + 1], channels[n + 1:]
             parts.append([*(np.stack([getattr(part, name) for part in angles], axis=1)
@@ -149,31 +144,17 @@ def _sandwich(normal, pieces, values):
     inverse = np.linalg.pinv(normal, rcond=1e-10, hermitian=True)
     middle = np.zeros(normal.shape)
     for scaled, target, block in pieces:
-        scores = scaled * (target - scaled @ values)[:, None]
-        sums = np.stack([np.bincount(block, weights=column) for column in scores.T], axis=1)
+        sums = block_sums(scaled * (target - scaled @ values)[:, None], block)
         middle += sums.T @ sums
     return inverse @ middle @ inverse + 1e-8 * np.diag(values ** 2)
 
 
-def nearest_arm(arm, values, precision, has_gravity):
+def nearest_arm(arm: ArmParams, values: np.ndarray, precision: np.ndarray,
+                has_gravity: bool) -> ArmParams:
     """
-    Return the arm of positive masses and inertias that makes base parameters best.
+    Return the arm of positive masses and inertias that makes base parameters (B,) best.
 
-    Parameters
-    ----------
-    arm : ArmParams
-        As described; what the data cannot tell stays near it.
-    values : ndarray, shape (B,)
-        Base parameters.
-    precision : ndarray, shape (B, B)
-        How sure they are.
-    has_gravity : bool
-        Whether moments are among them.
-
-    Returns
-    -------
-    ArmParams
-
+    ``precision`` (B, B) says how sure they are; what the data cannot tell stays near ``arm``.
     """
     n, root = arm.n_joints, np.linalg.cholesky(
         precision + 1e-12 * np.diag(np.diag(precision) + 1e-300)).T
@@ -182,43 +163,24 @@ def nearest_arm(arm, values, precision, has_gravity):
     def changed(x):
         return replace(arm, mass=arm.mass * np.exp(x[:n]),
                        inertia=arm.inertia * np.exp(x[n:2 * n]),
-                       com=arm.com + reach * _CLOSED * x[2 * n:])
+                       com=arm.com + reach * _COM_SD * x[2 * n:])
 
     def residual(x):
         return np.concatenate([root @ (base_values(changed(x), has_gravity) - values),
-                               x / _BELIEF])
+                               x / _PRIOR_SD])
     return changed(least_squares(residual, np.zeros(3 * n)).x)
 
 
-def base_estimates(values, covariance, told, n, has_gravity):
-    """
-    Return the Estimates of base parameters.
-
-    Parameters
-    ----------
-    values, told : ndarray, shape (B,)
-        The parameters, and the share of each that the data tell, the rest being where the fit
-        began.
-    covariance : ndarray, shape (B, B)
-        Of the values.
-    n : int
-        Number of joints.
-    has_gravity : bool
-        Whether moments are among them.
-
-    Returns
-    -------
-    tuple of Estimate
-
-    """
+def base_estimates(values, covariance, told, n: int, has_gravity: bool) -> tuple:
+    """Return the Estimates of base parameters (B,), ``told`` (B,) the share the data tell."""
     rows = []
     for (name, unit), value, variance, share in zip(
-            base_names(n, has_gravity), values, np.diag(covariance), told, strict=True):
+            _base_names(n, has_gravity), values, np.diag(covariance), told, strict=True):
         half = CONFIDENT * float(np.sqrt(variance))
         interval = Interval(value - half, value + half)
         known = half < _WIDE * abs(value) and share > _TOLD
         rows.append(Estimate(name, unit, float(value), interval,
-                             () if known else ('not identifiable',),
+                             () if known else (NOT_IDENTIFIABLE,),
                              'a base parameter: masses, centres of mass and inertias count only '
                              'as far as they make it' if known else
                              'only its sum with others is told where the joints move one at a '

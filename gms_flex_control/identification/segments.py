@@ -1,33 +1,36 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""A recording as the predictor takes it: even pieces of link angles and drive torques."""
+"""A recording as the predictor needs it: even segments of link angles and drive torques."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 import warnings
 
+from gms_flex_control.data.recording import Recording
 from gms_flex_control.data.signals import quantum
 from gms_flex_control.dynamics.chain import inverse_dynamics, mass_matrices, matrices
 from gms_flex_control.errors import IdentificationError
-from gms_flex_control.identification.known_effects import effect_torque
+from gms_flex_control.identification.assumed_robot import effect_torque
 from gms_flex_control.identification.smoothing import (
     derivatives,
     means_held,
     noise_of,
     smoothing_window,
 )
-from gms_flex_control.identification.steady import filled
 from gms_flex_control.params.arm import ArmParams
+from gms_flex_control.params.robot import RobotParams
 import numpy as np
 
-SHORTEST = 2.0         # a piece below this is left out [s]
+SHORTEST = 2.0         # a segment below this is left out [s]
 _BRIDGED = 0.02        # torque is interpolated across gaps up to this, or two periods [s]
 _SPRING_DOUBT = 0.5    # of the torque's rms: a spring torque further off is not believed
 _AGREE_WINDOW = 0.2    # at least, where spring and motor torque are compared: a controller answers
 #                        the steps of encoders with torque that is over before one sees it move [s]
-_DAMPING_WINDOW = 0.05  # for the rate of twist [s]
+_DAMPING_WINDOW = 0.05  # for the rate of the spring deflection [s]
 _THIN = 20             # samples from one pose to the next whose inertia is looked at
 _EVEN = 0.02           # stamps within this part of a period of an even grid count as even
+_STANDING = 3.0        # encoder steps per 50 ms: slower is no motion for a fit of the torque
 
 
 class TorqueWarning(UserWarning):
@@ -35,77 +38,29 @@ class TorqueWarning(UserWarning):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Stretch:
+class Segment:
+    """One evenly sampled part of a recording without gaps in torque."""
+
+    begin: float              # time of the first sample in the recording [s]
+    angle: np.ndarray         # (T, n), link angles [rad]; NaN where a sample was lost
+    rate: np.ndarray          # (T, n), smoothed without lag [rad/s]
+    acceleration: np.ndarray  # (T, n), likewise [rad/s^2]
+    torque: np.ndarray        # (T, n), mean drive torque on each link to the next sample [N m]
+    tested: np.ndarray        # (T, n) bool, the experiment is on that joint; all true if unknown
+    phase: np.ndarray         # (T,) str, name of the phase; '' if not known
+    source: str               # recording it comes from
+    window: int = 5           # samples of the longest smoothing window
+    constant: np.ndarray | float = 0.0  # (n,), torque subtracted from the drive's [N m]
+    first_block: int = 0      # number of its first block of time among those of all segments
+
+
+def drive_sides(recording: Recording, robot: RobotParams) -> tuple:
     """
-    One evenly sampled piece without gaps in torque.
+    Return for each joint what moves its link: 'spring', or the torque of the 'motor' directly.
 
-    Parameters
-    ----------
-    begin : float
-        Time of the first sample in the recording [s].
-    angle : ndarray, shape (T, n)
-        Link angles [rad]; NaN where a sample was lost.
-    rate : ndarray, shape (T, n)
-        Link velocities, smoothed without lag [rad/s].
-    acceleration : ndarray, shape (T, n)
-        Link accelerations, smoothed likewise [rad/s^2].
-    torque : ndarray, shape (T, n)
-        Mean drive torque on each link from sample k to k + 1 [N m].
-    tested : ndarray of bool, shape (T, n)
-        Where the sample belongs to an experiment on that joint; all true if not known.
-    phase : ndarray of str, shape (T,)
-        Name of the phase; '' if not known.
-    source : str
-        Recording it comes from.
-    window : int
-        Samples of the longest smoothing window.
-    constant : ndarray, shape (n,)
-        Torque taken off the drive's, for what acts at any angle and speed [N m].
-    first_block : int
-        Number of its first block of time among those of all pieces.
-
-    """
-
-    begin: float
-    angle: np.ndarray
-    rate: np.ndarray
-    acceleration: np.ndarray
-    torque: np.ndarray
-    tested: np.ndarray
-    phase: np.ndarray
-    source: str
-    window: int = 5
-    constant: np.ndarray | float = 0.0
-    first_block: int = 0
-
-
-def drive_sides(recording, robot):
-    """
-    Choose for each joint what moves its link: the spring, or the motor's torque directly.
-
-    Parameters
-    ----------
-    recording : Recording
-        Joints in the robot's order.
-    robot : RobotParams
-        Names the flexible joints.
-
-    Returns
-    -------
-    tuple of {'spring', 'motor'}
-        'spring' where the joint is flexible, both sides were measured, and the spring's torque
-        agrees with the motor equation as far as a torque was recorded.
-
-    Raises
-    ------
-    IdentificationError
-        If a joint has neither.
-
-    Warns
-    -----
-    TorqueWarning
-        If spring and motor torque contradict each other.
-
+    'spring' where the joint is flexible, both sides were measured, and the spring's torque agrees
+    with the motor equation as far as a torque was recorded; else a TorqueWarning says so. Raises
+    IdentificationError if a joint has neither. Joints of the recording in the robot's order.
     """
     sides = []
     for j, joint in enumerate(robot.joints):
@@ -157,22 +112,11 @@ def _even(time, channels):
     return grid, [np.interp(grid, time, channel) for channel in channels]
 
 
-def rigid_where(robot, sides):
+def rigid_where(robot: RobotParams, sides: Sequence[str]) -> RobotParams:
     """
     Return the robot with joints driven by their motor torque made rigid.
 
-    Parameters
-    ----------
-    robot : RobotParams
-        As described.
-    sides : sequence of {'spring', 'motor'}
-        From `drive_sides`.
-
-    Returns
-    -------
-    RobotParams
-        Its arm's M then holds the motor inertia of those joints, Eq. (1) added up.
-
+    Its arm's M then holds the motor inertia of those joints, Eq. (1) added up.
     """
     motor = np.array([side == 'motor' for side in sides])
     arm = replace(robot.arm, stiffness=np.where(motor, np.inf, robot.arm.stiffness))
@@ -180,32 +124,14 @@ def rigid_where(robot, sides):
     return replace(robot, arm=arm, motors=names)
 
 
-def stretches_of(recording, robot, sides, phases=(), period=None):
+def segments_of(recording: Recording, robot: RobotParams, sides: Sequence[str], phases=(),
+                period: float | None = None) -> list[Segment]:
     """
-    Cut a recording into even pieces.
+    Cut a recording, joints in the robot's order, into even segments.
 
-    Parameters
-    ----------
-    recording : Recording
-        Joints in the robot's order.
-    robot : RobotParams
-        Stiffness and damping of the springs.
-    sides : sequence of {'spring', 'motor'}
-        From `drive_sides`.
-    phases : sequence of Phase
-        What the experiment was doing; empty if not known.
-    period : float, optional
-        Sample of the pieces [s], that of the recording or longer.
-
-    Returns
-    -------
-    list of Stretch
-
-    Raises
-    ------
-    IdentificationError
-        If no piece is long enough.
-
+    ``sides`` are those of `drive_sides`, ``phases`` what the experiment was doing if that is
+    known, ``period`` the sample [s], that of the recording or longer. Raises IdentificationError
+    if no segment is long enough.
     """
     period = period or recording.period
     stamps = np.round((recording.time - recording.time[0]) / period).astype(int)
@@ -217,7 +143,7 @@ def stretches_of(recording, robot, sides, phases=(), period=None):
     pieces = []
     for rows in np.split(np.arange(len(stamps)), cuts):
         if np.ptp(recording.time[rows]) + period >= SHORTEST:
-            pieces.append(_stretch(recording, robot, sides, phases, rows, period, even))
+            pieces.append(_segment(recording, robot, sides, phases, rows, period, even))
     if not pieces:
         raise IdentificationError(
             f'{recording.source}: no piece of {SHORTEST:g} s without a gap; record longer')
@@ -234,7 +160,7 @@ def _handed_over(phases, recording):
                         np.arange(len(since)) - 0.5)[0] > 0
 
 
-def _stretch(recording, robot, sides, phases, rows, period, even):
+def _segment(recording, robot, sides, phases, rows, period, even):
     time = recording.time[rows]
     slots = np.round((time - time[0]) / period).astype(int)
     grid = time[0] + period * np.arange(slots[-1] + 1)
@@ -255,33 +181,19 @@ def _stretch(recording, robot, sides, phases, rows, period, even):
                for j, inertia in enumerate(own_inertias(rigid_where(robot, sides).arm))]
     smooth = [derivatives(whole[:, j], period, window) for j, window in enumerate(windows)]
     tested, phase = _tested(phases, recording, grid, robot.joints)
-    return Stretch(begin=float(time[0]), angle=angle, rate=np.stack([s[1] for s in smooth], 1),
+    return Segment(begin=float(time[0]), angle=angle, rate=np.stack([s[1] for s in smooth], 1),
                    acceleration=np.stack([s[2] for s in smooth], 1), torque=torque,
                    tested=tested, phase=phase, source=recording.source, window=max(windows))
 
 
-def one_by_one(pieces, robot):
+def one_by_one(pieces: list, robot: RobotParams) -> tuple[list, RobotParams]:
     """
     Return what was measured of a chain in space as that of axes which do not act on each other.
 
-    The links are known: the torque that the measured motion of all joints takes, but for an
-    inertia of each joint's own, comes off its drive. What is left moves that inertia against
-    friction.
-
-    Parameters
-    ----------
-    pieces : list of list of Stretch
-        Of each recording.
-    robot : RobotParams
-        Of `rigid_where`; returned as it is unless its links are those of a URDF.
-
-    Returns
-    -------
-    pieces : list of list of Stretch
-        With the torques of the axes.
-    robot : RobotParams
-        Its arm that of the axes.
-
+    The links are known: the torque that the measured motion of all joints requires, but for an
+    inertia of each joint's own, is subtracted from its drive. What is left moves that inertia
+    against friction. ``pieces`` are the Segments of each recording; both are returned as they are
+    unless the links are those of a URDF.
     """
     arm, n = robot.arm, robot.n_joints
     if arm.frames is None:
@@ -303,10 +215,23 @@ def one_by_one(pieces, robot):
     return [[alone(piece) for piece in part] for part in pieces], replace(robot, arm=axes)
 
 
-def own_inertias(arm):
+def torque_at_samples(segment: Segment) -> np.ndarray:
+    """Return the drive torque at the samples (T, n), not between them [N m]."""
+    torque = 0.5 * (segment.torque + np.roll(segment.torque, 1, axis=0))
+    torque[0] = segment.torque[0]
+    return torque
+
+
+def own_inertias(arm: ArmParams) -> np.ndarray:
     """Return the diagonal of M with all links in line (n,) [kg m^2]."""
     still = np.zeros(arm.n_joints)
     return np.diag(matrices(still, still, still, still, arm).mass)
+
+
+def filled(angle: np.ndarray) -> np.ndarray:
+    """Return angles (T, n) with gaps interpolated."""
+    rows = np.arange(len(angle))
+    return np.stack([_interpolated(rows, rows, column) for column in angle.T], axis=1)
 
 
 def _interpolated(grid, time, values):
@@ -336,7 +261,7 @@ def _spring(recording, robot, j, grid, time, rows, q_link):
 
 
 def _motor(recording, j, grid, time, rows):
-    """Return the torque held over each period; a state tells that of the period before it."""
+    """Return the torque held over each period; a state reports that of the period before it."""
     torque = recording.tau_motor[rows, j]
     known = np.isfinite(torque) | (np.arange(len(torque)) == 0)
     mean = means_held(torque[known][1:], time[known], grid)
@@ -354,22 +279,11 @@ def _tested(phases, recording, grid, joints):
     return np.stack([owner == joint for joint in joints], axis=1), phase
 
 
-def half_count(recording, robot):
+def half_count(recording: Recording, robot: RobotParams) -> np.ndarray:
     """
-    Return half the step of each link encoder as the data show it.
+    Return half the step of each link encoder as the data show it (n,) [rad].
 
-    Parameters
-    ----------
-    recording : Recording
-        Joints in the robot's order.
-    robot : RobotParams
-        Gives the number of joints.
-
-    Returns
-    -------
-    ndarray, shape (n_joints,)
-        [rad]; 0 where readings do not repeat, so that noise hides the step.
-
+    0 where readings do not repeat, so that noise hides the step.
     """
     half = np.zeros(robot.n_joints)
     for j in range(robot.n_joints):
@@ -382,3 +296,41 @@ def half_count(recording, robot):
             if whole.mean() > 0.99 and repeats > 0.02:
                 half[j] = 0.5 * step
     return half
+
+
+def resolution(segments: Sequence[Segment], joint: int, count: float) -> float:
+    """Return the encoder step, or three times the noise where there is no step [rad]."""
+    if count > 0.0:
+        return count
+    noise = [np.median(np.abs(np.diff(segment.angle[:, joint], 3))) / np.sqrt(20.0) / 0.6745
+             for segment in segments]
+    return max(3.0 * float(np.nanmedian(noise)), 1e-9)
+
+
+def travel(segments: Sequence[Segment], joint: int) -> float:
+    """Return the range of a joint's angle [rad]."""
+    return float(max(np.nanmax(segment.angle[:, joint]) for segment in segments)
+                 - min(np.nanmin(segment.angle[:, joint]) for segment in segments))
+
+
+def smooth_angle(segment: Segment, period: float) -> np.ndarray:
+    """Return the angles (T, n) whose derivative is the smoothed rate."""
+    steps = 0.5 * (segment.rate[1:] + segment.rate[:-1]) * period
+    return np.concatenate([np.zeros((1, steps.shape[1])), np.cumsum(steps, axis=0)])
+
+
+def standing(step: float) -> float:
+    """Return the velocity below which a joint does not count as moving [rad/s]."""
+    return _STANDING * step / 0.05
+
+
+def moving(segment: Segment, joint: int, step: float, half: float) -> np.ndarray:
+    """
+    Return where the motion of a joint determines its torque, bool (T,).
+
+    Within one count of an encoder stiff blocks reach most of F_s: a motion seen through counts
+    says nothing of the torque of a joint at rest. There the innovations judge.
+    """
+    if half == 0.0:
+        return np.ones(len(segment.rate), dtype=bool)
+    return np.abs(segment.rate[:, joint]) > standing(step)

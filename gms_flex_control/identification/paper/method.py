@@ -7,29 +7,45 @@ The paper's identification (section 4), step by step, for comparison with the de
 First the steady-state map (6) by nonlinear least squares (LSQCURVEFIT), torques at break-away
 standing at zero velocity where (6) allows them there. Then the stiffnesses of N = 6 blocks of
 equal weight by Nelder-Mead (FMINSEARCH) from torque over displacement in presliding. Then C of
-(7) by linear least squares from sliding. Each step takes the results of those before as exact.
+(7) by linear least squares from sliding. Each step assumes the results of those before as exact.
 """
 
 from typing import NamedTuple
 
 from gms_flex_control.compiled import compiled
 from gms_flex_control.errors import IdentificationError
-from gms_flex_control.identification.coordinates import MOST_BLOCKS
-from gms_flex_control.identification.paper_data import (
+from gms_flex_control.identification.coordinates import Coordinates, MOST_BLOCKS, N_STEADY
+from gms_flex_control.identification.least_squares import prior_of
+from gms_flex_control.identification.objective import Bundle, Objective
+from gms_flex_control.identification.paper.experiments import (
     believable,
+    label,
     presliding_pieces,
     sliding_pieces,
     steady_points,
 )
-from gms_flex_control.identification.phases import label
-from gms_flex_control.identification.result import Interval
-from gms_flex_control.simulation.predictor import ATTRACTION, BLOCKS, parameter_rows
+from gms_flex_control.identification.result import Candidate, CONFIDENT, Interval
+from gms_flex_control.identification.selection import JointFit
+from gms_flex_control.identification.uncertainty import Spread
+from gms_flex_control.params.arm import ArmParams
+from gms_flex_control.simulation.predictor import (
+    ATTRACTION,
+    BLOCKS,
+    COULOMB,
+    parameter_rows,
+    PER_DIRECTION,
+    STATIC,
+    VELOCITY,
+    VISCOUS,
+)
 import numpy as np
 from scipy.optimize import least_squares, minimize
 from scipy.signal import detrend
 from scipy.stats import t as student
 
 N_BLOCKS = 6          # as in the paper
+NOT_HELD_OUT = ('the method of the paper uses all of the data: its errors are of data held out '
+                'only where --holdout names recordings')
 _FEWEST = 5           # points of the map in a direction
 _STARTS = 5           # of v_s
 _SLOWEST_TOLD = 0.5   # of the slowest motion: v_s below it leaves no trace in the map
@@ -52,90 +68,106 @@ class PaperFit(NamedTuple):
     presliding: float   # rms error of the presliding torque [N m]
 
 
-def fit_paper(stretches, arm, joint, period, half):
+def paper_fits(bundle: Bundle) -> tuple[list[JointFit], list[Spread]]:
+    """
+    Identify every joint as section 4 of the paper does, in the shape of the default method.
+
+    The Spreads are of the intervals of the least-squares steps, NaN for block stiffnesses.
+    """
+    papers = [fit_paper(bundle.segments, bundle.arm, j, bundle.period, bundle.half[j])
+              for j in range(bundle.arm.n_joints)]
+    thetas = [paper.theta for paper in papers]
+    fits = [_joint_fit(bundle, j, thetas) for j in range(len(papers))]
+    return fits, [_spread(paper, fit) for paper, fit in zip(papers, fits, strict=True)]
+
+
+def _joint_fit(bundle, joint, thetas):
+    theta, coordinates = thetas[joint], Coordinates(N_BLOCKS)
+    both = [[theta[row], theta[PER_DIRECTION + row]]
+            for row in (STATIC, COULOMB, VELOCITY, VISCOUS)]
+    both[3] = np.maximum(both[3], 1e-9 * theta[COULOMB])
+    static = np.mean(both[0])
+    stiffness = np.maximum(theta[BLOCKS:BLOCKS + N_BLOCKS], 1e-12 * static)
+    free = coordinates.pack(*both, theta[ATTRACTION], static / N_BLOCKS / stiffness)
+    evaluation = Objective(bundle, joint, thetas).evaluate(coordinates, free, 1.0)
+    cost = float(evaluation.cost.sum() / evaluation.count.sum())
+    return JointFit(coordinates, free, prior_of(coordinates, free), free,
+                    (Candidate(N_BLOCKS, cost, 0.0, True),), np.zeros(len(free)),
+                    evaluation=evaluation)
+
+
+def _spread(paper, fit):
+    """Return the Spread that the paper's intervals stand for, independent of each other."""
+    variance = np.full(fit.coordinates.size, np.nan)
+    deviation = [np.nan if interval is None else (interval.high - interval.low) / 2 / CONFIDENT
+                 for interval in paper.intervals]
+    theta = paper.theta
+    for at in (0, PER_DIRECTION):
+        drop = max(theta[at + STATIC] - theta[at + COULOMB], 1e-3 * theta[at + COULOMB])
+        rest = deviation[at + STATIC] ** 2 - deviation[at + COULOMB] ** 2
+        variance[at] = (deviation[at + COULOMB] / theta[at + COULOMB]) ** 2
+        variance[at + 1] = max(rest, 0.0) / drop ** 2
+        for row in (VELOCITY, VISCOUS):
+            variance[at + row] = (deviation[at + row] / max(theta[at + row], 1e-12)) ** 2
+    variance[N_STEADY - 1] = (deviation[ATTRACTION] / theta[ATTRACTION]) ** 2
+    return Spread(np.diag(variance), np.ones(len(fit.free)))
+
+
+def fit_paper(segments, arm: ArmParams, joint: int, period: float, half: float) -> PaperFit:
     """
     Identify the friction of one joint as section 4 of the paper does.
 
-    Parameters
-    ----------
-    stretches : sequence of Stretch
-        All data; phases are told from motion and torque where a stretch names none.
-    arm : ArmParams
-        The arm.
-    joint : int
-        Which joint.
-    period : float
-        Sample [s].
-    half : float
-        Half an encoder count [rad].
-
-    Returns
-    -------
-    PaperFit
-        With 95 % intervals of the least-squares steps; none for the block stiffnesses.
-
-    Raises
-    ------
-    IdentificationError
-        If one of the three experiments is missing from the data.
-
+    95 % intervals of the least-squares steps; none for the block stiffnesses. Phases are told
+    from motion and torque where a segment names none; ``half`` is half an encoder count [rad].
+    Raises IdentificationError if one of the three experiments is missing from the data.
     """
     theta, intervals = np.zeros(parameter_rows(MOST_BLOCKS, 0)), [None] * BLOCKS
-    stretches = [stretch for stretch in stretches if stretch.tested[:, joint].any()]
-    data = (stretches, [label(stretch, arm, joint, period, half) for stretch in stretches], arm,
+    segments = [segment for segment in segments if segment.tested[:, joint].any()]
+    data = (segments, [label(segment, arm, joint, period, half) for segment in segments], arm,
             joint, period)
     points = np.array(steady_points(*data, half))
     velocity, torque = points[:, believable(*points)]
     for row, sign in enumerate((1.0, -1.0)):
         rows = np.sign(torque) == sign
         speed = np.abs(velocity[rows])
-        _require(len(np.unique(speed)) >= _FEWEST, stretches, joint, 'a map of friction against '
+        _require(len(np.unique(speed)) >= _FEWEST, segments, joint, 'a map of friction against '
                  f'velocity ({len(speed)} points {"backward" if row else "forward"})',
                  'constant velocities both ways')
         values, own = fit_map(speed, np.abs(torque[rows]))
         theta[4 * row:4 * row + 4], intervals[4 * row:4 * row + 4] = values, own
     pieces = presliding_pieces(*data)
-    _require(pieces, stretches, joint, 'presliding', 'slow torque ramps below break-away')
+    _require(pieces, segments, joint, 'presliding', 'slow torque ramps below break-away')
     stiffness, error = fit_stiffness(pieces, theta)
     theta[BLOCKS:BLOCKS + N_BLOCKS] = stiffness
     theta[BLOCKS + MOST_BLOCKS:BLOCKS + MOST_BLOCKS + N_BLOCKS] = 1.0 / N_BLOCKS
     pieces = sliding_pieces(*data)
-    _require(pieces, stretches, joint, 'sliding', 'motion of varying velocity without reversal')
+    _require(pieces, segments, joint, 'sliding', 'motion of varying velocity without reversal')
     theta[ATTRACTION], intervals[ATTRACTION] = fit_attraction(pieces, theta, period)
-    _require(theta[ATTRACTION] > 0.0, stretches, joint, 'a lag of sliding friction (C would be '
+    _require(theta[ATTRACTION] > 0.0, segments, joint, 'a lag of sliding friction (C would be '
              f'{theta[ATTRACTION]:.3g} N m/s)', 'sliding with velocity varied about v_s')
     return PaperFit(theta, (*intervals, *[None] * (len(theta) - BLOCKS)), velocity, torque, error)
 
 
-def _require(found, stretches, joint, what, way_out):
+def _require(found, segments, joint, what, way_out):
     if not found:
-        source = stretches[0].source if stretches else 'no recording'
+        source = segments[0].source if segments else 'no recording'
         raise IdentificationError(f"{source}: for joint {joint + 1} the paper's method lacks "
                                   f'{what}; record {way_out}, or use the default method')
 
 
-def steady_torque(speed, static, coulomb, velocity, viscous):
+def steady_torque(speed, static, coulomb, velocity, viscous) -> np.ndarray:
     """Return Eq. (6) at ``speed`` (W,), 0 or above [N m]."""
     decay = np.exp(-np.minimum((speed / velocity) ** 2, 50.0))
     return coulomb + (static - coulomb) * decay + viscous * speed
 
 
-def fit_map(speed, torque):
+def fit_map(speed: np.ndarray, torque: np.ndarray) -> tuple[tuple, list[Interval]]:
     """
     Fit the steady friction of one direction by least squares.
 
-    Parameters
-    ----------
-    speed, torque : ndarray, shape (W,)
-        Absolute values [rad/s, N m]; speed 0 for torques at break-away.
-
-    Returns
-    -------
-    values : tuple of float
-        F_s, F_c [N m], v_s [rad/s], sigma_2 [N m s/rad].
-    intervals : list of Interval
-        95 %, from the Jacobian; of v_s symmetric in its logarithm.
-
+    Absolute values (W,) [rad/s, N m]; speed 0 for torques at break-away. Returns F_s, F_c [N m],
+    v_s [rad/s], sigma_2 [N m s/rad] and 95 % intervals from the Jacobian, of v_s symmetric in
+    its logarithm.
     """
     top, level = speed.max(), np.median(torque)
     slowest = np.min(speed[speed > 0.0])
@@ -166,27 +198,11 @@ def fit_map(speed, torque):
 @compiled
 def load_blocks(displacement, level, stiffness, limit, first, torque):
     """
-    Write the torque of slipping springs in parallel, driven by displacement.
+    Write the torque (T,) of slipping springs in parallel [N m], driven by displacement (T,).
 
-    Parameters
-    ----------
-    displacement : ndarray, shape (T,)
-        Change of the angle from each sample to the next [rad].
-    level : ndarray, shape (T,)
-        Friction level of the direction of motion [N m].
-    stiffness : ndarray, shape (N,)
-        [N m/rad].
-    limit : float
-        Share of the level at which a block slips.
-    first : float
-        Torque at the beginning, shared by all blocks as they can [N m].
-    torque : ndarray, shape (T,)
-        Filled [N m].
-
-    Notes
-    -----
-    Eqs. (2) and (5); in presliding a block that slips stays at its share.
-
+    Displacement is from each sample to the next [rad], ``level`` (T,) that of the direction of
+    motion, a block slips at the share ``limit`` of it; ``first`` is the torque at the beginning,
+    shared by all blocks. Eqs. (2) and (5); in presliding a block that slips stays at its share.
     """
     blocks = stiffness.shape[0]
     load = np.full(blocks, first / blocks)
@@ -202,35 +218,18 @@ def load_blocks(displacement, level, stiffness, limit, first, torque):
         torque[k] = total
 
 
-def fit_stiffness(pieces, theta):
+def fit_stiffness(pieces, theta: np.ndarray) -> tuple[np.ndarray, float]:
     """
-    Fit the block stiffnesses to torque over displacement in presliding.
+    Return increasing block stiffnesses (N_BLOCKS,) [N m/rad] and the rms of the torque [N m].
 
-    Parameters
-    ----------
-    pieces : sequence of Piece
-        Presliding.
-    theta : ndarray
-        With the steady parameters of both directions.
-
-    Returns
-    -------
-    stiffness : ndarray, shape (N_BLOCKS,)
-        Increasing [N m/rad].
-    error : float
-        Rms of the torque [N m].
-
-    Notes
-    -----
-    A constant torque is left open in each piece: the load that blocks too soft to slip have
-    kept from before.
-
+    Fitted to torque over displacement of presliding pieces. A constant torque is left open in
+    each: the load that blocks too soft to slip have kept from before.
     """
     inputs = []
     for piece in pieces:
         moved = np.append(np.diff(piece.angle), 0.0)
         level = _level(moved, piece.rate, theta)
-        inputs.append((moved, level, piece.friction - theta_viscous(moved, theta) * piece.rate,
+        inputs.append((moved, level, piece.friction - _viscous_of(moved, theta) * piece.rate,
                        slice(piece.first, None)))
     travel = max(np.ptp(piece.angle[piece.first:]) for piece in pieces)
     static = 0.5 * (theta[0] + theta[4])
@@ -245,13 +244,13 @@ def fit_stiffness(pieces, theta):
             square += np.var(off) * len(off)
         return square / total / static ** 2
 
-    best, spent = min((minimize_again(cost, np.log(
+    best, spent = min((_minimize_again(cost, np.log(
         static / N_BLOCKS / travel / np.geomspace(smallest, 2.0, N_BLOCKS)))
         for smallest in _SMALLEST), key=lambda end: end[1])
     return np.sort(np.exp(best)), float(np.sqrt(spent) * static)
 
 
-def minimize_again(cost, start):
+def _minimize_again(cost, start):
     """Run Nelder-Mead, again from where it ended while that pays; return place and cost."""
     best, least = start, np.inf
     for _ in range(_RESTARTS):
@@ -273,42 +272,23 @@ def _level(direction, rate, theta):
     return coulomb + (static - coulomb) * np.exp(-np.minimum((rate / velocity) ** 2, 50.0))
 
 
-def theta_viscous(direction, theta):
+def _viscous_of(direction, theta):
     """Return sigma_2, shape (T,), of the sign of ``direction`` (T,)."""
     return theta[np.where(direction >= 0.0, 3, 7)]
 
 
-def fit_attraction(pieces, theta, period):
+def fit_attraction(pieces, theta: np.ndarray, period: float) -> tuple:
     """
-    Fit C to sliding friction.
+    Return C [N m/s] of one-way sliding pieces and its 95 % Interval, 0 and None if all stop.
 
-    Parameters
-    ----------
-    pieces : sequence of Piece
-        One-way sliding; the torque's rate of change is in them.
-    theta : ndarray
-        With the steady parameters of both directions.
-    period : float
-        Sample [s].
-
-    Returns
-    -------
-    attraction : float
-        C [N m/s].
-    interval : Interval
-        95 %, neighbouring samples of a window counted once; None, and C is 0, where every
-        piece comes to a stop.
-
-    Notes
-    -----
-    Eq. (7), corrected: ``d(F_f - sigma_2 v)/dt = C (sgn v - (F_f - sigma_2 v) / s(v))``. A
-    straight line is left open in each second or two: the map's error there is not small beside
-    the lag, and the softest blocks may load still.
-
+    Neighbouring samples of a window are counted once. Eq. (7), corrected:
+    ``d(F_f - sigma_2 v)/dt = C (sgn v - (F_f - sigma_2 v) / s(v))``. A straight line is left open
+    in each second or two: the map's error there is not small beside the lag, and the softest
+    blocks may load still.
     """
     chunks = []
     for piece in pieces:
-        slip = piece.friction - theta_viscous(piece.rate, theta) * piece.rate
+        slip = piece.friction - _viscous_of(piece.rate, theta) * piece.rate
         rest = np.sign(piece.rate) - slip / _level(piece.rate, piece.rate, theta)
         rows = np.stack([piece.smooth(slip)[1], piece.smooth(rest)[0], np.abs(piece.rate)])
         rows = rows[:, piece.window:-piece.window]

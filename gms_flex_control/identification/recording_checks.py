@@ -27,77 +27,45 @@ unexplained         the torque does not belong to the motion
 ==================  =============================================================
 """
 
+from gms_flex_control.data.recording import Recording
 from gms_flex_control.errors import IdentificationError
-from gms_flex_control.identification import clock_checks, motion_checks, torque_checks
-from gms_flex_control.identification.findings import absent_joints, Finding, signals_of
+from gms_flex_control.identification import sampling_checks, torque_checks
+from gms_flex_control.identification.check_limits import absent_joints, Finding
+from gms_flex_control.params.robot import RobotParams
 
-__all__ = ['check', 'Finding', 'require']
 
-
-def check(recording, robot, rough=False):
+def check(recording: Recording, robot: RobotParams, rough=False) -> tuple[Finding, ...]:
     """
-    Look a recording over.
+    Return the findings of one experiment, faults of time first, since they hide the others.
 
-    Parameters
-    ----------
-    recording : Recording
-        One experiment.
-    robot : RobotParams
-        Roughly the robot: which joints are flexible, stiffness within a factor of 4, inertia
-        within one of 3. Friction is not used.
-    rough : bool
-        Inertia and stiffness are placeholders, for instance because they are to be estimated.
-
-    Returns
-    -------
-    tuple of Finding
-        Empty for a healthy recording; faults of time first, since they hide the others.
-
+    Of the robot is used which joints are flexible, stiffness within a factor of 4, inertia within
+    one of 3, no friction; ``rough`` says that both are placeholders, for instance because they
+    are to be estimated.
     """
     absent = absent_joints(recording, robot)
     if absent:
         return tuple(absent)
-    signals = signals_of(recording, robot)
-    found = [*motion_checks.length(signals), *clock_checks.clock(signals),
-             *motion_checks.missing(signals, robot)]
+    signals = recording.of_joints(robot.joints)
+    found = [*sampling_checks.length(signals), *sampling_checks.clock(signals),
+             *sampling_checks.missing(signals, robot)]
     if any(finding.severity == 'refuse' for finding in found):
         return tuple(found)
-    found += motion_checks.broken(signals)
+    found += sampling_checks.broken(signals)
     if any(finding.kind == 'jump' for finding in found):
         return tuple(found)
-    found += motion_checks.motion(signals)
-    found += motion_checks.rates(signals)
+    found += sampling_checks.motion(signals)
+    found += sampling_checks.rates(signals)
     found += torque_checks.saturated(signals)
     if not any(finding.kind == 'velocity' for finding in found):
         found += torque_checks.physics(signals, robot, rough)
     return tuple(found)
 
 
-def require(recording, robot, force=False, rough=False):
+def require(recording: Recording, robot: RobotParams, force=False, rough=False):
     """
-    Refuse a recording with which a fit would be wrong.
+    Return the warnings of `check`, with ``force`` all findings.
 
-    Parameters
-    ----------
-    recording : Recording
-        One experiment.
-    robot : RobotParams
-        Roughly the robot.
-    force : bool
-        Go on whatever was found.
-    rough : bool
-        See `check`.
-
-    Returns
-    -------
-    tuple of Finding
-        The warnings; with ``force`` all findings.
-
-    Raises
-    ------
-    IdentificationError
-        With the sentence of the first fault that forbids a fit.
-
+    Raises IdentificationError with the sentence of the first fault that forbids a fit.
     """
     found = check(recording, robot, rough)
     for finding in found:

@@ -2,7 +2,7 @@
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """
-Inertia and gravity of single axes by linear regression of the drive torque.
+A single joint by linear regression of its torque: inertia, gravity, ripple; the motor's side.
 
 ``u = I q'' + a cos q + b sin q + friction(q')`` holds for torque, angle and its derivatives alike
 when all pass through the same zero-phase filter. Only moving samples count. Friction stands by
@@ -10,17 +10,34 @@ as columns of its own, each direction for itself: Coulomb, viscous, and a part t
 speed, so that the rise at low speed does not end up in inertia or gravity. A constant torque
 looks like friction that differs between the directions, and stays with it, unless friction would
 then have to be several times larger one way than the other.
+
+A ripple, a torque periodic in the angle as gears, screws and motors make, is no friction, but
+where it is as large as what tells presliding and the Stribeck curve apart it replaces both. So it
+is looked for with the inertia, before friction is fitted.
+
+The motor's equation ``u = J q2'' + K (q2 - q1) + d (q2' - q1')`` gives stiffness, motor inertia
+and joint damping, link friction unseen. Columns of a constant and of the velocity stand by: a
+motor's own friction, and an encoder that is read late, which adds ``K delay q'`` and looks like
+damping.
 """
 
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from gms_flex_control.data.signals import derivative_window, smoothed
+from gms_flex_control.data.signals import derivative_window, smoothed, standing_out
+from gms_flex_control.effects.catalogue.torque_ripple import TorqueRipple
 from gms_flex_control.errors import IdentificationError
+from gms_flex_control.identification.objective import BLOCK_TIME
+from gms_flex_control.identification.prediction_error import FEWEST_WAVES
 from gms_flex_control.identification.result import CONFIDENT
+from gms_flex_control.identification.uncertainty import block_sums
+from gms_flex_control.params.robot import EffectSpec
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 STANDARD_GRAVITY = 9.80665  # [m/s^2], conventional value (3rd CGPM, 1901)
-_BLOCK = 2.0       # of time, for errors that are not independent [s]
+RIPPLE = TorqueRipple.name
+SKEWED = 0.3       # part of the deflection's torque that goes with the velocity, at most
 _FEWEST = 60       # moving rows
 _SLOWEST = 0.05    # of the usual speed: below this a row does not count as moving
 _FADING = (0.15, 0.5)  # speeds at which the fading parts of friction fade, of the usual speed
@@ -28,9 +45,14 @@ _HUBER = 1.5       # residuals beyond this many standard deviations count less
 _ROUNDS = 8
 _NARROW = 1.0      # range of angles in which gravity is hardly told from a constant [rad]
 _CLEAR = 0.5       # of the held-out error: gravity must help this much there
-_WORTH = 0.97      # of the held-out error: gravity that helps less is not there
+_WORTH = 0.97      # of the held-out error: gravity or a ripple that helps less is not there
 _LOPSIDED = 0.5    # of the friction the other way: below this there is a constant torque
 _LEAST = 0.02      # of the torque: friction to begin with, at least
+_RIPPLE_CLEAR = 3.0   # standard errors: a ripple below is not there
+_RIPPLE_ROUNDS = 4    # of order and all else in turn
+_ABOUT = 0.5       # of a wave over the range of angles: how far an order is looked for
+_EXPLAINED = 0.9   # of the torque's variance, for stiffness and motor inertia to be believed
+_SMALLEST = 0.005  # of the torque: a smaller part is not told from what the model lacks
 
 
 class Rows(NamedTuple):
@@ -40,7 +62,7 @@ class Rows(NamedTuple):
     rate: np.ndarray          # (S,) [rad/s]
     acceleration: np.ndarray  # (S,) [rad/s^2]
     torque: np.ndarray        # (S,) [N m]
-    block: np.ndarray         # (S,) int, which stretch of time a row belongs to
+    block: np.ndarray         # (S,) int, number of its block of time
 
 
 class AxisFit(NamedTuple):
@@ -73,25 +95,23 @@ class AxisFit(NamedTuple):
         return float(np.arctan2(-self.sine, self.cosine)) if self.has_gravity else 0.0
 
 
-def rows_of(recordings, drive, joint):
-    """
-    Return the filtered samples of one axis.
+class Ripple(NamedTuple):
+    """A ripple of one axis: y += amplitude sin(order q + phase), pushing forward."""
 
-    Parameters
-    ----------
-    recordings : sequence of Recording
-        All data.
-    drive : callable
-        Recording -> torque on the axis (T,) at the stamps [N m].
-    joint : int
-        Which axis.
+    amplitude: float  # [N m]
+    order: float      # [1/rad]
+    phase: float      # [rad]
+    amplitude_error: float  # standard errors of these
+    order_error: float
 
-    Returns
-    -------
-    Rows
-        Moving or not.
+    def effect(self, joint):
+        """Return the EffectSpec that puts it into a model."""
+        return EffectSpec(name=RIPPLE, joint=joint,
+                          values=(self.amplitude, self.order, self.phase))
 
-    """
+
+def rows_of(recordings: Sequence, drive: Callable, joint: int) -> Rows:
+    """Return filtered Rows of one axis, moving or not, ``drive`` Recording -> torque (T,)."""
     parts, used = [], 0
     for recording in recordings:
         angle = recording.q_link[:, joint]
@@ -99,7 +119,7 @@ def rows_of(recordings, drive, joint):
         time, motion, torque = smoothed(
             recording.time, [recording.time, angle, drive(recording)], window)
         if len(time.value):
-            block = used + ((time.value - time.value[0]) / _BLOCK).astype(int)
+            block = used + ((time.value - time.value[0]) / BLOCK_TIME).astype(int)
             used = block[-1] + 1
             parts.append((motion.value, motion.first, motion.second, torque.value, block))
     if not parts:
@@ -107,7 +127,7 @@ def rows_of(recordings, drive, joint):
     return Rows(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
 
-def held_torque(joint):
+def held_torque(joint: int) -> Callable:
     """Return a function Recording -> motor torque (T,) at the stamps, not over a sample."""
     def drive(recording):
         torque = recording.tau_motor[:, joint].copy()
@@ -116,7 +136,7 @@ def held_torque(joint):
     return drive
 
 
-def spring_torque(joint, stiffness, damping=0.0):
+def spring_torque(joint: int, stiffness: float, damping=0.0) -> Callable:
     """Return a function Recording -> torque (T,) of the joint's spring."""
     def drive(recording):
         twist = recording.q_motor[:, joint] - recording.q_link[:, joint]
@@ -125,7 +145,7 @@ def spring_torque(joint, stiffness, damping=0.0):
     return drive
 
 
-def friction_regressors(rate):
+def friction_regressors(rate: np.ndarray) -> np.ndarray:
     """Return columns (S, 8) of friction, each direction for itself."""
     usual = float(np.sqrt(np.mean(rate ** 2)))
     columns = []
@@ -136,28 +156,12 @@ def friction_regressors(rate):
     return np.stack(columns, axis=1)
 
 
-def fit_axis(rows, joint, source, wave=None):
+def fit_axis(rows: Rows, joint: str, source: str, wave: np.ndarray | None = None) -> AxisFit:
     """
     Fit inertia and gravity of one axis.
 
-    Parameters
-    ----------
-    rows : Rows
-        From `rows_of`.
-    joint, source : str
-        For messages.
-    wave : ndarray, shape (S, 2), optional
-        Sine and cosine of a ripple that is fitted as well, filtered as the rows.
-
-    Returns
-    -------
-    AxisFit
-
-    Raises
-    ------
-    IdentificationError
-        If the axis hardly moves.
-
+    ``wave`` (S, 2) are sine and cosine of a ripple that is fitted as well, filtered as the rows;
+    ``joint`` and ``source`` are for messages. Raises IdentificationError if the axis hardly moves.
     """
     usual = float(np.sqrt(np.mean(rows.rate ** 2)))
     moving = np.abs(rows.rate) > _SLOWEST * usual
@@ -204,24 +208,11 @@ def _levels(friction, rate):
             if (np.sign(rate) == sign).any() else 0.0 for sign in (1.0, -1.0)]
 
 
-def robust(columns, target):
+def robust(columns: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, float]:
     """
-    Return the weights of rows in a robust regression, and the scale of its residuals.
+    Return the weights (S,) of rows in a robust regression (Huber), and the residuals' scale.
 
-    Parameters
-    ----------
-    columns : ndarray, shape (S, P)
-        Regressors.
-    target : ndarray, shape (S,)
-        What they are to explain.
-
-    Returns
-    -------
-    weights : ndarray, shape (S,)
-        Between 0 and 1 (Huber).
-    scale : float
-        Standard deviation of the bulk of the residuals.
-
+    The scale is the standard deviation of their bulk; ``columns`` (S, P), ``target`` (S,).
     """
     weights, scale = np.ones(len(target)), 1.0
     for _ in range(_ROUNDS):
@@ -239,8 +230,7 @@ def _solution(columns, rows):
     scaled, target = columns * root[:, None], rows.torque * root
     inverse = np.linalg.pinv(scaled.T @ scaled, rcond=1e-12, hermitian=True)
     values = inverse @ (scaled.T @ target)
-    scores = scaled * (target - scaled @ values)[:, None]
-    blocks = np.stack([np.bincount(rows.block, weights=column) for column in scores.T], axis=1)
+    blocks = block_sums(scaled * (target - scaled @ values)[:, None], rows.block)
     blocks = blocks[np.bincount(rows.block, minlength=len(blocks)) > 0]
     many = len(blocks) / max(len(blocks) - 1, 1)
     return values, np.sqrt(np.diag(many * inverse @ (blocks.T @ blocks) @ inverse))
@@ -260,3 +250,103 @@ def _held_out(columns, rows):
                                  rcond=1e-10)[0]
         off[out] = rows.torque[out] - columns[out] @ values
     return float(np.mean(np.abs(off)))
+
+
+def fit_axis_with_ripple(recordings: Sequence, rows: Rows, joint: int, name: str,
+                         source: str) -> tuple:
+    """
+    Return the AxisFit with the largest ripple that these data show, and the Ripple.
+
+    None for the Ripple where none helps on data held out. Otherwise as `fit_axis`.
+    """
+    axis, span = fit_axis(rows, name, source), float(np.ptp(rows.angle))
+    orders = standing_out([rows.angle], [axis.left], [rows.rate],
+                          2.0 * np.pi * FEWEST_WAVES / max(span, 1e-300))
+    if not orders:
+        return axis, None
+    found, order = axis, orders[0]
+    for _ in range(_RIPPLE_ROUNDS):
+        order = _nearest_best(recordings, joint, found.left + found.rippling, order, span)
+        found = fit_axis(rows, name, source, _waves_of(recordings, joint, order))
+    size = float(np.hypot(*found.wave))
+    if found.off > _WORTH * axis.off or size < _RIPPLE_CLEAR * found.wave_error:
+        return axis, None
+    doubt = found.wave_error / size * np.sqrt(12.0) / span  # a line through the phase
+    return found, Ripple(size, order, float(np.arctan2(-found.wave[1], -found.wave[0])),
+                         found.wave_error, float(doubt))
+
+
+def _nearest_best(recordings, joint, torque, order, span):
+    """Return the order near one that explains most of a torque (S,)."""
+    moves = torque != 0.0
+    target = torque[moves]
+
+    def unexplained(trial):
+        waves = _waves_of(recordings, joint, trial)[moves]
+        return np.sum((target - waves @ np.linalg.lstsq(waves, target, rcond=None)[0]) ** 2)
+    reach = 2.0 * np.pi * _ABOUT / span
+    return float(minimize_scalar(unexplained, bounds=(order - reach, order + reach),
+                                 method='bounded', options={'xatol': 1e-3 * reach}).x)
+
+
+def _waves_of(recordings, joint, order):
+    """Return sine and cosine of ``order`` times the angle, filtered as rows_of does, (S, 2)."""
+    parts = []
+    for recording in recordings:
+        angle = recording.q_link[:, joint]
+        signals = smoothed(recording.time, [np.sin(order * angle), np.cos(order * angle)],
+                           derivative_window(recording.time, angle))
+        parts.append(np.stack([signal.value for signal in signals], axis=1))
+    return np.concatenate(parts)
+
+
+class MotorFit(NamedTuple):
+    """The motor's side of one flexible joint."""
+
+    motor_inertia: float   # J [kg m^2]
+    stiffness: float       # K [N m/rad]
+    damping: float         # d [N m s/rad]
+    error: np.ndarray      # (3,), standard errors
+    explained: float       # share of the torque's variance
+    skew: float            # torque that goes with the velocity, of that of the deflection
+    share: np.ndarray      # (3,), torque of each part over the whole
+
+    @property
+    def believed(self):
+        """Return which of J, K and d the data tell, bool (3,)."""
+        values = np.array(self[:3])
+        told = (values > CONFIDENT * self.error) & (self.share > _SMALLEST)
+        return told & (self.explained > _EXPLAINED) & (self.skew < SKEWED)
+
+
+def fit_motor(recordings: Sequence, joint: int) -> MotorFit | None:
+    """Fit the motor's equation of one joint, both sides and torque measured; None of too few."""
+    drive, parts, used = held_torque(joint), [], 0
+    for recording in recordings:
+        angles = recording.q_motor[:, joint], recording.q_link[:, joint]
+        window = max(derivative_window(recording.time, angle) for angle in angles)
+        time, motor, link, torque = smoothed(
+            recording.time, [recording.time, *angles, drive(recording)], window)
+        if len(time.value):
+            block = used + ((time.value - time.value[0]) / BLOCK_TIME).astype(int)
+            used = block[-1] + 1
+            twist, rate = motor.value - link.value, motor.first - link.first
+            parts.append(np.stack([torque.value, motor.second, twist, rate,
+                                   np.ones(len(twist)), link.first, np.sign(link.first), block]))
+    if not parts or sum(part.shape[1] for part in parts) < _FEWEST:
+        return None
+    table = np.concatenate(parts, axis=1)
+    target, columns, block = table[0], table[1:7].T, table[7].astype(int)
+    weights, _ = robust(columns, target)
+    root = np.sqrt(weights)
+    scaled = columns * root[:, None]
+    inverse = np.linalg.pinv(scaled.T @ scaled, rcond=1e-12, hermitian=True)
+    values = inverse @ (scaled.T @ (target * root))
+    scores = scaled * (target * root - scaled @ values)[:, None]
+    blocks = np.stack([np.bincount(block, weights=column) for column in scores.T], axis=1)
+    error = np.sqrt(np.diag(inverse @ (blocks.T @ blocks) @ inverse))[:3]
+    explained = 1.0 - np.var(target - columns @ values) / max(np.var(target), 1e-300)
+    skew = abs(values[4]) * np.std(columns[:, 4]) / max(
+        abs(values[1]) * np.std(columns[:, 1]), 1e-300)
+    share = np.abs(values[:3]) * np.std(columns[:, :3], axis=0) / max(np.std(target), 1e-300)
+    return MotorFit(*map(float, values[:3]), error, float(explained), float(skew), share)

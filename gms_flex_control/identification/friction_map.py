@@ -1,0 +1,209 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Friction against velocity (Fig. 3): the Stribeck curve through it, and where a fit begins."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+import warnings
+
+from gms_flex_control.dynamics.chain import inverse_dynamics
+from gms_flex_control.errors import IdentificationError
+from gms_flex_control.identification.result import FrictionMap
+from gms_flex_control.identification.segments import filled, Segment, torque_at_samples
+from gms_flex_control.params.arm import ArmParams
+import numpy as np
+from scipy.optimize import least_squares, nnls
+
+N_SPREAD = 8        # blocks with fixed yields that find the shape of the presliding curve
+_WINDOW = 0.25      # of one point of the map [s]
+_UNSTEADY = 0.25    # relative change of velocity within a window that still counts as steady
+_SLOWEST_STEPS = 3  # encoder steps a window must travel
+_FEWEST = 4         # points of a direction for a Stribeck curve; below, Coulomb and viscous only
+_FEWEST_WINDOWS = 3  # of motion in a direction
+_DROP, _NARROW = 0.1, 0.02  # of F_c and of the top velocity: F_s - F_c and v_s of a straight curve
+_LEAST = 0.05       # of the largest torque: F_c of a straight curve
+_LAG = 0.08         # of F_c over C: lag of sliding friction to begin with [s]
+_FINEST = 0.25      # of an encoder step: smallest yield of the spread
+_WIDEST = 0.3       # largest yield of the spread [rad], or the joint's travel
+
+
+class Stribeck(NamedTuple):
+    """Steady friction of one direction, Eq. (6)."""
+
+    static: float    # F_s [N m]
+    coulomb: float   # F_c [N m]
+    velocity: float  # v_s [rad/s]
+    viscous: float   # sigma_2 [N m s/rad]
+
+
+class Start(NamedTuple):
+    """
+    Rough parameters of one joint.
+
+    A Stribeck part as wide as the motion is fast bends like viscous friction: the cost has a
+    local minimum with each in the other's place, and a fit begins from both.
+    """
+
+    forward: Stribeck
+    backward: Stribeck
+    attraction: float    # [N m/s]
+    yields: np.ndarray   # (N_SPREAD,), of the spread [rad]
+    straight: tuple      # of Stribeck, forward and backward: the Stribeck part is narrow
+
+    def both(self):
+        """Return steady parameters (4, 2) forward and backward, as fitted and as straight."""
+        return tuple(np.array(pair).T for pair in ((self.forward, self.backward), self.straight))
+
+
+def friction_torque(segment: Segment, arm: ArmParams) -> np.ndarray:
+    """
+    Return the friction torque of each link by its equation of motion, (T, n_joints) [N m].
+
+    It opposes positive motion. Eq. (1), link: ``F_f = K (q2 - q1) - M q1'' - C q1' - g``; the
+    arm is rigid where the motor's torque drives the link.
+    """
+    angle = filled(segment.angle)
+    return torque_at_samples(segment) - inverse_dynamics(
+        angle, segment.rate, segment.acceleration, arm)
+
+
+def friction_map(segments: Sequence[Segment], arm: ArmParams, joint: int, period: float,
+                 half: float) -> FrictionMap:
+    """Return the friction of one joint in short windows of motion in one direction."""
+    size = max(round(_WINDOW / period), 4)
+    rows = []
+    for segment in segments:
+        torque = friction_torque(segment, arm)[:, joint]
+        rate, tested = segment.rate[:, joint], segment.tested[:, joint]
+        angle = filled(segment.angle[:, joint:joint + 1])[:, 0]
+        count = len(rate) // size
+        if not count:
+            continue
+        cut = slice(0, count * size)
+        rates = rate[cut].reshape(count, size)
+        travel = np.ptp(angle[cut].reshape(count, size), axis=1)
+        mean = rates.mean(axis=1)
+        spread = np.ptp(rates, axis=1)
+        one_way = (np.abs(rates).min(axis=1) > 0.0) & (np.abs(np.sign(rates).sum(axis=1)) == size)
+        good = one_way & (travel > 2 * _SLOWEST_STEPS * half) & tested[cut].reshape(
+            count, size).all(axis=1)
+        steady = spread < _UNSTEADY * np.abs(mean) + 4.0 * half / _WINDOW
+        middle = torque[cut].reshape(count, size).mean(axis=1)
+        rows.append(np.stack([mean, middle, steady], axis=1)[good])
+    table = np.concatenate(rows) if rows else np.zeros((0, 3))
+    return FrictionMap(table[:, 0], table[:, 1], table[:, 2] > 0)
+
+
+def _fit_stribeck(velocity, torque):
+    """
+    Return the Stribeck of one direction through absolute values (W,) [rad/s, N m], Eq. (6).
+
+    By trust-region least squares with a soft-L1 loss (section 4's LSQCURVEFIT); all positive;
+    without enough points static equals coulomb.
+    """
+    top, level = velocity.max(), max(float(np.median(torque)), 1e-12)
+    slow = max(float(np.quantile(velocity, 0.1)), 1e-9)
+    if len(velocity) < _FEWEST:
+        return Stribeck(1.02 * level, level, slow, 1e-3 * level / top)
+    scale = np.array([level, level, 1.0, level / top])
+    noise = max(1.5 * float(np.median(np.abs(torque - np.median(torque)))), 1e-3 * level)
+
+    def residual(x):
+        coulomb, viscous = x[0] * level, x[3] * level / top
+        drop = x[1] * coulomb  # at most F_s = 2 F_c: else a curve that bends is no Stribeck curve
+        decay = np.exp(-np.minimum((velocity / np.exp(x[2])) ** 2, 50.0))
+        return coulomb + drop * decay + viscous * velocity - torque
+
+    best = None
+    for start in np.geomspace(slow, top, 4):
+        fit = least_squares(
+            residual, [0.9, 0.1, np.log(start), 0.1], loss='soft_l1', f_scale=0.3 * noise,
+            bounds=([1e-3, 1e-4, np.log(0.3 * slow), 0.0], [3.0, 1.0, np.log(top), 3.0]))
+        if best is None or fit.cost < best.cost:
+            best = fit
+    coulomb = best.x[0] * scale[0]
+    drop = best.x[1] * coulomb
+    return Stribeck(coulomb + drop, coulomb, float(np.exp(best.x[2])), best.x[3] * scale[3])
+
+
+def _straight(velocity, torque):
+    """
+    Return Coulomb and viscous friction of one direction, its Stribeck part narrow.
+
+    Where friction falls with velocity, without viscous part.
+    """
+    top = velocity.max()
+    level, rise = nnls(np.stack([np.ones(len(velocity)), velocity / top], axis=1), torque)[0]
+    level = max(level, _LEAST * float(np.abs(torque).max()), 1e-12)
+    return Stribeck((1.0 + _DROP) * level, level, _NARROW * top, max(rise, 1e-3 * level) / top)
+
+
+def start_of(friction_map: FrictionMap, travel: float, resolution: float, joint: str, source: str,
+             level: float | None = None) -> Start:
+    """
+    Return where the fit of a joint begins.
+
+    ``travel`` is the range of its angle, ``resolution`` the encoder step or noise [rad];
+    ``joint`` and ``source`` are for messages; ``level`` is friction [N m] to begin with where
+    inertia and gravity are only roughly known, so that what is left of the torque can drive the
+    joint instead of braking it: a warning then says so. Raises IdentificationError if the joint
+    hardly moves, or friction drives it and there is no ``level``.
+    """
+    directions, lines = [], []
+    for sign, name in ((1.0, 'forward'), (-1.0, 'backward')):
+        rows = np.sign(friction_map.velocity) == sign
+        if (rows & friction_map.steady).sum() >= _FEWEST_WINDOWS:
+            rows &= friction_map.steady
+        if rows.sum() < _FEWEST_WINDOWS:
+            raise IdentificationError(
+                f'{source}: {joint} moves {name} in {rows.sum()} windows of a quarter second '
+                f'only; friction has two directions: record motion both ways')
+        torque = sign * friction_map.torque[rows]
+        if np.median(torque) <= 0.0 and level is not None:
+            warnings.warn(
+                f'{source}: what inertia and gravity leave of the torque of {joint} drives its '
+                f'{name} motion as often as it brakes it: other forces (links that act on each '
+                'other, gravity) hide its friction; trust it only as far as the error on data '
+                'held out', stacklevel=2)
+            directions.append(Stribeck(1.02 * level, level, float(np.abs(
+                friction_map.velocity[rows]).max()), 1e-3 * level))
+            lines.append(directions[-1])
+            continue
+        if np.median(torque) <= 0.0:
+            raise IdentificationError(
+                f'{source}: friction of {joint} would drive its {name} motion (median '
+                f'{np.median(torque):.4g} N m); check the sign of the torque, the inertia and '
+                'gravity of the robot file')
+        for fitted, fit in ((directions, _fit_stribeck), (lines, _straight)):
+            fitted.append(fit(sign * friction_map.velocity[rows], torque))
+    finest = max(_FINEST * resolution, 1e-6 * travel, 1e-9)
+    widest = max(min(_WIDEST, travel), 20.0 * finest)
+    return Start(*directions, attraction=directions[0].coulomb / _LAG,
+                 yields=np.geomspace(finest, widest, N_SPREAD), straight=tuple(lines))
+
+
+def repeatability(segments: Sequence[Segment], arm: ArmParams, joint: int) -> float:
+    """
+    Return the standard deviation of friction among repeats of equal motion [N m].
+
+    NaN without any.
+    """
+    groups = {}
+    for segment in segments:
+        owned = segment.tested[:, joint]
+        steady = owned & (segment.phase == 'constant_velocity')
+        if not steady.any():
+            continue
+        torque, rate = friction_torque(segment, arm)[:, joint], segment.rate[:, joint]
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], steady.astype(np.int8), [0]])))
+        for begin, end in zip(edges[::2], edges[1::2], strict=True):
+            speeds = rate[begin:end]
+            typical = np.median(speeds)
+            near = np.abs(speeds - typical) < 0.1 * abs(typical)
+            if near.sum() > 10:
+                key = round(float(np.sign(typical)) * np.log(abs(typical)) * 10.0)
+                groups.setdefault((np.sign(typical), key), []).append(
+                    torque[begin:end][near].mean())
+    spreads = [np.var(values, ddof=1) for values in groups.values() if len(values) > 1]
+    return float(np.sqrt(np.mean(spreads))) if spreads else float('nan')

@@ -1,0 +1,251 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""
+The method of this project: all friction parameters of a joint refined together, multi-start.
+
+First blocks with fixed yield displacements, spread over decades, and free weights: a smooth
+problem that finds the shape of the presliding curve from far away. Then blocks of equal weight
+at the quantiles of that shape, for several N; the data held out choose among them. The observer
+of the predictor is stiff at first and soft in the end: stiff, each innovation depends on the
+last moments only and the cost has hardly any local minimum; soft, it tells the most.
+
+Where links stick and slip the cost is rough: a fit ends in one of many local minima. Those near
+the truth lie along a funnel, so that fits from perturbations of the best find a better one until
+there is none. What the good ones differ by is reported as uncertainty.
+"""
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from typing import NamedTuple
+
+from gms_flex_control.identification.coordinates import Coordinates, N_STEADY
+from gms_flex_control.identification.friction_map import Start
+from gms_flex_control.identification.least_squares import prior_of, refine, total_cost
+from gms_flex_control.identification.objective import Bundle, coarser, Objective, train
+from gms_flex_control.identification.selection import (
+    CANDIDATES,
+    fit_again,
+    fit_joint,
+    JointFit,
+)
+import numpy as np
+from scipy.stats import norm
+from scipy.stats import t as student
+
+COARSE = 4e-3         # sample that is fine enough to find the way [s]
+# of multi-starts in turn, samples [s] and the factor on the observer's bandwidth: with coarse
+# samples and a soft observer, which sees what acts for long, the cost has fewer local minima
+LEVELS = ((8e-3, 0.5), (4e-3, 0.5), (2e-3, 0.5), (2e-3, 1.0))
+GAIN = 1.02           # of the cost, that makes it worth to go on
+KEPT = 4              # ends with coarse samples that fine ones begin from
+_SPREAD_SHARPNESS = (3.0, 1.0)
+_SOFT = 0.5           # of the observer's bandwidth: another that is right as well
+_PATIENCE, _PATIENCE_LAST = 8, 5  # fits in a row without a gain that end a multi-start
+_MORE_TURNS = 2       # of all joints at the last level, at most
+_MOST = 32            # perturbed fits in all
+_TRIED, _HOPELESS = 3, 1.25  # steps of a fit, and cost over the best beyond which it then ends
+_CARRIED, _POOR = 8, 2.0  # likewise of a fit that begins where one with coarser samples ended
+_STEADY = (0.002, 0.05, 0.02, 0.01)  # perturbation of F_c, F_s - F_c, v_s, sigma_2 (logarithms)
+_BLOCKS, _FINE = 0.05, 0.12  # of attraction and yields; more of those within few counts
+_WIDE = 0.3           # of those together, every other time
+_FEW_COUNTS = 1.5
+_GOOD = 1.15          # times the lowest cost: as good an explanation
+_UPPER = 0.975        # of a 95 % interval
+
+
+def fit_all(bundle: Bundle, starts: Sequence[Start], extras: Sequence, *, blocks=CANDIDATES,
+            say: Callable = lambda text: None) -> list[JointFit]:
+    """
+    Fit all joints, in as many threads.
+
+    ``extras`` are further coefficients of each joint to begin with, ``blocks`` the numbers of
+    blocks to choose from; ``say`` is called with what is being done.
+    """
+    thetas = [rough_theta(start, extra) for start, extra in zip(starts, extras, strict=True)]
+    joints, rough = range(len(starts)), coarser(bundle, COARSE)
+    with ThreadPoolExecutor(max_workers=len(starts)) as pool:
+        say('fitting each joint')
+        training = [Objective(rough, j, thetas, train(rough.period)) for j in joints]
+        thetas = list(pool.map(_spread, training, starts, extras))
+        fits = list(pool.map(lambda j: fit_joint(rough, j, thetas, blocks), joints))
+        say('refining each joint, the others as they were found')
+        fits = _search(pool, bundle, fits, LEVELS)
+        thetas = [fit.theta for fit in fits]
+        fits = list(pool.map(lambda j: fit_again(rough, j, thetas, fits[j], blocks), joints))
+        if not all(fit.ends for fit in fits):  # not where the search ended
+            fits = _search(pool, bundle, fits, LEVELS[-1:])
+        thetas = [fit.theta for fit in fits]
+        return list(pool.map(lambda j: _finish(bundle, j, thetas, fits[j]), joints))
+
+
+def rough_theta(start: Start, extra) -> np.ndarray:
+    """Return parameters as the start has them, blocks of equal weight over the spread."""
+    coordinates = Coordinates(len(start.yields), n_extra=len(extra))
+    steady, _ = start.both()
+    return coordinates.parameters(coordinates.pack(*steady, start.attraction, start.yields,
+                                                   extra=extra))
+
+
+def _spread(objective, start, extra):
+    """Return parameters of blocks with fixed yields, the better of two fits."""
+    coordinates = Coordinates(len(start.yields), yields=start.yields, free_weights=True,
+                              n_extra=len(extra))
+    ends = []
+    for steady in start.both():
+        free = coordinates.pack(*steady, start.attraction, None, extra=extra)
+        prior = prior_of(coordinates, free)
+        for sharpness in _SPREAD_SHARPNESS:
+            end = refine(objective, coordinates, free, prior, sharpness=sharpness, roughly=True)
+            free = end.free
+        ends.append(end)
+    floor = min(end.evaluation.floor for end in ends)
+    best = min(ends, key=lambda end: replace(end.evaluation, floor=floor).cost.sum())
+    return coordinates.parameters(best.free)
+
+
+def _search(pool, bundle, fits, levels):
+    """
+    Return fits from multi-starts of all joints, coarse samples and a soft observer first.
+
+    Each has the others as last found. Links of a planar arm act on each other: with a wrong
+    friction of one joint the best of another is no minimum at all, or one far from the truth. So
+    they go on in turn while any gains.
+    """
+    looks = [(max(period, bundle.period), softness) for period, softness in levels]
+    coupled = bundle.arm.kind == 'planar' and len(fits) > 1
+    if not coupled:
+        looks = list(dict.fromkeys(looks))
+    levels, last = [looked_at(bundle, *look) for look in looks], len(looks) - 1
+    if coupled:
+        levels += [levels[-1]] * _MORE_TURNS
+    for turn, level in enumerate(levels):
+        thetas = [fit.theta for fit in fits]
+        patience = _PATIENCE if turn < last else _PATIENCE_LAST
+        tasks = [(level, j, thetas, fit, np.random.default_rng([turn, j]), patience,
+                  turn == last, turn > last) for j, fit in enumerate(fits)]
+        fits, gains = zip(*pool.map(searched, *zip(*tasks, strict=True)), strict=True)
+        if turn >= last and max(gains) < GAIN:
+            break
+    return fits
+
+
+def looked_at(bundle: Bundle, period: float, softness: float) -> Bundle:
+    """Return a bundle sampled every ``period`` [s] with another bandwidth of the observer."""
+    rough = coarser(bundle, period)
+    return rough._replace(observer=softness * rough.observer)
+
+
+def searched(bundle: Bundle, joint: int, thetas: Sequence, fit: JointFit, rng, patience: int,
+             all_ends: bool, again=False) -> tuple[JointFit, float]:
+    """
+    Return the best JointFit near one, or near all its ends, and how much was gained.
+
+    What good ends differ by is kept where the same look at the data is repeated (``again``).
+    """
+    found = multi_start(Objective(bundle, joint, thetas, train(bundle.period)), fit.coordinates,
+                fit.ends if all_ends and fit.ends else (fit.free,), fit.prior,
+                2.0 * bundle.half[joint], rng, patience)
+    scatter = np.maximum(found.scatter, fit.sampling) if again else found.scatter
+    return fit._replace(free=found.ends[0], sampling=scatter, ends=found.ends), found.gain
+
+
+def _finish(bundle, joint, thetas, fit):
+    """Refine a fit with all samples: without the data held out, then on all."""
+    coordinates, prior = fit.coordinates, fit.prior
+    held = refine(Objective(bundle, joint, thetas, train(bundle.period)), coordinates, fit.free,
+                  prior).free
+    objective = Objective(bundle, joint, thetas)
+    refined = refine(objective, coordinates, held, prior)
+    others = (refine(Objective(coarser(bundle, 2.0 * bundle.period), joint, thetas), coordinates,
+                     refined.free, prior),
+              refine(objective, coordinates, refined.free, prior, sharpness=_SOFT))
+    moved = sum((other.free - refined.free) ** 2 for other in others)
+    return fit._replace(free=refined.free, evaluation=refined.evaluation, held=held,
+                        sampling=np.sqrt(fit.sampling ** 2 + moved))
+
+
+class MultiStart(NamedTuple):
+    """Outcome of a multi-start."""
+
+    ends: tuple            # of free numbers (P,), the best first
+    scatter: np.ndarray    # (P,), standard deviation of the good ones about the best
+    gain: float            # cost where they began over that of the best
+
+
+def multi_start(objective: Objective, coordinates: Coordinates, starts: Sequence, prior,
+                count: float, rng, patience: int) -> MultiStart:
+    """
+    Refine again from perturbations of the best so far, as long as it pays, and keep the best.
+
+    ``starts`` are free numbers, the best first; ``count`` the encoder step or noise [rad]; it ends
+    after ``patience`` fits in a row without a gain. The scatter is as much larger as Student's
+    distribution is wider for so few: what the roughness leaves open.
+    """
+    begin = objective.evaluate(coordinates, starts[0], 1.0)
+    ends = [refine(objective, coordinates, starts[0], prior, roughly=True)]
+    floor, idle = ends[0].evaluation.floor, 0
+    carried = list(starts[1:])
+    while len(ends) <= _MOST and (carried or idle < patience):
+        best = min(ends, key=lambda end: _cost_above(end, floor, prior))
+        lowest = _cost_above(best, floor, prior)
+        if carried:
+            ends.append(_tried(objective, coordinates, carried.pop(0), prior, floor,
+                              _CARRIED, _POOR * lowest))
+        else:
+            start = best.free + _perturbation(coordinates, best.free, count, rng, len(ends) % 2)
+            ends.append(_tried(objective, coordinates, start, prior, floor, _TRIED,
+                              _HOPELESS * lowest))
+        # what the best explain decides what counts as explained: bad hollows look alike above it
+        floor = min(floor, objective.floor_of(ends[-1].evaluation.square))
+        gain = _cost_above(best, floor, prior) / _cost_above(ends[-1], floor, prior)
+        idle = 0 if gain > GAIN else idle + 1
+    ends.sort(key=lambda end: _cost_above(end, floor, prior))
+    lowest = _cost_above(ends[0], floor, prior)
+    ordered = [_in_order(coordinates, end.free) for end in ends]
+    good = [free for free, end in zip(ordered, ends, strict=True)
+            if _cost_above(end, floor, prior) <= _GOOD * lowest]
+    few = student.ppf(_UPPER, max(len(good) - 1, 2)) / norm.ppf(_UPPER)  # so few tell little
+    scatter = few * np.sqrt(np.mean(np.square(np.array(good) - good[0]), axis=0))
+    gain = total_cost(replace(begin, floor=floor), starts[0], prior) / lowest
+    return MultiStart(tuple(ordered[:KEPT]), scatter, gain)
+
+
+def _tried(objective, coordinates, free, prior, floor, steps, limit):
+    """Return a Refined from ``free``, left where it is if few steps do not get below ``limit``."""
+    end = refine(objective, coordinates, free, prior, roughly=True, floor=floor,
+                 iterations=steps)
+    if end.settled or _cost_above(end, floor, prior) > limit:
+        return end
+    return refine(objective, coordinates, end.free, prior, roughly=True, floor=floor)
+
+
+def _cost_above(end, floor, prior):
+    """Return the cost of a Refined if blocks below ``floor`` [rad] counted as explained."""
+    return total_cost(replace(end.evaluation, floor=floor), end.free, prior)
+
+
+def _in_order(coordinates, free):
+    """Return free numbers with blocks of equal weight from stiff to soft."""
+    if coordinates.free_weights:
+        return free
+    ordered = free.copy()
+    ordered[coordinates.yields] = np.sort(free[coordinates.yields])
+    return ordered
+
+
+def _perturbation(coordinates, free, count, rng, wide):
+    """
+    Return a random change of free numbers, about as large as they are uncertain.
+
+    Blocks that break away within a few counts move most, and together: a fit sees them only at
+    the moments when a count changes; ``wide`` moves them together far.
+    """
+    size = np.zeros(coordinates.size)
+    size[:N_STEADY] = [*_STEADY, *_STEADY, _BLOCKS]
+    size[coordinates.yields] = _BLOCKS
+    fine = np.zeros(coordinates.size)
+    fine[coordinates.yields] = np.exp(free[coordinates.yields]) < _FEW_COUNTS * count
+    return ((size + _FINE * fine) * rng.standard_normal(coordinates.size)
+            + (_WIDE if wide else _FINE) * fine * rng.standard_normal())

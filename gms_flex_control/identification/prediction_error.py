@@ -1,0 +1,326 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""
+Errors on data that had no part in a fit, beside Coulomb and viscous friction alone.
+
+Measured and predicted torque pass through one zero-phase low-pass, below the frequencies at
+which the smoothing of the acceleration shows: the error then is the model's, not the filter's.
+What the model leaves may go with the motion of other axes, or be periodic in the angle: then a
+sentence says so.
+"""
+
+from collections.abc import Callable, Sequence
+
+from gms_flex_control import records
+from gms_flex_control.data.signals import standing_out
+from gms_flex_control.dynamics import chain
+from gms_flex_control.dynamics.chain import inverse_dynamics
+from gms_flex_control.friction import gms
+from gms_flex_control.identification.coordinates import Coordinates, MOST_BLOCKS
+from gms_flex_control.identification.friction_map import friction_torque
+from gms_flex_control.identification.objective import Bundle, Objective
+from gms_flex_control.identification.result import HeldOut, Loop, Trace
+from gms_flex_control.identification.segments import moving, smooth_angle, standing
+from gms_flex_control.identification.smoothing import low_pass, low_pass_bandwidth, rms
+from gms_flex_control.simulation import plant, predictor
+import numpy as np
+
+HORIZON = 0.5       # of a free simulation [s]
+PRESLIDING = 'presliding'
+FEWEST_WAVES = 6.0  # of a ripple in the range of angles: fewer may be gravity or friction
+_STRIDE = 1.0       # from one start to the next [s]
+_SMALL, _FAST = 1e-3, 10.0  # least friction, of the other way; speed [rad/s]
+_LONGEST_TRACE = 20_000
+_MOST_LOOPS, _LONGEST_LOOP = 6, 4000
+_SHORTEST = 1.0       # of a loop that is shown [s]
+_LOADED = 0.98        # of F_s: presliding is what stays below
+_SHARE = 0.25         # of what is left, on data held out, that others must account for
+_WORTH = 0.02         # of the drive torque that must be left
+_FEWEST = 100         # samples to fit and to judge by
+_OWN, _SLOW = 6, 0.05  # columns of the axis itself; speed, of the usual, where its sign is clear
+_MUCH = 0.1           # of the squares of what is left: a ripple below is not worth a word
+
+
+def _model_friction(objective, segment, theta, period):
+    """Return friction of the joint (T,) along the smoothed motion, further torques included."""
+    angle = smooth_angle(segment, period)
+    tau = gms.replay(angle, segment.rate, period, objective.friction(theta))[:, objective.joint]
+    extra = objective.extra(segment)
+    return tau - extra @ theta[len(theta) - extra.shape[1]:]
+
+
+def coulomb_viscous(objective: Objective, bundle: Bundle, step: float, chosen: Callable):
+    """
+    Fit Coulomb and viscous friction alone, each direction its own, by least squares.
+
+    Returns Coulomb forward and backward [N m], viscous forward and backward [N m s/rad], and the
+    R coefficients of further torques (4 + R,), from the ``chosen`` samples, Segment -> bool (T,),
+    that move; ``step`` is the encoder step or noise [rad].
+    """
+    joint, rows, targets = objective.joint, [], []
+    for segment in bundle.segments:
+        rate = segment.rate[:, joint]
+        keep = chosen(segment) & (np.abs(rate) > standing(step)) & segment.tested[:, joint]
+        forward, backward = rate > 0.0, rate < 0.0
+        simple = np.stack([forward, -1.0 * backward, forward * rate, backward * rate], axis=1)
+        columns = np.concatenate([simple, -objective.extra(segment)], axis=1)
+        rows.append(low_pass(columns, segment.window)[keep])
+        targets.append(low_pass(friction_torque(segment, bundle.arm)[:, joint],
+                                segment.window)[keep])
+    return np.linalg.lstsq(np.concatenate(rows), np.concatenate(targets), rcond=None)[0]
+
+
+def simple_free(fit: np.ndarray, displacement: float) -> tuple[Coordinates, np.ndarray]:
+    """Return `coulomb_viscous` as a block that yields at ``displacement`` [rad]."""
+    coulomb = np.maximum(fit[:2], _SMALL * np.abs(fit[:2]).max())
+    viscous = np.maximum(fit[2:4], 1e-3 * coulomb / _FAST)
+    coordinates = Coordinates(1, n_extra=len(fit) - 4)
+    free = coordinates.pack(coulomb * 1.001, coulomb, np.full(2, 1e-3), viscous,
+                            coulomb.mean() / 0.01, [displacement], extra=fit[4:])
+    return coordinates, free
+
+
+def free_run_error(objective: Objective, bundle: Bundle, theta: np.ndarray,
+                   chosen: Callable) -> float:
+    """
+    Return the rms error of the link angle over free simulations of HORIZON [rad].
+
+    A simulation counts if all of its samples are chosen; NaN if no segment is long enough.
+    """
+    horizon, stride = round(HORIZON / bundle.period), round(_STRIDE / bundle.period)
+    links, joint, total, count = chain.constants_of(bundle.arm), objective.joint, 0.0, 0
+    for segment in bundle.segments:
+        samples, n = segment.angle.shape
+        first = stride
+        starts = max((samples - 1 - horizon - first) // stride + 1, 0)
+        keep = chosen(segment) & segment.tested[:, joint]
+        if not starts or not keep.any():
+            continue
+        extra = objective.extra(segment)
+        predicted = np.empty((starts, horizon, n))
+        blocks = gms.state_layout(n, MOST_BLOCKS)
+        predictor.simulate_freely(
+            np.ascontiguousarray(segment.angle), np.ascontiguousarray(segment.rate[0]),
+            segment.torque, extra, theta[len(theta) - extra.shape[1]:], bundle.period, links,
+            objective.friction(theta), joint, bundle.observer_gains(), bundle.half, first,
+            stride, horizon, records.build(blocks), records.build(blocks), plant.workspace(n),
+            predicted)
+        for start in range(starts):
+            rows = slice(first + start * stride, first + start * stride + horizon)
+            measured = segment.angle[rows, joint]
+            known = np.isfinite(measured) & keep[rows]
+            if known.all():
+                total += np.sum((predicted[start, :, joint] - measured) ** 2)
+                count += horizon
+    return float(np.sqrt(total / count)) if count else np.nan
+
+
+def held_out_errors(objective: Objective, bundle: Bundle, theta: np.ndarray, simple: np.ndarray,
+                    chosen: Callable, step: float, repeatability: float) -> HeldOut:
+    """
+    Return the HeldOut errors of one joint.
+
+    ``theta`` and ``simple`` (Coulomb and viscous friction with one stiff block) are fitted
+    without the samples that are ``chosen``; ``step`` is the encoder step or noise [rad],
+    ``repeatability`` that of the torque [N m].
+    """
+    joint, period = objective.joint, bundle.period
+    off, plain, torque, noise, innovations = [], [], [], [], []
+    for segment in bundle.segments:
+        keep = chosen(segment) & segment.tested[:, joint]
+        if not keep.any():
+            continue
+        window = segment.window
+        innovations.append(objective.predict(segment, theta, np.zeros((len(theta), 0)), 1.0)[1][
+            keep, joint])
+        keep &= moving(segment, joint, step, bundle.half[joint])
+        measured = friction_torque(segment, bundle.arm)[:, joint]
+        for errors, parameters in ((off, theta), (plain, simple)):
+            model = _model_friction(objective, segment, parameters, period)
+            errors.append(low_pass(measured - model, window)[keep])
+        drive = segment.torque + segment.constant
+        torque.append(low_pass(drive[:, joint], window)[keep])
+        noise.append(_torque_noise(segment.torque[:, joint], window)[keep])
+    off, plain, torque, noise, innovations = (
+        np.concatenate(part) for part in (off, plain, torque, noise, innovations))
+    usual = rms(torque)
+    return HeldOut(
+        torque_rms=rms(off), relative=rms(off) / usual, coulomb_viscous=rms(plain) / usual,
+        free_run_rms=free_run_error(objective, bundle, theta, chosen),
+        free_run_coulomb_viscous=free_run_error(objective, bundle, simple, chosen),
+        horizon=HORIZON, innovation_rms=rms(innovations), noise_floor=rms(noise),
+        repeatability=repeatability, bandwidth=low_pass_bandwidth(
+            max(segment.window for segment in bundle.segments), period))
+
+
+def _torque_noise(torque, window):
+    """Return white noise of a torque (T,) like its own, behind the low-pass [N m]."""
+    rough = np.diff(torque, 2, prepend=torque[:1], append=torque[-1:]) / np.sqrt(6.0)
+    usual = rough[np.abs(rough) <= np.quantile(np.abs(rough), 0.99)]  # no jumps of the torque
+    level = rms(usual)
+    pulse = np.zeros(4 * window + 1)
+    pulse[2 * window] = 1.0
+    gain = np.sqrt(np.sum(low_pass(pulse, window) ** 2))
+    return np.full(len(torque), level * gain)
+
+
+def traces_of(objective: Objective, bundle: Bundle, theta: np.ndarray, chosen: Callable) -> tuple:
+    """Return a Trace of each segment in which the joint is tested, thinned for drawing."""
+    traces = []
+    for segment in bundle.segments:
+        keep = np.flatnonzero(segment.tested[:, objective.joint])
+        if not len(keep):
+            continue
+        thin = keep[::max(1, len(keep) // _LONGEST_TRACE)]
+        model = low_pass(_model_friction(objective, segment, theta, bundle.period),
+                         segment.window)
+        measured = low_pass(friction_torque(segment, bundle.arm)[:, objective.joint],
+                            segment.window)
+        traces.append(Trace(
+            segment.begin + bundle.period * thin, segment.rate[thin, objective.joint],
+            measured[thin], model[thin],
+            chosen(segment)[thin], segment.source))
+    return tuple(traces)
+
+
+def _standing_torque(segment, arm):
+    """
+    Return the torque that friction holds at rest, shape (T, n_joints) [N m].
+
+    In presliding the links accelerate too little to tell it from the encoders' steps.
+    """
+    still = np.zeros_like(segment.rate)
+    return segment.torque - inverse_dynamics(np.nan_to_num(segment.angle), still, still, arm)
+
+
+def _presliding_parts(segment, joint, static, torque, period):
+    """Yield slices of presliding: by the phases or, unnamed, friction (T,) below ``static``."""
+    if (segment.phase != '').any():
+        inside = (segment.phase == PRESLIDING) & segment.tested[:, joint]
+    else:  # friction below break-away for a while
+        width = max(round(_SHORTEST / period), 1)
+        loaded = np.convolve(np.abs(torque) > _LOADED * static, np.ones(width), 'same') > 0.5
+        inside = ~loaded
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], inside.astype(np.int8), [0]])))
+    for begin, end in zip(edges[::2], edges[1::2], strict=True):
+        if (end - begin) * period >= _SHORTEST:
+            yield slice(begin, end)
+
+
+def presliding_reach(bundle: Bundle, joint: int, theta: np.ndarray) -> float:
+    """Return how far the joint went in one part of presliding, at most [rad]."""
+    reach = 0.0
+    for segment in bundle.segments:
+        torque = _standing_torque(segment, bundle.arm)[:, joint]
+        for rows in _presliding_parts(segment, joint, min(theta[[0, 4]]), torque, bundle.period):
+            angle = segment.angle[rows, joint]
+            reach = max(reach, float(np.nanmax(angle) - np.nanmin(angle)))
+    return reach
+
+
+def loops_of(objective: Objective, bundle: Bundle, theta: np.ndarray) -> tuple:
+    """Return at most six hysteresis Loops (Fig. 4) of the joint, of the largest torque."""
+    joint, loops = objective.joint, []
+    none = np.zeros((len(theta), 0))
+    for segment in bundle.segments:
+        torque = _standing_torque(segment, bundle.arm)[:, joint]
+        pieces = list(_presliding_parts(segment, joint, min(theta[[0, 4]]), torque,
+                                        bundle.period))
+        if not pieces:
+            continue
+        predicted = objective.predict(segment, theta, none, 1.0)[0][:, joint]
+        for rows in pieces:
+            thin = slice(rows.start, rows.stop, max(1, (rows.stop - rows.start) // _LONGEST_LOOP))
+            origin = np.nanmean(segment.angle[rows, joint])
+            loops.append(Loop(
+                segment.angle[thin, joint] - origin, torque[thin], predicted[thin] - origin,
+                f'{segment.source}, {segment.begin + rows.start * bundle.period:.1f} s'))
+    loops.sort(key=lambda loop: -np.nanmax(np.abs(loop.torque)))
+    return tuple(loops[:_MOST_LOOPS])
+
+
+def ripple_sentences(objective: Objective, bundle: Bundle, theta: np.ndarray, name: str) -> tuple:
+    """Return a sentence if a ripple is in what a fit leaves of a joint's torque, or none."""
+    joint, parts = objective.joint, []
+    for segment in bundle.segments:
+        keep = segment.tested[:, joint] & np.isfinite(segment.angle[:, joint])
+        if keep.any():
+            left = friction_torque(segment, bundle.arm)[:, joint] - _model_friction(
+                objective, segment, theta, bundle.period)
+            parts.append((segment.angle[keep, joint], left[keep], segment.rate[keep, joint]))
+    angles, torques, rates = zip(*parts, strict=True)
+    span = max(float(np.ptp(angle)) for angle in angles)
+    orders = standing_out(angles, torques, rates, 2.0 * np.pi * FEWEST_WAVES / max(span, 1e-300))
+    if not orders:
+        return ()
+    angle, torque = np.concatenate(angles), np.concatenate(torques)
+    waves = np.stack([np.sin(orders[0] * angle), np.cos(orders[0] * angle)], axis=1)
+    size = float(np.hypot(*np.linalg.lstsq(waves, torque, rcond=None)[0]))
+    if 0.5 * size ** 2 < _MUCH * np.mean(torque ** 2):
+        return ()
+    return (f'A ripple of about {size:.2g} N m, {orders[0]:.4g} periods per revolution of {name}, '
+            'is in what this model leaves of the torque. `gms_flex discrepancy` sizes it and adds '
+            'it to the robot file; identified again with that file, friction is free of it',)
+
+
+def coupling_sentences(objective: Objective, bundle: Bundle, theta: np.ndarray,
+                       names: Sequence[str], chosen: Callable, apart=()) -> tuple:
+    """
+    Return a sentence if other axes account for what the model leaves of a joint's torque, or none.
+
+    Of decoupled axes only: least squares of the residual on the axis' own motion (what the others
+    do had its share in what was fitted) and on the accelerations of the others, alone or with what
+    their angles do to inertia; the share they account for is that of data they were not fitted to,
+    the ``chosen`` samples or the segments ``apart``. Gravity of a chain would need many more
+    columns, which short recordings do not tell apart.
+    """
+    joint = objective.joint
+    others = [k for k in range(len(names)) if k != joint]
+    if bundle.arm.kind != 'decoupled' or not others:
+        return ()
+    parts = [_left(objective, bundle, theta, segment, others)
+             for segment in (*bundle.segments, *apart)]
+    out = [chosen(segment) & (not apart) for segment in bundle.segments]
+    out += [np.ones(len(segment.angle), dtype=bool) for segment in apart]
+    kept = [part[2] for part in parts]
+    left, columns, torque, out = (
+        np.concatenate([values[keep] for values, keep in zip(group, kept, strict=True)])
+        for group in ([part[0] for part in parts], [part[1] for part in parts],
+                      [segment.torque[:, joint] for segment in (*bundle.segments, *apart)], out))
+    if min(out.sum(), (~out).sum()) < _FEWEST:
+        return ()
+    share = max(_share(left, columns[:, :width], out)
+                for width in (_OWN + len(others), columns.shape[1]))
+    if share < _SHARE or rms(left[out]) < _WORTH * rms(torque[out]):
+        return ()
+    return (f'{100 * share:.0f} % of what this model leaves of the torque of {names[joint]} goes '
+            f'with the motion of {", ".join(names[k] for k in others)}: the axes act on each '
+            'other (inertia, gravity), which a model of single axes lacks, so inertia, gravity '
+            'and friction hold for this motion only; move one axis at a time, or describe the '
+            'links as a planar arm or by a URDF whose masses are right',)
+
+
+def _left(objective, bundle, theta, segment, others):
+    """Return what is left of the torque (T,), columns of the others, and where both count."""
+    joint = objective.joint
+    residual = friction_torque(segment, bundle.arm)[:, joint] - _model_friction(
+        objective, segment, theta, bundle.period)
+    bend, cosine = segment.acceleration, np.cos(np.nan_to_num(segment.angle[:, others]))
+    rate, angle = segment.rate[:, joint], np.nan_to_num(segment.angle[:, joint])
+    own = [np.ones(len(rate)), bend[:, joint], rate, np.tanh(rate / (_SLOW * rms(rate) + 1e-12)),
+           np.cos(angle), np.sin(angle)]
+    columns = np.concatenate([np.stack(own, axis=1), bend[:, others], bend[:, others] * cosine,
+                              bend[:, [joint]] * cosine], axis=1)
+    keep = segment.tested[:, joint] & np.isfinite(segment.angle).all(axis=1)
+    return low_pass(residual, segment.window), low_pass(columns, segment.window), keep
+
+
+def _share(left, columns, out):
+    """Return how much of the square of ``left`` others account for, beyond the axis itself."""
+    rests = []
+    for width in (0, _OWN, columns.shape[1]):
+        part = columns[:, :width]
+        fit = np.linalg.lstsq(part[~out], left[~out], rcond=1e-9)[0]
+        rests.append(rms(left[out] - part[out] @ fit))
+    return 1.0 - (rests[2] / max(min(rests[:2]), 1e-300)) ** 2

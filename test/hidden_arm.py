@@ -1,0 +1,85 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""An arm whose links are not those of its URDF, moved by MuJoCo, which is independent of us."""
+
+from dataclasses import replace
+from pathlib import Path
+import xml.etree.ElementTree as ElementTree
+
+from gms_flex_control import load_robot, Recording
+from gms_flex_control.dynamics.chain import mass_matrices
+from gms_flex_control.params.arm import ArmParams
+import numpy as np
+
+ARM = Path(__file__).parents[1] / 'examples' / 'industrial_arm' / 'robot.yaml'
+STEP, EVERY = 5e-4, 4   # s; steps of a sample
+COUNTS = 2e6            # of the encoders, per revolution
+
+
+def believed():
+    """Return the robot of the example, its joints rigid."""
+    robot = load_robot(ARM)
+    return replace(robot, motors=('',) * 6, arm=replace(
+        robot.arm, stiffness=np.full(6, np.inf), damping=np.zeros(6)))
+
+
+def hidden_urdf(seed=0):
+    """Return the URDF with mass, centre of mass and inertia of each link 10 to 30 % off."""
+    rng = np.random.default_rng(seed)
+    root = ElementTree.parse(ARM.with_name('industrial_arm.urdf')).getroot()
+    for inertial in root.iter('inertial'):
+        def off(text):
+            factor = 1.0 + rng.uniform(0.1, 0.3) * rng.choice([-1.0, 1.0])
+            return ' '.join(repr(float(factor * float(one))) for one in text.split())
+        inertial.find('mass').set('value', off(inertial.find('mass').get('value')))
+        inertial.find('origin').set('xyz', off(inertial.find('origin').get('xyz')))
+        inertia = inertial.find('inertia')
+        scaled = off(' '.join(inertia.attrib.values())).split()
+        for name, value in zip(list(inertia.attrib), scaled, strict=True):
+            inertia.set(name, value)
+    return ElementTree.tostring(root, encoding='unicode')
+
+
+def moved(urdf, arm: ArmParams, seconds, seed=0, noise=0.002):
+    """
+    Return a Recording of PD control along sinusoids, friction in the joints.
+
+    ``noise`` is white noise of the recorded torque, of its standard deviation.
+    """
+    import mujoco
+    model = mujoco.MjModel.from_xml_string(urdf)
+    model.opt.gravity[:], model.opt.timestep = arm.gravity, STEP
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    model.dof_armature[:] = 1.2 * arm.motor_inertia
+    data, n, rng = mujoco.MjData(model), arm.n_joints, np.random.default_rng(seed)
+    frequency, phase = rng.uniform(0.1, 0.6, (3, n)), rng.uniform(0.0, 2.0 * np.pi, (3, n))
+    size = 0.25 * np.minimum(arm.frames.upper - arm.frames.lower, 2.0 * np.pi) / 2.0
+
+    def reference(t):
+        turn = 2.0 * np.pi * frequency * t + phase
+        return (size * np.sin(turn)).sum(axis=0), (
+            size * 2.0 * np.pi * frequency * np.cos(turn)).sum(axis=0)
+    data.qpos[:], data.qvel[:] = reference(0.0)
+    mujoco.mj_forward(model, data)
+    mass = np.diag(mass_matrices(np.zeros((1, n)), arm)[0])
+    stiff, coulomb, viscous = 400.0 * mass, 0.02 * mass + 4.0, 0.05 * mass + 2.0
+    samples = round(seconds / STEP / EVERY)
+    angle, torque = np.empty((2, samples, n))
+    applied = np.zeros(n)
+    for k in range(samples):
+        angle[k], torque[k] = data.qpos, applied
+        wanted, rate = reference(k * EVERY * STEP)
+        applied = stiff * (wanted - data.qpos) + 0.08 * stiff * (rate - data.qvel) + (
+            data.qfrc_bias)
+        for _ in range(EVERY):
+            friction = coulomb * np.tanh(data.qvel / 0.005) + viscous * data.qvel
+            data.qfrc_applied[:] = applied - friction
+            mujoco.mj_step(model, data)
+    torque += noise * torque.std(axis=0) * rng.standard_normal(torque.shape)
+    count, nothing = 2.0 * np.pi / COUNTS, np.full(angle.shape, np.nan)
+    return Recording(
+        joints=tuple(f'joint{j + 1}' for j in range(n)), time=STEP * EVERY * np.arange(samples),
+        q_link=count * np.round(angle / count), dq_link=nothing, q_motor=nothing,
+        dq_motor=nothing, tau_motor=torque, command=torque,
+        reference=np.full((samples, 5, n), np.nan), friction_hat=nothing, source='hidden')
