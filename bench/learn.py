@@ -206,7 +206,8 @@ def gaussian_process():
 def network():
     """Return a small neural network, stopped where a tenth of the data says so."""
     from sklearn.neural_network import MLPRegressor
-    return MLPRegressor((16, 16), early_stopping=True, max_iter=1000, random_state=0)
+    return MLPRegressor(hidden_layer_sizes=(16, 16), early_stopping=True, max_iter=1000,
+                        random_state=0)
 
 
 def free_error(recordings, robot, peer=None):

@@ -8,6 +8,7 @@ import json
 
 from bench.hidden_robots import outsiders
 from bench.hidden_robots.cases import make_case
+from bench.learn import text_of
 from gms_flex_control.compiled import compiled
 from gms_flex_control.control.feedforward import as_parameters
 from gms_flex_control.discrepancy.learned_words import described, formula_of
@@ -211,3 +212,17 @@ def test_a_clean_robot_gets_no_term_even_if_asked_for():
     result = learn(asked)
     assert result.learned == () and result.robot is found.robot
     assert 'No learned term predicts' in result.words
+
+
+def test_the_bench_prints_its_figures_and_counts_what_was_made_worse():
+    hidden = {'kind': 'outside', 'seed': 0, 'verdict': 'unexplained', 'seconds': 9.0}
+    term = ['learned_position', 'joint1', 'a bump']
+    text = '\n'.join(text_of([
+        {**hidden, 'name': 'local_bump', 'energy': 0.1, 'free': 0.4, 'terms': [term]},
+        {**hidden, 'name': 'speed_band', 'energy': 0.5, 'free': 1.2, 'terms': []},
+        {'kind': 'clean', 'terms': []}, {'kind': 'clean', 'terms': [term]},
+        {'kind': 'real', 'name': 'emps', 'verdict': 'unexplained', 'unit': 'N', 'factor': 1.0,
+         'length': ['mm', 1e3], 'terms': [term],
+         'models': {'learned term': [1.5, 4e-4, 0.0, 30.0]}}]))
+    assert 'Functions of state: 1 of 2 learned' in text and 'Made worse: 1 of 2.' in text
+    assert 'Clean robots with a term: 1 of 2.' in text and '0.4 ' in text
