@@ -101,18 +101,17 @@ def _learned(result, holdout, say):
     measured = Likelihood([motion_of(one, likelihood.robot) for one in holdout],
                           likelihood.robot, held_out=True) if holdout else None
     learning = _Learning(likelihood, measured, result.behind.before, say)
-    state = learning.state(written)
     known = {(one.name, one.joint) for one in result.stand_ins}
+    begins = [written]
     if known:  # a term may take the place of what only resembles it
         fewer = replace(written.robot, effects=tuple(
             one for one in written.robot.effects if (one.name, one.joint) not in known))
-        end = learning.run(learning.state(likelihood.fitted(fewer, written.x)))
-        if not end[1] or _distance(likelihood, end[2]) > _distance(likelihood, result.gap):
-            end = learning.run(state)
+        begins.insert(0, likelihood.fitted(fewer, written.x))
+    for begin in begins:
+        state, terms, gap, drift = learning.run(learning.state(begin))
+        if terms and _is_closer(likelihood, gap, result.gap):
+            break
     else:
-        end = learning.run(state)
-    state, terms, gap, drift = end
-    if not terms:
         return result.saying(drift or words_of(()))
     robot = with_nuisances(state.model.robot, likelihood.nuisances, state.model.x)
     kept = {(one.name, one.joint) for one in robot.effects}
@@ -123,10 +122,11 @@ def _learned(result, holdout, say):
         behind=result.behind._replace(written=state.model))
 
 
-def _distance(likelihood, gap):
-    """Return squared held-out torque in Coulomb frictions times squared free-run error."""
-    free = float(np.nansum(gap.free_after ** 2)) or 1.0
-    return float(np.sum((gap.after / likelihood.coulomb) ** 2)) * free
+def _is_closer(likelihood, gap, before):
+    """Return whether a Gap is clearly less in torque and no more in free runs than another."""
+    torque, other = (float(np.sum((one.after / likelihood.coulomb) ** 2)) for one in (gap, before))
+    return CLEARLY * torque < other and (
+        np.nansum(gap.free_after ** 2) <= np.nansum(before.free_after ** 2))
 
 
 class _Learning:
@@ -191,10 +191,8 @@ class _Learning:
         """Return the Gap of a model if it is clearly less in torque and no more in free runs."""
         if not (self._measured or self._likelihood).is_followed(state.model):
             return None
-        other, level = self._gap(state), self._likelihood.coulomb
-        torque, before = (float(np.sum((one.after / level) ** 2)) for one in (other, gap))
-        free, freely = (float(np.nansum(one.free_after ** 2)) for one in (other, gap))
-        return other if CLEARLY * torque < before and free <= freely else None
+        other = self._gap(state)
+        return other if _is_closer(self._likelihood, other, gap) else None
 
     def _freedom(self, one):
         """Return how many parameters of a term the data determine, its effective parameters."""
