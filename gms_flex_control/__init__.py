@@ -12,11 +12,6 @@ from importlib import import_module
 import sys
 from typing import TYPE_CHECKING
 
-__version__ = '0.1.0'
-
-if sys.version_info < (3, 11):  # noqa: UP036  colcon does not ask
-    sys.exit(f'gms_flex_control needs Python 3.11 or later, this is {sys.version.split()[0]}')
-
 if TYPE_CHECKING:
     from gms_flex_control.data.reader import read_recording
     from gms_flex_control.data.recording import Recording
@@ -25,6 +20,11 @@ if TYPE_CHECKING:
     from gms_flex_control.experiment.simulated import simulate
     from gms_flex_control.results import analyse, compare, find_discrepancy, identify, tune
     from gms_flex_control.schema.files import load_controller, load_robot, save_robot
+
+__version__ = '0.1.0'
+
+if sys.version_info < (3, 11):  # noqa: UP036  colcon does not ask
+    sys.exit(f'gms_flex_control needs Python 3.11 or later, this is {sys.version.split()[0]}')
 
 __all__ = ['Recording', 'analyse', 'compare', 'find_discrepancy', 'identify', 'load_controller',
            'load_robot', 'read_plan', 'read_recording', 'save_robot', 'simulate', 'tune',

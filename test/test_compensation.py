@@ -67,7 +67,7 @@ def test_gms_of_the_desired_motion_is_friction_replayed_along_the_reference(arm)
     coarse = replace(robot, encoder=EncoderParams(counts=500.0, velocity_cutoff=20.0))
     found = run(coarse, gains, 'gms_desired', builders.sinusoid(np.ones(2), 6.0))
     expected = gms.replay(found.reference[:, 0], found.reference[:, 1], 2e-3,
-                      gms.constants_of(robot.friction))
+                          gms.constants_of(robot.friction))
     np.testing.assert_allclose(found.friction_hat, expected, atol=1e-12)
 
 

@@ -87,7 +87,7 @@ def test_what_good_ends_differ_by_is_kept_when_the_same_look_is_taken_again(monk
     monkeypatch.setattr(search, 'Objective', lambda *args: Rippled())
     thetas = [COORDINATES.unpack(TRUTH)[0]] * 2
     kept, afresh = (search.searched(bundle(1e-3), 0, thetas, fit,
-                                     np.random.default_rng(0), 5, False, again)[0]
+                                    np.random.default_rng(0), 5, False, again)[0]
                     for again in (True, False))
     assert np.all(kept.sampling >= 0.2)
     assert np.all(afresh.sampling < 0.2)

@@ -219,7 +219,7 @@ def two_joints(reverse=False):
 
 def assert_same_data(one, other):
     """Raise unless two Data hand the same numbers to a fit."""
-    for a, b in zip(one.bundle.segments, other.bundle.stretches, strict=True):
+    for a, b in zip(one.bundle.segments, other.bundle.segments, strict=True):
         for name in ('angle', 'rate', 'acceleration', 'torque', 'tested'):
             np.testing.assert_array_equal(getattr(a, name), getattr(b, name), err_msg=name)
     np.testing.assert_array_equal(one.bundle.half, other.bundle.half)

@@ -8,7 +8,7 @@ import pytest
 action = pytest.importorskip(
     'control_msgs.action', reason='control_msgs is not installed, there is no wheel of it: '
     'the action itself runs on a ROS installation only')
-from action_msgs.msg import GoalStatus  # noqa: E402  after the skip
+from action_msgs.msg import GoalStatus  # noqa: E402,I100  after the skip
 from control_msgs.msg import JointTolerance  # noqa: E402
 import numpy as np  # noqa: E402
 from rclpy.action import ActionClient  # noqa: E402

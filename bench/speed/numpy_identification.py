@@ -111,14 +111,14 @@ class PlainObjective:
         zero = np.zeros(1)
         self._inertia = float(matrices(zero, zero, zero, zero, bundle.arm).mass[0, 0])
         self._bundle, self._floor = bundle, floor
-        self._counted = [objective.counted(stretch) for stretch in bundle.stretches]
+        self._counted = [objective.counted(segment) for segment in bundle.segments]
 
     def cost(self, theta):
         """Return the cost of parameters, as Evaluation.cost summed."""
         bundle, total = self._bundle, 0.0
         length = max(round(BLOCK_TIME / bundle.period), 1)
-        for stretch, counted in zip(bundle.stretches, self._counted, strict=True):
-            error = innovations(stretch, theta, self._inertia, bundle.period,
+        for segment, counted in zip(bundle.segments, self._counted, strict=True):
+            error = innovations(segment, theta, self._inertia, bundle.period,
                                 float(bundle.half[0]), float(bundle.observer[0]))
             begins = np.arange(0, len(error), length)
             count = np.add.reduceat(counted, begins, dtype=int)

@@ -81,7 +81,7 @@ def _on_plant(args, files):
     setting = study.Setting(robot, gains, np.full(robot.n_joints, args.amplitude), args.rate,
                             args.draws, args.seed)
     outcomes = _finished(args, study.try_cell, study.cells(setting), robot, gains,
-                        (args.amplitude, args.rate, args.seed), 'cells')
+                         (args.amplitude, args.rate, args.seed), 'cells')
     rows = study.table(outcomes, setting)
     values = {'rate': args.rate, 'amplitude': args.amplitude, 'draws': args.draws,
               'seed': args.seed, 'rows': [row._asdict() for row in rows], 'cells': outcomes}
@@ -101,7 +101,7 @@ def _along_bag(args):
     items = {mode: prediction.FitItem(bag, motors, robot, gains, args.fit, mode)
              for mode in prediction.modes_to_fit(found.has_reference)}
     fits = _finished(args, prediction.fit_item, items, robot, gains,
-                    (content_of(bag), args.fit), 'fits')
+                     (content_of(bag), args.fit), 'fits')
     predictions = prediction.compare_along(found, gains, args.fit, fits)
     values = {'bag': bag, 'fit': args.fit, 'rows': prediction_values(predictions)}
     return (comparison_page.bag_text(predictions, found, robot.joints), values,

@@ -56,7 +56,7 @@ def _answered(args):
     takes, holdout = ([read_take(path, robot)[0] for path in paths]
                       for paths in (args.bags, args.holdout))
     result = _looped(args, robot, holdout or takes,
-                    lambda: _searched(takes, robot, options, holdout, args))
+                     lambda: _searched(takes, robot, options, holdout, args))
     compared = ()
     if others and result.behind is not None:
         compared = compare(result, [('as given', robot), ('with what was found', as_found(result)),

@@ -44,7 +44,7 @@ def identify_verb(args) -> int:
         raise ConfigError(each_bag.ONLY_WITH_EACH)
     robot, options, out = _robot_of(args), _options_of(args), Path(args.out)
     found = _identified(args.bags, args.holdout, robot, options, args.robot is not None,
-                       say=(lambda _: None) if args.json else say)
+                        say=(lambda _: None) if args.json else say)
     _write_results(found, out, args.robot or ())
     if args.json:
         print(json.dumps(report_json(found), indent=2, allow_nan=False))

@@ -37,7 +37,7 @@ class Verb(NamedTuple):
 
     name: str
     run: str             # 'module.function' below gms_flex_control.cli, takes the arguments
-    help: str
+    summary: str
     description: str
     options: tuple       # of Option or OneOf
     examples: tuple      # of str, without the name of the tool
@@ -111,7 +111,7 @@ def add_options(parser, options) -> None:
 
 def add_verb(verb: Verb, subparsers) -> None:
     """Add the parser of a verb, which imports the verb's module when it runs."""
-    parser = subparsers.add_parser(verb.name, help=verb.help, description=verb.description)
+    parser = subparsers.add_parser(verb.name, help=verb.summary, description=verb.description)
     add_options(parser, verb.options)
     parser.set_defaults(run=partial(_run, verb.run))
 

@@ -26,7 +26,7 @@ def view(args) -> int:
               for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         with _view(args) as shown, ViewServer(shown, args.host, args.port,
-                                             may_set=local or args.allow_set) as server:
+                                              may_set=local or args.allow_set) as server:
             if not local:
                 _warn(args)
             print(f'{server.url}  (Ctrl-C ends it)', flush=True)

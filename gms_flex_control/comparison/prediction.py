@@ -34,10 +34,10 @@ from scipy.optimize import least_squares
 
 # whether parameters are fitted, beginning at the friction of the robot's file
 _FITTED = {'none': False, 'stribeck': True, 'lugre': True, 'gms_paper': True, 'gms': True,
-          'gms_desired': True, 'disturbance_observer': False, 'gms_adaptive': True}
+           'gms_desired': True, 'disturbance_observer': False, 'gms_adaptive': True}
 _NEEDS_REFERENCE = ('gms', 'gms_desired')
 _REMARKS = {'disturbance_observer': 'sees the torque that it predicts, late',
-           'gms_adaptive': 'goes on adapting to the torque error while it is judged'}
+            'gms_adaptive': 'goes on adapting to the torque error while it is judged'}
 _MOST_FIT = 40_000   # samples of a fit
 _LEAST_SHARE = 0.05  # static above Coulomb friction, and viscous at v_s, where a fit begins
 _BOUND = 3.0         # of the logarithm of what a fit scales
@@ -114,8 +114,8 @@ def predicted(piece, robot, gains, mode) -> np.ndarray:
     reference = np.where(np.isfinite(piece.reference), piece.reference, 0.0)
     out = np.empty(piece.angle.shape)
     _estimate_loop(piece.angle, piece.rate, reference, piece.drive, piece.period,
-                  cascade.init(robot), encoder.init(n), cascade.constants_of(chosen, robot),
-                  cascade.workspace(n), out)
+                   cascade.init(robot), encoder.init(n), cascade.constants_of(chosen, robot),
+                   cascade.workspace(n), out)
     return out
 
 
@@ -127,7 +127,7 @@ def _adapted(piece, robot, start) -> np.ndarray:
     """
     n, out = robot.n_joints, np.empty(piece.angle.shape)
     _adapt_loop(piece.angle, piece.rate, piece.friction, piece.period, gms.init(robot.friction),
-               gms.constants_of(robot.friction), np.zeros(n), start, out)
+                gms.constants_of(robot.friction), np.zeros(n), start, out)
     return out
 
 

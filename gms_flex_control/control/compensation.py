@@ -156,7 +156,7 @@ def _stribeck(measured, constants, work):
 @compiled
 def _lugre(state, measured, constants, work):
     """
-    LuGre on the measured motion, ``dz/dt = v - sigma_0 abs(v) z / s(v)``.
+    Estimate by LuGre on the measured motion, ``dz/dt = v - sigma_0 abs(v) z / s(v)``.
 
     sigma_0 is the stiffness of all blocks together. sigma_1 is 0: the friction of this package
     has no damping of the bristles, and an estimate of it would be positive feedback of a noisy

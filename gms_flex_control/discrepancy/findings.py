@@ -161,10 +161,12 @@ def predictive(likelihood, found, worths, held_out) -> tuple:
         energy = held_out.energy(found.best)
         if len(worths) == 1 and np.isfinite(energy):
             break
-        worst = min(worths, key=lambda one: held_out.energy(one.rest))
-        if CLEARLY * held_out.energy(worst.rest) > energy:
+        without_each = {one.index: held_out.energy(_without(likelihood, found, one.index))
+                        for one in worths}
+        worst = min(without_each, key=without_each.get)
+        if CLEARLY * without_each[worst] > energy:
             break
-        found, worths = _pruned(likelihood, _dropped(likelihood, found, worst.index))
+        found, worths = _pruned(likelihood, _dropped(likelihood, found, worst))
     return _alone(likelihood, found, worths, held_out)
 
 
@@ -298,9 +300,8 @@ def _dropped(likelihood, found, index):
 
 def _without(likelihood, found, *dropped):
     """Return the State of a search's end without effects (indices), all else re-tuned."""
-    less, columns = without(likelihood, *found.best[:2], *dropped)
-    return state_of(likelihood, fit(likelihood, less.robot, less.x, columns), columns,
-                    found.hypotheses)
+    less, _ = without(likelihood, *found.best[:2], *dropped)  # derivatives anew: much may move
+    return state_of(likelihood, *refitted(likelihood, less, found.nuisances), found.hypotheses)
 
 
 def _tried_without(likelihood, found, spec):

@@ -101,7 +101,7 @@ def null_simulation(motion, constants, rng):
     for side in range(2):
         for j in range(n):
             readings[:, side, j] = _read(readings[:, side, j], motion.readings[:, side, j],
-                                        motion.noise[side, j], rng)
+                                         motion.noise[side, j], rng)
     made = make_motion(motion.joints, motion.fine_time, motion.fine_period, readings, held,
                        motion.supply, motion.commanded, motion.source, motion.unseen)
     return replace(made, known=motion.known, pushed=pushed)

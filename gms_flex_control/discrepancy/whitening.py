@@ -231,7 +231,7 @@ class Groups:
         self._ends = np.concatenate([[0], np.cumsum(self.count)]).astype(int)
 
     def sums(self, values) -> np.ndarray:
-        """Return the sums (G,) of values (R,) by group."""
+        """Return what values (R,) add up to in each group, shape (G,)."""
         return np.bincount(self.group, values, minlength=len(self.count))
 
     def ordered(self, columns) -> np.ndarray:

@@ -137,7 +137,7 @@ class Bridge:
 
     @property
     def torque(self) -> np.ndarray:
-        """Return the torque (n_joints,) given to the robot last [N m]."""
+        """Return what the robot was given last, shape (n_joints,) [N m]."""
         return self.controller.torque
 
     # states --------------------------------------------------------------------------------

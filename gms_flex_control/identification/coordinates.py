@@ -85,7 +85,7 @@ class Coordinates:
         return free
 
     def parameters(self, free) -> np.ndarray:
-        """Return the parameters (9 + 2 MOST_BLOCKS + n_extra,), order of simulation.predictor."""
+        """Return (9 + 2 MOST_BLOCKS + n_extra,) parameters, the order of simulation.predictor."""
         return self.unpack(free)[0]
 
     def unpack(self, free) -> tuple[np.ndarray, np.ndarray]:

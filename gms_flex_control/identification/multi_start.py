@@ -145,8 +145,8 @@ def searched(bundle: Bundle, joint: int, thetas: Sequence, fit: JointFit, rng, p
     What good ends differ by is kept where the same look at the data is repeated (``again``).
     """
     found = multi_start(Objective(bundle, joint, thetas, train(bundle.period)), fit.coordinates,
-                fit.ends if all_ends and fit.ends else (fit.free,), fit.prior,
-                2.0 * bundle.half[joint], rng, patience)
+                        fit.ends if all_ends and fit.ends else (fit.free,), fit.prior,
+                        2.0 * bundle.half[joint], rng, patience)
     scatter = np.maximum(found.scatter, fit.sampling) if again else found.scatter
     return fit._replace(free=found.ends[0], sampling=scatter, ends=found.ends), found.gain
 
@@ -192,11 +192,11 @@ def multi_start(objective: Objective, coordinates: Coordinates, starts: Sequence
         lowest = _cost_above(best, floor, prior)
         if carried:
             ends.append(_tried(objective, coordinates, carried.pop(0), prior, floor,
-                              _CARRIED, _POOR * lowest))
+                               _CARRIED, _POOR * lowest))
         else:
             start = best.free + _perturbation(coordinates, best.free, count, rng, len(ends) % 2)
             ends.append(_tried(objective, coordinates, start, prior, floor, _TRIED,
-                              _HOPELESS * lowest))
+                               _HOPELESS * lowest))
         # what the best explain decides what counts as explained: bad hollows look alike above it
         floor = min(floor, objective.floor_of(ends[-1].evaluation.square))
         gain = _cost_above(best, floor, prior) / _cost_above(ends[-1], floor, prior)

@@ -90,7 +90,7 @@ def over_bags_answer(found, rows, bags) -> Answer:
     """Return what differs most from bag to bag, and which to look at first (Answer)."""
     good = _good(found)
     known = sorted((row for row in rows if row.mean and row.standard_deviation > 0.0),
-                  key=lambda row: -row.standard_deviation / abs(row.mean))[:3]
+                   key=lambda row: -row.standard_deviation / abs(row.mean))[:3]
     sentence = f'{len(good)} of {len(found)} bags have an answer'
     if known:
         first = known[0]
@@ -124,7 +124,7 @@ def _findings(good):
 def _parameters(rows, good):
     beside = list(good)[:_COLUMNS] if 1 < len(good) <= _COLUMNS else []
     known = {bag: {one['name']: one['value'] for one in good[bag]['estimates'] if is_told(one)}
-            for bag in beside}
+             for bag in beside}
     lines = [[row.name.removeprefix('friction.'), row.unit, str(row.bags), number(row.mean),
               number(row.standard_deviation, 2), _share(row), number(row.foreseen, 2),
               *(number(known[bag].get(row.name, math.nan)) for bag in beside)] for row in rows]

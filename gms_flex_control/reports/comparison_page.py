@@ -18,10 +18,10 @@ _MIXED = 'friction, K and M off together'
 _GROUPS = {'friction': 'F+-30%', 'K': 'K+-20%', 'M': 'M+-30%', '4096 counts': '4k', '16384 counts':
            '16k', '65536 counts': '65k', '200 Hz': '200Hz', '1000 Hz': '1kHz'}
 _NOTE = ('rms error of all joints and both motions [mrad], the plant as believed, then with one '
-        'thing different at a\ntime (the worse of both signs), then of robots drawn with all '
-        'of friction, K and M off (median, worst);\nlargest motion at rest [mrad] of the plant '
-        'as believed and of all drawn; rms torque [N m] and rms of its\nrate [N m/s] of the '
-        'plant as believed')
+         'thing different at a\ntime (the worse of both signs), then of robots drawn with all '
+         'of friction, K and M off (median, worst);\nlargest motion at rest [mrad] of the plant '
+         'as believed and of all drawn; rms torque [N m] and rms of its\nrate [N m/s] of the '
+         'plant as believed')
 
 
 def _milli(value):

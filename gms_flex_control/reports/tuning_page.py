@@ -90,7 +90,7 @@ def expected_lines(trials, judgement, robot) -> list:
     """Return what error of the links to expect of the last mode of ``trials``, as lines."""
     mode = list(trials)[-1]
     errors = '; '.join(f'{joint} {_expected(trials[mode].values(), j)}'
-                     for j, joint in enumerate(robot.joints))
+                       for j, joint in enumerate(robot.joints))
     held = ', '.join(f'{joint} {1e3 * value:.3g} mrad' for joint, value in zip(
         robot.joints, judgement.held, strict=True))
     return [f'expected error, {mode}, the worse motion: {errors}',

@@ -72,14 +72,14 @@ _BRIDGE = (
     Key('command_type', 'string', 'Float64MultiArray on command_topic, JointState on '
         'joint_command_topic, or both', default='array', choices=('array', 'joint_state', 'both')),
     Key('joint_command_topic', 'string', 'efforts as JointState', default='robot/joint_commands'),
-    Key('command_order', 'string_array', "our joint names in the order of the effort "
+    Key('command_order', 'string_array', 'our joint names in the order of the effort '
         "controller's; empty for that of joints", default=()),
     Key('state_timeout', 'double', 'without joint states for so long: zero torque and FAULT', 's',
         0.03, 0.002, 1.0),
     Key('skew', 'double', 'readings further apart make no state', 's', 0.01, 1e-5, 1.0),
     Key('velocity_cutoff', 'double', 'low-pass of velocities that the robot does not send', 'Hz',
         50.0, 0.1, 1e4),
-    Key('hold_service', 'string', "called by ~/enable so that the reference begins where the "
+    Key('hold_service', 'string', 'called by ~/enable so that the reference begins where the '
         "robot is; '' for none", default='trajectory/reset'),
     Key('guardian', 'boolean', 'start a process that sends zero efforts when the bridge dies or '
         'freezes', default=True),
@@ -95,7 +95,7 @@ _SIDE = (
 # below mapping.<joint>.effort
 _EFFORT = (
     Key('name', 'string', "name in the robot's joint states and commands; '' is that of the motor "
-        "side, or of the link of a rigid joint", default=''),
+        'side, or of the link of a rigid joint', default=''),
     Key('sign', 'double', '1, or -1 if positive effort drives the joint backward', '', 1.0, -1.0,
         1.0),
     Key('torque_constant', 'double', 'torque per unit of effort; 1 if efforts are torques',

@@ -39,7 +39,7 @@ class Jitter(NamedTuple):
 
 def poses(arm) -> list:
     """
-    Return the poses (n,) [rad] in which an arm is examined.
+    Return where an arm is examined, a list of angles (n,) [rad].
 
     A coarse grid from stretched to folded; where there is gravity the first joint turns too.
     Decoupled axes without gravity have one pose, chains in space a few spread over the ranges of
