@@ -17,7 +17,7 @@ from gms_flex_control.control import compensation, observer
 from gms_flex_control.control.compensation import GMS, GMS_PAPER
 from gms_flex_control.dynamics import chain
 from gms_flex_control.friction import gms
-from gms_flex_control.params.gains import COMPENSATIONS
+from gms_flex_control.params.gains import COMPENSATIONS, GAINS
 from gms_flex_control.records import FLOAT
 import numpy as np
 
@@ -27,8 +27,6 @@ import numpy as np
 REST_DAMPING, REST_VELOCITY = 0.3, 0.05
 # A reference slower than this rests [rad/s, rad/s^2].
 RESTING_SPEED, RESTING_ACCELERATION = 1e-6, 1e-5
-_GAINS = ('kd_link', 'lambda_link', 'kd_motor', 'lambda_motor', 'observer_gain', 'sign_slope',
-          'filter_bandwidth', 'torque_limit')
 
 
 @cache
@@ -51,7 +49,7 @@ def state_layout(n, n_blocks):
 def constants_layout(links, n, n_blocks):
     """Return the dtype of gains and model, ``links`` its arm's, as the kernels take them."""
     return records.layout(
-        ('compensation', np.intp, (1,)), *((name, FLOAT, (n,)) for name in _GAINS),
+        ('compensation', np.intp, (1,)), *((name, FLOAT, (n,)) for name in GAINS),
         ('chain', links), ('friction', gms.constants_layout(n, n_blocks)))
 
 
@@ -72,7 +70,7 @@ def work_layout(n):
 @lru_cache(maxsize=256)
 def constants_of(gains, robot):
     """Return ControllerParams and the model of RobotParams as the record `tick` takes."""
-    values, links = {name: getattr(gains, name) for name in _GAINS}, chain.constants_of(robot.arm)
+    values, links = {name: getattr(gains, name) for name in GAINS}, chain.constants_of(robot.arm)
     return records.build(
         constants_layout(links.dtype, *robot.friction.stiffness.shape), **values,
         compensation=COMPENSATIONS.index(gains.compensation), chain=links,

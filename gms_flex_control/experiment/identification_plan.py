@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 from gms_flex_control.errors import ConfigError, ParameterError
 from gms_flex_control.experiment import identification_steps as steps
+from gms_flex_control.params.key import checked
 from gms_flex_control.schema.files import located, read_values
-from gms_flex_control.schema.key import checked
 from gms_flex_control.schema.keys import known_keys
 from gms_flex_control.schema.motion import trajectory_from_values
 from gms_flex_control.schema.node_keys import identification_keys, trajectory_keys

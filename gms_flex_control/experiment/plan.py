@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 from gms_flex_control.errors import ConfigError, ParameterError
 from gms_flex_control.params.gains import ControllerParams
+from gms_flex_control.params.key import checked
 from gms_flex_control.params.robot import RobotParams
 from gms_flex_control.schema.build import controller_from_values, robot_from_values
 from gms_flex_control.schema.files import load_robot, located, read_values
-from gms_flex_control.schema.key import checked
 from gms_flex_control.schema.keys import known_keys
 from gms_flex_control.schema.motion import trajectory_from_values
 from gms_flex_control.schema.node_keys import plant_node_keys, trajectory_keys

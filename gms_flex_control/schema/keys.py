@@ -5,68 +5,25 @@
 
 from gms_flex_control.effects import registry
 from gms_flex_control.errors import ConfigError, did_you_mean, ParameterError
-from gms_flex_control.params.arm import AXES, KINDS
-from gms_flex_control.params.gains import COMPENSATIONS
+from gms_flex_control.params.arm import ArmParams, AXES, KINDS
+from gms_flex_control.params.friction import FrictionParams, StribeckParams
+from gms_flex_control.params.gains import COMPENSATIONS, ControllerParams
+from gms_flex_control.params.key import below, Key, keys_of, SMALLEST
+from gms_flex_control.params.robot import EncoderParams, LARGEST_SD, LEAST_SD, WHOLE_ARM
 from gms_flex_control.params.robot import KINDS as UNCERTAIN
-from gms_flex_control.params.robot import LARGEST_SD, LEAST_SD, WHOLE_ARM
 from gms_flex_control.schema import node_keys
-from gms_flex_control.schema.key import below, Key, SMALLEST
 
 STANDARD_GRAVITY = (0.0, 0.0, -9.80665)  # conventional value (3rd CGPM, 1901) [m/s^2]
 _PER_JOINT = ('arm', 'friction', 'gains', 'identification', 'limits', 'mapping', 'trajectory')
 
-# of each joint, below arm.<joint>
-ARM = (
-    Key('mass', 'double', 'mass of the link', 'kg', 0.0, 0.0),
-    Key('length', 'double', 'distance to the next joint', 'm', 0.0, 0.0),
-    Key('com', 'double', 'centre of mass from the joint', 'm', 0.0),
-    Key('inertia', 'double', 'inertia about the centre of mass; of a decoupled axis the whole '
-        'inertia', 'kg m^2', lower=0.0, unless=('arm.kind', 'urdf')),
-    Key('motor_inertia', 'double', 'motor inertia reflected to the joint', 'kg m^2', lower=0.0),
-    Key('stiffness', 'double', 'stiffness of the joint; .inf for a rigid one', 'N m/rad',
-        lower=SMALLEST),
-    Key('damping', 'double', 'damping of the joint', 'N m s/rad', 0.0, 0.0),
-    Key('offset', 'double', 'angle of the link where the joint reads 0, from the x axis or the '
-        'link before it', 'rad', 0.0),
+# of each joint, below arm.<joint>, of a URDF
+_OF_URDF = (
     Key('mass_factor', 'double', 'mass of the link over that of the URDF', '1', 1.0, SMALLEST),
     Key('inertia_factor', 'double', 'inertia of the link about its centre of mass over that of '
         'the URDF', '1', 1.0, SMALLEST),
     Key('inertial', 'double_array', 'instead of the URDF, in the frame at the joint whose z is '
         'its axis: mass, centre of mass x y z, inertia about it xx xy xz yy yz zz',
         'kg, m, kg m^2', ()))
-# below friction.<joint>.forward and .backward
-STRIBECK = (
-    Key('static', 'double', 'static friction F_s', 'N m', lower=SMALLEST),
-    Key('coulomb', 'double', 'Coulomb friction F_c', 'N m', lower=SMALLEST),
-    Key('velocity', 'double', 'Stribeck velocity v_s', 'rad/s', lower=SMALLEST),
-    Key('viscous', 'double', 'viscous friction sigma_2', 'N m s/rad', lower=0.0))
-# below friction.<joint>
-BLOCKS = (
-    Key('stiffness', 'double_array', 'stiffness k_i of each block', 'N m/rad', lower=0.0),
-    Key('weight', 'double_array', 'share alpha_i of each block, sum 1', '1', lower=0.0),
-    Key('attraction', 'double', 'C of the slipping blocks', 'N m/s', lower=SMALLEST))
-# below encoder
-ENCODER = (
-    Key('counts', 'double', 'counts per revolution; 0 is ideal', '1', 0.0, 0.0),
-    Key('noise', 'double', 'standard deviation before counting', 'rad', 0.0, 0.0),
-    Key('velocity_cutoff', 'double', 'low-pass on the differenced angle; 0 reads the true '
-        'velocity', 'Hz', 0.0, 0.0))
-# below gains.<joint>
-GAINS = (
-    Key('kd_link', 'double', 'K_D1 of the link law', 'N m s/rad', lower=0.0, upper=1e9, live=True),
-    Key('lambda_link', 'double', 'Lambda_1 of the link law', '1/s', lower=0.0, upper=1e4,
-        live=True),
-    Key('kd_motor', 'double', 'K_D2 of the motor law', 'N m s/rad', lower=0.0, upper=1e9,
-        live=True),
-    Key('lambda_motor', 'double', 'Lambda_2 of the motor law', '1/s', lower=0.0, upper=1e4,
-        live=True),
-    Key('observer_gain', 'double', 'k_e, correction of slipping blocks by the tracking error', '',
-        1.0, 0.0, 1e6, live=True),
-    Key('sign_slope', 'double', 'k_v of tanh(k_v v), gms_paper and stribeck only', 's/rad', 50.0,
-        1e-3, 1e6, live=True),
-    Key('filter_bandwidth', 'double', 'command filter on the friction estimate, all modes but '
-        'none and gms_paper', 'rad/s', 100.0, 1e-3, 1e5, live=True),
-    Key('torque_limit', 'double', 'largest motor torque', 'N m', lower=0.0, upper=1e9, live=True))
 _ROBOT = (
     Key('joints', 'string_array', 'names of the link sides, from the base outwards'),
     Key('motors', 'string_array', "names of the motor sides; '' for a rigid joint", default=()),
@@ -89,18 +46,19 @@ COMPENSATION = Key('compensation', 'string', 'friction compensation', default='g
 
 def robot_keys(joints) -> tuple[Key, ...]:
     """Return the keys of a robot file for the given joint names."""
-    keys = [*_ROBOT, *below('encoder', ENCODER)]
+    keys = [*_ROBOT, *below('encoder', keys_of(EncoderParams))]
     for joint in joints:
-        keys += [*below(f'arm.{joint}', ARM), *below(f'friction.{joint}.forward', STRIBECK),
-                 *below(f'friction.{joint}.backward', STRIBECK),
-                 *below(f'friction.{joint}', BLOCKS)]
+        keys += [*below(f'arm.{joint}', (*keys_of(ArmParams), *_OF_URDF)),
+                 *(key for way in ('forward', 'backward')
+                   for key in below(f'friction.{joint}.{way}', keys_of(StribeckParams))),
+                 *below(f'friction.{joint}', keys_of(FrictionParams))]
     return tuple(keys)
 
 
 def controller_keys(joints) -> tuple[Key, ...]:
     """Return the keys of a controller file for the given joint names."""
-    return (COMPENSATION,
-            *(key for joint in joints for key in below(f'gains.{joint}', GAINS)))
+    gains = keys_of(ControllerParams)
+    return (COMPENSATION, *(key for joint in joints for key in below(f'gains.{joint}', gains)))
 
 
 def all_keys(joints) -> dict[str, Key]:
@@ -137,7 +95,7 @@ def _effect_key(name, joints):
 
 
 def _require_place(name, joint, joints):
-    """Raise ConfigError if a key's joint is none of the robot's, nor the whole arm."""
+    """Raise ConfigError if a key's joint is neither one of the robot's nor the whole arm."""
     if joint not in (*joints, WHOLE_ARM):
         raise ConfigError(f'{name}: unknown joint {joint!r}'
                           f'{did_you_mean(joint, (*joints, WHOLE_ARM))}')

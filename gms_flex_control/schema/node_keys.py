@@ -5,7 +5,7 @@
 
 from gms_flex_control.hardware.limits import UNLIMITED
 from gms_flex_control.params.gains import COMPENSATIONS
-from gms_flex_control.schema.key import below, Key, SMALLEST
+from gms_flex_control.params.key import below, Key, SMALLEST
 
 EXPERIMENTS = ('constant_velocity', 'break_away', 'presliding', 'sliding')
 TRAJECTORIES = ('hold', 'sinusoid', 'polynomial', 'via_points', 'constant_velocity',

@@ -3,7 +3,8 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """What one parameter of a node or file is, and whether a value fits it."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, fields, replace
+from functools import cache
 import math
 from typing import Any
 
@@ -35,11 +36,30 @@ class Key:
     live: bool = False   # whether it may change while the node runs
     unless: tuple = ()   # name and value of another beside which it need not be given, and is 0
 
-    def default_beside(self, given):
+    def default_beside(self, given: dict) -> Any:
         """Return the default beside the values ``given`` (dict), REQUIRED if it has none."""
         if self.unless and given.get(self.unless[0]) == self.unless[1]:
             return 0.0
         return self.default
+
+
+def number(description: str, unit: str = '', preset=REQUIRED, lower=-math.inf, upper=math.inf,
+           *, kind='double', live=False, unless=(), **of_field) -> Any:
+    """
+    Return a dataclass field that carries the Key of its parameter, see `keys_of`.
+
+    ``preset`` is the default of a file, ``of_field`` goes to `dataclasses.field`; all else is as
+    in Key.
+    """
+    return field(metadata={'key': Key('', kind, description, unit, preset, lower, upper,
+                                      live=live, unless=unless)}, **of_field)
+
+
+@cache
+def keys_of(params: type) -> tuple[Key, ...]:
+    """Return the keys of a dataclass whose fields were made by `number`, in their order."""
+    return tuple(replace(one.metadata['key'], name=one.name) for one in fields(params)
+                 if one.metadata)
 
 
 def below(prefix: str, keys) -> tuple[Key, ...]:
@@ -73,7 +93,7 @@ def _typed(kind, value):
     return None if None in items else items
 
 
-def checked(key: Key, value):
+def checked(key: Key, value) -> Any:
     """
     Return a value as the type of its key: float, int, str, bool, or a tuple of float or str.
 
