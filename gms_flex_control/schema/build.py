@@ -253,8 +253,8 @@ def _link_values(robot):
         if not (np.allclose(arm.com[j], links.com[j], rtol=1e-9, atol=1e-12) and np.allclose(
                 arm.inertia[j], links.inertia[j] * of_inertia[j], rtol=1e-9, atol=1e-12)):
             factors = 1.0, 1.0
-            values[f'arm.{joint}.inertial'] = [
-                float(arm.mass[j]), *arm.com[j].tolist(), *arm.inertia[j, _ROWS, _COLUMNS].tolist()]
+            values[f'arm.{joint}.inertial'] = np.concatenate(
+                [arm.mass[[j]], arm.com[j], arm.inertia[j, _ROWS, _COLUMNS]]).tolist()
         values |= {f'arm.{joint}.{name}': factor
                    for name, factor in zip(_FACTORS, factors, strict=True)}
     return values | {f'arm.{name}': getattr(frames, name) for name in ('base', 'tip')
