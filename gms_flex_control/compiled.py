@@ -41,20 +41,11 @@ def _kernel_hash(further):
     return digest.hexdigest()[:16]
 
 
-def cache_folder(*further):
+def cache_folder(*further: Path) -> str | None:
     """
-    Return where compiled functions are kept.
+    Return where compiled functions of these very sources are kept; None where none is writable.
 
-    Parameters
-    ----------
-    *further : Path
-        Folders of kernels beside those of the package, which may call these.
-
-    Returns
-    -------
-    str or None
-        A folder of its own for these very sources, made if need be; None where none is writable.
-
+    ``further`` are folders of kernels beside those of the package, which may call these.
     """
     name = f'kernels-{_kernel_hash(further)}'
     home = os.environ.get('XDG_CACHE_HOME') or os.path.expanduser('~/.cache')

@@ -3,9 +3,17 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Friction: what the Generalized Maxwell-Slip model must do, against closed forms."""
 
-from core_runs import drive_friction, joint_friction, push_plant, single_axis, stribeck
+from core_runs import (
+    drive_friction,
+    joint_friction,
+    push_plant,
+    single_axis,
+    step_friction,
+    stribeck,
+)
 from gms_flex_control.errors import ParameterError
-from gms_flex_control.friction import gms, steady_friction, stribeck_level
+from gms_flex_control.friction import gms
+from gms_flex_control.friction.stribeck import steady_friction, stribeck_level
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
 from gms_flex_control.simulation import plant
 import numpy as np
@@ -120,7 +128,7 @@ def test_constant_velocity_settles_on_the_steady_curve(friction, speed, directio
     """Sliding either way ends on Eq. (6) with the values of its direction, to six digits."""
     state, v = gms.init(friction), np.full(2, direction * speed)
     for _ in range(2000):
-        state, tau = gms.step(state, 1e-3 * np.sign(v), 1e-3 / speed, friction)
+        state, tau = step_friction(state, 1e-3 * np.sign(v), 1e-3 / speed, friction)
     np.testing.assert_allclose(tau, steady_friction(v, friction), rtol=1e-6)
 
 
@@ -268,7 +276,7 @@ def test_the_exact_slip_step_holds_where_explicit_euler_blows_up(friction):
     euler, state = 0.9 * weight * level, gms.init(one)
     for _ in range(40):
         euler += dt * attraction * (weight - euler / level)
-        state, tau = gms.step(state, [0.1 * dt], dt, one)
+        state, tau = step_friction(state, [0.1 * dt], dt, one)
     assert abs(euler) > 1e6
     assert tau == pytest.approx(steady_friction(np.array([0.1]), one), rel=1e-9)
 
@@ -299,17 +307,17 @@ def test_a_rest_keeps_the_direction_of_the_last_motion(friction):
     for direction in (1.0, -1.0):
         state, moving = gms.init(friction), np.full(2, 0.1 * direction)
         for _ in range(5):
-            state, _ = gms.step(state, moving, 1e-2, friction)
+            state, _ = step_friction(state, moving, 1e-2, friction)
         assert not state.sticking.any()
-        rested, _ = gms.step(state, np.zeros(2), 1e-2, friction)
+        rested, _ = step_friction(state, np.zeros(2), 1e-2, friction)
         assert not rested.sticking.any()
         np.testing.assert_array_equal(rested.direction, [direction] * 2)
 
 
 def test_a_reversal_makes_all_blocks_stick_again(friction):
-    state, _ = gms.step(gms.init(friction), np.full(2, 0.5), 1e-2, friction)
+    state, _ = step_friction(gms.init(friction), np.full(2, 0.5), 1e-2, friction)
     assert not state.sticking.any()
-    state, _ = gms.step(state, np.full(2, -1e-6), 1e-2, friction)
+    state, _ = step_friction(state, np.full(2, -1e-6), 1e-2, friction)
     assert state.sticking.all()
     np.testing.assert_array_equal(state.direction, [-1.0, -1.0])
 
@@ -317,7 +325,7 @@ def test_a_reversal_makes_all_blocks_stick_again(friction):
 def test_a_step_leaves_the_state_it_was_given(friction):
     state = gms.init(friction, torque=np.full((2, 6), 0.01), direction=[-1.0, 1.0])
     before = state.copy()
-    after, _ = gms.step(state, [0.5, -0.5], 1e-3, friction)
+    after, _ = step_friction(state, [0.5, -0.5], 1e-3, friction)
     assert state == before
     assert after != before
     np.testing.assert_array_equal(before.torque, np.full((2, 6), 0.01))

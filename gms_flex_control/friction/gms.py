@@ -14,6 +14,7 @@ from functools import cache, lru_cache
 from gms_flex_control import records
 from gms_flex_control.compiled import compiled
 from gms_flex_control.friction.stribeck import level_and_slope
+from gms_flex_control.params.friction import STRIBECK
 from gms_flex_control.records import FLAG, FLOAT
 import numpy as np
 
@@ -21,7 +22,7 @@ FORWARD, BACKWARD = 0, 1  # rows of the direction-dependent constants
 
 
 @cache
-def state_layout(n, n_blocks):
+def state_layout(n, n_blocks) -> np.dtype:
     """
     Return the dtype of the memory of n joints with N blocks each.
 
@@ -33,19 +34,19 @@ def state_layout(n, n_blocks):
 
 
 @cache
-def constants_layout(n, n_blocks):
+def constants_layout(n, n_blocks) -> np.dtype:
     """Return the dtype of the kernels' constants; see FrictionParams for the meaning."""
     return records.layout(
-        *((name, FLOAT, (2, n)) for name in ('static', 'coulomb', 'velocity', 'viscous')),
+        *((name, FLOAT, (2, n)) for name in STRIBECK),
         ('stiffness', FLOAT, (n, n_blocks)), ('weight', FLOAT, (n, n_blocks)),
         ('attraction', FLOAT, (n,)))
 
 
 @lru_cache(maxsize=256)
-def constants_of(params):
+def constants_of(params) -> np.record:
     """Return a FrictionParams as the record the kernels take."""
     pairs = {name: np.stack([getattr(params.forward, name), getattr(params.backward, name)])
-             for name in ('static', 'coulomb', 'velocity', 'viscous')}
+             for name in STRIBECK}
     return records.build(constants_layout(*params.stiffness.shape), **pairs,
                          stiffness=params.stiffness, weight=params.weight,
                          attraction=params.attraction)
@@ -61,42 +62,6 @@ def init(params, torque=None, direction=None) -> np.record:
     return records.build(state_layout(*params.stiffness.shape), sticking=1,
                          torque=0.0 if torque is None else torque,
                          direction=1.0 if direction is None else direction)
-
-
-def step(state, displacement, dt, params):
-    """
-    Advance the friction by one step of given displacement.
-
-    Parameters
-    ----------
-    state : numpy.record
-        From `init` or an earlier step; not changed.
-    displacement : ndarray, shape (n_joints,)
-        Change of the link angles over the step [rad].
-    dt : float
-        Length of the step [s].
-    params : FrictionParams
-        Friction of the same joints.
-
-    Returns
-    -------
-    state : numpy.record
-        State at the end.
-    tau_friction : ndarray, shape (n_joints,)
-        Friction torque that opposes the motion, viscous part included [N m].
-
-    Notes
-    -----
-    Eqs. (2), (3), (5). The mean velocity of the step stands for dq_link.
-
-    """
-    state = state.copy()
-    displacement = np.array(displacement, dtype=float)
-    constants = constants_of(params)
-    advance(state, displacement, displacement / dt, dt, constants)
-    tau = np.empty(len(displacement))
-    total(state, displacement / dt, constants, tau)
-    return state, tau
 
 
 @compiled

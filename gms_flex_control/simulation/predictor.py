@@ -209,19 +209,17 @@ def predict(angle, rate, torque, extra, coefficients, period, links, friction, c
     """
     Predict one segment of a recording, with the derivatives of one joint's prediction.
 
+    Link equation (1) with Eqs. (2) to (5); semi-implicit as simulation.plant.
+
     Parameters
     ----------
-    angle : ndarray, shape (T, n)
-        Measured link angles [rad]; NaN where there is none, which corrects nothing. The first
-        that is there begins the prediction.
+    angle, torque : ndarray, shape (T, n)
+        Measured link angles, NaN where there is none, which corrects nothing [rad]; mean drive
+        torque on each link from sample k to k + 1 [N m].
     rate : ndarray, shape (n,)
         Link velocities at the beginning [rad/s].
-    torque : ndarray, shape (T, n)
-        Mean drive torque on each link from sample k to k + 1 [N m].
-    extra : ndarray, shape (T, R)
-        Further torques on ``joint`` per unit of their coefficient.
-    coefficients : ndarray, shape (R,)
-        Of the further torques.
+    extra, coefficients : ndarray, shape (T, R) and (R,)
+        Further torques on ``joint`` per unit of their coefficient, and the coefficients.
     period : float
         Sample [s].
     links, friction : numpy.record
@@ -236,18 +234,11 @@ def predict(angle, rate, torque, extra, coefficients, period, links, friction, c
         l1 [1/s] and l2 [1/s^2] of the observer; zeros let the prediction run freely.
     half : ndarray, shape (n,)
         Half an encoder count [rad]; 0 takes readings as exact.
-    state : numpy.record
-        Of friction.gms.state_layout; overwritten.
-    work : numpy.record
-        From simulation.plant.workspace.
-    predicted, innovation : ndarray, shape (T, n)
-        Filled: predicted angles, and how far the readings lie from them [rad].
-    jacobian : ndarray, shape (T, P)
-        Filled: derivative of the innovation of the first carried joint, sign reversed.
-
-    Notes
-    -----
-    Link equation (1) with Eqs. (2) to (5); semi-implicit as simulation.plant.
+    state, work : numpy.record
+        Of friction.gms.state_layout and simulation.plant.work_layout; overwritten.
+    predicted, innovation, jacobian : ndarray, shape (T, n), (T, n) and (T, P)
+        Filled: predicted angles, how far the readings lie from them [rad], and the derivative of
+        the innovation of the first carried joint, sign reversed.
 
     """
     samples, n = angle.shape
