@@ -82,7 +82,7 @@ def test_a_robot_mujoco_cannot_compare_with_is_refused(robot):
         mujoco_arm.mjcf(decoupled, 1e-4)
 
 
-@pytest.mark.parametrize('count', [0, 1, 10])
+@pytest.mark.parametrize('count', [1, 10])
 @pytest.mark.filterwarnings('ignore:First-class function')
 def test_all_ways_to_join_effects_give_the_same_signals(count, tmp_path, monkeypatch):
     monkeypatch.setenv('NUMBA_CACHE_DIR', str(tmp_path))

@@ -19,6 +19,8 @@ from gms_flex_control.trajectory import builders
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.fast
+
 
 @pytest.fixture(scope='module')
 def arm():

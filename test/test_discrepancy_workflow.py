@@ -25,7 +25,7 @@ from identified_axis import pendulum
 import numpy as np
 import pytest
 
-SHORT, LONG = 20.0, 40.0  # of a recording [s]
+SHORT, LONG = 20.0, 24.0  # of a recording [s]
 # seed of some, one of each kind: sizes that labs meet, robots soft and stiff, either joint; the
 # bench of hidden robots asks for all, other tests name backlash and ripple
 CASES = {
@@ -85,7 +85,7 @@ def named():
 @pytest.mark.parametrize(('kind', 'seed'), [('clean', 6), ('single', 25)])
 def test_arms_that_carry_their_weight(kind, seed):
     """Quadratic drag, or nothing; where the arm stands its friction tells little."""
-    result, found, truth = outcome(kind, seed, gravity=True)
+    result, found, truth = outcome(kind, seed, gravity=True, duration=SHORT)
     assert np.any(truth.robot.arm.gravity)
     assert len(found) == len(truth.effects), result.words
     for one, true in zip(found, truth.effects, strict=True):
@@ -283,10 +283,11 @@ def test_a_wave_that_hardly_turns_is_none():
 
 def test_a_ripple_finer_than_any_guess_is_found():
     """As of a gear's teeth seen at its output, hundreds per revolution."""
-    take = pendulum(pace=0.2)
+    take = pendulum(pace=0.2, seconds=20.0)
     model = identify([(take, ())], rigid_joints(take.joints), options=Identify(
         estimate='all', blocks=(1,))).robot
-    result = find_discrepancy([pendulum(pace=0.2, ripple=(0.02, 157.0, 0.6), seed=1)], model)
+    result = find_discrepancy(
+        [pendulum(pace=0.2, seconds=20.0, ripple=(0.02, 157.0, 0.6), seed=1)], model)
     assert result.verdict in (FOUND, COMPLETE)
     values = {value.name: value.value for value in result.findings[0].values}
     assert result.findings[0].effect == 'torque_ripple'
@@ -296,7 +297,7 @@ def test_a_ripple_finer_than_any_guess_is_found():
 
 
 def test_two_effects_are_both_named():
-    result, found, truth = outcome('double', 2, most=3, duration=30.0)
+    result, found, truth = outcome('double', 2, most=3)
     assert result.verdict == FOUND
     named = {(one.effect, one.joint) for one in found[:2]}
     assert named == {(spec.name, spec.joint) for spec in truth.effects}, result.words
@@ -337,12 +338,6 @@ def test_one_effect_is_found_in_the_place_of_two():
     result, found, truth = outcome('single', 108)
     assert [(one.effect, one.joint) for one in found] == [
         (spec.name, spec.joint) for spec in truth.effects], result.words
-
-
-def test_moves_and_rests_alone_of_a_robot_that_lacks_nothing():
-    """Block stiffnesses that are 1 to 3 % off, where it stands half of the time."""
-    result, found, _ = outcome('clean', 30, motion='polynomial')
-    assert (result.verdict, found) == (COMPLETE, ()), result.words
 
 
 @pytest.mark.parametrize(('rms', 'expected'), [(9e-3, False), (11e-3, True)])

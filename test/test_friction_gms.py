@@ -19,6 +19,8 @@ from gms_flex_control.simulation import plant
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.fast
+
 ARM_STRAIGHT = 0.41675  # M11 of the default arm with its elbow straight [kg m^2]
 
 

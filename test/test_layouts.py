@@ -14,6 +14,8 @@ from gms_flex_control.schema.files import load_robot
 from gms_flex_control.schema.urdf import BASE
 import pytest
 
+pytestmark = pytest.mark.fast
+
 ROOT = Path(__file__).resolve().parents[1]
 ROBOT = load_robot(robot_file())
 N, BLOCKS = ROBOT.friction.stiffness.shape

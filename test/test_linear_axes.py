@@ -20,6 +20,8 @@ from identified import identification
 from matplotlib.figure import Figure
 import pytest
 
+pytestmark = pytest.mark.fast
+
 ROTARY = re.compile(r'\b(m?rad|N m|kg m)\b')
 
 

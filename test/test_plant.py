@@ -16,6 +16,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+pytestmark = pytest.mark.fast
+
 
 @pytest.fixture(scope='module')
 def smooth_robot(ideal_robot):

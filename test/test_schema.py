@@ -21,6 +21,8 @@ from gms_flex_control.schema.node_keys import trajectory_keys
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.fast
+
 CONFIG = Path(__file__).parents[1] / 'config'
 ROBOT = (CONFIG / 'robot.yaml').read_text(encoding='utf-8')
 CONTROLLER = (CONFIG / 'controller.yaml').read_text(encoding='utf-8')

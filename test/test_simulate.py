@@ -17,6 +17,8 @@ from gms_flex_control.schema.files import load_robot
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.fast
+
 CONFIG = Path(__file__).parents[1] / 'config'
 ROBOT, CONTROLLER = CONFIG / 'robot.yaml', CONFIG / 'controller.yaml'
 HERE = Path(__file__).parents[1]

@@ -9,6 +9,8 @@ from gms_flex_control.trajectory.segments import Trajectory
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.fast
+
 MOTIONS = {
     'hold': builders.hold([0.3, -0.2]),
     'via points': builders.via_points([[0.0, 0.0], [1.0, -0.5], [0.2, 0.7]], 1.5, 0.4),

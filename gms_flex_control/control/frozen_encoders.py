@@ -13,7 +13,7 @@ gives the same number again and again, so there has to be a second witness:
   count it came from.
 - the torque: a motor behind a spring has to give way to a torque that changes; averaged, because
   a single count makes a torque jump that no motor follows. A joint without a spring may stick, so
-  that there the rate alone is asked.
+  that there the rate alone counts.
 """
 
 import math
@@ -24,7 +24,7 @@ import numpy as np
 STANDING = 0.03      # the same number for longer is looked at; between two states, silence [s]
 TURNED = 0.02        # said by the rate meanwhile: frozen [rad]
 _FORGOTTEN = 1.0     # time constant of that integral: a rate may be off by TURNED a second [s]
-_SHARE = 0.25        # of TURNED that a single rate may tell, which may be an outlier
+_SHARE = 0.25        # of TURNED that a single rate may add: it may be an outlier
 _GIVEN_WAY = 0.005   # a motor moves by that much more than friction holds [rad]
 _COUNTS = 4.0        # of the encoder that either angle is, at least
 _AVERAGE = 0.02      # time constant of the torque, and how long it follows one that stands [s]

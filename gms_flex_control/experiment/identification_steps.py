@@ -208,7 +208,7 @@ class Planner:
             if value > limit * (1.0 + 1e-3):
                 self._refuse(joint, name, f'reaches {value:.4g} {unit}, the limit of '
                              f'{kind} is {limit:.4g} {unit}', f'raise identification.{joint}.'
-                             f'{kind} or ask for a slower step')
+                             f'{kind} or plan a slower step')
         torque = np.abs([self._torque(sample) for sample in samples[::8]]).max(axis=0)
         for i, other in enumerate(self._robot.joints):
             if torque[i] > limits.torque[i]:

@@ -20,7 +20,7 @@ from gms_flex_control.trajectory.segments import Trajectory
 import numpy as np
 
 NANOSECONDS = 1_000_000_000
-ENDLESS_DURATION = 20.0  # of a motion without end where none is asked for [s]
+ENDLESS_DURATION = 20.0  # of a motion without end where none is given [s]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

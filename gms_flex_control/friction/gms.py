@@ -65,7 +65,7 @@ def init(params, torque=None, direction=None) -> np.record:
 
 
 @compiled
-def level_of(j, direction, velocity, constants):
+def level_of(j, direction, velocity, constants) -> tuple:
     """Return s(v) and ds/dv of joint ``j`` moving in ``direction`` (+1 or -1), scalars."""
     row = FORWARD if direction > 0.0 else BACKWARD
     return level_and_slope(velocity, constants.static[row, j], constants.coulomb[row, j],
@@ -74,7 +74,7 @@ def level_of(j, direction, velocity, constants):
 
 @compiled
 def advance_blocks(torque, sticking, turned, sign, displacement, level, decay, stiffness,
-                   weight):
+                   weight) -> None:
     """Advance the blocks (N,) of one joint in place; ``decay`` = exp(-C dt / s)."""
     for i in range(torque.shape[0]):
         if turned:
@@ -90,7 +90,7 @@ def advance_blocks(torque, sticking, turned, sign, displacement, level, decay, s
 
 
 @compiled
-def advance_joint(j, state, displacement, velocity, dt, constants):
+def advance_joint(j, state, displacement, velocity, dt, constants) -> None:
     """Advance joint ``j`` in place by ``displacement`` at ``velocity`` over ``dt``, scalars."""
     turned = displacement * state.direction[j] < 0.0
     if turned:
@@ -103,14 +103,14 @@ def advance_joint(j, state, displacement, velocity, dt, constants):
 
 
 @compiled
-def advance(state, displacement, velocity, dt, constants):
+def advance(state, displacement, velocity, dt, constants) -> None:
     """Advance all joints in place by ``displacement`` (n,) at ``velocity`` (n,) over ``dt``."""
     for j in range(constants.attraction.shape[0]):
         advance_joint(j, state, displacement[j], velocity[j], dt, constants)
 
 
 @compiled
-def total(state, velocity, constants, tau):
+def total(state, velocity, constants, tau) -> None:
     """Write the friction torque of all joints (n,), viscous part included, into ``tau``."""
     for j in range(constants.attraction.shape[0]):
         row = FORWARD if state.direction[j] > 0.0 else BACKWARD

@@ -22,14 +22,14 @@ class Run:
     reference: np.ndarray     # (T, 5, n) desired link angle and derivatives
     measured: np.ndarray      # (T, 4, n) q_link, dq_link, q_motor, dq_motor
     true: np.ndarray          # (T, 4, n) the same without encoders
-    command: np.ndarray       # (T, n) torque asked for at the sample [N m]
+    command: np.ndarray       # (T, n) demanded torque of the sample [N m]
     applied: np.ndarray       # (T, n) given by the actuators over the sample before [N m]
     friction: np.ndarray      # (T, n) of the blocks, and viscous [N m]
     friction_hat: np.ndarray  # (T, n) its estimate [N m]
 
 
 @compiled
-def sense(measured, state, time, period, constants, encoders, work):
+def sense(measured, state, time, period, constants, encoders, work) -> None:
     """Measure one sample with the noise drawn before: sensor effects first, then encoders."""
     plant.sensed(state, state.applied, time, period, constants, work)
     s = work.signals
