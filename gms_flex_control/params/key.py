@@ -26,15 +26,18 @@ class Key:
     """One parameter."""
 
     name: str            # full, such as gains.joint1.kd_link
-    kind: str            # its ROS type: double, integer, boolean, string, double_array, ...
     description: str
     unit: str = ''
     default: Any = REQUIRED     # REQUIRED if a file must give it
     lower: float = -math.inf    # closed range of numbers
     upper: float = math.inf
+    kind: str = ''       # its ROS type, double_array or the like; '' is that of the default
     choices: tuple = ()  # of a string; empty if any
     live: bool = False   # whether it may change while the node runs
     unless: tuple = ()   # name and value of another beside which it need not be given, and is 0
+
+    def __post_init__(self):
+        object.__setattr__(self, 'kind', self.kind or _kind_of(self.default))
 
     def default_beside(self, given: dict) -> Any:
         """Return the default beside the values ``given`` (dict), REQUIRED if it has none."""
@@ -43,15 +46,22 @@ class Key:
         return self.default
 
 
+def _kind_of(default):
+    """Return the ROS type of a default; a number where there is none."""
+    if isinstance(default, tuple):
+        return f'{_kind_of(default[0])}_array' if default else 'string_array'
+    return {bool: 'boolean', int: 'integer', str: 'string'}.get(type(default), 'double')
+
+
 def number(description: str, unit: str = '', preset=REQUIRED, lower=-math.inf, upper=math.inf,
-           *, kind='double', live=False, unless=(), **of_field) -> Any:
+           *, kind='', live=False, unless=(), **of_field) -> Any:
     """
     Return a dataclass field that carries the Key of its parameter, see `keys_of`.
 
     ``preset`` is the default of a file, ``of_field`` goes to `dataclasses.field`; all else is as
     in Key.
     """
-    return field(metadata={'key': Key('', kind, description, unit, preset, lower, upper,
+    return field(metadata={'key': Key('', description, unit, preset, lower, upper, kind=kind,
                                       live=live, unless=unless)}, **of_field)
 
 

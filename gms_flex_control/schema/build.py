@@ -15,7 +15,7 @@ from gms_flex_control.params.friction import (
     StribeckParams,
     WEIGHT_TOLERANCE,
 )
-from gms_flex_control.params.gains import ControllerParams, GAINS
+from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.key import checked, keys_of, REQUIRED
 from gms_flex_control.params.robot import EffectSpec, EncoderParams, RobotParams
 from gms_flex_control.schema.keys import controller_keys, known_keys, robot_keys, STANDARD_GRAVITY
@@ -26,7 +26,6 @@ _OF_LINKS = ('mass', 'length', 'com', 'inertia')  # which a URDF states
 _FACTORS = ('mass_factor', 'inertia_factor')      # on what a URDF states
 MOST_JOINTS = 7
 _ROWS, _COLUMNS = np.triu_indices(3)  # of an inertia in ten numbers
-_ARM, _ENCODER = ([key.name for key in keys_of(kind)] for kind in (ArmParams, EncoderParams))
 
 
 def complete(keys, values: dict) -> dict:
@@ -66,11 +65,10 @@ def robot_from_values(values: dict) -> RobotParams:
     flat = complete(robot_keys(joints), values)
     _require_links(flat['arm.kind'], joints, values)
     motors = flat['motors'] or ('',) * len(joints)
-    columns = {name: [flat[f'arm.{joint}.{name}'] for joint in joints] for name in _ARM}
     arm = ArmParams(kind=flat['arm.kind'], axes=flat['arm.axes'],
-                    **columns | _links(flat, joints))
-    encoder = EncoderParams(**{name: flat[f'encoder.{name}']
-                               for name in _ENCODER})
+                    **_columns(ArmParams, flat, 'arm', joints) | _links(flat, joints))
+    encoder = EncoderParams(**{key.name: flat[f'encoder.{key.name}']
+                               for key in keys_of(EncoderParams)})
     effects = _effects({name: checked(known[name], value) for name, value in values.items()
                         if name.startswith('effects.')})
     uncertainty = {(name.split('.')[2], name.split('.')[1]): checked(known[name], value)
@@ -78,6 +76,18 @@ def robot_from_values(values: dict) -> RobotParams:
     return RobotParams(joints=joints, motors=tuple(motors), arm=arm, encoder=encoder,
                        friction=_friction(flat, joints), effects=effects,
                        uncertainty=uncertainty)
+
+
+def _columns(params, flat, prefix, joints):
+    """Return the fields of a class of parameters, each a list over joints (dict)."""
+    return {key.name: [flat[f'{prefix}.{joint}.{key.name}'] for joint in joints]
+            for key in keys_of(params)}
+
+
+def _row(params, prefix, j):
+    """Return the fields of joint ``j`` as flat parameters, the inverse of `_columns`."""
+    return {f'{prefix}.{key.name}': np.asarray(getattr(params, key.name)[j]).tolist()
+            for key in keys_of(type(params))}
 
 
 def _require_links(kind, joints, values):
@@ -172,8 +182,8 @@ def _steady(flat, joints, direction):
 def _friction(flat, joints):
     directions = {direction: _steady(flat, joints, direction)
                   for direction in ('forward', 'backward')}
-    blocks = {name: [flat[f'friction.{joint}.{name}'] for joint in joints]
-              for name in ('stiffness', 'weight')}
+    blocks = _columns(FrictionParams, flat, 'friction', joints)
+    attraction = blocks.pop('attraction')
     for joint, stiffness, weight in zip(joints, *blocks.values(), strict=True):
         if len(stiffness) != len(weight) or not stiffness:
             raise ConfigError(f'friction.{joint}: stiffness has {len(stiffness)} blocks and '
@@ -184,8 +194,7 @@ def _friction(flat, joints):
     most = max(len(row) for row in blocks['stiffness'])
     padded = {name: [[*row, *[0.0] * (most - len(row))] for row in rows]
               for name, rows in blocks.items()}  # a block of weight 0 carries nothing
-    return FrictionParams(**directions, **padded,
-                          attraction=[flat[f'friction.{joint}.attraction'] for joint in joints])
+    return FrictionParams(**directions, **padded, attraction=attraction)
 
 
 def _effects(values):
@@ -202,9 +211,8 @@ def controller_from_values(values: dict, joints) -> ControllerParams:
     """Build the gains of ``joints`` from flat parameters; errors as of `robot_from_values`."""
     flat = complete(controller_keys(joints), values)
     with _about(f"gains of {', '.join(joints)}"):
-        return ControllerParams(
-            compensation=flat['compensation'],
-            **{name: [flat[f'gains.{joint}.{name}'] for joint in joints] for name in GAINS})
+        return ControllerParams(compensation=flat['compensation'],
+                                **_columns(ControllerParams, flat, 'gains', joints))
 
 
 def robot_values(robot: RobotParams) -> dict:
@@ -213,19 +221,15 @@ def robot_values(robot: RobotParams) -> dict:
               'arm.kind': robot.arm.kind} | _link_values(robot)
     if robot.arm.axes != 'rotary':
         values['arm.axes'] = robot.arm.axes
-    for name in _ENCODER:
-        values[f'encoder.{name}'] = float(getattr(robot.encoder, name))
+    values |= {f'encoder.{key.name}': float(getattr(robot.encoder, key.name))
+               for key in keys_of(EncoderParams)}
+    stated = () if robot.arm.frames is None else _OF_LINKS  # by the URDF
     for j, joint in enumerate(robot.joints):
-        values |= {f'arm.{joint}.{name}': float(getattr(robot.arm, name)[j]) for name in _ARM
-                   if robot.arm.frames is None or name not in _OF_LINKS}
-        for direction in ('forward', 'backward'):
-            steady = getattr(robot.friction, direction)
-            values |= {f'friction.{joint}.{direction}.{name}': float(getattr(steady, name)[j])
-                       for name in STRIBECK}
-        for name in ('stiffness', 'weight'):
-            values[f'friction.{joint}.{name}'] = np.asarray(
-                getattr(robot.friction, name)[j]).tolist()
-        values[f'friction.{joint}.attraction'] = float(robot.friction.attraction[j])
+        values |= {name: value for name, value in _row(robot.arm, f'arm.{joint}', j).items()
+                   if name.rpartition('.')[2] not in stated}
+        for way in ('forward', 'backward'):
+            values |= _row(getattr(robot.friction, way), f'friction.{joint}.{way}', j)
+        values |= _row(robot.friction, f'friction.{joint}', j)
     for spec in robot.effects:
         parameters = registry.find(spec.name).parameters
         values |= {f'effects.{spec.joint}.{spec.name}.{parameter.name}': float(value)

@@ -18,30 +18,27 @@ _PER_JOINT = ('arm', 'friction', 'gains', 'identification', 'limits', 'mapping',
 
 # of each joint, below arm.<joint>, of a URDF
 _OF_URDF = (
-    Key('mass_factor', 'double', 'mass of the link over that of the URDF', '1', 1.0, SMALLEST),
-    Key('inertia_factor', 'double', 'inertia of the link about its centre of mass over that of '
-        'the URDF', '1', 1.0, SMALLEST),
-    Key('inertial', 'double_array', 'instead of the URDF, in the frame at the joint whose z is '
-        'its axis: mass, centre of mass x y z, inertia about it xx xy xz yy yz zz',
-        'kg, m, kg m^2', ()))
+    Key('mass_factor', 'mass of the link over that of the URDF', '1', 1.0, SMALLEST),
+    Key('inertia_factor', 'inertia of the link about its centre of mass over that of the URDF',
+        '1', 1.0, SMALLEST),
+    Key('inertial', 'instead of the URDF, in the frame at the joint whose z is its axis: mass, '
+        'centre of mass x y z, inertia about it xx xy xz yy yz zz', 'kg, m, kg m^2', (),
+        kind='double_array'))
 _ROBOT = (
-    Key('joints', 'string_array', 'names of the link sides, from the base outwards'),
-    Key('motors', 'string_array', "names of the motor sides; '' for a rigid joint", default=()),
-    Key('arm.kind', 'string', 'chain in a plane, axes without effect on each other, or the chain '
-        'of a URDF', default='planar', choices=KINDS),
-    Key('arm.axes', 'string', 'whether decoupled axes turn or slide', default='rotary',
-        choices=AXES),
-    Key('arm.gravity', 'double', 'gravity along -y of the plane; 0 if it is horizontal', 'm/s^2',
-        0.0),
-    Key('arm.gravity_vector', 'double_array', 'gravity x, y, z in the frame of the base, of kind '
-        'urdf', 'm/s^2', STANDARD_GRAVITY),
-    Key('arm.urdf', 'string', 'URDF file with the links, relative to the robot file', default=''),
-    Key('arm.base', 'string', 'link of the URDF where the chain begins; default: the root',
-        default=''),
-    Key('arm.tip', 'string', 'link of the URDF where the chain ends; what moves beyond or beside '
-        'it is held at 0', default=''))
-COMPENSATION = Key('compensation', 'string', 'friction compensation', default='gms',
-                   choices=COMPENSATIONS, live=True)
+    Key('joints', 'names of the link sides, from the base outwards', kind='string_array'),
+    Key('motors', "names of the motor sides; '' for a rigid joint", default=()),
+    Key('arm.kind', 'chain in a plane, axes without effect on each other, or the chain of a URDF',
+        default='planar', choices=KINDS),
+    Key('arm.axes', 'whether decoupled axes turn or slide', default='rotary', choices=AXES),
+    Key('arm.gravity', 'gravity along -y of the plane; 0 if it is horizontal', 'm/s^2', 0.0),
+    Key('arm.gravity_vector', 'gravity x, y, z in the frame of the base, of kind urdf', 'm/s^2',
+        STANDARD_GRAVITY),
+    Key('arm.urdf', 'URDF file with the links, relative to the robot file', default=''),
+    Key('arm.base', 'link of the URDF where the chain begins; default: the root', default=''),
+    Key('arm.tip', 'link of the URDF where the chain ends; what moves beyond or beside it is '
+        'held at 0', default=''))
+COMPENSATION = Key('compensation', 'friction compensation', default='gms', choices=COMPENSATIONS,
+                   live=True)
 
 
 def robot_keys(joints) -> tuple[Key, ...]:
@@ -90,7 +87,7 @@ def _effect_key(name, joints):
         raise ConfigError(f'{name}: {effect} has no parameter {parameter!r}'
                           f'{did_you_mean(parameter, known)}')
     entry = known[parameter]
-    return Key(name, 'double', entry.description, entry.unit, lower=entry.lower,
+    return Key(name, entry.description, entry.unit, lower=entry.lower,
                upper=entry.upper)
 
 
@@ -111,7 +108,7 @@ def _uncertainty_key(name, joints):
     if kind not in UNCERTAIN:
         raise ConfigError(f'{name}: unknown kind of parameter {kind!r}'
                           f'{did_you_mean(kind, UNCERTAIN)}; known: {", ".join(UNCERTAIN)}')
-    return Key(name, 'double', f'relative standard deviation: {UNCERTAIN[kind].description}', '1',
+    return Key(name, f'relative standard deviation: {UNCERTAIN[kind].description}', '1',
                lower=LEAST_SD, upper=LARGEST_SD)
 
 
