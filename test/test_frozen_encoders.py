@@ -208,8 +208,8 @@ MOTIONS = {
     'hold': builders.hold([0.0, 0.0])}
 
 
-@pytest.mark.parametrize('effects', [(), TORQUES], ids=['', 'dry motors'])
-@pytest.mark.parametrize('compensation', ['none', 'gms', 'gms_paper'])
+@pytest.mark.parametrize(('compensation', 'effects'), [
+    ('none', ()), ('gms', TORQUES), ('gms_paper', ()), ('gms', ())])
 @pytest.mark.parametrize('motion', MOTIONS)
 def test_no_motion_with_4096_counts_looks_frozen(robot, gains, motion, compensation, effects):
     """Begun 0.2 rad away, that the torque be large; the controller knows of no motor friction."""
