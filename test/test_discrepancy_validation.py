@@ -210,7 +210,7 @@ def test_a_short_recording_tells_nothing(noise):
 @pytest.mark.parametrize(('seed', 'effect'), [(86, 'input_delay'), (85, 'actuator_lag')])
 def test_a_delay_and_a_lag_are_told_apart_in_a_closed_loop(seed, effect):
     """By residuals below 20 Hz, the delay of the first would be a lag of the same time."""
-    case = make_case('single', seed, duration=30.0)
+    case = make_case('single', seed)
     hidden, = case.truth.effects
     assert hidden.name == effect and hidden.values[0] < 5e-3
     result = find_discrepancy([case.recording], case.nominal, Options(most=2))
@@ -221,7 +221,7 @@ def test_a_delay_and_a_lag_are_told_apart_in_a_closed_loop(seed, effect):
 
 def test_a_delay_is_told_from_a_lag_beside_which_inertia_would_be_smaller():
     """Errors of prediction are torques: with a lag, and 3 % less inertia, they are smaller."""
-    case = make_case('single', 49, motion='polynomial', duration=30.0)
+    case = make_case('single', 49, motion='polynomial', duration=40.0)
     result = find_discrepancy([case.recording], case.nominal,
                               Options(most=2), holdout=[case.held_out])
     assert [(one.effect, one.joint) for one in result.named] == [('input_delay', 'joint1')] == [
