@@ -129,7 +129,7 @@ def test_a_plain_search_ends_when_time_is_up():
     assert (found.evaluations, found.reached) == (1, False)
 
 
-def test_a_command_that_fails_on_a_bag_is_told(tmp_path):
+def test_a_command_that_fails_on_a_bag_is_reported(tmp_path):
     with pytest.raises(GmsFlexError, match='identify ended with 2'):
         fit.identified(tmp_path / 'no_bag', tmp_path)
 

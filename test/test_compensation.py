@@ -74,7 +74,7 @@ def test_gms_of_the_desired_motion_is_friction_replayed_along_the_reference(arm)
     np.testing.assert_allclose(found.friction_hat, expected, atol=1e-12)
 
 
-def test_the_disturbance_observer_finds_a_torque_it_was_not_told_of():
+def test_the_disturbance_observer_finds_a_torque_that_its_model_lacks():
     nothing = StribeckParams(static=[1e-12], coulomb=[1e-12], velocity=[0.01], viscous=[0.0])
     friction = FrictionParams(forward=nothing, backward=nothing, stiffness=[[0.0] * 6],
                               weight=[[1.0 / 6.0] * 6], attraction=[1.0])
