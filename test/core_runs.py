@@ -8,7 +8,7 @@ from dataclasses import replace
 from gms_flex_control import records
 from gms_flex_control.compiled import compiled
 from gms_flex_control.dynamics import chain, spatial
-from gms_flex_control.experiment.believed import scaled_friction
+from gms_flex_control.experiment import believed
 from gms_flex_control.friction import gms
 from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
@@ -21,6 +21,12 @@ def stribeck(source, **changes):
     """Return Stribeck parameters with some fields replaced."""
     names = ('static', 'coulomb', 'velocity', 'viscous')
     return StribeckParams(**{name: getattr(source, name) for name in names} | changes)
+
+
+def scaled_friction(friction, ratio):
+    """Return friction whose torques are all ``ratio`` times as large at every motion."""
+    scaled = believed.scaled_friction(friction, ratio)
+    return replace(scaled, attraction=ratio * friction.attraction)
 
 
 def model_with_error(robot, *, friction=1.0, stiffness=1.0, inertia=1.0):
