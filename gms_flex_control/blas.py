@@ -8,7 +8,8 @@ Our matrices are small and our own threads and processes keep all cores busy; th
 would wait for a core of their own while others spin.
 """
 
-from contextlib import contextmanager, nullcontext
+from collections.abc import Generator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from threading import RLock
 
 try:
@@ -17,7 +18,7 @@ except ImportError:  # no rosdep key; without it all is as right, and slower on 
     threadpool_limits = None
 
 
-def in_one_thread():
+def in_one_thread() -> AbstractContextManager:
     """Return a context: until it is left, BLAS uses one thread, then as many as before."""
     return threadpool_limits(1, 'blas') if threadpool_limits else nullcontext()
 
@@ -26,7 +27,7 @@ _ALONE = RLock()
 
 
 @contextmanager
-def alone_in_one_thread():
+def alone_in_one_thread() -> Generator[None, None, None]:
     """
     Let one caller of this process in at a time, with BLAS in one thread.
 

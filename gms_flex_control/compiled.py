@@ -8,6 +8,7 @@ numba invalidates a cached function when its own file changes, but not when a fu
 in another file does. The cache folder is therefore named after a hash of every kernel source.
 """
 
+from collections.abc import Callable
 from contextlib import contextmanager
 from functools import wraps
 import hashlib
@@ -41,20 +42,11 @@ def _kernel_hash(further):
     return digest.hexdigest()[:16]
 
 
-def cache_folder(*further):
+def cache_folder(*further: Path) -> str | None:
     """
-    Return where compiled functions are kept.
+    Return where compiled functions of these very sources are kept; None where none is writable.
 
-    Parameters
-    ----------
-    *further : Path
-        Folders of kernels beside those of the package, which may call these.
-
-    Returns
-    -------
-    str or None
-        A folder of its own for these very sources, made if need be; None where none is writable.
-
+    ``further`` are folders of kernels beside those of the package, which may call these.
     """
     name = f'kernels-{_kernel_hash(further)}'
     home = os.environ.get('XDG_CACHE_HOME') or os.path.expanduser('~/.cache')
@@ -88,7 +80,7 @@ def _cached_in(folder):
             config.CACHE_DIR = previous
 
 
-def compiled(function, folder=_CACHE_FOLDER):
+def compiled(function, folder=_CACHE_FOLDER) -> Callable:
     """
     Compile a numerical function with numba, without the GIL, cached on disk where possible.
 
@@ -99,7 +91,7 @@ def compiled(function, folder=_CACHE_FOLDER):
         return numba.njit(cache=cache, nogil=True, error_model='numpy')(function)
 
 
-def compiled_choice(choose):
+def compiled_choice(choose) -> Callable:
     """
     Compile a function that stands for one of several kernels, chosen when it is compiled.
 
@@ -118,14 +110,14 @@ def compiled_choice(choose):
     return from_python
 
 
-def compiled_effect(function):
+def compiled_effect(function) -> Callable:
     """Compile an effect's ``apply`` to a C function that kernels call by its address."""
     with _cached_in(_CACHE_FOLDER) as cache:
         return numba.cfunc(EFFECT_SIGNATURE, cache=cache)(function)
 
 
 @intrinsic
-def call_effect(typing_context, address, signals, params, memory, dt):
+def call_effect(typing_context, address, signals, params, memory, dt) -> tuple:
     """Call the effect compiled at ``address``; all but ``dt`` are addresses (intp)."""
     from llvmlite import ir
 

@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """The package's own errors and warnings: each says what, where, the value and the way out."""
 
+from collections.abc import Generator
 from contextlib import contextmanager
 from difflib import get_close_matches
 import warnings
@@ -21,7 +22,7 @@ class ConfigError(GmsFlexError):
 
 
 class TrajectoryError(GmsFlexError, ValueError):
-    """A trajectory cannot be built from what was asked."""
+    """A trajectory cannot be built from its parameters."""
 
 
 class SimulationError(GmsFlexError):
@@ -37,7 +38,7 @@ class ImportDataError(GmsFlexError):
 
 
 class IdentificationError(GmsFlexError):
-    """A recording cannot tell what is asked of it, or would tell it wrongly."""
+    """A recording does not determine what is wanted, or would determine it wrongly."""
 
 
 class BatchError(GmsFlexError):
@@ -49,7 +50,7 @@ class LostItemError(BatchError):
 
 
 @contextmanager
-def own_warnings():
+def own_warnings() -> Generator[list, None, None]:
     """Yield a list that collects warnings of this package; those of numpy and scipy are lost."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter('always')
@@ -57,7 +58,7 @@ def own_warnings():
         yield caught
 
 
-def did_you_mean(name, known):
+def did_you_mean(name, known) -> str:
     """Return '; did you mean ...?' with the nearest of ``known``, or a list of all of them."""
     near = get_close_matches(str(name), list(known), n=1, cutoff=0.5)
     if near:

@@ -58,26 +58,15 @@ WITHOUT_NODES = {
     'tuning': 12, 'hidden_score': 11, 'effects': 10}
 
 
-# what `make test-fast` runs: no node, no browser, no fit of a recording
-FAST = {
-    'analysis_cli', 'analysis_tracking', 'bags_reader', 'bags_tables', 'bags_writer',
-    'coordinates', 'csv_import', 'csv_import_map', 'dynamics_chain', 'effect_declarations',
-    'encoder', 'friction_gms', 'gain_conditions', 'hardware_limits', 'hardware_states',
-    'identification_plan', 'import_direction', 'layouts', 'linear_axes', 'plant',
-    'reports_page', 'schema', 'simulate', 'torsion', 'trajectory', 'trajectory_levels', 'urdf'}
-
-
 def pytest_addoption(parser):
-    """Add --fast: the files of FAST alone."""
-    parser.addoption('--fast', action='store_true', help='run the files of conftest.FAST alone')
+    """Add --fast: the files with ``pytestmark = pytest.mark.fast`` alone, for `make test-fast`."""
+    parser.addoption('--fast', action='store_true', help='run the files marked as fast alone')
 
 
 def pytest_ignore_collect(collection_path, config):
-    """Leave out what is not FAST, where asked."""
-    name = collection_path.stem
-    if config.getoption('--fast') and name.startswith('test_') and (
-            name.removeprefix('test_') not in FAST):
-        return True
+    """Leave out files that are not marked as fast, where asked."""
+    if config.getoption('--fast') and collection_path.name.startswith('test_'):
+        return True if 'mark.fast' not in collection_path.read_text(encoding='utf-8') else None
     return None
 
 

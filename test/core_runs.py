@@ -8,6 +8,7 @@ from dataclasses import replace
 from gms_flex_control import records
 from gms_flex_control.compiled import compiled
 from gms_flex_control.dynamics import chain, spatial
+from gms_flex_control.experiment import believed
 from gms_flex_control.friction import gms
 from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
@@ -24,13 +25,8 @@ def stribeck(source, **changes):
 
 def scaled_friction(friction, ratio):
     """Return friction whose torques are all ``ratio`` times as large at every motion."""
-    forward, backward = (
-        stribeck(steady, **{name: ratio * getattr(steady, name)
-                            for name in ('static', 'coulomb', 'viscous')})
-        for steady in (friction.forward, friction.backward))
-    return FrictionParams(forward=forward, backward=backward, weight=friction.weight,
-                          stiffness=ratio * friction.stiffness,
-                          attraction=ratio * friction.attraction)
+    scaled = believed.scaled_friction(friction, ratio)
+    return replace(scaled, attraction=ratio * friction.attraction)
 
 
 def model_with_error(robot, *, friction=1.0, stiffness=1.0, inertia=1.0):
@@ -82,6 +78,15 @@ def _centres(q, arm):
     return arm.com[:, None] * along + (joints if arm.kind == 'planar' else 0.0)
 
 
+def step_friction(state, displacement, dt, friction):
+    """Return the state after a step of joints by ``displacement`` (n,), and the friction (n,)."""
+    state, tau = state.copy(), np.empty(len(displacement))
+    displacement, constants = np.array(displacement, dtype=float), gms.constants_of(friction)
+    gms.advance(state, displacement, displacement / dt, dt, constants)
+    gms.total(state, displacement / dt, constants, tau)
+    return state, tau
+
+
 @compiled
 def _drive(state, displacement, dt, constants, torque):
     for k in range(displacement.shape[0]):
@@ -92,26 +97,9 @@ def _drive(state, displacement, dt, constants, torque):
 
 def drive_friction(friction, angle, dt, state=None):
     """
-    Move friction along angles.
+    Move FrictionParams along ``angle`` (T,) or (T, n), the first step beginning where it ends.
 
-    Parameters
-    ----------
-    friction : FrictionParams
-        Of n joints.
-    angle : ndarray, shape (T,) or (T, n)
-        Angles after each step, the first step beginning where it ends [rad].
-    dt : float
-        Length of a step [s].
-    state : numpy.record, optional
-        Friction state at the beginning.
-
-    Returns
-    -------
-    torque : ndarray, shape (T, n)
-        Sum of the blocks, without viscous friction [N m].
-    state : numpy.record
-        At the end.
-
+    Return the torque of the blocks without viscous friction (T, n) [N m], and the last state.
     """
     angle = np.broadcast_to(np.asarray(angle).reshape(len(angle), -1),
                             (len(angle), len(friction.attraction)))
@@ -135,26 +123,9 @@ def _push(state, command, period, substeps, constants, work, out):
 
 def push_plant(robot, command, period, *, substeps=1, state=None):
     """
-    Drive the plant by torques, open loop.
+    Drive the plant by torques (T, n), each held for ``period`` [s]; ``state`` is changed.
 
-    Parameters
-    ----------
-    robot : RobotParams
-        Of n joints.
-    command : ndarray, shape (T, n)
-        Torque of each sample [N m].
-    period : float
-        Length of a sample [s].
-    substeps : int
-        Integration steps per sample.
-    state : numpy.record, optional
-        Where it begins; changed in place.
-
-    Returns
-    -------
-    ndarray, shape (T, 5, n)
-        q_link, dq_link, q_motor, dq_motor and friction torque after each sample.
-
+    Return q_link, dq_link, q_motor, dq_motor and friction torque after each sample (T, 5, n).
     """
     state = plant.init(robot) if state is None else state
     command = np.ascontiguousarray(command, dtype=float)

@@ -30,7 +30,7 @@ GAINS = ControllerParams(
 
 
 def axis(*, rigid=False, yields=tuple(YIELDS)):
-    """Return an axis like link 2 of the paper, its stiffnesses easier to tell."""
+    """Return an axis like link 2 of the paper, its stiffnesses farther apart."""
     steady = (StribeckParams(static=[0.10697], coulomb=[0.09087], velocity=[0.07819],
                              viscous=[0.00374]),
               StribeckParams(static=[0.09470], coulomb=[0.08363], velocity=[0.05795],

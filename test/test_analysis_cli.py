@@ -16,6 +16,8 @@ from gms_flex_control.params.gains import COMPENSATIONS
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.fast
+
 MAP = """source: a bench
 time: {column: t, unit: s}
 joints:

@@ -11,6 +11,8 @@ from gms_flex_control.data.recording import Recording
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.fast
+
 
 def recording(error, reference=None, joints=('joint1', 'joint2'), **changes):
     """Return a recording at 1 kHz whose link angle is reference + error, shapes (T, n)."""

@@ -7,6 +7,8 @@ from gms_flex_control.data.signals import standing_out
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.fast
+
 PERIOD = 4e-3
 
 

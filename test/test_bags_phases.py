@@ -21,6 +21,8 @@ from gms_flex_control.errors import BagError
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.fast
+
 STATES, COMMANDS = '/joint_states', '/effort_controller/commands'
 
 

@@ -17,6 +17,8 @@ import numpy as np
 import pytest
 from rosbags.typesys import get_typestore, Stores
 
+pytestmark = pytest.mark.fast
+
 REAL = Path(__file__).parent / 'data' / 'ros2_bag_record'
 STORE = get_typestore(Stores.ROS2_JAZZY)
 ODD = (lambda k: pack_command([k, -k], 10**18 + k, 'x'), lambda k: pack_command([k, -k]),

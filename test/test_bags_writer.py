@@ -19,6 +19,8 @@ import pytest
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import get_typestore, Stores
 
+pytestmark = pytest.mark.fast
+
 REAL = Path(__file__).parent / 'data' / 'ros2_bag_record'
 STORE = get_typestore(Stores.ROS2_JAZZY)
 CLOCK = 'rosgraph_msgs/msg/Clock'

@@ -145,7 +145,7 @@ def _released(finished, folder, victim):
     thread.join()
 
 
-def test_a_scheduler_that_is_not_there_is_told(monkeypatch):
+def test_a_scheduler_that_is_not_there_is_reported(monkeypatch):
     pytest.importorskip('distributed', reason="Dask is not installed (extra 'dask')")
     monkeypatch.setattr('gms_flex_control.batches.workers._PATIENCE', '1s')
     with pytest.raises(BatchError, match='does not answer'), open_executor(
@@ -153,7 +153,7 @@ def test_a_scheduler_that_is_not_there_is_told(monkeypatch):
         pass
 
 
-def test_without_dask_the_way_out_is_told(monkeypatch):
+def test_without_dask_the_way_out_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, 'distributed', None)
     with pytest.raises(BatchError, match=r"pip install '\.\[dask\]'"):
         with open_executor(scheduler='tcp://127.0.0.1:8786'):

@@ -82,7 +82,7 @@ def test_a_robot_mujoco_cannot_compare_with_is_refused(robot):
         mujoco_arm.mjcf(decoupled, 1e-4)
 
 
-@pytest.mark.parametrize('count', [0, 1, 10])
+@pytest.mark.parametrize('count', [1, 10])
 @pytest.mark.filterwarnings('ignore:First-class function')
 def test_all_ways_to_join_effects_give_the_same_signals(count, tmp_path, monkeypatch):
     monkeypatch.setenv('NUMBA_CACHE_DIR', str(tmp_path))
@@ -129,7 +129,7 @@ def test_a_plain_search_ends_when_time_is_up():
     assert (found.evaluations, found.reached) == (1, False)
 
 
-def test_a_command_that_fails_on_a_bag_is_told(tmp_path):
+def test_a_command_that_fails_on_a_bag_is_reported(tmp_path):
     with pytest.raises(GmsFlexError, match='identify ended with 2'):
         fit.identified(tmp_path / 'no_bag', tmp_path)
 

@@ -64,8 +64,8 @@ def test_the_strongest_ripple_is_found():
     assert orders[0] == pytest.approx(ORDER, rel=0.01)
 
 
-@pytest.mark.parametrize('delay', [DELAY, -DELAY])
-def test_library_recovers_ripple_and_delay_and_chooses_them(delay):
+def test_library_recovers_ripple_and_delay_and_chooses_them():
+    delay = -DELAY
     one = motion(RIPPLE, delay)
     found = least_squares.compared(part(one), BAND, gravity=False, loaded=False)
     assert {'ripple', 'delay'} <= set(found.chosen.groups)

@@ -325,13 +325,11 @@ def test_what_cannot_be_read_or_written_is_named_as_it_was_given(
     assert told == f'gms_flex {arguments.split()[0]}: {sentence.format(**places)}\n'
 
 
-@pytest.mark.parametrize('environment', [{}, {'NO_COLOR': '1'}])
 @pytest.mark.parametrize('arguments', [['--help'], ['check-gains'], ['info', '/no/such/bag']])
-def test_no_colour_comes_from_it(arguments, environment):
+def test_no_colour_comes_from_it(arguments):
     """Not even on a terminal, so there is none for NO_COLOR to forbid."""
     terminal, end = pty.openpty()
-    tool_in({'TERM': 'xterm-256color', 'FORCE_COLOR': '1', **environment}, arguments, stdout=end,
-            stderr=end)
+    tool_in({'TERM': 'xterm-256color', 'FORCE_COLOR': '1'}, arguments, stdout=end, stderr=end)
     os.close(end)
     shown = b''
     try:

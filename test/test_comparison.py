@@ -122,7 +122,7 @@ def test_compare_prints_the_table_and_writes_a_page_that_stands_alone(
         tmp_path, capsys, only):
     """Two compensations; the second time everything comes from the journal."""
     only('none', 'gms')
-    args = ['compare', '--draws', '1', '--out', str(tmp_path)]
+    args = ['compare', '--draws', '1', '--workers', '1', '--out', str(tmp_path)]
     assert main([*args, '--json']) == 0
     told = json.loads(capsys.readouterr().out)
     assert told == json.loads((tmp_path / 'comparison.json').read_text())
@@ -147,7 +147,7 @@ def test_compare_prints_the_table_and_writes_a_page_that_stands_alone(
 @pytest.fixture(scope='module')
 def plan():
     return read_plan([robot_file(), controller_file(), share_path() / 'config' / 'sinusoid.yaml'],
-                     duration=16.0)
+                     duration=12.0)
 
 
 def test_the_friction_along_a_recording_is_the_one_that_acted(plan):
@@ -220,7 +220,7 @@ def test_the_robot_as_identified_is_the_plant_wherever_it_is_named(arm, tmp_path
     save_values(values, twice)
     files, told = [str(robot_file()), str(twice)], []
     for k, place in enumerate(([], files, ['--robot', *files])):
-        assert main(['compare', *place, '--draws', '0', '--json', '--out',
+        assert main(['compare', *place, '--draws', '0', '--workers', '1', '--json', '--out',
                      str(tmp_path / str(k))]) == 0
         told.append(json.loads(capsys.readouterr().out)['rows'][0]['errors']['nominal'])
     assert told[1] == told[2] > 1.5 * told[0]

@@ -7,7 +7,8 @@ from dataclasses import replace
 
 from core_runs import model_with_error, single_axis
 from gms_flex_control.control import compensation
-from gms_flex_control.friction import gms, steady_friction, stribeck_level
+from gms_flex_control.friction import gms
+from gms_flex_control.friction.stribeck import steady_friction, stribeck_level
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
 from gms_flex_control.params.gains import COMPENSATIONS, ControllerParams
 from gms_flex_control.params.robot import EffectSpec, EncoderParams
@@ -17,6 +18,8 @@ from gms_flex_control.simulation import closed_loop
 from gms_flex_control.trajectory import builders
 import numpy as np
 import pytest
+
+pytestmark = pytest.mark.fast
 
 
 @pytest.fixture(scope='module')
@@ -71,7 +74,7 @@ def test_gms_of_the_desired_motion_is_friction_replayed_along_the_reference(arm)
     np.testing.assert_allclose(found.friction_hat, expected, atol=1e-12)
 
 
-def test_the_disturbance_observer_finds_a_torque_it_was_not_told_of():
+def test_the_disturbance_observer_finds_a_torque_that_its_model_lacks():
     nothing = StribeckParams(static=[1e-12], coulomb=[1e-12], velocity=[0.01], viscous=[0.0])
     friction = FrictionParams(forward=nothing, backward=nothing, stiffness=[[0.0] * 6],
                               weight=[[1.0 / 6.0] * 6], attraction=[1.0])

@@ -174,7 +174,7 @@ def after_move(robot, model, gains, move_time, far=(1.0, 1.0)):
     return np.ptp(run.true[run.time >= move_time + 1.0, 0], axis=0)
 
 
-@pytest.mark.parametrize('ratio', [0.8, 0.9, 1.0, 1.1, 1.2, 1.3])
+@pytest.mark.parametrize('ratio', [0.8, 1.0, 1.3])
 def test_it_holds_still_after_a_move_whatever_the_friction(ideal_robot, gains, ratio):
     """No hunting with friction believed 0.8 to 1.3 times what it is: below 0.1 mrad."""
     model = model_with_error(ideal_robot, friction=ratio)
@@ -183,7 +183,7 @@ def test_it_holds_still_after_a_move_whatever_the_friction(ideal_robot, gains, r
         assert p2p.max() < 1e-4
 
 
-@pytest.mark.parametrize('ratio', [0.8, 0.9, 1.0, 1.1, 1.2, 1.3])
+@pytest.mark.parametrize('ratio', [0.8, 1.0, 1.3])
 def test_what_a_brisk_move_leaves_ringing_dies_out(ideal_robot, gains, ratio):
     """After 1 rad in 2 s the links ring in their presliding springs, ever less."""
     model = model_with_error(ideal_robot, friction=ratio)
@@ -195,7 +195,7 @@ def test_what_a_brisk_move_leaves_ringing_dies_out(ideal_robot, gains, ratio):
     assert late.max() < 1e-4
 
 
-@pytest.mark.parametrize('ratio', [0.8, 0.9, 1.0, 1.1, 1.2, 1.3])
+@pytest.mark.parametrize('ratio', [0.8, 1.0, 1.3])
 def test_it_holds_still_behind_encoders(robot, gains, ratio):
     """With 20 000 counts a revolution it moves less than a count, 0.314 mrad, and mostly less."""
     model = model_with_error(robot, friction=ratio)

@@ -16,6 +16,8 @@ from gms_flex_control.simulation.predictor import BLOCKS
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.fast
+
 STEADY = {'static': [0.108, 0.104], 'coulomb': [0.094, 0.090], 'velocity': [0.0085, 0.0049],
           'viscous': [0.066, 0.074], 'attraction': 1.5}
 YIELDS = [1e-4, 3e-4, 2e-3, 1e-2]

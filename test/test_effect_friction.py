@@ -18,6 +18,8 @@ from gms_flex_control.simulation import plant
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.fast
+
 VISCOUS = StribeckParams(static=[1e-14], coulomb=[1e-14], velocity=[1.0], viscous=[0.02])
 
 

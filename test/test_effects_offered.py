@@ -16,6 +16,8 @@ from gms_flex_control.params.robot import EffectSpec
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.fast
+
 MODULE = """
 from gms_flex_control.effects.base import Parameter, Stage, Term
 from gms_flex_control.effects.guess import linear

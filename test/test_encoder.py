@@ -9,6 +9,8 @@ from gms_flex_control.simulation import encoder
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.fast
+
 PERIOD = 2e-3
 
 

@@ -51,14 +51,14 @@ def test_ruff_sees_what_flake8_and_its_plugins_see(tmp_path):
     """
     In the same lines, of the same families of rules; so it may look in flake8's place.
 
-    The order of imports ruff tells of the first one.
+    ruff reports the order of imports at the first one.
     """
     (tmp_path / 'bad.py').write_text(BAD)
     _, errors = main.main_with_errors(argv=[str(tmp_path / 'bad.py')])
-    told = subprocess.run([RUFF, 'check', '--output-format', 'json', '--no-cache', '--config',
+    found = subprocess.run([RUFF, 'check', '--output-format', 'json', '--no-cache', '--config',
                            Path(__file__).parents[1] / 'ruff.toml', 'bad.py'], cwd=tmp_path,
                           capture_output=True, text=True, check=False).stdout
-    seen = {(one['location']['row'], one['code'][0]) for one in json.loads(told)}
+    seen = {(one['location']['row'], one['code'][0]) for one in json.loads(found)}
     asked = {(1 if family == 'I' else int(line), family) for line, family in re.findall(
         r'bad\.py:(\d+):\d+: ([A-Z])', '\n'.join(errors))}
     assert {family for _, family in asked} == set('ACDEFIQW')

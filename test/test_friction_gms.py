@@ -3,13 +3,23 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Friction: what the Generalized Maxwell-Slip model must do, against closed forms."""
 
-from core_runs import drive_friction, joint_friction, push_plant, single_axis, stribeck
+from core_runs import (
+    drive_friction,
+    joint_friction,
+    push_plant,
+    single_axis,
+    step_friction,
+    stribeck,
+)
 from gms_flex_control.errors import ParameterError
-from gms_flex_control.friction import gms, steady_friction, stribeck_level
+from gms_flex_control.friction import gms
+from gms_flex_control.friction.stribeck import steady_friction, stribeck_level
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
 from gms_flex_control.simulation import plant
 import numpy as np
 import pytest
+
+pytestmark = pytest.mark.fast
 
 ARM_STRAIGHT = 0.41675  # M11 of the default arm with its elbow straight [kg m^2]
 
@@ -42,13 +52,8 @@ def path(*corners, steps=500):
     return np.concatenate([[corners[0]], *legs])
 
 
-def python_blocks(angle, dt, friction, *, clip=True, directed=True, printed_slip=False):
-    """
-    Step the blocks of one joint in plain Python, as corrected or in the wrong ways of the print.
-
-    Without ``clip`` a block keeps what it has at break-away; undirected it breaks away at
-    abs(F) > alpha s (Eq. 2 as printed); ``printed_slip`` is Eq. (3) as printed.
-    """
+def python_blocks(angle, dt, friction, *, clip=True):
+    """Step the blocks of one joint in plain Python; else a block keeps what breaks it away."""
     torque, sticking, sign = np.zeros(friction.stiffness.shape[1]), np.ones(6, bool), 1.0
     out = []
     for step in np.diff(angle, prepend=angle[:1]):
@@ -60,11 +65,11 @@ def python_blocks(angle, dt, friction, *, clip=True, directed=True, printed_slip
             -(v / steady.velocity[0]) ** 2)
         share = friction.weight[0] * s
         slipping = ~sticking
-        rate = friction.attraction[0] / s * (sign if printed_slip else 1.0)
-        goal = share if printed_slip else sign * share
-        torque[slipping] = (goal + (torque - goal) * np.exp(-rate * dt))[slipping]
+        goal = sign * share
+        torque[slipping] = (goal + (torque - goal) * np.exp(
+            -friction.attraction[0] / s * dt))[slipping]
         torque[sticking] += friction.stiffness[0][sticking] * step
-        broken = sticking & ((sign * torque if directed else np.abs(torque)) >= share)
+        broken = sticking & (sign * torque >= share)
         if clip:
             torque[broken] = (np.sign(torque) * share)[broken]
         sticking &= ~broken
@@ -120,7 +125,7 @@ def test_constant_velocity_settles_on_the_steady_curve(friction, speed, directio
     """Sliding either way ends on Eq. (6) with the values of its direction, to six digits."""
     state, v = gms.init(friction), np.full(2, direction * speed)
     for _ in range(2000):
-        state, tau = gms.step(state, 1e-3 * np.sign(v), 1e-3 / speed, friction)
+        state, tau = step_friction(state, 1e-3 * np.sign(v), 1e-3 / speed, friction)
     np.testing.assert_allclose(tau, steady_friction(v, friction), rtol=1e-6)
 
 
@@ -268,30 +273,9 @@ def test_the_exact_slip_step_holds_where_explicit_euler_blows_up(friction):
     euler, state = 0.9 * weight * level, gms.init(one)
     for _ in range(40):
         euler += dt * attraction * (weight - euler / level)
-        state, tau = gms.step(state, [0.1 * dt], dt, one)
+        state, tau = step_friction(state, [0.1 * dt], dt, one)
     assert abs(euler) > 1e6
     assert tau == pytest.approx(steady_friction(np.array([0.1]), one), rel=1e-9)
-
-
-def test_the_printed_slip_equation_diverges_backwards(friction):
-    """Eq. (3) as printed has a pole at +C/s for v < 0."""
-    one = joint_friction(friction, 0)
-    x = -0.1 * np.arange(0.0, 2.0, 1e-3)
-    assert np.abs(python_blocks(x, 1e-3, one, printed_slip=True)).max() > 1e6
-    assert np.abs(python_blocks(x, 1e-3, one)).max() <= one.backward.static[0]
-    np.testing.assert_array_equal(python_blocks(-x, 1e-3, one, printed_slip=True),
-                                  python_blocks(-x, 1e-3, one))
-
-
-def test_undirected_break_away_is_wrong_after_reversals(friction):
-    """Eq. (2) as printed slips blocks that are only being unloaded: wrong by over 0.012 N m."""
-    t = np.arange(0.0, 6.0, 1e-3)
-    for joint in (0, 1):
-        one = joint_friction(friction, joint)
-        for amplitude in (0.05, 0.3, 1.0):
-            x = amplitude * np.sin(2 * np.pi * t / 2.0)
-            wrong = python_blocks(x, 1e-3, one, directed=False)
-            assert np.abs(python_blocks(x, 1e-3, one) - wrong).max() > 0.012
 
 
 def test_a_rest_keeps_the_direction_of_the_last_motion(friction):
@@ -299,17 +283,17 @@ def test_a_rest_keeps_the_direction_of_the_last_motion(friction):
     for direction in (1.0, -1.0):
         state, moving = gms.init(friction), np.full(2, 0.1 * direction)
         for _ in range(5):
-            state, _ = gms.step(state, moving, 1e-2, friction)
+            state, _ = step_friction(state, moving, 1e-2, friction)
         assert not state.sticking.any()
-        rested, _ = gms.step(state, np.zeros(2), 1e-2, friction)
+        rested, _ = step_friction(state, np.zeros(2), 1e-2, friction)
         assert not rested.sticking.any()
         np.testing.assert_array_equal(rested.direction, [direction] * 2)
 
 
 def test_a_reversal_makes_all_blocks_stick_again(friction):
-    state, _ = gms.step(gms.init(friction), np.full(2, 0.5), 1e-2, friction)
+    state, _ = step_friction(gms.init(friction), np.full(2, 0.5), 1e-2, friction)
     assert not state.sticking.any()
-    state, _ = gms.step(state, np.full(2, -1e-6), 1e-2, friction)
+    state, _ = step_friction(state, np.full(2, -1e-6), 1e-2, friction)
     assert state.sticking.all()
     np.testing.assert_array_equal(state.direction, [-1.0, -1.0])
 
@@ -317,7 +301,7 @@ def test_a_reversal_makes_all_blocks_stick_again(friction):
 def test_a_step_leaves_the_state_it_was_given(friction):
     state = gms.init(friction, torque=np.full((2, 6), 0.01), direction=[-1.0, 1.0])
     before = state.copy()
-    after, _ = gms.step(state, [0.5, -0.5], 1e-3, friction)
+    after, _ = step_friction(state, [0.5, -0.5], 1e-3, friction)
     assert state == before
     assert after != before
     np.testing.assert_array_equal(before.torque, np.full((2, 6), 0.01))

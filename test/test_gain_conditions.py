@@ -14,6 +14,8 @@ from gms_flex_control.schema.files import load_controller, load_robot
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.fast
+
 CONFIG = Path(__file__).resolve().parent.parent / 'config'
 
 

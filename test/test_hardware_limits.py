@@ -10,6 +10,8 @@ from gms_flex_control.hardware.limits import jump, limited, Limits, UNLIMITED, v
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.fast
+
 NAMES = ('elbow', 'wrist')
 STILL = np.zeros(2)
 

@@ -17,6 +17,8 @@ from gms_flex_control.hardware.mapping import (
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.fast
+
 MS = 1_000_000
 NAN = math.nan
 

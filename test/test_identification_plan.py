@@ -16,6 +16,8 @@ from gms_flex_control.trajectory import builders
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.fast
+
 CONFIG = Path(__file__).parents[1] / 'config'
 ROBOT = load_robot(CONFIG / 'robot.yaml')
 GAINS = load_controller(CONFIG / 'controller.yaml', ROBOT)

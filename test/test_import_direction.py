@@ -14,6 +14,8 @@ import gms_flex_control
 from gms_flex_control.effects import registry
 import pytest
 
+pytestmark = pytest.mark.fast
+
 PACKAGE = 'gms_flex_control'
 ROOT = Path(gms_flex_control.__file__).parent
 # each may import those before it, and itself; one that does not exist yet does no harm

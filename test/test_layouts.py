@@ -14,6 +14,8 @@ from gms_flex_control.schema.files import load_robot
 from gms_flex_control.schema.urdf import BASE
 import pytest
 
+pytestmark = pytest.mark.fast
+
 ROOT = Path(__file__).resolve().parents[1]
 ROBOT = load_robot(robot_file())
 N, BLOCKS = ROBOT.friction.stiffness.shape
@@ -95,7 +97,7 @@ def test_foxglove_places_each_of_its_panels_once():
 
 
 def test_foxglove_names_every_plot_and_its_unit():
-    """The key of a title depends on the program and its version; 'title' is none."""
+    """The key of a title depends on the program and its version; 'title' is not one."""
     plots = [panel for panel in foxglove()['configById'].values() if 'paths' in panel]
     assert plots
     for plot in plots:
@@ -124,7 +126,7 @@ def test_rviz_shows_the_whole_arm():
     assert rviz()['Window Geometry']['Height'] / view['Scale'] / 2 > sum(ROBOT.arm.length)
 
 
-def test_rviz_is_told_that_its_panels_are_there():
+def test_rviz_knows_that_its_panels_are_there():
     """It reads a boolean that nothing has set where the file does not say."""
     assert [rviz()['Window Geometry'][f'Hide {side} Dock'] for side in ('Left', 'Right')] == [
         False, False]

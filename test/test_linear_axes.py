@@ -20,6 +20,8 @@ from identified import identification
 from matplotlib.figure import Figure
 import pytest
 
+pytestmark = pytest.mark.fast
+
 ROTARY = re.compile(r'\b(m?rad|N m|kg m)\b')
 
 
@@ -28,13 +30,13 @@ def linear(robot):
     return replace(robot, arm=replace(robot.arm, kind='decoupled', axes='linear'))
 
 
-@pytest.mark.parametrize(('rotary', 'told'), [
+@pytest.mark.parametrize(('rotary', 'written'), [
     ('0.5 mrad', '0.5 mm'), ('rad/s', 'm/s'), ('[rad^2]', '[m^2]'), ('3 mN m of', '3 mN of'),
     ('N m', 'N'), ('N m/rad', 'N/m'), ('N m s/rad', 'N s/m'), ('N m s^2/rad^2', 'N s^2/m^2'),
     ('N m/rad^3', 'N/m^3'), ('N m/s', 'N/s'), ('kN m', 'kN'), ('kg m^2', 'kg'),
     ('gradient of m, N', 'gradient of m, N')])
-def test_units_of_linear_axes(robot, rotary, told):
-    assert in_units(linear(robot).arm, rotary) == told
+def test_units_of_linear_axes(robot, rotary, written):
+    assert in_units(linear(robot).arm, rotary) == written
     assert in_units(robot.arm, rotary) == rotary
 
 
@@ -52,8 +54,8 @@ def test_text_page_and_numbers_of_an_identification_have_mm_and_n(tmp_path):
     assert ROTARY.search(identification_text(made))
     made = replace(made, robot=linear(made.robot))
     page = write_identification_report(made, tmp_path)[0].read_text('utf-8')
-    told = re.sub(r'<script>.*?</script>|src="[^"]*"', '', page, flags=re.DOTALL)
-    assert ROTARY.findall(told) == [] and ' mm' in told and '[N]' in told
+    text = re.sub(r'<script>.*?</script>|src="[^"]*"', '', page, flags=re.DOTALL)
+    assert ROTARY.findall(text) == [] and ' mm' in text and '[N]' in text
     numbers = json.dumps(report_json(made)['joints'])
     assert ROTARY.findall(numbers) == [] and '"N s/m"' in numbers
 

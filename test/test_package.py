@@ -1,7 +1,7 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""The package's files tell one story, and its files are found wherever it is installed."""
+"""The package's files agree, and its files are found wherever it is installed."""
 
 import ast
 from importlib import import_module, util

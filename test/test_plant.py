@@ -8,13 +8,15 @@ from dataclasses import replace
 import core_runs
 from core_runs import joint_friction, push_plant, scaled_friction, single_axis
 from gms_flex_control.errors import ParameterError
-from gms_flex_control.friction import steady_friction
+from gms_flex_control.friction.stribeck import steady_friction
 from gms_flex_control.params.robot import EncoderParams
 from gms_flex_control.simulation import closed_loop, plant
 from gms_flex_control.trajectory.builders import sinusoid
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+
+pytestmark = pytest.mark.fast
 
 
 @pytest.fixture(scope='module')

@@ -5,7 +5,7 @@
 
 from dataclasses import dataclass, replace
 
-from core_runs import push_plant
+from core_runs import push_plant, step_friction
 from gms_flex_control import records
 from gms_flex_control.dynamics import chain
 from gms_flex_control.friction import gms
@@ -288,7 +288,7 @@ def test_replay_is_the_friction_of_each_step():
                               weight=record.weight, attraction=record.attraction)
     state, expected = gms.init(friction), [np.zeros(2)]
     for step in np.diff(angle, axis=0):
-        state, tau = gms.step(state, step, PERIOD, friction)
+        state, tau = step_friction(state, step, PERIOD, friction)
         expected.append(tau)
     np.testing.assert_allclose(gms.replay(angle, rate, PERIOD, record), expected, rtol=0.0,
                                atol=1e-14)

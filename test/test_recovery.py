@@ -1,7 +1,7 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""Trials of a recovery: what is counted, and that they are the same wherever they are done."""
+"""Trials of a recovery: what is counted, and that they go on where they were."""
 
 import json
 import math
@@ -12,7 +12,6 @@ from gms_flex_control.identification.result import Estimate, Interval
 from gms_flex_control.schema.files import save_robot, save_values
 from gms_flex_control.tuning.propose import controller_values
 from identified_axis import axis, GAINS
-from loopback_cluster import cluster
 import pytest
 
 
@@ -76,25 +75,22 @@ def recover(tmp_path):
     files = [word for name in ('robot', 'controller', 'plan')
              for word in (f'--{name}', str(tmp_path / f'{name}.yaml'))]
 
-    def run(name, *options):
-        out = tmp_path / name
+    def run(*options):
+        out = tmp_path / 'out'
         assert main(['recover', *files, '--seeds', '2', '--rate', '200', '--out', str(out),
                      *options]) in (0, 1)
         return (out / 'recovery.json').read_text(), out / 'outcomes.jsonl'
     return run
 
 
-def test_a_recovery_that_goes_on_or_runs_on_a_cluster_finds_the_same(tmp_path, recover):
+def test_a_recovery_that_goes_on_finds_the_same(recover):
     """The second run finds one seed in the journal, the last one all of them."""
-    figures, journal = recover('out')
+    figures, journal = recover()
     lines = journal.read_text().splitlines()
     assert json.loads(figures)['seeds'] == [0, 1] and len(lines) == 2
     journal.write_text(lines[1] + '\n' + lines[0][:40])
-    assert recover('out')[0] == figures
+    assert recover()[0] == figures
     kept = journal.read_text().splitlines()
     assert kept[0] == lines[1] and len(kept) == 3
-    with cluster(tmp_path) as (address, _):
-        found, journal = recover('cluster', '--scheduler', address)
-    assert found == figures
-    assert recover('cluster', '--workers', '1')[0] == figures  # all from the journal
-    assert len(journal.read_text().splitlines()) == 2
+    assert recover('--workers', '1')[0] == figures
+    assert journal.read_text().splitlines() == kept

@@ -17,6 +17,8 @@ from gms_flex_control.reports.page import decimate, merge_grids, Report, Series
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.fast
+
 EVIL = '</script><script>alert(1)</script> & "joint"'
 ROOT = Path(__file__).resolve().parents[1]
 

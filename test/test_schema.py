@@ -12,14 +12,16 @@ from gms_flex_control.errors import ConfigError, ParameterError
 from gms_flex_control.experiment.plan import read_plan
 from gms_flex_control.experiment.simulated import simulate
 from gms_flex_control.params.gains import COMPENSATIONS
+from gms_flex_control.params.key import offered_range
 from gms_flex_control.params.robot import EffectSpec
 from gms_flex_control.resources import controller_file, robot_file, share_path
 from gms_flex_control.schema.files import load_controller, load_robot, save_robot
-from gms_flex_control.schema.key import offered_range
 from gms_flex_control.schema.keys import controller_keys
 from gms_flex_control.schema.node_keys import trajectory_keys
 import numpy as np
 import pytest
+
+pytestmark = pytest.mark.fast
 
 CONFIG = Path(__file__).parents[1] / 'config'
 ROBOT = (CONFIG / 'robot.yaml').read_text(encoding='utf-8')

@@ -21,6 +21,8 @@ from gms_flex_control.schema.files import load_robot
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.fast
+
 ROOT = Path(__file__).resolve().parent.parent
 KR300 = ROOT.parent / 'shared' / 'data' / 'kr300'
 K, J, M = 4e5, 3.0, 20.0

@@ -9,6 +9,8 @@ from gms_flex_control.trajectory.segments import Trajectory
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.fast
+
 MOTIONS = {
     'hold': builders.hold([0.3, -0.2]),
     'via points': builders.via_points([[0.0, 0.0], [1.0, -0.5], [0.2, 0.7]], 1.5, 0.4),
@@ -97,7 +99,7 @@ def test_the_way_through_samples_of_a_polynomial_is_that_polynomial(given, degre
     times = np.array([0.0, 0.3, 0.5, 1.1, 1.4, 2.0])
     rows = [truth.deriv(k)(times) if k else truth(times) for k in range(5)]
     states = np.stack(rows, axis=1)[:, :, None]
-    states[1:-1, given:] = np.nan  # the ends are told whole
+    states[1:-1, given:] = np.nan  # the ends are given whole
     moments = np.linspace(0.0, 2.0, 77)[:-1]
     found = builders.through(times, states).sample(moments)[:, :, 0]
     for k in range(5):

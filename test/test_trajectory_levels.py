@@ -10,6 +10,8 @@ from gms_flex_control.trajectory import builders
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.fast
+
 
 def assert_consistent(trajectory, bound):
     """Each row is the derivative of the row before."""

@@ -14,7 +14,7 @@ from gms_flex_control.data.reader import read_recording
 import numpy as np
 import pytest
 from tutorial import (
-    is_as_told,
+    is_as_documented,
     JUDGED,
     OWN,
     parts_of,
@@ -61,7 +61,7 @@ def test_the_commands_print_what_the_tutorial_says(name, environment, here):
                    check=False, stdin=subprocess.DEVNULL)
     for k, (command, expected) in enumerate(commands):
         printed = (here / f'out{k}').read_text()
-        assert is_as_told(printed, expected), (
+        assert is_as_documented(printed, expected), (
             f'{command}\nprinted\n{printed}\ninstead of\n{expected}')
         assert int((here / f'code{k}').read_text()) in JUDGED, f'{command}\n{printed}'
     if commands[-1][0].startswith('rm '):  # so that the page can be followed a second time
@@ -89,7 +89,7 @@ def test_the_arm_moves_as_the_tutorial_says_and_everything_ends(with_ros, here):
         for prose, commands in parts_of(TUTORIALS / 'with_a_robot.md'):
             if 'Ctrl-C' in prose:
                 codes = terminals.interrupt()
-                assert codes and not any(codes), terminals.told()
+                assert codes and not any(codes), terminals.shown()
             for command, expected in commands:
                 if command.endswith(OWN):
                     terminals.start(command.removesuffix(OWN))
@@ -98,9 +98,9 @@ def test_the_arm_moves_as_the_tutorial_says_and_everything_ends(with_ros, here):
         assert terminals.interrupt() == []
         terminals.do('ros2 daemon stop', '...')
         angles = read_recording(here / 'first').q_link
-        if not re.search(LATE, terminals.told()):
-            assert (np.ptp(angles, axis=0) > 0.5).all(), terminals.told()  # of 0.6
-        assert 'Traceback' not in terminals.told()
+        if not re.search(LATE, terminals.shown()):
+            assert (np.ptp(angles, axis=0) > 0.5).all(), terminals.shown()  # of 0.6
+        assert 'Traceback' not in terminals.shown()
         end = monotonic() + PATIENCE
         while terminals.left() and monotonic() < end:
             sleep(0.1)

@@ -14,6 +14,8 @@ from gms_flex_control.schema.urdf import robot_urdf
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.fast
+
 ZERO = np.zeros(2)
 
 

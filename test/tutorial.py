@@ -39,7 +39,7 @@ def commands_in(block):
     return [(command, '\n'.join(lines)) for command, lines in found]
 
 
-def is_as_told(printed, expected):
+def is_as_documented(printed, expected):
     """Return whether a command printed what the tutorial says."""
     return OutputChecker().check_output(f'{expected}\n', printed or '\n',
                                         ELLIPSIS | NORMALIZE_WHITESPACE)
@@ -95,10 +95,10 @@ class Terminals:
             done = subprocess.run(['bash', '-c', command], cwd=self._here, timeout=300,
                                   env=self._environment, stdin=subprocess.DEVNULL, text=True,
                                   stdout=subprocess.PIPE, stderr=subprocess.STDOUT, check=False)
-            if done.returncode in codes and is_as_told(done.stdout, expected):
+            if done.returncode in codes and is_as_documented(done.stdout, expected):
                 return done.stdout
             assert command.startswith('ros2 ') and monotonic() < end, (
-                f'{command}\nprinted\n{done.stdout}\ninstead of\n{expected}\n{self.told()}')
+                f'{command}\nprinted\n{done.stdout}\ninstead of\n{expected}\n{self.shown()}')
 
     def interrupt(self):
         """Press Ctrl-C in every terminal; return the exit codes."""
@@ -108,7 +108,7 @@ class Terminals:
         self._open.clear()
         return codes
 
-    def told(self):
+    def shown(self):
         """Return what the terminals show."""
         return ''.join(path.read_text(errors='replace') for path in self._printed)
 

@@ -4,7 +4,7 @@
 """
 The cascade control law with friction compensation, Eqs. (8) to (12) and (27) to (30).
 
-The link law asks for an elastic torque u_ed; the motor law makes the motor follow the angle
+The link law demands an elastic torque u_ed; the motor law makes the motor follow the angle
 that gives it. The motor needs two time derivatives of u_ed: they are taken analytically from
 the model's acceleration and jerk, because encoders leave nothing of a numerical derivative.
 """
@@ -17,7 +17,7 @@ from gms_flex_control.control import compensation, observer
 from gms_flex_control.control.compensation import GMS, GMS_PAPER
 from gms_flex_control.dynamics import chain
 from gms_flex_control.friction import gms
-from gms_flex_control.params.gains import COMPENSATIONS
+from gms_flex_control.params.gains import COMPENSATIONS, GAINS
 from gms_flex_control.records import FLOAT
 import numpy as np
 
@@ -27,12 +27,10 @@ import numpy as np
 REST_DAMPING, REST_VELOCITY = 0.3, 0.05
 # A reference slower than this rests [rad/s, rad/s^2].
 RESTING_SPEED, RESTING_ACCELERATION = 1e-6, 1e-5
-_GAINS = ('kd_link', 'lambda_link', 'kd_motor', 'lambda_motor', 'observer_gain', 'sign_slope',
-          'filter_bandwidth', 'torque_limit')
 
 
 @cache
-def state_layout(n, n_blocks):
+def state_layout(n, n_blocks) -> np.dtype:
     """
     Return the dtype of what the controller remembers and what it answers, in one record.
 
@@ -48,10 +46,10 @@ def state_layout(n, n_blocks):
 
 
 @cache
-def constants_layout(links, n, n_blocks):
+def constants_layout(links, n, n_blocks) -> np.dtype:
     """Return the dtype of gains and model, ``links`` its arm's, as the kernels take them."""
     return records.layout(
-        ('compensation', np.intp, (1,)), *((name, FLOAT, (n,)) for name in _GAINS),
+        ('compensation', np.intp, (1,)), *((name, FLOAT, (n,)) for name in GAINS),
         ('chain', links), ('friction', gms.constants_layout(n, n_blocks)))
 
 
@@ -61,7 +59,7 @@ _VECTORS = ('displacement', 'sliding', 'dq_ref', 'ddq_ref', 'correction', 'corre
 
 
 @cache
-def work_layout(n):
+def work_layout(n) -> np.dtype:
     """Return the dtype of the work space of `tick`; nothing in it outlives a tick."""
     return records.layout(
         *((name, FLOAT, (n,)) for name in _VECTORS), ('torque', FLOAT, (3, n)),
@@ -70,28 +68,28 @@ def work_layout(n):
 
 
 @lru_cache(maxsize=256)
-def constants_of(gains, robot):
+def constants_of(gains, robot) -> np.record:
     """Return ControllerParams and the model of RobotParams as the record `tick` takes."""
-    values, links = {name: getattr(gains, name) for name in _GAINS}, chain.constants_of(robot.arm)
+    values, links = {name: getattr(gains, name) for name in GAINS}, chain.constants_of(robot.arm)
     return records.build(
         constants_layout(links.dtype, *robot.friction.stiffness.shape), **values,
         compensation=COMPENSATIONS.index(gains.compensation), chain=links,
         friction=gms.constants_of(robot.friction))
 
 
-def init(robot):
+def init(robot) -> np.record:
     """Return a controller of ``robot`` before its first tick."""
     return records.build(state_layout(*robot.friction.stiffness.shape),
                          observer=observer.init(robot.friction))
 
 
-def workspace(n):
+def workspace(n) -> np.record:
     """Return work space for n joints."""
     return records.build(work_layout(n))
 
 
 @compiled
-def link_errors(state, measured, reference, constants, work):
+def link_errors(state, measured, reference, constants, work) -> None:
     """Form the tracking errors, the reference velocity and the sliding variable, Eq. (12)."""
     for j in range(constants.kd_link.shape[0]):
         work.resting[j] = (constants.compensation[0] == GMS
@@ -119,10 +117,10 @@ def _spring_torques(state, measured, constants, work):
     """Write the torque of the joint springs and its rate, as the model has them."""
     links = constants.chain
     for j in range(constants.kd_link.shape[0]):
-        twist = measured.q_motor[j] - measured.q_link[j]
-        twist_rate = measured.dq_motor[j] - measured.dq_link[j]
-        work.spring[j] = links.stiffness[j] * twist + links.damping[j] * twist_rate
-        work.spring_rate[j] = links.stiffness[j] * twist_rate
+        torsion = measured.q_motor[j] - measured.q_link[j]
+        torsion_rate = measured.dq_motor[j] - measured.dq_link[j]
+        work.spring[j] = links.stiffness[j] * torsion + links.damping[j] * torsion_rate
+        work.spring_rate[j] = links.stiffness[j] * torsion_rate
         if not links.flexible[j]:
             work.spring[j] = state.command[j]
 
@@ -205,7 +203,7 @@ def _motor_law(state, measured, constants, work):
 
 
 @compiled
-def tick(state, measured, reference, dt, constants, work):
+def tick(state, measured, reference, dt, constants, work) -> None:
     """
     Answer one measurement with a torque, ``state.command``.
 

@@ -27,7 +27,7 @@ LEAST_FACTOR, LARGEST_FACTOR = 0.4, 1.8
 
 
 @compiled
-def estimate(state, measured, reference, dt, constants, work):
+def estimate(state, measured, reference, dt, constants, work) -> None:
     """Leave the F_hat of the chosen compensation in ``work.estimate``."""
     mode = constants.compensation[0]
     if mode == GMS:
@@ -173,7 +173,7 @@ def _lugre(state, measured, constants, work):
 
 
 @compiled
-def advance_bristle(bristle, displacement, stiffness, level):
+def advance_bristle(bristle, displacement, stiffness, level) -> float:
     """Return the deflection z after a displacement, exact for a constant level."""
     if displacement == 0.0:
         return bristle
@@ -256,6 +256,6 @@ def _level_at(j, velocity, friction):
 
 
 @compiled
-def limited(value, low, high):
+def limited(value, low, high) -> float:
     """Return ``value`` within ``low`` and ``high``."""
     return np.minimum(np.maximum(value, low), high)

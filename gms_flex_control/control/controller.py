@@ -30,13 +30,8 @@ class SteppedController:
     """
     The cascade controller, tick by tick, with gains that may change in between.
 
-    Parameters
-    ----------
-    gains : ControllerParams
-        Of the start.
-    model : RobotParams
-        The robot as believed; effects that no controller can compensate are left aside.
-
+    ``gains`` are ControllerParams of the start, ``model`` the RobotParams as believed; effects
+    that no controller can compensate are left aside.
     """
 
     def __init__(self, gains, model):

@@ -55,7 +55,7 @@ def as_parameters(robot: RobotParams) -> RobotParams:
 
 
 @cache
-def constants_layout(n):
+def constants_layout(n) -> np.dtype:
     """
     Return the dtype of effects, springs and gains as `feed` takes them.
 
@@ -68,7 +68,7 @@ def constants_layout(n):
 
 
 @cache
-def state_layout(n):
+def state_layout(n) -> np.dtype:
     """Return the dtype of the filter (2, n), of what effects remember and of the work space."""
     return records.layout(
         ('filtered', FLOAT, (2, n)), ('started', FLOAT, (1,)), ('further', FLOAT, (n,)),
@@ -113,7 +113,7 @@ def _sense(control, measured, reference, constants, state):
 
 
 @compiled
-def feed(control, measured, reference, dt, constants, state):
+def feed(control, measured, reference, dt, constants, state) -> None:
     """
     Add what the effects require to the answer of the cascade law; arguments as of its ``tick``.
 

@@ -13,7 +13,7 @@ gives the same number again and again, so there has to be a second witness:
   count it came from.
 - the torque: a motor behind a spring has to give way to a torque that changes; averaged, because
   a single count makes a torque jump that no motor follows. A joint without a spring may stick, so
-  that there the rate alone is asked.
+  that there the rate alone counts.
 """
 
 import math
@@ -24,7 +24,7 @@ import numpy as np
 STANDING = 0.03      # the same number for longer is looked at; between two states, silence [s]
 TURNED = 0.02        # said by the rate meanwhile: frozen [rad]
 _FORGOTTEN = 1.0     # time constant of that integral: a rate may be off by TURNED a second [s]
-_SHARE = 0.25        # of TURNED that a single rate may tell, which may be an outlier
+_SHARE = 0.25        # of TURNED that a single rate may add: it may be an outlier
 _GIVEN_WAY = 0.005   # a motor moves by that much more than friction holds [rad]
 _COUNTS = 4.0        # of the encoder that either angle is, at least
 _AVERAGE = 0.02      # time constant of the torque, and how long it follows one that stands [s]
@@ -125,36 +125,26 @@ class FrozenEncoders:
         """
         Return which angle is frozen, since when and why, until each of them changes.
 
-        Parameters
-        ----------
-        measured : object
-            With ``q_link``, ``dq_link``, ``q_motor``, ``dq_motor`` (n_joints,), all finite.
-        torque : ndarray, shape (n_joints,)
-            Sent since the state before [N m]; NaN for a motor that is known to get none.
-        dt : float
-            Time since the state before, by the stamps [s]. If it is not positive or there was a
-            silence, nothing is known of the time between.
-
+        ``measured`` has ``q_link``, ``dq_link``, ``q_motor``, ``dq_motor`` (n_joints,), all
+        finite; ``torque`` (n_joints,) was sent since the state before, NaN to a motor that is
+        known to get none [N m]. Nothing is known of the time ``dt`` since that state, by the
+        stamps [s], if it is not positive or there was a silence.
         """
         torque = torque.tolist()
         if not 0.0 < dt <= STANDING:
             for one in self._angles:
                 one.wait()
             dt = 0.0
-        found = False
         for one, angle, rate in zip(self._links, measured.q_link.tolist(),
                                     measured.dq_link.tolist(), strict=True):
             one.look(angle, rate, 0.0, dt)
-            found = found or one.sentence
         for one, angle, rate, given in zip(self._motors, measured.q_motor.tolist(),
                                            measured.dq_motor.tolist(), torque, strict=True):
             if one is not None:
                 one.look(angle, rate, given, dt)
-                found = found or one.sentence
-        return self._sentence() if found else None
-
-    def _sentence(self):
         frozen = [one for one in self._angles if one.sentence]
+        if not frozen:
+            return None
         others = ', '.join(one.name for one in frozen[1:])
         return frozen[0].sentence + (f'; so are {others}' if others else '')
 

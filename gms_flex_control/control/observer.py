@@ -24,7 +24,7 @@ LARGEST_CORRECTION = 0.5
 
 
 @cache
-def state_layout(n, n_blocks):
+def state_layout(n, n_blocks) -> np.dtype:
     """
     Return the dtype of the memory of all compensations.
 
@@ -38,21 +38,21 @@ def state_layout(n, n_blocks):
         *((name, FLOAT, (n,)) for name in ('bristle', 'velocity', 'missing')))
 
 
-def init(friction):
+def init(friction) -> np.record:
     """Return the memory for joints with FrictionParams, at rest."""
     return records.build(state_layout(*friction.stiffness.shape), blocks=gms.init(friction),
                          factor=1.0)
 
 
 @compiled
-def bounded(correction, limit):
+def bounded(correction, limit) -> float:
     """Return the correction k_e s_1 limited so that break-away stays possible, Eq. (19)."""
     return min(max(correction, -limit), limit)
 
 
 @compiled
 def advance_blocks(torque, sticking, turned, sign, smooth, displacement, level, correction,
-                   attraction, dt, stiffness, weight):
+                   attraction, dt, stiffness, weight) -> None:
     """
     Advance the observed blocks (N,) of one joint in place, Eqs. (19) and (20).
 
@@ -75,7 +75,7 @@ def advance_blocks(torque, sticking, turned, sign, smooth, displacement, level, 
 
 
 @compiled
-def advance(blocks, displacement, velocity, smooth, correction, resting, dt, friction):
+def advance(blocks, displacement, velocity, smooth, correction, resting, dt, friction) -> None:
     """
     Advance the observed blocks of all joints in place.
 
@@ -96,7 +96,7 @@ def advance(blocks, displacement, velocity, smooth, correction, resting, dt, fri
 
 
 @compiled
-def first_derivative(blocks, velocity, acceleration, smooth, correction, friction, out):
+def first_derivative(blocks, velocity, acceleration, smooth, correction, friction, out) -> None:
     """Write dF_hat/dt (n,) of the analytic observer into ``out``, Eqs. (19) and (20)."""
     for j in range(friction.attraction.shape[0]):
         row = FORWARD if blocks.direction[j] > 0.0 else BACKWARD
@@ -112,7 +112,7 @@ def first_derivative(blocks, velocity, acceleration, smooth, correction, frictio
 
 
 @compiled
-def slip_rate(torque, weight, attraction, smooth, level, correction):
+def slip_rate(torque, weight, attraction, smooth, level, correction) -> float:
     """Return dF_i/dt of a slipping block, Eq. (20)."""
     pushed = bounded(correction, LARGEST_CORRECTION * weight * attraction)
     return attraction * (weight * smooth - torque / level) - pushed
@@ -120,7 +120,7 @@ def slip_rate(torque, weight, attraction, smooth, level, correction):
 
 @compiled
 def second_derivative(blocks, velocity, acceleration, jerk, smooth, correction, slope,
-                      correction_rate, friction, out):
+                      correction_rate, friction, out) -> None:
     """
     Write the second time derivative of F_hat (n,) into ``out``.
 
@@ -146,7 +146,7 @@ def second_derivative(blocks, velocity, acceleration, jerk, smooth, correction, 
 
 
 @compiled
-def filter_step(filtered, goal, bandwidth, dt):
+def filter_step(filtered, goal, bandwidth, dt) -> None:
     """Advance the critically damped command filter (2, n) in place towards ``goal`` (n,)."""
     for j in range(goal.shape[0]):
         w, x, rate = bandwidth[j], filtered[0, j] - goal[j], filtered[1, j]

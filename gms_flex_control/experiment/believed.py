@@ -5,6 +5,7 @@
 
 from dataclasses import replace
 
+from gms_flex_control.params.friction import FrictionParams
 from gms_flex_control.params.robot import RobotParams
 import numpy as np
 
@@ -12,7 +13,7 @@ import numpy as np
 FRICTION, STIFFNESS, MASS = 0.85, 1.05, 0.93
 
 
-def scaled_friction(friction, factor):
+def scaled_friction(friction, factor) -> FrictionParams:
     """
     Return FrictionParams with every torque level scaled; displacements and v_s stay.
 
@@ -27,7 +28,7 @@ def scaled_friction(friction, factor):
                    stiffness=friction.stiffness * factor)
 
 
-def mixed_error(robot):
+def mixed_error(robot) -> RobotParams:
     """Return the robot with friction x 0.85, joint stiffness x 1.05 and link masses x 0.93."""
     arm = replace(robot.arm, stiffness=robot.arm.stiffness * STIFFNESS,
                   mass=robot.arm.mass * MASS, inertia=robot.arm.inertia * MASS)

@@ -70,8 +70,8 @@ class Processes:
         self._running = {}
         self._files = ExitStack()
 
-    def start(self, name, command):
-        """Start ``command`` (list of str) under ``name`` and return its Popen."""
+    def start(self, name: str, command: list) -> subprocess.Popen:
+        """Start ``command`` (list of str) under ``name``."""
         self._log.mkdir(parents=True, exist_ok=True)
         output = self._files.enter_context(self._path(name).open('wb'))
         self._running[name] = subprocess.Popen(
@@ -82,48 +82,48 @@ class Processes:
     def _path(self, name):
         return self._log / f'{name}.log'
 
-    def printed(self, name):
-        """Return what ``name`` has printed so far (str)."""
+    def printed(self, name: str) -> str:
+        """Return what ``name`` has printed so far."""
         return self._path(name).read_text(encoding='utf-8', errors='replace')
 
-    def wait_for_text(self, name, texts, bound):
+    def wait_for_text(self, name: str, texts, bound: float) -> None:
         """
         Wait until ``name`` has printed every one of ``texts`` while all processes run.
 
         ProcessError if it does not within ``bound`` seconds, or any process ends.
         """
-        end = time.monotonic() + bound
-        while not all(text in self.printed(name) for text in texts):
-            for other, process in self._running.items():
-                if process.poll() is not None:
-                    raise ProcessError(self._ended(other))
-            if time.monotonic() > end:
-                raise ProcessError(f'{name} did not print {texts} within {bound:g} s'
-                                   f'{self._where(name)}')
-            time.sleep(0.02)
+        self._wait(name, lambda: all(text in self.printed(name) for text in texts), bound,
+                   f'print {texts}', lambda other, code: code is not None)
 
-    def wait(self, name, bound, meanwhile=None):
+    def wait(self, name: str, bound: float, meanwhile=lambda: None) -> None:
         """
         Wait until ``name`` ends by itself with exit code 0 while the others run.
 
         ``meanwhile`` is called now and then, and once in the end. ProcessError if it does not end
         within ``bound`` seconds, or any of them fails.
         """
-        end = time.monotonic() + bound
-        meanwhile = meanwhile or (lambda: None)
-        while self._running[name].poll() is None:
+        def done():
+            ended = self._running[name].poll() is not None
             meanwhile()
-            for other, process in self._running.items():
-                if other != name and process.poll() not in (None, 0):
-                    raise ProcessError(self._ended(other))
-            if time.monotonic() > end:
-                raise ProcessError(f'{name} did not end within {bound:g} s{self._where(name)}')
-            time.sleep(0.02)
-        meanwhile()
+            return ended
+
+        self._wait(name, done, bound, 'end',
+                   lambda other, code: other != name and code not in (None, 0))
         if self._running[name].returncode != 0:
             raise ProcessError(self._ended(name))
 
-    def stop(self, name):
+    def _wait(self, name, done, bound, what, failed):
+        end = time.monotonic() + bound
+        while not done():
+            for other, process in self._running.items():
+                if failed(other, process.poll()):
+                    raise ProcessError(self._ended(other))
+            if time.monotonic() > end:
+                raise ProcessError(f'{name} did not {what} within {bound:g} s'
+                                   f'{self._where(name)}')
+            time.sleep(0.02)
+
+    def stop(self, name: str) -> int:
         """Send SIGINT and return the exit code; SIGKILL if it does not end."""
         process = self._running[name]
         if process.poll() is None:
@@ -243,7 +243,7 @@ def drive_identification(experiment: DrivenIdentification, bag: Path, *, log: Pa
     bound = _START_BOUND + experiment.duration * experiment.rate / _SLOWEST_STEPS
     said = 0
     with Processes(private_environment(), log) as processes:
-        def tell():
+        def report():
             nonlocal said
             lines = _PROGRESS.findall(processes.printed('identification'))
             for line in lines[said:]:
@@ -261,6 +261,6 @@ def drive_identification(experiment: DrivenIdentification, bag: Path, *, log: Pa
         processes.start('plant', [*executable('plant_node'), *ros_arguments(
             experiment.files, {**mode, 'rate': experiment.rate,
                                'wait_for_subscribers': _LISTENERS})])
-        processes.wait('identification', bound, tell)
+        processes.wait('identification', bound, report)
         for name in ('plant', 'trajectory', 'controller'):
             processes.stop(name)

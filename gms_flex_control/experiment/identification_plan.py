@@ -6,15 +6,15 @@
 from dataclasses import dataclass
 import hashlib
 import json
-from typing import NamedTuple
 
 from gms_flex_control.errors import ConfigError, ParameterError
-from gms_flex_control.experiment import identification_steps as steps
+from gms_flex_control.experiment.identification_steps import Limits, Planner, Step
+from gms_flex_control.schema.build import complete
 from gms_flex_control.schema.files import located, read_values
-from gms_flex_control.schema.key import checked
 from gms_flex_control.schema.keys import known_keys
 from gms_flex_control.schema.motion import trajectory_from_values
-from gms_flex_control.schema.node_keys import identification_keys, trajectory_keys
+from gms_flex_control.schema.node_keys import EXPERIMENTS, identification_keys
+from gms_flex_control.trajectory.segments import Trajectory
 import numpy as np
 
 # of a move of degree 9 from rest to rest over unit distance in unit time
@@ -23,22 +23,6 @@ _SHORTEST_APPROACH = 1.0  # [s]
 _RESET_TIME = 0.2         # for the reference to come to rest where the links are [s]
 _APPROACH_SPEED = 0.5     # of the velocity limit
 APPROACH = 'approach'
-
-
-class Step(NamedTuple):
-    """One step of the experiment."""
-
-    name: str          # unique in the plan
-    phase: str         # constant_velocity, break_away, presliding, sliding or approach
-    joint: str         # that is identified
-    kind: str          # 'motion': follow the reference; 'torque': apply it as open-loop torque;
-    #                    'approach': go to ``end``; 'relax': let the springs unload
-    trajectory_parameters: dict  # for the trajectory node
-    value: float       # signed velocity [rad/s] or torque amplitude [N m]
-    duration_estimate: float     # [s]
-    begin: tuple | None = None   # link angles [rad]; None where they depend on the robot
-    end: tuple | None = None
-    travel: float = 0.0          # the step ends once the joint has moved so far; 0 never [rad]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -57,7 +41,7 @@ class IdentificationPlan:
     rest_time: float          # after each step [s]
     relax_time: float         # for the springs to unload [s]
 
-    def steps(self, finished=(), q_link=None):
+    def steps(self, finished=(), q_link=None) -> tuple[Step, ...]:
         """
         Return all steps in order, with the moves between those that measure.
 
@@ -76,11 +60,11 @@ class IdentificationPlan:
             place = step.end
         return tuple(result)
 
-    def duration(self, finished=()):
+    def duration(self, finished=()) -> float:
         """Return the expected length of what is not finished [s]."""
         return sum(step.duration_estimate for step in self.steps(finished))
 
-    def approach_time(self, begin, end):
+    def approach_time(self, begin, end) -> float:
         """Return the time for a move from rest to rest within the limits [s]."""
         distance = np.abs(np.asarray(end) - np.asarray(begin))
         at_speed = _PEAK_VELOCITY * distance / (_APPROACH_SPEED * self.velocity)
@@ -100,12 +84,11 @@ class IdentificationPlan:
                     {'trajectory.approach_time': _RESET_TIME}, 0.0,
                     2 * self.relax_time, begin=step.begin)
 
-    def trajectory(self, step):
-        """Return the reference of a motion or torque step (Trajectory)."""
-        values = {key.name: key.default for key in trajectory_keys(self.joints)}
-        return trajectory_from_values(values | step.trajectory_parameters, self.joints)
+    def trajectory(self, step) -> Trajectory:
+        """Return the reference of a motion or torque step."""
+        return trajectory_from_values(step.trajectory_parameters, self.joints)
 
-    def fingerprint(self):
+    def fingerprint(self) -> str:
         """Return a short text that changes with the plan."""
         text = json.dumps([[*step] for step in self.experiments])
         return hashlib.sha256(text.encode()).hexdigest()[:16]
@@ -118,21 +101,20 @@ def plan_identification(values: dict, robot, gains) -> IdentificationPlan:
     ``values`` has ``identification.*`` of schema.node_keys.identification_keys. ConfigError if a
     value is out of range, or a step cannot keep a limit.
     """
-    flat = {key.name: checked(key, values[key.name]) if key.name in values else key.default
-            for key in identification_keys(robot.joints)}
-    limits = steps.Limits.read(flat, robot, gains)
+    flat = complete(identification_keys(robot.joints), values)
+    limits = Limits.read(flat, robot, gains)
     unknown = [joint for joint in flat['identification.joints'] if joint not in robot.joints]
     if unknown:
         raise ConfigError(f'identification.joints: unknown joint {unknown[0]!r} '
                           f'(robot has {", ".join(robot.joints)})')
-    planner = steps.Planner(flat, robot, limits)
+    planner = Planner(flat, robot, limits)
     experiments = []
     for joint in flat['identification.joints'] or robot.joints:
         for number, experiment in enumerate(flat['identification.experiments']):
-            if experiment not in steps.EXPERIMENTS:
+            if experiment not in EXPERIMENTS:
                 raise ConfigError(f'identification.experiments: unknown {experiment!r} at place '
-                                  f'{number + 1}, known are {", ".join(steps.EXPERIMENTS)}')
-            experiments += [Step(*fields) for fields in planner.plan(experiment, joint)]
+                                  f'{number + 1}, known are {", ".join(EXPERIMENTS)}')
+            experiments += planner.plan(experiment, joint)
     return IdentificationPlan(
         joints=robot.joints, experiments=tuple(experiments),
         compensation=flat['identification.compensation'], lower=limits.lower,

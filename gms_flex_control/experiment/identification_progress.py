@@ -8,6 +8,7 @@ from pathlib import Path
 import shutil
 
 from gms_flex_control.errors import BagError, GmsFlexError
+from gms_flex_control.experiment.identification_steps import Step
 from gms_flex_control.files import write_text
 
 _LEAST, _MOST = 0.2, 3.0  # of what was planned
@@ -55,7 +56,7 @@ class Journal:
             raise ExperimentError(f'{self.path}: belongs to another plan; resume with the '
                                   'parameters it began with, or name another identification.bag')
 
-    def next_bag(self):
+    def next_bag(self) -> Path:
         """Return the name of a bag that does not exist yet (Path), and note it."""
         number, path = 1, self._bag
         while path.exists():
@@ -65,7 +66,7 @@ class Journal:
         self._write()
         return path
 
-    def finish(self, step):
+    def finish(self, step) -> None:
         """Note that ``step`` (str) is finished."""
         self.finished.append(step)
         self._write()
@@ -80,7 +81,7 @@ class Journal:
             raise BagError(f'{self.path}: cannot be written ({error.strerror})') from error
 
 
-def require_space(folder, needed):
+def require_space(folder, needed) -> None:
     """Raise ExperimentError if the disk of ``folder`` has less than ``needed`` bytes and 10 %."""
     folder = Path(folder).resolve()
     while not folder.exists():
@@ -102,7 +103,7 @@ class Adaptation:
     def __init__(self, plan, found=None):
         self._plan, self.found = plan, {} if found is None else found
 
-    def broke_away(self, step, time):
+    def broke_away(self, step, time) -> float:
         """
         Note that a break-away step ended; return its torque then, without gravity's [N m].
 
@@ -117,7 +118,7 @@ class Adaptation:
         self.found[step.joint] = min(float(torque), self.found.get(step.joint, float(torque)))
         return torque
 
-    def applied_to(self, step):
+    def applied_to(self, step) -> Step:
         """
         Return a Step as it is to be carried out.
 

@@ -9,6 +9,7 @@ from gms_flex_control.data.recording import Phase, Recording
 from gms_flex_control.errors import SimulationError
 from gms_flex_control.experiment.identification_progress import Adaptation, LEAVING
 from gms_flex_control.experiment.identification_steps import BRAKING_TIME
+from gms_flex_control.experiment.simulated import recording_of
 from gms_flex_control.simulation.closed_loop import Loop
 from gms_flex_control.trajectory import builders
 import numpy as np
@@ -20,26 +21,15 @@ _START = 1e-3  # links begin within this, so that encoders turn over elsewhere e
 
 
 def simulate_identification(plan, robot, gains, seed, *, rate=1000, torque_noise=1e-3,
-                            model=None):
+                            model=None) -> tuple[Recording, tuple]:
     """
-    Run the experiment on a simulated robot.
+    Run the IdentificationPlan on a simulated robot.
 
-    Parameters
-    ----------
-    plan : IdentificationPlan
-        What to do.
-    robot : RobotParams
-        The robot as it is.
-    gains : ControllerParams
-        Of the controller; the plan chooses the compensation.
-    seed : int
-        Of encoder and torque noise, and of where within a count the links begin.
-    rate : float, optional
-        Samples per second [Hz].
-    torque_noise : float, optional
-        Standard deviation of the recorded torque, beyond what acts [N m].
-    model : RobotParams, optional
-        The robot as the controller believes it to be; default as it is.
+    The plan chooses the compensation of ``gains``; ``model`` is the robot as the controller
+    believes it to be, by default as it is. ``seed`` is of encoder and torque noise, and of where
+    within a count the links begin; ``rate`` in samples per second [Hz]; ``torque_noise`` the
+    standard deviation of the recorded torque beyond what acts [N m]. SimulationError if it
+    diverges.
 
     Returns
     -------
@@ -47,11 +37,6 @@ def simulate_identification(plan, robot, gains, seed, *, rate=1000, torque_noise
         As the nodes would have recorded it.
     phases : tuple of Phase
         When each step began; 'idle' at the end.
-
-    Raises
-    ------
-    SimulationError
-        If it diverges.
 
     """
     experiment = _Experiment(plan, robot, gains, model or robot, seed, rate)
@@ -141,12 +126,9 @@ class _Experiment:
         """Return all samples as a Recording."""
         measured, command, applied = (np.concatenate([getattr(run, name) for run in self._runs])
                                       for name in ('measured', 'command', 'applied'))
-        q_link, dq_link, q_motor, dq_motor = np.moveaxis(measured, 1, 0)
-        rigid = self._robot.arm.rigid
         noise = torque_noise * rng.standard_normal(applied.shape)
-        return Recording(
-            joints=self._robot.joints, time=self._period * np.arange(len(command)),
-            q_link=q_link, dq_link=dq_link, q_motor=np.where(rigid, np.nan, q_motor),
-            dq_motor=np.where(rigid, np.nan, dq_motor), tau_motor=applied + noise,
-            command=command, reference=np.concatenate(self._references),
-            friction_hat=np.full_like(command, np.nan), source='simulated identification')
+        return recording_of(
+            self._robot, measured, time=self._period * np.arange(len(command)),
+            tau_motor=applied + noise, command=command, source='simulated identification',
+            reference=np.concatenate(self._references),
+            friction_hat=np.full_like(command, np.nan))

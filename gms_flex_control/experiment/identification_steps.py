@@ -3,16 +3,15 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """The steps of each identification experiment, planned to keep the limits of every joint."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from gms_flex_control.dynamics import chain
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.friction.stribeck import steady_friction
 from gms_flex_control.schema.motion import trajectory_from_values
-from gms_flex_control.schema.node_keys import EXPERIMENTS, trajectory_keys
 import numpy as np
-
-__all__ = ['EXPERIMENTS', 'Limits', 'Planner']
 
 _STEEPEST = 2.1875  # acceleration of a change of velocity by 1 in unit time
 _FASTEST = 0.9      # of the velocity limit
@@ -21,6 +20,22 @@ _SHORTEST_DWELL = 0.1  # at a constant velocity [s]
 _LEAST_PERIODS = 3  # of a sliding step
 _BROKEN_AWAY = 0.6  # of the ramp's duration, when break-away is expected
 BRAKING_TIME = 0.5  # after an open-loop torque [s]
+
+
+class Step(NamedTuple):
+    """One step of the experiment."""
+
+    name: str          # unique in the plan
+    phase: str         # constant_velocity, break_away, presliding, sliding or approach
+    joint: str         # that is identified
+    kind: str          # 'motion': follow the reference; 'torque': apply it as open-loop torque;
+    #                    'approach': go to ``end``; 'relax': let the springs unload
+    trajectory_parameters: dict  # for the trajectory node
+    value: float       # signed velocity [rad/s] or torque amplitude [N m]
+    duration_estimate: float     # [s]
+    begin: tuple | None = None   # link angles [rad]; None where they depend on the robot
+    end: tuple | None = None
+    travel: float = 0.0          # the step ends once the joint has moved so far; 0 never [rad]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -39,7 +54,7 @@ class Limits:
     stribeck_velocity: np.ndarray
 
     @classmethod
-    def read(cls, flat, robot, gains):
+    def read(cls, flat: dict, robot, gains) -> 'Limits':
         """Return the limits of checked parameters, zeros replaced by what they stand for."""
         names = ('lower', 'upper', 'velocity', 'acceleration', 'torque', 'slowest', 'fastest',
                  'static', 'stribeck_velocity')
@@ -67,19 +82,7 @@ class Limits:
 
 
 class Planner:
-    """
-    Plans the steps of one robot.
-
-    Parameters
-    ----------
-    flat : dict of str to object
-        Checked ``identification.*`` parameters.
-    robot : RobotParams
-        As believed.
-    limits : Limits
-        To keep.
-
-    """
+    """Plans steps for a robot as believed, from checked ``identification.*`` parameters."""
 
     def __init__(self, flat, robot, limits):
         self._flat, self._robot, self._limits = flat, robot, limits
@@ -88,17 +91,14 @@ class Planner:
         self._friction = robot.friction
         counts = robot.encoder.counts
         self._count = 2.0 * np.pi / float(counts) if counts > 0 else 0.0
-        self._gravity = {}
 
     def __getitem__(self, name):
         """Return the value of a key below ``identification``."""
         return self._flat[f'identification.{name}']
 
-    def plan(self, experiment, joint):
-        """Yield the fields of each Step of one experiment on one joint."""
+    def plan(self, experiment: str, joint: str) -> Iterator[Step]:
+        """Yield each Step of one experiment on one joint."""
         yield from getattr(self, f'_{experiment}')(joint, self._robot.joints.index(joint))
-
-    # motion --------------------------------------------------------------------------------
 
     def _constant_velocity(self, joint, j):
         slowest, fastest = self._limits.slowest[j], self._limits.fastest[j]
@@ -180,22 +180,18 @@ class Planner:
         """Return the step with its stroke in the middle of the range, its limits checked."""
         joints = self._robot.joints
         values |= {f'trajectory.{other}.offset': 0.0 for other in joints}
-        trajectory = self._trajectory(values)
+        trajectory = trajectory_from_values(values, self._robot.joints)
         time = np.linspace(0.0, trajectory.end, 400)
         angle = trajectory.sample(time)[:, 0, j]
         offset = self._rest.copy()
         offset[j] -= 0.5 * (angle.min() + angle.max())
         values |= {f'trajectory.{other}.offset': float(offset[i])
                    for i, other in enumerate(joints)}
-        samples = self._trajectory(values).sample(time)
+        samples = trajectory_from_values(values, self._robot.joints).sample(time)
         self._check(joint, name, j, samples)
-        return (name, phase, joint, 'motion', values, float(value),
+        return Step(name, phase, joint, 'motion', values, float(value),
                 trajectory.end + self['rest_time'], tuple(samples[0, 0].tolist()),
                 tuple(samples[-1, 0].tolist()), 0.0)
-
-    def _trajectory(self, values):
-        defaults = {key.name: key.default for key in trajectory_keys(self._robot.joints)}
-        return trajectory_from_values(defaults | values, self._robot.joints)
 
     def _check(self, joint, name, j, samples):
         """Refuse a motion beyond a limit; ``samples`` (T, 5, n)."""
@@ -212,7 +208,7 @@ class Planner:
             if value > limit * (1.0 + 1e-3):
                 self._refuse(joint, name, f'reaches {value:.4g} {unit}, the limit of '
                              f'{kind} is {limit:.4g} {unit}', f'raise identification.{joint}.'
-                             f'{kind} or ask for a slower step')
+                             f'{kind} or plan a slower step')
         torque = np.abs([self._torque(sample) for sample in samples[::8]]).max(axis=0)
         for i, other in enumerate(self._robot.joints):
             if torque[i] > limits.torque[i]:
@@ -228,8 +224,6 @@ class Planner:
         friction = steady_friction(dq, self._friction)
         torque = links.mass @ ddq + links.coriolis @ dq + links.gravity + friction
         return torque + np.where(arm.rigid, 0.0, arm.motor_inertia) * ddq
-
-    # torque --------------------------------------------------------------------------------
 
     def _break_away(self, joint, j):
         top = self['break_away_level'] * self._limits.static[j]
@@ -275,10 +269,10 @@ class Planner:
                 self._refuse(joint, name, f'needs {need[i]:.3g} N m of the motor of {other}, the '
                              f'limit is {self._limits.torque[i]:.3g} N m', 'raise torque and '
                              'gains.*.torque_limit, or lower the level')
-        duration = self._trajectory(values).end
+        duration = trajectory_from_values(values, self._robot.joints).end
         if phase == 'break_away':
             duration *= 0.5 * _BROKEN_AWAY
-        return (name, phase, joint, 'torque', values, float(value),
+        return Step(name, phase, joint, 'torque', values, float(value),
                 duration + BRAKING_TIME + self['rest_time'], tuple(place.tolist()), None, travel)
 
     def _gravity_torque(self, q):

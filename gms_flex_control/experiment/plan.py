@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from gms_flex_control.errors import ConfigError, ParameterError
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.robot import RobotParams
-from gms_flex_control.schema.build import controller_from_values, robot_from_values
+from gms_flex_control.schema.build import complete, controller_from_values, robot_from_values
 from gms_flex_control.schema.files import load_robot, located, read_values
-from gms_flex_control.schema.key import checked
 from gms_flex_control.schema.keys import known_keys
 from gms_flex_control.schema.motion import trajectory_from_values
 from gms_flex_control.schema.node_keys import plant_node_keys, trajectory_keys
@@ -21,73 +20,34 @@ from gms_flex_control.trajectory.segments import Trajectory
 import numpy as np
 
 NANOSECONDS = 1_000_000_000
-ENDLESS_DURATION = 20.0  # of a motion without end where none is asked for [s]
+ENDLESS_DURATION = 20.0  # of a motion without end where none is given [s]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Plan:
-    """
-    One closed-loop experiment.
+    """One closed-loop experiment."""
 
-    Parameters
-    ----------
-    robot, model : RobotParams
-        The robot as it is, and as the controller believes it to be.
-    gains : ControllerParams
-        Of the controller.
-    trajectory : Trajectory
-        Reference in the time of the experiment.
-    motion : str
-        Name of the trajectory type.
-    duration : float
-        Length [s].
-    period_ns : int
-        Sample [ns].
-    substeps, seed : int
-        Integration steps per sample; seed of the encoder noise.
-    q_link : ndarray, shape (n_joints,)
-        Where the links rest at the start [rad].
-
-    """
-
-    robot: RobotParams
-    model: RobotParams
+    robot: RobotParams      # as it is
+    model: RobotParams      # as the controller believes it to be
     gains: ControllerParams
-    trajectory: Trajectory
-    motion: str
-    duration: float
-    period_ns: int
-    substeps: int
-    seed: int
-    q_link: np.ndarray
+    trajectory: Trajectory  # in the time of the experiment
+    motion: str             # name of the trajectory type
+    duration: float         # [s]
+    period_ns: int          # sample [ns]
+    substeps: int           # integration steps per sample
+    seed: int               # of the encoder noise
+    q_link: np.ndarray      # (n,) where the links rest at the start [rad]
 
 
 def read_plan(files, *, model=None, overrides: dict | None = None,
               duration: float | None = None) -> Plan:
     """
-    Read an experiment from the files the nodes would get.
+    Read an experiment from the files the nodes would get, later ones winning.
 
-    Parameters
-    ----------
-    files : sequence of str or Path
-        Robot, controller and trajectory parameters, later ones winning.
-    model : str, Path or sequence of them, optional
-        Robot files the controller believes in; default the true robot.
-    overrides : dict of str to object, optional
-        Single parameters, as ``-p name:=value`` of a node.
-    duration : float, optional
-        Length [s]; default the parameter ``duration``, else until the trajectory ends, else
-        `ENDLESS_DURATION`.
-
-    Returns
-    -------
-    Plan
-
-    Raises
-    ------
-    ConfigError, ParameterError
-        One sentence with file and line where it has one.
-
+    ``model`` is the robot file (or files) the controller believes in, by default the true robot;
+    ``overrides`` are single parameters, as ``-p name:=value`` of a node. The length is
+    ``duration`` [s], else the parameter of that name, else until the trajectory ends, else
+    `ENDLESS_DURATION`. ConfigError or ParameterError is one sentence with file and line.
     """
     robot = load_robot(files)
     values, places = read_values(files)
@@ -99,8 +59,8 @@ def read_plan(files, *, model=None, overrides: dict | None = None,
                for name in overrides or {}):
             robot = robot_from_values(values)
         gains = controller_from_values(values, robot.joints)
-        timing = _filled(plant_node_keys(robot.joints), values)
-        motion = _filled(trajectory_keys(robot.joints), values)
+        timing = complete(plant_node_keys(robot.joints), values)
+        motion = complete(trajectory_keys(robot.joints), values)
     except (ConfigError, ParameterError) as error:
         raise located(error, files, places) from error
     q_link = np.array([timing[f'initial.{joint}'] for joint in robot.joints])
@@ -133,8 +93,3 @@ def _reference(motion, robot, plant):
                                   duration=motion['trajectory.approach_time'])
     require_within(reference, robot.joints, robot.arm.frames, robot.arm.offset)
     return reference
-
-
-def _filled(keys, values):
-    return {key.name: checked(key, values[key.name]) if key.name in values else key.default
-            for key in keys}

@@ -7,6 +7,7 @@ from gms_flex_control.data.recording import Recording
 from gms_flex_control.data.writer import write_recording
 from gms_flex_control.errors import SimulationError
 from gms_flex_control.experiment.plan import Plan
+from gms_flex_control.params.robot import RobotParams
 from gms_flex_control.simulation import closed_loop
 from gms_flex_control.simulation.closed_loop import Run
 import numpy as np
@@ -14,31 +15,15 @@ import numpy as np
 
 def simulate(plan: Plan, source: str = 'simulation') -> Recording:
     """
-    Simulate a plan.
+    Simulate a plan; return what was measured, commanded and estimated.
 
-    Parameters
-    ----------
-    plan : Plan
-        The experiment.
-    source : str
-        For messages and titles.
-
-    Returns
-    -------
-    Recording
-        What was measured, commanded and estimated.
-
-    Raises
-    ------
-    SimulationError
-        If it diverges; the sentence says when.
-
+    ``source`` is for messages and titles. SimulationError says when it diverged.
     """
     return to_recording(run_plan(plan), plan, source)
 
 
 def run_plan(plan: Plan) -> Run:
-    """Return the Run of a plan, true states included; arguments and errors as of `simulate`."""
+    """Return the Run of a plan, true states included; SimulationError as of `simulate`."""
     run = closed_loop.run(
         plan.robot, plan.model, plan.gains, plan.trajectory, duration=plan.duration,
         period_ns=plan.period_ns, substeps=plan.substeps, seed=plan.seed, q_link=plan.q_link)
@@ -50,52 +35,27 @@ def run_plan(plan: Plan) -> Run:
 
 
 def to_recording(run: Run, plan: Plan, source: str = 'simulation') -> Recording:
-    """
-    Return a simulated run as a Recording: what was measured, commanded and estimated.
+    """Return the Run of a plan as a Recording."""
+    return recording_of(
+        plan.robot, run.measured, time=run.time, tau_motor=run.applied, command=run.command,
+        reference=run.reference, friction_hat=run.friction_hat, source=source)
 
-    Parameters
-    ----------
-    run : Run
-        From `run_plan`.
-    plan : Plan
-        It was made from.
-    source : str
-        For messages and titles.
 
-    Returns
-    -------
-    Recording
-
-    """
-    q_link, dq_link, q_motor, dq_motor = np.moveaxis(run.measured, 1, 0)
-    rigid = plan.robot.arm.rigid
+def recording_of(robot: RobotParams, measured: np.ndarray, **channels) -> Recording:
+    """Return a Recording; ``measured`` is (T, 4, n): q_link, dq_link, q_motor, dq_motor."""
+    q_link, dq_link, q_motor, dq_motor = np.moveaxis(measured, 1, 0)
+    rigid = robot.arm.rigid
     return Recording(
-        joints=plan.robot.joints, time=run.time, q_link=q_link, dq_link=dq_link,
+        joints=robot.joints, q_link=q_link, dq_link=dq_link,
         q_motor=np.where(rigid, np.nan, q_motor), dq_motor=np.where(rigid, np.nan, dq_motor),
-        tau_motor=run.applied, command=run.command, reference=run.reference,
-        friction_hat=run.friction_hat, source=source)
+        **channels)
 
 
 def simulate_to_bag(plan: Plan, path) -> Recording:
     """
-    Simulate a plan and write its bag, whole or not at all.
+    Simulate a plan and write its bag, a folder at ``path``, whole or not at all.
 
-    Parameters
-    ----------
-    plan : Plan
-        The experiment.
-    path : str or Path
-        Bag folder to be made.
-
-    Returns
-    -------
-    Recording
-
-    Raises
-    ------
-    BagError
-        If ``path`` exists or cannot be written.
-
+    BagError if ``path`` exists or cannot be written.
     """
     recording = simulate(plan, str(path))
     write_recording(path, recording, plan.robot.motors,

@@ -2,8 +2,3 @@
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Friction of the joints: the Stribeck curve and the Generalized Maxwell-Slip blocks."""
-
-from gms_flex_control.friction.gms import init, step
-from gms_flex_control.friction.stribeck import steady_friction, stribeck_level
-
-__all__ = ['init', 'steady_friction', 'step', 'stribeck_level']

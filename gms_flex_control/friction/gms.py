@@ -14,6 +14,7 @@ from functools import cache, lru_cache
 from gms_flex_control import records
 from gms_flex_control.compiled import compiled
 from gms_flex_control.friction.stribeck import level_and_slope
+from gms_flex_control.params.friction import STRIBECK
 from gms_flex_control.records import FLAG, FLOAT
 import numpy as np
 
@@ -21,7 +22,7 @@ FORWARD, BACKWARD = 0, 1  # rows of the direction-dependent constants
 
 
 @cache
-def state_layout(n, n_blocks):
+def state_layout(n, n_blocks) -> np.dtype:
     """
     Return the dtype of the memory of n joints with N blocks each.
 
@@ -33,19 +34,19 @@ def state_layout(n, n_blocks):
 
 
 @cache
-def constants_layout(n, n_blocks):
+def constants_layout(n, n_blocks) -> np.dtype:
     """Return the dtype of the kernels' constants; see FrictionParams for the meaning."""
     return records.layout(
-        *((name, FLOAT, (2, n)) for name in ('static', 'coulomb', 'velocity', 'viscous')),
+        *((name, FLOAT, (2, n)) for name in STRIBECK),
         ('stiffness', FLOAT, (n, n_blocks)), ('weight', FLOAT, (n, n_blocks)),
         ('attraction', FLOAT, (n,)))
 
 
 @lru_cache(maxsize=256)
-def constants_of(params):
+def constants_of(params) -> np.record:
     """Return a FrictionParams as the record the kernels take."""
     pairs = {name: np.stack([getattr(params.forward, name), getattr(params.backward, name)])
-             for name in ('static', 'coulomb', 'velocity', 'viscous')}
+             for name in STRIBECK}
     return records.build(constants_layout(*params.stiffness.shape), **pairs,
                          stiffness=params.stiffness, weight=params.weight,
                          attraction=params.attraction)
@@ -63,44 +64,8 @@ def init(params, torque=None, direction=None) -> np.record:
                          direction=1.0 if direction is None else direction)
 
 
-def step(state, displacement, dt, params):
-    """
-    Advance the friction by one step of given displacement.
-
-    Parameters
-    ----------
-    state : numpy.record
-        From `init` or an earlier step; not changed.
-    displacement : ndarray, shape (n_joints,)
-        Change of the link angles over the step [rad].
-    dt : float
-        Length of the step [s].
-    params : FrictionParams
-        Friction of the same joints.
-
-    Returns
-    -------
-    state : numpy.record
-        State at the end.
-    tau_friction : ndarray, shape (n_joints,)
-        Friction torque that opposes the motion, viscous part included [N m].
-
-    Notes
-    -----
-    Eqs. (2), (3), (5). The mean velocity of the step stands for dq_link.
-
-    """
-    state = state.copy()
-    displacement = np.array(displacement, dtype=float)
-    constants = constants_of(params)
-    advance(state, displacement, displacement / dt, dt, constants)
-    tau = np.empty(len(displacement))
-    total(state, displacement / dt, constants, tau)
-    return state, tau
-
-
 @compiled
-def level_of(j, direction, velocity, constants):
+def level_of(j, direction, velocity, constants) -> tuple:
     """Return s(v) and ds/dv of joint ``j`` moving in ``direction`` (+1 or -1), scalars."""
     row = FORWARD if direction > 0.0 else BACKWARD
     return level_and_slope(velocity, constants.static[row, j], constants.coulomb[row, j],
@@ -109,7 +74,7 @@ def level_of(j, direction, velocity, constants):
 
 @compiled
 def advance_blocks(torque, sticking, turned, sign, displacement, level, decay, stiffness,
-                   weight):
+                   weight) -> None:
     """Advance the blocks (N,) of one joint in place; ``decay`` = exp(-C dt / s)."""
     for i in range(torque.shape[0]):
         if turned:
@@ -125,7 +90,7 @@ def advance_blocks(torque, sticking, turned, sign, displacement, level, decay, s
 
 
 @compiled
-def advance_joint(j, state, displacement, velocity, dt, constants):
+def advance_joint(j, state, displacement, velocity, dt, constants) -> None:
     """Advance joint ``j`` in place by ``displacement`` at ``velocity`` over ``dt``, scalars."""
     turned = displacement * state.direction[j] < 0.0
     if turned:
@@ -138,14 +103,14 @@ def advance_joint(j, state, displacement, velocity, dt, constants):
 
 
 @compiled
-def advance(state, displacement, velocity, dt, constants):
+def advance(state, displacement, velocity, dt, constants) -> None:
     """Advance all joints in place by ``displacement`` (n,) at ``velocity`` (n,) over ``dt``."""
     for j in range(constants.attraction.shape[0]):
         advance_joint(j, state, displacement[j], velocity[j], dt, constants)
 
 
 @compiled
-def total(state, velocity, constants, tau):
+def total(state, velocity, constants, tau) -> None:
     """Write the friction torque of all joints (n,), viscous part included, into ``tau``."""
     for j in range(constants.attraction.shape[0]):
         row = FORWARD if state.direction[j] > 0.0 else BACKWARD

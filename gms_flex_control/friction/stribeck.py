@@ -11,7 +11,7 @@ _FULLY_DECAYED = 50.0
 
 
 @compiled
-def level_and_slope(v, static, coulomb, velocity):
+def level_and_slope(v, static, coulomb, velocity) -> tuple:
     """Return s(v) and ds/dv of one joint in one direction (Eq. 4), all scalars."""
     x = v / velocity
     if x * x > _FULLY_DECAYED:

@@ -14,8 +14,8 @@ import time
 
 from gms_flex_control.errors import ConfigError, GmsFlexError
 from gms_flex_control.nodes.process import NO_EVENTS
+from gms_flex_control.params.key import checked, offered_range, range_in_words, REQUIRED
 from gms_flex_control.schema import build
-from gms_flex_control.schema.key import checked, offered_range, range_in_words, REQUIRED
 from gms_flex_control.schema.keys import known_keys
 from rcl_interfaces.msg import (
     FloatingPointRange,

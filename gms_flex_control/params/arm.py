@@ -9,6 +9,7 @@ import re
 
 from gms_flex_control.errors import ParameterError
 from gms_flex_control.params.checks import freeze_arrays, require_finite, require_shape
+from gms_flex_control.params.key import number, SMALLEST
 import numpy as np
 
 KINDS = ('planar', 'decoupled', 'urdf')
@@ -53,22 +54,13 @@ class ArmParams:
     ----------
     kind : {'planar', 'decoupled', 'urdf'}
         A chain of links in one plane, axes that do not act on each other, or a chain in space.
-    mass, length, com, inertia : ndarray, shape (n_joints,)
-        Of each link: mass [kg], distance to the next joint [m], distance of its centre of mass
-        from its own joint [m], inertia about the centre of mass [kg m^2]. A decoupled axis may
-        give its whole inertia with mass 0. In space ``com`` is (n_joints, 3) and ``inertia``
-        (n_joints, 3, 3), in the frame of the link, which lies at its joint; ``length`` is 0.
-    motor_inertia : ndarray, shape (n_joints,)
-        J, reflected to the joint [kg m^2].
-    stiffness, damping : ndarray, shape (n_joints,)
-        K [N m/rad] and damping [N m s/rad] of the joint's spring; an infinite stiffness is a
-        rigid joint, which has no motor side of its own.
+    mass, length, com, inertia, motor_inertia, stiffness, damping, offset : ndarray, (n_joints,)
+        Of each link and joint, as described below. In space ``com`` is (n_joints, 3) and
+        ``inertia`` (n_joints, 3, 3), in the frame of the link, which lies at its joint;
+        ``length`` is 0. A joint of infinite stiffness has no motor side of its own.
     gravity : ndarray, shape (2,) or float
         Gravity in the plane (x, y) [m/s^2]; a number g stands for (0, -g). 0 is a horizontal
         plane. In space, shape (3,), in the frame of the base.
-    offset : ndarray, shape (n_joints,), optional
-        Where a joint reads 0: angle of its link from the x axis, or in a chain from the link
-        before it [rad]. Zeros by default.
     axes : {'rotary', 'linear'}
         What decoupled axes are; of linear ones m stands for rad, N for N m, kg for kg m^2.
     frames : Frames, optional
@@ -82,15 +74,19 @@ class ArmParams:
     """
 
     kind: str
-    mass: np.ndarray
-    length: np.ndarray
-    com: np.ndarray
-    inertia: np.ndarray
-    motor_inertia: np.ndarray
-    stiffness: np.ndarray
-    damping: np.ndarray
+    mass: np.ndarray = number('mass of the link', 'kg', 0.0, 0.0)
+    length: np.ndarray = number('distance to the next joint', 'm', 0.0, 0.0)
+    com: np.ndarray = number('centre of mass from the joint', 'm', 0.0)
+    inertia: np.ndarray = number('inertia about the centre of mass; of a decoupled axis the whole '
+                                 'inertia', 'kg m^2', lower=0.0, unless=('arm.kind', 'urdf'))
+    motor_inertia: np.ndarray = number('motor inertia reflected to the joint', 'kg m^2', lower=0.0)
+    stiffness: np.ndarray = number('stiffness of the joint; .inf for a rigid one', 'N m/rad',
+                                   lower=SMALLEST)
+    damping: np.ndarray = number('damping of the joint', 'N m s/rad', 0.0, 0.0)
+    offset: np.ndarray | None = number(
+        'angle of the link where the joint reads 0, from the x axis or the link before it', 'rad',
+        0.0, default=None)
     gravity: np.ndarray = 0.0
-    offset: np.ndarray | None = None
     axes: str = 'rotary'
     frames: Frames | None = None
 
@@ -123,8 +119,9 @@ class ArmParams:
         if self.frames is None:
             require_finite('inertia', self.inertia, at_least=0.0)
             self._require_inertia()
-        else:
-            self._require_bodies()
+            return
+        for j, (mass, inertia) in enumerate(zip(self.mass, self.inertia, strict=True)):
+            require_body(f'link of joint {j + 1}', mass, inertia)
 
     def _require_motors(self):
         if not np.all(self.stiffness > 0.0):
@@ -141,34 +138,30 @@ class ArmParams:
             raise ParameterError(f'each link needs inertia or mass away from its joint, '
                                  f'got inertia {self.inertia}, mass {self.mass}, com {self.com}')
 
-    def _require_bodies(self):
-        for j in range(self.n_joints):
-            require_body(f'link of joint {j + 1}', self.mass[j], self.inertia[j])
-
     @property
-    def n_joints(self):
+    def n_joints(self) -> int:
         """Return the number of joints."""
         return len(self.stiffness)
 
     @property
-    def link_inertia(self):
+    def link_inertia(self) -> np.ndarray:
         """Return the inertia of each link about its joint, of what it carries none (n_joints,)."""
         if self.frames is None:
             return self.inertia + self.mass * self.com ** 2
         turning = self.inertia[:, 2, 2] + self.mass * np.sum(self.com[:, :2] ** 2, axis=1)
         return np.where(self.frames.prismatic, self.mass, turning)
 
-    def scaled(self, factor):
+    def scaled(self, factor: np.ndarray) -> 'ArmParams':
         """Return the arm with mass and inertia of its links times ``factor`` (n_joints,)."""
         return replace(self, mass=self.mass * factor, inertia=(self.inertia.T * factor).T)
 
     @property
-    def rigid(self):
+    def rigid(self) -> np.ndarray:
         """Return which joints have no motor side of their own, bool (n_joints,)."""
         return np.isinf(self.stiffness)
 
 
-def require_body(name, mass, inertia):
+def require_body(name: str, mass: float, inertia: np.ndarray) -> None:
     """
     Raise ParameterError unless a body can have this mass [kg] and inertia (3, 3) [kg m^2].
 
@@ -191,4 +184,4 @@ def in_units(arm: ArmParams, text: str) -> str:
     """Return a text that is written for rotary axes, its units those of an arm."""
     if arm.axes == 'rotary':
         return text
-    return reduce(lambda told, unit: re.sub(*unit, told), _OF_LINEAR, text)
+    return reduce(lambda written, unit: re.sub(*unit, written), _OF_LINEAR, text)

@@ -6,7 +6,13 @@
 from dataclasses import dataclass
 
 from gms_flex_control.errors import ParameterError
-from gms_flex_control.params.checks import freeze_arrays, require_finite, require_shape
+from gms_flex_control.params.checks import (
+    freeze_arrays,
+    require_finite,
+    require_ranges,
+    require_shape,
+)
+from gms_flex_control.params.key import keys_of, number, SMALLEST
 import numpy as np
 
 WEIGHT_TOLERANCE = 1e-6  # of the sum of a joint's weights
@@ -15,27 +21,26 @@ WEIGHT_TOLERANCE = 1e-6  # of the sum of a joint's weights
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StribeckParams:
     """
-    Steady-state friction in one direction of motion (Eq. 4 and Table 1).
+    Steady-state friction in one direction of motion, each (n_joints,) (Eq. 4 and Table 1).
 
     ParameterError if a value is not finite, out of range, or static lies below coulomb.
     """
 
-    static: np.ndarray    # (n,) F_s [N m]
-    coulomb: np.ndarray   # (n,) F_c [N m], 0 < coulomb <= static
-    velocity: np.ndarray  # (n,) Stribeck velocity v_s [rad/s]
-    viscous: np.ndarray   # (n,) sigma_2 [N m s/rad]
+    static: np.ndarray = number('static friction F_s', 'N m', lower=SMALLEST)
+    coulomb: np.ndarray = number('Coulomb friction F_c', 'N m', lower=SMALLEST)
+    velocity: np.ndarray = number('Stribeck velocity v_s', 'rad/s', lower=SMALLEST)
+    viscous: np.ndarray = number('viscous friction sigma_2', 'N m s/rad', lower=0.0)
 
     def __post_init__(self):
         freeze_arrays(self)
-        for name in ('coulomb', 'velocity', 'viscous'):
-            require_shape(name, getattr(self, name), self.static.shape)
-        for name in ('static', 'coulomb', 'velocity'):
-            require_finite(name, getattr(self, name), above=0.0)
-        require_finite('viscous', self.viscous, at_least=0.0)
+        require_ranges(self, self.static.shape)
         if np.any(self.static < self.coulomb):
             raise ParameterError(
                 f'static {self.static} is below coulomb {self.coulomb}: '
                 'the Stribeck curve would rise with speed; were they swapped?')
+
+
+STRIBECK = tuple(key.name for key in keys_of(StribeckParams))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -43,14 +48,19 @@ class FrictionParams:
     """
     GMS friction of n joints with N blocks each (Eqs. 2 to 5, Tables 1 to 3).
 
+    ``stiffness`` and ``weight`` are (n, N), ``attraction`` (n,): how fast a slipping block nears
+    its level.
+
     ParameterError if a shape does not fit, a value is out of range or the weights do not sum to 1.
     """
 
     forward: StribeckParams   # for positive velocity
     backward: StribeckParams
-    stiffness: np.ndarray     # (n, N) k_i of the asperities [N m/rad]
-    weight: np.ndarray        # (n, N) alpha_i of the Stribeck level; sums to 1 per joint
-    attraction: np.ndarray    # (n,) C, how fast a slipping block nears its level [N m/s]
+    stiffness: np.ndarray = number('stiffness k_i of each block', 'N m/rad', lower=0.0,
+                                   kind='double_array')
+    weight: np.ndarray = number('share alpha_i of each block, sum 1', '1', lower=0.0,
+                                kind='double_array')
+    attraction: np.ndarray = number('C of the slipping blocks', 'N m/s', lower=SMALLEST)
 
     def __post_init__(self):
         freeze_arrays(self, skip=('forward', 'backward'))

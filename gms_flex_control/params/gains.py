@@ -3,10 +3,11 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Gains of the cascade controller and of its friction observer."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 from gms_flex_control.errors import ParameterError
-from gms_flex_control.params.checks import freeze_arrays, require_finite, require_shape
+from gms_flex_control.params.checks import freeze_arrays, require_ranges
+from gms_flex_control.params.key import keys_of, number
 import numpy as np
 
 # gms_paper is the paper's observer, corrected, with tanh; gms the better one, with the sign of the
@@ -18,33 +19,36 @@ COMPENSATIONS = ('none', 'gms_paper', 'gms', 'stribeck', 'lugre', 'gms_desired',
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ControllerParams:
     """
-    Gains per joint and the kind of friction compensation.
+    Gains per joint, each (n_joints,), and the kind of friction compensation.
 
     ParameterError if a gain is not finite or has the wrong sign, or the compensation is unknown.
     """
 
-    compensation: str             # one of COMPENSATIONS
-    kd_link: np.ndarray           # (n,) K_D1 of the link law (11) [N m s/rad]
-    lambda_link: np.ndarray       # (n,) Lambda_1 [1/s]
-    kd_motor: np.ndarray          # (n,) K_D2 of the motor law (27) [N m s/rad]
-    lambda_motor: np.ndarray      # (n,) Lambda_2 [1/s]
-    observer_gain: np.ndarray     # (n,) k_e: how much the tracking error corrects slipping blocks
-    sign_slope: np.ndarray        # (n,) k_v of r(v) = tanh(k_v v), gms_paper and stribeck [s/rad]
-    filter_bandwidth: np.ndarray  # (n,) of the command filter on the friction estimate [rad/s]
-    torque_limit: np.ndarray      # (n,) largest motor torque the controller asks for [N m]
+    compensation: str  # one of COMPENSATIONS
+    kd_link: np.ndarray = number('K_D1 of the link law', 'N m s/rad', lower=0.0, upper=1e9,
+                                 live=True)  # Eq. (11)
+    lambda_link: np.ndarray = number('Lambda_1 of the link law', '1/s', lower=0.0, upper=1e4,
+                                     live=True)
+    kd_motor: np.ndarray = number('K_D2 of the motor law', 'N m s/rad', lower=0.0, upper=1e9,
+                                  live=True)  # Eq. (27)
+    lambda_motor: np.ndarray = number('Lambda_2 of the motor law', '1/s', lower=0.0, upper=1e4,
+                                      live=True)
+    observer_gain: np.ndarray = number(
+        'k_e, correction of slipping blocks by the tracking error', '', 1.0, 0.0, 1e6, live=True)
+    sign_slope: np.ndarray = number(
+        'k_v of tanh(k_v v), gms_paper and stribeck only', 's/rad', 50.0, 1e-3, 1e6, live=True)
+    filter_bandwidth: np.ndarray = number(
+        'command filter on the friction estimate, all modes but none and gms_paper', 'rad/s',
+        100.0, 1e-3, 1e5, live=True)
+    torque_limit: np.ndarray = number('largest motor torque', 'N m', lower=0.0, upper=1e9,
+                                      live=True)
 
     def __post_init__(self):
         if self.compensation not in COMPENSATIONS:
             raise ParameterError(f"compensation must be one of {', '.join(COMPENSATIONS)}, "
                                  f'got {self.compensation!r}')
         freeze_arrays(self, skip=('compensation',))
-        for name in GAINS:
-            value = getattr(self, name)
-            require_shape(name, value, self.kd_link.shape)
-            require_finite(name, value, at_least=0.0)
-        for name in ('filter_bandwidth', 'sign_slope'):
-            require_finite(name, getattr(self, name), above=0.0)
+        require_ranges(self, self.kd_link.shape)
 
 
-# with a value per joint, as a controller file has them
-GAINS = tuple(one.name for one in fields(ControllerParams) if one.name != 'compensation')
+GAINS = tuple(key.name for key in keys_of(ControllerParams))  # with a value per joint

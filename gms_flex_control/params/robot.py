@@ -9,8 +9,9 @@ from typing import NamedTuple
 
 from gms_flex_control.errors import ParameterError
 from gms_flex_control.params.arm import ArmParams
-from gms_flex_control.params.checks import freeze_arrays, require_finite, require_shape
+from gms_flex_control.params.checks import freeze_arrays, require_ranges
 from gms_flex_control.params.friction import FrictionParams
+from gms_flex_control.params.key import number
 import numpy as np
 
 WHOLE_ARM = 'arm'
@@ -43,19 +44,16 @@ LEAST_SD, LARGEST_SD = 1e-4, 10.0   # that may be stated
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EncoderParams:
-    """What is measured on both sides of the joints; ParameterError if a value is negative."""
+    """What is measured on both sides of all joints; ParameterError if a value is negative."""
 
-    counts: np.ndarray = 0.0           # () per revolution of every encoder; 0 is an ideal one
-    noise: np.ndarray = 0.0            # () standard deviation added before the counting [rad]
-    velocity_cutoff: np.ndarray = 0.0  # () of the low-pass on the differenced angle [Hz]; 0 reads
-    # the true velocity
+    counts: np.ndarray = number('counts per revolution; 0 is ideal', '1', 0.0, 0.0, default=0.0)
+    noise: np.ndarray = number('standard deviation before counting', 'rad', 0.0, 0.0, default=0.0)
+    velocity_cutoff: np.ndarray = number('low-pass on the differenced angle; 0 reads the true '
+                                         'velocity', 'Hz', 0.0, 0.0, default=0.0)
 
     def __post_init__(self):
         freeze_arrays(self)
-        for name in ('counts', 'noise', 'velocity_cutoff'):
-            value = getattr(self, name)
-            require_shape(f'encoder {name}', value, ())
-            require_finite(f'encoder {name}', value, at_least=0.0)
+        require_ranges(self, (), 'encoder ')
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,6 +103,6 @@ class RobotParams:
                                      'it: name its motor side or set its stiffness to .inf')
 
     @property
-    def n_joints(self):
+    def n_joints(self) -> int:
         """Return the number of joints."""
         return len(self.joints)

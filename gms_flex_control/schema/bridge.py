@@ -13,7 +13,7 @@ from gms_flex_control.schema.node_keys import bridge_keys, LIMITS, safety_keys
 _NEEDED = ('torque', 'torque_rate', 'velocity', 'lower', 'upper')
 
 
-def limits_from_values(values, joints):
+def limits_from_values(values, joints) -> Limits | None:
     """Return Limits of ``joints`` from flat parameters of a plant; None if nothing is limited."""
     flat = complete(safety_keys(joints), values)
     if all(abs(flat[f'limits.{joint}.{name}']) >= UNLIMITED for joint in joints
@@ -23,7 +23,7 @@ def limits_from_values(values, joints):
                      for name in (key.name for key in LIMITS)})
 
 
-def bridge_from_values(values, joints, motors):
+def bridge_from_values(values, joints, motors) -> BridgeParams:
     """
     Return BridgeParams from flat parameters, links ``joints`` and their ``motors`` ('' if rigid).
 

@@ -9,26 +9,23 @@ from gms_flex_control.effects import registry
 from gms_flex_control.effects.catalogue.gravity_tilt import GravityTilt
 from gms_flex_control.errors import ConfigError, ParameterError
 from gms_flex_control.params.arm import ArmParams, Frames
-from gms_flex_control.params.friction import FrictionParams, StribeckParams, WEIGHT_TOLERANCE
-from gms_flex_control.params.gains import ControllerParams, GAINS
-from gms_flex_control.params.robot import EffectSpec, EncoderParams, RobotParams
-from gms_flex_control.schema.key import checked, REQUIRED
-from gms_flex_control.schema.keys import (
-    ARM,
-    controller_keys,
-    known_keys,
-    robot_keys,
-    STANDARD_GRAVITY,
+from gms_flex_control.params.friction import (
+    FrictionParams,
     STRIBECK,
+    StribeckParams,
+    WEIGHT_TOLERANCE,
 )
+from gms_flex_control.params.gains import ControllerParams
+from gms_flex_control.params.key import checked, keys_of, REQUIRED
+from gms_flex_control.params.robot import EffectSpec, EncoderParams, RobotParams
+from gms_flex_control.schema.keys import controller_keys, known_keys, robot_keys, STANDARD_GRAVITY
 from gms_flex_control.schema.urdf_arm import read_links
 import numpy as np
 
 _OF_LINKS = ('mass', 'length', 'com', 'inertia')  # which a URDF states
 _FACTORS = ('mass_factor', 'inertia_factor')      # on what a URDF states
 MOST_JOINTS = 7
-_ARM = tuple(key.name for key in ARM if key.name not in (*_FACTORS, 'inertial'))
-_STRIBECK = tuple(key.name for key in STRIBECK)
+_ROWS, _COLUMNS = np.triu_indices(3)  # of an inertia in ten numbers
 
 
 def complete(keys, values: dict) -> dict:
@@ -68,11 +65,10 @@ def robot_from_values(values: dict) -> RobotParams:
     flat = complete(robot_keys(joints), values)
     _require_links(flat['arm.kind'], joints, values)
     motors = flat['motors'] or ('',) * len(joints)
-    columns = {name: [flat[f'arm.{joint}.{name}'] for joint in joints] for name in _ARM}
     arm = ArmParams(kind=flat['arm.kind'], axes=flat['arm.axes'],
-                    **columns | _links(flat, joints))
-    encoder = EncoderParams(**{name: flat[f'encoder.{name}']
-                               for name in ('counts', 'noise', 'velocity_cutoff')})
+                    **_columns(ArmParams, flat, 'arm', joints) | _links(flat, joints))
+    encoder = EncoderParams(**{key.name: flat[f'encoder.{key.name}']
+                               for key in keys_of(EncoderParams)})
     effects = _effects({name: checked(known[name], value) for name, value in values.items()
                         if name.startswith('effects.')})
     uncertainty = {(name.split('.')[2], name.split('.')[1]): checked(known[name], value)
@@ -80,6 +76,18 @@ def robot_from_values(values: dict) -> RobotParams:
     return RobotParams(joints=joints, motors=tuple(motors), arm=arm, encoder=encoder,
                        friction=_friction(flat, joints), effects=effects,
                        uncertainty=uncertainty)
+
+
+def _columns(params, flat, prefix, joints):
+    """Return the fields of a class of parameters, each a list over joints (dict)."""
+    return {key.name: [flat[f'{prefix}.{joint}.{key.name}'] for joint in joints]
+            for key in keys_of(params)}
+
+
+def _row(params, prefix, j):
+    """Return the fields of joint ``j`` as flat parameters, the inverse of `_columns`."""
+    return {f'{prefix}.{key.name}': np.asarray(getattr(params, key.name)[j]).tolist()
+            for key in keys_of(type(params))}
 
 
 def _require_links(kind, joints, values):
@@ -101,43 +109,42 @@ def frames_from_values(flat, joints) -> Frames | None:
     return read_links(flat['arm.urdf'], joints, flat['arm.base'], flat['arm.tip']).frames
 
 
+def _refuse_given(flat, usual, way_out):
+    """Raise ConfigError at the first of ``usual`` (name to default) that has another value."""
+    for name, value in usual.items():
+        if flat[name] != value:
+            raise ConfigError(f'{name} {way_out}')
+
+
 def _links(flat, joints):
     """Return gravity and, of a URDF, the links (dict) as fields of ArmParams."""
-    factors = {name: np.array([flat[f'arm.{joint}.{name}'] for joint in joints])
-               for name in _FACTORS}
     if flat['arm.kind'] != 'urdf':
-        for joint in joints:
-            for name, usual in (*((name, 1.0) for name in _FACTORS), ('inertial', ())):
-                if flat[f'arm.{joint}.{name}'] != usual:
-                    raise ConfigError(f'arm.{joint}.{name} goes with arm.kind urdf, this is '
-                                      f"{flat['arm.kind']}")
-        kind = flat['arm.kind']
-        for name in ('arm.urdf', 'arm.base', 'arm.tip'):
-            if flat[name]:
-                raise ConfigError(f'{name} goes with arm.kind urdf, this is {kind}')
-        if flat['arm.gravity_vector'] != STANDARD_GRAVITY:
-            raise ConfigError('arm.gravity_vector goes with arm.kind urdf, this is '
-                              f'{kind}: give arm.gravity')
+        usual = {f'arm.{joint}.{name}': value for joint in joints for name, value in (
+            *dict.fromkeys(_FACTORS, 1.0).items(), ('inertial', ()))}
+        refusal = f"goes with arm.kind urdf, this is {flat['arm.kind']}"
+        _refuse_given(flat, usual | dict.fromkeys(('arm.urdf', 'arm.base', 'arm.tip'), ''),
+                      refusal)
+        _refuse_given(flat, {'arm.gravity_vector': STANDARD_GRAVITY},
+                      f'{refusal}: give arm.gravity')
         return {'gravity': flat['arm.gravity']}
-    if flat['arm.gravity'] != 0.0:
-        raise ConfigError('arm.gravity does not go with arm.kind urdf: give '
-                          'arm.gravity_vector: [x, y, z] in the frame of the base')
+    _refuse_given(flat, {'arm.gravity': 0.0}, 'does not go with arm.kind urdf: give '
+                  'arm.gravity_vector: [x, y, z] in the frame of the base')
     if len(flat['arm.gravity_vector']) != 3:
         raise ConfigError('arm.gravity_vector must have three numbers x, y, z, got '
                           f"{list(flat['arm.gravity_vector'])}")
     if not flat['arm.urdf']:
         raise ConfigError('arm.urdf is missing: arm.kind urdf needs the path of a URDF file')
-    for joint in joints:
-        for name in _OF_LINKS:
-            if flat[f'arm.{joint}.{name}'] != 0.0:
-                raise ConfigError(f'arm.{joint}.{name} does not go with arm.kind urdf: the URDF '
-                                  'states it')
+    _refuse_given(flat, {f'arm.{joint}.{name}': 0.0 for joint in joints for name in _OF_LINKS},
+                  'does not go with arm.kind urdf: the URDF states it')
     if len(joints) > MOST_JOINTS:
         raise ConfigError(f'joints names {len(joints)}; a chain of a URDF has at most '
                           f'{MOST_JOINTS}')
+    return _links_of_urdf(flat, joints)
+
+
+def _links_of_urdf(flat, joints):
     links = read_links(flat['arm.urdf'], joints, flat['arm.base'], flat['arm.tip'])
     mass, com, inertia = links.mass.copy(), links.com.copy(), links.inertia.copy()
-    rows, columns = np.triu_indices(3)
     for j, joint in enumerate(joints):
         own = flat[f'arm.{joint}.inertial']
         if len(own) not in (0, 10):
@@ -145,10 +152,11 @@ def _links(flat, joints):
                               f'x y z, inertia xx xy xz yy yz zz; got {len(own)}')
         if own:
             mass[j], com[j] = own[0], own[1:4]
-            inertia[j, rows, columns] = inertia[j, columns, rows] = own[4:]
+            inertia[j, _ROWS, _COLUMNS] = inertia[j, _COLUMNS, _ROWS] = own[4:]
+        mass[j] *= flat[f'arm.{joint}.mass_factor']
+        inertia[j] *= flat[f'arm.{joint}.inertia_factor']
     return {'gravity': flat['arm.gravity_vector'], 'frames': links.frames, 'com': com,
-            'mass': mass * factors['mass_factor'],
-            'inertia': inertia * factors['inertia_factor'][:, None, None]}
+            'mass': mass, 'inertia': inertia}
 
 
 @contextmanager
@@ -162,22 +170,20 @@ def _about(prefix):
 
 def _steady(flat, joints, direction):
     """Return the StribeckParams of one direction; an error names the joint."""
-    columns = {name: [] for name in _STRIBECK}
+    rows = []
     for joint in joints:
         prefix = f'friction.{joint}.{direction}'
-        values = {name: flat[f'{prefix}.{name}'] for name in _STRIBECK}
+        rows.append({name: flat[f'{prefix}.{name}'] for name in STRIBECK})
         with _about(prefix):
-            StribeckParams(**values)
-        for name, value in values.items():
-            columns[name].append(value)
-    return StribeckParams(**columns)
+            StribeckParams(**rows[-1])
+    return StribeckParams(**{name: [row[name] for row in rows] for name in STRIBECK})
 
 
 def _friction(flat, joints):
     directions = {direction: _steady(flat, joints, direction)
                   for direction in ('forward', 'backward')}
-    blocks = {name: [flat[f'friction.{joint}.{name}'] for joint in joints]
-              for name in ('stiffness', 'weight')}
+    blocks = _columns(FrictionParams, flat, 'friction', joints)
+    attraction = blocks.pop('attraction')
     for joint, stiffness, weight in zip(joints, *blocks.values(), strict=True):
         if len(stiffness) != len(weight) or not stiffness:
             raise ConfigError(f'friction.{joint}: stiffness has {len(stiffness)} blocks and '
@@ -188,8 +194,7 @@ def _friction(flat, joints):
     most = max(len(row) for row in blocks['stiffness'])
     padded = {name: [[*row, *[0.0] * (most - len(row))] for row in rows]
               for name, rows in blocks.items()}  # a block of weight 0 carries nothing
-    return FrictionParams(**directions, **padded,
-                          attraction=[flat[f'friction.{joint}.attraction'] for joint in joints])
+    return FrictionParams(**directions, **padded, attraction=attraction)
 
 
 def _effects(values):
@@ -205,12 +210,9 @@ def _effects(values):
 def controller_from_values(values: dict, joints) -> ControllerParams:
     """Build the gains of ``joints`` from flat parameters; errors as of `robot_from_values`."""
     flat = complete(controller_keys(joints), values)
-    try:
-        return ControllerParams(
-            compensation=flat['compensation'],
-            **{name: [flat[f'gains.{joint}.{name}'] for joint in joints] for name in GAINS})
-    except ParameterError as error:
-        raise ParameterError(f"gains of {', '.join(joints)}: {error}") from error
+    with _about(f"gains of {', '.join(joints)}"):
+        return ControllerParams(compensation=flat['compensation'],
+                                **_columns(ControllerParams, flat, 'gains', joints))
 
 
 def robot_values(robot: RobotParams) -> dict:
@@ -219,19 +221,15 @@ def robot_values(robot: RobotParams) -> dict:
               'arm.kind': robot.arm.kind} | _link_values(robot)
     if robot.arm.axes != 'rotary':
         values['arm.axes'] = robot.arm.axes
-    for name in ('counts', 'noise', 'velocity_cutoff'):
-        values[f'encoder.{name}'] = float(getattr(robot.encoder, name))
+    values |= {f'encoder.{key.name}': float(getattr(robot.encoder, key.name))
+               for key in keys_of(EncoderParams)}
+    stated = () if robot.arm.frames is None else _OF_LINKS  # by the URDF
     for j, joint in enumerate(robot.joints):
-        values |= {f'arm.{joint}.{name}': float(getattr(robot.arm, name)[j]) for name in _ARM
-                   if robot.arm.frames is None or name not in _OF_LINKS}
-        for direction in ('forward', 'backward'):
-            steady = getattr(robot.friction, direction)
-            values |= {f'friction.{joint}.{direction}.{name}': float(getattr(steady, name)[j])
-                       for name in _STRIBECK}
-        for name in ('stiffness', 'weight'):
-            values[f'friction.{joint}.{name}'] = np.asarray(
-                getattr(robot.friction, name)[j]).tolist()
-        values[f'friction.{joint}.attraction'] = float(robot.friction.attraction[j])
+        values |= {name: value for name, value in _row(robot.arm, f'arm.{joint}', j).items()
+                   if name.rpartition('.')[2] not in stated}
+        for way in ('forward', 'backward'):
+            values |= _row(getattr(robot.friction, way), f'friction.{joint}.{way}', j)
+        values |= _row(robot.friction, f'friction.{joint}', j)
     for spec in robot.effects:
         parameters = registry.find(spec.name).parameters
         values |= {f'effects.{spec.joint}.{spec.name}.{parameter.name}': float(value)
@@ -254,14 +252,13 @@ def _link_values(robot):
     of_inertia = (np.trace(arm.inertia, axis1=1, axis2=2)
                   / np.trace(links.inertia, axis1=1, axis2=2))
     values = {'arm.gravity_vector': arm.gravity.tolist(), 'arm.urdf': frames.source}
-    rows, columns = np.triu_indices(3)
     for j, joint in enumerate(robot.joints):
         factors = float(arm.mass[j] / links.mass[j]), float(of_inertia[j])
         if not (np.allclose(arm.com[j], links.com[j], rtol=1e-9, atol=1e-12) and np.allclose(
                 arm.inertia[j], links.inertia[j] * of_inertia[j], rtol=1e-9, atol=1e-12)):
             factors = 1.0, 1.0
-            values[f'arm.{joint}.inertial'] = [
-                float(arm.mass[j]), *arm.com[j].tolist(), *arm.inertia[j, rows, columns].tolist()]
+            values[f'arm.{joint}.inertial'] = np.concatenate(
+                [arm.mass[[j]], arm.com[j], arm.inertia[j, _ROWS, _COLUMNS]]).tolist()
         values |= {f'arm.{joint}.{name}': factor
                    for name, factor in zip(_FACTORS, factors, strict=True)}
     return values | {f'arm.{name}': getattr(frames, name) for name in ('base', 'tip')

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from gms_flex_control.errors import ConfigError, ParameterError
 from gms_flex_control.files import read_yaml, write_text
+from gms_flex_control.hardware.limits import Limits
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.robot import RobotParams
 from gms_flex_control.schema import build
@@ -86,7 +87,7 @@ def _built(paths, make):
         raise located(error, paths, places) from error
 
 
-def located(error, paths, places):
+def located(error, paths, places) -> Exception:
     """Return the error with file and line of the key its sentence begins with; see read_values."""
     message = str(error)
     name = message.split(' ', 1)[0].rstrip(':')
@@ -105,7 +106,7 @@ def load_robot(paths) -> RobotParams:
     return _built(paths, build.robot_from_values)
 
 
-def load_limits(paths, joints):
+def load_limits(paths, joints) -> Limits | None:
     """
     Read the Limits of ``joints`` from parameter files, such as ``config/bridge.yaml``.
 

@@ -5,102 +5,57 @@
 
 from gms_flex_control.effects import registry
 from gms_flex_control.errors import ConfigError, did_you_mean, ParameterError
-from gms_flex_control.params.arm import AXES, KINDS
-from gms_flex_control.params.gains import COMPENSATIONS
+from gms_flex_control.params.arm import ArmParams, AXES, KINDS
+from gms_flex_control.params.friction import FrictionParams, StribeckParams
+from gms_flex_control.params.gains import COMPENSATIONS, ControllerParams
+from gms_flex_control.params.key import below, Key, keys_of, SMALLEST
+from gms_flex_control.params.robot import EncoderParams, LARGEST_SD, LEAST_SD, WHOLE_ARM
 from gms_flex_control.params.robot import KINDS as UNCERTAIN
-from gms_flex_control.params.robot import LARGEST_SD, LEAST_SD, WHOLE_ARM
 from gms_flex_control.schema import node_keys
-from gms_flex_control.schema.key import below, Key, SMALLEST
 
 STANDARD_GRAVITY = (0.0, 0.0, -9.80665)  # conventional value (3rd CGPM, 1901) [m/s^2]
 _PER_JOINT = ('arm', 'friction', 'gains', 'identification', 'limits', 'mapping', 'trajectory')
 
-# of each joint, below arm.<joint>
-ARM = (
-    Key('mass', 'double', 'mass of the link', 'kg', 0.0, 0.0),
-    Key('length', 'double', 'distance to the next joint', 'm', 0.0, 0.0),
-    Key('com', 'double', 'centre of mass from the joint', 'm', 0.0),
-    Key('inertia', 'double', 'inertia about the centre of mass; of a decoupled axis the whole '
-        'inertia', 'kg m^2', lower=0.0, unless=('arm.kind', 'urdf')),
-    Key('motor_inertia', 'double', 'motor inertia reflected to the joint', 'kg m^2', lower=0.0),
-    Key('stiffness', 'double', 'stiffness of the joint; .inf for a rigid one', 'N m/rad',
-        lower=SMALLEST),
-    Key('damping', 'double', 'damping of the joint', 'N m s/rad', 0.0, 0.0),
-    Key('offset', 'double', 'angle of the link where the joint reads 0, from the x axis or the '
-        'link before it', 'rad', 0.0),
-    Key('mass_factor', 'double', 'mass of the link over that of the URDF', '1', 1.0, SMALLEST),
-    Key('inertia_factor', 'double', 'inertia of the link about its centre of mass over that of '
-        'the URDF', '1', 1.0, SMALLEST),
-    Key('inertial', 'double_array', 'instead of the URDF, in the frame at the joint whose z is '
-        'its axis: mass, centre of mass x y z, inertia about it xx xy xz yy yz zz',
-        'kg, m, kg m^2', ()))
-# below friction.<joint>.forward and .backward
-STRIBECK = (
-    Key('static', 'double', 'static friction F_s', 'N m', lower=SMALLEST),
-    Key('coulomb', 'double', 'Coulomb friction F_c', 'N m', lower=SMALLEST),
-    Key('velocity', 'double', 'Stribeck velocity v_s', 'rad/s', lower=SMALLEST),
-    Key('viscous', 'double', 'viscous friction sigma_2', 'N m s/rad', lower=0.0))
-# below friction.<joint>
-BLOCKS = (
-    Key('stiffness', 'double_array', 'stiffness k_i of each block', 'N m/rad', lower=0.0),
-    Key('weight', 'double_array', 'share alpha_i of each block, sum 1', '1', lower=0.0),
-    Key('attraction', 'double', 'C of the slipping blocks', 'N m/s', lower=SMALLEST))
-# below encoder
-ENCODER = (
-    Key('counts', 'double', 'counts per revolution; 0 is ideal', '1', 0.0, 0.0),
-    Key('noise', 'double', 'standard deviation before counting', 'rad', 0.0, 0.0),
-    Key('velocity_cutoff', 'double', 'low-pass on the differenced angle; 0 reads the true '
-        'velocity', 'Hz', 0.0, 0.0))
-# below gains.<joint>
-GAINS = (
-    Key('kd_link', 'double', 'K_D1 of the link law', 'N m s/rad', lower=0.0, upper=1e9, live=True),
-    Key('lambda_link', 'double', 'Lambda_1 of the link law', '1/s', lower=0.0, upper=1e4,
-        live=True),
-    Key('kd_motor', 'double', 'K_D2 of the motor law', 'N m s/rad', lower=0.0, upper=1e9,
-        live=True),
-    Key('lambda_motor', 'double', 'Lambda_2 of the motor law', '1/s', lower=0.0, upper=1e4,
-        live=True),
-    Key('observer_gain', 'double', 'k_e, correction of slipping blocks by the tracking error', '',
-        1.0, 0.0, 1e6, live=True),
-    Key('sign_slope', 'double', 'k_v of tanh(k_v v), gms_paper and stribeck only', 's/rad', 50.0,
-        1e-3, 1e6, live=True),
-    Key('filter_bandwidth', 'double', 'command filter on the friction estimate, all modes but '
-        'none and gms_paper', 'rad/s', 100.0, 1e-3, 1e5, live=True),
-    Key('torque_limit', 'double', 'largest motor torque', 'N m', lower=0.0, upper=1e9, live=True))
+# of each joint, below arm.<joint>, of a URDF
+_OF_URDF = (
+    Key('mass_factor', 'mass of the link over that of the URDF', '1', 1.0, SMALLEST),
+    Key('inertia_factor', 'inertia of the link about its centre of mass over that of the URDF',
+        '1', 1.0, SMALLEST),
+    Key('inertial', 'instead of the URDF, in the frame at the joint whose z is its axis: mass, '
+        'centre of mass x y z, inertia about it xx xy xz yy yz zz', 'kg, m, kg m^2', (),
+        kind='double_array'))
 _ROBOT = (
-    Key('joints', 'string_array', 'names of the link sides, from the base outwards'),
-    Key('motors', 'string_array', "names of the motor sides; '' for a rigid joint", default=()),
-    Key('arm.kind', 'string', 'chain in a plane, axes without effect on each other, or the chain '
-        'of a URDF', default='planar', choices=KINDS),
-    Key('arm.axes', 'string', 'whether decoupled axes turn or slide', default='rotary',
-        choices=AXES),
-    Key('arm.gravity', 'double', 'gravity along -y of the plane; 0 if it is horizontal', 'm/s^2',
-        0.0),
-    Key('arm.gravity_vector', 'double_array', 'gravity x, y, z in the frame of the base, of kind '
-        'urdf', 'm/s^2', STANDARD_GRAVITY),
-    Key('arm.urdf', 'string', 'URDF file with the links, relative to the robot file', default=''),
-    Key('arm.base', 'string', 'link of the URDF where the chain begins; default: the root',
-        default=''),
-    Key('arm.tip', 'string', 'link of the URDF where the chain ends; what moves beyond or beside '
-        'it is held at 0', default=''))
-COMPENSATION = Key('compensation', 'string', 'friction compensation', default='gms',
-                   choices=COMPENSATIONS, live=True)
+    Key('joints', 'names of the link sides, from the base outwards', kind='string_array'),
+    Key('motors', "names of the motor sides; '' for a rigid joint", default=()),
+    Key('arm.kind', 'chain in a plane, axes without effect on each other, or the chain of a URDF',
+        default='planar', choices=KINDS),
+    Key('arm.axes', 'whether decoupled axes turn or slide', default='rotary', choices=AXES),
+    Key('arm.gravity', 'gravity along -y of the plane; 0 if it is horizontal', 'm/s^2', 0.0),
+    Key('arm.gravity_vector', 'gravity x, y, z in the frame of the base, of kind urdf', 'm/s^2',
+        STANDARD_GRAVITY),
+    Key('arm.urdf', 'URDF file with the links, relative to the robot file', default=''),
+    Key('arm.base', 'link of the URDF where the chain begins; default: the root', default=''),
+    Key('arm.tip', 'link of the URDF where the chain ends; what moves beyond or beside it is '
+        'held at 0', default=''))
+COMPENSATION = Key('compensation', 'friction compensation', default='gms', choices=COMPENSATIONS,
+                   live=True)
 
 
 def robot_keys(joints) -> tuple[Key, ...]:
     """Return the keys of a robot file for the given joint names."""
-    keys = [*_ROBOT, *below('encoder', ENCODER)]
+    keys = [*_ROBOT, *below('encoder', keys_of(EncoderParams))]
     for joint in joints:
-        keys += [*below(f'arm.{joint}', ARM), *below(f'friction.{joint}.forward', STRIBECK),
-                 *below(f'friction.{joint}.backward', STRIBECK),
-                 *below(f'friction.{joint}', BLOCKS)]
+        keys += [*below(f'arm.{joint}', (*keys_of(ArmParams), *_OF_URDF)),
+                 *(key for way in ('forward', 'backward')
+                   for key in below(f'friction.{joint}.{way}', keys_of(StribeckParams))),
+                 *below(f'friction.{joint}', keys_of(FrictionParams))]
     return tuple(keys)
 
 
 def controller_keys(joints) -> tuple[Key, ...]:
     """Return the keys of a controller file for the given joint names."""
-    return (COMPENSATION,
-            *(key for joint in joints for key in below(f'gains.{joint}', GAINS)))
+    gains = keys_of(ControllerParams)
+    return (COMPENSATION, *(key for joint in joints for key in below(f'gains.{joint}', gains)))
 
 
 def all_keys(joints) -> dict[str, Key]:
@@ -132,12 +87,12 @@ def _effect_key(name, joints):
         raise ConfigError(f'{name}: {effect} has no parameter {parameter!r}'
                           f'{did_you_mean(parameter, known)}')
     entry = known[parameter]
-    return Key(name, 'double', entry.description, entry.unit, lower=entry.lower,
+    return Key(name, entry.description, entry.unit, lower=entry.lower,
                upper=entry.upper)
 
 
 def _require_place(name, joint, joints):
-    """Raise ConfigError if a key's joint is none of the robot's, nor the whole arm."""
+    """Raise ConfigError if a key's joint is neither one of the robot's nor the whole arm."""
     if joint not in (*joints, WHOLE_ARM):
         raise ConfigError(f'{name}: unknown joint {joint!r}'
                           f'{did_you_mean(joint, (*joints, WHOLE_ARM))}')
@@ -153,7 +108,7 @@ def _uncertainty_key(name, joints):
     if kind not in UNCERTAIN:
         raise ConfigError(f'{name}: unknown kind of parameter {kind!r}'
                           f'{did_you_mean(kind, UNCERTAIN)}; known: {", ".join(UNCERTAIN)}')
-    return Key(name, 'double', f'relative standard deviation: {UNCERTAIN[kind].description}', '1',
+    return Key(name, f'relative standard deviation: {UNCERTAIN[kind].description}', '1',
                lower=LEAST_SD, upper=LARGEST_SD)
 
 

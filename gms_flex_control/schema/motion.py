@@ -4,16 +4,19 @@
 """The reference motion that a set of ``trajectory.*`` parameters describes."""
 
 from gms_flex_control.errors import ConfigError, TrajectoryError
+from gms_flex_control.schema.node_keys import trajectory_keys
 from gms_flex_control.trajectory import builders
+from gms_flex_control.trajectory.segments import Trajectory
 
 
-def trajectory_from_values(values, joints):
+def trajectory_from_values(values: dict, joints) -> Trajectory:
     """
     Return the Trajectory chosen by ``trajectory.type``, its own time beginning at 0.
 
-    ``values`` holds all of schema.node_keys.trajectory_keys of ``joints``. ConfigError, which
-    names the type, if they make no trajectory.
+    Of schema.node_keys.trajectory_keys ``values`` may leave out those with a default. ConfigError,
+    which names the type, if they make no trajectory.
     """
+    values = {key.name: key.default for key in trajectory_keys(joints)} | values
     kind = values['trajectory.type']
     try:
         return _BUILDERS[kind](_Motion(values, joints))

@@ -22,14 +22,14 @@ class Run:
     reference: np.ndarray     # (T, 5, n) desired link angle and derivatives
     measured: np.ndarray      # (T, 4, n) q_link, dq_link, q_motor, dq_motor
     true: np.ndarray          # (T, 4, n) the same without encoders
-    command: np.ndarray       # (T, n) torque asked for at the sample [N m]
+    command: np.ndarray       # (T, n) demanded torque of the sample [N m]
     applied: np.ndarray       # (T, n) given by the actuators over the sample before [N m]
     friction: np.ndarray      # (T, n) of the blocks, and viscous [N m]
     friction_hat: np.ndarray  # (T, n) its estimate [N m]
 
 
 @compiled
-def sense(measured, state, time, period, constants, encoders, work):
+def sense(measured, state, time, period, constants, encoders, work) -> None:
     """Measure one sample with the noise drawn before: sensor effects first, then encoders."""
     plant.sensed(state, state.applied, time, period, constants, work)
     s = work.signals
@@ -81,32 +81,20 @@ class Loop:
     """
     A robot and its controller, run along one reference after the other.
 
-    Parameters
-    ----------
-    robot, model : RobotParams
-        As it is, and as the controller believes it to be. Effects of the model that a controller
-        can compensate are compensated.
-    period_ns : int
-        Sample [ns]; an integer, as the stamps of the nodes are.
-    substeps : int
-        Integration steps in it.
-    seed : int
-        Of the encoder noise.
-    q_link : ndarray, shape (n_joints,), optional
-        Where the links rest at the start [rad]; default zero.
-    begin : float
-        Time of the first sample, for effects that depend on it [s].
-
+    ``robot`` is it as it is, ``model`` as the controller believes it to be, whose effects are
+    compensated where a controller can (RobotParams). The sample ``period_ns`` is an integer, as
+    the stamps of the nodes are [ns], with ``substeps`` of integration; ``seed`` is of the encoder
+    noise. The links rest at ``q_link`` (n_joints,) at first, by default at zero [rad]; effects
+    that depend on time see the first sample at ``begin`` [s].
     """
 
     def __init__(self, robot, model, *, period_ns=2_000_000, substeps=20, seed=0, q_link=None,
                  begin=0.0):
         n = robot.n_joints
-        self.samples = 0                             # so far
+        self.samples = 0                              # so far
         self.plant_state = plant.init(robot, q_link)  # may be changed before the first sample
-        self._model, self._period_ns, self._substeps = (
-            feedforward.as_parameters(model), period_ns, substeps)
-        self._begin = begin
+        self._model, self._begin = feedforward.as_parameters(model), begin
+        self._period_ns, self._substeps = period_ns, substeps
         self._plant = (self.plant_state, plant.constants_of(robot), plant.workspace(n))
         self._encoders = (encoder.init(n), encoder.constants_of(robot.encoder),
                           np.random.default_rng(seed))
@@ -119,21 +107,11 @@ class Loop:
 
     def run(self, reference, gains, *, is_effort=False, travel=None, supply=None) -> Run:
         """
-        Follow a reference.
+        Follow ``reference`` (T, 5, n_joints), a sample each, with ControllerParams ``gains``.
 
-        Parameters
-        ----------
-        reference : ndarray, shape (T, 5, n_joints)
-            Of each sample; of an effort the first row counts.
-        gains : ControllerParams
-            From here on.
-        is_effort : bool
-            Whether the reference is a torque; the controller then forgets its past.
-        travel : ndarray, shape (n_joints,), optional
-            End when a link has moved by more than this [rad].
-        supply : ndarray, shape (T,), optional
-            Voltage of the drives' supply [V]; default not known.
-
+        If it ``is_effort`` its first row is a torque, after which the controller forgets its
+        past. ``travel`` (n_joints,) ends it when a link has moved by more [rad]; ``supply`` (T,)
+        is the voltage of the drives, by default not known [V].
         """
         # a copy: the loop is compiled anew for a read-only reference
         reference = np.array(reference, dtype=float, order='C')

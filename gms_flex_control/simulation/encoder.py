@@ -12,7 +12,7 @@ import numpy as np
 
 
 @cache
-def state_layout(n):
+def state_layout(n) -> np.dtype:
     """
     Return the dtype of what is measured: the encoders' memory and their output in one.
 
@@ -30,20 +30,20 @@ LAYOUT = records.layout(('resolution', FLOAT, (1,)), ('noise', FLOAT, (1,)),
 
 
 @lru_cache(maxsize=256)
-def constants_of(encoder):
+def constants_of(encoder) -> np.record:
     """Return EncoderParams as the record the kernels take."""
     resolution = 2.0 * np.pi / float(encoder.counts) if encoder.counts > 0 else 0.0
     return records.build(LAYOUT, resolution=resolution, noise=encoder.noise,
                          velocity_cutoff=encoder.velocity_cutoff)
 
 
-def init(n):
+def init(n) -> np.record:
     """Return encoders of n joints before their first sample."""
     return records.build(state_layout(n))
 
 
 @compiled
-def draw(measured, constants, rng):
+def draw(measured, constants, rng) -> None:
     """Draw the numbers of one sample's noise, if there is any, from a random generator."""
     if constants.noise[0] > 0.0:
         for j in range(measured.q_link.shape[0]):
@@ -72,7 +72,7 @@ def _velocity(velocity, change, true_velocity, started, period, gain):
 
 
 @compiled
-def measure(measured, seen_link, seen_motor, dq_link, dq_motor, period, constants):
+def measure(measured, seen_link, seen_motor, dq_link, dq_motor, period, constants) -> None:
     """
     Write one sample of all encoders into ``measured``, whose noise is from `draw`.
 

@@ -19,12 +19,13 @@ from gms_flex_control.effects import table as effect_table
 from gms_flex_control.effects.base import Stage
 from gms_flex_control.friction import gms
 from gms_flex_control.records import FLOAT
+import numpy as np
 
-_ACTUATOR, _TWIST, _SPRING, _FRICTION, _LINK, _MOTOR, _SENSOR = (int(stage) for stage in Stage)
+_ACTUATOR, _TORSION, _SPRING, _FRICTION, _LINK, _MOTOR, _SENSOR = (int(stage) for stage in Stage)
 
 
 @cache
-def state_layout(n, n_blocks):
+def state_layout(n, n_blocks) -> np.dtype:
     """
     Return the dtype of the true state of a robot.
 
@@ -39,7 +40,7 @@ def state_layout(n, n_blocks):
 
 
 @cache
-def constants_layout(links, n, n_blocks):
+def constants_layout(links, n, n_blocks) -> np.dtype:
     """Return the dtype of a robot, ``links`` its arm's, as the plant's kernels take it."""
     return records.layout(('chain', links),
                           ('friction', gms.constants_layout(n, n_blocks)),
@@ -47,11 +48,11 @@ def constants_layout(links, n, n_blocks):
 
 
 @cache
-def work_layout(n):
+def work_layout(n) -> np.dtype:
     """
     Return the dtype of the kernels' work space; only accelerations outlive a substep.
 
-    ``outside`` (n,) is torque on the links from outside, none unless somebody sets it [N m].
+    ``outside`` (n,) is torque on the links from outside, zero unless somebody sets it [N m].
     """
     return records.layout(('signals', FLOAT, (n, sig.WIDTH)), ('friction', FLOAT, (n,)),
                           ('displacement', FLOAT, (n,)), ('outside', FLOAT, (n,)),
@@ -59,7 +60,7 @@ def work_layout(n):
 
 
 @lru_cache(maxsize=256)
-def constants_of(robot):
+def constants_of(robot) -> np.record:
     """Return a RobotParams as the record the kernels take, its effects included."""
     changed = effect_table.with_changes(robot)
     links = chain.constants_of(changed.arm)
@@ -69,20 +70,20 @@ def constants_of(robot):
         effects=effect_table.build(changed.effects, changed.joints, changed.arm))
 
 
-def init(robot, q_link=None):
+def init(robot, q_link=None) -> np.record:
     """Return the robot at rest with unloaded springs, links at ``q_link`` (n_joints,) [rad]."""
     q = 0.0 if q_link is None else q_link
     return records.build(state_layout(*robot.friction.stiffness.shape), q_link=q, q_motor=q,
                          friction=gms.init(robot.friction))
 
 
-def workspace(n):
+def workspace(n) -> np.record:
     """Return work space for n joints."""
     return records.build(work_layout(n))
 
 
 @compiled
-def fill_signals(state, command, time, work):
+def fill_signals(state, command, time, work) -> None:
     """Write what the effects may read into the signal table."""
     s = work.signals
     n = state.q_link.shape[0]
@@ -98,10 +99,10 @@ def fill_signals(state, command, time, work):
 
 
 @compiled
-def springs(state, dt, constants, work):
-    """Write twists and what drives each link into the signals, effects included."""
+def springs(state, dt, constants, work) -> None:
+    """Write torsions and what drives each link into the signals, effects included."""
     s, links, effects = work.signals, constants.chain, constants.effects
-    effect_table.run_stage(_TWIST, s, state.memory, dt, effects)
+    effect_table.run_stage(_TORSION, s, state.memory, dt, effects)
     for j in range(links.motor_inertia.shape[0]):
         s[j, sig.SPRING] = s[j, sig.TORQUE] - links.motor_inertia[j] * s[j, sig.DDQ_LINK]
         if links.flexible[j]:
@@ -111,7 +112,7 @@ def springs(state, dt, constants, work):
 
 
 @compiled
-def torques(state, dt, constants, work):
+def torques(state, dt, constants, work) -> None:
     """Evaluate springs, friction and effects; leaves the torque on the links in work.chain.tau."""
     s, links, effects = work.signals, constants.chain, constants.effects
     n = state.q_link.shape[0]
@@ -131,14 +132,14 @@ def torques(state, dt, constants, work):
 
 
 @compiled
-def sensed(state, command, time, period, constants, work):
+def sensed(state, command, time, period, constants, work) -> None:
     """Write the angles that encoders are given into the signals, errors of sensors included."""
     fill_signals(state, command, time, work)
     run_sensors(state, period, constants, work)
 
 
 @compiled
-def run_sensors(state, period, constants, work):
+def run_sensors(state, period, constants, work) -> None:
     """Write the angles that encoders are given, with all other signals filled before."""
     s = work.signals
     for j in range(state.q_link.shape[0]):
@@ -147,7 +148,7 @@ def run_sensors(state, period, constants, work):
 
 
 @compiled
-def take_place(k, motion, torque, time, state, work):
+def take_place(k, motion, torque, time, state, work) -> None:
     """
     Put the robot where a measured motion has it at sample ``k``, and fill the signals.
 
@@ -164,7 +165,7 @@ def take_place(k, motion, torque, time, state, work):
 
 
 @compiled
-def substep(state, command, time, dt, constants, work):
+def substep(state, command, time, dt, constants, work) -> None:
     """Advance the true state in place by one substep ``dt`` under ``command`` (n,)."""
     s, links = work.signals, constants.chain
     fill_signals(state, command, time, work)
@@ -187,7 +188,7 @@ def substep(state, command, time, dt, constants, work):
 
 
 @compiled
-def advance(state, command, time, period, substeps, constants, work):
+def advance(state, command, time, period, substeps, constants, work) -> None:
     """
     Advance the true state in place by one sample under a held ``command`` (n_joints,) [N m].
 

@@ -28,13 +28,13 @@ BLOCKS = 9
 _SAME_POSE = 16  # samples over which the inertia of the derivatives is taken as constant
 
 
-def parameter_rows(n_blocks, n_extra):
+def parameter_rows(n_blocks, n_extra) -> int:
     """Return how many numbers describe one joint: friction, blocks and extra torques."""
     return BLOCKS + 2 * n_blocks + n_extra
 
 
 @compiled
-def begin(angle, rate, torque, period, state, q, dq, friction):
+def begin(angle, rate, torque, period, state, q, dq, friction) -> None:
     """
     Start at the first measured angles of (T, n) and ``rate`` (n,).
 
@@ -54,7 +54,7 @@ def begin(angle, rate, torque, period, state, q, dq, friction):
 
 
 @compiled
-def at_sample(q, dq, period):
+def at_sample(q, dq, period) -> float:
     """
     Return the angle at the time of a sample.
 
@@ -64,7 +64,7 @@ def at_sample(q, dq, period):
 
 
 @compiled
-def outside(error, half):
+def outside(error, half) -> float:
     """Return how far ``error`` lies outside +-``half``; zero inside."""
     if error > half:
         return error - half
@@ -74,7 +74,7 @@ def outside(error, half):
 
 
 @compiled
-def level_tangents(j, a, sign, velocity, d_dq, directions, friction, out):
+def level_tangents(j, a, sign, velocity, d_dq, directions, friction, out) -> None:
     """
     Write the derivative of s(v) of joint ``j`` (Eq. 4) along each direction to ``out`` (P,).
 
@@ -98,7 +98,7 @@ def level_tangents(j, a, sign, velocity, d_dq, directions, friction, out):
 
 @compiled
 def advance_tangents(j, a, displacement, d_displacement, velocity, d_dq, dt, state, directions,
-                     friction, d_level, d_torque):
+                     friction, d_level, d_torque) -> None:
     """
     Advance joint ``j`` as friction.gms.advance_joint, and the derivatives of its blocks.
 
@@ -146,7 +146,7 @@ def advance_tangents(j, a, displacement, d_displacement, velocity, d_dq, dt, sta
 
 
 @compiled
-def mobility(carried, links, work, out):
+def mobility(carried, links, work, out) -> None:
     """Write the inverse of M between the ``carried`` joints, all others held, to ``out``."""
     m = carried.shape[0]
     chain.mass_between(carried, links, work, out)
@@ -164,7 +164,7 @@ def mobility(carried, links, work, out):
 
 
 @compiled
-def accelerate(torque, further, joint, q, dq, state, links, friction, work):
+def accelerate(torque, further, joint, q, dq, state, links, friction, work) -> None:
     """Write the accelerations under ``torque`` (n,), ``further`` on ``joint`` and friction."""
     gms.total(state, dq, friction, work.friction)
     for j in range(q.shape[0]):
@@ -174,7 +174,7 @@ def accelerate(torque, further, joint, q, dq, state, links, friction, work):
 
 
 @compiled
-def advance_links(error, gains, period, q, dq, work):
+def advance_links(error, gains, period, q, dq, work) -> None:
     """Advance angles and rates (n,) by one sample; ``error`` (n,) draws them to the encoders."""
     for j in range(q.shape[0]):
         dq[j] += period * (work.chain.acceleration[j] + gains[1, j] * error[j])
@@ -184,7 +184,7 @@ def advance_links(error, gains, period, q, dq, work):
 
 
 @compiled
-def torque_tangents(j, a, k, dq, extra, state, directions, friction, d_torque, d_dq, out):
+def torque_tangents(j, a, k, dq, extra, state, directions, friction, d_torque, d_dq, out) -> None:
     """Write the derivative of the torque on joint ``j`` at sample ``k`` into row a of ``out``."""
     blocks, width = d_torque.shape[1:]
     row = gms.FORWARD if state.direction[j] > 0.0 else gms.BACKWARD
@@ -205,23 +205,21 @@ def torque_tangents(j, a, k, dq, extra, state, directions, friction, d_torque, d
 
 @compiled
 def predict(angle, rate, torque, extra, coefficients, period, links, friction, carried,
-            directions, gains, half, state, work, predicted, innovation, jacobian):
+            directions, gains, half, state, work, predicted, innovation, jacobian) -> None:
     """
     Predict one segment of a recording, with the derivatives of one joint's prediction.
 
+    Link equation (1) with Eqs. (2) to (5); semi-implicit as simulation.plant.
+
     Parameters
     ----------
-    angle : ndarray, shape (T, n)
-        Measured link angles [rad]; NaN where there is none, which corrects nothing. The first
-        that is there begins the prediction.
+    angle, torque : ndarray, shape (T, n)
+        Measured link angles, NaN where there is none, which corrects nothing [rad]; mean drive
+        torque on each link from sample k to k + 1 [N m].
     rate : ndarray, shape (n,)
         Link velocities at the beginning [rad/s].
-    torque : ndarray, shape (T, n)
-        Mean drive torque on each link from sample k to k + 1 [N m].
-    extra : ndarray, shape (T, R)
-        Further torques on ``joint`` per unit of their coefficient.
-    coefficients : ndarray, shape (R,)
-        Of the further torques.
+    extra, coefficients : ndarray, shape (T, R) and (R,)
+        Further torques on ``joint`` per unit of their coefficient, and the coefficients.
     period : float
         Sample [s].
     links, friction : numpy.record
@@ -236,18 +234,11 @@ def predict(angle, rate, torque, extra, coefficients, period, links, friction, c
         l1 [1/s] and l2 [1/s^2] of the observer; zeros let the prediction run freely.
     half : ndarray, shape (n,)
         Half an encoder count [rad]; 0 takes readings as exact.
-    state : numpy.record
-        Of friction.gms.state_layout; overwritten.
-    work : numpy.record
-        From simulation.plant.workspace.
-    predicted, innovation : ndarray, shape (T, n)
-        Filled: predicted angles, and how far the readings lie from them [rad].
-    jacobian : ndarray, shape (T, P)
-        Filled: derivative of the innovation of the first carried joint, sign reversed.
-
-    Notes
-    -----
-    Link equation (1) with Eqs. (2) to (5); semi-implicit as simulation.plant.
+    state, work : numpy.record
+        Of friction.gms.state_layout and simulation.plant.work_layout; overwritten.
+    predicted, innovation, jacobian : ndarray, shape (T, n), (T, n) and (T, P)
+        Filled: predicted angles, how far the readings lie from them [rad], and the derivative of
+        the innovation of the first carried joint, sign reversed.
 
     """
     samples, n = angle.shape
@@ -297,7 +288,7 @@ def predict(angle, rate, torque, extra, coefficients, period, links, friction, c
 
 
 @compiled
-def is_among(j, carried):
+def is_among(j, carried) -> bool:
     """Return whether joint ``j`` is among ``carried`` (m,)."""
     for a in range(carried.shape[0]):
         if carried[a] == j:
@@ -306,7 +297,7 @@ def is_among(j, carried):
 
 
 @compiled
-def further_torque(coefficients, extra):
+def further_torque(coefficients, extra) -> float:
     """Return the sum of further torques, coefficients (R,) times ``extra`` (R,)."""
     total = 0.0
     for r in range(coefficients.shape[0]):
@@ -316,7 +307,7 @@ def further_torque(coefficients, extra):
 
 @compiled
 def simulate_freely(angle, rate, torque, extra, coefficients, period, links, friction, joint,
-                    gains, half, first, stride, horizon, state, freed, work, predicted):
+                    gains, half, first, stride, horizon, state, freed, work, predicted) -> None:
     """
     Simulate ``horizon`` samples without correction from corrected states, see `predict`.
 
@@ -345,7 +336,7 @@ def simulate_freely(angle, rate, torque, extra, coefficients, period, links, fri
 
 
 @compiled
-def copy_state(state, q, dq, freed, free_q, free_dq):
+def copy_state(state, q, dq, freed, free_q, free_dq) -> None:
     """Copy blocks, angles and rates."""
     for j in range(q.shape[0]):
         free_q[j], free_dq[j] = q[j], dq[j]
@@ -356,7 +347,7 @@ def copy_state(state, q, dq, freed, free_q, free_dq):
 
 @compiled
 def one_step(torque, extra, coefficients, joint, error, gains, period, q, dq, state, links,
-             friction, work):
+             friction, work) -> None:
     """Advance links and blocks by one sample, in place."""
     accelerate(torque, further_torque(coefficients, extra), joint, q, dq, state, links, friction,
                work)

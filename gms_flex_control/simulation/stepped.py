@@ -26,21 +26,9 @@ class SteppedPlant:
     """
     A simulated robot that is advanced sample by sample.
 
-    ``supply[:]`` is the voltage of its drives [V], 0 where it is not known, as at first.
-
-    Parameters
-    ----------
-    robot : RobotParams
-        The robot.
-    period : float
-        Sample [s].
-    substeps : int
-        Integration steps in it.
-    seed : int
-        Of the encoder noise.
-    q_link : array_like, shape (n_joints,), optional
-        Where the links rest at the start [rad].
-
+    ``period`` is the sample [s], with ``substeps`` of integration; ``seed`` is of the encoder
+    noise; the links rest at ``q_link`` (n_joints,) at first [rad]. ``supply[:]`` is the voltage of
+    its drives [V], 0 where it is not known, as at first.
     """
 
     def __init__(self, robot, *, period, substeps, seed=0, q_link=None):

@@ -99,21 +99,11 @@ def via_points(points, move_time, hold_time) -> Trajectory:
 
 def through(times, states) -> Trajectory:
     """
-    Return the motion through states, of which derivatives may be left open.
+    Return the motion through ``states`` (m, 5, n_joints) at rising ``times`` (m,) [s].
 
-    Parameters
-    ----------
-    times : ndarray, shape (m,)
-        Of the states, rising [s].
-    states : ndarray, shape (m, 5, n_joints)
-        Value and time derivatives 1 to 4; NaN where a derivative is open.
-
-    Notes
-    -----
-    An open derivative k is the mean of those that the polynomials of degree 2 k - 1 before and
-    behind have there; at both ends it is zero. Values sampled from a polynomial of low degree
-    with some of its derivatives give that polynomial back between the ends.
-
+    NaN leaves a time derivative open: it is then the mean of those that the polynomials of degree
+    2 k - 1 before and behind have there, and zero at both ends. Values sampled from a polynomial
+    of low degree with some of its derivatives give that polynomial back between the ends.
     """
     times, states = np.asarray(times, dtype=float), np.array(states, dtype=float)
     durations = np.diff(times)
@@ -283,17 +273,9 @@ def approach(state, trajectory, time, *, duration=2.0) -> Trajectory:
     """
     Return ``trajectory``, its own time beginning at 0, entered smoothly from a state.
 
-    Parameters
-    ----------
-    state : ndarray, shape (5, n_joints)
-        Reference and derivatives now; at rest where the robot is if there was none.
-    trajectory : Trajectory
-        Of a motion; an effort starts at once.
-    time : float
-        Now [s].
-    duration : float
-        Of the way to its beginning, left out where it already is there [s].
-
+    ``state`` (5, n_joints) is the reference with its derivatives at ``time`` [s], at rest where
+    the robot is if there was none. The way to the beginning takes ``duration`` [s] and is left
+    out where the state is there; an effort starts at once.
     """
     begin = trajectory.sample(0.0)
     there = np.allclose(state, begin, rtol=0.0, atol=_ALREADY_THERE)

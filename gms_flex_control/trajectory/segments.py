@@ -136,7 +136,7 @@ def _sample_all(times, start, scale, poly, envelope, amplitude, omega, phase, ou
 
 
 @compiled
-def extrapolate(reference, delay):
+def extrapolate(reference, delay) -> np.ndarray:
     """Return a sampled reference (5, n_joints) a few samples later [s], by its Taylor series."""
     moved = np.zeros_like(reference)
     for k in range(DERIVATIVES):

@@ -3,7 +3,8 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """What one parameter of a node or file is, and whether a value fits it."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, fields, replace
+from functools import cache
 import math
 from typing import Any
 
@@ -25,21 +26,50 @@ class Key:
     """One parameter."""
 
     name: str            # full, such as gains.joint1.kd_link
-    kind: str            # its ROS type: double, integer, boolean, string, double_array, ...
     description: str
     unit: str = ''
     default: Any = REQUIRED     # REQUIRED if a file must give it
     lower: float = -math.inf    # closed range of numbers
     upper: float = math.inf
+    kind: str = ''       # its ROS type, double_array or the like; '' is that of the default
     choices: tuple = ()  # of a string; empty if any
     live: bool = False   # whether it may change while the node runs
     unless: tuple = ()   # name and value of another beside which it need not be given, and is 0
 
-    def default_beside(self, given):
+    def __post_init__(self):
+        object.__setattr__(self, 'kind', self.kind or _kind_of(self.default))
+
+    def default_beside(self, given: dict) -> Any:
         """Return the default beside the values ``given`` (dict), REQUIRED if it has none."""
         if self.unless and given.get(self.unless[0]) == self.unless[1]:
             return 0.0
         return self.default
+
+
+def _kind_of(default):
+    """Return the ROS type of a default; a number where there is none."""
+    if isinstance(default, tuple):
+        return f'{_kind_of(default[0])}_array' if default else 'string_array'
+    return {bool: 'boolean', int: 'integer', str: 'string'}.get(type(default), 'double')
+
+
+def number(description: str, unit: str = '', preset=REQUIRED, lower=-math.inf, upper=math.inf,
+           *, kind='', live=False, unless=(), **of_field) -> Any:
+    """
+    Return a dataclass field that carries the Key of its parameter, see `keys_of`.
+
+    ``preset`` is the default of a file, ``of_field`` goes to `dataclasses.field`; all else is as
+    in Key.
+    """
+    return field(metadata={'key': Key('', description, unit, preset, lower, upper, kind=kind,
+                                      live=live, unless=unless)}, **of_field)
+
+
+@cache
+def keys_of(params: type) -> tuple[Key, ...]:
+    """Return the keys of a dataclass whose fields were made by `number`, in their order."""
+    return tuple(replace(one.metadata['key'], name=one.name) for one in fields(params)
+                 if one.metadata)
 
 
 def below(prefix: str, keys) -> tuple[Key, ...]:
@@ -73,7 +103,7 @@ def _typed(kind, value):
     return None if None in items else items
 
 
-def checked(key: Key, value):
+def checked(key: Key, value) -> Any:
     """
     Return a value as the type of its key: float, int, str, bool, or a tuple of float or str.
 
