@@ -28,7 +28,7 @@ from gms_flex_control.errors import GmsFlexError
 from gms_flex_control.experiment.believed import scaled_friction
 from gms_flex_control.experiment.identification_plan import plan_identification
 from gms_flex_control.experiment.identification_simulated import simulate_identification
-from gms_flex_control.files import write_text
+from gms_flex_control.file_io import write_text
 from gms_flex_control.identification.identify import identify, Options
 from gms_flex_control.identification.result import known_presliding, known_values
 from gms_flex_control.params.arm import ArmParams

@@ -5,8 +5,7 @@
 
 from dataclasses import fields
 
-from gms_flex_control.data.further_topics import read_experiment
-from gms_flex_control.data.messages import (
+from gms_flex_control.data.cdr import (
     JOINT_STATE,
     MULTI_ARRAY,
     pack_joint_state,
@@ -14,7 +13,7 @@ from gms_flex_control.data.messages import (
     pack_phase,
     PHASE_TOPIC,
 )
-from gms_flex_control.data.reader import read_recording
+from gms_flex_control.data.reader import read_experiment, read_recording
 from gms_flex_control.data.recording import Phase, Recording
 from gms_flex_control.data.writer import BagWriter, write_recording
 from gms_flex_control.errors import BagError

@@ -9,7 +9,7 @@ import struct
 import subprocess
 import sys
 
-from gms_flex_control.data import messages
+from gms_flex_control.data import cdr
 from gms_flex_control.data.metadata import definition
 from gms_flex_control.data.writer import BagWriter
 from gms_flex_control.errors import BagError
@@ -23,12 +23,12 @@ REAL = Path(__file__).parent / 'data' / 'ros2_bag_record'
 STORE = get_typestore(Stores.ROS2_JAZZY)
 CLOCK = 'rosgraph_msgs/msg/Clock'
 NAMES = ('joint1', 'joint2', 'joint1_motor')
-TYPES = {'/joint_states': messages.JOINT_STATE, '/commands': messages.MULTI_ARRAY,
+TYPES = {'/joint_states': cdr.JOINT_STATE, '/commands': cdr.MULTI_ARRAY,
          '/clock': CLOCK}
 
 
 def pack_clock(stamp):
-    return struct.pack('<4siI', messages.LITTLE_ENDIAN, *divmod(stamp, 10**9))
+    return struct.pack('<4siI', cdr.LITTLE_ENDIAN, *divmod(stamp, 10**9))
 
 
 def write_three_topics(path, count=50, **options):
@@ -39,9 +39,9 @@ def write_three_topics(path, count=50, **options):
         for k, row in enumerate(values):
             time = 10**18 + k * 2_000_000
             for topic, data in (
-                    ('/joint_states', messages.pack_joint_state(
+                    ('/joint_states', cdr.pack_joint_state(
                         NAMES, time, row, row + 1, row * 2)),
-                    ('/commands', messages.pack_command(row[:2].tolist(), time, 'test')),
+                    ('/commands', cdr.pack_command(row[:2].tolist(), time, 'test')),
                     ('/clock', pack_clock(time))):
                 writer.write(topic, time, data)
                 written.append((topic, time, data))
@@ -80,7 +80,7 @@ def test_every_chunk_and_the_whole_file_carry_a_checksum(tmp_path):
 
 def test_metadata_has_the_keys_the_hashes_and_the_order_of_the_real_recorder(tmp_path):
     path = tmp_path / 'rosbag2_mcap'
-    types = {'/joint_states': messages.JOINT_STATE, '/effort_cmd': messages.MULTI_ARRAY}
+    types = {'/joint_states': cdr.JOINT_STATE, '/effort_cmd': cdr.MULTI_ARRAY}
     with BagWriter(path, types):
         pass
 
@@ -121,8 +121,8 @@ def test_a_type_of_an_installed_package_is_described_from_its_msg_files(tmp_path
 @pytest.mark.parametrize('effort', [None, [5.0, -0.0, np.inf]])
 @pytest.mark.parametrize('stamp', [0, 1_795_232_912_665_209_941])
 def test_a_packed_joint_state_is_what_two_other_libraries_read(stamp, velocity, effort):
-    data = messages.pack_joint_state(NAMES, stamp, [1.0, 2.0, np.pi], velocity, effort)
-    decoded = [STORE.deserialize_cdr(data, messages.JOINT_STATE)]
+    data = cdr.pack_joint_state(NAMES, stamp, [1.0, 2.0, np.pi], velocity, effort)
+    decoded = [STORE.deserialize_cdr(data, cdr.JOINT_STATE)]
     serialization = pytest.importorskip('rclpy.serialization')
     from sensor_msgs.msg import JointState
     decoded.append(serialization.deserialize_message(data, JointState))
@@ -135,7 +135,7 @@ def test_a_packed_joint_state_is_what_two_other_libraries_read(stamp, velocity, 
     from_ros = bytes(serialization.serialize_message(decoded[1]))
     expected = (stamp, '', NAMES, (1.0, 2.0, np.pi), tuple(velocity or ()), tuple(effort or ()))
     for raw in (data, from_ros, big_endian(decoded[0])):
-        np.testing.assert_equal(messages.unpack_joint_state(raw), expected)
+        np.testing.assert_equal(cdr.unpack_joint_state(raw), expected)
 
 
 def big_endian(message):
@@ -145,8 +145,8 @@ def big_endian(message):
 @pytest.mark.parametrize('dims', [[], [('joint', 2, 2), ('stamp:0', 1, 1), ('source:ü', 1, 1)]])
 @pytest.mark.parametrize('values', [[], [1.5, -2.5], [np.nan, np.inf]])
 def test_a_packed_multi_array_is_what_two_other_libraries_read(dims, values):
-    data = messages.pack_multi_array(dims, values)
-    decoded = [STORE.deserialize_cdr(data, messages.MULTI_ARRAY)]
+    data = cdr.pack_multi_array(dims, values)
+    decoded = [STORE.deserialize_cdr(data, cdr.MULTI_ARRAY)]
     serialization = pytest.importorskip('rclpy.serialization')
     from std_msgs.msg import Float64MultiArray
     decoded.append(serialization.deserialize_message(data, Float64MultiArray))
@@ -155,7 +155,7 @@ def test_a_packed_multi_array_is_what_two_other_libraries_read(dims, values):
         np.testing.assert_array_equal(message.data, values)
     from_ros = bytes(serialization.serialize_message(decoded[1]))
     for raw in (data, from_ros, big_endian(decoded[0])):
-        np.testing.assert_equal(messages.unpack_multi_array(raw), (tuple(dims), tuple(values)))
+        np.testing.assert_equal(cdr.unpack_multi_array(raw), (tuple(dims), tuple(values)))
 
 
 def test_an_existing_bag_is_never_overwritten(tmp_path):

@@ -11,7 +11,7 @@ from pathlib import Path
 import re
 
 from gms_flex_control.answer import Answer, command, measured
-from gms_flex_control.cli.output import answer_text
+from gms_flex_control.cli.terminal import answer_text
 from gms_flex_control.reports.figures import COLOURS, finished, stacked_panels
 from gms_flex_control.reports.page import decimate, merge_grids, Report, Series
 import numpy as np

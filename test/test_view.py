@@ -15,21 +15,21 @@ import sys
 
 from core_runs import single_axis
 from gms_flex_control.cli.main import main
-from gms_flex_control.data.further_topics import read_blocks
-from gms_flex_control.data.messages import (
+from gms_flex_control.data.cdr import (
     JOINT_STATE,
     MULTI_ARRAY,
     pack_joint_states,
     pack_reference,
 )
+from gms_flex_control.data.reader import read_blocks
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.data.writer import BagWriter
 from gms_flex_control.errors import BagError
 from gms_flex_control.friction import gms
 from gms_flex_control.resources import share_path
 from gms_flex_control.schema.files import load_robot
-from gms_flex_control.view.bag import BagView, blocks_along, CHUNK, open_bag
 from gms_flex_control.view.live import Feed, Rows, SILENCE, Status
+from gms_flex_control.view.recorded import BagView, blocks_along, CHUNK, open_bag
 from gms_flex_control.view.scene import extent, places, scene_of, unknown_scene
 from gms_flex_control.view.server import Access, ServerError, ViewServer
 import numpy as np

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from gms_flex_control.analysis.table4 import Table4
 from gms_flex_control.data.recording import Recording
-from gms_flex_control.data.signals import quantum
+from gms_flex_control.data.signal_analysis import quantum
 from gms_flex_control.experiment.simulated import simulate
 import numpy as np
 

@@ -6,7 +6,7 @@
 import json
 import sys
 
-from gms_flex_control.cli.output import import_ros
+from gms_flex_control.cli.terminal import import_ros
 
 
 def info(args) -> int:

@@ -13,11 +13,11 @@ from typing import NamedTuple
 from gms_flex_control.analysis.table4 import align
 from gms_flex_control.analysis.tracking import link_rms, Run, table4, tracking_of_copies
 from gms_flex_control.answer import Answer, command, measured
-from gms_flex_control.cli.output import conclude, import_ros, prepare, refuse_foreign, say
 from gms_flex_control.cli.robots import trajectory_file
+from gms_flex_control.cli.terminal import conclude, import_ros, prepare, refuse_foreign, say
 from gms_flex_control.cli.verbs import ALLOWED, BELIEVED_FRICTION, DEMO_MOTIONS
 from gms_flex_control.control.controller import SteppedController
-from gms_flex_control.data import further_topics
+from gms_flex_control.data import reader
 from gms_flex_control.demonstration import hide_effect
 from gms_flex_control.discrepancy.closed_loop import with_closed_loop
 from gms_flex_control.discrepancy.workflow import find_discrepancy
@@ -193,7 +193,7 @@ def _identified_answer(values, out):
 
 def fit_experiment(out, bag, experiment):
     """Identify the bag and write its outcome; return it as text beside the truth."""
-    found = identify([further_topics.read_experiment(bag)], experiment.believed, say=say)
+    found = identify([reader.read_experiment(bag)], experiment.believed, say=say)
     truth = load_robot(robot_file())
     write_friction(found, out / 'friction.yaml')
     write_report_json(found, out / 'report.json')

@@ -14,7 +14,7 @@ from typing import NamedTuple
 from gms_flex_control.batches.journal import content_of, digest_of, fingerprint
 from gms_flex_control.cli import each_bag
 from gms_flex_control.cli.identify_bags import read_take
-from gms_flex_control.cli.output import conclude, refuse_fitted, refuse_unwritable, say
+from gms_flex_control.cli.terminal import conclude, refuse_fitted, refuse_unwritable, say
 from gms_flex_control.discrepancy.closed_loop import stretch_of, with_closed_loop
 from gms_flex_control.discrepancy.compared import as_found, compare
 from gms_flex_control.discrepancy.learning import learn

@@ -17,9 +17,9 @@ from gms_flex_control.batches.batch import run_batch
 from gms_flex_control.batches.journal import content_of, digest_of, Journal
 from gms_flex_control.batches.workers import open_executor
 from gms_flex_control.blas import alone_in_one_thread
-from gms_flex_control.cli.output import conclude
+from gms_flex_control.cli.terminal import conclude
 from gms_flex_control.errors import BatchError, ConfigError, GmsFlexError, own_warnings
-from gms_flex_control.files import write_text
+from gms_flex_control.file_io import write_text
 from gms_flex_control.identification.output import over_bags
 from gms_flex_control.reports.bags_summary import bags_csv, over_bags_answer, spread_csv, summary
 

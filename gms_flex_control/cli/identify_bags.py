@@ -12,9 +12,8 @@ from typing import NamedTuple
 
 from gms_flex_control.batches.journal import content_of, digest_of, fingerprint
 from gms_flex_control.cli import each_bag
-from gms_flex_control.cli.output import conclude, refuse_fitted, refuse_unwritable, say
-from gms_flex_control.data.further_topics import read_experiment
-from gms_flex_control.data.reader import joint_names
+from gms_flex_control.cli.terminal import conclude, refuse_fitted, refuse_unwritable, say
+from gms_flex_control.data.reader import joint_names, read_experiment
 from gms_flex_control.data.recording import link_names, MOTOR_SUFFIX
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.identification.assumed_robot import only_joints, rigid_joints

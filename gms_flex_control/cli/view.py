@@ -9,11 +9,11 @@ import sys
 import time
 import webbrowser
 
-from gms_flex_control.cli.output import import_ros, say
+from gms_flex_control.cli.terminal import import_ros, say
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.resources import robot_file
 from gms_flex_control.schema.files import load_robot
-from gms_flex_control.view.bag import open_bag
+from gms_flex_control.view.recorded import open_bag
 from gms_flex_control.view.server import is_loopback, ViewServer
 
 _LOOK = 0.2  # at most between a signal and the end [s]

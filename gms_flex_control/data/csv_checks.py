@@ -13,7 +13,7 @@ from gms_flex_control.data.csv_map import (
     TORQUE,
     unit_in_name,
 )
-from gms_flex_control.data.signals import (
+from gms_flex_control.data.signal_analysis import (
     derivative_slope,
     derivative_window,
     friction_columns,

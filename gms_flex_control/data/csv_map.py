@@ -16,7 +16,7 @@ import re
 from typing import NamedTuple
 
 from gms_flex_control.errors import did_you_mean, ImportDataError
-from gms_flex_control.files import read_yaml
+from gms_flex_control.file_io import read_yaml
 from ruamel.yaml.error import YAMLError
 
 _TURN = 2 * math.pi

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from gms_flex_control.data.bag import Bag
-from gms_flex_control.data.messages import JOINT_STATE, unpack_joint_state
+from gms_flex_control.data.cdr import JOINT_STATE, unpack_joint_state
 from gms_flex_control.data.metadata import definition
 from gms_flex_control.data.writer import BagWriter
 from gms_flex_control.errors import BagError

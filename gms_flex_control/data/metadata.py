@@ -10,7 +10,7 @@ import sys
 from typing import NamedTuple
 
 from gms_flex_control.errors import BagError
-from gms_flex_control.files import read_yaml
+from gms_flex_control.file_io import read_yaml
 from ruamel.yaml.error import YAMLError
 
 try:  # every module on bags imports this one first

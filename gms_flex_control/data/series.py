@@ -8,7 +8,7 @@ from typing import NamedTuple
 import warnings
 
 from gms_flex_control.data.bag import BagWarning
-from gms_flex_control.data.messages import (
+from gms_flex_control.data.cdr import (
     JOINT_STATE,
     MULTI_ARRAY,
     SOURCE_LABEL,

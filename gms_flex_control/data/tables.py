@@ -3,7 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Messages of one topic as columns over time, decoded block by block as they are read."""
 
-from gms_flex_control.data.messages import (
+from gms_flex_control.data.cdr import (
     array_layout,
     joint_state_layout,
     stamp_of,

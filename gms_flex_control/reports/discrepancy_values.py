@@ -11,7 +11,7 @@ from gms_flex_control import __version__
 from gms_flex_control.discrepancy.describe import angle_scale, named, torque_scale
 from gms_flex_control.discrepancy.residual_views import over_of
 from gms_flex_control.effects.registry import find
-from gms_flex_control.files import write_text
+from gms_flex_control.file_io import write_text
 from gms_flex_control.schema.files import save_robot
 import numpy as np
 

@@ -6,7 +6,7 @@
 from io import StringIO
 import re
 
-from gms_flex_control.files import atomic_path
+from gms_flex_control.file_io import atomic_path
 from matplotlib import rc_context
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure

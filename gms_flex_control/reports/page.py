@@ -18,7 +18,7 @@ import re
 from typing import Any, NamedTuple
 
 from gms_flex_control.answer import unbroken
-from gms_flex_control.files import write_text
+from gms_flex_control.file_io import write_text
 import numpy as np
 
 ROLES = ('reference', 'c0', 'c1', 'c2', 'c3', 'c4', 'c5', 'c6')

@@ -11,7 +11,7 @@ from gms_flex_control.analysis.table4 import align, PAPER_WITHOUT
 from gms_flex_control.analysis.torsion import rms
 from gms_flex_control.analysis.tracking import link_error, table4
 from gms_flex_control.answer import Answer, command, measured
-from gms_flex_control.files import write_text
+from gms_flex_control.file_io import write_text
 from gms_flex_control.reports.figures import (
     COLOURS,
     finished,

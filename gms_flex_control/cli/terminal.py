@@ -14,7 +14,7 @@ from textwrap import fill
 from gms_flex_control.analysis.table4 import align
 from gms_flex_control.answer import Answer, unbroken
 from gms_flex_control.errors import BagError, ConfigError
-from gms_flex_control.files import write_text
+from gms_flex_control.file_io import write_text
 
 _WIDTH = 96  # of what is printed as sentences
 

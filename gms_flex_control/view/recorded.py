@@ -8,8 +8,7 @@ import warnings
 
 from gms_flex_control.compiled import compiled
 from gms_flex_control.data.bag import BagWarning
-from gms_flex_control.data.further_topics import read_blocks
-from gms_flex_control.data.reader import joint_names, read_recording
+from gms_flex_control.data.reader import joint_names, read_blocks, read_recording
 from gms_flex_control.errors import BagError
 from gms_flex_control.friction import gms
 from gms_flex_control.reports.page import decimate
