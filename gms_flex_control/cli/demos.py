@@ -29,7 +29,7 @@ from gms_flex_control.experiment.driven import (
     DrivenPlan,
 )
 from gms_flex_control.experiment.identification_plan import read_identification_plan
-from gms_flex_control.experiment.plan import read_plan
+from gms_flex_control.experiment.plan import Plan, read_plan
 from gms_flex_control.experiment.simulated import simulate, simulate_to_bag
 from gms_flex_control.identification.identify import identify
 from gms_flex_control.identification.output import write_friction, write_report_json
@@ -76,12 +76,12 @@ def demo(args) -> int:
     return 0
 
 
-def files_of(motion):
+def files_of(motion) -> tuple[Path, ...]:
     """Return robot, controller and trajectory file of one motion (tuple of Path)."""
     return robot_file(), controller_file(), trajectory_file(motion)
 
 
-def plan_of(motion, mode, duration=None):
+def plan_of(motion, mode, duration=None) -> Plan:
     """Return the in-process Plan of one motion and compensation."""
     if duration is None and motion == 'sinusoid':
         duration = SINUSOID_DURATION
@@ -191,7 +191,7 @@ def _identified_answer(values, out):
                 'believed', 'identified'))))
 
 
-def fit_experiment(out, bag, experiment):
+def fit_experiment(out, bag, experiment) -> str:
     """Identify the bag and write its outcome; return it as text beside the truth."""
     found = identify([reader.read_experiment(bag)], experiment.believed, say=say)
     truth = load_robot(robot_file())
@@ -244,7 +244,7 @@ class Experiment(NamedTuple):
     gains: object
 
 
-def read_experiment(plan_file=None):
+def read_experiment(plan_file=None) -> Experiment:
     """Return the Experiment of a plan file; by default the short one of the package."""
     robot = load_robot(robot_file())
     believed = replace(robot, friction=scaled_friction(robot.friction, BELIEVED_FRICTION))
@@ -314,7 +314,8 @@ def _write_files(hidden, out):
 def _found_and_driven(hidden, gains, seed, files, out):
     """Drive, find, and drive again with what was found and with the truth: a DemoOutcome."""
     (believed, *_), plant = files
-    _compile_effects(files)
+    for model in files[0][0], files[1]:  # all kernels, those for effects as well
+        _compile_loops(read_plan([*files[0], files[1]], model=model, overrides={'rate': RATE}))
     recordings = {}
 
     def driven(belief, model):
@@ -329,12 +330,6 @@ def _found_and_driven(hidden, gains, seed, files, out):
     driven('found', out / 'robot.yaml' if result.robot is not None else believed)
     driven('true', plant)
     return DemoOutcome(hidden, seed, result, recordings)
-
-
-def _compile_effects(files):
-    """Compile all kernels, those for effects as well, into the cache that the nodes share."""
-    for model in files[0][0], files[1]:
-        _compile_loops(read_plan([*files[0], files[1]], model=model, overrides={'rate': RATE}))
 
 
 def _find(recording, believed, gains, path):

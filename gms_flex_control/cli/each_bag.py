@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Many bags, each by itself: a folder of its own for each, whole or not there, and a journal."""
 from collections import Counter
+from collections.abc import Generator
 from contextlib import contextmanager
 from functools import partial
 import json
@@ -38,12 +39,12 @@ class Place(NamedTuple):
     mark: str  # tells results of this bag, these sources and these options from others
 
     @property
-    def folder(self):
+    def folder(self) -> Path:
         """Return the folder of the bag's results."""
         return Path(self.out) / self.name
 
     @property
-    def is_done(self):
+    def is_done(self) -> bool:
         """Return whether the folder holds these results, all of them."""
         return _marked(self.folder)[:1] == [self.mark]
 
@@ -104,18 +105,16 @@ def places_of(bags, out: str, asked: str) -> dict:
         key = f'{name} {digest_of((bag, content_of(bag)))}'
         places[key] = Place(bag, os.path.abspath(out), name, f'{key} {asked}')
     for place in places.values():
-        _refuse_foreign(place.folder)
+        folder = place.folder
+        if folder.exists() and not (folder.is_dir() and (
+                _marked(folder) or not any(folder.iterdir()))):
+            raise ConfigError(f'{folder} exists and holds no results of --each: name another '
+                              '--out')
     return places
 
 
-def _refuse_foreign(folder):
-    if folder.exists() and not (folder.is_dir() and (
-            _marked(folder) or not any(folder.iterdir()))):
-        raise ConfigError(f'{folder} exists and holds no results of --each: name another --out')
-
-
 @contextmanager
-def whole(place):
+def whole(place) -> Generator[Path]:
     """
     Yield a folder to write results into, which then becomes that of the Place.
 
@@ -146,28 +145,14 @@ def _replace_files(made, place, files):
     _set_mark(place.folder, place.mark, files)
 
 
-def _remove_parts(out):
-    """Remove what workers that were killed had begun to write."""
-    for part in Path(out).glob(f'.*.{"[0-9a-f]" * 32}.part'):
-        shutil.rmtree(part, ignore_errors=True)
-
-
 def run_each(args, function, items: dict, asked: str) -> dict:
     """
     Return what a function says of each bag, by name; a bag whose results are there is skipped.
 
-    Parameters
-    ----------
-    args : Namespace
-        Of the verb: out, workers, scheduler.
-    function : callable
-        Of a module; takes an item, returns a dict with the key 'reason', None where all went
-        well. What it raises becomes the reason, see `reason_or`.
-    items : dict of str to object
-        By the keys of `places_of`, each with its Place as ``place``.
-    asked : str
-        As `places_of`.
-
+    ``args`` of the verb has out, workers and scheduler. ``function`` of a module takes an item and
+    returns a dict with the key 'reason', None where all went well; what it raises becomes the
+    reason, see `reason_or`. ``items`` are by the keys of `places_of`, each with its Place as
+    ``place``; ``asked`` as there.
     """
     workers = 2 if args.workers is None else args.workers
     with open_executor(workers, args.scheduler) as executor:
@@ -182,7 +167,8 @@ def run_each(args, function, items: dict, asked: str) -> dict:
                               journal=journal, label='bags',
                               lost=lambda error: {'reason': str(error)})
         finally:
-            _remove_parts(args.out)
+            for part in Path(args.out).glob(f'.*.{"[0-9a-f]" * 32}.part'):  # of killed workers
+                shutil.rmtree(part, ignore_errors=True)
     return {items[key].place.name: values for key, values in found.items()}
 
 
@@ -197,7 +183,10 @@ def reason_or(function, item) -> dict:
         raise BatchError(f'--out {item.place.out}: a worker of the cluster does not see this '
                          'folder; name one on a disk that all machines share')
     try:
-        return _with_warnings(function, item)
+        with alone_in_one_thread(), own_warnings() as caught:
+            values = function(item)
+        warned = [*(str(one.message) for one in caught), *values.get('warnings', ())]
+        return values | {'warnings': list(dict.fromkeys(warned))}
     except (GmsFlexError, OSError) as error:
         return {'reason': str(error)}
     except MemoryError:
@@ -205,13 +194,6 @@ def reason_or(function, item) -> dict:
     except Exception as error:  # noqa: B902  one bag of thousands ends no batch
         traceback.print_exc()
         return {'reason': f'an error of the program, please report it: {error!r}'}
-
-
-def _with_warnings(function, item):
-    with alone_in_one_thread(), own_warnings() as caught:
-        values = function(item)
-    told = [*(str(one.message) for one in caught), *values.get('warnings', ())]
-    return values | {'warnings': list(dict.fromkeys(told))}
 
 
 def write_summary(args, found: dict, text) -> None:

@@ -46,17 +46,10 @@ class Verb(NamedTuple):
 def option(*names: str, least: float | None = None, most: float | None = None,
            completer=None, **settings) -> Option:
     """
-    Return an argument of a verb.
+    Return an argument of a verb, ``names`` and ``settings`` as of ``ArgumentParser.add_argument``.
 
-    Parameters
-    ----------
-    *names, **settings
-        As of ``ArgumentParser.add_argument``.
-    least, most : float, optional
-        Closed range of a number, or of each of several.
-    completer : callable, optional
-        Returns what argcomplete offers, which offers files otherwise.
-
+    ``least`` and ``most`` are the closed range of a number, or of each of several; ``completer``
+    returns what argcomplete offers, which offers files otherwise.
     """
     return Option(names, settings, least, most, completer)
 

@@ -223,18 +223,14 @@ def compare_along(found, gains, share, fits) -> list:
         if _FITTED[mode]:
             x = np.asarray(fits[of]).reshape(10, robot.n_joints)
             robot = replace(robot, friction=scaled(robot.friction, x))
-        torque = _torques(found, robot, gains, mode)
+        factor = np.ones(robot.friction.stiffness.shape)
+        torque = tuple(low_pass(
+            _adapted(one, robot, factor) if mode == 'gms_adaptive' else predicted(
+                one, robot, gains, mode), one.window) for one in found.pieces)
         result.append(Prediction(
             mode, name, torque, _rms(found, torque, [~mask for mask in masks]),
             _rms(found, torque, masks), _REMARKS.get(mode, '')))
     return result
-
-
-def _torques(found, robot, gains, mode):
-    factor = np.ones(robot.friction.stiffness.shape)
-    return tuple(low_pass(
-        _adapted(one, robot, factor) if mode == 'gms_adaptive' else predicted(
-            one, robot, gains, mode), one.window) for one in found.pieces)
 
 
 def _rms(found, torques, masks):

@@ -237,7 +237,7 @@ class _CdrReader:
         self._order = '<' if data[1] else '>'
         self._at = 4
 
-    def take(self, form, count=1):
+    def take(self, form, count=1) -> tuple:
         """Return ``count`` numbers of struct code ``form``, aligned as CDR asks."""
         code, align = _numbers(self._order, count, form)
         start = self._at + -(self._at - 4) % align
@@ -249,11 +249,11 @@ class _CdrReader:
             raise BagError(f'is cut short: needs {end} bytes, has {len(self._data)}')
         self._at = end
 
-    def stamp(self):
+    def stamp(self) -> int:
         """Return a builtin_interfaces/Time in nanoseconds."""
         return self.take('i')[0] * _SECOND + self.take('I')[0]
 
-    def text(self):
+    def text(self) -> str:
         """Return one string."""
         size, = self.take('I')
         start = self._at
@@ -264,16 +264,16 @@ class _CdrReader:
         except UnicodeDecodeError:
             raise BagError(f'holds a string that is not text: {raw[:20]!r}') from None
 
-    def doubles(self):
+    def doubles(self) -> tuple:
         """Return a sequence of float64 as a tuple, empty if there is none."""
         count = self._count(8)
         return self.take('d', count) if count else ()
 
-    def texts(self):
+    def texts(self) -> tuple:
         """Return a sequence of strings as a tuple."""
         return tuple(self.text() for _ in range(self._count(4)))
 
-    def dimensions(self):
+    def dimensions(self) -> tuple:
         """Return the layout dimensions as a tuple of (label, size, stride)."""
         return tuple((self.text(), *self.take('I', 2)) for _ in range(self._count(4)))
 

@@ -13,7 +13,7 @@ column was measured on the fast side of a gear. Every mistake is named with its 
 from dataclasses import dataclass, field
 import math
 import re
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 from gms_flex_control.errors import did_you_mean, ImportDataError
 from gms_flex_control.file_io import read_yaml
@@ -108,32 +108,32 @@ class MapNode:
         self._place = place
         self._line = first_line
 
-    def keys(self):
+    def keys(self) -> list[str]:
         """Return the keys in order (list of str)."""
         return [str(key) for key in self._data]
 
-    def line(self, key=None):
+    def line(self, key=None) -> int:
         """Return the line of ``key``, of the mapping itself by default."""
         if key in self._data:
             return self._data.lc.key(key)[0] + 1
         return self._line
 
-    def wrong(self, problem, key=None):
+    def wrong(self, problem, key=None) -> ImportDataError:
         """Return an ImportDataError that names file, line and place."""
         place = '.'.join(filter(None, [self._place, key]))
         return ImportDataError(f'{self._path}:{self.line(key)}: {place or "the map"} {problem}')
 
-    def only(self, *known):
+    def only(self, *known) -> None:
         """Refuse keys other than ``known``."""
         for key in self._data:
             if key not in known:
                 raise self.wrong(f'is no key here{did_you_mean(key, known)}', str(key))
 
-    def value(self, key, default=None):
+    def value(self, key, default=None) -> object:
         """Return the plain value of ``key``."""
         return self._data.get(key, default)
 
-    def section(self, key, required=False):
+    def section(self, key, required=False) -> Self | None:
         """Return a nested mapping, None if it is not there."""
         if key not in self._data:
             if required:
@@ -153,22 +153,22 @@ class MapNode:
             raise self.wrong(f'must be {words}, got {value!r}', key)
         return value
 
-    def text(self, key, default):
+    def text(self, key, default) -> str:
         """Return a string."""
         return str(self._typed(key, default, str, 'text in quotes'))
 
-    def flag(self, key):
+    def flag(self, key) -> bool:
         """Return a bool, False if it is not there."""
         return self._typed(key, False, bool, 'true or false')
 
-    def whole(self, key, default):
+    def whole(self, key, default) -> int:
         """Return an int that is not negative."""
         value = self._typed(key, default, int, 'a whole number from 0')
         if value < 0:
             raise self.wrong(f'must be a whole number from 0, got {value}', key)
         return int(value)
 
-    def number(self, key, default, positive=False):
+    def number(self, key, default, positive=False) -> float | None:
         """Return a finite float, ``default`` if it is not there."""
         value = self._typed(key, default, (int, float), 'a number')
         if key not in self._data:
@@ -177,12 +177,12 @@ class MapNode:
             raise self.wrong(f'must be {"positive" if positive else "finite"}, got {value}', key)
         return float(value)
 
-    def column(self, key):
+    def column(self, key) -> str | int | float | None:
         """Return a column name or number, None if it is not there."""
         value = self._typed(key, None, (str, int, float), 'a column name or number')
         return float(value) if isinstance(value, float) else value
 
-    def unit(self, key, known, default=None):
+    def unit(self, key, known, default=None) -> str:
         """Return the canonical name of a unit among ``known``."""
         value = self._data.get(key, default)
         if value is None:
@@ -368,19 +368,14 @@ def _channel(joint, key):
     if abs(numbers['sign']) != 1:
         raise node.wrong(f"must be 1 or -1, got {numbers['sign']:g}; use scale for a factor",
                          'sign')
+    estimated = 'estimate' in node.keys() and 'unit' not in node.keys()
+    unit = '' if estimated else node.unit('unit', UNITS[quantity])
     channel = Channel(name=key, quantity=quantity, line=joint.line(key),
                       column=node.column('column'), unwrap=node.flag('unwrap'),
                       back_emf=node.number('back_emf', 0.0), voltage=node.column('voltage'),
-                      enabled=node.column('enabled'), unit=_unit(node, quantity),
-                      **numbers, **positive)
+                      enabled=node.column('enabled'), unit=unit, **numbers, **positive)
     _check(node, channel)
     return channel
-
-
-def _unit(node, quantity):
-    if 'estimate' in node.keys() and 'unit' not in node.keys():
-        return ''
-    return node.unit('unit', UNITS[quantity])
 
 
 def _check(node, channel):

@@ -16,14 +16,13 @@ from gms_flex_control.data.cdr import (
     unpack_multi_array,
 )
 from gms_flex_control.data.recording import Phase, Recording, Topics
-from gms_flex_control.data.series import by_stamp, names_of, Series
+from gms_flex_control.data.series import BLOCK, by_stamp, names_of, Series
 from gms_flex_control.data.tables import ArrayTable
 from gms_flex_control.errors import BagError
 import numpy as np
 
 _LABELS = ('phase', 'joint', 'step')
 _TORQUE, _STICKING = '/cascade_controller/blocks', '/cascade_controller/sticking'
-_WAITING = 4096  # messages of a topic that are decoded together
 
 
 class Aside(NamedTuple):
@@ -44,30 +43,21 @@ def read_recording(path, joints: Sequence[str] | None = None, motors: Sequence[s
     path : str or Path
         Bag folder or file: mcap or sqlite3, plain or zstd, also one cut off.
     joints : sequence of str, optional
-        Link names in the order of the command; by default those of the first joint state
-        that are not the motor of another, in its order.
+        Link names in the order of the command; by default those of the first joint state that are
+        not the motor of another, in its order.
     motors : sequence of str, optional
-        Motor name of each joint, '' where there is no motor side; by default
-        ``<joint>_motor`` where the first joint state has it. A link whose motor alone is in the
-        states has no angles (NaN).
+        Motor name of each joint, '' where there is no motor side; by default ``<joint>_motor``
+        where the first joint state has it. A link whose motor alone is in the states has no angles
+        (NaN).
     topics : Topics, optional
         Topic names; by default those of our nodes, in the namespace they were recorded in.
 
     Returns
     -------
     Recording
-        Sampled at the joint states; the command of a state is the one that carries its stamp,
-        the reference that of the same time.
-
-    Raises
-    ------
-    BagError
-        If the bag is damaged, or lacks the joint states, a joint or a length that fits.
-
-    Warns
-    -----
-    BagWarning
-        If the bag was cut off or otherwise odd, and what that means.
+        Sampled at the joint states; the command of a state is the one that carries its stamp, the
+        reference that of the same time. BagError if the bag is damaged, or lacks the joint states,
+        a joint or a length that fits; BagWarning if it was cut off or otherwise odd.
 
     """
     return read_beside(path, joints, motors, topics=topics)[0]
@@ -165,21 +155,10 @@ def read_blocks(path, time, n) -> tuple:
     """
     Read the friction blocks of the observer at the samples of a recording.
 
-    Parameters
-    ----------
-    path : str or Path
-        Bag folder or file, as for read_recording; BagError if it cannot be read.
-    time : ndarray, shape (T,)
-        ``Recording.time`` of the same bag [s].
-    n : int
-        Number of joints; BagError if a message is no table of blocks for them.
-
-    Returns
-    -------
-    tuple of ndarray or None
-        Torque [N m], and 1 for sticking, 0 for slipping, each of shape (T, n, N); NaN at samples
-        without a message, None for a topic that is not in the bag or has no stamps.
-
+    ``time`` (T,) [s] is that of the Recording of the same bag, with ``n`` joints. Torque [N m],
+    and 1 for sticking, 0 for slipping, each (T, n, N): NaN at samples without a message, None for
+    a topic that is not in the bag or has no stamps. BagError if the bag cannot be read or a
+    message is no table of blocks for these joints.
     """
     bag, tables = Bag(path), {}
     space = namespace_of(bag)
@@ -191,21 +170,15 @@ def read_blocks(path, time, n) -> tuple:
         for name, log, _, data in batch:
             waiting[name][0].append(log)
             waiting[name][1].append(data)
-        _decode_blocks(bag, tables, waiting, n, _WAITING)
+        _decode_blocks(bag, tables, waiting, n, BLOCK)
     _decode_blocks(bag, tables, waiting, n, 1)
     if not tables:
         return None, None
-    first = _first_state(path, space + Topics().joint_states)
+    states = next((batch for batch in Bag(path).batches({space + Topics().joint_states})
+                   if batch), ())  # of which few at the start may be late
+    first = min((unpack_joint_state(data)[0] for *_, data in states), default=0)
     stamps = first + np.rint(np.asarray(time) * 1e9).astype(np.int64)
     return tuple(_at_samples(path, topic, tables.get(topic), stamps) for topic in topics)
-
-
-def _first_state(path, topic):
-    """Return the first stamp of the joint states, of which few at the start may be late [ns]."""
-    for batch in Bag(path).batches({topic}):
-        if batch:
-            return min(unpack_joint_state(data)[0] for *_, data in batch)
-    return 0
 
 
 def _decode_blocks(bag, tables, waiting, n, least):

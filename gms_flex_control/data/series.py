@@ -23,7 +23,7 @@ import numpy as np
 N_DERIVATIVES = 5        # rows of a reference: angle and its derivatives 1 to 4
 _REACH = 1.5             # a reference further away than this many periods is not used
 _SAMPLES = 2**15         # samples that are worked on at once, for the sake of memory
-_BLOCK = 4096            # messages of a topic that wait to be decoded together
+BLOCK = 4096             # messages of a topic that wait to be decoded together
 _TWO_RUNS = 100_000_000  # a step back beyond this is another run, not a late message [ns]
 _TYPES = (JOINT_STATE, MULTI_ARRAY, MULTI_ARRAY, JOINT_STATE, MULTI_ARRAY)  # of the Topics
 
@@ -112,18 +112,14 @@ def _reference_at(times, period, labels, table):
     labels, order = np.unique(labels, return_index=True)
     for start in range(0, len(times), _SAMPLES):
         block = slice(start, start + _SAMPLES)
-        nearest, shift = _nearest(times[block], labels)
+        right = np.clip(np.searchsorted(labels, times[block]), 1, max(len(labels) - 1, 1))
+        left, right = right - 1, np.minimum(right, len(labels) - 1)
+        nearest = np.where(times[block] - labels[left] <= labels[right] - times[block], left,
+                           right)
+        shift = times[block] - labels[nearest]
         near = np.abs(shift) <= _REACH * period
         result[block][near] = _carried_on(table[order[nearest[near]]], shift[near] * 1e-9)
     return result
-
-
-def _nearest(times, labels):
-    """Return which of the increasing ``labels`` is nearest and how much later the time is."""
-    right = np.clip(np.searchsorted(labels, times), 1, max(len(labels) - 1, 1))
-    left, right = right - 1, np.minimum(right, len(labels) - 1)
-    nearest = np.where(times - labels[left] <= labels[right] - times, left, right)
-    return nearest, times - labels[nearest]
 
 
 def _carried_on(table, shift):
@@ -164,7 +160,7 @@ class Series:
                 times, messages = self._waiting[topic]
                 times.append(log)
                 messages.append(message)
-            self._decode(_BLOCK)
+            self._decode(BLOCK)
         self._decode(1)
         for topic, type_name in zip(self.topics, _TYPES, strict=True):
             if not self._has_type(topic, type_name):

@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Read the sqlite3 storage of rosbag2; it has no checksums of its own."""
 
+from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 import shutil
@@ -24,7 +25,7 @@ class SqliteFile(StorageFile):
         super().__init__(path, original)
         self.unchecked = 1
 
-    def batches(self, only=None):
+    def batches(self, only=None) -> Iterator:
         """Yield the messages as `StorageFile` says, in the order they were written."""
         self._only = only
         try:

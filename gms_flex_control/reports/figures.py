@@ -90,7 +90,7 @@ def file_stem(text) -> str:
     return re.sub(r'[^A-Za-z0-9_-]+', '_', text)
 
 
-def save_figure(figure, path, words=str):
+def save_figure(figure, path, words=str) -> None:
     """Write a figure whole or not at all; ``words`` is applied to labels, such as other units."""
     _translate(figure, words)
     with atomic_path(path) as temporary:

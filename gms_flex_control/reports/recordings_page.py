@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 import re
 
-from gms_flex_control.analysis.table4 import align, PAPER_WITHOUT
+from gms_flex_control.analysis.table4 import align, PAPER_WITHOUT, Table4
 from gms_flex_control.analysis.torsion import rms
 from gms_flex_control.analysis.tracking import link_error, table4
 from gms_flex_control.answer import Answer, command, measured
@@ -33,7 +33,7 @@ _LOOKS = {'none': (1, '-'), 'gms_paper': (2, '-.'), 'gms': (0, '-')}  # colour a
 
 
 def write_tracking_report(runs, folder, friction_true=None, title='Tracking report', *,
-                          subtitle=None, beside=None):
+                          subtitle=None, beside=None) -> Table4:
     """
     Write table4.json, report.html and the PNGs of runs (Run) to a folder; return the Table4.
 

@@ -44,7 +44,7 @@ class Rows:
         self._newest = self._origin = None
         self.restarted = False
 
-    def put_state(self, stamp, now, link, motor):
+    def put_state(self, stamp, now, link, motor) -> None:
         """Begin a row: stamp [ns], monotonic time [s], angles of link and motor [rad] or NaN."""
         if not self.wants(stamp):
             return
@@ -77,7 +77,7 @@ class Rows:
         last = self._references[-1][0] if self._references else None
         return last is None or not 0 <= stamp - last < self._spacing
 
-    def put(self, signal, stamp, values):
+    def put(self, signal, stamp, values) -> None:
         """
         Add values of a signal to the row of a stamp [ns], of the newest if it is None.
 
@@ -107,16 +107,13 @@ class Rows:
         if not ready:
             return np.empty((0, len(self.names)))
         table = np.stack(ready)
-        link, motor, reference, error, torsion = (self._part(table, name) for name in (
-            'link', 'motor', 'reference', 'error', 'torsion'))
+        link, motor, reference, error, torsion = (
+            table[:, self._place[name]:self._place[name] + self._n]
+            for name in ('link', 'motor', 'reference', 'error', 'torsion'))
         torsion[:] = motor - link
         error[:] = np.where(np.isfinite(error), error, link - reference)
         reference[:] = link - error
         return table
-
-    def _part(self, table, signal):
-        """Return the columns of one signal as a view."""
-        return table[:, self._place[signal]:self._place[signal] + self._n]
 
     def _add_reference(self, stamp, row):
         """Write the nearest reference, carried on by its own derivatives."""
@@ -139,14 +136,14 @@ class Feed:
         self._rows, self._count = deque(maxlen=KEPT), 0
         self.version, self._state = 0, None
 
-    def begin_anew(self):
+    def begin_anew(self) -> None:
         """Forget all rows: names or meaning of the columns have changed."""
         with self._condition:
             self._rows.clear()
             self.version += 1
             self._condition.notify_all()
 
-    def add(self, rows, state):
+    def add(self, rows, state) -> None:
         """Add rows (T, columns), and say how the loop is, as a dict for JSON."""
         with self._condition:
             changed = state != self._state
@@ -182,7 +179,7 @@ class Status:
         self._said, self._heard = {}, None
         self._counts = deque()  # time [s], samples, late ones
 
-    def report(self, values, time, now):
+    def report(self, values, time, now) -> None:
         """Take the values (dict of str) of a DiagnosticStatus stamped ``time``, ``now`` [s]."""
         self._said, self._heard = values, now
         for samples, late in _COUNTERS:

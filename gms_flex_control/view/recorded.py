@@ -28,7 +28,8 @@ LEVELS = 24          # of skipping every second sample once more
 _MOST_POINTS = 8000  # of one line in an answer
 
 
-def open_bag(path, robot=None, *, default=None, joints=None, motors=None, others=()):
+def open_bag(path, robot=None, *, default=None, joints=None, motors=None,
+             others=()) -> 'BagView':
     """
     Read a bag for viewing; BagError if it cannot be read or has other joints than ``robot``.
 
