@@ -107,7 +107,7 @@ def test_the_voltage_of_the_supply_may_come_now_and_then(tmp_path):
     seen = read_recording(tmp_path / 'bag').supply
     np.testing.assert_allclose(seen[:31], 24.0 - 0.01 * np.arange(31), atol=1e-9)
     np.testing.assert_allclose(seen[31:], 23.7)
-    write_recording(tmp_path / 'without', replace(recording, supply=None))
+    write_recording(tmp_path / 'without', replace(recording, supply=np.nan))
     assert np.isnan(read_recording(tmp_path / 'without').supply).all()
     with pytest.raises(BagError, match="topic '/reference' message 0 has 10 numbers, expected "
                                        'the voltage of the supply alone'):

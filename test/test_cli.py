@@ -72,6 +72,7 @@ def test_the_help_of_a_verb_has_examples_that_parse(verb):
     parser = sub_parser(verb)
     text = parser.format_help()
     assert parser.description
+    assert verb in WITHOUT_TABLE or '--json' in text
     _, found, examples = text.partition('examples:\n')
     assert found, f'{verb}: add examples beside the other ones'
     commands = [line for line in examples.replace('\\\n', ' ').splitlines() if line.strip()]
@@ -82,11 +83,6 @@ def test_the_help_of_a_verb_has_examples_that_parse(verb):
         start = f'{tool_of(verb)[1]} {verb}'
         assert words.startswith(start)
         parser.parse_args(shlex.split(words.removeprefix(start)))
-
-
-@pytest.mark.parametrize('verb', (*VERBS, *OF_BENCH))
-def test_a_table_can_be_had_as_json(verb):
-    assert verb in WITHOUT_TABLE or '--json' in sub_parser(verb).format_help()
 
 
 @pytest.mark.parametrize('verb', (*VERBS, *OF_BENCH))
@@ -301,12 +297,6 @@ def test_ctrl_c_ends_workers_in_silence(tmp_path):
     _, told = process.communicate(timeout=60)
     assert (process.returncode, told) == (
         130, 'python -m bench score: interrupted; the same command goes on where it was\n')
-
-
-def test_a_disk_that_refuses_is_bad_input(tmp_path, capsys):
-    (tmp_path / 'file').touch()
-    assert tool.main(['urdf', '--out', str(tmp_path / 'file' / 'arm.urdf')]) == tool.BAD_INPUT
-    assert capsys.readouterr().err.startswith(f'gms_flex urdf: {tmp_path}')
 
 
 @pytest.mark.parametrize('arguments, sentence', [

@@ -206,8 +206,7 @@ def _recording(source, import_map, time, joints):
         joints=tuple(joint.name for joint in import_map.joints), time=time,
         q_link=stack('link_position'), dq_link=stack('link_velocity'),
         q_motor=stack('motor_position'), dq_motor=stack('motor_velocity'),
-        tau_motor=stack('torque'), command=stack('command'), reference=reference,
-        friction_hat=np.full((len(time), len(joints)), np.nan), source=source)
+        tau_motor=stack('torque'), command=stack('command'), reference=reference, source=source)
 
 
 def _quantities(recording):
