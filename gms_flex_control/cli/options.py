@@ -54,6 +54,13 @@ def option(*names: str, least: float | None = None, most: float | None = None,
     return Option(names, settings, least, most, completer)
 
 
+def number(name: str, metavar: str, default: float, what: str, least: float | None = None,
+           most: float | None = None) -> Option:
+    """Return an option with a number; its help says ``what`` and the default."""
+    return option(name, least=least, most=most, type=float, default=default, metavar=metavar,
+                  help=f'{what} (default: %(default)g)')
+
+
 ROBOT = option('--robot', nargs='+', metavar='FILE',
                help='robot files, later ones winning, such as robot.yaml friction.yaml; default: '
                     'the arm of the paper')
