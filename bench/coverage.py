@@ -21,7 +21,7 @@ from gms_flex_control.analysis.table4 import align
 from gms_flex_control.batches.batch import run_batch
 from gms_flex_control.batches.journal import fingerprint, Journal
 from gms_flex_control.batches.workers import open_executor
-from gms_flex_control.cli.identify_bags import read_take
+from gms_flex_control.cli.identify_bags import read_experiment_of
 from gms_flex_control.cli.options import add_batch_options
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.errors import GmsFlexError
@@ -201,7 +201,7 @@ def example():
         play = Path(folder) / 'play.yaml'
         save_values({'effects.joint2.backlash.half_gap': 0.012}, play)
         robot = load_robot([HERE.parent / 'config' / 'robot.yaml', play])
-    return robot, read_take(str(HERE.parent / 'examples' / 'arm_with_play'), robot)
+    return robot, read_experiment_of(str(HERE.parent / 'examples' / 'arm_with_play'), robot)
 
 
 def rows_of(result, robot, found):

@@ -32,7 +32,7 @@ class Run(NamedTuple):
 
 
 class JointTracking(NamedTuple):
-    """How one joint followed its reference; NaN where the recording cannot tell."""
+    """How one joint followed its reference; NaN where the recording does not show it."""
 
     joint: str
     mse: float          # mean of (q_link - reference)^2 [rad^2]

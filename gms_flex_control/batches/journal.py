@@ -74,5 +74,5 @@ def content_of(bag) -> list:
 
 
 def digest_of(values) -> str:
-    """Return 16 hexadecimal digits that stand for plain values, told apart by their repr."""
+    """Return 16 hexadecimal digits that stand for plain values, distinguished by their repr."""
     return hashlib.sha256(repr(values).encode()).hexdigest()[:16]

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from gms_flex_control.batches.journal import content_of, digest_of, fingerprint
 from gms_flex_control.cli import each_bag
-from gms_flex_control.cli.identify_bags import read_take
+from gms_flex_control.cli.identify_bags import read_experiment_of
 from gms_flex_control.cli.terminal import conclude, refuse_fitted, refuse_unwritable, say
 from gms_flex_control.discrepancy.closed_loop import stretch_of, with_closed_loop
 from gms_flex_control.discrepancy.compared import as_found, compare
@@ -53,10 +53,10 @@ def _answered(args):
     """Return the Discrepancy of --robot with bags, Compared models, recordings held out."""
     options, robot = _options_of(args), load_robot(args.robot)
     others = _models_of(args, robot)
-    takes, holdout = ([read_take(path, robot)[0] for path in paths]
+    recordings, holdout = ([read_experiment_of(path, robot)[0] for path in paths]
                       for paths in (args.bags, args.holdout))
-    result = _looped(args, robot, holdout or takes,
-                     lambda: _searched(takes, robot, options, holdout, args))
+    result = _looped(args, robot, holdout or recordings,
+                     lambda: _searched(recordings, robot, options, holdout, args))
     compared = ()
     if others and result.behind is not None:
         compared = compare(result, [('as given', robot), ('with what was found', as_found(result)),
@@ -64,10 +64,10 @@ def _answered(args):
     return result, compared, holdout
 
 
-def _searched(takes, robot, options, holdout, args):
+def _searched(recordings, robot, options, holdout, args):
     """Return the Discrepancy; raise BagError where forced data leave no number to go on with."""
     try:
-        found = find_discrepancy(takes, robot, options, holdout=holdout, say=_progress(args))
+        found = find_discrepancy(recordings, robot, options, holdout=holdout, say=_progress(args))
         return learn(found, holdout=holdout, say=_progress(args)) if args.learn else found
     except (np.linalg.LinAlgError, ValueError) as error:
         if not args.force:
@@ -104,10 +104,10 @@ def _write_files(result, compared, holdout, args):
 def _earlier(out):
     """Return the files in ``out`` that an earlier run of this verb has made."""
     try:
-        told = json.loads((out / 'report.json').read_text())
+        earlier = json.loads((out / 'report.json').read_text())
     except (OSError, ValueError):
         return []
-    if not isinstance(told, dict) or 'verdict' not in told:  # of another verb
+    if not isinstance(earlier, dict) or 'verdict' not in earlier:  # of another verb
         return []
     return [path for pattern in _MADE for path in out.glob(pattern)]
 
@@ -164,7 +164,7 @@ def _models_of(args, robot):
 
 
 def _progress(args):
-    """Return what tells progress: on a terminal only, and beside the results."""
+    """Return the function that prints progress: on a terminal only, and beside the results."""
     return (lambda text: None) if args.json else lambda text: say(f'  {text} ...')
 
 

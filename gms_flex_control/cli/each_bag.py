@@ -36,7 +36,7 @@ class Place(NamedTuple):
     bag: str   # path, absolute: a worker may run anywhere
     out: str   # folder of all results, likewise
     name: str  # of the bag's folder in it
-    mark: str  # tells results of this bag, these sources and these options from others
+    mark: str  # of results of this bag, these sources and these options
 
     @property
     def folder(self) -> Path:

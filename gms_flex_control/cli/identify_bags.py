@@ -58,9 +58,9 @@ def identify_verb(args) -> int:
 
 def _identified(bags, holdouts, robot, options, described, **further):
     """Return the Identification of bags fitted together; ``further`` as that of `identify`."""
-    takes, apart = ([read_take(path, robot, not described) for path in paths]
+    recordings, apart = ([read_experiment_of(path, robot, not described) for path in paths]
                     for paths in (bags, holdouts))
-    found = identify(takes, robot, holdouts=apart, options=options, **further)
+    found = identify(recordings, robot, holdouts=apart, options=options, **further)
     return replace(found, described=described)
 
 
@@ -96,7 +96,7 @@ def _robot_in(bag, joints=None):
     return rigid_joints(joints or link_names(joint_names(bag)))
 
 
-def read_take(path, robot, guess_motors: bool = False) -> tuple:
+def read_experiment_of(path, robot, guess_motors: bool = False) -> tuple:
     """Return a bag as (Recording, phases), motors by their names in the bag if to be guessed."""
     return read_experiment(path, robot.joints, None if guess_motors else motors_in(path, robot))
 

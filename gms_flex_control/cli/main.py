@@ -85,7 +85,7 @@ def _listing(prog, groups, helps):
 
 
 def _parsed(parser, argv):
-    """Return the arguments; None after the help, which is what the bare command asks for."""
+    """Return the arguments; None after the help, which the bare command prints."""
     if not argv:
         parser.print_help()
         return None
@@ -211,7 +211,7 @@ def completion(args) -> int:
 
 
 def _complete(parser):
-    """Answer a shell that asks for completions, and end; else do nothing."""
+    """Answer a shell that requests completions, and end; else do nothing."""
     if '_ARGCOMPLETE' not in os.environ:
         return
     try:

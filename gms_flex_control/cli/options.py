@@ -122,12 +122,12 @@ def _run(place, args):
     for action, one in getattr(args, 'ranges', ()):
         _require_range(action.option_strings[0], getattr(args, action.dest), one.least, one.most)
     verb = getattr(import_module(f'gms_flex_control.cli.{module}'), function)
-    with _told_of_compiling():
+    with _compiling_announced():
         return verb(args)
 
 
 @contextmanager
-def _told_of_compiling():
+def _compiling_announced():
     """Say once, on a terminal, that inner loops are compiled meanwhile, where they are."""
     if 'numba' not in sys.modules or not sys.stderr.isatty():
         yield
@@ -135,13 +135,13 @@ def _told_of_compiling():
     from numba.core import event
 
     class Listener(event.Listener):
-        told = False
+        said = False
 
         def on_start(self, _):
-            if not self.told:
+            if not self.said:
                 print('compiling the inner loops for this machine (once after an installation, up '
                       'to two minutes)', file=sys.stderr, flush=True)
-            self.told = True
+            self.said = True
 
         def on_end(self, _):
             pass

@@ -35,11 +35,11 @@ def import_ros(module: str = 'rclpy', hint: str = ''):
                           f"pip install '.[ros]' in the clone{hint}") from error
 
 
-def write_or_print(text: str, out, told: str) -> None:
-    """Write a text to the file ``out`` and print its name with ``told``, or print it if None."""
+def write_or_print(text: str, out, what: str) -> None:
+    """Write a text to the file ``out`` and print its name with ``what``, or print it if None."""
     if out:
         write_text(out, text)
-        print(f'{out}: {told}')
+        print(f'{out}: {what}')
     else:
         print(text, end='')
 

@@ -73,22 +73,22 @@ def along(recording, robot) -> Along:
     """
     sides = drive_sides(recording, robot)
     seen = rigid_where(robot, sides)
-    pieces = [_piece(stretch, recording, seen) for stretch in segments_of(
+    pieces = [_piece(segment, recording, seen) for segment in segments_of(
         recording, robot, sides)]
     return Along(tuple(pieces), seen, all(np.isfinite(one.reference).all() for one in pieces))
 
 
-def _piece(stretch, recording, robot):
-    period, samples = recording.period, len(stretch.angle)
-    time = stretch.begin + period * np.arange(samples)
+def _piece(segment, recording, robot):
+    period, samples = recording.period, len(segment.angle)
+    time = segment.begin + period * np.arange(samples)
     reference = np.stack([[np.interp(time, recording.time, recording.reference[:, k, j])
                            for j in range(robot.n_joints)] for k in range(5)])
-    angle = smooth_angle(stretch, period)
-    first = [column[np.isfinite(column)][0] for column in stretch.angle.T]
+    angle = smooth_angle(segment, period)
+    first = [column[np.isfinite(column)][0] for column in segment.angle.T]
     return Piece(
-        time, period, angle + first, stretch.rate,
-        np.ascontiguousarray(np.moveaxis(reference, 2, 0)), stretch.torque,
-        low_pass(friction_torque(stretch, robot.arm), stretch.window), stretch.window)
+        time, period, angle + first, segment.rate,
+        np.ascontiguousarray(np.moveaxis(reference, 2, 0)), segment.torque,
+        low_pass(friction_torque(segment, robot.arm), segment.window), segment.window)
 
 
 @compiled

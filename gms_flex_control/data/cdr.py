@@ -29,7 +29,7 @@ class Layout:
         self.place('head', '<u4', np.frombuffer(head, '<u4')[0])
 
     def place(self, name, kind, constant=None) -> None:
-        """Put a field of a numpy type behind the others, aligned as CDR asks."""
+        """Put a field of a numpy type behind the others, aligned as in CDR."""
         dtype = np.dtype(kind)
         align = 1 if dtype.kind == 'S' else dtype.base.itemsize
         self.size += -(self.size - len(LITTLE_ENDIAN)) % align
@@ -238,7 +238,7 @@ class _CdrReader:
         self._at = 4
 
     def take(self, form, count=1) -> tuple:
-        """Return ``count`` numbers of struct code ``form``, aligned as CDR asks."""
+        """Return ``count`` numbers of struct code ``form``, aligned as in CDR."""
         code, align = _numbers(self._order, count, form)
         start = self._at + -(self._at - 4) % align
         self._reach(start + code.size)

@@ -154,7 +154,7 @@ def repair_bag(path, out=None) -> Repair:
     default = path.resolve().with_name(f'{bare or path.resolve().name}_repaired')
     out = Path(out) if out is not None else default
     bag = Bag(path)
-    # read twice: only the first pass tells whether there is anything to repair
+    # read twice: only the first pass shows whether there is anything to repair
     count = sum(map(len, bag.batches()))
     if bag.complete and not bag.notes:
         return _result(bag, '', count, {})

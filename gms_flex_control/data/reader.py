@@ -196,7 +196,7 @@ def _decode_blocks(bag, tables, waiting, n, least):
 
 
 def _block_table(path, topic, message, n):
-    """Return the table of a topic, its number of blocks told from the first message."""
+    """Return the table of a topic, its number of blocks that of the first message."""
     try:
         count = len(unpack_multi_array(message)[1])
     except BagError as error:

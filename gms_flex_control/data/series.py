@@ -187,7 +187,7 @@ class Series:
                 messages.clear()
 
     def _make_tables(self):
-        """Return a table for each of the topics, none if the joints cannot be told."""
+        """Return a table for each of the topics, none if the joints are not known."""
         try:
             joints, _ = self.resolved()
         except BagError:  # raised again once the bag is known to be sound
@@ -319,9 +319,9 @@ def _one_voltage(_dims, count):
 
 def _reference_shape(dims, count, n):
     """
-    Return the shape (rows, n) of a reference, None if it asks for torques instead of angles.
+    Return the shape (rows, n) of a reference, None if it gives torques instead of angles.
 
-    Without ``dims`` (label, size, stride) ``count`` tells the rows. BagError, its sentence without
+    Without ``dims`` (label, size, stride) ``count`` gives the rows. BagError, its sentence without
     a subject, if the layout or the length does not fit.
     """
     shape = [(label, size) for label, size, _ in dims

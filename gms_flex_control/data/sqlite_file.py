@@ -75,7 +75,7 @@ class SqliteFile(StorageFile):
         yield self._named(batch, names)
 
     def _named(self, rows, names):
-        # a damaged page can yield rows of nonsense: without checksums this is all one can tell
+        # a damaged page can yield rows of nonsense: without checksums no more can be checked
         good = [(names[topic], time, time, data) for topic, time, data in rows
                 if topic in names and isinstance(data, bytes) and len(data) >= 4
                 and isinstance(time, int) and time >= 0]

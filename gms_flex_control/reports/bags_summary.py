@@ -69,7 +69,8 @@ def identification_text(found, rows) -> str:
     good = _good(found)
     parts = [f'{len(good)} of {len(found)} bags identified']
     if rows:
-        parts += [_parameters(rows, good), _untold(rows, good), _differing(rows), _outliers(rows)]
+        parts += [_parameters(rows, good), _not_estimated(rows, good), _differing(rows),
+                  _outliers(rows)]
     parts += [_errors(good, rows), _reasons(found, 'NOT IDENTIFIED')]
     return '\n\n'.join(filter(None, parts))
 
@@ -137,7 +138,7 @@ def _share(row):
     return number(100.0 * row.standard_deviation / abs(row.mean), 2) if row.mean else '-'
 
 
-def _untold(rows, good):
+def _not_estimated(rows, good):
     """Return which parameters no bag estimates, '' if there are none."""
     names = dict.fromkeys(one['name'] for values in good.values() for one in values['estimates'])
     left = [name.removeprefix('friction.') for name in names

@@ -1,7 +1,7 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""A bag as the page asks for it: a summary, frames to play, and what a chart can show."""
+"""A bag as the page requests it: a summary, frames to play, and what a chart can show."""
 
 from pathlib import Path
 import warnings

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 PER_JOINT = ('link', 'motor', 'reference', 'error', 'torsion', 'command', 'friction')
-_SHOWN = 2000      # samples whose poses tell how much room the arm needs
+_SHOWN = 2000      # samples whose poses show how much room the arm needs
 _LENGTH = 0.3      # of links of which nothing is known [m]
 _UNITS = ('rad', 'mrad', 'N m')
 
