@@ -9,9 +9,8 @@ import os
 from pathlib import Path
 import sys
 from textwrap import fill
-from typing import NamedTuple
 
-from gms_flex_control.batches.journal import content_of, digest_of, fingerprint
+from gms_flex_control.batches.journal import content_of
 from gms_flex_control.cli import each_bag
 from gms_flex_control.cli.identify_bags import read_experiment_of
 from gms_flex_control.cli.terminal import conclude, refuse_fitted, refuse_unwritable, say
@@ -41,7 +40,8 @@ def discrepancy_verb(args) -> int:
     refuse_fitted(args.bags, args.holdout)
     _options_of(args)
     if args.each:
-        return _run_each(args)
+        found = each_bag.run_each(args, ask_bag, *items_of(args), discrepancy_text)
+        return int(any(values.get('verdict') != COMPLETE for values in found.values()))
     if args.workers is not None or args.scheduler is not None:
         raise ConfigError(each_bag.ONLY_WITH_EACH)
     result, compared, holdout = _answered(args)
@@ -168,21 +168,6 @@ def _progress(args):
     return (lambda text: None) if args.json else lambda text: say(f'  {text} ...')
 
 
-class BagItem(NamedTuple):
-    """A bag to be asked, perhaps in another process."""
-
-    place: each_bag.Place
-    asked: dict  # options of the verb by name, files as absolute paths
-
-
-def _run_each(args):
-    """Ask each bag, write, print; return 1 if one finds something or is bad, else 0."""
-    items, asked = items_of(args)
-    found = each_bag.run_each(args, ask_bag, items, asked)
-    each_bag.write_summary(args, found, discrepancy_text)
-    return int(any(values.get('verdict') != COMPLETE for values in found.values()))
-
-
 def items_of(args) -> tuple[dict, str]:
     """Return the items of a batch by key, and what their results depend on beside the bag."""
     robot = load_robot(args.robot)  # says now what is wrong with it
@@ -192,24 +177,18 @@ def items_of(args) -> tuple[dict, str]:
     options = {name: getattr(args, name) for name in (*_FILES, *_OPTIONS)}
     for name in _FILES:
         options[name] = [os.path.abspath(path) for path in options[name]]
-    contents = [(path, content_of(path)) for name in _FILES for path in options[name]]
-    asked = f'{fingerprint()} {digest_of((sorted(options.items()), contents))}'
-    places = each_bag.places_of(args.bags, args.out, asked)
-    _refuse_own(places.values(), options)
-    return {key: BagItem(place, options) for key, place in places.items()}, asked
+    files_asked = [path for name in _FILES for path in options[name]]
+    items, asked = each_bag.items_of(args, options, (
+        sorted(options.items()), [(path, content_of(path)) for path in files_asked]))
+    folders = {item.place.folder.resolve() for item in items.values()}
+    for file in files_asked:
+        if folders & set(Path(file).resolve().parents):
+            raise ConfigError(f'{file} lies in the folder of results of a bag, which may '
+                              'replace it; copy it elsewhere, or name another folder as --out')
+    return items, asked
 
 
-def _refuse_own(places, options):
-    """Raise ConfigError if a file that is asked with is one that the results replace."""
-    folders = {place.folder.resolve() for place in places}
-    for name in _FILES:
-        for file in options[name]:
-            if folders & set(Path(file).resolve().parents):
-                raise ConfigError(f'{file} lies in the folder of results of a bag, which may '
-                                  'replace it; copy it elsewhere, or name another folder as --out')
-
-
-def ask_bag(item: BagItem) -> dict:
+def ask_bag(item: each_bag.BagItem) -> dict:
     """Ask the bag of a BagItem what the model lacks, write the results, return them (dict)."""
     args = Namespace(**item.asked, bags=[item.place.bag], json=True)
     result, compared, holdout = _answered(args)

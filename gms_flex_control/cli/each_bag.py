@@ -15,7 +15,7 @@ from typing import NamedTuple
 from uuid import uuid4
 
 from gms_flex_control.batches.batch import run_batch
-from gms_flex_control.batches.journal import content_of, digest_of, Journal
+from gms_flex_control.batches.journal import content_of, digest_of, fingerprint, Journal
 from gms_flex_control.batches.workers import open_executor
 from gms_flex_control.blas import alone_in_one_thread
 from gms_flex_control.cli.terminal import conclude
@@ -145,9 +145,29 @@ def _replace_files(made, place, files):
     _set_mark(place.folder, place.mark, files)
 
 
-def run_each(args, function, items: dict, asked: str) -> dict:
+class BagItem(NamedTuple):
+    """A bag to be asked, perhaps in another process."""
+
+    place: Place
+    asked: dict  # what the verb was asked for, by name
+
+
+def items_of(args, asked: dict, depends) -> tuple[dict, str]:
+    """
+    Return a BagItem for each bag by its key, and what results depend on beside the bag.
+
+    ``depends`` are plain values that change with whatever else results depend on.
+    """
+    sources = f'{fingerprint()} {digest_of(depends)}'
+    return {key: BagItem(place, asked) for key, place in
+            places_of(args.bags, args.out, sources).items()}, sources
+
+
+def run_each(args, function, items: dict, asked: str, text) -> dict:
     """
     Return what a function says of each bag, by name; a bag whose results are there is skipped.
+
+    All bags are then written side by side into --out, and ``text(found, rows)`` is printed.
 
     ``args`` of the verb has out, workers and scheduler. ``function`` of a module takes an item and
     returns a dict with the key 'reason', None where all went well; what it raises becomes the
@@ -169,7 +189,9 @@ def run_each(args, function, items: dict, asked: str) -> dict:
         finally:
             for part in Path(args.out).glob(f'.*.{"[0-9a-f]" * 32}.part'):  # of killed workers
                 shutil.rmtree(part, ignore_errors=True)
-    return {items[key].place.name: values for key, values in found.items()}
+    by_name = {items[key].place.name: values for key, values in found.items()}
+    _write_summary(args, by_name, text)
+    return by_name
 
 
 def reason_or(function, item) -> dict:
@@ -196,8 +218,8 @@ def reason_or(function, item) -> dict:
         return {'reason': f'an error of the program, please report it: {error!r}'}
 
 
-def write_summary(args, found: dict, text) -> None:
-    """Write all bags of `run_each` side by side into --out; print ``text(found, rows)``."""
+def _write_summary(args, found, text):
+    """Write all bags side by side into --out; print ``text(found, rows)``."""
     rows = over_bags({name: values for name, values in found.items()
                       if values['reason'] is None})
     values, out = summary(found, rows), Path(args.out)

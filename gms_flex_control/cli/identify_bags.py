@@ -8,9 +8,8 @@ from functools import partial
 import json
 import os
 from pathlib import Path
-from typing import NamedTuple
 
-from gms_flex_control.batches.journal import content_of, digest_of, fingerprint
+from gms_flex_control.batches.journal import content_of
 from gms_flex_control.cli import each_bag
 from gms_flex_control.cli.terminal import conclude, refuse_fitted, refuse_unwritable, say
 from gms_flex_control.data.reader import joint_names, read_experiment
@@ -38,7 +37,9 @@ def identify_verb(args) -> int:
     refuse_unwritable(args.out)
     refuse_fitted(args.bags, args.holdout)
     if args.each:
-        return _run_each(args)
+        found = each_bag.run_each(args, identify_bag, *items_of(args),
+                                  bags_summary.identification_text)
+        return int(any(values['reason'] is not None for values in found.values()))
     if args.workers is not None or args.scheduler is not None:
         raise ConfigError(each_bag.ONLY_WITH_EACH)
     robot, options, out = _robot_of(args), _options_of(args), Path(args.out)
@@ -113,42 +114,22 @@ def motors_in(path, robot) -> tuple[str, ...]:
     return tuple(motor if motor in names else '' for motor in wanted)
 
 
-class BagItem(NamedTuple):
-    """A bag to be identified, perhaps in another process."""
-
-    place: each_bag.Place
-    robot: object     # RobotParams; None: rigid axes named as in the bag
-    joints: tuple     # to take from the bag; empty: all
-    holdouts: tuple   # of str, absolute paths
-    options: object   # identification.identify.Options
-
-
-def _run_each(args):
-    """Identify each bag, write, print; return 1 if one could not be identified, else 0."""
-    items, asked = items_of(args)
-    found = each_bag.run_each(args, identify_bag, items, asked)
-    each_bag.write_summary(args, found, bags_summary.identification_text)
-    return int(any(values['reason'] is not None for values in found.values()))
-
-
 def items_of(args) -> tuple[dict, str]:
     """Return the items of a batch by key, and what their results depend on beside the bag."""
-    options = _options_of(args)
-    robot = None if args.robot is None else _robot_of(args)
+    robot, options = None if args.robot is None else _robot_of(args), _options_of(args)
     holdouts = tuple(os.path.abspath(path) for path in args.holdout)
-    joints = tuple(args.joints or ())
-    asked = f'{fingerprint()} ' + digest_of((
-        robot and robot_values(robot), joints, options,
+    asked = {'robot': robot, 'joints': tuple(args.joints or ()), 'holdouts': holdouts,
+             'options': options}
+    return each_bag.items_of(args, asked, (
+        robot and robot_values(robot), asked['joints'], options,
         [(path, content_of(path)) for path in holdouts]))
-    return {key: BagItem(place, robot, joints, holdouts, options)
-            for key, place in each_bag.places_of(args.bags, args.out, asked).items()}, asked
 
 
-def identify_bag(item: BagItem) -> dict:
+def identify_bag(item: each_bag.BagItem) -> dict:
     """Identify the bag of a BagItem and write its results; return `bag_values` (dict)."""
-    place, described = item.place, item.robot is not None
-    robot = item.robot if described else _robot_in(place.bag, item.joints)
-    found = _identified([place.bag], item.holdouts, robot, item.options, described)
-    with each_bag.whole(place) as folder:
+    bag, asked = item.place.bag, item.asked
+    found = _identified([bag], asked['holdouts'], asked['robot'] or _robot_in(
+        bag, asked['joints']), asked['options'], asked['robot'] is not None)
+    with each_bag.whole(item.place) as folder:
         _write_results(found, folder)
     return {'reason': None, **bag_values(found)}

@@ -157,9 +157,9 @@ class MapNode:
         """Return a string."""
         return str(self._typed(key, default, str, 'text in quotes'))
 
-    def flag(self, key) -> bool:
-        """Return a bool, False if it is not there."""
-        return self._typed(key, False, bool, 'true or false')
+    def flag(self, key, default=False) -> bool:
+        """Return a bool."""
+        return self._typed(key, default, bool, 'true or false')
 
     def whole(self, key, default) -> int:
         """Return an int that is not negative."""
@@ -168,18 +168,25 @@ class MapNode:
             raise self.wrong(f'must be a whole number from 0, got {value}', key)
         return int(value)
 
-    def number(self, key, default, positive=False) -> float | None:
+    def number(self, key, default) -> float | None:
         """Return a finite float, ``default`` if it is not there."""
         value = self._typed(key, default, (int, float), 'a number')
         if key not in self._data:
             return default
-        if not math.isfinite(value) or (positive and value <= 0):
-            raise self.wrong(f'must be {"positive" if positive else "finite"}, got {value}', key)
+        if not math.isfinite(value):
+            raise self.wrong(f'must be finite, got {value}', key)
         return float(value)
 
-    def column(self, key) -> str | int | float | None:
-        """Return a column name or number, None if it is not there."""
-        value = self._typed(key, None, (str, int, float), 'a column name or number')
+    def positive(self, key, default) -> float | None:
+        """Return a finite float above 0, ``default`` if it is not there."""
+        value = self._typed(key, default, (int, float), 'a number')
+        if key in self._data and not (math.isfinite(value) and value > 0):
+            raise self.wrong(f'must be positive, got {value}', key)
+        return value if value is None else float(value)
+
+    def column(self, key, default=None) -> str | int | float | None:
+        """Return a column name or number."""
+        value = self._typed(key, default, (str, int, float), 'a column name or number')
         return float(value) if isinstance(value, float) else value
 
     def unit(self, key, known, default=None) -> str:
@@ -205,6 +212,12 @@ ESTIMATE_WINDOW = 0.02  # of 'velocity: estimate' without a window [s]
 ENCODINGS = ('utf-8', 'utf-16', 'latin-1')
 DELIMITERS = {'tab': '\t', 'space': ' ', 'comma': ',', 'semicolon': ';'}
 
+# how each key of a channel is read
+_READ = {'column': 'column', 'sign': 'number', 'scale': 'number', 'offset': 'number',
+         'gear_ratio': 'positive', 'unwrap': 'flag', 'counts_per_rev': 'positive',
+         'estimate': 'positive', 'full_scale': 'positive', 'voltage': 'column',
+         'torque_per_volt': 'positive', 'back_emf': 'number', 'torque_constant': 'positive',
+         'enabled': 'column'}
 _COMMON = ('column', 'unit', 'sign', 'scale', 'offset', 'gear_ratio')
 _KEYS = {'position': (*_COMMON, 'unwrap', 'counts_per_rev'),
          'velocity': (*_COMMON, 'estimate', 'counts_per_rev'),
@@ -291,7 +304,7 @@ def load_map(path) -> ImportMap:
         path=str(path), source=top.text('source', ''), file=_file(top.section('file')),
         time=_time(top.section('time', required=True)),
         joints=tuple(_joint(joints.section(name), name) for name in joints.keys()),
-        resample=top.number('resample', None, positive=True))
+        resample=top.positive('resample', None))
     names = [name for joint in result.joints for name in (joint.name, joint.motor) if name]
     for name in names:
         if names.count(name) > 1:
@@ -322,7 +335,7 @@ def _file(node):
 
 def _time(node):
     node.only('column', 'unit', 'rate', 'not_increasing')
-    column, rate = node.column('column'), node.number('rate', None, positive=True)
+    column, rate = node.column('column'), node.positive('rate', None)
     if (column is None) == (rate is None):
         raise node.wrong('needs either a column or a fixed rate [Hz], not both')
     disorder = node.text('not_increasing', 'refuse')
@@ -359,26 +372,18 @@ def _channel(joint, key):
                        estimate=ESTIMATE_WINDOW)
     node = joint.section(key)
     node.only(*_KEYS[quantity])
-    numbers = {name: node.number(name, default) for name, default in
-               (('sign', 1.0), ('scale', 1.0), ('offset', 0.0))}
-    positive = {name: node.number(name, default, positive=True) for name, default in
-                (('gear_ratio', 1.0), ('counts_per_rev', None), ('full_scale', None),
-                 ('torque_per_volt', None), ('torque_constant', None), ('estimate', None))
-                if name in _KEYS[quantity]}
-    if abs(numbers['sign']) != 1:
-        raise node.wrong(f"must be 1 or -1, got {numbers['sign']:g}; use scale for a factor",
-                         'sign')
-    estimated = 'estimate' in node.keys() and 'unit' not in node.keys()
-    unit = '' if estimated else node.unit('unit', UNITS[quantity])
-    channel = Channel(name=key, quantity=quantity, line=joint.line(key),
-                      column=node.column('column'), unwrap=node.flag('unwrap'),
-                      back_emf=node.number('back_emf', 0.0), voltage=node.column('voltage'),
-                      enabled=node.column('enabled'), unit=unit, **numbers, **positive)
+    values = {name: getattr(node, _READ[name])(name, getattr(Channel, name))
+              for name in _KEYS[quantity] if name != 'unit'}
+    if 'unit' in node.keys() or 'estimate' not in node.keys():
+        values['unit'] = node.unit('unit', UNITS[quantity])
+    channel = Channel(name=key, quantity=quantity, line=joint.line(key), **values)
     _check(node, channel)
     return channel
 
 
 def _check(node, channel):
+    if abs(channel.sign) != 1:
+        raise node.wrong(f'must be 1 or -1, got {channel.sign:g}; use scale for a factor', 'sign')
     if (channel.column is None) == (channel.estimate is None):
         raise node.wrong('needs a column' + (
             ' or estimate: <window in s>, not both' if channel.quantity == 'velocity' else ''))

@@ -3,7 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """What is in a bag and whether its checksums hold; make a sound bag of a damaged one."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 from gms_flex_control.data.bag import Bag
@@ -43,10 +43,6 @@ class BagSummary:
     notes: tuple    # what else a reader should know (str)
     sound: bool     # no message is known or feared to be lost
     complete: bool  # the bag was closed properly and nothing failed
-
-    def as_dict(self) -> dict:
-        """Return plain dicts, lists and numbers for JSON."""
-        return asdict(self)
 
     def text(self) -> str:
         """Return a table for people."""
@@ -124,10 +120,6 @@ class Repair:
     counts: dict      # messages kept per topic
     damage: tuple     # what failed a check (str)
     notes: tuple      # what else was odd (str)
-
-    def as_dict(self) -> dict:
-        """Return plain dicts, lists and numbers for JSON."""
-        return asdict(self)
 
     def text(self) -> str:
         """Return the result for people."""
