@@ -9,7 +9,6 @@ import zlib
 
 from gms_flex_control.data import cdr
 from gms_flex_control.data.bag import Bag
-from gms_flex_control.data.cdr import pack_command
 from gms_flex_control.data.mcap_file import checksum, Window
 from gms_flex_control.data.tables import ArrayTable, JointTable
 from gms_flex_control.errors import BagError
@@ -19,8 +18,8 @@ from rosbags.typesys import get_typestore, Stores
 
 REAL = Path(__file__).parent / 'data' / 'ros2_bag_record'
 STORE = get_typestore(Stores.ROS2_JAZZY)
-ODD = (lambda k: pack_command([k, -k], 10**18 + k, 'x'), lambda k: pack_command([k, -k]),
-       lambda k: pack_command([k, -k], 9 * 10**18 + k, 'y'),
+ODD = (lambda k: cdr.pack_command([k, -k], 10**18 + k, 'x'), lambda k: cdr.pack_command([k, -k]),
+       lambda k: cdr.pack_command([k, -k], 9 * 10**18 + k, 'y'),
        lambda k: cdr.pack_multi_array([(f'stamp: {k}_0 ', 1, 1)], [7.0, k, -k], 1),
        lambda k: cdr.pack_multi_array([(f'n:{k:04d}', 2, 2), (f'stamp:-{k}', 1, 1)], [k, -k]))
 
@@ -50,7 +49,7 @@ def test_arrays_read_together_are_those_that_another_library_reads_alone(block):
 
 
 def test_the_first_message_that_cannot_be_read_is_named_across_blocks():
-    good, bad = pack_command([1.0, 2.0], 5), pack_command([1.0, 2.0, 3.0], 5)
+    good, bad = cdr.pack_command([1.0, 2.0], 5), cdr.pack_command([1.0, 2.0, 3.0], 5)
     table = ArrayTable((2,), two)
     for block in ([good] * 4, [good, good, bad, good[:-3], bad], [bad]):
         table.add([0] * len(block), block)

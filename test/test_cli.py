@@ -59,12 +59,16 @@ def sub_parser(verb):
     return tool_of(verb)[0].build_parser().verbs[verb]
 
 
+def environment_of(**further):
+    """Return the environment of a process that finds the package."""
+    path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get('PYTHONPATH')])])
+    return {**os.environ, 'PYTHONPATH': path, **further}
+
+
 def tool_in(environment=None, arguments=(), **options):
     """Run the tool as a process of its own."""
-    path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get('PYTHONPATH')])])
     return subprocess.run([sys.executable, '-m', 'gms_flex_control.cli.main', *arguments],
-                          env={**os.environ, 'PYTHONPATH': path, **(environment or {})},
-                          check=False, **options)
+                          env=environment_of(**(environment or {})), check=False, **options)
 
 
 @pytest.mark.parametrize('verb', (*VERBS, *OF_BENCH))
@@ -205,7 +209,7 @@ def test_help_and_bad_arguments_start_no_compiler(arguments, tmp_path):
         f'    main({arguments})\nexcept SystemExit:\n    pass\n'
         "sys.exit(str([one for one in ('numba', 'scipy', 'matplotlib') if one in sys.modules]))")
     ran = subprocess.run([sys.executable, str(script)], capture_output=True, text=True,
-                         check=False, env={**os.environ, 'PYTHONPATH': str(ROOT)})
+                         check=False, env=environment_of())
     assert ran.stderr.splitlines()[-1] == '[]', ran.stderr
 
 
@@ -285,12 +289,10 @@ def test_ctrl_c_is_one_line_and_130(words, sentence, monkeypatch, capsys):
 
 def test_ctrl_c_ends_workers_in_silence(tmp_path):
     """To the whole group of processes, as a terminal does."""
-    path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get('PYTHONPATH')])])
     process = subprocess.Popen(
         [sys.executable, '-m', 'bench', 'score', '--kind', 'single', '--seeds', '0:8',
          '--no-peers', '--out', str(tmp_path)], stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE, text=True, start_new_session=True,
-        env={**os.environ, 'PYTHONPATH': path})
+        stderr=subprocess.PIPE, text=True, start_new_session=True, env=environment_of())
     assert 'hidden robots' in process.stderr.readline()
     time.sleep(2.0)  # while they start, or work
     os.killpg(process.pid, signal.SIGINT)
@@ -360,12 +362,10 @@ def test_bash_completes_a_verb(tmp_path):
     script = tmp_path / 'gms_flex'
     script.write_text(f'#!/bin/sh\nexec {sys.executable} -m gms_flex_control.cli.main "$@"\n')
     script.chmod(0o755)
-    path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get('PYTHONPATH')])])
     done = subprocess.run(
         ['bash', '-c', 'eval "$(gms_flex completion bash)"; COMP_WORDS=(gms_flex ident); '
          'COMP_CWORD=1; COMP_LINE="gms_flex ident"; COMP_POINT=14; COMP_TYPE=9; '
          '_python_argcomplete gms_flex; echo "${COMPREPLY[@]}"'],
         capture_output=True, text=True, check=False,
-        env={**os.environ, 'PYTHONPATH': path,
-             'PATH': f'{tmp_path}{os.pathsep}{os.environ["PATH"]}'})
+        env=environment_of(PATH=f'{tmp_path}{os.pathsep}{os.environ["PATH"]}'))
     assert done.stdout.split() == ['identify'], done.stderr
