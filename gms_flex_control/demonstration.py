@@ -25,7 +25,6 @@ APPROACH, MOVE, HOLD = 0.5, 2.0, 0.25  # [s]
 _SIZES = (0.5, 1.5)                    # over the usual size of the effect, see Effect.typical
 _STEPS, _FARTHEST = (0.03, 1.2), 1.1   # of one move, and from zero [rad]
 _TRIES, _LARGEST_ERROR = 20, 0.2       # draws, and the tracking error of one refused [rad]
-_STREAM = 77                           # of random numbers, of no other draw
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -66,7 +65,7 @@ def hide_effect(robot, gains, seed, *, effect=None, duration=60.0) -> HiddenEffe
             f'effect {effect!r} is unknown{did_you_mean(effect, registry.names())}')
     if not SHORTEST <= duration <= LONGEST:
         raise ConfigError(f'--duration {duration:g}: give {SHORTEST:g} to {LONGEST:g} s')
-    rng = np.random.default_rng([_STREAM, seed])
+    rng = np.random.default_rng([77, seed])  # a stream of no other draw
     robot = replace(robot, encoder=replace(
         robot.encoder, counts=COUNTS, noise=NOISE * 2.0 * np.pi / COUNTS))
     believed = random_error(rng, robot)

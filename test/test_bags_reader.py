@@ -270,7 +270,7 @@ BAD = {
         "topic '/effort_controller/commands' message 0 has 3 torques for 2 joints (a, b)"),
     'bad label': (
         {'states': GOOD, 'commands': [(1, cdr.pack_multi_array([('stamp:soon', 1, 1)],
-                                                                    [1.0, 2.0]))]},
+                                                               [1.0, 2.0]))]},
         "message 0 has the label 'stamp:soon', expected stamp:<whole nanoseconds>"),
     'wrong reference length': (
         {'states': GOOD, 'references': [(1, cdr.pack_reference(np.zeros((5, 3)), 0))]},

@@ -11,7 +11,7 @@ from gms_flex_control.batches.journal import Journal
 from gms_flex_control.batches.workers import Executor, open_executor
 from gms_flex_control.errors import LostItemError
 
-_WIDTH, _LEAST_GAP = 30, 0.1  # characters; seconds between two drawings
+_WIDTH = 30  # characters
 
 
 def run_batch(function, items: dict, *, executor: Executor, journal: Journal | None = None,
@@ -92,7 +92,7 @@ class Progress:
     def step(self) -> None:
         """Count one more finished item."""
         self._done += 1
-        if self._done == self._total or monotonic() - self._last >= _LEAST_GAP:
+        if self._done == self._total or monotonic() - self._last >= 0.1:
             self._draw()
 
     def _draw(self):

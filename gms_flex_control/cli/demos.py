@@ -49,7 +49,7 @@ from gms_flex_control.simulation.stepped import SteppedPlant
 import numpy as np
 
 RATE = 500.0  # joint states per second [Hz]
-SINUSOID_DURATION = 20.0  # [s]
+
 _HEADING = (
     'Tracking error, rms, by what the controller believes of the friction: one run over DDS, and',
     'in brackets the median of 16 simulated robots whose presliding differs by 0.1 %. In one run',
@@ -83,8 +83,8 @@ def files_of(motion) -> tuple[Path, ...]:
 
 def plan_of(motion, mode, duration=None) -> Plan:
     """Return the in-process Plan of one motion and compensation."""
-    if duration is None and motion == 'sinusoid':
-        duration = SINUSOID_DURATION
+    if duration is None and motion == 'sinusoid':  # which has no end
+        duration = 20.0
     return read_plan(files_of(motion), duration=duration,
                      overrides={'compensation': mode, 'rate': RATE})
 

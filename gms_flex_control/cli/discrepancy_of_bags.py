@@ -29,9 +29,8 @@ from gms_flex_control.schema.files import load_controller, load_robot
 import numpy as np
 
 _WIDTH = 96
-_MADE = ('robot.yaml', 'gap.png', 'evidence_*.png', 'map_*.png', 'over_*.png')  # not by every run
+
 _FILES = ('robot', 'models', 'controller', 'holdout')  # options that name files
-_OPTIONS = ('max_effects', 'without', 'learn', 'doubt', 'force')
 
 
 def discrepancy_verb(args) -> int:
@@ -54,7 +53,7 @@ def _answered(args):
     options, robot = _options_of(args), load_robot(args.robot)
     others = _models_of(args, robot)
     recordings, holdout = ([read_experiment_of(path, robot)[0] for path in paths]
-                      for paths in (args.bags, args.holdout))
+                           for paths in (args.bags, args.holdout))
     result = _looped(args, robot, holdout or recordings,
                      lambda: _searched(recordings, robot, options, holdout, args))
     compared = ()
@@ -109,7 +108,8 @@ def _earlier(out):
         return []
     if not isinstance(earlier, dict) or 'verdict' not in earlier:  # of another verb
         return []
-    return [path for pattern in _MADE for path in out.glob(pattern)]
+    return [path for pattern in ('robot.yaml', 'gap.png', 'evidence_*.png', 'map_*.png',
+                                 'over_*.png') for path in out.glob(pattern)]
 
 
 def _printed(result, compared, values, args):
@@ -174,7 +174,8 @@ def items_of(args) -> tuple[dict, str]:
     _models_of(args, robot)
     if args.controller:
         load_controller(args.controller, robot)
-    options = {name: getattr(args, name) for name in (*_FILES, *_OPTIONS)}
+    options = {name: getattr(args, name) for name in (
+        *_FILES, 'max_effects', 'without', 'learn', 'doubt', 'force')}
     for name in _FILES:
         options[name] = [os.path.abspath(path) for path in options[name]]
     files_asked = [path for name in _FILES for path in options[name]]

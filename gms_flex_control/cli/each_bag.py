@@ -25,7 +25,7 @@ from gms_flex_control.identification.output import over_bags
 from gms_flex_control.reports.bags_summary import bags_csv, over_bags_answer, spread_csv, summary
 
 MARK = '.gms_flex_each'  # in a folder of results: what they are the results of
-_UNFINISHED = 'unfinished'
+
 ONLY_WITH_EACH = ('--workers and --scheduler divide many bags; add --each, or leave them out: '
                   'bags analysed together are one problem')
 
@@ -137,7 +137,7 @@ def whole(place) -> Generator[Path]:
 
 def _replace_files(made, place, files):
     old = {Path(name).name for name in _marked(place.folder)[1:]}  # nothing outside the folder
-    _set_mark(place.folder, _UNFINISHED, files | old)
+    _set_mark(place.folder, 'unfinished', files | old)
     for name in old - files:
         (place.folder / name).unlink(missing_ok=True)
     for name in files:

@@ -60,7 +60,7 @@ def identify_verb(args) -> int:
 def _identified(bags, holdouts, robot, options, described, **further):
     """Return the Identification of bags fitted together; ``further`` as that of `identify`."""
     recordings, apart = ([read_experiment_of(path, robot, not described) for path in paths]
-                    for paths in (bags, holdouts))
+                         for paths in (bags, holdouts))
     found = identify(recordings, robot, holdouts=apart, options=options, **further)
     return replace(found, described=described)
 

@@ -16,8 +16,6 @@ from gms_flex_control.schema.files import load_robot
 from gms_flex_control.view.recorded import open_bag
 from gms_flex_control.view.server import is_loopback, ViewServer
 
-_LOOK = 0.2  # at most between a signal and the end [s]
-
 
 def view(args) -> int:
     """Serve the page until Ctrl-C; return 0."""
@@ -43,7 +41,7 @@ def view(args) -> int:
             if args.open:
                 webbrowser.open(server.url)
             while True:  # whichever thread a signal wakes, this one then raises
-                time.sleep(_LOOK)
+                time.sleep(0.2)
     except KeyboardInterrupt:
         return 0  # the way to end it
     except BaseException:

@@ -35,7 +35,7 @@ from scipy.optimize import least_squares
 # whether parameters are fitted, beginning at the friction of the robot's file
 _FITTED = {'none': False, 'stribeck': True, 'lugre': True, 'gms_paper': True, 'gms': True,
            'gms_desired': True, 'disturbance_observer': False, 'gms_adaptive': True}
-_NEEDS_REFERENCE = ('gms', 'gms_desired')
+
 _REMARKS = {'disturbance_observer': 'sees the torque that it predicts, late',
             'gms_adaptive': 'goes on adapting to the torque error while it is judged'}
 _MOST_FIT = 40_000   # samples of a fit
@@ -205,7 +205,8 @@ def modes_to_fit(has_reference) -> list:
 
 
 def _lacks(mode):
-    return mode in _NEEDS_REFERENCE
+    """Return whether a mode lacks what it needs where there is no reference."""
+    return mode in ('gms', 'gms_desired')
 
 
 def compare_along(found, gains, share, fits) -> list:

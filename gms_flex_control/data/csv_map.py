@@ -44,7 +44,6 @@ _ALIASES = {
     'newton': 'N', 'n': 'N', 'kn': 'kN', 'meter': 'm', 'metre': 'm', 'millimeter': 'mm',
     'millimetre': 'mm', 'µm': 'um', 'micron': 'um', 'm_s': 'm/s', 'mm_s': 'mm/s',
     'nmm': 'mN m', 'n mm': 'mN m'}
-_AMBIGUOUS = ('m', 'n', 'a', 'ma')  # q_m is rather the motor's angle than metres
 
 
 def canonical(unit) -> str:
@@ -65,8 +64,8 @@ def unit_in_name(column, quantity) -> str | None:
     candidates = [bracket.group(1)] if bracket else [
         '_'.join(parts[-count:]) for count in (3, 2, 1) if len(parts) > count]
     for candidate in candidates:
-        if candidate in _AMBIGUOUS and not bracket:
-            continue
+        if candidate in ('m', 'n', 'a', 'ma') and not bracket:
+            continue  # q_m is rather the motor's angle than metres
         for known in UNITS[quantity]:
             if canonical(candidate).lower() == known.lower():
                 return known

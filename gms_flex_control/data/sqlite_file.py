@@ -14,7 +14,6 @@ from gms_flex_control.data.mcap_file import StorageFile, Topic
 from gms_flex_control.data.metadata import Definition
 from gms_flex_control.errors import BagError
 
-_BATCH = 2000
 _HEADER = b'SQLite format 3\0'
 
 
@@ -65,7 +64,7 @@ class SqliteFile(StorageFile):
             for row in rows:
                 last = row[0]
                 batch.append(row[1:])
-                if len(batch) == _BATCH:
+                if len(batch) == 2000:
                     yield self._named(batch, names)
                     batch = []
         except sqlite3.Error as error:

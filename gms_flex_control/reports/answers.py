@@ -33,7 +33,7 @@ _KNOWN = ('well known', 'roughly known')
 _WIDTH = 98           # of text
 _LONGEST_NAME = 22    # of a joint in text
 _AT_FLOOR = 1.3       # error over floor that counts as the floor itself
-_SCALES = {'rad': angle_scale, 'N m': torque_scale}
+
 _CHANGED = 0.02       # share of an error that is worth a word
 
 
@@ -193,7 +193,8 @@ def _values(result):
         return []
     first, numbers = result.named[0], []
     for value in first.values:
-        scale = _SCALES.get(value.unit, lambda _, unit=value.unit: Scale(unit, 1.0))(value.value)
+        scale = (angle_scale(value.value) if value.unit == 'rad' else torque_scale(value.value)
+                 if value.unit == 'N m' else Scale(value.unit, 1.0))
         numbers.append(Number(
             f'{value.name} of {first.effect}' + ('' if scale.unit == '1' else f' [{scale.unit}]'),
             '-', *map(scale.text, (value.value, 0.5 * (value.high - value.low)))))

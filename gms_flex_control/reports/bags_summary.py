@@ -16,7 +16,6 @@ from gms_flex_control.answer import Answer, command, measured
 from gms_flex_control.identification.output import is_told
 from gms_flex_control.identification.result import number, percent
 
-FORMAT = 1
 _WIDTH = 96
 _COLUMNS = 4  # bags beside each other in text, at most
 _CLEAR = 2.0  # times the scatter that intervals predict: they differ from bag to bag
@@ -30,7 +29,7 @@ def summary(found, rows) -> dict:
     ``found`` holds `identification.output.bag_values` and ``reason`` (None, or all there is) by
     the name of the bag, ``rows`` the OverBags of those without a reason.
     """
-    return {'format': FORMAT, 'version': __version__,
+    return {'format': 1, 'version': __version__,
             'bags': [{'bag': name, **values} for name, values in found.items()],
             'parameters': [{name: None if value != value else value
                             for name, value in row._asdict().items()} for row in rows]}

@@ -29,7 +29,6 @@ _IN_PAGE = (('<metadata>.*?</metadata>|<defs><style.*?</defs>', ''),
             (r'<g id="[\w.]+?_\d+">', '<g>'), (' xmlns(:xlink)?="[^"]*"', ''),
             ('xlink:href', 'href'), (r'>\s+<', '><'), (r'\s+', ' '))
 WIDTH = 7.0  # inch
-MAX_SAMPLES = 20_000
 
 
 def panels_of(rows, columns, size, layout='constrained', **options) -> tuple:
@@ -80,7 +79,7 @@ def labelled(figure, panels, labels, title) -> Figure:
     return figure
 
 
-def thinned(length, most=MAX_SAMPLES) -> slice:
+def thinned(length, most=20_000) -> slice:
     """Return which of so many samples are drawn: a picture shows no more."""
     return slice(None, None, max(1, int(np.ceil(length / most))))
 

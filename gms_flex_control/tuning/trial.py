@@ -28,7 +28,7 @@ MOTIONS = ('sinusoid', 'polynomial')
 PERIOD, MOVE, HOLD = 6.0, 5.0, 5.0  # of the paper's motions as assumed in config/ [s]
 DURATION = {'sinusoid': 20.0, 'polynomial': 3 * HOLD + 2 * MOVE}  # [s]
 _SETTLING = 1.0         # of a hold, before its rest is judged [s]
-_SUBSTEP = 1e-4         # [s]
+
 _LOST = 10.0            # an error beyond this is no tracking any more [rad]
 # what is scaled by one factor per joint, and by how much at most
 SPREADS = {'friction level': 0.3, 'viscous friction': 0.3, 'presliding stiffness': 0.3,
@@ -72,7 +72,7 @@ def try_gains(robot, model, gains, timing, motion, amplitude, seed=0) -> tuple:
     run = closed_loop.run(
         with_delay(robot, timing.delay), model, gains, course,
         duration=DURATION[motion], period_ns=round(1e9 * timing.period), seed=seed,
-        substeps=max(5, math.ceil(timing.period / _SUBSTEP - 1e-9)))
+        substeps=max(5, math.ceil(timing.period / 1e-4 - 1e-9)))
     return _figures_of(run, motion), run
 
 

@@ -13,10 +13,9 @@ import numpy as np
 WAIT = 0.08          # a row waits so long for what belongs to it [s]
 KEPT = 15_000        # rows that a page which opens late still gets
 SPACING = 4_000_000  # of rows: what lies between is left out, nobody would see it [ns]
-_MOST_WAITING = 2000
-_MOST_AT_ONCE = 4000  # rows of one event
+
 _REACH = 20_000_000   # a reference further away is not used [ns]
-_DERIVATIVES = 4       # of a reference, the angle among them
+
 _JUMP = 1_000_000_000  # stamps that go back or ahead by more are another run [ns]
 WINDOW = 3.0    # of counting late samples [s]
 SILENCE = 3.5   # of the reports, upon which the state is not known [s]
@@ -58,7 +57,7 @@ class Rows:
         row[0] = (stamp - self._origin) * 1e-9
         self._write(row, 'link', link)
         self._write(row, 'motor', motor)
-        if len(self._waiting) < _MOST_WAITING:
+        if len(self._waiting) < 2000:
             self._waiting[stamp] = now, row
 
     def wants(self, stamp) -> bool:
@@ -122,7 +121,7 @@ class Rows:
         if label is None or abs(label - stamp) > _REACH or not values:
             return
         shift, angles = (stamp - label) * 1e-9, np.zeros(self._n)
-        for power in range(min(len(values) // self._n, _DERIVATIVES)):
+        for power in range(min(len(values) // self._n, 4)):
             angles += shift ** power / factorial(power) * np.array(
                 values[power * self._n:(power + 1) * self._n])
         self._write(row, 'reference', angles)
@@ -166,7 +165,7 @@ class Feed:
                                      or self._state != state, wait)
             fresh = min(self._count - number, len(self._rows))
             skipped = len(self._rows) - fresh
-            taken = min(fresh, _MOST_AT_ONCE)
+            taken = min(fresh, 4000)  # in one event
             rows = [self._rows[k] for k in range(skipped, skipped + taken)]
             number = self._count - fresh + taken
             return number, self.version, self._state, np.array(rows)
