@@ -130,7 +130,6 @@ def draw_points(rng, count) -> np.ndarray:
 
 
 def _driven(robot, believed, gains, motion):
-    """Return the Recording of a robot that a controller drives along a motion."""
     return simulate(Plan(
         robot=robot, model=believed, gains=gains, trajectory=motion, motion='via_points',
         duration=motion.end, period_ns=round(1e9 * PERIOD), substeps=20, seed=0,

@@ -117,7 +117,6 @@ def _compile_loops(plan):
 
 
 def _step_loops(robot, model, gains, trajectory):
-    """Compile what the nodes step."""
     plant = SteppedPlant(robot, period=1e-3, substeps=1)
     plant.advance(np.zeros(robot.n_joints))
     SteppedController(gains, model).tick(trajectory.sample(0.0), 0.0)
@@ -255,7 +254,6 @@ def read_experiment(plan_file=None) -> Experiment:
 
 
 def _drive_experiment(out, experiment):
-    """Run the experiment over DDS; return its bag (Path)."""
     plan, model, bag = experiment.plan, out / 'believed_robot.yaml', out / 'bag'
     save_robot(experiment.believed, model, comment='The robot as it is believed to be before '
                f'identification: friction x {BELIEVED_FRICTION:g}.')
@@ -292,7 +290,6 @@ def demo_discrepancy(args) -> int:
 
 
 def _draw(args):
-    """Return the HiddenEffect that the arguments ask for, and the gains."""
     say('drawing what is hidden')
     robot = load_robot(robot_file())
     gains = load_controller(controller_file(), robot)

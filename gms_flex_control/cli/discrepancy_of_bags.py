@@ -86,7 +86,6 @@ def _looped(args, robot, recordings, search):
 
 
 def _write_files(result, compared, holdout, args):
-    """Write all files into --out; return the values of report.json."""
     out = Path(args.out)
     values = files.report_values(result, holdout=args.holdout, models=compared)
     earlier = _earlier(out)
@@ -113,7 +112,6 @@ def _earlier(out):
 
 
 def _printed(result, compared, values, args):
-    """Print the words or the report; return the exit code."""
     out, bad, words = Path(args.out), result.verdict == BAD_DATA, units_of(result)
     if args.json:
         print(files.as_json(values))
@@ -132,7 +130,6 @@ def _printed(result, compared, values, args):
 
 
 def _options_of(args):
-    """Return the Options that the arguments ask for."""
     chosen = {'force': args.force, 'doubt': args.doubt, 'without': tuple(args.without)}
     for name in args.without:
         registry.find(name)
@@ -142,7 +139,6 @@ def _options_of(args):
 
 
 def _refuse_out(out, args):
-    """Raise ConfigError if the results cannot go to ``out``."""
     refuse_unwritable(out)
     target = (out / 'robot.yaml').resolve()
     for file in (*args.robot, *args.models):
@@ -152,7 +148,6 @@ def _refuse_out(out, args):
 
 
 def _models_of(args, robot):
-    """Return name and model of each file of --models."""
     models = []
     for file in args.models:
         model = load_robot(file)

@@ -66,14 +66,12 @@ def _identified(bags, holdouts, robot, options, described, **further):
 
 
 def _write_results(found, out, robot=()):
-    """Write all files of an Identification of a robot file into the folder ``out``."""
     write_friction(found, out / 'friction.yaml')
     write_report_json(found, out / 'report.json')
     write_identification_report(found, out, robot=robot)
 
 
 def _options_of(args):
-    """Return the Options that the arguments ask for."""
     chosen = {'method': args.method, 'force': args.force,
               'estimate': 'all' if args.robot is None else args.estimate}
     if args.blocks:

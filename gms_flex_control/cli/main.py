@@ -74,7 +74,6 @@ def parser_of(prog: str, description: str, groups: dict,
 
 
 def _listing(prog, groups, helps):
-    """Return the verbs by group with their help, and the exit codes."""
     width = max(map(len, helps)) + 2
     lines = []
     for title, verbs in groups.items():

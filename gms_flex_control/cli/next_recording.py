@@ -60,7 +60,6 @@ def next_recording(args) -> int:
 
 
 def _report(folder):
-    """Return the report.json of a result."""
     path = Path(folder) / 'report.json'
     try:
         report = json.loads(path.read_text(encoding='utf-8'))
@@ -91,7 +90,6 @@ def _sets(texts, robot):
 
 
 def _as_dict(plan):
-    """Return a plan as plain values."""
     def of(one):
         return {'motion': one.candidate.name, 'duration': one.duration,
                 'nats': one.nats.round(3).tolist()}

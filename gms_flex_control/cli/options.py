@@ -117,7 +117,6 @@ def add_verb(verb: Verb, subparsers) -> None:
 
 
 def _run(place, args):
-    """Run a verb with its arguments; return the exit code."""
     module, _, function = place.partition('.')
     for action, one in getattr(args, 'ranges', ()):
         _require_range(action.option_strings[0], getattr(args, action.dest), one.least, one.most)

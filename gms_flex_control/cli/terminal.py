@@ -94,7 +94,6 @@ def _folder_of(bag):
 
 
 def _recorded(bag):
-    """Return the files of a bag that hold its messages."""
     path = _folder_of(bag)
     return [path] if path.is_file() else sorted(
         one for one in path.glob('*') if one.is_file() and one.suffix in ('.mcap', '.db3'))

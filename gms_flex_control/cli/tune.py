@@ -125,7 +125,6 @@ def _verified(robot, gains, demands, intervals, args):
 
 
 def _write(args, robot, proposal, demands):
-    """Write controller.yaml and tuning.png."""
     out = Path(args.out)
     comment = '\n'.join([
         f'Gains proposed by gms_flex tune {__version__} for {args.rate:g} Hz and '

@@ -205,7 +205,6 @@ def modes_to_fit(has_reference) -> list:
 
 
 def _lacks(mode):
-    """Return whether a mode lacks what it needs where there is no reference."""
     return mode in ('gms', 'gms_desired')
 
 

@@ -166,7 +166,6 @@ def _derivative(what, place, time, position, velocity):
 
 
 def _sides(joint, values):
-    """Compare the way of the motor with that of the link."""
     link, motor = values.get('link_position'), values.get('motor_position')
     if motor is None:
         return

@@ -125,7 +125,6 @@ def read_experiment(path, joints=None, motors=None) -> tuple:
 
 
 def _phases(path, aside, begin):
-    """Return the Phases of messages, time since ``begin`` [ns]."""
     topic, type_name, messages = aside
     if messages and type_name != MULTI_ARRAY:
         raise BagError(f'{path}: topic {topic!r} is a {type_name}, expected {MULTI_ARRAY}')

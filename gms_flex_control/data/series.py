@@ -278,7 +278,6 @@ class Series:
         return tuple(sides)
 
     def _there(self):
-        """Return the joints and motors that the states have."""
         (joints, motors), names = self.resolved(), self.require_names()
         return [name for name in (*joints, *motors) if name and name in names]
 

@@ -102,7 +102,6 @@ class Table:
             self._read(block, known, k, messages[k])
 
     def _empty(self, count):
-        """Return columns for ``count`` messages."""
         raise NotImplementedError
 
     def _read(self, block, known, k, data):

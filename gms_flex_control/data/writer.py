@@ -285,7 +285,6 @@ def write_recording(path, recording: Recording, motors: Sequence[str] | None = N
 
 
 def _series(recording, motors, stamps, topics, source):
-    """Yield topic, type and one message (or None) per sample."""
     sides = [k for k, name in enumerate(motors) if name]
     rigid = [k for k, name in enumerate(motors) if not name]
     link_effort = np.full(recording.q_link.shape, np.nan)

@@ -71,7 +71,6 @@ class DemoOutcome(NamedTuple):
 
 
 def _outcome_values(outcome):
-    """Return a DemoOutcome as plain data, SI units."""
     joints, effect = outcome.hidden.robot.joints, outcome.hidden.effect
     return plain({
         'version': __version__, 'seed': outcome.seed, 'name_right': outcome.named,
@@ -172,7 +171,6 @@ def write_demo_report(outcome, folder) -> None:
 
 
 def _tracking_figure(outcome):
-    """Return the tracking errors over time of the three beliefs, a panel per joint."""
     joints = outcome.hidden.robot.joints
     figure, panels = stacked_panels(len(joints))
     rms = outcome.tracking

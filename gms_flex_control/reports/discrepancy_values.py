@@ -60,7 +60,6 @@ def report_values(result, *, holdout=(), models=()) -> dict:
 
 
 def _finding_values(finding, joints):
-    """Return a Finding as a dict, residuals by the names of ``joints``."""
     return {
         'effect': finding.effect, 'joint': finding.joint,
         'parameters': {value.name: {'value': value.value, 'unit': value.unit, 'low': value.low,
@@ -91,7 +90,6 @@ def over_values(one) -> dict:
 
 
 def _gap_values(gap):
-    """Return a Gap as a dict, each figure by joint."""
     again = gap.closed_loop
     return {name: _by_joint(gap.joints, getattr(gap, name)) for name in _OF_GAP} | {
         'energy_ratio': gap.energy_ratio,
@@ -117,7 +115,6 @@ def over_bags_values(result) -> dict:
 
 
 def _by_joint(joints, values):
-    """Return values (n,) by the names of joints."""
     return {joint: float(value) for joint, value in zip(joints, values, strict=True)}
 
 

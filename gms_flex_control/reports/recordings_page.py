@@ -99,7 +99,6 @@ def _joint_charts(recording, i, friction_true):
 
 
 def _by_trajectory(runs):
-    """Yield each trajectory and its runs that have an error."""
     drawn = [run for run in runs if np.isfinite(link_error(run.recording)).any()]
     for trajectory in dict.fromkeys(run.trajectory for run in drawn):
         yield trajectory, [run for run in drawn if run.trajectory == trajectory]
@@ -175,12 +174,10 @@ def _capital(trajectory):
 
 
 def _title(run):
-    """Return the title of a run, for instance 'Sinusoid: without compensation'."""
     return f'{_capital(run.trajectory)}: {_name(run)}'
 
 
 def _save_pictures(runs, folder):
-    """Write the pictures for print."""
     used = set()
     for trajectory, drawn in _by_trajectory(runs):
         for run in drawn:

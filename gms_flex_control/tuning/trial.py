@@ -77,7 +77,6 @@ def try_gains(robot, model, gains, timing, motion, amplitude, seed=0) -> tuple:
 
 
 def _figures_of(run, motion) -> Trial:
-    """Return the Trial of a Run of a motion."""
     error = run.true[:, 0] - run.reference[:, 0]
     if not (np.isfinite(error).all() and np.abs(error).max() < _LOST):
         return Trial(lost=True)

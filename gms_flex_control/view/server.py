@@ -307,7 +307,6 @@ def _size(text):
 
 
 def _fields(body, what, *names):
-    """Return fields of a JSON object."""
     try:
         given = json.loads(body)
         return [given[name] for name in names]
@@ -316,7 +315,6 @@ def _fields(body, what, *names):
 
 
 def _request(body):
-    """Return the name of what is asked for."""
     name, = _fields(body, 'a request', 'name')
     if not isinstance(name, str):
         raise _BadRequest('a request has a text for its name')
@@ -324,7 +322,6 @@ def _request(body):
 
 
 def _change(body):
-    """Return name and value of a parameter to be set."""
     name, value = _fields(body, 'a change', 'name', 'value')
     if not isinstance(name, str) or isinstance(value, bool) or not isinstance(
             value, (int, float, str)):
