@@ -21,14 +21,14 @@ from gms_flex_control.analysis.table4 import align
 from gms_flex_control.batches.batch import run_batch
 from gms_flex_control.batches.journal import fingerprint, Journal
 from gms_flex_control.batches.workers import open_executor
-from gms_flex_control.cli.identify_bags import read_take
+from gms_flex_control.cli.identify_bags import read_experiment_of
 from gms_flex_control.cli.options import add_batch_options
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.errors import GmsFlexError
 from gms_flex_control.experiment.believed import scaled_friction
 from gms_flex_control.experiment.identification_plan import plan_identification
 from gms_flex_control.experiment.identification_simulated import simulate_identification
-from gms_flex_control.files import write_text
+from gms_flex_control.file_io import write_text
 from gms_flex_control.identification.identify import identify, Options
 from gms_flex_control.identification.result import known_presliding, known_values
 from gms_flex_control.params.arm import ArmParams
@@ -201,7 +201,7 @@ def example():
         play = Path(folder) / 'play.yaml'
         save_values({'effects.joint2.backlash.half_gap': 0.012}, play)
         robot = load_robot([HERE.parent / 'config' / 'robot.yaml', play])
-    return robot, read_take(str(HERE.parent / 'examples' / 'arm_with_play'), robot)
+    return robot, read_experiment_of(str(HERE.parent / 'examples' / 'arm_with_play'), robot)
 
 
 def rows_of(result, robot, found):

@@ -29,7 +29,7 @@ from gms_flex_control.discrepancy.result import Signature
 from gms_flex_control.discrepancy.thresholds import PLAUSIBLE
 from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
 from gms_flex_control.errors import ConfigError
-from gms_flex_control.files import write_text
+from gms_flex_control.file_io import write_text
 from gms_flex_control.simulation import plant
 import numpy as np
 

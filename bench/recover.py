@@ -19,7 +19,7 @@ from gms_flex_control.errors import ConfigError
 from gms_flex_control.experiment.believed import scaled_friction
 from gms_flex_control.experiment.identification_plan import read_identification_plan
 from gms_flex_control.experiment.identification_simulated import simulate_identification
-from gms_flex_control.files import write_text
+from gms_flex_control.file_io import write_text
 from gms_flex_control.identification.identify import identify
 from gms_flex_control.identification.result import (
     Estimate,

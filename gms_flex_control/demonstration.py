@@ -25,32 +25,17 @@ APPROACH, MOVE, HOLD = 0.5, 2.0, 0.25  # [s]
 _SIZES = (0.5, 1.5)                    # over the usual size of the effect, see Effect.typical
 _STEPS, _FARTHEST = (0.03, 1.2), 1.1   # of one move, and from zero [rad]
 _TRIES, _LARGEST_ERROR = 20, 0.2       # draws, and the tracking error of one refused [rad]
-_STREAM = 77                           # of random numbers, of no other draw
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class HiddenEffect:
-    """
-    What the demonstration hides.
+    """What the demonstration hides."""
 
-    Parameters
-    ----------
-    effect : EffectSpec
-        In the robot.
-    robot, believed : RobotParams
-        As it is; without the effect and with every parameter 1 to 3 % off.
-    points : ndarray, shape (m, 2)
-        Angles the motion rests at [rad].
-    duration : float
-        Of the motion with the way to its beginning [s].
-
-    """
-
-    effect: EffectSpec
-    robot: RobotParams
-    believed: RobotParams
-    points: np.ndarray
-    duration: float
+    effect: EffectSpec     # in the robot
+    robot: RobotParams     # as it is
+    believed: RobotParams  # without the effect, every parameter 1 to 3 % off
+    points: np.ndarray     # (m, 2), angles the motion rests at [rad]
+    duration: float        # of the motion with the way to its beginning [s]
 
     def trajectory_values(self) -> dict:
         """Return the motion as parameters of the trajectory node."""
@@ -68,39 +53,19 @@ def drawable() -> tuple[str, ...]:
 
 def hide_effect(robot, gains, seed, *, effect=None, duration=60.0) -> HiddenEffect:
     """
-    Draw an effect, its joint and size, what is believed, and a motion.
+    Draw an effect, its joint and size, what is believed of a robot, and a motion.
 
-    Parameters
-    ----------
-    robot : RobotParams
-        Two joints in a plane, without effects.
-    gains : ControllerParams
-        It will be driven with.
-    seed : int
-        Every number comes from it.
-    effect : str, optional
-        This one instead of one of `drawable`.
-    duration : float
-        Of the motion, about [s].
-
-    Returns
-    -------
-    HiddenEffect
-
-    Raises
-    ------
-    ConfigError
-        If the effect is unknown or cannot act on this robot, or the motion would be too short.
-    SimulationError
-        If no draw gave a robot that can be driven.
-
+    ``robot`` has two joints in a plane and no effects, ``gains`` will drive it; every number comes
+    from ``seed``. ``effect`` names one instead of one of `drawable`; the motion lasts about
+    ``duration`` [s]. ConfigError if the effect is unknown or cannot act on this robot, or the
+    motion would be too short; SimulationError if no draw gave a robot that can be driven.
     """
     if effect is not None and effect not in registry.names():
         raise ConfigError(
             f'effect {effect!r} is unknown{did_you_mean(effect, registry.names())}')
     if not SHORTEST <= duration <= LONGEST:
         raise ConfigError(f'--duration {duration:g}: give {SHORTEST:g} to {LONGEST:g} s')
-    rng = np.random.default_rng([_STREAM, seed])
+    rng = np.random.default_rng([77, seed])  # a stream of no other draw
     robot = replace(robot, encoder=replace(
         robot.encoder, counts=COUNTS, noise=NOISE * 2.0 * np.pi / COUNTS))
     believed = random_error(rng, robot)
@@ -126,26 +91,8 @@ def draw_effect(rng, name, robot, scales) -> EffectSpec:
     """
     Draw joint and values of an effect, about as large as it usually is.
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Where every number comes from.
-    name : str
-        Of the catalogue.
-    robot : RobotParams
-        Without it.
-    scales : list of Scales
-        Of each joint.
-
-    Returns
-    -------
-    EffectSpec
-
-    Raises
-    ------
-    ConfigError
-        If the effect cannot act on this robot.
-
+    ``name`` is one of the catalogue, ``robot`` does not have it, ``scales`` are the Scales of its
+    joints. ConfigError if the effect cannot act on this robot.
     """
     kind = registry.find(name)
     guesses = [kind.guesses(one) for one in (scales[:1] if kind.whole_arm else scales)]
@@ -183,7 +130,6 @@ def draw_points(rng, count) -> np.ndarray:
 
 
 def _driven(robot, believed, gains, motion):
-    """Return the Recording of a robot that a controller drives along a motion."""
     return simulate(Plan(
         robot=robot, model=believed, gains=gains, trajectory=motion, motion='via_points',
         duration=motion.end, period_ns=round(1e9 * PERIOD), substeps=20, seed=0,

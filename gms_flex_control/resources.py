@@ -12,22 +12,13 @@ from gms_flex_control.errors import ConfigError
 PACKAGE = 'gms_flex_control'
 
 
-def share_path():
+def share_path() -> Path:
     """
     Return the folder that holds ``package.xml``, ``config/`` and ``launch/``.
 
-    Returns
-    -------
-    Path
-        The source tree where the package runs from one (pip's editable installation and
-        ``colcon build --symlink-install`` do), or ``share/gms_flex_control`` of the prefix
-        it was installed to.
-
-    Raises
-    ------
-    ConfigError
-        If the package was copied without its files.
-
+    The source tree where the package runs from one (pip's editable installation and ``colcon build
+    --symlink-install`` do), else ``share/gms_flex_control`` of the prefix it was installed to.
+    ConfigError if the package was copied without its files.
     """
     candidates = list(_candidates())
     for path in candidates:
@@ -38,13 +29,13 @@ def share_path():
                       'install the package with pip or colcon, or name the file to read')
 
 
-def robot_file():
-    """Return the default robot file, ``config/robot.yaml`` of the package (Path)."""
+def robot_file() -> Path:
+    """Return the default robot file, ``config/robot.yaml`` of the package."""
     return share_path() / 'config' / 'robot.yaml'
 
 
-def controller_file():
-    """Return the default controller file, ``config/controller.yaml`` of the package (Path)."""
+def controller_file() -> Path:
+    """Return the default controller file, ``config/controller.yaml`` of the package."""
     return share_path() / 'config' / 'controller.yaml'
 
 

@@ -341,5 +341,4 @@ def prediction_values(predictions: Sequence[prediction.Prediction]) -> list[dict
 
 
 def _fields(found: Any) -> dict[str, Any]:
-    """Return the fields of a dataclass by name."""
     return {one.name: getattr(found, one.name) for one in fields(found)}

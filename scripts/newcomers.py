@@ -17,7 +17,7 @@ import sys
 import tempfile
 import time
 
-from gms_flex_control.files import write_text
+from gms_flex_control.file_io import write_text
 from node_harness import DISCOVERY, take_domain
 from tutorial import JUDGED, OWN, parts_of, ROOT, Terminals, TUTORIALS, write_tool
 

@@ -17,7 +17,7 @@ from devtools import Browser, chromium
 from gms_flex_control.cli.main import main as gms_flex
 from gms_flex_control.resources import robot_file
 from gms_flex_control.schema.files import load_robot
-from gms_flex_control.view.bag import open_bag
+from gms_flex_control.view.recorded import open_bag
 from gms_flex_control.view.server import ViewServer
 from node_harness import CONFIG, FILES, Lab
 

@@ -54,13 +54,9 @@ def log(tmp_path):
 
 def bag(path, amplitude, **options):
     """Write a bag whose error is a constant ``amplitude`` [rad]."""
-    nan = np.full((400, 2), np.nan)
-    reference = np.zeros((400, 5, 2))
     write_recording(path, Recording(
-        joints=('joint1', 'joint2'), time=np.arange(400) * 1e-3,
-        q_link=np.full((400, 2), amplitude), dq_link=nan, q_motor=nan, dq_motor=nan,
-        tau_motor=nan, command=np.ones((400, 2)), reference=reference, friction_hat=nan,
-        source='test'), **options)
+        joints=('joint1', 'joint2'), time=np.arange(400) * 1e-3, q_link=amplitude, command=1.0,
+        reference=0.0, source='test'), **options)
     return path
 
 
@@ -132,10 +128,4 @@ def test_every_mode_of_the_controller_makes_a_label(mode):
 def test_a_label_without_a_known_compensation_is_refused(tmp_path, label):
     with pytest.raises(BagError, match=f'--label {label}: must end .* gms_paper'):
         call('analyse', bag(tmp_path / 'x', 0.1), '--label', label, '--out', tmp_path / 'out')
-    assert not (tmp_path / 'out').exists()
-
-
-def test_an_unreadable_bag_is_refused_before_anything_is_written(tmp_path):
-    with pytest.raises(BagError, match='nothing'):
-        call('analyse', tmp_path / 'nothing', '--out', tmp_path / 'out')
     assert not (tmp_path / 'out').exists()

@@ -14,19 +14,13 @@ import pytest
 pytestmark = pytest.mark.fast
 
 
-def recording(error, reference=None, joints=('joint1', 'joint2'), **changes):
+def recording(error, reference=0.0, joints=('joint1', 'joint2'), **changes):
     """Return a recording at 1 kHz whose link angle is reference + error, shapes (T, n)."""
     error = np.asarray(error, dtype=float)
-    shape = error.shape
-    reference = np.zeros(shape) if reference is None else np.asarray(reference, dtype=float)
-    nan = np.full(shape, np.nan)
-    derivatives = np.full((shape[0], 5, shape[1]), np.nan)
-    derivatives[:, 0] = reference
-    values = {'joints': joints, 'time': np.arange(shape[0]) * 1e-3,
-              'q_link': reference + error, 'dq_link': nan, 'q_motor': nan, 'dq_motor': nan,
-              'tau_motor': nan, 'command': nan, 'reference': derivatives,
-              'friction_hat': nan, 'source': 'synthetic'}
-    return Recording(**(values | changes))
+    reference = np.broadcast_to(reference, error.shape)
+    return Recording(joints=joints, time=np.arange(len(error)) * 1e-3, source='synthetic',
+                     q_link=reference + error, reference=np.stack(5 * [reference], axis=1),
+                     **changes)
 
 
 def sinusoid_run(trajectory, compensation, amplitudes):

@@ -3,7 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Waves over an angle, found by how they were made."""
 
-from gms_flex_control.data.signals import standing_out
+from gms_flex_control.data.signal_analysis import standing_out
 import numpy as np
 import pytest
 

@@ -3,10 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """The phases of an experiment, read from its bag."""
 
-from dataclasses import fields
-
-from gms_flex_control.data.further_topics import read_experiment
-from gms_flex_control.data.messages import (
+from gms_flex_control.data.cdr import (
     JOINT_STATE,
     MULTI_ARRAY,
     pack_joint_state,
@@ -14,7 +11,7 @@ from gms_flex_control.data.messages import (
     pack_phase,
     PHASE_TOPIC,
 )
-from gms_flex_control.data.reader import read_recording
+from gms_flex_control.data.reader import read_experiment, read_recording
 from gms_flex_control.data.recording import Phase, Recording
 from gms_flex_control.data.writer import BagWriter, write_recording
 from gms_flex_control.errors import BagError
@@ -51,10 +48,8 @@ def test_phases_count_from_the_first_sample_in_the_order_of_time(tmp_path):
 
 
 def test_phases_are_read_as_they_were_written_beside_a_recording(tmp_path):
-    shape = {'time': (6,), 'supply': (6,), 'reference': (6, 5, 1)}
-    values = {field.name: np.zeros(shape.get(field.name, (6, 1))) for field in fields(Recording)
-              if field.name not in ('joints', 'source')}
-    recording = Recording(**values | {'time': 2e-3 * np.arange(6)}, joints=('a',), source='x')
+    recording = Recording(time=2e-3 * np.arange(6), joints=('a',), source='x', q_link=0.0,
+                          q_motor=0.0, tau_motor=0.0, command=0.0, reference=0.0)
     phases = (Phase(0, 'approach', 'a', 's/approach', 0.0), Phase(3_000_000, 'sliding', 'a', 's',
                                                                   0.1),
               Phase(12_000_000, 'idle', '', '', 0.0))

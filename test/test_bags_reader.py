@@ -9,7 +9,7 @@ import re
 import shutil
 import warnings
 
-from gms_flex_control.data import messages
+from gms_flex_control.data import cdr
 from gms_flex_control.data.bag import BagWarning
 from gms_flex_control.data.inspection import summarise
 from gms_flex_control.data.reader import read_recording
@@ -25,9 +25,9 @@ pytestmark = pytest.mark.fast
 
 REAL = Path(__file__).parent / 'data' / 'ros2_bag_record'
 STORE = get_typestore(Stores.ROS2_JAZZY)
-TYPES = {'/joint_states': messages.JOINT_STATE,
-         '/effort_controller/commands': messages.MULTI_ARRAY,
-         '/reference': messages.MULTI_ARRAY}
+TYPES = {'/joint_states': cdr.JOINT_STATE,
+         '/effort_controller/commands': cdr.MULTI_ARRAY,
+         '/reference': cdr.MULTI_ARRAY}
 PERIOD = 2_000_000
 
 
@@ -44,7 +44,7 @@ def state(k, names=('a', 'b', 'b_motor'), stamp=None):
     """Return state ``k``: position tells name and sample."""
     stamp = k * PERIOD if stamp is None else stamp
     values = [100 * ord(name[0]) + (50 if name.endswith('motor') else 0) + k for name in names]
-    return stamp, messages.pack_joint_state(names, stamp, values, None, [-v for v in values])
+    return stamp, cdr.pack_joint_state(names, stamp, values, None, [-v for v in values])
 
 
 def make_recording(samples=40):
@@ -83,7 +83,7 @@ def test_the_summary_of_the_real_bags_equals_their_metadata(storage):
     assert round(summary.duration * 1e9) == pytest.approx(
         int(re.search(r'nanoseconds: (\d+)', text)[1]), abs=1000)
     assert {topic.name: topic.type_name for topic in summary.topics} == {
-        '/effort_cmd': messages.MULTI_ARRAY, '/joint_states': messages.JOINT_STATE}
+        '/effort_cmd': cdr.MULTI_ARRAY, '/joint_states': cdr.JOINT_STATE}
     assert summary.complete and summary.sound and summary.checksums == 'none in the bag'
     assert 'joints: motor, load' in summary.text()
 
@@ -109,7 +109,7 @@ def test_the_voltage_of_the_supply_may_come_now_and_then(tmp_path):
     seen = read_recording(tmp_path / 'bag').supply
     np.testing.assert_allclose(seen[:31], 24.0 - 0.01 * np.arange(31), atol=1e-9)
     np.testing.assert_allclose(seen[31:], 23.7)
-    write_recording(tmp_path / 'without', replace(recording, supply=None))
+    write_recording(tmp_path / 'without', replace(recording, supply=np.nan))
     assert np.isnan(read_recording(tmp_path / 'without').supply).all()
     with pytest.raises(BagError, match="topic '/reference' message 0 has 10 numbers, expected "
                                        'the voltage of the supply alone'):
@@ -177,7 +177,7 @@ def test_one_joint_of_a_bag_has_its_own_columns_of_commands_and_references(tmp_p
 
 def test_states_of_other_machines_on_the_same_topic_are_passed_over(tmp_path):
     states = [state(k) for k in range(20)]
-    other = [(k * PERIOD + 5, messages.pack_joint_state(['gripper'], k * PERIOD + 5, [1.0]))
+    other = [(k * PERIOD + 5, cdr.pack_joint_state(['gripper'], k * PERIOD + 5, [1.0]))
              for k in range(20)]
     mixed = [row for pair in zip(states, other, strict=True) for row in pair]
     recording = read_recording(write_bag(tmp_path / 'bag', mixed))
@@ -186,10 +186,10 @@ def test_states_of_other_machines_on_the_same_topic_are_passed_over(tmp_path):
 
 def test_a_command_belongs_to_the_state_whose_stamp_it_carries(tmp_path):
     # each answer arrives three periods late and out of order
-    commands = [((k + 3) * PERIOD + 10, messages.pack_command([k, 0.5], k * PERIOD, 'x'))
+    commands = [((k + 3) * PERIOD + 10, cdr.pack_command([k, 0.5], k * PERIOD, 'x'))
                 for k in (3, 1, 2, 7)]
-    commands.append((9 * PERIOD, messages.pack_command([99.0, 99.0], 3 * PERIOD)))
-    commands.append((9 * PERIOD, messages.pack_command([99.0, 99.0], 12345)))
+    commands.append((9 * PERIOD, cdr.pack_command([99.0, 99.0], 3 * PERIOD)))
+    commands.append((9 * PERIOD, cdr.pack_command([99.0, 99.0], 12345)))
     recording = read_recording(write_bag(tmp_path / 'bag', [state(k) for k in range(10)],
                                          commands))
     expected = np.full(10, np.nan)
@@ -198,8 +198,8 @@ def test_a_command_belongs_to_the_state_whose_stamp_it_carries(tmp_path):
 
 
 def test_a_plain_command_belongs_to_the_last_state_before_it(tmp_path):
-    commands = [(k * PERIOD + 400_000, messages.pack_command([k, 0.0])) for k in (0, 1, 2, 5)]
-    commands.append((11 * PERIOD, messages.pack_command([77.0, 0.0])))
+    commands = [(k * PERIOD + 400_000, cdr.pack_command([k, 0.0])) for k in (0, 1, 2, 5)]
+    commands.append((11 * PERIOD, cdr.pack_command([77.0, 0.0])))
     recording = read_recording(write_bag(tmp_path / 'bag', [state(k) for k in range(8)],
                                          commands))
     np.testing.assert_array_equal(
@@ -212,7 +212,7 @@ def test_a_reference_between_two_states_is_carried_on_by_its_derivatives(tmp_pat
                          [-np.cos(t), 6.0], [np.sin(t), 0.0]])
 
     times = [k * PERIOD + 700_000 for k in range(50) if k not in (20, 21, 22, 23, 24)]
-    references = [(t, messages.pack_reference(values(t * 1e-9), t)) for t in times]
+    references = [(t, cdr.pack_reference(values(t * 1e-9), t)) for t in times]
     recording = read_recording(write_bag(
         tmp_path / 'bag', [state(k) for k in range(50)], (), references))
     expected = np.array([values(t) for t in recording.time])
@@ -222,7 +222,7 @@ def test_a_reference_between_two_states_is_carried_on_by_its_derivatives(tmp_pat
 
 
 def test_a_torque_reference_is_no_angle(tmp_path):
-    references = [(k * PERIOD, messages.pack_reference([[1.0, 2.0]], k * PERIOD, 'effort'))
+    references = [(k * PERIOD, cdr.pack_reference([[1.0, 2.0]], k * PERIOD, 'effort'))
                   for k in range(5)]
     recording = read_recording(write_bag(
         tmp_path / 'bag', [state(k) for k in range(5)], (), references))
@@ -268,18 +268,18 @@ BAD = {
         {'states': [*GOOD, state(5, ('a', 'b'))]},
         "topic '/joint_states' message 5 lacks joint 'b_motor' (has a, b)"),
     'wrong command length': (
-        {'states': GOOD, 'commands': [(1, messages.pack_command([1.0, 2.0, 3.0], 0))]},
+        {'states': GOOD, 'commands': [(1, cdr.pack_command([1.0, 2.0, 3.0], 0))]},
         "topic '/effort_controller/commands' message 0 has 3 torques for 2 joints (a, b)"),
     'bad label': (
-        {'states': GOOD, 'commands': [(1, messages.pack_multi_array([('stamp:soon', 1, 1)],
-                                                                    [1.0, 2.0]))]},
+        {'states': GOOD, 'commands': [(1, cdr.pack_multi_array([('stamp:soon', 1, 1)],
+                                                               [1.0, 2.0]))]},
         "message 0 has the label 'stamp:soon', expected stamp:<whole nanoseconds>"),
     'wrong reference length': (
-        {'states': GOOD, 'references': [(1, messages.pack_reference(np.zeros((5, 3)), 0))]},
+        {'states': GOOD, 'references': [(1, cdr.pack_reference(np.zeros((5, 3)), 0))]},
         "topic '/reference' message 0 has 15 numbers (derivative 5 x joint 3), expected "
         'derivative 5 x joint 2'),
     'too many derivatives': (
-        {'states': GOOD, 'references': [(1, messages.pack_reference(np.zeros((6, 2)), 0))]},
+        {'states': GOOD, 'references': [(1, cdr.pack_reference(np.zeros((6, 2)), 0))]},
         'has 12 numbers (derivative 6 x joint 2), expected derivative 5 x joint 2'),
     'cut message': (
         {'states': [*GOOD, (5 * PERIOD, GOOD[0][1][:60])]},
@@ -309,10 +309,10 @@ def test_what_is_no_recording_is_refused_with_a_sentence(tmp_path, name):
 
 
 def test_positions_that_do_not_fit_the_names_are_refused(tmp_path):
-    bad = STORE.deserialize_cdr(GOOD[0][1], messages.JOINT_STATE)
+    bad = STORE.deserialize_cdr(GOOD[0][1], cdr.JOINT_STATE)
     bad.position = bad.position[:2]
     path = write_bag(tmp_path / 'bag', [*GOOD, (9, bytes(STORE.serialize_cdr(
-        bad, messages.JOINT_STATE)))])
+        bad, cdr.JOINT_STATE)))])
     with pytest.raises(BagError, match='message 5 has 2 position values for 3 names'):
         read_recording(path)
 

@@ -13,7 +13,7 @@ import sys
 import threading
 import time
 
-from gms_flex_control.data import messages
+from gms_flex_control.data import cdr
 from gms_flex_control.data.bag import Bag
 from gms_flex_control.data.inspection import repair_bag, summarise
 import pytest
@@ -124,7 +124,7 @@ def start(environment, tmp_path):
 
 
 def states_in(path):
-    return [messages.unpack_joint_state(data) for batch in Bag(path).batches()
+    return [cdr.unpack_joint_state(data) for batch in Bag(path).batches()
             for _, _, _, data in batch]
 
 

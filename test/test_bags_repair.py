@@ -11,7 +11,7 @@ import sqlite3
 import struct
 
 from gms_flex_control.cli.main import main
-from gms_flex_control.data import messages
+from gms_flex_control.data import cdr
 from gms_flex_control.data.bag import Bag, BagWarning
 from gms_flex_control.data.inspection import repair_bag, summarise
 from gms_flex_control.data.reader import read_recording
@@ -27,13 +27,13 @@ COUNT = 300
 
 
 def write_bag(path, chunk_size=4000):
-    types = {'/joint_states': messages.JOINT_STATE, '/clock': 'rosgraph_msgs/msg/Clock'}
+    types = {'/joint_states': cdr.JOINT_STATE, '/clock': 'rosgraph_msgs/msg/Clock'}
     with BagWriter(path, types,
                    chunk_size=chunk_size, flush_period=10.0) as writer:
         for k in range(COUNT):
-            writer.write('/joint_states', k, messages.pack_joint_state(['a'], k * 10**6, [k]))
+            writer.write('/joint_states', k, cdr.pack_joint_state(['a'], k * 10**6, [k]))
             if k % 3 == 0:
-                writer.write('/clock', k, struct.pack('<4siI', messages.LITTLE_ENDIAN, k, 0))
+                writer.write('/clock', k, struct.pack('<4siI', cdr.LITTLE_ENDIAN, k, 0))
     return path / f'{path.name}_0.mcap'
 
 

@@ -7,10 +7,9 @@ import mmap
 from pathlib import Path
 import zlib
 
-from gms_flex_control.data import messages
+from gms_flex_control.data import cdr
 from gms_flex_control.data.bag import Bag
 from gms_flex_control.data.mcap_file import checksum, Window
-from gms_flex_control.data.messages import pack_command
 from gms_flex_control.data.tables import ArrayTable, JointTable
 from gms_flex_control.errors import BagError
 import numpy as np
@@ -21,10 +20,10 @@ pytestmark = pytest.mark.fast
 
 REAL = Path(__file__).parent / 'data' / 'ros2_bag_record'
 STORE = get_typestore(Stores.ROS2_JAZZY)
-ODD = (lambda k: pack_command([k, -k], 10**18 + k, 'x'), lambda k: pack_command([k, -k]),
-       lambda k: pack_command([k, -k], 9 * 10**18 + k, 'y'),
-       lambda k: messages.pack_multi_array([(f'stamp: {k}_0 ', 1, 1)], [7.0, k, -k], 1),
-       lambda k: messages.pack_multi_array([(f'n:{k:04d}', 2, 2), (f'stamp:-{k}', 1, 1)], [k, -k]))
+ODD = (lambda k: cdr.pack_command([k, -k], 10**18 + k, 'x'), lambda k: cdr.pack_command([k, -k]),
+       lambda k: cdr.pack_command([k, -k], 9 * 10**18 + k, 'y'),
+       lambda k: cdr.pack_multi_array([(f'stamp: {k}_0 ', 1, 1)], [7.0, k, -k], 1),
+       lambda k: cdr.pack_multi_array([(f'n:{k:04d}', 2, 2), (f'stamp:-{k}', 1, 1)], [k, -k]))
 
 
 def two(_dims, count):
@@ -52,7 +51,7 @@ def test_arrays_read_together_are_those_that_another_library_reads_alone(block):
 
 
 def test_the_first_message_that_cannot_be_read_is_named_across_blocks():
-    good, bad = pack_command([1.0, 2.0], 5), pack_command([1.0, 2.0, 3.0], 5)
+    good, bad = cdr.pack_command([1.0, 2.0], 5), cdr.pack_command([1.0, 2.0, 3.0], 5)
     table = ArrayTable((2,), two)
     for block in ([good] * 4, [good, good, bad, good[:-3], bad], [bad]):
         table.add([0] * len(block), block)
@@ -64,7 +63,7 @@ def test_rows_tell_the_message_where_others_are_left_out():
     table = JointTable(('a',), ('effort',))
     for k in range(0, 40, 4):
         names = [('a', 'b') if j % 3 else ('c',) for j in range(k, k + 4)]
-        table.add(range(k, k + 4), [messages.pack_joint_state(
+        table.add(range(k, k + 4), [cdr.pack_joint_state(
             name, j, [j] * len(name), None, [2 * j] * len(name))
             for j, name in enumerate(names, k)])
     rows = [j for j in range(40) if j % 3]

@@ -21,7 +21,7 @@ from gms_flex_control.params.robot import EncoderParams
 from gms_flex_control.reports import comparison_page
 from gms_flex_control.resources import controller_file, robot_file, share_path
 from gms_flex_control.schema.build import robot_values
-from gms_flex_control.schema.files import load_controller, load_robot, save_values
+from gms_flex_control.schema.files import save_values
 from gms_flex_control.simulation import closed_loop
 from gms_flex_control.trajectory import builders
 import numpy as np
@@ -29,9 +29,8 @@ import pytest
 
 
 @pytest.fixture(scope='module')
-def arm():
-    robot = load_robot(robot_file())
-    return robot, load_controller(controller_file(), robot)
+def arm(robot, gains):
+    return robot, gains
 
 
 @pytest.fixture

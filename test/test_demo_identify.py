@@ -12,7 +12,7 @@ import sys
 
 from gms_flex_control.cli import demos
 from gms_flex_control.cli.main import main
-from gms_flex_control.data import further_topics, reader
+from gms_flex_control.data import reader
 from gms_flex_control.errors import IdentificationError
 import numpy as np
 import pytest
@@ -71,7 +71,7 @@ def test_progress_is_shown_step_by_step_up_to_the_end_on_a_terminal(outcome):
 
 
 def test_the_bag_holds_the_motion_and_its_phases(outcome):
-    recording, found = further_topics.read_experiment(outcome[0] / 'bag')
+    recording, found = reader.read_experiment(outcome[0] / 'bag')
     assert {phase.phase for phase in found} == {'break_away', 'sliding', 'approach', 'idle'}
     assert np.isfinite(recording.tau_motor).all()
     assert np.ptp(recording.q_link[:, 1]) > 0.2
@@ -89,8 +89,7 @@ def test_the_fit_gets_recording_and_phases_of_a_bag_read_once(outcome, monkeypat
         fitted.extend(takes)
         raise IdentificationError('enough')
 
-    for module in (reader, further_topics):
-        monkeypatch.setattr(module, 'Bag', Counted)
+    monkeypatch.setattr(reader, 'Bag', Counted)
     monkeypatch.setattr('gms_flex_control.cli.demos.identify', stop)
     bag = outcome[0] / 'bag'
     with pytest.raises(IdentificationError, match='enough'):

@@ -4,7 +4,6 @@
 """Files somebody else wrote: too large, folded up, pointing elsewhere, with markup for names."""
 
 from contextlib import suppress
-from html.parser import HTMLParser
 from pathlib import Path
 import re
 import shutil
@@ -16,6 +15,7 @@ from gms_flex_control.data.inspection import repair_bag
 from gms_flex_control.data.metadata import load
 from gms_flex_control.errors import BagError, ConfigError, ImportDataError
 from gms_flex_control.schema.files import load_robot
+from html_page import Page
 import pytest
 
 REAL = Path(__file__).parent / 'data' / 'ros2_bag_record' / 'rosbag2_mcap'
@@ -67,26 +67,6 @@ def test_paths_in_metadata_never_lead_out_of_the_bag(name, tmp_path):
     assert outside.read_bytes() == (REAL / inside.name).read_bytes()
 
 
-class _Tags(HTMLParser):
-    def __init__(self, html):
-        super().__init__()
-        self.scripts, self.handlers = [], []
-        self._inside = None
-        self.feed(html)
-
-    def handle_starttag(self, tag, attributes):
-        self._inside = [] if tag == 'script' else None
-        self.handlers += [name for name, _ in attributes if name.startswith('on')]
-
-    def handle_data(self, data):
-        if self._inside is not None:
-            self._inside.append(data)
-
-    def handle_endtag(self, tag):
-        if tag == 'script':
-            self.scripts.append(''.join(self._inside))
-
-
 def test_names_from_a_bag_are_only_text_in_the_report(tmp_path, capsys):
     """Joint names and the folder's name hold markup; analysed as a user does it."""
     files = []
@@ -101,6 +81,6 @@ def test_names_from_a_bag_are_only_text_in_the_report(tmp_path, capsys):
                      '--duration', '2']) == 0, capsys.readouterr()
     assert main(['analyse', *map(str, bags), '--out', str(tmp_path / 'out')]) in (0, 1)
     html = (tmp_path / 'out' / 'report.html').read_text()
-    tags = _Tags(html)
-    assert len(tags.scripts) == 3 and not tags.handlers  # data, uPlot, report.js
+    page = Page(html)
+    assert page.tags.count('script') == 3 and not page.handlers  # data, uPlot, report.js
     assert EVIL not in html and 'alert(1)' in html

@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 from gms_flex_control import nodes
 from gms_flex_control.data.reader import read_recording
 from gms_flex_control.experiment.driven import private_environment
-from gms_flex_control.files import read_yaml
+from gms_flex_control.file_io import read_yaml
 from gms_flex_control.params.gains import COMPENSATIONS
 from gms_flex_control.schema.keys import known_keys
 import launch_stand_in

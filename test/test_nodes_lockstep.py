@@ -7,7 +7,7 @@ from dataclasses import fields
 from pathlib import Path
 
 from gms_flex_control.data.bag import Bag
-from gms_flex_control.data.messages import unpack_joint_state
+from gms_flex_control.data.cdr import unpack_joint_state
 from gms_flex_control.data.reader import read_recording
 from gms_flex_control.experiment.driven import drive, DrivenPlan
 from gms_flex_control.experiment.plan import read_plan

@@ -3,7 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Page, pictures and terminal table of an identification."""
 
-import base64
+
 from dataclasses import replace
 import json
 import re
@@ -17,6 +17,7 @@ from gms_flex_control.reports.page import Curve, Report, Series
 from gms_flex_control.reports.pictures import loops_figure, map_figure
 from gms_flex_control.resources import robot_file
 from gms_flex_control.schema.files import load_robot
+from html_page import Page
 from identified import ERRORS, identification
 import numpy as np
 import pytest
@@ -30,14 +31,6 @@ def _no_warnings():
     with warnings.catch_warnings():
         warnings.simplefilter('error')
         yield
-
-
-def payload(path):
-    """Return charts and arrays of a page."""
-    data = re.search(r'id="report-data">(.*?)</script>', path.read_text('utf-8')).group(1)
-    told = json.loads(data)
-    return told['charts'], [np.frombuffer(base64.b64decode(text), dtype='<' + kind)
-                            for kind, text in told['arrays']]
 
 
 def written(made, folder, **options):
@@ -65,7 +58,8 @@ def test_the_charts_carry_the_data_of_the_identification(tmp_path):
     made = identification(1)
     truth = load_robot(robot_file())
     names, _ = written(made, tmp_path, beside=truth)
-    charts, arrays = payload(tmp_path / names[0])
+    page = Page((tmp_path / names[0]).read_text('utf-8'))
+    charts, arrays = json.loads(page.data)['charts'], page.arrays()
     result = made.joints[0]
     lines = {line['label']: (chart, line) for chart in charts for line in chart['series']}
     chart, line = lines['0.8 F_s, measured']

@@ -3,17 +3,17 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """The HTML report: self-contained, escaped, its data equal to what was put in."""
 
-import base64
+
 from fnmatch import fnmatch
-from html.parser import HTMLParser
 import json
 from pathlib import Path
 import re
 
 from gms_flex_control.answer import Answer, command, measured
-from gms_flex_control.cli.output import answer_text
+from gms_flex_control.cli.terminal import answer_text
 from gms_flex_control.reports.figures import COLOURS, finished, stacked_panels
 from gms_flex_control.reports.page import decimate, merge_grids, Report, Series
+from html_page import Page
 import numpy as np
 import pytest
 
@@ -21,35 +21,6 @@ pytestmark = pytest.mark.fast
 
 EVIL = '</script><script>alert(1)</script> & "joint"'
 ROOT = Path(__file__).resolve().parents[1]
-
-
-class Page(HTMLParser):
-    """Collect tags, links and the embedded data of a report."""
-
-    def __init__(self, html):
-        super().__init__()
-        self.tags, self.urls, self.data, self.words, self._inside = [], [], '', [], None
-        self.feed(html)
-
-    def handle_starttag(self, tag, attrs):
-        attrs = dict(attrs)
-        self.tags.append(tag)
-        self.urls += [attrs[key] for key in ('src', 'href') if key in attrs]
-        self._inside = attrs.get('id') if tag == 'script' else tag
-
-    def handle_data(self, data):
-        if self._inside == 'report-data':
-            self.data += data
-        elif self._inside in ('h1', 'h2', 'h3', 'td', 'p'):
-            self.words.append(data)
-
-    def handle_endtag(self, tag):
-        self._inside = None
-
-    def arrays(self):
-        """Return the embedded arrays."""
-        return [np.frombuffer(base64.b64decode(text), dtype='<' + dtype)
-                for dtype, text in json.loads(self.data)['arrays']]
 
 
 def answer(**changed):

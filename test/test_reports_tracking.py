@@ -19,15 +19,9 @@ import pytest
 
 def run(trajectory, compensation, error=0.01, reference=0.0, samples=2000, stamp=1e-3):
     """Return a run of two joints with a constant error [rad]."""
-    nan = np.full((samples, 2), np.nan)
-    derivatives = np.full((samples, 5, 2), np.nan)
-    derivatives[:, 0] = reference
-    recording = Recording(
-        joints=('joint1', '<b>$_'), time=np.arange(samples) * stamp,
-        q_link=np.full((samples, 2), error),
-        dq_link=nan, q_motor=nan, dq_motor=nan, tau_motor=np.ones((samples, 2)), command=nan,
-        reference=derivatives, friction_hat=nan, source=f'bags/{trajectory}_{compensation}')
-    return Run(trajectory, compensation, recording)
+    return Run(trajectory, compensation, Recording(
+        joints=('joint1', '<b>$_'), time=np.arange(samples) * stamp, q_link=error, tau_motor=1.0,
+        reference=reference, source=f'bags/{trajectory}_{compensation}'))
 
 
 def test_table_page_and_pictures_are_written(tmp_path):

@@ -12,7 +12,7 @@ from gms_flex_control.data.reader import read_recording
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.resources import share_path
 from gms_flex_control.schema.files import load_robot
-from gms_flex_control.view.bag import BagView, open_bag
+from gms_flex_control.view.recorded import BagView, open_bag
 from gms_flex_control.view.scene import places, scene_of
 from gms_flex_control.view.server import ViewServer
 import numpy as np
@@ -181,11 +181,10 @@ def test_an_arm_in_space_is_a_figure_that_turns_with_mouse_and_keys(browser):
     robot = load_robot(share_path() / 'examples' / 'industrial_arm' / 'robot.yaml')
     time = np.arange(200) * PERIOD
     angles = 0.5 * np.sin(time[:, None] * np.arange(1, 7) + 0.3)
-    reference = np.repeat(angles[:, None], 5, axis=1)
     recording = Recording(
-        joints=tuple(robot.joints), time=time, reference=reference, source='made up',
-        q_motor=angles + 1e-3, **dict.fromkeys(('q_link', 'dq_link', 'dq_motor', 'tau_motor',
-                                                'command', 'friction_hat'), angles))
+        joints=tuple(robot.joints), time=time, source='made up', q_motor=angles + 1e-3,
+        reference=np.repeat(angles[:, None], 5, axis=1),
+        **dict.fromkeys(('q_link', 'command', 'friction_hat'), angles))
     with ViewServer(BagView(recording, scene_of(robot))) as server:
         browser.errors.clear()
         browser.screen(1280, 860)

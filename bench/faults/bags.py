@@ -13,8 +13,8 @@ from bench.faults.node_bench import STATES
 from bench.faults.rigs import PERIOD, RATE
 from bench.faults.wire import stamp_of
 from gms_flex_control.data.bag import Bag
+from gms_flex_control.data.cdr import unpack_joint_state
 from gms_flex_control.data.inspection import repair_bag
-from gms_flex_control.data.messages import unpack_joint_state
 from gms_flex_control.errors import BagError
 from gms_flex_control.experiment.driven import executable
 from sensor_msgs.msg import JointState

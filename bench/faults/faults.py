@@ -9,7 +9,7 @@ from pathlib import Path
 import sys
 from tempfile import TemporaryDirectory
 
-from gms_flex_control.cli.output import import_ros
+from gms_flex_control.cli.terminal import import_ros
 from gms_flex_control.errors import ConfigError, did_you_mean
 
 _LONGEST_SOAK = 10_000.0  # [min]

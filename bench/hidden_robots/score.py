@@ -21,7 +21,7 @@ from gms_flex_control.batches.workers import open_executor
 from gms_flex_control.cli.options import add_batch_options
 from gms_flex_control.discrepancy.thresholds import EVIDENCE
 from gms_flex_control.errors import ConfigError, SimulationError
-from gms_flex_control.files import write_text
+from gms_flex_control.file_io import write_text
 
 NUMBERS = ('cases', 'free run', 'energy', 'time [s]')  # figures of a population, else shares
 

@@ -18,7 +18,7 @@ NOTE = ('The paper prints neither M, J, K nor its trajectories, so absolute erro
         'comparable with it; the ratio without / with compensation is.')
 
 
-MOST_UNANSWERED = 0.1  # share of samples without a command in a run that tells of its gains
+MOST_UNANSWERED = 0.1  # share of samples without a command, above which gains are not judged
 
 
 @dataclass(frozen=True, eq=False)

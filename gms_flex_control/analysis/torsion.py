@@ -6,8 +6,8 @@ A first model of one recorded axis: decoupled flexible joint, Coulomb and viscou
 
 Eq. (1) of one decoupled axis, ``M ddq + F + K (q1 - q2) = 0`` and ``J ddq2 = tau + K (q1 - q2)``,
 with ``F = sgn(dq) Fc + sigma dq``. Inertia and friction come from the torque by least squares,
-the stiffness is given; how well the twist of the spring then explains the measured torsion, and
-how well a mere delay between the two encoders does, is what this analysis tells.
+the stiffness is given; how well the deflection of the spring then explains the measured torsion,
+and how well a mere delay between the two encoders does, is the outcome.
 """
 
 from dataclasses import dataclass, replace
@@ -26,7 +26,7 @@ WINDOW = 0.084       # of the derivatives [s]
 MOVING = 0.01        # below this part of the top speed the direction of friction is not known
 _POLYNOMIAL = 3
 _FEWEST = 50         # moving samples
-# What a torque at speed does not tell, and a robot file needs all the same:
+# What torque at speed does not determine, and a robot file needs all the same:
 ASSUMED_MOTOR_SHARE = 0.5  # of M + J, where J is not given
 PRESLIDING = 1e-4          # displacement to break-away [rad]
 PRESLIDING_SPEED = 1e-3    # Stribeck velocity; without effect, static = coulomb [rad/s]

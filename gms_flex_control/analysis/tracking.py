@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from gms_flex_control.analysis.table4 import Table4
 from gms_flex_control.data.recording import Recording
-from gms_flex_control.data.signals import quantum
+from gms_flex_control.data.signal_analysis import quantum
 from gms_flex_control.experiment.simulated import simulate
 import numpy as np
 
@@ -32,7 +32,7 @@ class Run(NamedTuple):
 
 
 class JointTracking(NamedTuple):
-    """How one joint followed its reference; NaN where the recording cannot tell."""
+    """How one joint followed its reference; NaN where the recording does not show it."""
 
     joint: str
     mse: float          # mean of (q_link - reference)^2 [rad^2]

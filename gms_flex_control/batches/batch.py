@@ -11,42 +11,31 @@ from gms_flex_control.batches.journal import Journal
 from gms_flex_control.batches.workers import Executor, open_executor
 from gms_flex_control.errors import LostItemError
 
-_WIDTH, _LEAST_GAP = 30, 0.1  # characters; seconds between two drawings
+_WIDTH = 30  # characters
 
 
 def run_batch(function, items: dict, *, executor: Executor, journal: Journal | None = None,
               label: str = '', lost=None) -> dict:
     """
-    Call a function for many items.
+    Return what a function makes of many items by their keys, in the order of the items.
+
+    All of it goes through JSON, so that it is the same whether it was kept or just found.
 
     Parameters
     ----------
     function : callable
-        Of a module; takes one item and returns plain values without NaN (dict, list, str,
-        float, bool, None).
+        Of a module; takes one item and returns plain values without NaN.
     items : dict of str to object
         By a key of their own.
     executor : Executor
-        From `executor.open_executor`.
+        From `workers.open_executor`.
     journal : Journal, optional
-        Of finished items; these are not done again.
+        Of finished items; these are not done again, and stay in it whatever ends the batch.
     label : str
         Of the progress bar, which appears on a terminal only.
     lost : callable, optional
-        LostItemError -> what stands for an item that kills its workers; such a value is not
-        kept, so that the item is tried again another time. Default: the error ends the batch.
-
-    Returns
-    -------
-    dict of str to object
-        What the function returned, in the order of the items. All of it went through JSON,
-        so that it is the same whether it was kept or just found.
-
-    Raises
-    ------
-    BatchError
-        See Executor. Whatever the function raises comes through, and what is finished stays
-        in the journal.
+        LostItemError -> what stands for an item that kills its workers; such a value is not kept,
+        so that the item is tried again another time. Default: the error ends the batch.
 
     """
     kept = {} if journal is None else journal.outcomes
@@ -100,10 +89,10 @@ class Progress:
             self._stream.write('\r\x1b[K')
             self._stream.flush()
 
-    def step(self):
+    def step(self) -> None:
         """Count one more finished item."""
         self._done += 1
-        if self._done == self._total or monotonic() - self._last >= _LEAST_GAP:
+        if self._done == self._total or monotonic() - self._last >= 0.1:
             self._draw()
 
     def _draw(self):
@@ -113,7 +102,7 @@ class Progress:
         self._stream.write(f'\r\x1b[K{self.line(self._last - self._begin)}')
         self._stream.flush()
 
-    def line(self, elapsed):
+    def line(self, elapsed) -> str:
         """Return the bar as text after ``elapsed`` seconds."""
         share = self._done / self._total if self._total else 1.0
         full = int(_WIDTH * share)

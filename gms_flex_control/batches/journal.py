@@ -44,20 +44,16 @@ class Journal:
             return
         self.outcomes[key] = outcome
 
-    def add(self, outcome):
+    def add(self, outcome) -> None:
         """Keep an outcome (dict with 'key'), on disk at once."""
         outcome = outcome | {'sources': self._sources}
         self.outcomes[outcome['key']] = outcome
         text = json.dumps(outcome, allow_nan=False) + '\n'
-        with self.path.open('a', encoding='utf-8') as file:
-            if file.tell() and not self._ends_with_newline():
-                text = '\n' + text
-            file.write(text)
-
-    def _ends_with_newline(self):
-        with self.path.open('rb') as file:
-            file.seek(-1, 2)
-            return file.read(1) == b'\n'
+        with self.path.open('ab+') as file:
+            if file.tell():
+                file.seek(-1, 2)
+                text = text if file.read(1) == b'\n' else '\n' + text
+            file.write(text.encode())
 
 
 def fingerprint(parts=('.',), root: Path = ROOT) -> str:
@@ -78,5 +74,5 @@ def content_of(bag) -> list:
 
 
 def digest_of(values) -> str:
-    """Return 16 hexadecimal digits that stand for plain values, told apart by their repr."""
+    """Return 16 hexadecimal digits that stand for plain values, distinguished by their repr."""
     return hashlib.sha256(repr(values).encode()).hexdigest()[:16]

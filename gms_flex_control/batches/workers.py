@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Where the items of a batch are worked on: processes of this machine, or a Dask cluster."""
 
+from collections.abc import Generator, Iterator
 from concurrent.futures import as_completed, CancelledError, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -25,35 +26,18 @@ MISSING = ("--scheduler needs Dask: pip install '.[dask]' in the clone, or leave
 class Executor(Protocol):
     """Something that calls a function for many items, somewhere else."""
 
-    def finished(self, function, items):
+    def finished(self, function, items) -> Iterator:
         """
-        Yield each item's outcome as it comes, in any order.
+        Yield (index, result) of each item as it comes, in any order.
 
-        Parameters
-        ----------
-        function : callable
-            Of a module, so that another process can import it; takes one item.
-        items : sequence
-            Arguments, each a value that can be pickled.
-
-        Yields
-        ------
-        index : int
-            Place of the item.
-        result : callable
-            Returns what the function returned, or raises what it raised; LostItemError if the
-            item killed whatever worked on it.
-
-        Raises
-        ------
-        BatchError
-            If workers cannot be reached any more.
-
+        ``function`` of a module takes one item, a value that can be pickled. ``result()`` returns
+        what it returned or raises what it raised, LostItemError if the item killed whatever worked
+        on it. BatchError if workers cannot be reached any more.
         """
 
 
 @contextmanager
-def open_executor(workers: int = 2, scheduler: str | None = None):
+def open_executor(workers: int = 2, scheduler: str | None = None) -> Generator:
     """
     Yield an Executor, and end what belongs to it afterwards.
 
@@ -70,7 +54,7 @@ def open_executor(workers: int = 2, scheduler: str | None = None):
     yield Processes(workers)
 
 
-def end_with_parent():
+def end_with_parent() -> None:
     """Let this process end when the one that started it is killed; else it would wait for ever."""
     def wait():
         multiprocessing.parent_process().join()
@@ -94,7 +78,7 @@ class Processes:
     def __init__(self, workers):
         self._workers = workers
 
-    def finished(self, function, items):
+    def finished(self, function, items) -> Iterator:
         """Yield index and result of each item; what a killed process leaves is done again."""
         waiting, breaks = list(range(len(items))), 0
         while waiting:
@@ -150,12 +134,12 @@ class _Broken:
     def __init__(self, error):
         self._error = error
 
-    def exception(self):
+    def exception(self) -> BrokenProcessPool:
         """Return why nothing came of it."""
         return self._error
 
 
-def call_packed(item, function):
+def call_packed(item, function) -> object:
     """Return what ``function`` returns for a pickled item."""
     return function(pickle.loads(item))
 
@@ -209,7 +193,7 @@ class Cluster:
                                  'sources of this package; install the same version there and '
                                  'start it anew')
 
-    def finished(self, function, items):
+    def finished(self, function, items) -> Iterator:
         """Yield index and result of each item; the scheduler repeats what a dead worker had."""
         from distributed import as_completed, KilledWorker
 

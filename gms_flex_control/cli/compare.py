@@ -10,11 +10,11 @@ from pathlib import Path
 from gms_flex_control.batches.batch import run_kept
 from gms_flex_control.batches.journal import content_of, digest_of, fingerprint
 from gms_flex_control.cli.identify_bags import motors_in
-from gms_flex_control.cli.output import conclude, refuse_unwritable
+from gms_flex_control.cli.terminal import conclude, refuse_unwritable
 from gms_flex_control.cli.verbs import OF_A_BAG, OF_A_PLANT
 from gms_flex_control.comparison import prediction, study
 from gms_flex_control.errors import ConfigError
-from gms_flex_control.files import write_text
+from gms_flex_control.file_io import write_text
 from gms_flex_control.params.arm import in_units
 from gms_flex_control.reports import comparison_page
 from gms_flex_control.resources import controller_file, robot_file

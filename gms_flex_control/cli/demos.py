@@ -13,11 +13,11 @@ from typing import NamedTuple
 from gms_flex_control.analysis.table4 import align
 from gms_flex_control.analysis.tracking import link_rms, Run, table4, tracking_of_copies
 from gms_flex_control.answer import Answer, command, measured
-from gms_flex_control.cli.output import conclude, import_ros, prepare, refuse_foreign, say
 from gms_flex_control.cli.robots import trajectory_file
+from gms_flex_control.cli.terminal import conclude, import_ros, prepare, refuse_foreign, say
 from gms_flex_control.cli.verbs import ALLOWED, BELIEVED_FRICTION, DEMO_MOTIONS
 from gms_flex_control.control.controller import SteppedController
-from gms_flex_control.data import further_topics
+from gms_flex_control.data import reader
 from gms_flex_control.demonstration import hide_effect
 from gms_flex_control.discrepancy.closed_loop import with_closed_loop
 from gms_flex_control.discrepancy.workflow import find_discrepancy
@@ -29,7 +29,7 @@ from gms_flex_control.experiment.driven import (
     DrivenPlan,
 )
 from gms_flex_control.experiment.identification_plan import read_identification_plan
-from gms_flex_control.experiment.plan import read_plan
+from gms_flex_control.experiment.plan import Plan, read_plan
 from gms_flex_control.experiment.simulated import simulate, simulate_to_bag
 from gms_flex_control.identification.identify import identify
 from gms_flex_control.identification.output import write_friction, write_report_json
@@ -49,7 +49,7 @@ from gms_flex_control.simulation.stepped import SteppedPlant
 import numpy as np
 
 RATE = 500.0  # joint states per second [Hz]
-SINUSOID_DURATION = 20.0  # [s]
+
 _HEADING = (
     'Tracking error, rms, by what the controller believes of the friction: one run over DDS, and',
     'in brackets the median of 16 simulated robots whose presliding differs by 0.1 %. In one run',
@@ -76,15 +76,15 @@ def demo(args) -> int:
     return 0
 
 
-def files_of(motion):
+def files_of(motion) -> tuple[Path, ...]:
     """Return robot, controller and trajectory file of one motion (tuple of Path)."""
     return robot_file(), controller_file(), trajectory_file(motion)
 
 
-def plan_of(motion, mode, duration=None):
+def plan_of(motion, mode, duration=None) -> Plan:
     """Return the in-process Plan of one motion and compensation."""
-    if duration is None and motion == 'sinusoid':
-        duration = SINUSOID_DURATION
+    if duration is None and motion == 'sinusoid':  # which has no end
+        duration = 20.0
     return read_plan(files_of(motion), duration=duration,
                      overrides={'compensation': mode, 'rate': RATE})
 
@@ -117,7 +117,6 @@ def _compile_loops(plan):
 
 
 def _step_loops(robot, model, gains, trajectory):
-    """Compile what the nodes step."""
     plant = SteppedPlant(robot, period=1e-3, substeps=1)
     plant.advance(np.zeros(robot.n_joints))
     SteppedController(gains, model).tick(trajectory.sample(0.0), 0.0)
@@ -191,9 +190,9 @@ def _identified_answer(values, out):
                 'believed', 'identified'))))
 
 
-def fit_experiment(out, bag, experiment):
+def fit_experiment(out, bag, experiment) -> str:
     """Identify the bag and write its outcome; return it as text beside the truth."""
-    found = identify([further_topics.read_experiment(bag)], experiment.believed, say=say)
+    found = identify([reader.read_experiment(bag)], experiment.believed, say=say)
     truth = load_robot(robot_file())
     write_friction(found, out / 'friction.yaml')
     write_report_json(found, out / 'report.json')
@@ -244,7 +243,7 @@ class Experiment(NamedTuple):
     gains: object
 
 
-def read_experiment(plan_file=None):
+def read_experiment(plan_file=None) -> Experiment:
     """Return the Experiment of a plan file; by default the short one of the package."""
     robot = load_robot(robot_file())
     believed = replace(robot, friction=scaled_friction(robot.friction, BELIEVED_FRICTION))
@@ -255,7 +254,6 @@ def read_experiment(plan_file=None):
 
 
 def _drive_experiment(out, experiment):
-    """Run the experiment over DDS; return its bag (Path)."""
     plan, model, bag = experiment.plan, out / 'believed_robot.yaml', out / 'bag'
     save_robot(experiment.believed, model, comment='The robot as it is believed to be before '
                f'identification: friction x {BELIEVED_FRICTION:g}.')
@@ -292,7 +290,6 @@ def demo_discrepancy(args) -> int:
 
 
 def _draw(args):
-    """Return the HiddenEffect that the arguments ask for, and the gains."""
     say('drawing what is hidden')
     robot = load_robot(robot_file())
     gains = load_controller(controller_file(), robot)
@@ -314,7 +311,8 @@ def _write_files(hidden, out):
 def _found_and_driven(hidden, gains, seed, files, out):
     """Drive, find, and drive again with what was found and with the truth: a DemoOutcome."""
     (believed, *_), plant = files
-    _compile_effects(files)
+    for model in files[0][0], files[1]:  # all kernels, those for effects as well
+        _compile_loops(read_plan([*files[0], files[1]], model=model, overrides={'rate': RATE}))
     recordings = {}
 
     def driven(belief, model):
@@ -329,12 +327,6 @@ def _found_and_driven(hidden, gains, seed, files, out):
     driven('found', out / 'robot.yaml' if result.robot is not None else believed)
     driven('true', plant)
     return DemoOutcome(hidden, seed, result, recordings)
-
-
-def _compile_effects(files):
-    """Compile all kernels, those for effects as well, into the cache that the nodes share."""
-    for model in files[0][0], files[1]:
-        _compile_loops(read_plan([*files[0], files[1]], model=model, overrides={'rate': RATE}))
 
 
 def _find(recording, believed, gains, path):

@@ -9,12 +9,11 @@ import os
 from pathlib import Path
 import sys
 from textwrap import fill
-from typing import NamedTuple
 
-from gms_flex_control.batches.journal import content_of, digest_of, fingerprint
+from gms_flex_control.batches.journal import content_of
 from gms_flex_control.cli import each_bag
-from gms_flex_control.cli.identify_bags import read_take
-from gms_flex_control.cli.output import conclude, refuse_fitted, refuse_unwritable, say
+from gms_flex_control.cli.identify_bags import read_experiment_of
+from gms_flex_control.cli.terminal import conclude, refuse_fitted, refuse_unwritable, say
 from gms_flex_control.discrepancy.closed_loop import stretch_of, with_closed_loop
 from gms_flex_control.discrepancy.compared import as_found, compare
 from gms_flex_control.discrepancy.learning import learn
@@ -30,9 +29,8 @@ from gms_flex_control.schema.files import load_controller, load_robot
 import numpy as np
 
 _WIDTH = 96
-_MADE = ('robot.yaml', 'gap.png', 'evidence_*.png', 'map_*.png', 'over_*.png')  # not by every run
+
 _FILES = ('robot', 'models', 'controller', 'holdout')  # options that name files
-_OPTIONS = ('max_effects', 'without', 'learn', 'doubt', 'force')
 
 
 def discrepancy_verb(args) -> int:
@@ -41,7 +39,8 @@ def discrepancy_verb(args) -> int:
     refuse_fitted(args.bags, args.holdout)
     _options_of(args)
     if args.each:
-        return _run_each(args)
+        found = each_bag.run_each(args, ask_bag, *items_of(args), discrepancy_text)
+        return int(any(values.get('verdict') != COMPLETE for values in found.values()))
     if args.workers is not None or args.scheduler is not None:
         raise ConfigError(each_bag.ONLY_WITH_EACH)
     result, compared, holdout = _answered(args)
@@ -53,10 +52,10 @@ def _answered(args):
     """Return the Discrepancy of --robot with bags, Compared models, recordings held out."""
     options, robot = _options_of(args), load_robot(args.robot)
     others = _models_of(args, robot)
-    takes, holdout = ([read_take(path, robot)[0] for path in paths]
-                      for paths in (args.bags, args.holdout))
-    result = _looped(args, robot, holdout or takes,
-                     lambda: _searched(takes, robot, options, holdout, args))
+    recordings, holdout = ([read_experiment_of(path, robot)[0] for path in paths]
+                           for paths in (args.bags, args.holdout))
+    result = _looped(args, robot, holdout or recordings,
+                     lambda: _searched(recordings, robot, options, holdout, args))
     compared = ()
     if others and result.behind is not None:
         compared = compare(result, [('as given', robot), ('with what was found', as_found(result)),
@@ -64,10 +63,10 @@ def _answered(args):
     return result, compared, holdout
 
 
-def _searched(takes, robot, options, holdout, args):
+def _searched(recordings, robot, options, holdout, args):
     """Return the Discrepancy; raise BagError where forced data leave no number to go on with."""
     try:
-        found = find_discrepancy(takes, robot, options, holdout=holdout, say=_progress(args))
+        found = find_discrepancy(recordings, robot, options, holdout=holdout, say=_progress(args))
         return learn(found, holdout=holdout, say=_progress(args)) if args.learn else found
     except (np.linalg.LinAlgError, ValueError) as error:
         if not args.force:
@@ -87,7 +86,6 @@ def _looped(args, robot, recordings, search):
 
 
 def _write_files(result, compared, holdout, args):
-    """Write all files into --out; return the values of report.json."""
     out = Path(args.out)
     values = files.report_values(result, holdout=args.holdout, models=compared)
     earlier = _earlier(out)
@@ -104,16 +102,16 @@ def _write_files(result, compared, holdout, args):
 def _earlier(out):
     """Return the files in ``out`` that an earlier run of this verb has made."""
     try:
-        told = json.loads((out / 'report.json').read_text())
+        earlier = json.loads((out / 'report.json').read_text())
     except (OSError, ValueError):
         return []
-    if not isinstance(told, dict) or 'verdict' not in told:  # of another verb
+    if not isinstance(earlier, dict) or 'verdict' not in earlier:  # of another verb
         return []
-    return [path for pattern in _MADE for path in out.glob(pattern)]
+    return [path for pattern in ('robot.yaml', 'gap.png', 'evidence_*.png', 'map_*.png',
+                                 'over_*.png') for path in out.glob(pattern)]
 
 
 def _printed(result, compared, values, args):
-    """Print the words or the report; return the exit code."""
     out, bad, words = Path(args.out), result.verdict == BAD_DATA, units_of(result)
     if args.json:
         print(files.as_json(values))
@@ -132,7 +130,6 @@ def _printed(result, compared, values, args):
 
 
 def _options_of(args):
-    """Return the Options that the arguments ask for."""
     chosen = {'force': args.force, 'doubt': args.doubt, 'without': tuple(args.without)}
     for name in args.without:
         registry.find(name)
@@ -142,7 +139,6 @@ def _options_of(args):
 
 
 def _refuse_out(out, args):
-    """Raise ConfigError if the results cannot go to ``out``."""
     refuse_unwritable(out)
     target = (out / 'robot.yaml').resolve()
     for file in (*args.robot, *args.models):
@@ -152,7 +148,6 @@ def _refuse_out(out, args):
 
 
 def _models_of(args, robot):
-    """Return name and model of each file of --models."""
     models = []
     for file in args.models:
         model = load_robot(file)
@@ -164,23 +159,8 @@ def _models_of(args, robot):
 
 
 def _progress(args):
-    """Return what tells progress: on a terminal only, and beside the results."""
+    """Return the function that prints progress: on a terminal only, and beside the results."""
     return (lambda text: None) if args.json else lambda text: say(f'  {text} ...')
-
-
-class BagItem(NamedTuple):
-    """A bag to be asked, perhaps in another process."""
-
-    place: each_bag.Place
-    asked: dict  # options of the verb by name, files as absolute paths
-
-
-def _run_each(args):
-    """Ask each bag, write, print; return 1 if one finds something or is bad, else 0."""
-    items, asked = items_of(args)
-    found = each_bag.run_each(args, ask_bag, items, asked)
-    each_bag.write_summary(args, found, discrepancy_text)
-    return int(any(values.get('verdict') != COMPLETE for values in found.values()))
 
 
 def items_of(args) -> tuple[dict, str]:
@@ -189,27 +169,22 @@ def items_of(args) -> tuple[dict, str]:
     _models_of(args, robot)
     if args.controller:
         load_controller(args.controller, robot)
-    options = {name: getattr(args, name) for name in (*_FILES, *_OPTIONS)}
+    options = {name: getattr(args, name) for name in (
+        *_FILES, 'max_effects', 'without', 'learn', 'doubt', 'force')}
     for name in _FILES:
         options[name] = [os.path.abspath(path) for path in options[name]]
-    contents = [(path, content_of(path)) for name in _FILES for path in options[name]]
-    asked = f'{fingerprint()} {digest_of((sorted(options.items()), contents))}'
-    places = each_bag.places_of(args.bags, args.out, asked)
-    _refuse_own(places.values(), options)
-    return {key: BagItem(place, options) for key, place in places.items()}, asked
+    files_asked = [path for name in _FILES for path in options[name]]
+    items, asked = each_bag.items_of(args, options, (
+        sorted(options.items()), [(path, content_of(path)) for path in files_asked]))
+    folders = {item.place.folder.resolve() for item in items.values()}
+    for file in files_asked:
+        if folders & set(Path(file).resolve().parents):
+            raise ConfigError(f'{file} lies in the folder of results of a bag, which may '
+                              'replace it; copy it elsewhere, or name another folder as --out')
+    return items, asked
 
 
-def _refuse_own(places, options):
-    """Raise ConfigError if a file that is asked with is one that the results replace."""
-    folders = {place.folder.resolve() for place in places}
-    for name in _FILES:
-        for file in options[name]:
-            if folders & set(Path(file).resolve().parents):
-                raise ConfigError(f'{file} lies in the folder of results of a bag, which may '
-                                  'replace it; copy it elsewhere, or name another folder as --out')
-
-
-def ask_bag(item: BagItem) -> dict:
+def ask_bag(item: each_bag.BagItem) -> dict:
     """Ask the bag of a BagItem what the model lacks, write the results, return them (dict)."""
     args = Namespace(**item.asked, bags=[item.place.bag], json=True)
     result, compared, holdout = _answered(args)

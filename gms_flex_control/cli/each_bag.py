@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Many bags, each by itself: a folder of its own for each, whole or not there, and a journal."""
 from collections import Counter
+from collections.abc import Generator
 from contextlib import contextmanager
 from functools import partial
 import json
@@ -14,17 +15,17 @@ from typing import NamedTuple
 from uuid import uuid4
 
 from gms_flex_control.batches.batch import run_batch
-from gms_flex_control.batches.journal import content_of, digest_of, Journal
+from gms_flex_control.batches.journal import content_of, digest_of, fingerprint, Journal
 from gms_flex_control.batches.workers import open_executor
 from gms_flex_control.blas import alone_in_one_thread
-from gms_flex_control.cli.output import conclude
+from gms_flex_control.cli.terminal import conclude
 from gms_flex_control.errors import BatchError, ConfigError, GmsFlexError, own_warnings
-from gms_flex_control.files import write_text
+from gms_flex_control.file_io import write_text
 from gms_flex_control.identification.output import over_bags
 from gms_flex_control.reports.bags_summary import bags_csv, over_bags_answer, spread_csv, summary
 
 MARK = '.gms_flex_each'  # in a folder of results: what they are the results of
-_UNFINISHED = 'unfinished'
+
 ONLY_WITH_EACH = ('--workers and --scheduler divide many bags; add --each, or leave them out: '
                   'bags analysed together are one problem')
 
@@ -35,15 +36,15 @@ class Place(NamedTuple):
     bag: str   # path, absolute: a worker may run anywhere
     out: str   # folder of all results, likewise
     name: str  # of the bag's folder in it
-    mark: str  # tells results of this bag, these sources and these options from others
+    mark: str  # of results of this bag, these sources and these options
 
     @property
-    def folder(self):
+    def folder(self) -> Path:
         """Return the folder of the bag's results."""
         return Path(self.out) / self.name
 
     @property
-    def is_done(self):
+    def is_done(self) -> bool:
         """Return whether the folder holds these results, all of them."""
         return _marked(self.folder)[:1] == [self.mark]
 
@@ -104,18 +105,16 @@ def places_of(bags, out: str, asked: str) -> dict:
         key = f'{name} {digest_of((bag, content_of(bag)))}'
         places[key] = Place(bag, os.path.abspath(out), name, f'{key} {asked}')
     for place in places.values():
-        _refuse_foreign(place.folder)
+        folder = place.folder
+        if folder.exists() and not (folder.is_dir() and (
+                _marked(folder) or not any(folder.iterdir()))):
+            raise ConfigError(f'{folder} exists and holds no results of --each: name another '
+                              '--out')
     return places
 
 
-def _refuse_foreign(folder):
-    if folder.exists() and not (folder.is_dir() and (
-            _marked(folder) or not any(folder.iterdir()))):
-        raise ConfigError(f'{folder} exists and holds no results of --each: name another --out')
-
-
 @contextmanager
-def whole(place):
+def whole(place) -> Generator[Path]:
     """
     Yield a folder to write results into, which then becomes that of the Place.
 
@@ -138,7 +137,7 @@ def whole(place):
 
 def _replace_files(made, place, files):
     old = {Path(name).name for name in _marked(place.folder)[1:]}  # nothing outside the folder
-    _set_mark(place.folder, _UNFINISHED, files | old)
+    _set_mark(place.folder, 'unfinished', files | old)
     for name in old - files:
         (place.folder / name).unlink(missing_ok=True)
     for name in files:
@@ -146,28 +145,34 @@ def _replace_files(made, place, files):
     _set_mark(place.folder, place.mark, files)
 
 
-def _remove_parts(out):
-    """Remove what workers that were killed had begun to write."""
-    for part in Path(out).glob(f'.*.{"[0-9a-f]" * 32}.part'):
-        shutil.rmtree(part, ignore_errors=True)
+class BagItem(NamedTuple):
+    """A bag to be asked, perhaps in another process."""
+
+    place: Place
+    asked: dict  # what the verb was asked for, by name
 
 
-def run_each(args, function, items: dict, asked: str) -> dict:
+def items_of(args, asked: dict, depends) -> tuple[dict, str]:
+    """
+    Return a BagItem for each bag by its key, and what results depend on beside the bag.
+
+    ``depends`` are plain values that change with whatever else results depend on.
+    """
+    sources = f'{fingerprint()} {digest_of(depends)}'
+    return {key: BagItem(place, asked) for key, place in
+            places_of(args.bags, args.out, sources).items()}, sources
+
+
+def run_each(args, function, items: dict, asked: str, text) -> dict:
     """
     Return what a function says of each bag, by name; a bag whose results are there is skipped.
 
-    Parameters
-    ----------
-    args : Namespace
-        Of the verb: out, workers, scheduler.
-    function : callable
-        Of a module; takes an item, returns a dict with the key 'reason', None where all went
-        well. What it raises becomes the reason, see `reason_or`.
-    items : dict of str to object
-        By the keys of `places_of`, each with its Place as ``place``.
-    asked : str
-        As `places_of`.
+    All bags are then written side by side into --out, and ``text(found, rows)`` is printed.
 
+    ``args`` of the verb has out, workers and scheduler. ``function`` of a module takes an item and
+    returns a dict with the key 'reason', None where all went well; what it raises becomes the
+    reason, see `reason_or`. ``items`` are by the keys of `places_of`, each with its Place as
+    ``place``; ``asked`` as there.
     """
     workers = 2 if args.workers is None else args.workers
     with open_executor(workers, args.scheduler) as executor:
@@ -182,8 +187,11 @@ def run_each(args, function, items: dict, asked: str) -> dict:
                               journal=journal, label='bags',
                               lost=lambda error: {'reason': str(error)})
         finally:
-            _remove_parts(args.out)
-    return {items[key].place.name: values for key, values in found.items()}
+            for part in Path(args.out).glob(f'.*.{"[0-9a-f]" * 32}.part'):  # of killed workers
+                shutil.rmtree(part, ignore_errors=True)
+    by_name = {items[key].place.name: values for key, values in found.items()}
+    _write_summary(args, by_name, text)
+    return by_name
 
 
 def reason_or(function, item) -> dict:
@@ -197,7 +205,10 @@ def reason_or(function, item) -> dict:
         raise BatchError(f'--out {item.place.out}: a worker of the cluster does not see this '
                          'folder; name one on a disk that all machines share')
     try:
-        return _with_warnings(function, item)
+        with alone_in_one_thread(), own_warnings() as caught:
+            values = function(item)
+        warned = [*(str(one.message) for one in caught), *values.get('warnings', ())]
+        return values | {'warnings': list(dict.fromkeys(warned))}
     except (GmsFlexError, OSError) as error:
         return {'reason': str(error)}
     except MemoryError:
@@ -207,15 +218,8 @@ def reason_or(function, item) -> dict:
         return {'reason': f'an error of the program, please report it: {error!r}'}
 
 
-def _with_warnings(function, item):
-    with alone_in_one_thread(), own_warnings() as caught:
-        values = function(item)
-    told = [*(str(one.message) for one in caught), *values.get('warnings', ())]
-    return values | {'warnings': list(dict.fromkeys(told))}
-
-
-def write_summary(args, found: dict, text) -> None:
-    """Write all bags of `run_each` side by side into --out; print ``text(found, rows)``."""
+def _write_summary(args, found, text):
+    """Write all bags side by side into --out; print ``text(found, rows)``."""
     rows = over_bags({name: values for name, values in found.items()
                       if values['reason'] is None})
     values, out = summary(found, rows), Path(args.out)

@@ -8,13 +8,11 @@ from functools import partial
 import json
 import os
 from pathlib import Path
-from typing import NamedTuple
 
-from gms_flex_control.batches.journal import content_of, digest_of, fingerprint
+from gms_flex_control.batches.journal import content_of
 from gms_flex_control.cli import each_bag
-from gms_flex_control.cli.output import conclude, refuse_fitted, refuse_unwritable, say
-from gms_flex_control.data.further_topics import read_experiment
-from gms_flex_control.data.reader import joint_names
+from gms_flex_control.cli.terminal import conclude, refuse_fitted, refuse_unwritable, say
+from gms_flex_control.data.reader import joint_names, read_experiment
 from gms_flex_control.data.recording import link_names, MOTOR_SUFFIX
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.identification.assumed_robot import only_joints, rigid_joints
@@ -39,7 +37,9 @@ def identify_verb(args) -> int:
     refuse_unwritable(args.out)
     refuse_fitted(args.bags, args.holdout)
     if args.each:
-        return _run_each(args)
+        found = each_bag.run_each(args, identify_bag, *items_of(args),
+                                  bags_summary.identification_text)
+        return int(any(values['reason'] is not None for values in found.values()))
     if args.workers is not None or args.scheduler is not None:
         raise ConfigError(each_bag.ONLY_WITH_EACH)
     robot, options, out = _robot_of(args), _options_of(args), Path(args.out)
@@ -59,21 +59,19 @@ def identify_verb(args) -> int:
 
 def _identified(bags, holdouts, robot, options, described, **further):
     """Return the Identification of bags fitted together; ``further`` as that of `identify`."""
-    takes, apart = ([read_take(path, robot, not described) for path in paths]
-                    for paths in (bags, holdouts))
-    found = identify(takes, robot, holdouts=apart, options=options, **further)
+    recordings, apart = ([read_experiment_of(path, robot, not described) for path in paths]
+                         for paths in (bags, holdouts))
+    found = identify(recordings, robot, holdouts=apart, options=options, **further)
     return replace(found, described=described)
 
 
 def _write_results(found, out, robot=()):
-    """Write all files of an Identification of a robot file into the folder ``out``."""
     write_friction(found, out / 'friction.yaml')
     write_report_json(found, out / 'report.json')
     write_identification_report(found, out, robot=robot)
 
 
 def _options_of(args):
-    """Return the Options that the arguments ask for."""
     chosen = {'method': args.method, 'force': args.force,
               'estimate': 'all' if args.robot is None else args.estimate}
     if args.blocks:
@@ -97,7 +95,7 @@ def _robot_in(bag, joints=None):
     return rigid_joints(joints or link_names(joint_names(bag)))
 
 
-def read_take(path, robot, guess_motors: bool = False) -> tuple:
+def read_experiment_of(path, robot, guess_motors: bool = False) -> tuple:
     """Return a bag as (Recording, phases), motors by their names in the bag if to be guessed."""
     return read_experiment(path, robot.joints, None if guess_motors else motors_in(path, robot))
 
@@ -114,42 +112,22 @@ def motors_in(path, robot) -> tuple[str, ...]:
     return tuple(motor if motor in names else '' for motor in wanted)
 
 
-class BagItem(NamedTuple):
-    """A bag to be identified, perhaps in another process."""
-
-    place: each_bag.Place
-    robot: object     # RobotParams; None: rigid axes named as in the bag
-    joints: tuple     # to take from the bag; empty: all
-    holdouts: tuple   # of str, absolute paths
-    options: object   # identification.identify.Options
-
-
-def _run_each(args):
-    """Identify each bag, write, print; return 1 if one could not be identified, else 0."""
-    items, asked = items_of(args)
-    found = each_bag.run_each(args, identify_bag, items, asked)
-    each_bag.write_summary(args, found, bags_summary.identification_text)
-    return int(any(values['reason'] is not None for values in found.values()))
-
-
 def items_of(args) -> tuple[dict, str]:
     """Return the items of a batch by key, and what their results depend on beside the bag."""
-    options = _options_of(args)
-    robot = None if args.robot is None else _robot_of(args)
+    robot, options = None if args.robot is None else _robot_of(args), _options_of(args)
     holdouts = tuple(os.path.abspath(path) for path in args.holdout)
-    joints = tuple(args.joints or ())
-    asked = f'{fingerprint()} ' + digest_of((
-        robot and robot_values(robot), joints, options,
+    asked = {'robot': robot, 'joints': tuple(args.joints or ()), 'holdouts': holdouts,
+             'options': options}
+    return each_bag.items_of(args, asked, (
+        robot and robot_values(robot), asked['joints'], options,
         [(path, content_of(path)) for path in holdouts]))
-    return {key: BagItem(place, robot, joints, holdouts, options)
-            for key, place in each_bag.places_of(args.bags, args.out, asked).items()}, asked
 
 
-def identify_bag(item: BagItem) -> dict:
+def identify_bag(item: each_bag.BagItem) -> dict:
     """Identify the bag of a BagItem and write its results; return `bag_values` (dict)."""
-    place, described = item.place, item.robot is not None
-    robot = item.robot if described else _robot_in(place.bag, item.joints)
-    found = _identified([place.bag], item.holdouts, robot, item.options, described)
-    with each_bag.whole(place) as folder:
+    bag, asked = item.place.bag, item.asked
+    found = _identified([bag], asked['holdouts'], asked['robot'] or _robot_in(
+        bag, asked['joints']), asked['options'], asked['robot'] is not None)
+    with each_bag.whole(item.place) as folder:
         _write_results(found, folder)
     return {'reason': None, **bag_values(found)}

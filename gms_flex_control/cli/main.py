@@ -32,7 +32,7 @@ class _Verbs:
     def __init__(self, subparsers):
         self._subparsers, self.help = subparsers, {}
 
-    def add_parser(self, name, **options):
+    def add_parser(self, name, **options) -> argparse.ArgumentParser:
         self.help[name] = options.pop('help')
         return self._subparsers.add_parser(name, **options)
 
@@ -51,19 +51,13 @@ def build_parser() -> argparse.ArgumentParser:
     return parser
 
 
-def parser_of(prog: str, description: str, groups: dict, examples: dict):
+def parser_of(prog: str, description: str, groups: dict,
+              examples: dict) -> argparse.ArgumentParser:
     """
     Return the parser of a tool, with ``verbs``, a dict of str to the ArgumentParser of each.
 
-    Parameters
-    ----------
-    prog, description : str
-        What starts it, and what it is for.
-    groups : dict of str to dict of str to callable
-        Title -> verb -> what adds its parser to an object with ``add_parser``.
-    examples : dict of str to list of str
-        Of each verb.
-
+    ``groups`` has by title and verb what adds its parser to an object with ``add_parser``,
+    ``examples`` commands by verb.
     """
     parser = argparse.ArgumentParser(
         prog=prog, usage=f'{prog} [-h] VERB ...', description=fill(description, 79),
@@ -80,7 +74,6 @@ def parser_of(prog: str, description: str, groups: dict, examples: dict):
 
 
 def _listing(prog, groups, helps):
-    """Return the verbs by group with their help, and the exit codes."""
     width = max(map(len, helps)) + 2
     lines = []
     for title, verbs in groups.items():
@@ -91,7 +84,7 @@ def _listing(prog, groups, helps):
 
 
 def _parsed(parser, argv):
-    """Return the arguments; None after the help, which is what the bare command asks for."""
+    """Return the arguments; None after the help, which the bare command prints."""
     if not argv:
         parser.print_help()
         return None
@@ -205,7 +198,7 @@ def _interrupted(command, resumes=False):
     return INTERRUPTED
 
 
-def completion(args):
+def completion(args) -> int:
     """Print the code of completion for one shell; return 0."""
     try:
         from argcomplete import shellcode
@@ -217,7 +210,7 @@ def completion(args):
 
 
 def _complete(parser):
-    """Answer a shell that asks for completions, and end; else do nothing."""
+    """Answer a shell that requests completions, and end; else do nothing."""
     if '_ARGCOMPLETE' not in os.environ:
         return
     try:

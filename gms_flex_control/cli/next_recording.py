@@ -8,13 +8,13 @@ from pathlib import Path
 
 from gms_flex_control import blas
 from gms_flex_control.answer import Answer, command, Number
-from gms_flex_control.cli.output import conclude, say
+from gms_flex_control.cli.terminal import conclude, say
 from gms_flex_control.data.reader import read_recording
 from gms_flex_control.design.plan import plan_next, surviving, write_plan
 from gms_flex_control.design.separation import beliefs_of
 from gms_flex_control.effects.registry import find
 from gms_flex_control.errors import ConfigError
-from gms_flex_control.files import write_text
+from gms_flex_control.file_io import write_text
 from gms_flex_control.params.robot import WHOLE_ARM
 from gms_flex_control.reports.figures import save_figure
 from gms_flex_control.reports.pictures import next_figure
@@ -60,7 +60,6 @@ def next_recording(args) -> int:
 
 
 def _report(folder):
-    """Return the report.json of a result."""
     path = Path(folder) / 'report.json'
     try:
         report = json.loads(path.read_text(encoding='utf-8'))
@@ -91,7 +90,6 @@ def _sets(texts, robot):
 
 
 def _as_dict(plan):
-    """Return a plan as plain values."""
     def of(one):
         return {'motion': one.candidate.name, 'duration': one.duration,
                 'nats': one.nats.round(3).tolist()}

@@ -46,19 +46,19 @@ class Verb(NamedTuple):
 def option(*names: str, least: float | None = None, most: float | None = None,
            completer=None, **settings) -> Option:
     """
-    Return an argument of a verb.
+    Return an argument of a verb, ``names`` and ``settings`` as of ``ArgumentParser.add_argument``.
 
-    Parameters
-    ----------
-    *names, **settings
-        As of ``ArgumentParser.add_argument``.
-    least, most : float, optional
-        Closed range of a number, or of each of several.
-    completer : callable, optional
-        Returns what argcomplete offers, which offers files otherwise.
-
+    ``least`` and ``most`` are the closed range of a number, or of each of several; ``completer``
+    returns what argcomplete offers, which offers files otherwise.
     """
     return Option(names, settings, least, most, completer)
+
+
+def number(name: str, metavar: str, default: float, what: str, least: float | None = None,
+           most: float | None = None) -> Option:
+    """Return an option with a number; its help says ``what`` and the default."""
+    return option(name, least=least, most=most, type=float, default=default, metavar=metavar,
+                  help=f'{what} (default: %(default)g)')
 
 
 ROBOT = option('--robot', nargs='+', metavar='FILE',
@@ -117,17 +117,16 @@ def add_verb(verb: Verb, subparsers) -> None:
 
 
 def _run(place, args):
-    """Run a verb with its arguments; return the exit code."""
     module, _, function = place.partition('.')
     for action, one in getattr(args, 'ranges', ()):
         _require_range(action.option_strings[0], getattr(args, action.dest), one.least, one.most)
     verb = getattr(import_module(f'gms_flex_control.cli.{module}'), function)
-    with _told_of_compiling():
+    with _compiling_announced():
         return verb(args)
 
 
 @contextmanager
-def _told_of_compiling():
+def _compiling_announced():
     """Say once, on a terminal, that inner loops are compiled meanwhile, where they are."""
     if 'numba' not in sys.modules or not sys.stderr.isatty():
         yield
@@ -135,13 +134,13 @@ def _told_of_compiling():
     from numba.core import event
 
     class Listener(event.Listener):
-        told = False
+        said = False
 
         def on_start(self, _):
-            if not self.told:
+            if not self.said:
                 print('compiling the inner loops for this machine (once after an installation, up '
                       'to two minutes)', file=sys.stderr, flush=True)
-            self.told = True
+            self.said = True
 
         def on_end(self, _):
             pass

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from gms_flex_control.analysis.torsion import study
 from gms_flex_control.analysis.tracking import Run
-from gms_flex_control.cli.output import conclude
+from gms_flex_control.cli.terminal import conclude
 from gms_flex_control.data import metadata
 from gms_flex_control.data.csv_import import import_csv as read_csv
 from gms_flex_control.data.csv_map import load_map

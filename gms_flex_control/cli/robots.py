@@ -8,7 +8,7 @@ import json
 from pathlib import Path
 
 from gms_flex_control.answer import command
-from gms_flex_control.cli.output import write_or_print
+from gms_flex_control.cli.terminal import write_or_print
 from gms_flex_control.effects import registry
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.experiment.plan import read_plan

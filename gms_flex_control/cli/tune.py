@@ -12,10 +12,10 @@ from pathlib import Path
 from gms_flex_control import __version__, results
 from gms_flex_control.batches.batch import run_kept
 from gms_flex_control.batches.journal import digest_of, fingerprint
-from gms_flex_control.cli.output import conclude, refuse_unwritable
+from gms_flex_control.cli.terminal import conclude, refuse_unwritable
 from gms_flex_control.control.gain_conditions import check
 from gms_flex_control.errors import ConfigError
-from gms_flex_control.files import write_text
+from gms_flex_control.file_io import write_text
 from gms_flex_control.params.arm import in_units
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.reports import tuning_page
@@ -125,7 +125,6 @@ def _verified(robot, gains, demands, intervals, args):
 
 
 def _write(args, robot, proposal, demands):
-    """Write controller.yaml and tuning.png."""
     out = Path(args.out)
     comment = '\n'.join([
         f'Gains proposed by gms_flex tune {__version__} for {args.rate:g} Hz and '

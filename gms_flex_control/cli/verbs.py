@@ -1,11 +1,7 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""
-The verbs of `gms_flex`: one entry of the table each, whose module is imported when it runs.
-
-A new verb is an entry here and a function that takes the arguments and returns the exit code.
-"""
+"""The verbs of `gms_flex`: an entry of the table each, whose module is imported when it runs."""
 
 from gms_flex_control.cli.options import (
     BAG,
@@ -17,6 +13,7 @@ from gms_flex_control.cli.options import (
     JSON,
     LINKS,
     MOTORS,
+    number,
     OneOf,
     option,
     OUT_FILE,
@@ -29,12 +26,10 @@ from gms_flex_control.params.gains import COMPENSATIONS
 # options of one way to compare alone, and their values where none was given
 OF_A_PLANT = {'draws': 50, 'rate': 500.0, 'amplitude': 1.0, 'seed': 0}
 OF_A_BAG = {'fit': 0.5}
-EXPORTS = ('mujoco', 'urdf', 'ros2_control', 'csv')
-SHELLS = ('bash', 'zsh', 'fish')
+EXPORTS, SHELLS = ('mujoco', 'urdf', 'ros2_control', 'csv'), ('bash', 'zsh', 'fish')
 DEMO_MOTIONS, DEMO_MODES = ('sinusoid', 'polynomial'), ('none', 'gms_paper', 'gms')
 BELIEVED_FRICTION = 0.8  # of the true one, before the identification of the demo
 ALLOWED = 1.5  # rms error of tracking, identified over true, medians of robots alike
-PORT = 8642    # of the page of `view`
 
 _IMPORT_CSV = Verb(
     'import-csv', 'recordings.import_csv', 'turn a text log into a bag',
@@ -49,12 +44,10 @@ _IMPORT_CSV = Verb(
                help='put all on a fixed rate; by default the stamps stay as they are'), JSON),
     ('import-csv rec_A.csv --map import_kr300.yaml --out kr300',
      'import-csv log.csv --map my_map.yaml --resample 500 --out log_bag'))
-
 _INFO = Verb(
     'info', 'bag_files.info', 'topics, rates, gaps, joints and checksums of a bag',
     'Read a whole bag and list what is in it. Exit code 1 if messages are lost or damaged.',
     (BAG, JSON), ('info my_bag', 'info my_bag --json'))
-
 _VIEW = Verb(
     'view', 'view.view', 'the arm moving in a browser, from a bag or live',
     'Serve a page that shows the arm, its spring deflection, tracking error, torque and friction '
@@ -73,15 +66,14 @@ _VIEW = Verb(
         option('--controller', metavar='NODE',
                help='full name of the controller node; default: /cascade_controller in the '
                     'namespace'),
-        option('--port', type=int, default=PORT, least=0, most=65535,
-               help=f'0 takes a free one (default: {PORT})'),
+        option('--port', type=int, default=8642, least=0, most=65535,
+               help='0 takes a free one (default: %(default)s)'),
         option('--host', default='127.0.0.1', metavar='ADDRESS',
                help='address to listen on (default: this machine alone)'),
         option('--allow-set', action='store_true',
                help='with --host: gains may be set from other machines too'),
         option('--open', action='store_true', help='open the page in a browser')),
     ('view my_bag --robot config/robot.yaml', 'view sinusoid_gms sinusoid_none', 'view live'))
-
 _IDENTIFY = Verb(
     'identify', 'identify_bags.identify_verb',
     'friction parameters from bags, with intervals and a report',
@@ -114,7 +106,6 @@ _IDENTIFY = Verb(
      'identify my_bag --out results',
      'identify bags/* --each --robot robot.yaml --workers 4 --out each',
      'identify bags/* --each --robot robot.yaml --scheduler tcp://host:8786 --out /shared/each'))
-
 _DISCREPANCY = Verb(
     'discrepancy', 'discrepancy_of_bags.discrepancy_verb',
     'find what a model lacks, name it, add it, show the gap shrink',
@@ -152,7 +143,6 @@ _DISCREPANCY = Verb(
     ('discrepancy my_bag --robot robot.yaml --out results',
      'discrepancy my_bag --robot robot.yaml friction.yaml --holdout another_bag --out results',
      'discrepancy bags/* --each --robot robot.yaml --workers 4 --out each'))
-
 _SIMULATE = Verb(
     'simulate', 'robots.simulate', 'the closed loop without ROS, as a bag',
     'Simulate plant, controller and reference in this process from the parameter files of the '
@@ -175,7 +165,6 @@ _SIMULATE = Verb(
      'simulate --compensation none gms --trajectory sinusoid polynomial --out bags',
      'simulate --robot robot.yaml results/friction.yaml --set gains.joint1.kd_link=1.0 --out '
      'my_bag'))
-
 _NEXT = Verb(
     'next', 'next_recording.next_recording', 'the motion to record next, to separate explanations',
     'Read a result of discrepancy that leaves several explanations and choose the motion that '
@@ -190,17 +179,14 @@ _NEXT = Verb(
                help='limits.<joint>.* as of the bridge: lower, upper, velocity, torque'),
         option('--effects', nargs='+', metavar='EFFECT:JOINT[+EFFECT:JOINT]',
                help='explanations to separate; default: those that RESULT leaves'),
-        option('--rate', type=float, default=500.0, metavar='HZ', least=10.0, most=10_000.0,
-               help='of the controller (default: %(default)g)'),
+        number('--rate', 'HZ', 500.0, 'of the controller', least=10.0, most=10_000.0),
         option('--odds', type=float, default=99.0, least=1.5, most=1e9,
                help='wanted between every pair (default: %(default)g)'),
-        option('--longest', type=float, default=60.0, metavar='S', least=8.0, most=3600.0,
-               help='motion (default: %(default)g)'),
+        number('--longest', 'S', 60.0, 'motion', least=8.0, most=3600.0),
         out_folder('folder for the plan'), JSON),
     ('next gap --robot robot.yaml --limits bridge.yaml --out plan',
      'next gap --robot robot.yaml --limits bridge.yaml --effects backlash:joint2 '
      'stiffness_error:joint2 --out plan'))
-
 _TUNE = Verb(
     'tune', 'tune.tune', 'gains for a robot: proposed, judged, tried, verified',
     'Propose the stiffest gains of the cascade controller that keep margins, encoder noise and '
@@ -211,25 +197,19 @@ _TUNE = Verb(
                help='compensation, observer and torque limits; default: gms, k_e 1'),
         option('--torque-limit', nargs='+', type=float, metavar='NM',
                help='of each joint, or one for all; default: of --controller'),
-        option('--rate', type=float, default=500.0, metavar='HZ', least=1.0,
-               help='of the controller (default: %(default)g)'),
-        option('--delay', type=float, default=0.0, metavar='MS', least=0.0, most=50.0,
-               help='from measurement to torque (default: %(default)g)'),
+        number('--rate', 'HZ', 500.0, 'of the controller', least=1.0),
+        number('--delay', 'MS', 0.0, 'from measurement to torque', least=0.0, most=50.0),
         option('--bandwidth', nargs='+', type=float, metavar='RAD/S',
                help='of each link, or one for all; default: as much as margins allow'),
-        option('--damping', type=float, default=1.0, metavar='D', least=1.0,
-               help='of the pair of link poles, at least 1 (default: %(default)g)'),
-        option('--gain-margin', type=float, default=2.0, metavar='TIMES', least=1.0,
-               help='factor on the torque, up and down (default: %(default)g)'),
+        number('--damping', 'D', 1.0, 'of the pair of link poles, at least 1', least=1.0),
+        number('--gain-margin', 'TIMES', 2.0, 'factor on the torque, up and down', least=1.0),
         option('--phase-margin', type=float, default=30.0, metavar='DEG', least=0.0,
                help='default: %(default)g'),
         option('--delay-margin', type=float, metavar='MS',
                help='further delay that the loop must tolerate (default: one sample)'),
-        option('--noise', type=float, default=0.1, metavar='SHARE', least=1e-6,
-               help='of the torque limit that encoder noise may take as rms torque (default: '
-                    '%(default)g)'),
-        option('--amplitude', type=float, default=1.0, metavar='RAD', least=1e-6,
-               help='of the motions simulated (default: %(default)g)'),
+        number('--noise', 'SHARE', 0.1,
+               'of the torque limit that encoder noise may take as rms torque', least=1e-6),
+        number('--amplitude', 'RAD', 1.0, 'of the motions simulated', least=1e-6),
         option('--verify', type=int, default=0, metavar='N', least=0,
                help='try the gains on N robots drawn from the uncertainty'),
         option('--intervals', metavar='FILE',
@@ -241,7 +221,6 @@ _TUNE = Verb(
     ('tune --out tuned',
      'tune --robot robot.yaml results/friction.yaml --torque-limit 2 --delay 1 --verify 200 '
      '--intervals results/report.json --out tuned'))
-
 _COMPARE = Verb(
     'compare', 'compare.compare_verb', 'friction compensations side by side',
     'Compare eight ways to compensate friction: none, static Stribeck, LuGre, four kinds of GMS '
@@ -270,14 +249,12 @@ _COMPARE = Verb(
     ('compare', 'compare robot.yaml --controller tuned/controller.yaml --out comparison',
      'compare robot.yaml results/friction.yaml --draws 20',
      'compare my_bag --robot robot.yaml --out along_bag'))
-
 _EFFECTS = Verb(
     'effects', 'robots.effects', 'the effects a robot file can have, with their parameters',
     'List the effects of the catalogue: what each is, how to write it in a robot file, and its '
     'parameters with their units. With names, only those effects.',
     (option('names', nargs='*', metavar='EFFECT', help='default: all of them'), JSON),
     ('effects', 'effects backlash end_stop --json'))
-
 _EXPORT = Verb(
     'export', 'robots.export',
     'the identified robot for MuJoCo, URDF, ros2_control, or as a table',
@@ -295,7 +272,6 @@ _EXPORT = Verb(
     ('export --to mujoco --robot robot.yaml friction.yaml --out arm.xml',
      'export --to mujoco --without attraction stribeck_direction --out arm.xml',
      'export --to csv --robot results/robot.yaml --out parameters.csv'))
-
 _RECORD = Verb(
     'record', 'bag_files.record', 'record topics into a bag',
     'Record topics, each as soon as it has a publisher, until Ctrl-C, SIGTERM or --duration. At '
@@ -309,14 +285,12 @@ _RECORD = Verb(
     ('record --all --out my_bag',
      'record --topics /joint_states /effort_controller/commands /reference --duration 60 --out '
      'my_bag'))
-
 _REPAIR = Verb(
     'repair', 'bag_files.repair', 'recover a killed, cut off or damaged bag',
     'Write every sound message of a bag to a new one, name what is lost. The old bag is not '
     'touched. Exit code 1 if messages were lost.',
     (BAG, option('--out', metavar='DIR', help='the new bag (default: BAG_repaired)'), JSON),
     ('repair my_bag', 'repair my_bag/my_bag_0.mcap --out mended'))
-
 _ANALYSE = Verb(
     'analyse', 'recordings.analyse', "the paper's Table 4 and a report from bags",
     'Compare bags of one robot with and without friction compensation: table4.json, report.html '
@@ -330,7 +304,6 @@ _ANALYSE = Verb(
         LINKS, MOTORS, JSON),
     ('analyse sinusoid_none sinusoid_gms --out results',
      'analyse before after --label sinusoid_none --label sinusoid_gms --out results'))
-
 _TORSION = Verb(
     'torsion', 'recordings.torsion', 'a first flexible-joint model of one recorded axis',
     'Fit inertia, Coulomb and viscous friction to the torque of one axis, divide the torque by a '
@@ -345,14 +318,12 @@ _TORSION = Verb(
         option('--out', metavar='DIR', help='folder for report.html, pictures and robot.yaml'),
         JSON),
     ('torsion kr300 --joint axis1 --stiffness 4.58e6 --out torsion',))
-
 _CHECK_GAINS = Verb(
     'check-gains', 'tune.check_gains', 'conditions on the gains: value, limit, verdict',
     'Check the gains against Eq. (39), all rows, against the exact condition per joint, and bound '
     'the residual set (43). Exit code 1 if a condition fails.', (ROBOT, CONTROLLER, JSON),
     ('check-gains',
      'check-gains --robot robot.yaml friction.yaml --controller controller.yaml --json'))
-
 _URDF = Verb(
     'urdf', 'robots.urdf', 'the robot as URDF, for RViz, robot_state_publisher and simulators',
     'Describe links, motors and inertias of a robot file as URDF. Springs, which URDF cannot '
@@ -367,7 +338,6 @@ _URDF = Verb(
                     'mock_components/GenericSystem')),
     ('urdf --robot robot.yaml --out arm.urdf',
      'urdf --robot robot.yaml --links-only --out rigid.urdf'))
-
 _DEMO = Verb(
     'demo', 'demos.demo', "the paper's experiment over ROS 2, with table and report",
     'Start plant, controller and trajectory as three processes for every trajectory and '
@@ -383,7 +353,6 @@ _DEMO = Verb(
                help='simulated length of each run (default: sinusoid 20, polynomial to its end)'),
         JSON),
     ('demo', 'demo --motions sinusoid --modes none gms --duration 6 --out short'))
-
 _DEMO_IDENTIFY = Verb(
     'demo-identify', 'demos.demo_identify', 'the identification experiment over ROS 2',
     'Start plant, controller, trajectory and identification node as processes in lockstep, faster '
@@ -396,7 +365,6 @@ _DEMO_IDENTIFY = Verb(
                help='parameters of the experiment (default: config/identification_demo.yaml)'),
         JSON),
     ('demo-identify --out demo_identify_output',))
-
 _DEMO_DISCREPANCY = Verb(
     'demo-discrepancy', 'demos.demo_discrepancy',
     'hide an effect, find it over ROS 2, drive with it known',
@@ -412,11 +380,9 @@ _DEMO_DISCREPANCY = Verb(
         option('--effect', metavar='NAME',
                help='hide this one of the catalogue; default: one is drawn that a controller can '
                     'compensate'),
-        option('--duration', type=float, default=60.0, metavar='S',
-               help='of the motion, simulated (default: %(default)g)'), JSON),
+        number('--duration', 'S', 60.0, 'of the motion, simulated'), JSON),
     ('demo-discrepancy --seed 3',
      'demo-discrepancy --effect position_friction --duration 30 --out found'))
-
 _COMPLETION = Verb(
     'completion', 'main.completion',
     'complete verbs, options and files by TAB in bash, zsh and fish',

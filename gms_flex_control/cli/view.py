@@ -9,44 +9,45 @@ import sys
 import time
 import webbrowser
 
-from gms_flex_control.cli.output import import_ros, say
+from gms_flex_control.cli.terminal import import_ros, say
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.resources import robot_file
 from gms_flex_control.schema.files import load_robot
-from gms_flex_control.view.bag import open_bag
+from gms_flex_control.view.recorded import open_bag
 from gms_flex_control.view.server import is_loopback, ViewServer
-
-_LOOK = 0.2  # at most between a signal and the end [s]
 
 
 def view(args) -> int:
     """Serve the page until Ctrl-C; return 0."""
     local = is_loopback(args.host)
-    before = {number: signal.signal(number, _interrupt)
-              for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {}
+
+    def interrupt(_number, _frame):
+        for number in before:  # a second signal must not interrupt the ending
+            signal.signal(number, signal.SIG_IGN)
+        raise KeyboardInterrupt
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        before[number] = signal.signal(number, interrupt)
     try:
         with _view(args) as shown, ViewServer(shown, args.host, args.port,
                                               may_set=local or args.allow_set) as server:
             if not local:
-                _warn(args)
+                what = 'see the arm and set gains' if args.allow_set else 'see this page'
+                print(f'gms_flex view: warning: listening on {args.host}: whoever reaches that '
+                      f'address can {what}; there is no encryption and no password',
+                      file=sys.stderr, flush=True)
             print(f'{server.url}  (Ctrl-C ends it)', flush=True)
             if args.open:
                 webbrowser.open(server.url)
             while True:  # whichever thread a signal wakes, this one then raises
-                time.sleep(_LOOK)
+                time.sleep(0.2)
     except KeyboardInterrupt:
         return 0  # the way to end it
     except BaseException:
         for number, handler in before.items():
             signal.signal(number, handler)
         raise
-
-
-def _interrupt(_number, _frame):
-    """End as Ctrl-C does; a second signal must not interrupt the ending."""
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.SIG_IGN)
-    raise KeyboardInterrupt
 
 
 def _view(args):
@@ -63,10 +64,3 @@ def _view(args):
     return nullcontext(open_bag(
         first, load_robot(args.robot) if args.robot else None, default=load_robot(robot_file()),
         joints=args.joints, motors=args.motors, others=others))
-
-
-def _warn(args):
-    what = 'see the arm and set gains' if args.allow_set else 'see this page'
-    print(f'gms_flex view: warning: listening on {args.host}: whoever reaches that address can '
-          f'{what}; there is no encryption and no password', file=sys.stderr,
-          flush=True)

@@ -35,7 +35,7 @@ from scipy.optimize import least_squares
 # whether parameters are fitted, beginning at the friction of the robot's file
 _FITTED = {'none': False, 'stribeck': True, 'lugre': True, 'gms_paper': True, 'gms': True,
            'gms_desired': True, 'disturbance_observer': False, 'gms_adaptive': True}
-_NEEDS_REFERENCE = ('gms', 'gms_desired')
+
 _REMARKS = {'disturbance_observer': 'sees the torque that it predicts, late',
             'gms_adaptive': 'goes on adapting to the torque error while it is judged'}
 _MOST_FIT = 40_000   # samples of a fit
@@ -73,22 +73,22 @@ def along(recording, robot) -> Along:
     """
     sides = drive_sides(recording, robot)
     seen = rigid_where(robot, sides)
-    pieces = [_piece(stretch, recording, seen) for stretch in segments_of(
+    pieces = [_piece(segment, recording, seen) for segment in segments_of(
         recording, robot, sides)]
     return Along(tuple(pieces), seen, all(np.isfinite(one.reference).all() for one in pieces))
 
 
-def _piece(stretch, recording, robot):
-    period, samples = recording.period, len(stretch.angle)
-    time = stretch.begin + period * np.arange(samples)
+def _piece(segment, recording, robot):
+    period, samples = recording.period, len(segment.angle)
+    time = segment.begin + period * np.arange(samples)
     reference = np.stack([[np.interp(time, recording.time, recording.reference[:, k, j])
                            for j in range(robot.n_joints)] for k in range(5)])
-    angle = smooth_angle(stretch, period)
-    first = [column[np.isfinite(column)][0] for column in stretch.angle.T]
+    angle = smooth_angle(segment, period)
+    first = [column[np.isfinite(column)][0] for column in segment.angle.T]
     return Piece(
-        time, period, angle + first, stretch.rate,
-        np.ascontiguousarray(np.moveaxis(reference, 2, 0)), stretch.torque,
-        low_pass(friction_torque(stretch, robot.arm), stretch.window), stretch.window)
+        time, period, angle + first, segment.rate,
+        np.ascontiguousarray(np.moveaxis(reference, 2, 0)), segment.torque,
+        low_pass(friction_torque(segment, robot.arm), segment.window), segment.window)
 
 
 @compiled
@@ -205,7 +205,7 @@ def modes_to_fit(has_reference) -> list:
 
 
 def _lacks(mode):
-    return mode in _NEEDS_REFERENCE
+    return mode in ('gms', 'gms_desired')
 
 
 def compare_along(found, gains, share, fits) -> list:
@@ -223,18 +223,14 @@ def compare_along(found, gains, share, fits) -> list:
         if _FITTED[mode]:
             x = np.asarray(fits[of]).reshape(10, robot.n_joints)
             robot = replace(robot, friction=scaled(robot.friction, x))
-        torque = _torques(found, robot, gains, mode)
+        factor = np.ones(robot.friction.stiffness.shape)
+        torque = tuple(low_pass(
+            _adapted(one, robot, factor) if mode == 'gms_adaptive' else predicted(
+                one, robot, gains, mode), one.window) for one in found.pieces)
         result.append(Prediction(
             mode, name, torque, _rms(found, torque, [~mask for mask in masks]),
             _rms(found, torque, masks), _REMARKS.get(mode, '')))
     return result
-
-
-def _torques(found, robot, gains, mode):
-    factor = np.ones(robot.friction.stiffness.shape)
-    return tuple(low_pass(
-        _adapted(one, robot, factor) if mode == 'gms_adaptive' else predicted(
-            one, robot, gains, mode), one.window) for one in found.pieces)
 
 
 def _rms(found, torques, masks):

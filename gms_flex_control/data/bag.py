@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Which topics of a bag are a recording, and which names in its joint states are motors."""
 
+from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 import re
@@ -72,7 +73,7 @@ class Bag:
             self.damage.append(Damage(f'{self.path.name}: {name}', 'is missing', None))
         return [path for path in files if path.is_file()]
 
-    def batches(self, only=None):
+    def batches(self, only=None) -> Iterator:
         """
         Yield the messages file by file in the order of writing, as `StorageFile.batches` does.
 

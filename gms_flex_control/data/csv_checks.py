@@ -13,7 +13,7 @@ from gms_flex_control.data.csv_map import (
     TORQUE,
     unit_in_name,
 )
-from gms_flex_control.data.signals import (
+from gms_flex_control.data.signal_analysis import (
     derivative_slope,
     derivative_window,
     friction_columns,
@@ -42,7 +42,7 @@ _SLOPE = (0.85, 1.15)    # of a velocity over the derivative of its position,
 _CORRELATION = 0.9       # and how much alike they are at least
 _MIX_UP = 0.1            # a slope this near to one of _MIX_UPS is one, relative
 _SIDES = (0.5, 2.0)      # way of the motor over that of the link, where the two
-_ALIKE = 0.97            # move alike: a soft joint twists as far as it moves
+_ALIKE = 0.97            # move alike: a soft joint deflects as far as it moves
 _FEWEST_STEPS = 10       # of a position that can jump
 _FEWEST = 100            # samples with angle and torque for a judgement of the torque,
 _FEWEST_MOVING = 40      # of them (smoothed) in motion
@@ -103,11 +103,11 @@ def _sampling(time, lines, has_column):
 
 
 def _name_and_unit(what, place, channel):
-    told = unit_in_name(channel.column, channel.quantity) if isinstance(
+    named = unit_in_name(channel.column, channel.quantity) if isinstance(
         channel.column, str) else None
-    if told and told != channel.unit and channel.unit not in ('pwm', 'A'):
+    if named and named != channel.unit and channel.unit not in ('pwm', 'A'):
         yield Suspicion('unit', place, f'{what} is mapped as {channel.unit!r} but its name '
-                        f'says {told!r}')
+                        f'says {named!r}')
 
 
 def _values(what, place, values, lines):
@@ -166,7 +166,6 @@ def _derivative(what, place, time, position, velocity):
 
 
 def _sides(joint, values):
-    """Compare the way of the motor with that of the link."""
     link, motor = values.get('link_position'), values.get('motor_position')
     if motor is None:
         return

@@ -31,7 +31,8 @@ class ImportedLog:
                  f'({np.min(steps):.4g} to {np.max(steps):.4g} ms)']
         for i, (joint, motor) in enumerate(zip(recording.joints, self.motors, strict=True)):
             lines.append(f'  {joint} ({motor or "rigid"}):')
-            lines += [f'    {name:<16}{_range(values[:, i])} {unit}'
+            lines += [f'    {name:<16}{np.nanmin(values[:, i]):>12.5g} to '
+                      f'{np.nanmax(values[:, i]):>12.5g} {unit}'
                       for name, values, unit in _quantities(recording)
                       if np.isfinite(values[:, i]).any()]
         lines += [f'  note: {remark}' for remark in self.remarks]
@@ -43,24 +44,9 @@ def import_csv(path, import_map, resample=None) -> ImportedLog:
     """
     Read a text table as a recording.
 
-    Parameters
-    ----------
-    path : str or Path
-        The log.
-    import_map : ImportMap, str or Path
-        What its columns are, or the YAML file that says so.
-    resample : float, optional
-        Put everything on a fixed rate [Hz] by linear interpolation; overrides the map.
-
-    Returns
-    -------
-    ImportedLog
-
-    Raises
-    ------
-    ImportDataError
-        If file and map do not fit, a cell is no number or time does not increase.
-
+    ``import_map`` is an ImportMap, or the YAML file that says what the columns are; ``resample``
+    puts everything on a fixed rate [Hz] by linear interpolation and overrides the map.
+    ImportDataError if file and map do not fit, a cell is no number or time does not increase.
     """
     if not hasattr(import_map, 'joints'):
         import_map = load_map(import_map)
@@ -165,16 +151,10 @@ def _in_si(raw, channel, table, keep, place):
         factor = channel.torque_per_volt * volts / channel.full_scale
     values = channel.sign * channel.scale * factor * (raw + channel.offset)
     if channel.unwrap:
-        values = _unwrapped(values, 2 * np.pi * channel.scale)
+        known = np.isfinite(values)
+        values[known] = np.unwrap(values[known], period=2 * np.pi * abs(channel.scale))
     gear = channel.gear_ratio
     return values * gear if channel.quantity == 'torque' else values / gear
-
-
-def _unwrapped(values, turn):
-    known = np.isfinite(values)
-    result = values.copy()
-    result[known] = np.unwrap(values[known], period=abs(turn))
-    return result
 
 
 def _back_emf_torque(channel, joint, values, time):
@@ -226,8 +206,7 @@ def _recording(source, import_map, time, joints):
         joints=tuple(joint.name for joint in import_map.joints), time=time,
         q_link=stack('link_position'), dq_link=stack('link_velocity'),
         q_motor=stack('motor_position'), dq_motor=stack('motor_velocity'),
-        tau_motor=stack('torque'), command=stack('command'), reference=reference,
-        friction_hat=np.full((len(time), len(joints)), np.nan), source=source)
+        tau_motor=stack('torque'), command=stack('command'), reference=reference, source=source)
 
 
 def _quantities(recording):
@@ -238,7 +217,3 @@ def _quantities(recording):
             ('torsion', recording.q_motor - recording.q_link, 'rad'),
             ('torque', recording.tau_motor, 'N m'), ('command', recording.command, 'N m'),
             ('reference', recording.reference[:, 0], 'rad'))
-
-
-def _range(values):
-    return f'{np.nanmin(values):>12.5g} to {np.nanmax(values):>12.5g}'

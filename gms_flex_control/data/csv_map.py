@@ -13,10 +13,10 @@ column was measured on the fast side of a gear. Every mistake is named with its 
 from dataclasses import dataclass, field
 import math
 import re
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 from gms_flex_control.errors import did_you_mean, ImportDataError
-from gms_flex_control.files import read_yaml
+from gms_flex_control.file_io import read_yaml
 from ruamel.yaml.error import YAMLError
 
 _TURN = 2 * math.pi
@@ -44,7 +44,6 @@ _ALIASES = {
     'newton': 'N', 'n': 'N', 'kn': 'kN', 'meter': 'm', 'metre': 'm', 'millimeter': 'mm',
     'millimetre': 'mm', 'µm': 'um', 'micron': 'um', 'm_s': 'm/s', 'mm_s': 'mm/s',
     'nmm': 'mN m', 'n mm': 'mN m'}
-_AMBIGUOUS = ('m', 'n', 'a', 'ma')  # q_m is rather the motor's angle than metres
 
 
 def canonical(unit) -> str:
@@ -65,8 +64,8 @@ def unit_in_name(column, quantity) -> str | None:
     candidates = [bracket.group(1)] if bracket else [
         '_'.join(parts[-count:]) for count in (3, 2, 1) if len(parts) > count]
     for candidate in candidates:
-        if candidate in _AMBIGUOUS and not bracket:
-            continue
+        if candidate in ('m', 'n', 'a', 'ma') and not bracket:
+            continue  # q_m is rather the motor's angle than metres
         for known in UNITS[quantity]:
             if canonical(candidate).lower() == known.lower():
                 return known
@@ -108,32 +107,32 @@ class MapNode:
         self._place = place
         self._line = first_line
 
-    def keys(self):
+    def keys(self) -> list[str]:
         """Return the keys in order (list of str)."""
         return [str(key) for key in self._data]
 
-    def line(self, key=None):
+    def line(self, key=None) -> int:
         """Return the line of ``key``, of the mapping itself by default."""
         if key in self._data:
             return self._data.lc.key(key)[0] + 1
         return self._line
 
-    def wrong(self, problem, key=None):
+    def wrong(self, problem, key=None) -> ImportDataError:
         """Return an ImportDataError that names file, line and place."""
         place = '.'.join(filter(None, [self._place, key]))
         return ImportDataError(f'{self._path}:{self.line(key)}: {place or "the map"} {problem}')
 
-    def only(self, *known):
+    def only(self, *known) -> None:
         """Refuse keys other than ``known``."""
         for key in self._data:
             if key not in known:
                 raise self.wrong(f'is no key here{did_you_mean(key, known)}', str(key))
 
-    def value(self, key, default=None):
+    def value(self, key, default=None) -> object:
         """Return the plain value of ``key``."""
         return self._data.get(key, default)
 
-    def section(self, key, required=False):
+    def section(self, key, required=False) -> Self | None:
         """Return a nested mapping, None if it is not there."""
         if key not in self._data:
             if required:
@@ -153,36 +152,43 @@ class MapNode:
             raise self.wrong(f'must be {words}, got {value!r}', key)
         return value
 
-    def text(self, key, default):
+    def text(self, key, default) -> str:
         """Return a string."""
         return str(self._typed(key, default, str, 'text in quotes'))
 
-    def flag(self, key):
-        """Return a bool, False if it is not there."""
-        return self._typed(key, False, bool, 'true or false')
+    def flag(self, key, default=False) -> bool:
+        """Return a bool."""
+        return self._typed(key, default, bool, 'true or false')
 
-    def whole(self, key, default):
+    def whole(self, key, default) -> int:
         """Return an int that is not negative."""
         value = self._typed(key, default, int, 'a whole number from 0')
         if value < 0:
             raise self.wrong(f'must be a whole number from 0, got {value}', key)
         return int(value)
 
-    def number(self, key, default, positive=False):
+    def number(self, key, default) -> float | None:
         """Return a finite float, ``default`` if it is not there."""
         value = self._typed(key, default, (int, float), 'a number')
         if key not in self._data:
             return default
-        if not math.isfinite(value) or (positive and value <= 0):
-            raise self.wrong(f'must be {"positive" if positive else "finite"}, got {value}', key)
+        if not math.isfinite(value):
+            raise self.wrong(f'must be finite, got {value}', key)
         return float(value)
 
-    def column(self, key):
-        """Return a column name or number, None if it is not there."""
-        value = self._typed(key, None, (str, int, float), 'a column name or number')
+    def positive(self, key, default) -> float | None:
+        """Return a finite float above 0, ``default`` if it is not there."""
+        value = self._typed(key, default, (int, float), 'a number')
+        if key in self._data and not (math.isfinite(value) and value > 0):
+            raise self.wrong(f'must be positive, got {value}', key)
+        return value if value is None else float(value)
+
+    def column(self, key, default=None) -> str | int | float | None:
+        """Return a column name or number."""
+        value = self._typed(key, default, (str, int, float), 'a column name or number')
         return float(value) if isinstance(value, float) else value
 
-    def unit(self, key, known, default=None):
+    def unit(self, key, known, default=None) -> str:
         """Return the canonical name of a unit among ``known``."""
         value = self._data.get(key, default)
         if value is None:
@@ -205,6 +211,12 @@ ESTIMATE_WINDOW = 0.02  # of 'velocity: estimate' without a window [s]
 ENCODINGS = ('utf-8', 'utf-16', 'latin-1')
 DELIMITERS = {'tab': '\t', 'space': ' ', 'comma': ',', 'semicolon': ';'}
 
+# how each key of a channel is read
+_READ = {'column': 'column', 'sign': 'number', 'scale': 'number', 'offset': 'number',
+         'gear_ratio': 'positive', 'unwrap': 'flag', 'counts_per_rev': 'positive',
+         'estimate': 'positive', 'full_scale': 'positive', 'voltage': 'column',
+         'torque_per_volt': 'positive', 'back_emf': 'number', 'torque_constant': 'positive',
+         'enabled': 'column'}
 _COMMON = ('column', 'unit', 'sign', 'scale', 'offset', 'gear_ratio')
 _KEYS = {'position': (*_COMMON, 'unwrap', 'counts_per_rev'),
          'velocity': (*_COMMON, 'estimate', 'counts_per_rev'),
@@ -291,7 +303,7 @@ def load_map(path) -> ImportMap:
         path=str(path), source=top.text('source', ''), file=_file(top.section('file')),
         time=_time(top.section('time', required=True)),
         joints=tuple(_joint(joints.section(name), name) for name in joints.keys()),
-        resample=top.number('resample', None, positive=True))
+        resample=top.positive('resample', None))
     names = [name for joint in result.joints for name in (joint.name, joint.motor) if name]
     for name in names:
         if names.count(name) > 1:
@@ -322,7 +334,7 @@ def _file(node):
 
 def _time(node):
     node.only('column', 'unit', 'rate', 'not_increasing')
-    column, rate = node.column('column'), node.number('rate', None, positive=True)
+    column, rate = node.column('column'), node.positive('rate', None)
     if (column is None) == (rate is None):
         raise node.wrong('needs either a column or a fixed rate [Hz], not both')
     disorder = node.text('not_increasing', 'refuse')
@@ -359,31 +371,18 @@ def _channel(joint, key):
                        estimate=ESTIMATE_WINDOW)
     node = joint.section(key)
     node.only(*_KEYS[quantity])
-    numbers = {name: node.number(name, default) for name, default in
-               (('sign', 1.0), ('scale', 1.0), ('offset', 0.0))}
-    positive = {name: node.number(name, default, positive=True) for name, default in
-                (('gear_ratio', 1.0), ('counts_per_rev', None), ('full_scale', None),
-                 ('torque_per_volt', None), ('torque_constant', None), ('estimate', None))
-                if name in _KEYS[quantity]}
-    if abs(numbers['sign']) != 1:
-        raise node.wrong(f"must be 1 or -1, got {numbers['sign']:g}; use scale for a factor",
-                         'sign')
-    channel = Channel(name=key, quantity=quantity, line=joint.line(key),
-                      column=node.column('column'), unwrap=node.flag('unwrap'),
-                      back_emf=node.number('back_emf', 0.0), voltage=node.column('voltage'),
-                      enabled=node.column('enabled'), unit=_unit(node, quantity),
-                      **numbers, **positive)
+    values = {name: getattr(node, _READ[name])(name, getattr(Channel, name))
+              for name in _KEYS[quantity] if name != 'unit'}
+    if 'unit' in node.keys() or 'estimate' not in node.keys():
+        values['unit'] = node.unit('unit', UNITS[quantity])
+    channel = Channel(name=key, quantity=quantity, line=joint.line(key), **values)
     _check(node, channel)
     return channel
 
 
-def _unit(node, quantity):
-    if 'estimate' in node.keys() and 'unit' not in node.keys():
-        return ''
-    return node.unit('unit', UNITS[quantity])
-
-
 def _check(node, channel):
+    if abs(channel.sign) != 1:
+        raise node.wrong(f'must be 1 or -1, got {channel.sign:g}; use scale for a factor', 'sign')
     if (channel.column is None) == (channel.estimate is None):
         raise node.wrong('needs a column' + (
             ' or estimate: <window in s>, not both' if channel.quantity == 'velocity' else ''))

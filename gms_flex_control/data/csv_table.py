@@ -11,8 +11,6 @@ from pathlib import Path
 from gms_flex_control.errors import did_you_mean, ImportDataError
 import numpy as np
 
-EMPTY = ('', 'nan', 'na', 'n/a', 'null', 'none', '-')
-
 
 class CsvTable:
     """
@@ -63,7 +61,7 @@ class CsvTable:
         try:
             return float(text)
         except ValueError:
-            if text.lower() not in EMPTY:
+            if text.lower() not in ('', 'nan', 'na', 'n/a', 'null', 'none', '-'):
                 self._texts[row, column] = text
             return np.nan
 

@@ -3,11 +3,11 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """What is in a bag and whether its checksums hold; make a sound bag of a damaged one."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 from gms_flex_control.data.bag import Bag
-from gms_flex_control.data.messages import JOINT_STATE, unpack_joint_state
+from gms_flex_control.data.cdr import JOINT_STATE, unpack_joint_state
 from gms_flex_control.data.metadata import definition
 from gms_flex_control.data.writer import BagWriter
 from gms_flex_control.errors import BagError
@@ -43,10 +43,6 @@ class BagSummary:
     notes: tuple    # what else a reader should know (str)
     sound: bool     # no message is known or feared to be lost
     complete: bool  # the bag was closed properly and nothing failed
-
-    def as_dict(self) -> dict:
-        """Return plain dicts, lists and numbers for JSON."""
-        return asdict(self)
 
     def text(self) -> str:
         """Return a table for people."""
@@ -125,10 +121,6 @@ class Repair:
     damage: tuple     # what failed a check (str)
     notes: tuple      # what else was odd (str)
 
-    def as_dict(self) -> dict:
-        """Return plain dicts, lists and numbers for JSON."""
-        return asdict(self)
-
     def text(self) -> str:
         """Return the result for people."""
         lost = 'an unknown number' if self.lost is None else self.lost
@@ -154,7 +146,7 @@ def repair_bag(path, out=None) -> Repair:
     default = path.resolve().with_name(f'{bare or path.resolve().name}_repaired')
     out = Path(out) if out is not None else default
     bag = Bag(path)
-    # read twice: only the first pass tells whether there is anything to repair
+    # read twice: only the first pass shows whether there is anything to repair
     count = sum(map(len, bag.batches()))
     if bag.complete and not bag.notes:
         return _result(bag, '', count, {})

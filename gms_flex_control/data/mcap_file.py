@@ -8,6 +8,7 @@ The index at the end is not needed, so a file whose recorder was killed reads as
 goes; what fails a check is counted and named, never passed on and never dropped in silence.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from io import BytesIO
 import mmap
@@ -141,7 +142,7 @@ class StorageFile:
         self.found = 0         # whole messages met, whatever their topic
         self._only = None
 
-    def batches(self, only=None):
+    def batches(self, only=None) -> Iterator:
         """
         Yield the messages in file order, in lists of (topic, log time [ns], publish time, bytes).
 
@@ -168,7 +169,7 @@ class McapFile(StorageFile):
         self._open_damage = None  # damage of the chunk whose index records follow
         self._unknown = {}        # messages of each channel without a name
 
-    def batches(self, only=None):
+    def batches(self, only=None) -> Iterator:
         """Yield the messages as `StorageFile` says, what fails a check left out."""
         self._only = only
         try:
@@ -199,7 +200,10 @@ class McapFile(StorageFile):
             if opcode == Opcode.CHUNK:
                 yield self._chunk(data[at + 9:end], at)
             elif opcode == Opcode.MESSAGE:
-                yield self._loose_message(data, at, end)
+                self._loose += 1
+                messages, count, _ = self._messages(data[at:end])
+                self.found += count
+                yield messages
             else:
                 self._record(opcode, data, at, end)
             at = end
@@ -270,16 +274,14 @@ class McapFile(StorageFile):
         if opcode == Opcode.STATISTICS:
             self._announced = record.message_count
         elif opcode == Opcode.DATA_END:
-            self._check_data_section(record.data_section_crc, data, at)
+            expected = record.data_section_crc
+            if expected and checksum(data, at) != expected and not self.damage:
+                # chunks carry their own checksums: what they hold is sound
+                self._damaged('the records between the chunks', 'fail the checksum of the file',
+                              None if self._loose or self.unchecked else 0)
         elif opcode == Opcode.FOOTER:
             self._check_summary(record, data, at)
             self.complete = True
-
-    def _check_data_section(self, expected, data, at):
-        if expected and checksum(data, at) != expected and not self.damage:
-            # chunks carry their own checksums: what they hold is sound
-            self._damaged('the records between the chunks', 'fail the checksum of the file',
-                          None if self._loose or self.unchecked else 0)
 
     def _check_summary(self, footer, data, at):
         if footer.summary_crc and not _summary_is_sound(footer, data, at):
@@ -361,12 +363,6 @@ class McapFile(StorageFile):
         elif record is not None:
             self._add_channel(record)
         return record is not None
-
-    def _loose_message(self, data, at, end):
-        self._loose += 1
-        messages, count, _ = self._messages(data[at:end])
-        self.found += count
-        return messages
 
     def _cut_off(self, data, at):
         """Return the whole messages of the chunk the file ends in."""

@@ -10,7 +10,7 @@ import sys
 from typing import NamedTuple
 
 from gms_flex_control.errors import BagError
-from gms_flex_control.files import read_yaml
+from gms_flex_control.file_io import read_yaml
 from ruamel.yaml.error import YAMLError
 
 try:  # every module on bags imports this one first
@@ -92,7 +92,6 @@ def _installed_text(type_name):
                    'workspace that defines it, or leave its topic out')
 
 
-VERSION = 9
 LARGEST = 10_000_000  # bytes; a thousand topics take some hundred thousand
 NEVER = 2**63 - 1  # starting time of a bag without messages
 
@@ -127,7 +126,7 @@ def render(topics, file_name, start, end, custom=None) -> str:
     topics = list(topics)
     count = sum(topic.count for topic in topics)
     start, duration = (start, end - start) if count else (NEVER, 0)
-    lines = [f'version: {VERSION}', 'storage_identifier: mcap', 'duration:',
+    lines = ['version: 9', 'storage_identifier: mcap', 'duration:',
              f'  nanoseconds: {duration}', 'starting_time:',
              f'  nanoseconds_since_epoch: {start}', f'message_count: {count}',
              'topics_with_message_count:']

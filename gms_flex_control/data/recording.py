@@ -3,7 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """One experiment as plain arrays, which topics hold it, and its phases."""
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import NamedTuple
 
 from gms_flex_control.errors import BagError
@@ -25,41 +25,45 @@ _OF_JOINTS = ('q_link', 'dq_link', 'q_motor', 'dq_motor', 'tau_motor', 'command'
               'friction_hat')
 
 
+def _unknown():
+    return field(default_factory=lambda: np.array(np.nan))
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Recording:
     """
     One experiment on one robot, sampled at the joint states; NaN stands for what is unknown.
 
+    A column that is not given is unknown, a single number is that of all samples and joints.
     BagError if a shape does not fit or time does not increase.
     """
 
     joints: tuple             # link names, n of them
     time: np.ndarray          # (T,), strictly increasing, from the first sample [s]
-    q_link: np.ndarray        # (T, n), measured as the next three [rad]
-    dq_link: np.ndarray       # (T, n) [rad/s]
-    q_motor: np.ndarray       # (T, n) [rad]
-    dq_motor: np.ndarray      # (T, n) [rad/s]
-    tau_motor: np.ndarray     # (T, n), really applied over the sample ending at time[k] [N m]
-    command: np.ndarray       # (T, n), torque that answers the state at time[k] [N m]
-    reference: np.ndarray     # (T, 5, n), desired link angle and its derivatives 1 to 4
-    friction_hat: np.ndarray  # (T, n), the observer's estimate [N m]
     source: str               # where it came from, for messages and titles
-    supply: np.ndarray | None = None  # (T,), voltage of the drives' supply [V]
+    q_link: np.ndarray = _unknown()        # (T, n), measured as the next three [rad]
+    dq_link: np.ndarray = _unknown()       # (T, n) [rad/s]
+    q_motor: np.ndarray = _unknown()       # (T, n) [rad]
+    dq_motor: np.ndarray = _unknown()      # (T, n) [rad/s]
+    tau_motor: np.ndarray = _unknown()     # (T, n), applied over the sample up to time[k] [N m]
+    command: np.ndarray = _unknown()       # (T, n), torque that answers the state at time[k] [N m]
+    reference: np.ndarray = _unknown()     # (T, 5, n), desired link angle and derivatives 1 to 4
+    friction_hat: np.ndarray = _unknown()  # (T, n), the observer's estimate [N m]
+    supply: np.ndarray = _unknown()        # (T,), voltage of the drives' supply [V]
 
     def __post_init__(self):
         n, samples = len(self.joints), len(self.time)
-        if self.supply is None:
-            object.__setattr__(self, 'supply', np.full(samples, np.nan))
-        for field in fields(self):
-            if field.name in ('joints', 'source'):
+        for one in fields(self):
+            if one.name in ('joints', 'source'):
                 continue
-            value = np.array(getattr(self, field.name), dtype=float)
-            value.setflags(write=False)
-            object.__setattr__(self, field.name, value)
             shape = {'time': (samples,), 'supply': (samples,), 'reference': (samples, 5, n)}.get(
-                field.name, (samples, n))
+                one.name, (samples, n))
+            value = np.array(getattr(self, one.name), dtype=float)
+            value = np.full(shape, value) if value.ndim == 0 else value
+            value.setflags(write=False)
+            object.__setattr__(self, one.name, value)
             if value.shape != shape:
-                raise BagError(f'{self.source}: {field.name} has shape {value.shape}, '
+                raise BagError(f'{self.source}: {one.name} has shape {value.shape}, '
                                f'expected {shape} for {n} joints and {samples} samples')
         steps = np.diff(self.time)
         if samples < 2 or not np.all(steps > 0):

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import warnings
 
 from gms_flex_control.data.bag import BagWarning
-from gms_flex_control.data.messages import (
+from gms_flex_control.data.cdr import (
     JOINT_STATE,
     MULTI_ARRAY,
     SOURCE_LABEL,
@@ -23,7 +23,7 @@ import numpy as np
 N_DERIVATIVES = 5        # rows of a reference: angle and its derivatives 1 to 4
 _REACH = 1.5             # a reference further away than this many periods is not used
 _SAMPLES = 2**15         # samples that are worked on at once, for the sake of memory
-_BLOCK = 4096            # messages of a topic that wait to be decoded together
+BLOCK = 4096             # messages of a topic that wait to be decoded together
 _TWO_RUNS = 100_000_000  # a step back beyond this is another run, not a late message [ns]
 _TYPES = (JOINT_STATE, MULTI_ARRAY, MULTI_ARRAY, JOINT_STATE, MULTI_ARRAY)  # of the Topics
 
@@ -112,18 +112,14 @@ def _reference_at(times, period, labels, table):
     labels, order = np.unique(labels, return_index=True)
     for start in range(0, len(times), _SAMPLES):
         block = slice(start, start + _SAMPLES)
-        nearest, shift = _nearest(times[block], labels)
+        right = np.clip(np.searchsorted(labels, times[block]), 1, max(len(labels) - 1, 1))
+        left, right = right - 1, np.minimum(right, len(labels) - 1)
+        nearest = np.where(times[block] - labels[left] <= labels[right] - times[block], left,
+                           right)
+        shift = times[block] - labels[nearest]
         near = np.abs(shift) <= _REACH * period
         result[block][near] = _carried_on(table[order[nearest[near]]], shift[near] * 1e-9)
     return result
-
-
-def _nearest(times, labels):
-    """Return which of the increasing ``labels`` is nearest and how much later the time is."""
-    right = np.clip(np.searchsorted(labels, times), 1, max(len(labels) - 1, 1))
-    left, right = right - 1, np.minimum(right, len(labels) - 1)
-    nearest = np.where(times - labels[left] <= labels[right] - times, left, right)
-    return nearest, times - labels[nearest]
 
 
 def _carried_on(table, shift):
@@ -164,7 +160,7 @@ class Series:
                 times, messages = self._waiting[topic]
                 times.append(log)
                 messages.append(message)
-            self._decode(_BLOCK)
+            self._decode(BLOCK)
         self._decode(1)
         for topic, type_name in zip(self.topics, _TYPES, strict=True):
             if not self._has_type(topic, type_name):
@@ -191,7 +187,7 @@ class Series:
                 messages.clear()
 
     def _make_tables(self):
-        """Return a table for each of the topics, none if the joints cannot be told."""
+        """Return a table for each of the topics, none if the joints are not known."""
         try:
             joints, _ = self.resolved()
         except BagError:  # raised again once the bag is known to be sound
@@ -282,7 +278,6 @@ class Series:
         return tuple(sides)
 
     def _there(self):
-        """Return the joints and motors that the states have."""
         (joints, motors), names = self.resolved(), self.require_names()
         return [name for name in (*joints, *motors) if name and name in names]
 
@@ -323,9 +318,9 @@ def _one_voltage(_dims, count):
 
 def _reference_shape(dims, count, n):
     """
-    Return the shape (rows, n) of a reference, None if it asks for torques instead of angles.
+    Return the shape (rows, n) of a reference, None if it gives torques instead of angles.
 
-    Without ``dims`` (label, size, stride) ``count`` tells the rows. BagError, its sentence without
+    Without ``dims`` (label, size, stride) ``count`` gives the rows. BagError, its sentence without
     a subject, if the layout or the length does not fit.
     """
     shape = [(label, size) for label, size, _ in dims

@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Read the sqlite3 storage of rosbag2; it has no checksums of its own."""
 
+from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 import shutil
@@ -13,7 +14,6 @@ from gms_flex_control.data.mcap_file import StorageFile, Topic
 from gms_flex_control.data.metadata import Definition
 from gms_flex_control.errors import BagError
 
-_BATCH = 2000
 _HEADER = b'SQLite format 3\0'
 
 
@@ -24,7 +24,7 @@ class SqliteFile(StorageFile):
         super().__init__(path, original)
         self.unchecked = 1
 
-    def batches(self, only=None):
+    def batches(self, only=None) -> Iterator:
         """Yield the messages as `StorageFile` says, in the order they were written."""
         self._only = only
         try:
@@ -64,7 +64,7 @@ class SqliteFile(StorageFile):
             for row in rows:
                 last = row[0]
                 batch.append(row[1:])
-                if len(batch) == _BATCH:
+                if len(batch) == 2000:
                     yield self._named(batch, names)
                     batch = []
         except sqlite3.Error as error:
@@ -74,7 +74,7 @@ class SqliteFile(StorageFile):
         yield self._named(batch, names)
 
     def _named(self, rows, names):
-        # a damaged page can yield rows of nonsense: without checksums this is all one can tell
+        # a damaged page can yield rows of nonsense: without checksums no more can be checked
         good = [(names[topic], time, time, data) for topic, time, data in rows
                 if topic in names and isinstance(data, bytes) and len(data) >= 4
                 and isinstance(time, int) and time >= 0]

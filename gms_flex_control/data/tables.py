@@ -3,7 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Messages of one topic as columns over time, decoded block by block as they are read."""
 
-from gms_flex_control.data.messages import (
+from gms_flex_control.data.cdr import (
     array_layout,
     joint_state_layout,
     stamp_of,
@@ -46,7 +46,9 @@ class Table:
         stop = self._rows + len(columns['rows'])
         for name, column in columns.items():
             if stop > len(self._columns[name]):
-                self._columns[name] = _longer(self._columns[name], 2 * stop)
+                longer = np.empty((2 * stop, *column.shape[1:]), dtype=column.dtype)
+                longer[:self._rows] = self._columns[name][:self._rows]
+                self._columns[name] = longer  # memory is taken as it is written
             self._columns[name][self._rows:stop] = column
         self._rows = stop
         self._count += len(messages)
@@ -100,7 +102,6 @@ class Table:
             self._read(block, known, k, messages[k])
 
     def _empty(self, count):
-        """Return columns for ``count`` messages."""
         raise NotImplementedError
 
     def _read(self, block, known, k, data):
@@ -110,13 +111,6 @@ class Table:
     def _copy(self, block, start, numbers, records):
         """Copy records laid out like message ``start`` to their places ``numbers``."""
         raise NotImplementedError
-
-
-def _longer(column, length):
-    """Return a column with room for ``length`` rows; memory is taken as they are written."""
-    longer = np.empty((length, *column.shape[1:]), dtype=column.dtype)
-    longer[:len(column)] = column
-    return longer
 
 
 class JointTable(Table):
@@ -145,7 +139,9 @@ class JointTable(Table):
     def _read(self, block, known, k, data):
         stamp, frame, names, *values = unpack_joint_state(data)
         counts = tuple(map(len, values))
-        _check_counts(names, counts)
+        for field, count in zip(VALUES, counts, strict=True):
+            if count != len(names) and (count or field == 'position'):
+                raise BagError(f'has {count} {field} values for {len(names)} names')
         if names not in self._places:
             self._places[names] = _columns(names, self._wanted)
         self._columns_of = self._places[names]
@@ -161,12 +157,6 @@ class JointTable(Table):
         for field in self._fields:
             if field in records.dtype.names:
                 block[field][numbers] = records[field][:, self._columns_of]
-
-
-def _check_counts(names, counts):
-    for field, count in zip(VALUES, counts, strict=True):
-        if count != len(names) and (count or field == 'position'):
-            raise BagError(f'has {count} {field} values for {len(names)} names')
 
 
 def _columns(names, wanted):

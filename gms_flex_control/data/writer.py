@@ -11,7 +11,7 @@ import shutil
 import time
 
 from gms_flex_control.data import metadata
-from gms_flex_control.data.messages import (
+from gms_flex_control.data.cdr import (
     JOINT_STATE,
     MULTI_ARRAY,
     pack_command,
@@ -24,7 +24,7 @@ from gms_flex_control.data.messages import (
 from gms_flex_control.data.metadata import definition
 from gms_flex_control.data.recording import MOTOR_SUFFIX, Recording, Topics
 from gms_flex_control.errors import BagError
-from gms_flex_control.files import make_folder, write_text
+from gms_flex_control.file_io import make_folder, write_text
 from mcap.writer import CompressionType, Writer
 import numpy as np
 
@@ -285,7 +285,6 @@ def write_recording(path, recording: Recording, motors: Sequence[str] | None = N
 
 
 def _series(recording, motors, stamps, topics, source):
-    """Yield topic, type and one message (or None) per sample."""
     sides = [k for k, name in enumerate(motors) if name]
     rigid = [k for k, name in enumerate(motors) if not name]
     link_effort = np.full(recording.q_link.shape, np.nan)

@@ -11,7 +11,7 @@ then linear algebra.
 from collections import Counter
 from typing import NamedTuple
 
-from gms_flex_control.data.signals import standing_out
+from gms_flex_control.data.signal_analysis import standing_out
 from gms_flex_control.discrepancy.evidence import NormalEquations
 from gms_flex_control.discrepancy.fitting import informative, numbers_of, prior_of
 from gms_flex_control.discrepancy.likelihood import with_effect

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
 
-from gms_flex_control.data.signals import quantum
+from gms_flex_control.data.signal_analysis import quantum
 from gms_flex_control.dynamics.chain import own_inertia
 from gms_flex_control.errors import BagError
 from gms_flex_control.identification.smoothing import (

@@ -18,7 +18,7 @@ and curvature are cleared of their difference, linear in all parameters.
 from dataclasses import replace
 
 from gms_flex_control.compiled import compiled
-from gms_flex_control.data.signals import quantum
+from gms_flex_control.data.signal_analysis import quantum
 from gms_flex_control.discrepancy.motion import encoder_step, make_motion
 from gms_flex_control.discrepancy.nuisance import OF_SHAPE
 from gms_flex_control.discrepancy.residuals import fresh_state

@@ -9,7 +9,7 @@ import shutil
 
 from gms_flex_control.errors import BagError, GmsFlexError
 from gms_flex_control.experiment.identification_steps import Step
-from gms_flex_control.files import write_text
+from gms_flex_control.file_io import write_text
 
 _LEAST, _MOST = 0.2, 3.0  # of what was planned
 LEAVING = 0.2  # of the travel that ends a break-away step: there it begins

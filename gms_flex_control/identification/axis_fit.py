@@ -24,7 +24,7 @@ damping.
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
-from gms_flex_control.data.signals import derivative_window, smoothed, standing_out
+from gms_flex_control.data.signal_analysis import derivative_window, smoothed, standing_out
 from gms_flex_control.effects.catalogue.torque_ripple import TorqueRipple
 from gms_flex_control.errors import IdentificationError
 from gms_flex_control.identification.objective import BLOCK_TIME

@@ -13,7 +13,7 @@ one described as the data allow.
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from gms_flex_control.data.signals import derivative_window, smoothed
+from gms_flex_control.data.signal_analysis import derivative_window, smoothed
 from gms_flex_control.dynamics.chain import constants_of
 from gms_flex_control.identification.axis_fit import friction_regressors, robust
 from gms_flex_control.identification.objective import BLOCK_TIME

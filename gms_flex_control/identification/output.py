@@ -17,7 +17,7 @@ from textwrap import wrap
 from typing import NamedTuple
 
 from gms_flex_control import __version__
-from gms_flex_control.files import write_text
+from gms_flex_control.file_io import write_text
 from gms_flex_control.identification.result import (
     CONFIDENT,
     data_sentence,

@@ -13,7 +13,7 @@ sentence says so.
 from collections.abc import Callable, Sequence
 
 from gms_flex_control import records
-from gms_flex_control.data.signals import standing_out
+from gms_flex_control.data.signal_analysis import standing_out
 from gms_flex_control.dynamics import chain
 from gms_flex_control.dynamics.chain import inverse_dynamics
 from gms_flex_control.friction import gms

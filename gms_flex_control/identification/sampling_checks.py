@@ -4,7 +4,7 @@
 """Faults of stamps, angles and rates: lost samples, jumps, frozen values, too little motion."""
 
 from gms_flex_control.data.recording import Recording
-from gms_flex_control.data.signals import (
+from gms_flex_control.data.signal_analysis import (
     derivative_slope,
     derivative_window,
     is_moving,

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import warnings
 
 from gms_flex_control.data.recording import Recording
-from gms_flex_control.data.signals import quantum
+from gms_flex_control.data.signal_analysis import quantum
 from gms_flex_control.dynamics.chain import inverse_dynamics, mass_matrices, matrices
 from gms_flex_control.errors import IdentificationError
 from gms_flex_control.identification.assumed_robot import effect_torque

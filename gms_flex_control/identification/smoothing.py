@@ -3,7 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Zero-phase derivatives of encoder angles: torque, position and velocity without lag."""
 
-from gms_flex_control.data.signals import quantum
+from gms_flex_control.data.signal_analysis import quantum
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import savgol_filter

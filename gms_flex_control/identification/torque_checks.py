@@ -14,7 +14,7 @@ from itertools import combinations
 from typing import NamedTuple
 
 from gms_flex_control.data.recording import Recording
-from gms_flex_control.data.signals import (
+from gms_flex_control.data.signal_analysis import (
     derivative_window,
     friction_columns,
     is_moving,

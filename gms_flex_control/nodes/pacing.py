@@ -8,7 +8,7 @@ import sys
 import time
 
 from builtin_interfaces.msg import Time
-from gms_flex_control.files import write_text
+from gms_flex_control.file_io import write_text
 from gms_flex_control.hardware.supervision import LATE, Lateness, NOTABLE
 from gms_flex_control.nodes import process
 from gms_flex_control.nodes.health import now

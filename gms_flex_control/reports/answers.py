@@ -33,7 +33,7 @@ _KNOWN = ('well known', 'roughly known')
 _WIDTH = 98           # of text
 _LONGEST_NAME = 22    # of a joint in text
 _AT_FLOOR = 1.3       # error over floor that counts as the floor itself
-_SCALES = {'rad': angle_scale, 'N m': torque_scale}
+
 _CHANGED = 0.02       # share of an error that is worth a word
 
 
@@ -115,11 +115,13 @@ def identification_answer(identification, folder, robot=()) -> Answer:
     """Return how far the friction found predicts (Answer); ``robot`` files were believed."""
     worst, folder = worst_joint(identification), Path(folder)
     errors, joint = worst.held_out, worst.joint
+    counts = identification.robot.encoder.counts  # if unknown the error a sample ahead serves
+    reading = 2.0 * np.pi / counts / np.sqrt(12.0) if counts > 0.0 else errors.innovation_rms
     numbers = [
         measured(f'torque error of {joint} [% of the drive torque]', errors.coulomb_viscous,
                  errors.relative, np.fmax(*floor_shares(errors)), scale=100.0),
         measured(f'error of free runs of {joint} [mrad]', errors.free_run_coulomb_viscous,
-                 errors.free_run_rms, _reading(identification.robot.encoder, errors))]
+                 errors.free_run_rms, reading)]
     known = next((one for one in worst.estimates if standing(one) in _KNOWN), None)
     if known is not None:
         low, high = known.interval
@@ -130,12 +132,6 @@ def identification_answer(identification, folder, robot=()) -> Answer:
                   ('Coulomb + viscous', 'identified', 'noise floor'), tuple(numbers), command(
                       'discrepancy', *identification.sources, '--robot', *files,
                       folder / 'friction.yaml', '--out', folder / 'gap'))
-
-
-def _reading(encoder, errors):
-    """Return what encoder steps make of a reading, if unknown the error a sample ahead [rad]."""
-    known = encoder.counts > 0.0
-    return 2.0 * np.pi / encoder.counts / np.sqrt(12.0) if known else errors.innovation_rms
 
 
 def worst_joint(identification) -> JointResult:
@@ -197,7 +193,8 @@ def _values(result):
         return []
     first, numbers = result.named[0], []
     for value in first.values:
-        scale = _SCALES.get(value.unit, lambda _, unit=value.unit: Scale(unit, 1.0))(value.value)
+        scale = (angle_scale(value.value) if value.unit == 'rad' else torque_scale(value.value)
+                 if value.unit == 'N m' else Scale(value.unit, 1.0))
         numbers.append(Number(
             f'{value.name} of {first.effect}' + ('' if scale.unit == '1' else f' [{scale.unit}]'),
             '-', *map(scale.text, (value.value, 0.5 * (value.high - value.low)))))

@@ -16,7 +16,6 @@ from gms_flex_control.answer import Answer, command, measured
 from gms_flex_control.identification.output import is_told
 from gms_flex_control.identification.result import number, percent
 
-FORMAT = 1
 _WIDTH = 96
 _COLUMNS = 4  # bags beside each other in text, at most
 _CLEAR = 2.0  # times the scatter that intervals predict: they differ from bag to bag
@@ -30,7 +29,7 @@ def summary(found, rows) -> dict:
     ``found`` holds `identification.output.bag_values` and ``reason`` (None, or all there is) by
     the name of the bag, ``rows`` the OverBags of those without a reason.
     """
-    return {'format': FORMAT, 'version': __version__,
+    return {'format': 1, 'version': __version__,
             'bags': [{'bag': name, **values} for name, values in found.items()],
             'parameters': [{name: None if value != value else value
                             for name, value in row._asdict().items()} for row in rows]}
@@ -69,7 +68,8 @@ def identification_text(found, rows) -> str:
     good = _good(found)
     parts = [f'{len(good)} of {len(found)} bags identified']
     if rows:
-        parts += [_parameters(rows, good), _untold(rows, good), _differing(rows), _outliers(rows)]
+        parts += [_parameters(rows, good), _not_estimated(rows, good), _differing(rows),
+                  _outliers(rows)]
     parts += [_errors(good, rows), _reasons(found, 'NOT IDENTIFIED')]
     return '\n\n'.join(filter(None, parts))
 
@@ -137,7 +137,7 @@ def _share(row):
     return number(100.0 * row.standard_deviation / abs(row.mean), 2) if row.mean else '-'
 
 
-def _untold(rows, good):
+def _not_estimated(rows, good):
     """Return which parameters no bag estimates, '' if there are none."""
     names = dict.fromkeys(one['name'] for values in good.values() for one in values['estimates'])
     left = [name.removeprefix('friction.') for name in names

@@ -24,14 +24,9 @@ _NOTE = ('rms error of all joints and both motions [mrad], the plant as believed
          'plant as believed')
 
 
-def _milli(value):
+def _milli(value, scale=1e3):
     """Return a figure in thousandths as text, 'lost' for None."""
-    return 'lost' if value is None else f'{1e3 * value:.3g}'
-
-
-def _plain(value):
-    """Return a figure as text, 'lost' for None."""
-    return 'lost' if value is None else f'{value:.3g}'
+    return 'lost' if value is None else f'{scale * value:.3g}'
 
 
 def _median(values):
@@ -39,11 +34,6 @@ def _median(values):
     known = [np.inf if value is None else value for value in values]
     found = float(np.median(known)) if known else None
     return found if found is None or np.isfinite(found) else None
-
-
-def _largest(values):
-    """Return the largest of a list; None where one is None, or there is none."""
-    return None if not values or None in values else max(values)
 
 
 def _header(rows):
@@ -57,12 +47,13 @@ def _cells(row):
     """Return one Row as cells of text; units as in `_NOTE`."""
     drawn, rest = [], []
     if row.drawn:
-        drawn = [_milli(_median(row.drawn)), _milli(_largest(row.drawn))]
+        drawn = [_milli(_median(row.drawn)),
+                 _milli(None if None in row.drawn else max(row.drawn))]
         rest = [_milli(row.drawn_hold)]
     return [row.name, _milli(row.errors['nominal']),
             *(_milli(row.errors[group]) for group in _GROUPS), *drawn,
-            _milli(None if row.hold is None else max(row.hold)), *rest, _plain(row.torque),
-            _plain(row.rate)]
+            _milli(None if row.hold is None else max(row.hold)), *rest, _milli(row.torque, 1.0),
+            _milli(row.rate, 1.0)]
 
 
 def plant_text(rows) -> str:
@@ -161,7 +152,7 @@ def plant_page(rows, outcomes, setting, source) -> Report:
         ['compensation', *(f'{motion}, {joint}' for motion in rows[0].mse
                            for joint in robot.joints),
          *(f'at rest, {joint} [mrad]' for joint in robot.joints)],
-        [[row.name, *(_plain(value) for motion in row.mse.values()
+        [[row.name, *(_milli(value, 1.0) for motion in row.mse.values()
                       for value in motion or [None] * robot.n_joints),
           *(_milli(value) for value in row.hold or [None] * robot.n_joints)]
          for row in rows], caption='Mean square error [rad^2] and motion at rest')

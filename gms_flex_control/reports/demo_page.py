@@ -11,7 +11,7 @@ from gms_flex_control.analysis.table4 import align
 from gms_flex_control.analysis.tracking import link_error, link_rms
 from gms_flex_control.answer import Answer, command, measured
 from gms_flex_control.control.feedforward import compensated
-from gms_flex_control.discrepancy.result import Discrepancy
+from gms_flex_control.discrepancy.result import Discrepancy, Finding
 from gms_flex_control.reports.answers import gap_numbers, WITH, WITHOUT
 from gms_flex_control.reports.discrepancy_page import add_discrepancy
 from gms_flex_control.reports.discrepancy_values import (
@@ -45,19 +45,19 @@ class DemoOutcome(NamedTuple):
     recordings: dict     # of one motion, one for each of BELIEFS of the controller
 
     @property
-    def first(self):
+    def first(self) -> Finding | None:
         """Return the Finding that matters most, small ones coming last; None if there is none."""
         return next(iter(self.result.named), None)
 
     @property
-    def named(self):
+    def named(self) -> bool:
         """Return whether that one has the name and joint of what was hidden."""
         effect = self.hidden.effect
         return self.first is not None and (self.first.effect, self.first.joint) == (
             effect.name, effect.joint)
 
     @property
-    def shrank(self):
+    def shrank(self) -> bool:
         """Return whether residual torque and free-run error became less on data held out."""
         gap = self.result.gap
         return gap is not None and all(
@@ -65,13 +65,12 @@ class DemoOutcome(NamedTuple):
                 (gap.retuned, gap.after), (gap.free_before, gap.free_after)))
 
     @property
-    def tracking(self):
+    def tracking(self) -> dict[str, np.ndarray]:
         """Return the rms tracking error by belief, dict of str to ndarray (n,) [rad]."""
         return {belief: link_rms(recording) for belief, recording in self.recordings.items()}
 
 
 def _outcome_values(outcome):
-    """Return a DemoOutcome as plain data, SI units."""
     joints, effect = outcome.hidden.robot.joints, outcome.hidden.effect
     return plain({
         'version': __version__, 'seed': outcome.seed, 'name_right': outcome.named,
@@ -146,7 +145,7 @@ def _worst(outcome):
     return int(np.argmax(tracking['believed'] - tracking['found']))
 
 
-def write_demo_report(outcome, folder):
+def write_demo_report(outcome, folder) -> None:
     """Write report.html, report.json and the PNGs of a DemoOutcome to a folder."""
     folder = Path(folder)
     report = Report('What does the model lack? A demonstration', demo_answer(outcome),
@@ -172,7 +171,6 @@ def write_demo_report(outcome, folder):
 
 
 def _tracking_figure(outcome):
-    """Return the tracking errors over time of the three beliefs, a panel per joint."""
     joints = outcome.hidden.robot.joints
     figure, panels = stacked_panels(len(joints))
     rms = outcome.tracking

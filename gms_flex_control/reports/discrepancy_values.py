@@ -11,7 +11,7 @@ from gms_flex_control import __version__
 from gms_flex_control.discrepancy.describe import angle_scale, named, torque_scale
 from gms_flex_control.discrepancy.residual_views import over_of
 from gms_flex_control.effects.registry import find
-from gms_flex_control.files import write_text
+from gms_flex_control.file_io import write_text
 from gms_flex_control.schema.files import save_robot
 import numpy as np
 
@@ -52,11 +52,14 @@ def report_values(result, *, holdout=(), models=()) -> dict:
                     for name, joint, change in result.retuned],
         'tried': [one._asdict() for one in result.tried],
         'dependences': [over_values(one) for one in over_of(result)],
-        'models': [_model_values(model, joints) for model in models]})
+        'models': [{'model': one.name, 'missing': one.missing,
+                    'missing_retuned': one.missing_retuned} | {
+            name: _by_joint(joints, getattr(one, name))
+            for name in ('torque', 'torque_retuned', 'free_run', 'free_run_retuned')}
+            for one in models]})
 
 
 def _finding_values(finding, joints):
-    """Return a Finding as a dict, residuals by the names of ``joints``."""
     return {
         'effect': finding.effect, 'joint': finding.joint,
         'parameters': {value.name: {'value': value.value, 'unit': value.unit, 'low': value.low,
@@ -87,25 +90,11 @@ def over_values(one) -> dict:
 
 
 def _gap_values(gap):
-    """Return a Gap as a dict, each figure by joint."""
+    again = gap.closed_loop
     return {name: _by_joint(gap.joints, getattr(gap, name)) for name in _OF_GAP} | {
-        'energy_ratio': gap.energy_ratio, 'closed_loop': _loop_values(gap.closed_loop)}
-
-
-def _loop_values(again):
-    """Return a ClosedLoop as a dict, each figure by joint; None as it is."""
-    if again is None:
-        return None
-    return {'sources': again.sources} | {
-        name: _by_joint(again.joints, getattr(again, name)) for name in _TORQUES}
-
-
-def _model_values(model, joints):
-    """Return a Compared as a dict, each figure by joint."""
-    return {'model': model.name, 'missing': model.missing,
-            'missing_retuned': model.missing_retuned} | {
-        name: _by_joint(joints, getattr(model, name))
-        for name in ('torque', 'torque_retuned', 'free_run', 'free_run_retuned')}
+        'energy_ratio': gap.energy_ratio,
+        'closed_loop': None if again is None else {'sources': again.sources} | {
+            name: _by_joint(again.joints, getattr(again, name)) for name in _TORQUES}}
 
 
 def over_bags_values(result) -> dict:
@@ -117,24 +106,19 @@ def over_bags_values(result) -> dict:
         **{name: [f'{one.effect} of {one.joint}' for one in found] for name, found in (
             ('effects', result.findings), ('minor', result.minor))},
         'unexplained': result.unexplained and result.unexplained.sentence,
-        'estimates': [_estimate(finding, value) for finding in result.named
-                      for value in finding.values],
+        'estimates': [{'name': f'{finding.joint}.{finding.effect}.{value.name}',
+                       'unit': value.unit, 'value': value.value, 'low': value.low,
+                       'high': value.high, 'flags': [], 'standing': 'found'}
+                      for finding in result.named for value in finding.values],
         'gap': None if gap is None else {
             name: _by_joint(gap.joints, getattr(gap, name)) for name in _TORQUES}})
 
 
-def _estimate(finding, value):
-    return {'name': f'{finding.joint}.{finding.effect}.{value.name}', 'unit': value.unit,
-            'value': value.value, 'low': value.low, 'high': value.high, 'flags': [],
-            'standing': 'found'}
-
-
 def _by_joint(joints, values):
-    """Return values (n,) by the names of joints."""
     return {joint: float(value) for joint, value in zip(joints, values, strict=True)}
 
 
-def plain(value):
+def plain(value) -> object:
     """Return data as JSON knows it: no tuples, no numpy, None for what is not finite."""
     if isinstance(value, dict):
         return {key: plain(item) for key, item in value.items()}
@@ -152,12 +136,12 @@ def as_json(values) -> str:
     return json.dumps(values, indent=2, allow_nan=False, ensure_ascii=False)
 
 
-def write_report_values(values, path):
+def write_report_values(values, path) -> None:
     """Write `report_values` to ``path``, whole or not at all."""
     write_text(path, as_json(values) + '\n')
 
 
-def write_robot(result, path):
+def write_robot(result, path) -> None:
     """Write the robot with what was found: a ROS parameter file for nodes and tools."""
     save_robot(result.robot, path, comment=_comment(result))
 

@@ -6,7 +6,7 @@
 from io import StringIO
 import re
 
-from gms_flex_control.files import atomic_path
+from gms_flex_control.file_io import atomic_path
 from matplotlib import rc_context
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -29,7 +29,6 @@ _IN_PAGE = (('<metadata>.*?</metadata>|<defs><style.*?</defs>', ''),
             (r'<g id="[\w.]+?_\d+">', '<g>'), (' xmlns(:xlink)?="[^"]*"', ''),
             ('xlink:href', 'href'), (r'>\s+<', '><'), (r'\s+', ' '))
 WIDTH = 7.0  # inch
-MAX_SAMPLES = 20_000
 
 
 def panels_of(rows, columns, size, layout='constrained', **options) -> tuple:
@@ -80,7 +79,7 @@ def labelled(figure, panels, labels, title) -> Figure:
     return figure
 
 
-def thinned(length, most=MAX_SAMPLES) -> slice:
+def thinned(length, most=20_000) -> slice:
     """Return which of so many samples are drawn: a picture shows no more."""
     return slice(None, None, max(1, int(np.ceil(length / most))))
 
@@ -90,7 +89,7 @@ def file_stem(text) -> str:
     return re.sub(r'[^A-Za-z0-9_-]+', '_', text)
 
 
-def save_figure(figure, path, words=str):
+def save_figure(figure, path, words=str) -> None:
     """Write a figure whole or not at all; ``words`` is applied to labels, such as other units."""
     _translate(figure, words)
     with atomic_path(path) as temporary:

@@ -15,10 +15,10 @@ from itertools import groupby
 import json
 from pathlib import Path
 import re
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 from gms_flex_control.answer import unbroken
-from gms_flex_control.files import write_text
+from gms_flex_control.file_io import write_text
 import numpy as np
 
 ROLES = ('reference', 'c0', 'c1', 'c2', 'c3', 'c4', 'c5', 'c6')
@@ -75,23 +75,23 @@ class Report:
         self._arrays = {}  # encoded array -> index, so that a shared time axis is stored once
         self._charts = []
 
-    def heading(self, text, level=2):
+    def heading(self, text, level=2) -> Self:
         """Add a heading of level 2 (listed at the top of the page) or 3."""
         anchor = f'h{len(self._blocks)}'
         if level == 2:
             self._headings.append((anchor, self._words(text)))
         return self._add('heading', f'<h{level} id="{anchor}">{self._escaped(text)}</h{level}>')
 
-    def text(self, text):
+    def text(self, text) -> Self:
         """Add a paragraph."""
         return self._add('text', f'<p>{self._escaped(text)}</p>')
 
-    def note(self, text, warning=False):
+    def note(self, text, warning=False) -> Self:
         """Add a paragraph that is set off; ``warning`` colours it."""
         kind = 'note warning' if warning else 'note'
         return self._add('text', f'<p class="{kind}">{self._escaped(text)}</p>')
 
-    def table(self, header, rows, caption=''):
+    def table(self, header, rows, caption='') -> Self:
         """Add a table of cells (written with ``str``), its caption above it."""
         caption = f'<p class="caption">{self._escaped(caption)}</p>' if caption else ''
         return self._add('table', caption + self._table(header, rows, 'data'))
@@ -104,14 +104,14 @@ class Report:
         return (f'<div class="scroll"><table class="{kind}"><thead>{lines[0]}</thead>'
                 f'<tbody>{"".join(lines[1:])}</tbody></table></div>')
 
-    def figure(self, figure, caption=''):
+    def figure(self, figure, caption='') -> Self:
         """Add a matplotlib figure as SVG in the colours of the page; the caption describes it."""
         from gms_flex_control.reports.figures import svg  # matplotlib takes a third of a second
         caption = self._escaped(caption)
         return self._add('figure', f'<figure role="img" aria-label="{caption}">'
                          f'{svg(figure, self._words)}<figcaption>{caption}</figcaption></figure>')
 
-    def chart(self, title, x, series, x_label='time [s]', y_label='', group='time'):
+    def chart(self, title, x, series, x_label='time [s]', y_label='', group='time') -> Self:
         """
         Add an interactive chart of Series over an increasing x (T,).
 
@@ -135,7 +135,7 @@ class Report:
                              'group': group})
         return self._add('chart', _chart_html(len(self._charts) - 1, self._words(title)))
 
-    def xy_chart(self, title, curves, x_label='', y_label='', *, log_x=False):
+    def xy_chart(self, title, curves, x_label='', y_label='', *, log_x=False) -> Self:
         """
         Add an interactive chart of Curves, over the logarithm of x if ``log_x`` (then x > 0).
 
@@ -163,7 +163,7 @@ class Report:
                              'y_label': self._words(y_label), 'group': f'xy {index}'})
         return self._add('chart', _chart_html(index, self._words(title)))
 
-    def html(self):
+    def html(self) -> str:
         """Return the whole page (str)."""
         folder = files('gms_flex_control.reports')
         style = (folder / 'vendor' / 'uPlot.min.css').read_text('utf-8') + (
@@ -178,7 +178,7 @@ class Report:
             *self._opening(), *self._details()]
         return '\n'.join([*parts, *self._scripts(folder), '</body></html>\n'])
 
-    def write(self, path):
+    def write(self, path) -> Path:
         """Write the page to ``path``, whole or not at all, and return the path."""
         write_text(path, self.html())
         return Path(path)
@@ -283,7 +283,7 @@ def _is_number(text):
     return True
 
 
-def merge_grids(x, lines):
+def merge_grids(x, lines) -> tuple:
     """
     Put ``lines`` (label, own abscissa or None for ``x``, y) on the union of their abscissae.
 
@@ -306,7 +306,7 @@ def merge_grids(x, lines):
                   for abscissa, y in pairs]
 
 
-def decimate(x, values, limit):
+def decimate(x, values, limit) -> tuple:
     """
     Return x (N,) and lines (N,) as at most ``limit`` points that keep every peak.
 

@@ -7,11 +7,11 @@ import json
 from pathlib import Path
 import re
 
-from gms_flex_control.analysis.table4 import align, PAPER_WITHOUT
+from gms_flex_control.analysis.table4 import align, PAPER_WITHOUT, Table4
 from gms_flex_control.analysis.torsion import rms
 from gms_flex_control.analysis.tracking import link_error, table4
 from gms_flex_control.answer import Answer, command, measured
-from gms_flex_control.files import write_text
+from gms_flex_control.file_io import write_text
 from gms_flex_control.reports.figures import (
     COLOURS,
     finished,
@@ -33,7 +33,7 @@ _LOOKS = {'none': (1, '-'), 'gms_paper': (2, '-.'), 'gms': (0, '-')}  # colour a
 
 
 def write_tracking_report(runs, folder, friction_true=None, title='Tracking report', *,
-                          subtitle=None, beside=None):
+                          subtitle=None, beside=None) -> Table4:
     """
     Write table4.json, report.html and the PNGs of runs (Run) to a folder; return the Table4.
 
@@ -99,7 +99,6 @@ def _joint_charts(recording, i, friction_true):
 
 
 def _by_trajectory(runs):
-    """Yield each trajectory and its runs that have an error."""
     drawn = [run for run in runs if np.isfinite(link_error(run.recording)).any()]
     for trajectory in dict.fromkeys(run.trajectory for run in drawn):
         yield trajectory, [run for run in drawn if run.trajectory == trajectory]
@@ -175,12 +174,10 @@ def _capital(trajectory):
 
 
 def _title(run):
-    """Return the title of a run, for instance 'Sinusoid: without compensation'."""
     return f'{_capital(run.trajectory)}: {_name(run)}'
 
 
 def _save_pictures(runs, folder):
-    """Write the pictures for print."""
     used = set()
     for trajectory, drawn in _by_trajectory(runs):
         for run in drawn:

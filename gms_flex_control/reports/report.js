@@ -352,7 +352,7 @@
     root.querySelector('[data-act=reset]').addEventListener('click', () => reset(chart));
     root.querySelector('[data-act=large]').addEventListener('click', (e) => {
       e.target.setAttribute('aria-pressed', root.classList.toggle('large'));
-      fit(chart);  /* where only its height is another one, nothing else tells */
+      fit(chart);  /* where only its height is another one, nothing else reports it */
     });
     root.querySelector('[data-act=box]').addEventListener('click', () => {
       const on = document.body.classList.toggle('box');

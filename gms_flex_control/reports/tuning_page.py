@@ -18,8 +18,6 @@ from matplotlib.figure import Figure
 import numpy as np
 
 _KINDS = {'gershgorin': 'Gershgorin', 'exact': 'exact, N_2 > 0'}
-_LOWEST, _COUNT = 0.5, 400  # frequencies of the picture [rad/s]
-_HIGHEST = 0.95             # of half the sample rate: there the hold takes everything away
 
 
 def gains_table(gains, robot) -> str:
@@ -217,7 +215,8 @@ def _finite(value):
 def tuning_figure(robot, gains, timing) -> Figure:
     """Return the response of each joint's stable loop in all poses, the others closed."""
     figure, ((upper,), (lower,)) = panels_of(2, 1, (WIDTH, 4.6), sharex=True)
-    grid = np.geomspace(_LOWEST, _HIGHEST * np.pi / timing.period, _COUNT)
+    # [rad/s]; at half the sample rate the hold takes everything away
+    grid = np.geomspace(0.5, 0.95 * np.pi / timing.period, 400)
     for pose in poses(robot.arm):
         loop = linear_loop(robot, robot, gains, timing, pose)
         for j in range(robot.n_joints):

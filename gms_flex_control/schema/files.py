@@ -7,7 +7,7 @@ import io
 from pathlib import Path
 
 from gms_flex_control.errors import ConfigError, ParameterError
-from gms_flex_control.files import read_yaml, write_text
+from gms_flex_control.file_io import read_yaml, write_text
 from gms_flex_control.hardware.limits import Limits
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.robot import RobotParams

@@ -22,7 +22,6 @@ import numpy as np
 from scipy.linalg import expm
 
 _STEP = 1e-6  # of the central differences: the law is linear there but for rounding
-_MEASURED = ('q_link', 'dq_link', 'q_motor', 'dq_motor')
 
 
 class Timing(NamedTuple):
@@ -114,7 +113,8 @@ def _controller_law(gains, model, pose, period):
 
     def answer(values):
         state, measured = cascade.init(model), encoder.init(n)
-        for name, value in zip(_MEASURED, values[:4 * n].reshape(4, n), strict=True):
+        for name, value in zip(('q_link', 'dq_link', 'q_motor', 'dq_motor'),
+                               values[:4 * n].reshape(4, n), strict=True):
             measured[name][:] = value
         state.command[:] = values[4 * n:5 * n]
         state.observer.filtered[:] = values[5 * n:].reshape(2, n)

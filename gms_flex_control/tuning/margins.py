@@ -171,7 +171,11 @@ def judged(robot, model, gains, timing, *, with_delay=True) -> Judgement:
     for pose in poses(robot.arm):
         loop = linear_loop(robot, model, gains, timing, pose)
         if not loop.stable:
-            return _unstable(robot, model, gains)
+            unbounded = np.full(robot.n_joints, np.inf)
+            return Judgement(
+                gain_conditions.check(gains, model),
+                (JointMargins(1.0, 1.0, 0.0, 0.0, np.nan),) * robot.n_joints, 0.0, False,
+                Jitter(unbounded, unbounded), np.nan, unbounded)
         found.append([joint_margins(loop, j) for j in range(robot.n_joints)])
         noises.append(jitter(loop, robot.encoder))
         if with_delay:
@@ -181,26 +185,13 @@ def judged(robot, model, gains, timing, *, with_delay=True) -> Judgement:
             decays.append(-np.log(np.abs(np.linalg.eigvals(stuck.closed)).max()) / timing.period)
     return Judgement(
         conditions=gain_conditions.check(gains, model),
-        joints=tuple(_worst(column) for column in zip(*found, strict=True)),
+        joints=tuple(JointMargins(*(worst(figures) for worst, figures in zip(
+            (min, max, min, min, max), zip(*column, strict=True), strict=True)))
+            for column in zip(*found, strict=True)),
         delay=min(delays, default=np.inf), stable=True,
         jitter=Jitter(*(np.max(values, axis=0) for values in zip(*noises, strict=True))),
         ringing=float(min(decays, default=np.nan)),
         held=np.max(held, axis=0) if held else np.full(robot.n_joints, np.nan))
-
-
-def _unstable(robot, model, gains):
-    nothing = JointMargins(1.0, 1.0, 0.0, 0.0, np.nan)
-    unbounded = np.full(robot.n_joints, np.inf)
-    return Judgement(gain_conditions.check(gains, model), (nothing,) * robot.n_joints, 0.0, False,
-                     Jitter(unbounded, unbounded), np.nan, unbounded)
-
-
-def _worst(found):
-    """Return the worst of several JointMargins, number by number."""
-    return JointMargins(
-        gain_up=min(one.gain_up for one in found), gain_down=max(one.gain_down for one in found),
-        phase=min(one.phase for one in found), distance=min(one.distance for one in found),
-        crossover=max(one.crossover for one in found))
 
 
 def demands_missed(judgement, demands, robot) -> tuple:

@@ -126,11 +126,13 @@ def _joint_gains(robot, base, demands, joint, cap):
     inertia = _inertia_range(robot, joint)
     axes = [_one_axis(robot, joint, value) for value in dict.fromkeys(inertia)]
     own = demands._replace(torque_limit=demands.torque_limit[[joint]], bandwidth=None)
+    own_base = replace(base, **{name: getattr(base, name)[[joint]] for name in GAINS})
     nearest = None
     for wanted in ('all', 'exact'):
         for values in _candidates(robot, demands, joint, inertia[1], cap):
-            gains = _with_joint(_of_joint(base, joint), 0, values)
-            if not _conditions_hold(gains, axes[0], wanted):
+            gains = _with_joint(own_base, 0, values)
+            if not all(one.met for one in gain_conditions.check(gains, axes[0]).conditions
+                       if wanted == 'all' or one.kind == gain_conditions.EXACT):
                 continue
             missed = _missed(axes, gains, own)
             if not missed:
@@ -173,15 +175,6 @@ def _candidates(robot, demands, joint, inertia, cap):
             for motor in np.geomspace(_FASTEST_MOTOR * highest, _FASTER * link, _MOTOR_STEPS):
                 kd_motor, lambda_motor = pair(motor, 1.0, robot.arm.motor_inertia[joint])
                 yield values | {'kd_motor': kd_motor, 'lambda_motor': lambda_motor}
-
-
-def _conditions_hold(gains, axis, wanted):
-    return all(one.met for one in gain_conditions.check(gains, axis).conditions
-               if wanted == 'all' or one.kind == gain_conditions.EXACT)
-
-
-def _of_joint(gains, joint):
-    return replace(gains, **{name: getattr(gains, name)[[joint]] for name in GAINS})
 
 
 def _with_joint(gains, joint, values):

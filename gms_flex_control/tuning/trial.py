@@ -21,7 +21,6 @@ from gms_flex_control.params.robot import EffectSpec, RobotParams
 from gms_flex_control.schema.build import robot_from_values, robot_values
 from gms_flex_control.simulation import closed_loop
 from gms_flex_control.trajectory import builders
-from gms_flex_control.trajectory.segments import Trajectory
 from gms_flex_control.tuning.margins import judged
 import numpy as np
 
@@ -29,7 +28,7 @@ MOTIONS = ('sinusoid', 'polynomial')
 PERIOD, MOVE, HOLD = 6.0, 5.0, 5.0  # of the paper's motions as assumed in config/ [s]
 DURATION = {'sinusoid': 20.0, 'polynomial': 3 * HOLD + 2 * MOVE}  # [s]
 _SETTLING = 1.0         # of a hold, before its rest is judged [s]
-_SUBSTEP = 1e-4         # [s]
+
 _LOST = 10.0            # an error beyond this is no tracking any more [rad]
 # what is scaled by one factor per joint, and by how much at most
 SPREADS = {'friction level': 0.3, 'viscous friction': 0.3, 'presliding stiffness': 0.3,
@@ -53,13 +52,6 @@ class Trial(NamedTuple):
     limit: list | None = None   # largest torque [N m]
 
 
-def _motion_of(name, amplitude) -> Trajectory:
-    """Return one of the paper's motions as assumed in config/, of an amplitude (n,) [rad]."""
-    if name == 'sinusoid':
-        return builders.sinusoid(amplitude, PERIOD)
-    return builders.polynomial(amplitude, MOVE, HOLD)
-
-
 def with_delay(robot, delay) -> RobotParams:
     """Return a robot whose motors get every torque later by ``delay`` [s]."""
     if delay <= 0.0:
@@ -75,22 +67,24 @@ def try_gains(robot, model, gains, timing, motion, amplitude, seed=0) -> tuple:
 
     ``robot`` is the robot as it is, ``model`` what the controller believes.
     """
+    course = (builders.sinusoid(amplitude, PERIOD) if motion == 'sinusoid'
+              else builders.polynomial(amplitude, MOVE, HOLD))
     run = closed_loop.run(
-        with_delay(robot, timing.delay), model, gains, _motion_of(motion, amplitude),
+        with_delay(robot, timing.delay), model, gains, course,
         duration=DURATION[motion], period_ns=round(1e9 * timing.period), seed=seed,
-        substeps=max(5, math.ceil(timing.period / _SUBSTEP - 1e-9)))
+        substeps=max(5, math.ceil(timing.period / 1e-4 - 1e-9)))
     return _figures_of(run, motion), run
 
 
 def _figures_of(run, motion) -> Trial:
-    """Return the Trial of a Run of a motion."""
     error = run.true[:, 0] - run.reference[:, 0]
     if not (np.isfinite(error).all() and np.abs(error).max() < _LOST):
         return Trial(lost=True)
     period = run.time[1] - run.time[0]
     hold = None
     if motion == 'polynomial':
-        rests = [_rest(run, HOLD * k + MOVE * k) for k in (1, 2)]
+        rests = [slice(*np.searchsorted(run.time, [begin + _SETTLING - 1e-9, begin + HOLD - 1e-9]))
+                 for begin in (HOLD + MOVE, 2 * (HOLD + MOVE))]
         hold = np.max([np.ptp(run.true[rest, 0], axis=0) for rest in rests], axis=0).tolist()
     return Trial(
         lost=False, mse=np.mean(error ** 2, axis=0).tolist(),
@@ -98,10 +92,6 @@ def _figures_of(run, motion) -> Trial:
         torque=np.sqrt(np.mean(run.command ** 2, axis=0)).tolist(),
         rate=np.sqrt(np.mean((np.diff(run.command, axis=0) / period) ** 2, axis=0)).tolist(),
         limit=np.abs(run.command).max(axis=0).tolist())
-
-
-def _rest(run, begin):
-    return slice(*np.searchsorted(run.time, [begin + _SETTLING - 1e-9, begin + HOLD - 1e-9]))
 
 
 class Drawn(NamedTuple):
@@ -145,7 +135,9 @@ def draw(robot, intervals, rng) -> tuple:
     factors = {f'{joint} {group}': float(1.0 + spread * rng.uniform(-1.0, 1.0))
                for joint in robot.joints for group, spread in SPREADS.items()}
     for name, value in values.items():
-        group = _group_of(name)
+        part, last = name.partition('.')[0], name.rpartition('.')[2]
+        group = ('joint stiffness' if part == 'arm' and last == 'stiffness'
+                 else GROUPS.get(last) if part in ('arm', 'friction') else None)
         if group is None or name in intervals:
             continue
         factor = factors[f"{name.split('.')[1]} {group}"]
@@ -156,13 +148,6 @@ def draw(robot, intervals, rng) -> tuple:
     for joint in robot.joints:
         _make_possible(values, f'friction.{joint}.')
     return robot_from_values(values), factors
-
-
-def _group_of(name):
-    part, last = name.partition('.')[0], name.rpartition('.')[2]
-    if part == 'arm' and last == 'stiffness':
-        return 'joint stiffness'
-    return GROUPS.get(last) if part in ('arm', 'friction') else None
 
 
 def _put(values, name, value):

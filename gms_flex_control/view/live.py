@@ -13,10 +13,9 @@ import numpy as np
 WAIT = 0.08          # a row waits so long for what belongs to it [s]
 KEPT = 15_000        # rows that a page which opens late still gets
 SPACING = 4_000_000  # of rows: what lies between is left out, nobody would see it [ns]
-_MOST_WAITING = 2000
-_MOST_AT_ONCE = 4000  # rows of one event
-_REACH = 20_000_000   # a reference further away is none [ns]
-_DERIVATIVES = 4       # of a reference, the angle among them
+
+_REACH = 20_000_000   # a reference further away is not used [ns]
+
 _JUMP = 1_000_000_000  # stamps that go back or ahead by more are another run [ns]
 WINDOW = 3.0    # of counting late samples [s]
 SILENCE = 3.5   # of the reports, upon which the state is not known [s]
@@ -44,7 +43,7 @@ class Rows:
         self._newest = self._origin = None
         self.restarted = False
 
-    def put_state(self, stamp, now, link, motor):
+    def put_state(self, stamp, now, link, motor) -> None:
         """Begin a row: stamp [ns], monotonic time [s], angles of link and motor [rad] or NaN."""
         if not self.wants(stamp):
             return
@@ -58,7 +57,7 @@ class Rows:
         row[0] = (stamp - self._origin) * 1e-9
         self._write(row, 'link', link)
         self._write(row, 'motor', motor)
-        if len(self._waiting) < _MOST_WAITING:
+        if len(self._waiting) < 2000:
             self._waiting[stamp] = now, row
 
     def wants(self, stamp) -> bool:
@@ -77,7 +76,7 @@ class Rows:
         last = self._references[-1][0] if self._references else None
         return last is None or not 0 <= stamp - last < self._spacing
 
-    def put(self, signal, stamp, values):
+    def put(self, signal, stamp, values) -> None:
         """
         Add values of a signal to the row of a stamp [ns], of the newest if it is None.
 
@@ -107,16 +106,13 @@ class Rows:
         if not ready:
             return np.empty((0, len(self.names)))
         table = np.stack(ready)
-        link, motor, reference, error, torsion = (self._part(table, name) for name in (
-            'link', 'motor', 'reference', 'error', 'torsion'))
+        link, motor, reference, error, torsion = (
+            table[:, self._place[name]:self._place[name] + self._n]
+            for name in ('link', 'motor', 'reference', 'error', 'torsion'))
         torsion[:] = motor - link
         error[:] = np.where(np.isfinite(error), error, link - reference)
         reference[:] = link - error
         return table
-
-    def _part(self, table, signal):
-        """Return the columns of one signal as a view."""
-        return table[:, self._place[signal]:self._place[signal] + self._n]
 
     def _add_reference(self, stamp, row):
         """Write the nearest reference, carried on by its own derivatives."""
@@ -125,7 +121,7 @@ class Rows:
         if label is None or abs(label - stamp) > _REACH or not values:
             return
         shift, angles = (stamp - label) * 1e-9, np.zeros(self._n)
-        for power in range(min(len(values) // self._n, _DERIVATIVES)):
+        for power in range(min(len(values) // self._n, 4)):
             angles += shift ** power / factorial(power) * np.array(
                 values[power * self._n:(power + 1) * self._n])
         self._write(row, 'reference', angles)
@@ -139,14 +135,14 @@ class Feed:
         self._rows, self._count = deque(maxlen=KEPT), 0
         self.version, self._state = 0, None
 
-    def begin_anew(self):
+    def begin_anew(self) -> None:
         """Forget all rows: names or meaning of the columns have changed."""
         with self._condition:
             self._rows.clear()
             self.version += 1
             self._condition.notify_all()
 
-    def add(self, rows, state):
+    def add(self, rows, state) -> None:
         """Add rows (T, columns), and say how the loop is, as a dict for JSON."""
         with self._condition:
             changed = state != self._state
@@ -169,7 +165,7 @@ class Feed:
                                      or self._state != state, wait)
             fresh = min(self._count - number, len(self._rows))
             skipped = len(self._rows) - fresh
-            taken = min(fresh, _MOST_AT_ONCE)
+            taken = min(fresh, 4000)  # in one event
             rows = [self._rows[k] for k in range(skipped, skipped + taken)]
             number = self._count - fresh + taken
             return number, self.version, self._state, np.array(rows)
@@ -182,7 +178,7 @@ class Status:
         self._said, self._heard = {}, None
         self._counts = deque()  # time [s], samples, late ones
 
-    def report(self, values, time, now):
+    def report(self, values, time, now) -> None:
         """Take the values (dict of str) of a DiagnosticStatus stamped ``time``, ``now`` [s]."""
         self._said, self._heard = values, now
         for samples, late in _COUNTERS:

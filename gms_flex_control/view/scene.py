@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 PER_JOINT = ('link', 'motor', 'reference', 'error', 'torsion', 'command', 'friction')
-_SHOWN = 2000      # samples whose poses tell how much room the arm needs
+
 _LENGTH = 0.3      # of links of which nothing is known [m]
 _UNITS = ('rad', 'mrad', 'N m')
 
@@ -77,7 +77,7 @@ def unknown_scene(joints, flexible) -> Scene:
 
 def extent(scene, angles) -> tuple:
     """Return the least and largest coordinates, each (2 or 3,), of a chain at angles (T, n)."""
-    step = max(1, len(angles) // _SHOWN)
+    step = max(1, len(angles) // 2000)
     points = places(scene, np.nan_to_num(angles[::step])).reshape(-1, 3)
     points = points[:, :3 if scene.frames else 2]
     return (*points.min(axis=0).tolist(), *points.max(axis=0).tolist())

@@ -107,13 +107,6 @@ def _name(url):
         return ''
 
 
-def _assets():
-    """Return the files of the page by name, as bytes."""
-    own, shared = files('gms_flex_control.view') / 'assets', files('gms_flex_control.reports')
-    found = {file.name: file.read_bytes() for file in own.iterdir()}
-    return found | {name: (shared / path).read_bytes() for name, path in _SHARED.items()}
-
-
 def _way_out(error):
     """Return what to do when an address cannot be listened on."""
     if isinstance(error, socket.gaierror) or getattr(error, 'errno', None) == EADDRNOTAVAIL:
@@ -140,7 +133,10 @@ class ViewServer(ThreadingHTTPServer):
 
     def __init__(self, view, host=LOOPBACK, port=0, *, may_set=True):
         self.view, self.access = view, Access(host, may_set)
-        self.files = _assets()
+        shared = files('gms_flex_control.reports')
+        self.files = {file.name: file.read_bytes()
+                      for file in (files('gms_flex_control.view') / 'assets').iterdir()} | {
+            name: (shared / path).read_bytes() for name, path in _SHARED.items()}
         self.stopped = threading.Event()
         if ':' in host:
             self.address_family = socket.AF_INET6
@@ -171,7 +167,7 @@ class ViewServer(ThreadingHTTPServer):
         self.server_close()
         self._thread.join()
 
-    def handle_error(self, request, client_address):
+    def handle_error(self, request, client_address) -> None:
         """Say nothing of a browser that has gone; it does so whenever a page is closed."""
 
 
@@ -180,16 +176,16 @@ class _Handler(BaseHTTPRequestHandler):
     server_version, sys_version = 'gms_flex', ''
     timeout = _PATIENCE
 
-    def do_GET(self):
+    def do_GET(self) -> None:
         self._answer(self._get)
 
-    def do_HEAD(self):
+    def do_HEAD(self) -> None:
         self._answer(self._get)
 
-    def do_POST(self):
+    def do_POST(self) -> None:
         self._answer(self._post)
 
-    def log_message(self, *_):
+    def log_message(self, *_) -> None:
         """Print nothing: the terminal belongs to whoever started the tool."""
 
     def _answer(self, method):
@@ -311,7 +307,6 @@ def _size(text):
 
 
 def _fields(body, what, *names):
-    """Return fields of a JSON object."""
     try:
         given = json.loads(body)
         return [given[name] for name in names]
@@ -320,7 +315,6 @@ def _fields(body, what, *names):
 
 
 def _request(body):
-    """Return the name of what is asked for."""
     name, = _fields(body, 'a request', 'name')
     if not isinstance(name, str):
         raise _BadRequest('a request has a text for its name')
@@ -328,7 +322,6 @@ def _request(body):
 
 
 def _change(body):
-    """Return name and value of a parameter to be set."""
     name, value = _fields(body, 'a change', 'name', 'value')
     if not isinstance(name, str) or isinstance(value, bool) or not isinstance(
             value, (int, float, str)):

@@ -105,7 +105,7 @@ export class BlockStrip {
         for (let k = 0, next; k <= last; k = next) {
           next = k + 1;
           if (!Number.isFinite(values[k])) continue;
-          while (next <= last && values[next] === values[k]) next++;  // one stretch of the same
+          while (next <= last && values[next] === values[k]) next++;  // one segment of the same
           sum += values[k] * (next - k);
           known += next - k;
           const from = Math.max(x[k], 0);

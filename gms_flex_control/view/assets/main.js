@@ -24,8 +24,8 @@ class View {
     this.session = session;
     this.live = session.mode === 'live';
     this.source = this.live ? new LiveSource(session) : new BagSource(session);
-    this.source.failed = (error) => this.tell(error.message);
-    this.source.told = (text) => this.tell(text);
+    this.source.failed = (error) => this.report(error.message);
+    this.source.said = (text) => this.report(text);
     this.source.outdated = begin;
     this.source.arrived = () => { if (!this.transport.playing) this.show(true); };
     at('title').textContent = session.title;
@@ -52,7 +52,7 @@ class View {
     this.next();
   }
 
-  tell(text) { if (at('state').textContent !== text) at('state').textContent = text; }
+  report(text) { if (at('state').textContent !== text) at('state').textContent = text; }
 
   /* Everything that depends on which signals there are. */
   build() {
@@ -89,7 +89,7 @@ class View {
     else this.plots.zoom(this.transport.time, factor);
   }
 
-  /* Draw the moment, the `whole` of it or the arm; a `settled` one is also told in words. */
+  /* Draw the moment, the `whole` of it or the arm; a `settled` one is also spoken. */
   show(settled = false, whole = true) {
     const {transport, source, plots} = this, {time} = transport;
     const frame = source.frame(time);

@@ -123,7 +123,7 @@ export class BagSource {
   has(signal) { return Boolean(this.session.signals[signal]); }
 }
 
-/* Extremes of a stretch of rows, as the server makes them of a bag. */
+/* Extremes of a segment of rows, as the server makes them of a bag. */
 class Extremes {
   constructor(rows, columns, points) {
     this.rows = rows;
@@ -175,7 +175,7 @@ export class LiveSource {
     this.rows = [];
     this.period = 0.002;
     this.failed = () => {};
-    this.told = () => {};     // what is missing
+    this.said = () => {};      // what is missing
     this.reported = () => {}; // of the robot, and of the controller
     this.outdated = () => {}; // the columns have changed
     this.seen = new Set();    // signals that had a number
@@ -189,7 +189,7 @@ export class LiveSource {
     this.events = new EventSource('/api/live');
     this.events.onmessage = (event) => this.take(JSON.parse(event.data));
     this.events.onerror = () => {
-      this.told(GONE);
+      this.said(GONE);
       this.events.close();
       if (!this.closed) setTimeout(() => this.outdated(), REOPEN);
     };
@@ -207,7 +207,7 @@ export class LiveSource {
       this.outdated();
       return;
     }
-    this.told(message.state);
+    this.said(message.state);
     this.reported(message.robot || null, message.controller);
     if (!message.rows) return;
     const bytes = Uint8Array.from(atob(message.rows), (c) => c.charCodeAt(0));

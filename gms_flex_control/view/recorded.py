@@ -1,15 +1,14 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""A bag as the page asks for it: a summary, frames to play, and what a chart can show."""
+"""A bag as the page requests it: a summary, frames to play, and what a chart can show."""
 
 from pathlib import Path
 import warnings
 
 from gms_flex_control.compiled import compiled
 from gms_flex_control.data.bag import BagWarning
-from gms_flex_control.data.further_topics import read_blocks
-from gms_flex_control.data.reader import joint_names, read_recording
+from gms_flex_control.data.reader import joint_names, read_blocks, read_recording
 from gms_flex_control.errors import BagError
 from gms_flex_control.friction import gms
 from gms_flex_control.reports.page import decimate
@@ -29,7 +28,8 @@ LEVELS = 24          # of skipping every second sample once more
 _MOST_POINTS = 8000  # of one line in an answer
 
 
-def open_bag(path, robot=None, *, default=None, joints=None, motors=None, others=()):
+def open_bag(path, robot=None, *, default=None, joints=None, motors=None,
+             others=()) -> 'BagView':
     """
     Read a bag for viewing; BagError if it cannot be read or has other joints than ``robot``.
 

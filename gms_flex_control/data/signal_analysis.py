@@ -140,7 +140,7 @@ def derivative_slope(time, position, velocity) -> tuple[float, float] | None:
     Compare what a velocity adds up to with the way gone, over 0.1 s, 20 samples or 20 steps.
 
     Return what the velocity [rad/s] is of the derivative of the position [rad], and their
-    correlation; None where there is too little motion for the encoder's steps to tell.
+    correlation; None where there is too little motion for the encoder's steps.
     """
     good = np.isfinite(position) & np.isfinite(velocity)
     t, q, v = time[good], position[good], velocity[good]

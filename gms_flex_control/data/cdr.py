@@ -29,7 +29,7 @@ class Layout:
         self.place('head', '<u4', np.frombuffer(head, '<u4')[0])
 
     def place(self, name, kind, constant=None) -> None:
-        """Put a field of a numpy type behind the others, aligned as CDR asks."""
+        """Put a field of a numpy type behind the others, aligned as in CDR."""
         dtype = np.dtype(kind)
         align = 1 if dtype.kind == 'S' else dtype.base.itemsize
         self.size += -(self.size - len(LITTLE_ENDIAN)) % align
@@ -237,8 +237,8 @@ class _CdrReader:
         self._order = '<' if data[1] else '>'
         self._at = 4
 
-    def take(self, form, count=1):
-        """Return ``count`` numbers of struct code ``form``, aligned as CDR asks."""
+    def take(self, form, count=1) -> tuple:
+        """Return ``count`` numbers of struct code ``form``, aligned as in CDR."""
         code, align = _numbers(self._order, count, form)
         start = self._at + -(self._at - 4) % align
         self._reach(start + code.size)
@@ -249,11 +249,11 @@ class _CdrReader:
             raise BagError(f'is cut short: needs {end} bytes, has {len(self._data)}')
         self._at = end
 
-    def stamp(self):
+    def stamp(self) -> int:
         """Return a builtin_interfaces/Time in nanoseconds."""
         return self.take('i')[0] * _SECOND + self.take('I')[0]
 
-    def text(self):
+    def text(self) -> str:
         """Return one string."""
         size, = self.take('I')
         start = self._at
@@ -264,16 +264,16 @@ class _CdrReader:
         except UnicodeDecodeError:
             raise BagError(f'holds a string that is not text: {raw[:20]!r}') from None
 
-    def doubles(self):
+    def doubles(self) -> tuple:
         """Return a sequence of float64 as a tuple, empty if there is none."""
         count = self._count(8)
         return self.take('d', count) if count else ()
 
-    def texts(self):
+    def texts(self) -> tuple:
         """Return a sequence of strings as a tuple."""
         return tuple(self.text() for _ in range(self._count(4)))
 
-    def dimensions(self):
+    def dimensions(self) -> tuple:
         """Return the layout dimensions as a tuple of (label, size, stride)."""
         return tuple((self.text(), *self.take('I', 2)) for _ in range(self._count(4)))
 

@@ -14,7 +14,7 @@ from textwrap import fill
 from gms_flex_control.analysis.table4 import align
 from gms_flex_control.answer import Answer, unbroken
 from gms_flex_control.errors import BagError, ConfigError
-from gms_flex_control.files import write_text
+from gms_flex_control.file_io import write_text
 
 _WIDTH = 96  # of what is printed as sentences
 
@@ -35,11 +35,11 @@ def import_ros(module: str = 'rclpy', hint: str = ''):
                           f"pip install '.[ros]' in the clone{hint}") from error
 
 
-def write_or_print(text: str, out, told: str) -> None:
-    """Write a text to the file ``out`` and print its name with ``told``, or print it if None."""
+def write_or_print(text: str, out, what: str) -> None:
+    """Write a text to the file ``out`` and print its name with ``what``, or print it if None."""
     if out:
         write_text(out, text)
-        print(f'{out}: {told}')
+        print(f'{out}: {what}')
     else:
         print(text, end='')
 
@@ -94,7 +94,6 @@ def _folder_of(bag):
 
 
 def _recorded(bag):
-    """Return the files of a bag that hold its messages."""
     path = _folder_of(bag)
     return [path] if path.is_file() else sorted(
         one for one in path.glob('*') if one.is_file() and one.suffix in ('.mcap', '.db3'))
