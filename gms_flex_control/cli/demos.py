@@ -10,9 +10,8 @@ from pathlib import Path
 import time
 from typing import NamedTuple
 
-from gms_flex_control.analysis.table4 import align
 from gms_flex_control.analysis.tracking import link_rms, Run, table4, tracking_of_copies
-from gms_flex_control.answer import Answer, command, measured
+from gms_flex_control.answer import align, Answer, command, measured
 from gms_flex_control.cli.robots import trajectory_file
 from gms_flex_control.cli.terminal import conclude, import_ros, prepare, refuse_foreign, say
 from gms_flex_control.cli.verbs import ALLOWED, BELIEVED_FRICTION, DEMO_MOTIONS

@@ -11,8 +11,7 @@ import sys
 from tempfile import TemporaryDirectory
 from textwrap import fill
 
-from gms_flex_control.analysis.table4 import align
-from gms_flex_control.answer import Answer, unbroken
+from gms_flex_control.answer import align, Answer, unbroken
 from gms_flex_control.errors import BagError, ConfigError
 from gms_flex_control.file_io import write_text
 

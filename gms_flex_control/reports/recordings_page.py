@@ -7,10 +7,9 @@ import json
 from pathlib import Path
 import re
 
-from gms_flex_control.analysis.table4 import align, PAPER_WITHOUT, Table4
 from gms_flex_control.analysis.torsion import rms
-from gms_flex_control.analysis.tracking import link_error, table4
-from gms_flex_control.answer import Answer, command, measured
+from gms_flex_control.analysis.tracking import link_error, PAPER_WITHOUT, Table4, table4
+from gms_flex_control.answer import align, Answer, command, measured
 from gms_flex_control.file_io import write_text
 from gms_flex_control.reports.figures import (
     COLOURS,
