@@ -26,7 +26,7 @@ HOLD_TOLERANCE = 1e-9  # a reference that moves less than this is constant [rad]
 PAPER_WITHOUT = {'sinusoid': (0.0048029, 0.0083391), 'polynomial': (0.0010912, 0.0019605)}
 PAPER_WITH = {'sinusoid': (0.0007866, 0.0009879), 'polynomial': (0.0000352, 0.0002063)}
 WITHOUT = 'none'
-MODE_ORDER = (WITHOUT, 'gms_paper', 'gms')
+
 NOTE = ('The paper prints neither M, J, K nor its trajectories, so absolute errors are not '
         'comparable with it; the ratio without / with compensation is.')
 MOST_UNANSWERED = 0.1  # share of samples without a command, above which gains are not judged
@@ -75,14 +75,12 @@ class Table4:
     @property
     def trajectories(self) -> tuple:
         """Return the trajectory names, the paper's two first."""
-        names = dict.fromkeys(run.trajectory for run in self.runs)
-        return tuple(sorted(names, key=lambda name: _rank(name, tuple(PAPER_WITHOUT))))
+        return _ordered((run.trajectory for run in self.runs), tuple(PAPER_WITHOUT))
 
     @property
     def compensations(self) -> tuple:
         """Return the compensation names, none first."""
-        names = dict.fromkeys(run.compensation for run in self.runs)
-        return tuple(sorted(names, key=lambda name: _rank(name, MODE_ORDER)))
+        return _ordered((run.compensation for run in self.runs), (WITHOUT, 'gms_paper', 'gms'))
 
     def joints(self, trajectory) -> tuple:
         """Return the joint names of all runs of ``trajectory``, in order of appearance."""
@@ -220,17 +218,16 @@ class Table4:
                     if paper else None})
         return {'quantity': 'mean square of link angle - reference', 'unit': 'rad^2',
                 'note': NOTE, 'findings': self.findings(), 'table': rows,
-                'runs': [_run_dict(run) for run in self.runs]}
+                'runs': [run._asdict() | {
+                    'joints': [{key: _known(value) for key, value in one._asdict().items()}
+                               for one in run.joints],
+                    'unanswered': _known(run.unanswered)} for run in self.runs]}
 
 
-def _run_dict(run):
-    joints = [{key: _known(value) for key, value in joint._asdict().items()}
-              for joint in run.joints]
-    return run._asdict() | {'joints': joints, 'unanswered': _known(run.unanswered)}
-
-
-def _rank(name, order):
-    return (order.index(name), name) if name in order else (len(order), name)
+def _ordered(names, first):
+    """Return each of ``names`` once, those of ``first`` before the others by their names."""
+    return tuple(sorted(dict.fromkeys(names), key=lambda name: (
+        first.index(name) if name in first else len(first), name)))
 
 
 def _known(value):

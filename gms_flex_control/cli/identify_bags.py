@@ -65,10 +65,10 @@ def _identified(bags, holdouts, robot, options, described, **further):
     return replace(found, described=described)
 
 
-def _write_results(found, out, robot=()):
+def _write_results(found, out, robot=(), becomes=None):
     write_friction(found, out / 'friction.yaml')
     write_report_json(found, out / 'report.json')
-    write_identification_report(found, out, robot=robot)
+    write_identification_report(found, out, robot=robot, becomes=becomes)
 
 
 def _options_of(args):
@@ -129,5 +129,5 @@ def identify_bag(item: each_bag.BagItem) -> dict:
     found = _identified([bag], asked['holdouts'], asked['robot'] or _robot_in(
         bag, asked['joints']), asked['options'], asked['robot'] is not None)
     with each_bag.whole(item.place) as folder:
-        _write_results(found, folder)
+        _write_results(found, folder, becomes=item.place.folder)
     return {'reason': None, **bag_values(found)}
