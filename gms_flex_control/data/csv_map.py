@@ -212,8 +212,9 @@ DELIMITERS = {'tab': '\t', 'space': ' ', 'comma': ',', 'semicolon': ';'}
 # how each key of a channel is read
 _READ = {'column': 'column', 'sign': 'number', 'scale': 'number', 'offset': 'number',
          'gear_ratio': 'positive', 'unwrap': 'flag', 'counts_per_rev': 'positive',
-         'estimate': 'positive', 'full_scale': 'positive', 'voltage': 'column', 'enabled': 'column',
-         'torque_per_volt': 'positive', 'back_emf': 'number', 'torque_constant': 'positive'}
+         'estimate': 'positive', 'full_scale': 'positive', 'voltage': 'column',
+         'torque_per_volt': 'positive', 'back_emf': 'number', 'enabled': 'column',
+         'torque_constant': 'positive'}
 _COMMON = ('column', 'unit', 'sign', 'scale', 'offset', 'gear_ratio')
 _KEYS = {'position': (*_COMMON, 'unwrap', 'counts_per_rev'),
          'velocity': (*_COMMON, 'estimate', 'counts_per_rev'),
