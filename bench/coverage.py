@@ -17,7 +17,7 @@ from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 from bench.hidden_robots.hide import seeds_of
-from gms_flex_control.analysis.table4 import align
+from gms_flex_control.answer import align
 from gms_flex_control.batches.batch import run_batch
 from gms_flex_control.batches.journal import fingerprint, Journal
 from gms_flex_control.batches.workers import open_executor

@@ -18,7 +18,7 @@ from pathlib import Path
 import tempfile
 
 from bench.speed.timing import interleaved
-from gms_flex_control.analysis.table4 import align
+from gms_flex_control.answer import align
 from gms_flex_control.errors import ConfigError, SimulationError
 from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.params.friction import FrictionParams, StribeckParams

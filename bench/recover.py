@@ -10,7 +10,7 @@ import math
 from pathlib import Path
 from typing import NamedTuple
 
-from gms_flex_control.analysis.table4 import align
+from gms_flex_control.answer import align
 from gms_flex_control.batches.batch import run_batch
 from gms_flex_control.batches.journal import fingerprint, Journal
 from gms_flex_control.batches.workers import open_executor

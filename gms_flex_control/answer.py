@@ -47,3 +47,17 @@ def unbroken(text: str) -> str:
 def command(verb: str, *words) -> str:
     """Return a command line of gms_flex that a shell takes as it is."""
     return shlex.join(['gms_flex', verb, *map(str, words)])
+
+
+def align(header, rows) -> str:
+    """Return a header and rows of cells as text with aligned columns, numbers to the right."""
+    widths = [max(len(row[i]) for row in [header, *rows]) for i in range(len(header))]
+    numeric = [all(row[i][:1] in '-+(0123456789' and '..' not in row[i] for row in rows)
+               for i in range(len(header))]
+
+    def line(cells):
+        return '  '.join(cell.rjust(width) if right else cell.ljust(width) for
+                         cell, width, right in zip(cells, widths, numeric, strict=True)).rstrip()
+
+    return '\n'.join([line(header), '  '.join('-' * width for width in widths),
+                      *(line(row) for row in rows)])

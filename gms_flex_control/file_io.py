@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Files appear whole or not at all; YAML is read only as far as it is small and plain."""
 
+from collections.abc import Generator
 from contextlib import contextmanager, suppress
 import errno
 import os
@@ -16,7 +17,7 @@ LARGEST_YAML = 1_000_000  # bytes; parameters, maps and metadata of bags have so
 
 
 @contextmanager
-def atomic_path(path):
+def atomic_path(path) -> Generator[Path]:
     """
     Yield a temporary path beside ``path`` that takes its name when the block succeeds.
 

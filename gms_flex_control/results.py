@@ -15,8 +15,7 @@ from dataclasses import dataclass, fields, replace
 import html
 from typing import Any, TYPE_CHECKING
 
-from gms_flex_control.analysis.table4 import Table4
-from gms_flex_control.analysis.tracking import Run, table4
+from gms_flex_control.analysis.tracking import Run, Table4, table4
 from gms_flex_control.comparison import prediction, study
 from gms_flex_control.data.recording import Phase, Recording
 from gms_flex_control.discrepancy import workflow

@@ -3,14 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """The phases of an experiment, read from its bag."""
 
-from gms_flex_control.data.cdr import (
-    JOINT_STATE,
-    MULTI_ARRAY,
-    pack_joint_state,
-    pack_multi_array,
-    pack_phase,
-    PHASE_TOPIC,
-)
+from gms_flex_control.data import cdr
 from gms_flex_control.data.reader import read_experiment, read_recording
 from gms_flex_control.data.recording import Phase, Recording
 from gms_flex_control.data.writer import BagWriter, write_recording
@@ -23,19 +16,19 @@ pytestmark = pytest.mark.fast
 STATES, COMMANDS = '/joint_states', '/effort_controller/commands'
 
 
-def written(path, messages, kind=MULTI_ARRAY):
+def written(path, messages, kind=cdr.MULTI_ARRAY):
     """Write joint states from 5 s on and messages of the phase topic."""
-    with BagWriter(path, {STATES: JOINT_STATE, PHASE_TOPIC: kind}) as writer:
+    with BagWriter(path, {STATES: cdr.JOINT_STATE, cdr.PHASE_TOPIC: kind}) as writer:
         for k in range(5):
             stamp = 5_000_000_000 + k * 2_000_000
-            writer.write(STATES, 10 + k, pack_joint_state(('a',), stamp, (0.0,)))
+            writer.write(STATES, 10 + k, cdr.pack_joint_state(('a',), stamp, (0.0,)))
         for data in messages:
-            writer.write(PHASE_TOPIC, 20, data)
+            writer.write(cdr.PHASE_TOPIC, 20, data)
     return path
 
 
 def packed(stamp, *rest):
-    return pack_phase(Phase(stamp, *rest))
+    return cdr.pack_phase(Phase(stamp, *rest))
 
 
 def test_phases_count_from_the_first_sample_in_the_order_of_time(tmp_path):
@@ -65,9 +58,9 @@ def test_a_bag_without_the_topic_has_no_phases(tmp_path):
 
 
 @pytest.mark.parametrize('message', [
-    pack_multi_array([('stamp:1', 1, 1), ('phase:idle', 1, 1)], [0.0]),
-    pack_multi_array([('phase:x', 1, 1), ('joint:a', 1, 1), ('step:s', 1, 1)], [0.0]),
-    pack_multi_array([], [0.0]),
+    cdr.pack_multi_array([('stamp:1', 1, 1), ('phase:idle', 1, 1)], [0.0]),
+    cdr.pack_multi_array([('phase:x', 1, 1), ('joint:a', 1, 1), ('step:s', 1, 1)], [0.0]),
+    cdr.pack_multi_array([], [0.0]),
     packed('soon', 'idle', '', '', 0.0),
     packed(1, 'idle', '', '', 0.0)[:30]])
 def test_a_message_that_is_no_phase_is_named(message, tmp_path):
@@ -77,7 +70,8 @@ def test_a_message_that_is_no_phase_is_named(message, tmp_path):
 
 
 def test_another_type_on_the_topic_is_refused(tmp_path):
-    bag = written(tmp_path / 'bag', [pack_joint_state(('a',), 1, (0.0,))], kind=JOINT_STATE)
+    state = cdr.pack_joint_state(('a',), 1, (0.0,))
+    bag = written(tmp_path / 'bag', [state], kind=cdr.JOINT_STATE)
     with pytest.raises(BagError, match="topic '/identification/phase' is a "
                                        'sensor_msgs/msg/JointState, expected std_msgs'):
         read_experiment(bag)
@@ -86,13 +80,14 @@ def test_another_type_on_the_topic_is_refused(tmp_path):
 def test_a_recording_made_in_a_namespace_is_found(tmp_path):
     """Two loops in one bag leave no telling which is meant."""
     def loop(space):
-        return {f'{space}{STATES}': JOINT_STATE, f'{space}{PHASE_TOPIC}': MULTI_ARRAY,
-                f'{space}/robot{STATES}': JOINT_STATE, f'{space}{COMMANDS}': MULTI_ARRAY}
+        return {f'{space}{STATES}': cdr.JOINT_STATE, f'{space}{cdr.PHASE_TOPIC}': cdr.MULTI_ARRAY,
+                f'{space}/robot{STATES}': cdr.JOINT_STATE, f'{space}{COMMANDS}': cdr.MULTI_ARRAY}
 
     def filled(path, topics):
         with BagWriter(path, topics) as writer:
             for k in range(5):
-                state = pack_joint_state(('a',), 5_000_000_000 + k * 2_000_000, (0.1 * k,), (0.0,))
+                stamp = 5_000_000_000 + k * 2_000_000
+                state = cdr.pack_joint_state(('a',), stamp, (0.1 * k,), (0.0,))
                 writer.write(next(iter(topics)), 10 + k, state)
             writer.write(list(topics)[1], 20, packed(5_002_000_000, 'idle', '', '', 0.0))
         return path

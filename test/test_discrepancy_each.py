@@ -66,6 +66,8 @@ def test_the_good_bag_names_what_is_hidden_and_the_bad_one_its_fault(folder, alo
     assert values['bag']['reason'] is None
     assert f'{hidden["effect"]} of {hidden["joint"]}' in values['bag']['effects']
     assert 'wrong sign' in values['reversed']['reason']
+    page = (alone[0] / 'bag' / 'report.html').read_text()
+    assert str(alone[0] / 'bag' / 'robot.yaml') in page and '.part' not in page
 
 
 def test_processes_say_what_a_plain_loop_says(folder, alone, tmp_path, capsys):

@@ -111,6 +111,8 @@ def test_each_bag_is_identified_as_if_it_were_alone(bags, alone, tmp_path):
                          if 'seconds' not in line]
                         for path in (tmp_path / 'one', folder / 'first'))
         assert one == of_many
+    page = (folder / 'first' / 'report.html').read_text()
+    assert str(folder / 'first' / 'friction.yaml') in page and '.part' not in page
     assert 'empty' in values['empty']['reason'] and 'no bag' in values['empty']['reason']
     assert not (folder / 'empty').exists()
 

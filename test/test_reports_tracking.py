@@ -8,11 +8,7 @@ import struct
 
 from gms_flex_control.analysis.tracking import Run
 from gms_flex_control.data.recording import Recording
-from gms_flex_control.reports.recordings_page import (
-    error_figure,
-    tracking_figure,
-    write_tracking_report,
-)
+from gms_flex_control.reports import recordings_page
 import numpy as np
 import pytest
 
@@ -26,7 +22,7 @@ def run(trajectory, compensation, error=0.01, reference=0.0, samples=2000, stamp
 
 def test_table_page_and_pictures_are_written(tmp_path):
     runs = [run('sinusoid', 'none', 0.1), run('sinusoid', 'gms', 0.01, stamp=0.9e-3)]
-    table = write_tracking_report(runs, tmp_path / 'out')
+    table = recordings_page.write_tracking_report(runs, tmp_path / 'out')
     written = json.loads((tmp_path / 'out' / 'table4.json').read_text())
     assert written == table.as_dict()
     assert written['table'][0]['ratio']['gms'] == pytest.approx(100)
@@ -45,27 +41,28 @@ def test_table_page_and_pictures_are_written(tmp_path):
 
 
 def test_a_recording_without_reference_is_summarised_all_the_same(tmp_path):
-    write_tracking_report([run('log', '', reference=np.nan)], tmp_path)
+    recordings_page.write_tracking_report([run('log', '', reference=np.nan)], tmp_path)
     assert sorted(path.name for path in tmp_path.iterdir()) == ['report.html', 'table4.json']
     assert json.loads((tmp_path / 'table4.json').read_text())['table'][0]['mse'] == {'': None}
 
 
 def test_pictures_of_repeats_and_strange_names_do_not_collide(tmp_path):
-    write_tracking_report([run('a/../b', 'x'), run('a/../b', 'x')], tmp_path)
+    recordings_page.write_tracking_report([run('a/../b', 'x'), run('a/../b', 'x')], tmp_path)
     assert sorted(path.name for path in tmp_path.glob('*.png')) == [
         'errors_a_.._b.png', 'tracking_a_.._b_x.png', 'tracking_a_.._b_x_2.png']
 
 
 def test_figures_show_every_joint_with_its_unit():
     runs = [run('sinusoid', 'none', 0.002), run('sinusoid', 'gms', 0.001)]
-    panels = error_figure(runs, 'sinusoid').axes
+    panels = recordings_page.error_figure(runs, 'sinusoid').axes
     assert [panel.get_ylabel() for panel in panels] == ['joint1 [mrad]', '<b>$_ [mrad]']
     lines = {line.get_label(): line for line in panels[0].get_lines()}
     np.testing.assert_allclose(lines['without compensation'].get_ydata(), 2.0)
-    np.testing.assert_allclose(tracking_figure(runs[0]).axes[1].get_lines()[0].get_ydata(), 0.002)
+    measured, *_ = recordings_page.tracking_figure(runs[0]).axes[1].get_lines()
+    np.testing.assert_allclose(measured.get_ydata(), 0.002)
 
 
 def test_true_friction_is_drawn_where_it_is_known(tmp_path):
-    write_tracking_report([run('sinusoid', 'none')], tmp_path,
-                          friction_true={0: np.full((2000, 2), 0.25)})
+    recordings_page.write_tracking_report([run('sinusoid', 'none')], tmp_path,
+                                          friction_true={0: np.full((2000, 2), 0.25)})
     assert '"label":"true"' in (tmp_path / 'report.html').read_text()

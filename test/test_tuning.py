@@ -17,15 +17,9 @@ from gms_flex_control.params.friction import FrictionParams, StribeckParams
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.robot import EffectSpec, EncoderParams
 from gms_flex_control.resources import robot_file
+from gms_flex_control.schema import files
 from gms_flex_control.schema.bridge import limits_from_values
 from gms_flex_control.schema.build import robot_values
-from gms_flex_control.schema.files import (
-    load_controller,
-    load_robot,
-    read_values,
-    save_robot,
-    save_values,
-)
 from gms_flex_control.simulation import closed_loop
 from gms_flex_control.simulation.stepped import SteppedPlant
 from gms_flex_control.trajectory import builders
@@ -178,7 +172,7 @@ def test_a_proposal_holds_what_was_asked_and_is_stiffer_than_the_paper(arm):
 def test_a_torque_that_may_rise_but_slowly_asks_for_gentle_gains(arm):
     """As docs/tuning.md says, and the tutorial with a robot does."""
     robot, paper = arm
-    values, _ = read_values([robot_file().with_name('bridge.yaml')])
+    values, _ = files.read_values([robot_file().with_name('bridge.yaml')])
     limits = limits_from_values(values, robot.joints)
     for rate in (200.0, 500.0):
         assert 'moves at' in ended_by(limits, robot, paper, rate, 3.0)
@@ -192,9 +186,9 @@ def test_a_torque_that_may_rise_but_slowly_asks_for_gentle_gains(arm):
 def test_the_gains_of_a_first_start_hold_the_arm_behind_the_bridge(arm):
     """One sample of delay more; the paper's swing at rest, within two seconds."""
     robot, paper = arm
-    values, _ = read_values([robot_file().with_name('bridge.yaml')])
+    values, _ = files.read_values([robot_file().with_name('bridge.yaml')])
     limits, rest = limits_from_values(values, robot.joints), np.array([0.1234, -0.21])
-    gentle = load_controller(robot_file().with_name('first_start.yaml'), robot)
+    gentle = files.load_controller(robot_file().with_name('first_start.yaml'), robot)
     assert all('still holds' in sentence for sentence in violations(gentle, robot))
     for compensation in ('none', 'gms'):
         assert 'moves at' in ended_by(limits, robot, replace(paper, compensation=compensation),
@@ -243,7 +237,7 @@ def axis_file(tmp_path, arm):
     """Return the file of one flexible axis with the paper's friction."""
     axis = single_axis(joint_friction(arm[0].friction, 0), 0.3, stiffness=1.5, motor_inertia=0.006)
     axis = replace(axis, encoder=arm[0].encoder)
-    save_robot(axis, tmp_path / 'axis.yaml')
+    files.save_robot(axis, tmp_path / 'axis.yaml')
     return tmp_path / 'axis.yaml'
 
 
@@ -254,7 +248,7 @@ def test_tune_writes_what_the_controller_loads_and_goes_on_when_killed(
             '--verify', '3', '--json', '--out']
     assert main([*args, str(tmp_path / 'a')]) == 0
     told = json.loads(capsys.readouterr().out)
-    gains = load_controller(tmp_path / 'a' / 'controller.yaml', load_robot(axis_file))
+    gains = files.load_controller(tmp_path / 'a' / 'controller.yaml', files.load_robot(axis_file))
     assert gains.kd_link[0] == told['gains']['gains.axis.kd_link']
     assert gains.compensation == 'gms' and gains.torque_limit[0] == 2.0
     assert told['met'] and told['verify']['draws'] == 3 and not told['verify']['lost']
@@ -273,7 +267,7 @@ def test_tune_tells_the_error_to_expect_and_that_the_bound_is_none(
         tmp_path, axis_file, capsys, axes, length, force):
     """The larger of both motions, by simulation, beside what friction alone can hold."""
     kind = tmp_path / 'axes.yaml'
-    save_values({'arm.axes': axes}, kind)
+    files.save_values({'arm.axes': axes}, kind)
     assert main(['tune', '--robot', str(axis_file), str(kind), '--torque-limit', '2',
                  '--bandwidth', '6', '--out', str(tmp_path)]) == 0
     out = capsys.readouterr().out

@@ -15,12 +15,7 @@ import sys
 
 from core_runs import single_axis
 from gms_flex_control.cli.main import main
-from gms_flex_control.data.cdr import (
-    JOINT_STATE,
-    MULTI_ARRAY,
-    pack_joint_states,
-    pack_reference,
-)
+from gms_flex_control.data import cdr
 from gms_flex_control.data.reader import read_blocks
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.data.writer import BagWriter
@@ -155,15 +150,15 @@ def write_bag(path, blocks=None, late=0, start=5_000_000_000, space=''):
     stamps = start + 10_000_000 * np.arange(100)
     angle = np.linspace(0.0, 1.0, 100)
     states = f'{space}/joint_states'
-    types = {states: JOINT_STATE}
-    types |= dict.fromkeys(blocks or {}, MULTI_ARRAY)
+    types = {states: cdr.JOINT_STATE}
+    types |= dict.fromkeys(blocks or {}, cdr.MULTI_ARRAY)
     with BagWriter(path, types, atomic=True) as writer:
-        for k, message in enumerate(pack_joint_states(
+        for k, message in enumerate(cdr.pack_joint_states(
                 ['joint1', 'joint2'], stamps, np.stack([angle, -angle], axis=1))):
             writer.write(states, int(stamps[k]), message)
             for topic, values in (blocks or {}).items():
                 writer.write(topic, int(stamps[k]) + late,
-                             pack_reference(values[k], int(stamps[k]), 'joint'))
+                             cdr.pack_reference(values[k], int(stamps[k]), 'joint'))
     return path
 
 

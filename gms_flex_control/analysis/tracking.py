@@ -9,10 +9,11 @@ nor the stiffness K, nor the trajectories. What can be compared is the ratio
 MSE without / MSE with compensation on the same robot and trajectory.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+import math
 from typing import NamedTuple
 
-from gms_flex_control.analysis.table4 import Table4
+from gms_flex_control.answer import align, Answer, command, measured
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.data.signal_analysis import quantum
 from gms_flex_control.experiment.simulated import simulate
@@ -21,6 +22,14 @@ import numpy as np
 HOLD_SETTLING = 1.0   # a reference constant this long counts as holding still [s]
 HOLD_WINDOW = 5.0     # and the last this much of it is judged [s]
 HOLD_TOLERANCE = 1e-9  # a reference that moves less than this is constant [rad]
+# Table 4 as printed [rad^2], link 1 and link 2
+PAPER_WITHOUT = {'sinusoid': (0.0048029, 0.0083391), 'polynomial': (0.0010912, 0.0019605)}
+PAPER_WITH = {'sinusoid': (0.0007866, 0.0009879), 'polynomial': (0.0000352, 0.0002063)}
+WITHOUT = 'none'
+
+NOTE = ('The paper prints neither M, J, K nor its trajectories, so absolute errors are not '
+        'comparable with it; the ratio without / with compensation is.')
+MOST_UNANSWERED = 0.1  # share of samples without a command, above which gains are not judged
 
 
 class Run(NamedTuple):
@@ -55,6 +64,184 @@ class RunTracking(NamedTuple):
     duration: float  # [s]
     joints: tuple
     unanswered: float  # share of the samples without a command; NaN where none was recorded
+
+
+@dataclass(frozen=True, eq=False)
+class Table4:
+    """Mean square tracking errors per trajectory, compensation and link of RunTrackings."""
+
+    runs: tuple
+
+    @property
+    def trajectories(self) -> tuple:
+        """Return the trajectory names, the paper's two first."""
+        return _ordered((run.trajectory for run in self.runs), tuple(PAPER_WITHOUT))
+
+    @property
+    def compensations(self) -> tuple:
+        """Return the compensation names, none first."""
+        return _ordered((run.compensation for run in self.runs), (WITHOUT, 'gms_paper', 'gms'))
+
+    def joints(self, trajectory) -> tuple:
+        """Return the joint names of all runs of ``trajectory``, in order of appearance."""
+        return tuple(dict.fromkeys(
+            joint.joint for run in self.runs if run.trajectory == trajectory
+            for joint in run.joints))
+
+    @property
+    def best(self) -> str:
+        """Return the compensation with the least error of all links; none if it is alone."""
+        modes = [mode for mode in self.compensations if mode != WITHOUT] or [WITHOUT]
+        errors = {mode: [entry.mse for run in self.runs if run.compensation == mode
+                         for entry in run.joints if math.isfinite(entry.mse)] for mode in modes}
+        return min(modes, key=lambda mode: np.mean(errors[mode] or [np.inf]))
+
+    @property
+    def hardest(self) -> list:
+        """Return (trajectory, joint) of all errors with the best one, the largest first."""
+        found = {(trajectory, joint): self.mse(trajectory, self.best, joint)
+                 for trajectory in self.trajectories for joint in self.joints(trajectory)}
+        return sorted((place for place, mse in found.items() if math.isfinite(mse)),
+                      key=lambda place: -found[place])
+
+    def answer(self) -> Answer:
+        """Return how much closer the links follow with the best compensation (Answer)."""
+        best, places = self.best, self.hardest
+        if not places:
+            return Answer('The recordings hold no reference, so no tracking error can be '
+                          'computed.',
+                          (), (), command('info', self.runs[0].source))
+        rows = [(name, label, *place) for name, label in (
+            ('rms', 'rms error'), ('max_error', 'largest error')) for place in places]
+        numbers = [measured(f'{label} of {joint}, {trajectory} [mrad]', *(
+            self.figure(*figure, joint) for figure in (
+                (name, trajectory, WITHOUT), (name, trajectory, best),
+                ('floor', trajectory, best)))) for name, label, trajectory, joint in rows[:3]]
+        sources = dict.fromkeys(run.source for run in self.runs
+                                if run.trajectory == places[0][0]
+                                and run.compensation in (WITHOUT, best))
+        with_it = 'Without compensation' if best == WITHOUT else f'With compensation {best}'
+        first = numbers[0]
+        beside = f', without it {first.before} mrad' if '-' not in (best, first.before) else ''
+        return Answer(f'{with_it} the links follow within {first.after} mrad (rms){beside}; the '
+                      'noise floor is what the steps of the encoder alone make of a reading.',
+                      ('without', best, 'noise floor'), tuple(numbers),
+                      command('view', *sources))
+
+    def figure(self, name, trajectory, compensation, joint) -> float:
+        """Return a figure of `JointTracking`, averaged over repeats; NaN if there is no run."""
+        values = [getattr(entry, name) for run in self.runs
+                  if (run.trajectory, run.compensation) == (trajectory, compensation)
+                  for entry in run.joints if entry.joint == joint]
+        return float(np.mean(values)) if values else math.nan
+
+    def mse(self, trajectory, compensation, joint) -> float:
+        """Return the MSE [rad^2], averaged over repeats; NaN if there is no such run."""
+        return self.figure('mse', trajectory, compensation, joint)
+
+    def ratio(self, trajectory, compensation, joint) -> float:
+        """Return MSE without compensation / MSE with ``compensation``; NaN if one lacks."""
+        with_it = self.mse(trajectory, compensation, joint)
+        if compensation == WITHOUT:
+            return math.nan
+        without = self.mse(trajectory, WITHOUT, joint)
+        return without / with_it if with_it > 0 else math.nan
+
+    def paper(self, trajectory, joint) -> tuple | None:
+        """Return MSE without and with [rad^2] and their ratio as printed; None for others."""
+        joints = self.joints(trajectory)
+        if trajectory not in PAPER_WITHOUT or len(joints) != 2:
+            return None
+        i = joints.index(joint)
+        without, with_it = PAPER_WITHOUT[trajectory][i], PAPER_WITH[trajectory][i]
+        return without, with_it, without / with_it
+
+    def rows(self) -> tuple:
+        """Return the header and the rows, lists of str, of the comparison with the paper."""
+        modes = [mode for mode in self.compensations if mode != WITHOUT]
+        header = ['trajectory', 'joint', WITHOUT]
+        for mode in modes:
+            header += [mode, 'ratio']
+        header += ['paper without', 'paper with', 'ratio']
+        return header, [self._row(trajectory, joint, modes)
+                        for trajectory in self.trajectories
+                        for joint in self.joints(trajectory)]
+
+    def _row(self, trajectory, joint, modes):
+        row = [trajectory, joint, _small(self.mse(trajectory, WITHOUT, joint))]
+        for mode in modes:
+            row += [_small(self.mse(trajectory, mode, joint)),
+                    _plain(self.ratio(trajectory, mode, joint))]
+        paper = self.paper(trajectory, joint) or (math.nan,) * 3
+        return row + [_small(paper[0]), _small(paper[1]), _plain(paper[2])]
+
+    def detail_rows(self) -> tuple:
+        """Return the header and the rows, lists of str, of every run's own figures."""
+        header = ['trajectory', 'compensation', 'joint', 'rms error [mrad]',
+                  'max error [mrad]', 'hold p-p [mrad]', 'rms torque [N m]',
+                  'duration [s]', 'samples']
+        rows = []
+        for run in self.runs:
+            for joint in run.joints:
+                rows.append([run.trajectory, run.compensation, joint.joint,
+                             _plain(1e3 * joint.rms), _plain(1e3 * joint.max_error),
+                             _plain(1e3 * joint.hold_peak_to_peak), _plain(joint.rms_torque),
+                             _plain(run.duration), str(joint.samples)])
+        return header, rows
+
+    def findings(self) -> list[str]:
+        """Return a sentence for each run whose errors are not those of its gains (list of str)."""
+        return [f'{run.trajectory}, {run.compensation}: {100.0 * run.unanswered:.0f} % of the '
+                'samples had no command; the loop did not keep up, and errors are not what the '
+                'gains would give' for run in self.runs if run.unanswered > MOST_UNANSWERED]
+
+    def text(self) -> str:
+        """Return both tables as text for a terminal, and what speaks against them."""
+        return '\n'.join([
+            'Table 4: mean square error, link angle - reference [rad^2], and ratio '
+            'without / with', '', align(*self.rows()), '', NOTE, '',
+            align(*self.detail_rows()), *(f'NOTE: {finding}' for finding in self.findings())])
+
+    def as_dict(self) -> dict:
+        """Return everything as JSON can hold it; what is not known is None."""
+        rows = []
+        for trajectory in self.trajectories:
+            for joint in self.joints(trajectory):
+                modes = self.compensations
+                paper = self.paper(trajectory, joint)
+                rows.append({
+                    'trajectory': trajectory, 'joint': joint,
+                    'mse': {m: _known(self.mse(trajectory, m, joint)) for m in modes},
+                    'ratio': {m: _known(self.ratio(trajectory, m, joint))
+                              for m in modes if m != WITHOUT},
+                    'paper': dict(zip(('without', 'with', 'ratio'), paper, strict=True))
+                    if paper else None})
+        return {'quantity': 'mean square of link angle - reference', 'unit': 'rad^2',
+                'note': NOTE, 'findings': self.findings(), 'table': rows,
+                'runs': [run._asdict() | {
+                    'joints': [{key: _known(value) for key, value in one._asdict().items()}
+                               for one in run.joints],
+                    'unanswered': _known(run.unanswered)} for run in self.runs]}
+
+
+def _ordered(names, first):
+    """Return each of ``names`` once, those of ``first`` before the others by their names."""
+    return tuple(sorted(dict.fromkeys(names), key=lambda name: (
+        first.index(name) if name in first else len(first), name)))
+
+
+def _known(value):
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _small(value):
+    return f'{value:.3e}' if math.isfinite(value) else '-'
+
+
+def _plain(value):
+    if not math.isfinite(value):
+        return '-'
+    return f'{value:.0f}' if abs(value) >= 999.5 else f'{value:#.3g}'.rstrip('.')
 
 
 def link_error(recording) -> np.ndarray:

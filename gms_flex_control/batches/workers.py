@@ -4,7 +4,7 @@
 """Where the items of a batch are worked on: processes of this machine, or a Dask cluster."""
 
 from collections.abc import Generator, Iterator
-from concurrent.futures import as_completed, CancelledError, ProcessPoolExecutor
+from concurrent.futures import as_completed, CancelledError, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 import multiprocessing
@@ -105,14 +105,15 @@ class Processes:
         pool = ProcessPoolExecutor(min(self._workers, len(waiting)), initializer=end_with_parent,
                                    mp_context=multiprocessing.get_context('spawn'))
         try:
-            futures, lost = {}, []
+            futures = {}
             for index in waiting:
                 try:
                     with _deaf_to_interrupts():
-                        futures[pool.submit(function, items[index])] = index
+                        future = pool.submit(function, items[index])
                 except BrokenProcessPool as error:  # died while items are still being handed in
-                    lost.append((index, _Broken(error)))
-            yield from lost
+                    future = Future()
+                    future.set_exception(error)
+                futures[future] = index
             for future in as_completed(futures):
                 yield futures[future], future
         except BaseException:  # interrupted, or nobody wants more: items take up to minutes
@@ -126,17 +127,6 @@ class Processes:
 def _lost():
     raise LostItemError(f'a worker process was killed {_MOST_BREAKS + 1} times by one item, the '
                         'last time alone; is there enough memory? Ask for fewer --workers')
-
-
-class _Broken:
-    """A future of a pool that took no more items."""
-
-    def __init__(self, error):
-        self._error = error
-
-    def exception(self) -> BrokenProcessPool:
-        """Return why nothing came of it."""
-        return self._error
 
 
 def call_packed(item, function) -> object:

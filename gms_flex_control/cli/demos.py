@@ -10,9 +10,8 @@ from pathlib import Path
 import time
 from typing import NamedTuple
 
-from gms_flex_control.analysis.table4 import align
 from gms_flex_control.analysis.tracking import link_rms, Run, table4, tracking_of_copies
-from gms_flex_control.answer import Answer, command, measured
+from gms_flex_control.answer import align, Answer, command, measured
 from gms_flex_control.cli.robots import trajectory_file
 from gms_flex_control.cli.terminal import conclude, import_ros, prepare, refuse_foreign, say
 from gms_flex_control.cli.verbs import ALLOWED, BELIEVED_FRICTION, DEMO_MOTIONS
@@ -33,13 +32,8 @@ from gms_flex_control.experiment.plan import Plan, read_plan
 from gms_flex_control.experiment.simulated import simulate, simulate_to_bag
 from gms_flex_control.identification.identify import identify
 from gms_flex_control.identification.output import write_friction, write_report_json
+from gms_flex_control.reports import demo_page
 from gms_flex_control.reports.answers import identification_text
-from gms_flex_control.reports.demo_page import (
-    demo_answer,
-    DemoOutcome,
-    outcome_text,
-    write_demo_report,
-)
 from gms_flex_control.reports.discrepancy_values import write_robot
 from gms_flex_control.reports.identification_page import write_identification_report
 from gms_flex_control.reports.recordings_page import write_tracking_report
@@ -278,12 +272,12 @@ def demo_discrepancy(args) -> int:
     prepare(out, 'demo-discrepancy')
     outcome = _found_and_driven(hidden, gains, args.seed, _write_files(hidden, out), out)
     say('writing the report')
-    write_demo_report(outcome, out)
+    demo_page.write_demo_report(outcome, out)
     if args.json:
         print((out / 'report.json').read_text(encoding='utf-8'), end='')
     else:
-        print(f'{outcome_text(outcome)}\n\ndone in {time.monotonic() - begin:.0f} s')
-        conclude(demo_answer(outcome), {
+        print(f'{demo_page.outcome_text(outcome)}\n\ndone in {time.monotonic() - begin:.0f} s')
+        conclude(demo_page.demo_answer(outcome), {
             'report': out / 'report.html', 'numbers': out / 'report.json',
             'model': out / 'robot.yaml', 'bags': out / 'bags'})
     return int(not (outcome.named and outcome.shrank))
@@ -326,7 +320,7 @@ def _found_and_driven(hidden, gains, seed, files, out):
     result = _find(recordings['believed'], believed, gains, out / 'robot.yaml')
     driven('found', out / 'robot.yaml' if result.robot is not None else believed)
     driven('true', plant)
-    return DemoOutcome(hidden, seed, result, recordings)
+    return demo_page.DemoOutcome(hidden, seed, result, recordings)
 
 
 def _find(recording, believed, gains, path):

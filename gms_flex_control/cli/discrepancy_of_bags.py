@@ -85,11 +85,12 @@ def _looped(args, robot, recordings, search):
     return with_closed_loop(search(), recordings, gains)
 
 
-def _write_files(result, compared, holdout, args):
+def _write_files(result, compared, holdout, args, becomes=None):
     out = Path(args.out)
     values = files.report_values(result, holdout=args.holdout, models=compared)
     earlier = _earlier(out)
-    written = write_discrepancy_report(result, out, holdout=holdout, models=compared)
+    written = write_discrepancy_report(result, out, holdout=holdout, models=compared,
+                                       becomes=becomes)
     if result.robot is not None:
         files.write_robot(result, out / 'robot.yaml')
         written.append(out / 'robot.yaml')
@@ -190,5 +191,5 @@ def ask_bag(item: each_bag.BagItem) -> dict:
     result, compared, holdout = _answered(args)
     with each_bag.whole(item.place) as folder:
         args.out = folder
-        _write_files(result, compared, holdout, args)
+        _write_files(result, compared, holdout, args, item.place.folder)
     return files.over_bags_values(result)

@@ -15,15 +15,10 @@ from gms_flex_control.cli.terminal import conclude, refuse_fitted, refuse_unwrit
 from gms_flex_control.data.reader import joint_names, read_experiment
 from gms_flex_control.data.recording import link_names, MOTOR_SUFFIX
 from gms_flex_control.errors import ConfigError
+from gms_flex_control.identification import output
 from gms_flex_control.identification.assumed_robot import only_joints, rigid_joints
 from gms_flex_control.identification.coordinates import MOST_BLOCKS
 from gms_flex_control.identification.identify import identify, Options
-from gms_flex_control.identification.output import (
-    bag_values,
-    report_json,
-    write_friction,
-    write_report_json,
-)
 from gms_flex_control.params.arm import in_units
 from gms_flex_control.reports import bags_summary
 from gms_flex_control.reports.answers import identification_answer, identification_text
@@ -47,7 +42,7 @@ def identify_verb(args) -> int:
                         say=(lambda _: None) if args.json else say)
     _write_results(found, out, args.robot or ())
     if args.json:
-        print(json.dumps(report_json(found), indent=2, allow_nan=False))
+        print(json.dumps(output.report_json(found), indent=2, allow_nan=False))
         return 0
     words = partial(in_units, found.robot.arm)
     print(words(identification_text(found)))
@@ -65,10 +60,10 @@ def _identified(bags, holdouts, robot, options, described, **further):
     return replace(found, described=described)
 
 
-def _write_results(found, out, robot=()):
-    write_friction(found, out / 'friction.yaml')
-    write_report_json(found, out / 'report.json')
-    write_identification_report(found, out, robot=robot)
+def _write_results(found, out, robot=(), becomes=None):
+    output.write_friction(found, out / 'friction.yaml')
+    output.write_report_json(found, out / 'report.json')
+    write_identification_report(found, out, robot=robot, becomes=becomes)
 
 
 def _options_of(args):
@@ -129,5 +124,5 @@ def identify_bag(item: each_bag.BagItem) -> dict:
     found = _identified([bag], asked['holdouts'], asked['robot'] or _robot_in(
         bag, asked['joints']), asked['options'], asked['robot'] is not None)
     with each_bag.whole(item.place) as folder:
-        _write_results(found, folder)
-    return {'reason': None, **bag_values(found)}
+        _write_results(found, folder, becomes=item.place.folder)
+    return {'reason': None, **output.bag_values(found)}

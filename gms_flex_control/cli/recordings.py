@@ -18,12 +18,7 @@ from gms_flex_control.data.reader import read_recording
 from gms_flex_control.data.writer import write_recording
 from gms_flex_control.errors import BagError
 from gms_flex_control.params.gains import COMPENSATIONS
-from gms_flex_control.reports.recordings_page import (
-    torsion_answer,
-    torsion_text,
-    write_torsion_report,
-    write_tracking_report,
-)
+from gms_flex_control.reports import recordings_page
 from gms_flex_control.resources import share_path
 from gms_flex_control.schema.files import save_robot
 
@@ -64,7 +59,7 @@ def analyse(args) -> int:
     labels = list(map(given_label, args.label) if args.label else map(bag_label, args.bags))
     runs = [Run(*label, read_recording(bag, args.joints, args.motors))
             for bag, label in zip(args.bags, labels, strict=True)]
-    table = write_tracking_report(runs, args.out)
+    table = recordings_page.write_tracking_report(runs, args.out)
     if args.json:
         print(json.dumps(table.as_dict(), indent=2, allow_nan=False))
     else:
@@ -109,9 +104,9 @@ def torsion(args) -> int:
     """Fit a first flexible-joint model, write the report if asked to; return 0."""
     found = study(read_recording(args.bag), args.joint, args.stiffness, args.motor_inertia)
     print(json.dumps(_torsion_values(found), indent=2, allow_nan=False) if args.json
-          else torsion_text(found))
+          else recordings_page.torsion_text(found))
     if args.out:
-        page = write_torsion_report(found, args.out)
+        page = recordings_page.write_torsion_report(found, args.out)
         robot = Path(args.out) / 'robot.yaml'
         given = 'as given' if found.motor_inertia else 'ASSUMED to be half of M + J'
         save_robot(found.robot, robot, comment=(
@@ -120,7 +115,8 @@ def torsion(args) -> int:
             f'J {given}; Stribeck velocity, block stiffness and attraction are ASSUMED:\n'
             'the data do not identify them.'))
         if not args.json:
-            conclude(torsion_answer(found, args.out), {'report': page, 'robot': robot})
+            conclude(recordings_page.torsion_answer(found, args.out),
+                     {'report': page, 'robot': robot})
     return 0
 
 

@@ -10,9 +10,9 @@ import shutil
 import sys
 from tempfile import TemporaryDirectory
 from textwrap import fill
+from types import ModuleType
 
-from gms_flex_control.analysis.table4 import align
-from gms_flex_control.answer import Answer, unbroken
+from gms_flex_control.answer import align, Answer, unbroken
 from gms_flex_control.errors import BagError, ConfigError
 from gms_flex_control.file_io import write_text
 
@@ -25,7 +25,7 @@ def say(text: str) -> None:
         print(text, file=sys.stderr, flush=True)
 
 
-def import_ros(module: str = 'rclpy', hint: str = ''):
+def import_ros(module: str = 'rclpy', hint: str = '') -> ModuleType:
     """Return a module that needs ROS 2; raise ConfigError, with a hint, where that is missing."""
     try:
         import_module('rclpy')

@@ -23,15 +23,9 @@ from gms_flex_control.reports.figures import save_figure
 from gms_flex_control.resources import controller_file, robot_file
 from gms_flex_control.schema.build import robot_values
 from gms_flex_control.schema.files import load_controller, load_robot, save_values
-from gms_flex_control.tuning import propose
+from gms_flex_control.tuning import propose, trial
 from gms_flex_control.tuning.linear_loop import Timing
 from gms_flex_control.tuning.propose import Demands
-from gms_flex_control.tuning.trial import (
-    Drawn,
-    read_intervals,
-    summary,
-    try_drawn,
-)
 import numpy as np
 
 # what a simulated figure depends on
@@ -99,7 +93,7 @@ def _intervals_asked(args):
     if not args.verify:
         raise ConfigError(f'--intervals {args.intervals}: concerns the robots that --verify '
                           'draws; give --verify N as well, or leave it out')
-    return read_intervals(args.intervals)
+    return trial.read_intervals(args.intervals)
 
 
 def _per_joint(name, values, n):
@@ -115,13 +109,13 @@ def _per_joint(name, values, n):
 def _verified(robot, gains, demands, intervals, args):
     """Return the summary of the draws asked for; finished ones are kept in --out."""
     amplitude = np.full(robot.n_joints, args.amplitude)
-    items = {f'draw {k}': Drawn(robot, gains, demands.timing, amplitude, intervals,
-                                args.seed, k) for k in range(args.verify)}
+    items = {f'draw {k}': trial.Drawn(robot, gains, demands.timing, amplitude, intervals,
+                                      args.seed, k) for k in range(args.verify)}
     digest = digest_of((robot_values(robot), propose.controller_values(gains, robot.joints),
                         demands.timing, args.amplitude, intervals, args.seed))
-    found = run_kept(try_drawn, items, args, f'{fingerprint(SOURCES)} {digest}',
+    found = run_kept(trial.try_drawn, items, args, f'{fingerprint(SOURCES)} {digest}',
                      'robots')
-    return summary(list(found.values()))
+    return trial.summary(list(found.values()))
 
 
 def _write(args, robot, proposal, demands):

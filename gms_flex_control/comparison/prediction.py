@@ -18,13 +18,8 @@ from gms_flex_control.control import cascade, compensation
 from gms_flex_control.data.reader import read_recording
 from gms_flex_control.errors import IdentificationError
 from gms_flex_control.friction import gms
+from gms_flex_control.identification import segments
 from gms_flex_control.identification.friction_map import friction_torque
-from gms_flex_control.identification.segments import (
-    drive_sides,
-    rigid_where,
-    segments_of,
-    smooth_angle,
-)
 from gms_flex_control.identification.smoothing import low_pass
 from gms_flex_control.params.friction import FrictionParams
 from gms_flex_control.params.robot import RobotParams
@@ -71,9 +66,9 @@ def along(recording, robot) -> Along:
 
     IdentificationError if no piece is long enough or there is no torque.
     """
-    sides = drive_sides(recording, robot)
-    seen = rigid_where(robot, sides)
-    pieces = [_piece(segment, recording, seen) for segment in segments_of(
+    sides = segments.drive_sides(recording, robot)
+    seen = segments.rigid_where(robot, sides)
+    pieces = [_piece(segment, recording, seen) for segment in segments.segments_of(
         recording, robot, sides)]
     return Along(tuple(pieces), seen, all(np.isfinite(one.reference).all() for one in pieces))
 
@@ -83,7 +78,7 @@ def _piece(segment, recording, robot):
     time = segment.begin + period * np.arange(samples)
     reference = np.stack([[np.interp(time, recording.time, recording.reference[:, k, j])
                            for j in range(robot.n_joints)] for k in range(5)])
-    angle = smooth_angle(segment, period)
+    angle = segments.smooth_angle(segment, period)
     first = [column[np.isfinite(column)][0] for column in segment.angle.T]
     return Piece(
         time, period, angle + first, segment.rate,

@@ -170,11 +170,9 @@ class MapNode:
     def number(self, key, default) -> float | None:
         """Return a finite float, ``default`` if it is not there."""
         value = self._typed(key, default, (int, float), 'a number')
-        if key not in self._data:
-            return default
-        if not math.isfinite(value):
+        if key in self._data and not math.isfinite(value):
             raise self.wrong(f'must be finite, got {value}', key)
-        return float(value)
+        return value if value is None else float(value)
 
     def positive(self, key, default) -> float | None:
         """Return a finite float above 0, ``default`` if it is not there."""
@@ -215,8 +213,8 @@ DELIMITERS = {'tab': '\t', 'space': ' ', 'comma': ',', 'semicolon': ';'}
 _READ = {'column': 'column', 'sign': 'number', 'scale': 'number', 'offset': 'number',
          'gear_ratio': 'positive', 'unwrap': 'flag', 'counts_per_rev': 'positive',
          'estimate': 'positive', 'full_scale': 'positive', 'voltage': 'column',
-         'torque_per_volt': 'positive', 'back_emf': 'number', 'torque_constant': 'positive',
-         'enabled': 'column'}
+         'torque_per_volt': 'positive', 'back_emf': 'number', 'enabled': 'column',
+         'torque_constant': 'positive'}
 _COMMON = ('column', 'unit', 'sign', 'scale', 'offset', 'gear_ratio')
 _KEYS = {'position': (*_COMMON, 'unwrap', 'counts_per_rev'),
          'velocity': (*_COMMON, 'estimate', 'counts_per_rev'),

@@ -6,15 +6,8 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from gms_flex_control.data import cdr
 from gms_flex_control.data.bag import Bag, namespace_of
-from gms_flex_control.data.cdr import (
-    MULTI_ARRAY,
-    PHASE_TOPIC,
-    STAMP_LABEL,
-    stamp_of,
-    unpack_joint_state,
-    unpack_multi_array,
-)
 from gms_flex_control.data.recording import Phase, Recording, Topics
 from gms_flex_control.data.series import BLOCK, by_stamp, names_of, Series
 from gms_flex_control.data.tables import ArrayTable
@@ -120,14 +113,14 @@ def _columns(path, series, motors):
 
 def read_experiment(path, joints=None, motors=None) -> tuple:
     """Read the Recording and Phases of an experiment, the bag but once."""
-    recording, begin, aside = read_beside(path, joints, motors, aside=[PHASE_TOPIC])
-    return recording, _phases(path, aside[PHASE_TOPIC], begin)
+    recording, begin, aside = read_beside(path, joints, motors, aside=[cdr.PHASE_TOPIC])
+    return recording, _phases(path, aside[cdr.PHASE_TOPIC], begin)
 
 
 def _phases(path, aside, begin):
     topic, type_name, messages = aside
-    if messages and type_name != MULTI_ARRAY:
-        raise BagError(f'{path}: topic {topic!r} is a {type_name}, expected {MULTI_ARRAY}')
+    if messages and type_name != cdr.MULTI_ARRAY:
+        raise BagError(f'{path}: topic {topic!r} is a {type_name}, expected {cdr.MULTI_ARRAY}')
     phases = [_phase(path, topic, k, data) for k, data in enumerate(messages)]
     return tuple(phase._replace(time_ns=phase.time_ns - begin)
                  for phase in sorted(phases, key=lambda phase: phase.time_ns))
@@ -136,17 +129,17 @@ def _phases(path, aside, begin):
 def _phase(path, topic, number, data):
     """Return the Phase of one message, its time still a stamp."""
     try:
-        dims, values = unpack_multi_array(data)
-        stamp = stamp_of(dims)
+        dims, values = cdr.unpack_multi_array(data)
+        stamp = cdr.stamp_of(dims)
     except BagError as error:
         raise BagError(f'{path}: topic {topic!r} message {number} {error}') from None
     texts = dict(label.split(':', 1) for label, _, _ in dims if ':' in label)
     missing = [f'{name}:' for name in _LABELS if name not in texts]
-    missing += [STAMP_LABEL] if stamp is None else []
+    missing += [cdr.STAMP_LABEL] if stamp is None else []
     if missing or len(values) != 1:
         raise BagError(f'{path}: topic {topic!r} message {number} has {len(values)} values and '
                        f'lacks the labels {missing}; a phase has one value and the labels '
-                       f'{STAMP_LABEL}, phase:, joint: and step:')
+                       f'{cdr.STAMP_LABEL}, phase:, joint: and step:')
     return Phase(stamp, *(texts[name] for name in _LABELS), float(values[0]))
 
 
@@ -175,7 +168,7 @@ def read_blocks(path, time, n) -> tuple:
         return None, None
     states = next((batch for batch in Bag(path).batches({space + Topics().joint_states})
                    if batch), ())  # of which few at the start may be late
-    first = min((unpack_joint_state(data)[0] for *_, data in states), default=0)
+    first = min((cdr.unpack_joint_state(data)[0] for *_, data in states), default=0)
     stamps = first + np.rint(np.asarray(time) * 1e9).astype(np.int64)
     return tuple(_at_samples(path, topic, tables.get(topic), stamps) for topic in topics)
 
@@ -185,9 +178,9 @@ def _decode_blocks(bag, tables, waiting, n, least):
         if len(messages) < least:
             continue
         if topic not in tables:
-            if bag.topics[topic].type_name != MULTI_ARRAY:
+            if bag.topics[topic].type_name != cdr.MULTI_ARRAY:
                 raise BagError(f'{bag.path}: topic {topic!r} is a '
-                               f'{bag.topics[topic].type_name}, expected {MULTI_ARRAY}')
+                               f'{bag.topics[topic].type_name}, expected {cdr.MULTI_ARRAY}')
             tables[topic] = _block_table(bag.path, topic, messages[0], n)
         tables[topic].add(times, messages)
         times.clear()
@@ -197,7 +190,7 @@ def _decode_blocks(bag, tables, waiting, n, least):
 def _block_table(path, topic, message, n):
     """Return the table of a topic, its number of blocks that of the first message."""
     try:
-        count = len(unpack_multi_array(message)[1])
+        count = len(cdr.unpack_multi_array(message)[1])
     except BagError as error:
         raise BagError(f'{path}: topic {topic!r} message 0 {error}') from None
     if not count or count % n:

@@ -7,14 +7,8 @@ from math import factorial
 from typing import NamedTuple
 import warnings
 
+from gms_flex_control.data import cdr
 from gms_flex_control.data.bag import BagWarning
-from gms_flex_control.data.cdr import (
-    JOINT_STATE,
-    MULTI_ARRAY,
-    SOURCE_LABEL,
-    STAMP_LABEL,
-    unpack_joint_state,
-)
 from gms_flex_control.data.recording import link_names, MOTOR_SUFFIX
 from gms_flex_control.data.tables import ArrayTable, JointTable
 from gms_flex_control.errors import BagError
@@ -25,7 +19,8 @@ _REACH = 1.5             # a reference further away than this many periods is no
 _SAMPLES = 2**15         # samples that are worked on at once, for the sake of memory
 BLOCK = 4096             # messages of a topic that wait to be decoded together
 _TWO_RUNS = 100_000_000  # a step back beyond this is another run, not a late message [ns]
-_TYPES = (JOINT_STATE, MULTI_ARRAY, MULTI_ARRAY, JOINT_STATE, MULTI_ARRAY)  # of the Topics
+# of the Topics
+_TYPES = (cdr.JOINT_STATE, cdr.MULTI_ARRAY, cdr.MULTI_ARRAY, cdr.JOINT_STATE, cdr.MULTI_ARRAY)
 
 
 def names_of(bag, message, topics) -> tuple:
@@ -40,29 +35,9 @@ def names_of(bag, message, topics) -> tuple:
         raise BagError(f'{bag.path}: has {what} {topics.joint_states!r} (topics: {known}); '
                        'record it, or name the topic that has the joint states')
     try:
-        return unpack_joint_state(message)[2]
+        return cdr.unpack_joint_state(message)[2]
     except BagError as error:
         raise BagError(f'{bag.path}: topic {topics.joint_states!r} message 0 {error}') from None
-
-
-def _resolved(path, topic, names, joints=None, motors=None):
-    """Return joints and motors as wanted, one each a joint, '' where there is no motor."""
-    if joints is None:
-        joints = link_names(names) if motors is None else [
-            name for name in names if name not in motors]
-    if motors is None:
-        motors = [name + MOTOR_SUFFIX if name + MOTOR_SUFFIX in names else ''
-                  for name in joints]
-    if len(motors) != len(joints):
-        raise BagError(f'{path}: {len(motors)} motors for {len(joints)} joints '
-                       f'({", ".join(joints)}); give one each, empty where there is none')
-    lone = {joint for joint, motor in zip(joints, motors, strict=True) if motor in names}
-    for name in (*joints, *motors):
-        if name and name not in names and name not in lone:
-            raise BagError(f'{path}: topic {topic!r} lacks joint {name!r} '
-                           f'(has {", ".join(names)}); set the names that are there or record '
-                           'that side as well')
-    return tuple(joints), tuple(motors)
 
 
 class _Answers(NamedTuple):
@@ -225,9 +200,25 @@ class Series:
         return names_of(self._bag, self._first, self.topics)
 
     def resolved(self) -> tuple:
-        """Return the joint and motor names."""
-        return _resolved(self._path, self.topics.joint_states, self.require_names(),
-                         *self._chosen)
+        """Return joint and motor names as wanted, one motor a joint, '' where there is none."""
+        names, (joints, motors) = self.require_names(), self._chosen
+        if joints is None:
+            joints = link_names(names) if motors is None else [
+                name for name in names if name not in motors]
+        if motors is None:
+            motors = [name + MOTOR_SUFFIX if name + MOTOR_SUFFIX in names else ''
+                      for name in joints]
+        if len(motors) != len(joints):
+            raise BagError(f'{self._path}: {len(motors)} motors for {len(joints)} joints '
+                           f'({", ".join(joints)}); give one each, empty where there is none')
+        lone = {joint for joint, motor in zip(joints, motors, strict=True) if motor in names}
+        for name in (*joints, *motors):
+            if name and name not in names and name not in lone:
+                raise BagError(
+                    f'{self._path}: topic {self.topics.joint_states!r} lacks joint {name!r} '
+                    f'(has {", ".join(names)}); set the names that are there or record that side '
+                    'as well')
+        return tuple(joints), tuple(motors)
 
     def note_others(self, joints, motors) -> None:
         """Issue a BagWarning if there are more joints than those that were asked for."""
@@ -324,7 +315,7 @@ def _reference_shape(dims, count, n):
     a subject, if the layout or the length does not fit.
     """
     shape = [(label, size) for label, size, _ in dims
-             if not label.startswith((STAMP_LABEL, SOURCE_LABEL))]
+             if not label.startswith((cdr.STAMP_LABEL, cdr.SOURCE_LABEL))]
     if shape and shape[0][0] == 'effort':
         return None
     rows = shape[0][1] if shape else count // max(n, 1)

@@ -3,14 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Messages of one topic as columns over time, decoded block by block as they are read."""
 
-from gms_flex_control.data.cdr import (
-    array_layout,
-    joint_state_layout,
-    stamp_of,
-    unpack_joint_state,
-    unpack_multi_array,
-    VALUES,
-)
+from gms_flex_control.data import cdr
 from gms_flex_control.errors import BagError
 import numpy as np
 
@@ -127,7 +120,7 @@ class JointTable(Table):
 
     """
 
-    def __init__(self, wanted, fields=VALUES):
+    def __init__(self, wanted, fields=cdr.VALUES):
         self._wanted, self._fields = tuple(wanted), tuple(fields)
         self._places, self._columns_of = {}, None
         super().__init__()
@@ -137,9 +130,9 @@ class JointTable(Table):
             'stamps': np.zeros(count, dtype=np.int64)}
 
     def _read(self, block, known, k, data):
-        stamp, frame, names, *values = unpack_joint_state(data)
+        stamp, frame, names, *values = cdr.unpack_joint_state(data)
         counts = tuple(map(len, values))
-        for field, count in zip(VALUES, counts, strict=True):
+        for field, count in zip(cdr.VALUES, counts, strict=True):
             if count != len(names) and (count or field == 'position'):
                 raise BagError(f'has {count} {field} values for {len(names)} names')
         if names not in self._places:
@@ -147,10 +140,10 @@ class JointTable(Table):
         self._columns_of = self._places[names]
         if self._columns_of is not None:
             known[k], block['stamps'][k] = True, stamp
-            for field, numbers in zip(VALUES, values, strict=True):
+            for field, numbers in zip(cdr.VALUES, values, strict=True):
                 if numbers and field in block:
                     block[field][k] = np.array(numbers)[self._columns_of]
-        return joint_state_layout(names, counts, frame, data[:4]) if data[1] == 1 else None
+        return cdr.joint_state_layout(names, counts, frame, data[:4]) if data[1] == 1 else None
 
     def _copy(self, block, start, numbers, records):
         block['stamps'][numbers] = records['sec'] * np.int64(10**9) + records['nanosec']
@@ -195,16 +188,16 @@ class ArrayTable(Table):
                 'stamps': np.zeros(count, dtype=np.int64), 'stamped': np.full(count, False)}
 
     def _read(self, block, known, k, data):
-        dims, values = unpack_multi_array(data)
+        dims, values = cdr.unpack_multi_array(data)
         self._last = shape = self._shape_of(dims, len(values))
-        stamp = stamp_of(dims)
+        stamp = cdr.stamp_of(dims)
         if shape is not None:
             known[k] = True
             block['values'][(k, *map(slice, shape))] = np.reshape(values, shape)
             if stamp is not None:
                 block['stamped'][k] = True
                 block['stamps'][k] = min(max(stamp, -_FAR), _FAR)
-        return array_layout(dims, len(values), data[:4]) if len(values) and data[1] else None
+        return cdr.array_layout(dims, len(values), data[:4]) if len(values) and data[1] else None
 
     def _copy(self, block, start, numbers, records):
         block['values'][(numbers, *map(slice, self._last))] = \

@@ -10,17 +10,7 @@ from pathlib import Path
 import shutil
 import time
 
-from gms_flex_control.data import metadata
-from gms_flex_control.data.cdr import (
-    JOINT_STATE,
-    MULTI_ARRAY,
-    pack_command,
-    pack_joint_states,
-    pack_phase,
-    pack_reference,
-    pack_supply,
-    PHASE_TOPIC,
-)
+from gms_flex_control.data import cdr, metadata
 from gms_flex_control.data.metadata import definition
 from gms_flex_control.data.recording import MOTOR_SUFFIX, Recording, Topics
 from gms_flex_control.errors import BagError
@@ -269,16 +259,16 @@ def write_recording(path, recording: Recording, motors: Sequence[str] | None = N
                   for name, there in zip(recording.joints, known, strict=True)]
     series = list(_series(recording, motors, stamps, topics, source))
     types = {name: type_name for name, type_name, _ in series}
-    types |= {PHASE_TOPIC: MULTI_ARRAY} if phases else {}
+    types |= {cdr.PHASE_TOPIC: cdr.MULTI_ARRAY} if phases else {}
     beginning = {}  # phases by the sample they begin with, those after the end by the last
     for phase in sorted(phases, key=lambda phase: phase.time_ns):
         phase = phase._replace(time_ns=start + phase.time_ns)
         k = min(int(np.searchsorted(stamps, phase.time_ns)), len(stamps) - 1)
-        beginning.setdefault(k, []).append(pack_phase(phase))
+        beginning.setdefault(k, []).append(cdr.pack_phase(phase))
     with BagWriter(path, types, atomic=True, custom=custom) as writer:
         for k, stamp in enumerate(stamps.tolist()):
             for message in beginning.get(k, ()):
-                writer.write(PHASE_TOPIC, stamp, message)
+                writer.write(cdr.PHASE_TOPIC, stamp, message)
             for name, _, messages in series:
                 if messages[k] is not None:
                     writer.write(name, stamp, messages[k])
@@ -290,23 +280,23 @@ def _series(recording, motors, stamps, topics, source):
     link_effort = np.full(recording.q_link.shape, np.nan)
     link_effort[:, rigid] = recording.tau_motor[:, rigid]
     names = (*recording.joints, *(motors[k] for k in sides))
-    yield topics.joint_states, JOINT_STATE, pack_joint_states(
+    yield topics.joint_states, cdr.JOINT_STATE, cdr.pack_joint_states(
         names, stamps, np.hstack([recording.q_link, recording.q_motor[:, sides]]),
         np.hstack([recording.dq_link, recording.dq_motor[:, sides]]),
         np.hstack([link_effort, recording.tau_motor[:, sides]]))
     if not np.all(np.isnan(recording.reference)):
-        yield topics.reference, MULTI_ARRAY, _packed(
-            recording.reference, stamps, pack_reference)
+        yield topics.reference, cdr.MULTI_ARRAY, _packed(
+            recording.reference, stamps, cdr.pack_reference)
     if not np.all(np.isnan(recording.command)):
-        yield topics.command, MULTI_ARRAY, _packed(
+        yield topics.command, cdr.MULTI_ARRAY, _packed(
             recording.command, stamps,
-            lambda torque, stamp: pack_command(torque.tolist(), stamp, source))
+            lambda torque, stamp: cdr.pack_command(torque.tolist(), stamp, source))
     if not np.all(np.isnan(recording.supply)):
-        yield topics.supply, MULTI_ARRAY, _packed(recording.supply, stamps, pack_supply)
+        yield topics.supply, cdr.MULTI_ARRAY, _packed(recording.supply, stamps, cdr.pack_supply)
     if not np.all(np.isnan(recording.friction_hat)):
         error = recording.q_link - recording.reference[:, 0]
         rate = recording.dq_link - recording.reference[:, 1]
-        yield topics.controller_state, JOINT_STATE, pack_joint_states(
+        yield topics.controller_state, cdr.JOINT_STATE, cdr.pack_joint_states(
             recording.joints, stamps, error, rate, recording.friction_hat)
 
 

@@ -6,8 +6,7 @@
 from pathlib import Path
 from textwrap import fill
 
-from gms_flex_control.analysis.table4 import align
-from gms_flex_control.answer import Answer, command, measured, Number
+from gms_flex_control.answer import align, Answer, command, measured, Number
 from gms_flex_control.discrepancy.describe import angle_scale, Scale, torque_scale, value_words
 from gms_flex_control.identification.result import (
     data_sentence,

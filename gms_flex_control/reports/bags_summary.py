@@ -11,8 +11,7 @@ from pathlib import Path
 from textwrap import fill
 
 from gms_flex_control import __version__
-from gms_flex_control.analysis.table4 import align
-from gms_flex_control.answer import Answer, command, measured
+from gms_flex_control.answer import align, Answer, command, measured
 from gms_flex_control.identification.output import is_told
 from gms_flex_control.identification.result import number, percent
 

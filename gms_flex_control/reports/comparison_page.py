@@ -5,8 +5,7 @@
 
 from functools import partial
 
-from gms_flex_control.analysis.table4 import align
-from gms_flex_control.answer import Answer, command, measured
+from gms_flex_control.answer import align, Answer, command, measured
 from gms_flex_control.comparison import study
 from gms_flex_control.comparison.study import Condition, conditions, CONTESTANTS, NOMINAL
 from gms_flex_control.experiment.believed import FRICTION, MASS, STIFFNESS

@@ -7,19 +7,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from gms_flex_control import __version__
-from gms_flex_control.analysis.table4 import align
 from gms_flex_control.analysis.tracking import link_error, link_rms
-from gms_flex_control.answer import Answer, command, measured
+from gms_flex_control.answer import align, Answer, command, measured
 from gms_flex_control.control.feedforward import compensated
 from gms_flex_control.discrepancy.result import Discrepancy, Finding
+from gms_flex_control.reports import discrepancy_values
 from gms_flex_control.reports.answers import gap_numbers, WITH, WITHOUT
 from gms_flex_control.reports.discrepancy_page import add_discrepancy
-from gms_flex_control.reports.discrepancy_values import (
-    described,
-    plain,
-    report_values,
-    write_report_values,
-)
 from gms_flex_control.reports.figures import (
     COLOURS,
     finished,
@@ -72,13 +66,14 @@ class DemoOutcome(NamedTuple):
 
 def _outcome_values(outcome):
     joints, effect = outcome.hidden.robot.joints, outcome.hidden.effect
-    return plain({
+    return discrepancy_values.plain({
         'version': __version__, 'seed': outcome.seed, 'name_right': outcome.named,
         'gap_shrank': outcome.shrank,
         'tracking': {belief: dict(zip(joints, rms, strict=True))
                      for belief, rms in outcome.tracking.items()},
-        'discrepancy': report_values(outcome.result),
-        'hidden': described(effect) | {'compensated': compensated(effect.name)}})
+        'discrepancy': discrepancy_values.report_values(outcome.result),
+        'hidden': discrepancy_values.described(effect) | {
+            'compensated': compensated(effect.name)}})
 
 
 def _outcome_rows(outcome):
@@ -104,7 +99,7 @@ def _rows(kinds, joints):
 
 def revealed(outcome) -> str:
     """Return in words what was hidden, and whether it was found."""
-    truth = described(outcome.hidden.effect)
+    truth = discrepancy_values.described(outcome.hidden.effect)
     values = ', '.join(f'{name} {value:.4g}' for name, value in truth['parameters'].items())
     sentence = f'Hidden was {truth["effect"]} of {truth["joint"]} ({values}): '
     if outcome.named:
@@ -166,7 +161,7 @@ def write_demo_report(outcome, folder) -> None:
             _add_error(report, outcome, j)
     add_discrepancy(report, outcome.result, folder, opened=True)
     _add_truth(report, outcome)
-    write_report_values(_outcome_values(outcome), folder / 'report.json')
+    discrepancy_values.write_report_values(_outcome_values(outcome), folder / 'report.json')
     report.write(folder / 'report.html')
 
 
@@ -197,7 +192,7 @@ def _add_error(report, outcome, j):
 
 def _add_truth(report, outcome):
     report.heading('What was hidden')
-    truth = described(outcome.hidden.effect)['parameters']
+    truth = discrepancy_values.described(outcome.hidden.effect)['parameters']
     found = {value.name: value for value in outcome.first.values} if outcome.named else {}
     report.table(
         ('parameter', 'hidden', 'found', '95 % interval'),

@@ -7,20 +7,9 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
+from gms_flex_control.discrepancy import describe, residual_views
 from gms_flex_control.discrepancy.compared import free_runs_of
-from gms_flex_control.discrepancy.describe import (
-    capitalised,
-    of_noise,
-    torque_scale,
-)
 from gms_flex_control.discrepancy.gap import HORIZON
-from gms_flex_control.discrepancy.residual_views import (
-    Along,
-    evidence_of,
-    maps_of,
-    over_all,
-    residuals_of,
-)
 from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE, FOUND, UNEXPLAINED
 from gms_flex_control.effects.registry import in_words
 from gms_flex_control.params.arm import in_units
@@ -42,15 +31,15 @@ TITLES = {COMPLETE: 'Nothing is missing', FOUND: 'Effects the model lacks',
 MOST_PICTURES = 8     # findings with a picture and a chart of their own
 
 
-def write_discrepancy_report(result, folder, *, holdout=(), models=()) -> list:
+def write_discrepancy_report(result, folder, *, holdout=(), models=(), becomes=None) -> list:
     """
     Write report.html and the PNGs of a Discrepancy to a folder; return the paths, the page first.
 
     Free runs are shown on the first of ``holdout`` (Recordings that took no part); ``models``
-    (Compared) are listed beside it.
+    (Compared) are listed beside it; ``becomes`` is the folder's name if it is renamed afterwards.
     """
     folder = Path(folder)
-    report = Report(TITLES[result.verdict], discrepancy_answer(result, folder),
+    report = Report(TITLES[result.verdict], discrepancy_answer(result, becomes or folder),
                     ', '.join(result.sources), units_of(result))
     pictures = add_discrepancy(report, result, folder, holdout=holdout, models=models)
     return [report.write(folder / 'report.html'), *pictures]
@@ -79,8 +68,8 @@ def add_discrepancy(report, result, folder, *, holdout=(), models=(), opened=Fal
     if result.behind is None:
         _add_summary(report, result)
         return pictures
-    along = Along(result.behind.likelihood)
-    evidence = [evidence_of(along, result.behind.after, finding)
+    along = residual_views.Along(result.behind.likelihood)
+    evidence = [residual_views.evidence_of(along, result.behind.after, finding)
                 for finding in result.named[:MOST_PICTURES]]
     runs = free_runs_of(result.behind, holdout)
     first = None  # what stands open: how an effect shows, or the free runs of a joint
@@ -121,7 +110,7 @@ def _add_summary(report, result):
 def _add_rest_and_noise(report, result):
     gap = result.gap
     if np.isfinite(gap.rest_after).any():
-        scale = torque_scale([gap.rest_before, gap.rest_after])
+        scale = describe.torque_scale([gap.rest_before, gap.rest_after])
         report.table(
             ('joint', *(f'{name} [{scale.unit}]' for name in (WITHOUT, WITH))),
             [(joint, scale.text(before), scale.text(after)) for joint, before, after in zip(
@@ -131,7 +120,7 @@ def _add_rest_and_noise(report, result):
     if result.noise:
         report.heading('Torque noise of the recordings')
         report.table(('where', 'size and colour'),
-                     [of_noise(one).split(': ', 1) for one in result.noise],
+                     [describe.of_noise(one).split(': ', 1) for one in result.noise],
                      'In addition to encoder noise; the likelihood accounts for it')
 
 
@@ -139,7 +128,7 @@ def _add_findings(report, result, evidence, picture, first):
     findings = result.named
     report.heading('What was found')
     if findings:
-        scale = torque_scale([one.torque for one in findings])
+        scale = describe.torque_scale([one.torque for one in findings])
         report.table(
             ('effect', 'joint', 'parameters (95 %)', f'torque [{scale.unit}]', 'share',
              'probability', 'held-out gain', 'indistinguishable from'),
@@ -159,7 +148,7 @@ def _add_findings(report, result, evidence, picture, first):
     for i, (finding, shown) in enumerate(zip(findings, evidence, strict=False)):
         report.heading(f'{finding.effect} of {finding.joint}', level=3)
         report.text(f'{in_words(finding.effect)}.')
-        report.text(capitalised(finding.evidence))
+        report.text(describe.capitalised(finding.evidence))
         if finding.confusable_with:
             report.note(f'Indistinguishable in these data from '
                         f'{", ".join(finding.confusable_with)}. Discriminating experiment: '
@@ -185,7 +174,7 @@ def _finding_row(finding, scale):
 
 
 def _add_evidence_chart(report, evidence):
-    scale = torque_scale(evidence.y)
+    scale = describe.torque_scale(evidence.y)
     size = scale.factor
     curves = [Curve('samples without it', evidence.x, size * evidence.y, 'c6', points=True)]
     for curve, role, name in ((evidence.before, 'c1', 'without it'),
@@ -213,15 +202,15 @@ def _add_left(report, result):
 
 
 def _add_residuals(report, along, behind, picture):
-    before, after, null = residuals_of(along, behind)
+    before, after, null = residual_views.residuals_of(along, behind)
     report.heading('Where model and measurement disagree')
     report.text('Torque missing in the equations of motion, behind a low-pass of 8 Hz; positive '
                 'torque pushes forward. Maps are white where the mean is within chance (95 %), '
                 'grey where the motion did not go.')
-    over = over_all(along, before, after, null)
+    over = residual_views.over_all(along, before, after, null)
     for j, joint in enumerate(along.joints):
         name = f'{file_stem(joint)}_{j + 1}'
-        report.figure(picture(maps_figure(maps_of(along, before, after, j), joint),
+        report.figure(picture(maps_figure(residual_views.maps_of(along, before, after, j), joint),
                               f'map_{name}.png'), f'{joint}: maps of the missing torque')
         for equation, _ in along.channels(j):
             own = [one for one in over if (one.joint, one.equation) == (joint, equation)]
@@ -237,7 +226,7 @@ def _add_residuals(report, along, behind, picture):
         'simulation, which is chance; and the share of bins whose 95 % band excludes zero')
     first = along.likelihood.whitenings[0]
     time, split = first.time[first.settled], first.settled.sum()
-    scale = torque_scale(before[:split])
+    scale = describe.torque_scale(before[:split])
     for j, joint in enumerate(along.joints):
         for equation, column in along.channels(j):
             report.chart(f'{joint}: missing in the {equation} equation', time, [

@@ -35,15 +35,17 @@ _SYMBOLS = {'static': 'F_s', 'coulomb': 'F_c', 'velocity': 'v_s', 'viscous': 'σ
 _BLOCK_SYMBOLS = {'stiffness': 'k', 'weight': 'α'}
 
 
-def write_identification_report(identification, folder, *, beside=None, robot=()) -> list:
+def write_identification_report(identification, folder, *, beside=None, robot=(),
+                                becomes=None) -> list:
     """
     Write report.html and the PNGs to a folder; return their paths, the page first.
 
     ``beside`` (RobotParams) is friction known otherwise, such as that of a simulated plant, drawn
-    and listed as true; ``robot`` are the files of the robot that was believed.
+    and listed as true; ``robot`` are the files of the robot that was believed; ``becomes`` is the
+    folder's name if it is renamed afterwards.
     """
     folder, words = Path(folder), partial(in_units, identification.robot.arm)
-    answer = identification_answer(identification, folder, robot)
+    answer = identification_answer(identification, becomes or folder, robot)
     report = Report('Friction identification', answer, data_sentence(identification), words)
     worst = worst_joint(identification)
     _add_map(report, worst, _known_curves(worst, beside)[0])

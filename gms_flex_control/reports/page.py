@@ -62,7 +62,6 @@ class Report:
     open; the first heading and all after it fold under 'Details'. ``words`` is applied to every
     text, such as a change of units. Calls of all methods but ``html`` and ``write`` chain. Text
     is escaped here: pass it as it is.
-
     """
 
     def __init__(self, title, answer, subtitle='', words=str):

@@ -6,8 +6,7 @@
 import math
 from pathlib import Path
 
-from gms_flex_control.analysis.table4 import align
-from gms_flex_control.answer import Answer, command, measured
+from gms_flex_control.answer import align, Answer, command, measured
 from gms_flex_control.params.gains import GAINS
 from gms_flex_control.reports.figures import COLOURS, panels_of, STYLES, WIDTH
 from gms_flex_control.tuning.linear_loop import linear_loop

@@ -186,20 +186,13 @@ def try_drawn(item) -> dict:
             'phase': [float(one.phase) for one in linear.joints]}
 
 
-class Spread(NamedTuple):
-    """A figure over all draws, one entry per joint."""
-
-    median: list
-    worst: list
-    worst_draw: list    # its number
-
-
 def summary(outcomes) -> dict:
     """
     Return the outcomes of `try_drawn`, by number, together.
 
-    The dict has ``draws``; ``lost``, ``unstable``, numbers of those; ``rms`` and ``hold``, Spread
-    as a dict by motion [rad]; ``gain``, ``phase``, least per joint.
+    The dict has ``draws``; ``lost``, ``unstable``, numbers of those; ``rms`` by motion and
+    ``hold`` [rad], dicts of ``median``, ``worst`` and ``worst_draw`` (its number), lists over
+    joints; ``gain``, ``phase``, least per joint.
     """
     lost = [k for k, one in enumerate(outcomes)
             if any(trial['lost'] for trial in one['trials'].values())]
@@ -217,5 +210,5 @@ def _spread(values, numbers):
     if not numbers:
         return None
     values = np.array(values)
-    return Spread(np.median(values, axis=0).tolist(), values.max(axis=0).tolist(),
-                  [numbers[k] for k in values.argmax(axis=0)])._asdict()
+    return {'median': np.median(values, axis=0).tolist(), 'worst': values.max(axis=0).tolist(),
+            'worst_draw': [numbers[k] for k in values.argmax(axis=0)]}

@@ -29,7 +29,6 @@ class Rows:
     What has come in, for any number of pages at their own pace.
 
     Joint states closer than ``spacing`` [ns] to the row before make none.
-
     """
 
     def __init__(self, n, blocks, spacing=1):

@@ -76,7 +76,6 @@ class BagView:
     One recording as the page requests it; torque and sticking (T, n, N) of the blocks.
 
     ``origin`` says where these come from, 'observer' or 'model'; ``over`` are other recordings.
-
     """
 
     live = False

@@ -125,7 +125,6 @@ class ViewServer(ThreadingHTTPServer):
     A view has ``live`` (bool) and ``session()``; a bag ``frames(level, chunk)`` and ``plots(begin,
     end, points)``, a live one ``since(number, wait)``, ``parameters()``, ``set_parameter(name,
     value)`` and ``call(name)``. Port 0 uses a free one; ``may_set`` lets the page set parameters.
-
     """
 
     daemon_threads = True
@@ -265,12 +264,11 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _begin(self, status, kind, length):
         self.send_response(status)
-        self.send_header('Content-Type', kind)
-        self.send_header('Content-Security-Policy', POLICY)
-        self.send_header('X-Content-Type-Options', 'nosniff')
-        self.send_header('Referrer-Policy', 'no-referrer')
-        self.send_header('Cross-Origin-Resource-Policy', 'same-origin')
-        self.send_header('Cache-Control', 'no-store')
+        for name, value in (
+                ('Content-Type', kind), ('Content-Security-Policy', POLICY),
+                ('X-Content-Type-Options', 'nosniff'), ('Referrer-Policy', 'no-referrer'),
+                ('Cross-Origin-Resource-Policy', 'same-origin'), ('Cache-Control', 'no-store')):
+            self.send_header(name, value)
         if length is None:
             self.close_connection = True
         else:
