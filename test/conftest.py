@@ -46,14 +46,16 @@ WITH_NODES = {
     'controller': 20,  # compiles what the nodes run
     'nodes_identification': 60, 'demo_discrepancy': 60, 'tutorials': 55,
     'faults': 35, 'nodes_lockstep': 28, 'nodes_bridge': 25, 'nodes_signals': 18,
-    'demo': 15, 'nodes_files': 15,
+    'colcon_workspace': 20, 'demo': 15, 'nodes_files': 15,
     'demo_identify': 12, 'nodes_composed': 12, 'sros2': 12}
 WITHOUT_NODES = {
-    'discrepancy_workflow': 230, 'discrepancy_validation': 60, 'discrepancy_recordings': 50,
-    'discrepancy_noise': 50, 'cli_identify': 45, 'discrepancy_unseen_links': 35,
-    'discrepancy_each': 30, 'identify_each': 30, 'cli_discrepancy': 30, 'predictor': 25,
-    'comparison': 20, 'identification_checks': 20, 'recovery': 15,
-    'identification_replicates': 15, 'identify': 15, 'identification_arm': 15, 'bench_real': 15,
+    'discrepancy_workflow': 120, 'public_interface': 60, 'discrepancy_validation': 50,
+    'discrepancy_recordings': 50, 'cli_identify': 45, 'urdf_arm': 40, 'identify_each': 35,
+    'discrepancy_unseen_links': 35, 'learned_terms': 30, 'cli_discrepancy': 30,
+    'discrepancy_noise': 30, 'predictor': 25, 'comparison': 25, 'design': 25, 'batches': 25,
+    'discrepancy_faults': 20, 'identification_checks': 20, 'identification_paper': 20,
+    'inertial_parameters': 20, 'discrepancy_each': 20, 'bench': 20, 'recovery': 15,
+    'identify': 15, 'identification_arm': 15, 'bench_real': 15,
     'effect_compensation': 15, 'discrepancy_motion': 15, 'cli': 12, 'reports_identification': 12,
     'tuning': 12, 'hidden_score': 11, 'effects': 10}
 

@@ -96,13 +96,14 @@ def test_nothing_of_the_nodes_is_hidden(outcome):
     assert not any('Traceback' in path.read_text() for path in logs)
 
 
-def test_a_folder_it_did_not_make_is_left_alone(tmp_path, capsys):
+@pytest.mark.parametrize('verb', ['demo', 'demo-identify', 'demo-discrepancy'])
+def test_a_folder_it_did_not_make_is_left_alone(verb, tmp_path, capsys):
     (tmp_path / 'thesis.tex').write_text('years of work')
-    assert main(['demo', '--out', str(tmp_path)]) == 2
+    assert main([verb, '--out', str(tmp_path)]) == 2
     assert capsys.readouterr().err == (
-        f'gms_flex demo: {tmp_path} exists and was not made by gms_flex demo: '
+        f'gms_flex {verb}: {tmp_path} exists and was not made by gms_flex {verb}: '
         'name another --out\n')
-    assert main(['demo', '--out', str(tmp_path / 'thesis.tex')]) == 2
+    assert main([verb, '--out', str(tmp_path / 'thesis.tex')]) == 2
     assert (tmp_path / 'thesis.tex').read_text() == 'years of work'
 
 

@@ -9,7 +9,6 @@ from pathlib import Path
 import subprocess
 import sys
 
-from gms_flex_control.cli.main import main
 from gms_flex_control.data.reader import read_recording
 from gms_flex_control.demonstration import draw_effect, drawable, hide_effect
 from gms_flex_control.effects import registry
@@ -144,9 +143,3 @@ def test_every_effect_that_may_be_drawn_is_of_usual_size_and_allowed(name, robot
 def test_what_cannot_be_hidden_is_refused(options, complaint, robot, gains):
     with pytest.raises(ConfigError, match=complaint):
         hide_effect(robot, gains, 0, **options)
-
-
-def test_a_folder_it_did_not_make_is_left_alone(tmp_path, capsys):
-    (tmp_path / 'thesis.tex').write_text('years of work')
-    assert main(['demo-discrepancy', '--out', str(tmp_path)]) == 2
-    assert 'was not made by gms_flex demo-discrepancy' in capsys.readouterr().err

@@ -114,9 +114,3 @@ def test_a_bad_plan_leaves_an_earlier_demo(tmp_path, capsys):
     assert main(['demo-identify', '--out', str(tmp_path), '--plan', str(plan)]) == 2
     assert 'step sliding/joint2/+61' in capsys.readouterr().err
     assert (tmp_path / 'bag').is_dir()
-
-
-def test_a_folder_it_did_not_make_is_left_alone(tmp_path, capsys):
-    (tmp_path / 'thesis.tex').write_text('years of work')
-    assert main(['demo-identify', '--out', str(tmp_path)]) == 2
-    assert 'was not made by gms_flex demo-identify' in capsys.readouterr().err

@@ -57,7 +57,7 @@ def test_ruff_sees_what_flake8_and_its_plugins_see(tmp_path):
     _, errors = main.main_with_errors(argv=[str(tmp_path / 'bad.py')])
     found = subprocess.run([RUFF, 'check', '--output-format', 'json', '--no-cache', '--config',
                            Path(__file__).parents[1] / 'ruff.toml', 'bad.py'], cwd=tmp_path,
-                          capture_output=True, text=True, check=False).stdout
+                           capture_output=True, text=True, check=False).stdout
     seen = {(one['location']['row'], one['code'][0]) for one in json.loads(found)}
     asked = {(1 if family == 'I' else int(line), family) for line, family in re.findall(
         r'bad\.py:(\d+):\d+: ([A-Z])', '\n'.join(errors))}

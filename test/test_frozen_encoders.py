@@ -297,8 +297,8 @@ def first_word(robot, gains, side, joint, *, velocity, at=6.0, longest=1.5):
 
 @pytest.mark.parametrize('joint', [0, 1])
 @pytest.mark.parametrize('side, name', [('link', 'joint{}'), ('motor', 'joint{}_motor')])
-def test_an_encoder_that_freezes_in_motion_is_found_by_its_velocity(robot, gains, side, name,
-                                                                   joint):
+def test_an_encoder_that_freezes_in_motion_is_found_by_its_velocity(
+        robot, gains, side, name, joint):
     after, said = first_word(robot, gains, side, joint, velocity=1.0)
     assert 0.03 < after < 0.06 and said.startswith(name.format(joint + 1) + ' has been')
 

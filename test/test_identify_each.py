@@ -167,7 +167,7 @@ def test_all_bags_are_told_side_by_side(bags, alone, tmp_path, capsys):
         np.std([*INERTIAS.values()], ddof=1), rel=0.05)
     assert inertia.standard_deviation > 5.0 * inertia.foreseen
     out = tmp_path / 'out'
-    assert main(arguments(bags[1:3], out)) == 1
+    assert main(arguments(bags[1:3], out, '--workers', '1')) == 1
     printed = capsys.readouterr().out
     assert '1 of 2 bags identified' in printed and 'NOT IDENTIFIED empty: ' in printed
     lines = list(csv.DictReader((out / 'summary.csv').open()))
@@ -180,7 +180,7 @@ def test_results_of_other_options_are_replaced_and_made_again(bags, tmp_path, ca
     """The journal knows both, the folder holds those of the last; what else lies there stays."""
     out = tmp_path / 'out'
     for force in ([], ['--force']):
-        assert main(arguments(bags[:1], out, *force)) == 0
+        assert main(arguments(bags[:1], out, '--workers', '1', *force)) == 0
         (out / 'first' / 'notes.txt').write_text('mine')
     made = (out / 'first' / each.MARK).read_text().splitlines()[0]
     assert made.endswith(json.loads((out / 'outcomes.jsonl').read_text().splitlines()[-1])[

@@ -276,7 +276,7 @@ def test_a_free_simulation_starts_where_the_corrected_prediction_is():
 
 
 def test_replay_is_the_friction_of_each_step():
-    """Against friction.gms.step, of two joints along a path with reversals."""
+    """Against single steps, of two joints along a path with reversals."""
     case = CASES['second of two coupled']
     time = PERIOD * np.arange(1500)
     angle = np.stack([0.02 * np.sin(6.0 * time), 3e-3 * time + 2e-3 * np.sin(25.0 * time)], 1)

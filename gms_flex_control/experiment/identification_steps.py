@@ -190,8 +190,8 @@ class Planner:
         samples = trajectory_from_values(values, self._robot.joints).sample(time)
         self._check(joint, name, j, samples)
         return Step(name, phase, joint, 'motion', values, float(value),
-                trajectory.end + self['rest_time'], tuple(samples[0, 0].tolist()),
-                tuple(samples[-1, 0].tolist()), 0.0)
+                    trajectory.end + self['rest_time'], tuple(samples[0, 0].tolist()),
+                    tuple(samples[-1, 0].tolist()))
 
     def _check(self, joint, name, j, samples):
         """Refuse a motion beyond a limit; ``samples`` (T, 5, n)."""
@@ -273,7 +273,8 @@ class Planner:
         if phase == 'break_away':
             duration *= 0.5 * _BROKEN_AWAY
         return Step(name, phase, joint, 'torque', values, float(value),
-                duration + BRAKING_TIME + self['rest_time'], tuple(place.tolist()), None, travel)
+                    duration + BRAKING_TIME + self['rest_time'], tuple(place.tolist()), None,
+                    travel)
 
     def _gravity_torque(self, q):
         zero = np.zeros_like(q)
