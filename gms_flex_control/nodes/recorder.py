@@ -63,7 +63,9 @@ class Recorder:
         if now < self._next_search:
             return
         known = len(self._subscriptions)
-        for name, types in self._node.get_topic_names_and_types():
+        # joint states last: a robot begins once they are heard, and all that answers is heard by then
+        for name, types in sorted(self._node.get_topic_names_and_types(),
+                                  key=lambda topic: topic[0].endswith(f'/{STATES}')):
             if name not in self._subscriptions and name not in self._refused \
                     and self._is_wanted(name):
                 self._subscribe(name, types)
