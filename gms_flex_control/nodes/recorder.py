@@ -63,7 +63,7 @@ class Recorder:
         if now < self._next_search:
             return
         known = len(self._subscriptions)
-        # joint states last: a robot begins once they are heard, and all that answers is heard by then
+        # joint states last: a robot begins once they are heard, and all answers are heard by then
         for name, types in sorted(self._node.get_topic_names_and_types(),
                                   key=lambda topic: topic[0].endswith(f'/{STATES}')):
             if name not in self._subscriptions and name not in self._refused \

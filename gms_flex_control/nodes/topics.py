@@ -61,13 +61,13 @@ class Outlet:
         self._serialized = None
 
     def publish(self, message):
-        """Publish the message, and give it to those who hear it here; they keep nothing of it."""
+        """Give the message to those who hear it here, who keep nothing of it; publish it then."""
+        for hear in self._hearers:
+            hear(message)
         if self.count_others():
             if self._serialized is None:
                 self._serialized = Serialized(message)
             self._publisher.publish(self._serialized.data())
-        for hear in self._hearers:
-            hear(message)
 
     def count_others(self):
         """Return how many other processes' subscriptions take the message."""

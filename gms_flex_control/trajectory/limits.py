@@ -1,7 +1,6 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""Motions that go beyond what the URDF of a robot allows are refused."""
 """Position and velocity limits of a URDF for a reference: bounded first, sampled where needed."""
 
 from functools import cache
