@@ -42,7 +42,7 @@ class BridgedRobot(SupervisedRobot):
         self._sent = 0             # when efforts left last
         self._counted = {}, time.monotonic()
         self._writer = messages.JointStateWriter(joints, motors)
-        self._state_pub = Outlet(node, JointState, 'joint_states')
+        self._state_pub = Outlet(node, JointState, 'joint_states', ahead=True)
         self._ends, self._passed = False, 0
         link, boxes = DeviceLink if values['bridge.device'] else TopicLink, []
         self._link = link(node, self, values, self._map.command_names, boxes)

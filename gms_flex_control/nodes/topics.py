@@ -53,17 +53,29 @@ class Direct:
 
 
 class Outlet:
-    """Publisher of one reused message of ``kind``, which nodes of the same process may hear."""
+    """
+    Publisher of one reused message of ``kind``, which nodes of the same process may hear.
 
-    def __init__(self, node, kind, topic, mode='realtime'):
+    They hear it after it was published, so that nobody gets an answer before what it answers;
+    ``ahead``, they hear it first: an effort of a real robot waits for no recorder.
+    """
+
+    def __init__(self, node, kind, topic, mode='realtime', ahead=False):
+        self._ahead = ahead
         self._publisher = node.create_publisher(kind, topic, process.publisher_qos(mode))
         self._hearers = node.direct.hearers[self._publisher.topic_name]
         self._serialized = None
 
     def publish(self, message):
-        """Give the message to those who hear it here, who keep nothing of it; publish it then."""
+        """Publish the message, and give it to those who hear it here; they keep nothing of it."""
+        if not self._ahead:
+            self._send(message)
         for hear in self._hearers:
             hear(message)
+        if self._ahead:
+            self._send(message)
+
+    def _send(self, message):
         if self.count_others():
             if self._serialized is None:
                 self._serialized = Serialized(message)
