@@ -55,7 +55,8 @@ LIMITS = (
     Key('upper', 'largest angle; beyond it only inward torque', 'rad', UNLIMITED, -UNLIMITED,
         UNLIMITED),
     Key('position_margin', 'beyond the range by so much: FAULT', 'rad', 0.1, 0.0, UNLIMITED),
-    Key('torsion', 'motor minus link angle that is a FAULT', 'rad', UNLIMITED, SMALLEST, UNLIMITED))
+    Key('torsion', 'motor minus link angle that is a FAULT', 'rad', UNLIMITED, SMALLEST,
+        UNLIMITED))
 # below bridge
 _BRIDGE = (
     Key('state_topics', 'joint states of the robot, one or several topics',
