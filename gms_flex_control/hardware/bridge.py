@@ -14,6 +14,7 @@ from gms_flex_control.hardware.mapping import JointMap, NANOSECONDS, StateMerger
 from gms_flex_control.hardware.supervision import (
     CommandWatch,
     Lateness,
+    Outcome,
     recently,
     STOOD_STILL,
     Supervisor,
@@ -63,7 +64,7 @@ class RobotSide:
         self.violation = self.refused = ''
         self.worst_age = 0          # of a state as it came [ns]
 
-    def take(self, joint_map, given, now):
+    def take(self, joint_map, given, now) -> float:
         """Take the state that the merger has completed; return the time since the last [s]."""
         merger = self.merger
         elapsed = (merger.time - self.stamp) / NANOSECONDS
@@ -72,7 +73,7 @@ class RobotSide:
         self.worst_age = max(self.worst_age, now - merger.time)
         return elapsed
 
-    def publish(self, now):
+    def publish(self, now) -> None:
         """Note that the state is published."""
         self.stamp, self.arrived, self.refused = self.merger.time, now, ''
         self.published[self.stamp] = now
@@ -111,7 +112,7 @@ class ControllerSide:
         self.refused = ''
         self.worst_answer = 0    # [ns]
 
-    def silent(self, now, timeout):
+    def silent(self, now, timeout) -> int:
         """Return for how long nobody has commanded if that is too long [ns]; else 0."""
         silence = now - max(self.watch.last or 0, self.given)
         return silence if silence > timeout * NANOSECONDS else 0
@@ -185,7 +186,7 @@ class Bridge:
         self.counters['states without a fresh command'] += missed
         controller.lateness.note(missed, elapsed)
 
-    def refuse_state(self, sentence):
+    def refuse_state(self, sentence) -> None:
         """Note that joint states were refused, for the sentence of a fault."""
         self.counters['states refused'] += 1
         self.robot.refused = sentence
@@ -250,7 +251,7 @@ class Bridge:
         self.controller.worst_answer = max(self.controller.worst_answer, now - published)
         return True
 
-    def refuse_command(self, sentence):
+    def refuse_command(self, sentence) -> None:
         """Note that a command was refused, for the sentence of a fault."""
         self.counters['commands refused'] += 1
         self.controller.refused = sentence
@@ -264,7 +265,7 @@ class Bridge:
         self.take_torque_away()
         return True
 
-    def take_torque_away(self):
+    def take_torque_away(self) -> None:
         """Forget the torque given; what the supervisor is told beside this says why."""
         self.controller.torque = np.zeros_like(self.torque)
 
@@ -318,7 +319,7 @@ class Bridge:
             return self.controller.sentence(silence)
         return ''
 
-    def enable(self, now):
+    def enable(self, now) -> Outcome:
         """Let torque flow, from zero on and for states from now on; return an Outcome."""
         if self.supervisor.active:  # and goes on as it does: nothing begins anew
             return self.supervisor.enable()

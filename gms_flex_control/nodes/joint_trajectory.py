@@ -88,7 +88,7 @@ class Goal(NamedTuple):
     at_end: np.ndarray    # and once it is over
     allowance: int        # how much later than the last point it may be reached [ns]; 0: any time
 
-    def verdict(self, joints, error, late):
+    def verdict(self, joints, error, late) -> tuple | None:
         """
         Return code and sentence once the goal is over; None while it goes on.
 
@@ -176,7 +176,7 @@ class Following:
     def _result(self, code, sentence):
         return self._kind.Result(error_code=code, error_string=sentence)
 
-    def look(self, stamp):
+    def look(self, stamp) -> None:
         """Judge the goal, if there is one, by the state of ``stamp`` [ns]; tell its client."""
         if self._active is None:
             return
@@ -206,7 +206,7 @@ class Following:
                 point.positions, point.velocities = rows[0].tolist(), rows[1].tolist()
             handle.publish_feedback(feedback)
 
-    def end(self, sentence):
+    def end(self, sentence) -> None:
         """Abort the goal, if there is one."""
         if self._active is not None:
             self._finish(self._active[0].abort, INVALID_GOAL, sentence)

@@ -43,7 +43,7 @@ def all_finite(values) -> bool:
     return math.isfinite(sum(values)) or all(math.isfinite(value) for value in values)
 
 
-def first_bad(values, limit):
+def first_bad(values, limit) -> int | None:
     """Return the index of the first number that is not within +-``limit``; None if all are."""
     # a sum that is finite has no NaN in it, for which min and max are of no use
     if not values or (math.isfinite(sum(values)) and -limit <= min(values)
@@ -80,7 +80,7 @@ def to_nanoseconds(stamp) -> int:
     return stamp.sec * NANOSECONDS + stamp.nanosec
 
 
-def set_stamp(stamp, nanoseconds):
+def set_stamp(stamp, nanoseconds) -> None:
     """Write integer nanoseconds into a builtin_interfaces Time."""
     stamp.sec, stamp.nanosec = divmod(nanoseconds, NANOSECONDS)
 
@@ -122,7 +122,7 @@ class JointStateReader:
             joints, motors, strict=True))])
         self._n = len(joints)
 
-    def read(self, message, measured):
+    def read(self, message, measured) -> None:
         """
         Write a JointState into ``measured`` (q_link, dq_link, q_motor, dq_motor).
 
@@ -220,7 +220,7 @@ class ReferenceWriter:
         return self._writer.write(rows, stamp)
 
 
-def read_stamp(message):
+def read_stamp(message) -> int | None:
     """Return the stamp [ns] in the layout of a Float64MultiArray, or None without one."""
     for dimension in message.layout.dim:
         if dimension.label.startswith(_STAMP):
@@ -238,7 +238,7 @@ def read_source(message) -> str:
     return ''
 
 
-def read_command(message, n):
+def read_command(message, n) -> array:
     """Return n torques [N m]; raises RefusedError unless they are n, finite and plausible."""
     torque = message.data
     if len(torque) != n:

@@ -27,7 +27,7 @@ class Links:
         self._numbers = JointNumbers(joints)
         self.q, self.dq = np.zeros((2, len(joints)))
 
-    def read(self, message):
+    def read(self, message) -> None:
         """Take a JointState; raises RefusedError. Velocities that make no sense are zero."""
         self.q[:] = self._numbers.read(message, 'position')
         try:
@@ -63,7 +63,7 @@ class Motion:
         """Return the reference (5, n) or (1, n) for the state of ``stamp``."""
         return self.current.sample((stamp - self._origin) / NANOSECONDS)
 
-    def begin(self, stamp):
+    def begin(self, stamp) -> None:
         """Take the first state, or one after the clock was set back, as time zero, at rest."""
         self._origin = self.last = stamp
         self.published = None
@@ -72,7 +72,7 @@ class Motion:
         if self.values['trajectory.autostart'] and self.values['trajectory.type'] != 'hold':
             self._enter(self.chosen, 0.0)
 
-    def wait_out(self, period):
+    def wait_out(self, period) -> None:
         """Let the motion go on where it was: the clock has jumped, or there were no states."""
         self._origin += period
         self.published = None
@@ -118,7 +118,7 @@ class Motion:
         state[1] = self.links.dq
         return state
 
-    def brake(self):
+    def brake(self) -> None:
         """Come to rest from wherever the reference is."""
         self._brake_from(self._state(self._now()))
 
@@ -128,7 +128,7 @@ class Motion:
         self.current = builders.approach(state, builders.hold(goal), time, duration=duration)
         self.running = self.has_points = False
 
-    def go(self):
+    def go(self) -> None:
         """Begin the chosen motion."""
         if self.values['trajectory.type'] == 'hold':
             self.brake()
@@ -148,13 +148,13 @@ class Motion:
             return f'{error}; the reference comes to rest'
         return ''
 
-    def rest_at_robot(self):
+    def rest_at_robot(self) -> None:
         """Take the robot's own motion for the reference and bring that to rest."""
         state = self._robot_state()
         state[1, np.abs(state[1]) < _CREEP] = 0.0
         self._brake_from(state)
 
-    def let_go(self):
+    def let_go(self) -> None:
         """Ask for zero torque from the next state on, until another motion begins."""
         self.current = builders.torque_levels(np.zeros((1, len(self.joints))), 1.0)
         self.running = self.has_points = False

@@ -17,6 +17,7 @@ storm's before all others; so whatever comes, all topics of the node are looked 
 
 from array import array
 from collections import defaultdict
+from collections.abc import Iterator
 from functools import partial
 from itertools import chain
 import struct
@@ -66,7 +67,7 @@ class Outlet:
         self._hearers = node.direct.hearers[self._publisher.topic_name]
         self._serialized = None
 
-    def publish(self, message):
+    def publish(self, message) -> None:
         """Publish the message, and give it to those who hear it here; they keep nothing of it."""
         if not self._ahead:
             self._send(message)
@@ -81,20 +82,20 @@ class Outlet:
                 self._serialized = Serialized(message)
             self._publisher.publish(self._serialized.data())
 
-    def count_others(self):
+    def count_others(self) -> int:
         """Return how many other processes' subscriptions take the message."""
         return self._publisher.get_subscription_count()
 
-    def count_hearers(self):
+    def count_hearers(self) -> int:
         """Return how many take the message, here and elsewhere."""
         return self.count_others() + len(self._hearers)
 
-    def wait_for_all_acked(self, timeout):
+    def wait_for_all_acked(self, timeout) -> None:
         """Wait until those who acknowledge have what was published, for ``timeout`` at most."""
         self._publisher.wait_for_all_acked(timeout)
 
 
-def all_waiting(subscription, most):
+def all_waiting(subscription, most) -> Iterator:
     """
     Yield the raw messages (bytes) that wait, ``most`` of them at most.
 
@@ -224,7 +225,7 @@ class Deserialized:
     def __init__(self):
         self._message, self._places = None, ()
 
-    def message(self, data):
+    def message(self, data) -> JointState:
         """Return the JointState of ``data`` (bytes)."""
         if not self._places or len(data) != self._size or self._rest(data) != self._known:
             return self._learn(data)
@@ -252,7 +253,7 @@ class Deserialized:
         return self._message
 
 
-def stamp_in(data, kind):
+def stamp_in(data, kind) -> int | None:
     """
     Return the stamp [ns] in the bytes of a JointState or Float64MultiArray, None without one.
 

@@ -91,7 +91,7 @@ class TrajectoryNode(Node):
             return None
         return joint_trajectory.Following(self, self._motion, self._prepare)
 
-    def run(self, spinner):
+    def run(self, spinner) -> None:
         """Publish until a signal comes."""
         spinner.spin()
 
@@ -226,11 +226,11 @@ class TrajectoryNode(Node):
     def _release(self, _request, response):
         return self._reply(response, self._motion.let_go, 'zero torque')
 
-    def finish(self):
+    def finish(self) -> None:
         """End: a controller whose reference stops sends zero torque by itself."""
 
 
-def main(args=None):
+def main(args=None) -> int:
     """Run the trajectory node until a signal; return its exit code."""
     return process.run_node(TrajectoryNode, args)
 
