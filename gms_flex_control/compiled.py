@@ -23,7 +23,8 @@ from numba.core import config
 from numba.extending import intrinsic, overload
 
 _PACKAGE = Path(__file__).parent
-_KERNEL_FOLDERS = ('friction', 'effects', 'dynamics', 'trajectory', 'control', 'simulation')
+_KERNEL_FOLDERS = ('friction', 'effects', 'dynamics', 'trajectory', 'control', 'simulation',
+                   'hardware')
 
 _POINTER = types.CPointer(types.float64)
 # signals of the joint, parameters, memory, substep

@@ -21,7 +21,7 @@ PERIOD = 0.002
 JOINTS = ('joint1', 'joint2')
 LIMITS = Limits(torque=[2.0, 2.0], torque_rate=[50.0, 50.0], velocity=[1.5, 2.0],
                 velocity_margin=[0.5, 0.5], lower=[-1.2, -1.5], upper=[1.0, 1.5],
-                position_margin=[0.1, 0.1], twist=[0.9, 0.9])
+                position_margin=[0.1, 0.1], torsion=[0.9, 0.9])
 BIAS = frozenset({('constant_link_torque', 'joint2')})
 ASYMMETRY = frozenset({('friction_asymmetry', 'joint2')})
 
@@ -82,7 +82,7 @@ def test_the_planned_motion_separates_what_moves_in_one_direction_leave(
 
 
 def test_limits_that_no_motion_keeps_are_refused(robot, gains, forward_only):
-    tight = replace(LIMITS, twist=[1e-4, 1e-4])
+    tight = replace(LIMITS, torsion=[1e-4, 1e-4])
     beliefs = beliefs_of([forward_only[1]], robot, [BIAS, ASYMMETRY])
     with pytest.raises(ConfigError, match='every motion would cross a limit'):
         plan_next(beliefs, gains, tight, period=PERIOD)

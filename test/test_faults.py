@@ -3,7 +3,9 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Rows of the fault table on real node processes; and the table shows a bad node."""
 
+from importlib import import_module
 import json
+from operator import attrgetter
 import os
 import sys
 
@@ -16,6 +18,7 @@ pytestmark = pytest.mark.flaky(reruns=2)
 
 pytest.importorskip('rclpy')
 bench = pytest.importorskip('bench.faults.node_bench')
+exceptions = pytest.importorskip('bench.faults.exceptions')
 table = pytest.importorskip('bench.faults.table')
 soak = pytest.importorskip('bench.faults.soak')
 scheduling = pytest.importorskip('gms_flex_control.nodes.process')
@@ -31,6 +34,12 @@ def test_a_fault_never_moves_the_arm(name, tmp_path):
     row = table.try_fault(fault, ROWS[name], tmp_path)
     assert not [problem for problem in row.problems if not problem.startswith(fault.figure)]
     assert row.tries >= ROWS[name] and row.worst <= SLACK * fault.limit
+
+
+@pytest.mark.parametrize('place', [place[2] for place in exceptions.PLACES])
+def test_where_the_bench_raises_there_is_a_function(place):
+    module, _, path = place.partition(':')
+    assert callable(attrgetter(path)(import_module(module)))
 
 
 def test_a_node_that_lacks_a_guard_fails_its_row(tmp_path, monkeypatch):

@@ -255,7 +255,7 @@ def test_a_robot_of_lower_limits_than_the_controller_does_not_look_frozen(
     controller = SteppedController(replace(gains, compensation=compensation), model)
     watch = EncoderWatch(model, gains.torque_limit, controller.measured)
     wide = {name: np.full(2, 1e9) for name in ('velocity', 'velocity_margin', 'upper',
-                                               'position_margin', 'twist')}
+                                               'position_margin', 'torsion')}
     limits = Limits(torque=np.full(2, torque), torque_rate=np.full(2, rate),
                     lower=np.full(2, -1e9), **wide)
     plant.measure()

@@ -16,7 +16,7 @@ import pytest
 
 MS = 1_000_000
 LIMITS = {'torque': 1.0, 'torque_rate': 10.0, 'velocity': 2.0, 'velocity_margin': 1.0,
-          'lower': -1.0, 'upper': 1.0, 'position_margin': 0.1, 'twist': 0.5}
+          'lower': -1.0, 'upper': 1.0, 'position_margin': 0.1, 'torsion': 0.5}
 
 
 def params(**changed):
@@ -343,4 +343,4 @@ def test_parameters_that_make_no_bridge_are_refused(changed, words):
 
 def test_a_simulator_without_limits_has_none():
     assert limits_from_values({}, ['j']) is None
-    assert limits_from_values({'limits.j.twist': 1.0}, ['j']).twist[0] == 1.0
+    assert limits_from_values({'limits.j.torsion': 1.0}, ['j']).torsion[0] == 1.0

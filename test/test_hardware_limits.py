@@ -20,7 +20,7 @@ def limits(**changed):
     """Return limits of two joints."""
     values = {'torque': [2.0, 1.0], 'torque_rate': [5.0, 10.0], 'velocity': [1.0, 2.0],
               'velocity_margin': [0.5, 0.5], 'lower': [-1.0, -2.0], 'upper': [1.0, 2.0],
-              'position_margin': [0.1, 0.1], 'twist': [0.5, 0.5]}
+              'position_margin': [0.1, 0.1], 'torsion': [0.5, 0.5]}
     return Limits(**(values | changed))
 
 
@@ -106,7 +106,7 @@ def test_an_angle_that_no_joint_could_reach_in_the_time_is_a_jump():
     ({'torque': [1.0, -1.0]}, 'torque must be at least 0'),
     ({'lower': [1.0, 0.0], 'upper': [-1.0, 1.0]}, 'were they swapped'),
     ({'upper': [np.nan, 1.0]}, 'upper must be one finite number per joint'),
-    ({'twist': [1.0]}, 'twist must be one finite number per joint')])
+    ({'torsion': [1.0]}, 'torsion must be one finite number per joint')])
 def test_limits_that_make_no_sense_are_refused(changed, words):
     with pytest.raises(ParameterError, match=words):
         limits(**changed)

@@ -3,6 +3,8 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Plant or bridge, controller and trajectory in one process: as three, and to the last bit."""
 
+from pathlib import Path
+
 from bridge_lab import ask, bridge_lab, move
 from gms_flex_control.data.reader import read_recording
 from gms_flex_control.experiment.driven import executable, TOPICS
@@ -40,6 +42,7 @@ from test_nodes_loop import (  # noqa: F401  they hold here as well
     test_joint_states_name_links_then_motors,
     test_reference_and_command_carry_layout_stamp_and_source,
 )
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 # other processes of the machine can delay real nodes beyond any bound
 pytestmark = pytest.mark.flaky(reruns=2)
@@ -55,6 +58,8 @@ def test_lockstep_in_one_process_is_the_simulation_to_the_last_bit(tmp_path):
         assert loop.wait() == 0
         assert recorder.signal(TERM) == 0
         assert traceback_free(loop, recorder)
+        heard = [line for line in recorder.printed().splitlines() if 'subscribed to' in line]
+        assert STATES in heard[-1]  # the plant begins then: every answer is heard by then
     plan = read_plan(MOTION, duration=3.0, overrides={'compensation': 'gms', 'rate': 500.0})
     simulate_to_bag(plan, tmp_path / 'simulated')
     driven, simulated = (read_recording(tmp_path / name, plan.robot.joints, plan.robot.motors)
@@ -116,6 +121,25 @@ def test_another_controller_is_noticed(loop):
         return '2 controllers command at once' in loop.plant.printed()
     loop.until(told)
     loop.until(lambda: any(loop.states[-1].effort[2:]))  # one is left: torque flows again
+
+
+def test_a_day_long_motion_beyond_the_limits_is_refused_while_the_loop_goes_on(tmp_path):
+    """It is checked where it may bend, without the lock that each sample of the loop takes."""
+    arm = Path(__file__).parents[1] / 'examples' / 'light_arm'
+    names = [f'joint{j}' for j in range(1, 8)]
+    points = [JointTrajectoryPoint(positions=[0.1 * (k % 2)] * 7) for k in range(1, 1001)]
+    for k, point in enumerate(points):
+        point.time_from_start.sec = 86 * (k + 1)
+    points[-1].positions[0] = 50.0
+    with Lab(tmp_path) as lab:
+        states = lab.listen(JointState, STATES)
+        goals = lab.speak(JointTrajectory, '/trajectory/joint_trajectory')
+        loop = lab.start('loop_node', files=[arm / 'robot.yaml', arm / 'controller.yaml'])
+        lab.until(lambda: states and goals.get_subscription_count())
+        goal = JointTrajectory(joint_names=names, points=points)
+        lab.until(lambda: goals.publish(goal) or (
+            'joint trajectory refused: joint1 goes to 50' in loop.printed()))
+        lab.more(states, 10)
 
 
 @pytest.mark.flaky(reruns=5)  # a machine that stands still for 30 ms stops the torque

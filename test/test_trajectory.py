@@ -4,7 +4,9 @@
 """References: their derivatives, their joins, and what cannot be built."""
 
 from gms_flex_control.errors import TrajectoryError
+from gms_flex_control.params.arm import Frames
 from gms_flex_control.trajectory import builders
+from gms_flex_control.trajectory.limits import require_within
 from gms_flex_control.trajectory.segments import Trajectory
 import numpy as np
 import pytest
@@ -200,3 +202,34 @@ def test_no_time_is_lost_where_the_robot_is_already():
 def test_what_cannot_be_built_is_refused_with_the_value(build, sentence):
     with pytest.raises(TrajectoryError, match=sentence):
         build()
+
+
+def wandering(seed):
+    """Return a motion from 0 through nine random points, back to rest at 0."""
+    states = np.full((11, 5, 2), np.nan)
+    states[:, 0] = np.random.default_rng(seed).standard_normal((11, 2))
+    states[[0, -1]] = 0.0
+    return builders.through(np.linspace(0.0, 20.0, 11), states)
+
+
+@pytest.mark.parametrize('motion', [*map(wandering, range(4)), MOTIONS['sinusoid']])
+@pytest.mark.parametrize('joint', [0, 1])
+def test_a_limit_just_inside_the_extreme_of_a_motion_refuses_it_and_just_outside_not(
+        motion, joint):
+    """The extremes are those of 200,001 samples; the check itself samples next to nothing."""
+    rows = motion.sample(np.linspace(0.0, 20.0, 200001))[:, :2]
+    extremes = {'upper': rows[:, 0].max(axis=0), 'lower': rows[:, 0].min(axis=0),
+                'velocity': np.abs(rows[:, 1]).max(axis=0)}
+
+    def require(key=None):
+        limits = {name: value * 1.001 for name, value in extremes.items()}
+        if key is not None:
+            limits[key][joint] *= 0.998
+        require_within(motion, ['a', 'b'], Frames(
+            rotation=np.zeros((2, 3, 3)), position=np.zeros((2, 3)), prismatic=[False] * 2,
+            effort=np.ones(2), **limits), np.zeros(2))
+
+    require()
+    for key in extremes:
+        with pytest.raises(TrajectoryError, match=f"{'ab'[joint]} .* beyond its limit"):
+            require(key)

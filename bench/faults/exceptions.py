@@ -44,7 +44,7 @@ def _trigger(service):
 PLACES = (
     (CONTROLLER, 'controller_node', f'{_NODES}.messages:JointStateReader.read', _CALLS, None),
     (CONTROLLER, 'controller_node', f'{_NODES}.messages:read_reference', _CALLS, None),
-    (CONTROLLER, 'controller_node', 'gms_flex_control.simulation.stepped:SteppedController.tick',
+    (CONTROLLER, 'controller_node', 'gms_flex_control.control.controller:SteppedController.tick',
      _CALLS, None),
     (CONTROLLER, 'controller_node', f'{_CONTROLLER}:ControllerNode._watch', _CALLS, None),
     (CONTROLLER, 'controller_node', f'{_CONTROLLER}:ControllerNode._use', 0,
@@ -52,7 +52,7 @@ PLACES = (
     (CONTROLLER, 'controller_node', f'{_NODES}.parameters:NodeParameters._as_double', 0,
      _set('gains__joint1__kd_link', 0.7)),
     (CONTROLLER, 'controller_node', f'{_NODES}.health:mismatches', 1, None),
-    (TRAJECTORY, 'trajectory_node', f'{_TRAJECTORY}:TrajectoryNode._read', _CALLS, None),
+    (TRAJECTORY, 'trajectory_node', f'{_NODES}.motion:Links.read', _CALLS, None),
     (TRAJECTORY, 'trajectory_node', f'{_TRAJECTORY}:TrajectoryNode._publish', _CALLS, None),
     (TRAJECTORY, 'trajectory_node', f'{_TRAJECTORY}:TrajectoryNode._choose', 0,
      _set('trajectory__joint1__amplitude', 0.2)),

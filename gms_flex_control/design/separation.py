@@ -226,7 +226,7 @@ def keeps(run, limits: Limits) -> bool:
     q_link, dq_link, q_motor, _ = np.moveaxis(run.true, 1, 0)
     return bool(np.all(q_link <= _OVER * limits.upper) and np.all(q_link >= _OVER * limits.lower)
                 and np.all(np.abs(dq_link) <= _OVER * limits.velocity)
-                and np.all(np.abs(q_motor - q_link) <= _OVER * limits.twist))
+                and np.all(np.abs(q_motor - q_link) <= _OVER * limits.torsion))
 
 
 def _evidence(likelihood, hypothesis, nuisances):

@@ -14,6 +14,7 @@ from gms_flex_control.hardware.mapping import JointMap, NANOSECONDS, StateMerger
 from gms_flex_control.hardware.supervision import (
     CommandWatch,
     Lateness,
+    Outcome,
     recently,
     STOOD_STILL,
     Supervisor,
@@ -53,8 +54,9 @@ class RobotSide:
         n = len(params.joint_map.joints)
         self.merger = StateMerger(params.joint_map, params.sources,
                                   cutoff=params.velocity_cutoff, skew=params.skew)
-        self.measured = SimpleNamespace(**{name: np.zeros(n) for name in (
-            'q_link', 'dq_link', 'q_motor', 'dq_motor')})
+        self.rows = np.zeros((4, n))  # of the last state, as `measured` names them
+        self.measured = SimpleNamespace(**dict(zip(
+            ('q_link', 'dq_link', 'q_motor', 'dq_motor'), self.rows, strict=True)))
         self.applied = np.zeros(n)  # torque of the last sample, as measured, else as given [N m]
         self.stamp = 0              # of the last state [ns]
         self.published = {}         # stamp -> when the state was published
@@ -62,17 +64,16 @@ class RobotSide:
         self.violation = self.refused = ''
         self.worst_age = 0          # of a state as it came [ns]
 
-    def take(self, joint_map, given, now):
+    def take(self, joint_map, given, now) -> float:
         """Take the state that the merger has completed; return the time since the last [s]."""
-        merger, measured = self.merger, self.measured
+        merger = self.merger
         elapsed = (merger.time - self.stamp) / NANOSECONDS
-        measured.q_link, measured.q_motor = joint_map.sides(merger.position.copy())
-        measured.dq_link, measured.dq_motor = joint_map.sides(merger.velocity.copy())
+        self.rows[:2], self.rows[2:] = joint_map.sides(merger.state)
         self.applied = joint_map.torques(merger.effort, given)
         self.worst_age = max(self.worst_age, now - merger.time)
         return elapsed
 
-    def publish(self, now):
+    def publish(self, now) -> None:
         """Note that the state is published."""
         self.stamp, self.arrived, self.refused = self.merger.time, now, ''
         self.published[self.stamp] = now
@@ -111,7 +112,7 @@ class ControllerSide:
         self.refused = ''
         self.worst_answer = 0    # [ns]
 
-    def silent(self, now, timeout):
+    def silent(self, now, timeout) -> int:
         """Return for how long nobody has commanded if that is too long [ns]; else 0."""
         silence = now - max(self.watch.last or 0, self.given)
         return silence if silence > timeout * NANOSECONDS else 0
@@ -134,6 +135,14 @@ class Bridge:
         self._watched = np.inf     # when the bridge last looked after both sides; not yet
         self._enabled = 0          # stamp of the state at which torque was enabled
         self._silent_for = ''      # the fault of a silent controller, while it lasts
+        self._warm_up()
+
+    def _warm_up(self):
+        """Compile before the first state comes."""
+        names, robot = list(self.params.joint_map.names), RobotSide(self.params)
+        robot.merger.take(0, names, [0.0] * len(names), (), (), 1, 1)
+        limiting.is_sound(robot.rows, robot.rows, 0.0, self.params.limits)
+        limiting.limited(robot.applied, robot.applied, 0.0, *robot.rows[:2], self.params.limits)
 
     @property
     def torque(self) -> np.ndarray:
@@ -148,18 +157,24 @@ class Bridge:
         robot, joint_map = self.robot, self.params.joint_map
         if not robot.merger.take(source, names, position, velocity, effort, stamp, now):
             return False
-        before = robot.measured.q_link, robot.measured.q_motor
+        before = robot.rows.copy()
         elapsed = robot.take(joint_map, self.torque, now)
         self._note_late(elapsed)
-        robot.violation = limiting.violation(joint_map.joints, robot.measured, self.params.limits)
-        if not robot.violation and robot.stamp:
-            robot.violation = limiting.jump(joint_map.joints, robot.measured, before, elapsed,
-                                            self.params.limits)
-        if robot.violation:
-            self.fault(robot.violation + self._of_late_torque())
+        robot.violation = ''
+        if not limiting.is_sound(robot.rows, before, elapsed, self.params.limits):
+            self._judge(before, elapsed)
         robot.publish(now)
         self.counters['states out'] += 1
         return True
+
+    def _judge(self, before, elapsed):
+        """Find out what is wrong with the state that has come, or with the way to it."""
+        robot, joints, limits = self.robot, self.params.joint_map.joints, self.params.limits
+        robot.violation = limiting.violation(joints, robot.measured, limits)
+        if not robot.violation and robot.stamp:
+            robot.violation = limiting.jump(joints, robot.measured, before[::2], elapsed, limits)
+        if robot.violation:
+            self.fault(robot.violation + self._of_late_torque())
 
     def _note_late(self, elapsed):
         """Note whether the state that another follows now was answered."""
@@ -171,7 +186,7 @@ class Bridge:
         self.counters['states without a fresh command'] += missed
         controller.lateness.note(missed, elapsed)
 
-    def refuse_state(self, sentence):
+    def refuse_state(self, sentence) -> None:
         """Note that joint states were refused, for the sentence of a fault."""
         self.counters['states refused'] += 1
         self.robot.refused = sentence
@@ -203,11 +218,11 @@ class Bridge:
             return False
         elapsed = min((now - controller.given) / NANOSECONDS, _LONGEST_RAMP)
         command, measured = np.array(command, dtype=float), self.robot.measured
-        held = limiting.held_back(command, controller.torque, elapsed, limits)
+        held = np.zeros(len(command), dtype=bool)
+        controller.torque = limiting.limited(command, controller.torque, elapsed,
+                                             measured.q_link, measured.dq_link, limits, held)
         controller.held_back = recently(controller.held_back, held, elapsed)
         self.counters['commands held back by torque_rate'] += int(held.any())
-        controller.torque = limiting.limited(command, controller.torque, elapsed,
-                                             measured.q_link, measured.dq_link, limits)
         controller.given = now
         self.counters['commands acted on'] += 1
         return True
@@ -236,7 +251,7 @@ class Bridge:
         self.controller.worst_answer = max(self.controller.worst_answer, now - published)
         return True
 
-    def refuse_command(self, sentence):
+    def refuse_command(self, sentence) -> None:
         """Note that a command was refused, for the sentence of a fault."""
         self.counters['commands refused'] += 1
         self.controller.refused = sentence
@@ -250,7 +265,7 @@ class Bridge:
         self.take_torque_away()
         return True
 
-    def take_torque_away(self):
+    def take_torque_away(self) -> None:
         """Forget the torque given; what the supervisor is told beside this says why."""
         self.controller.torque = np.zeros_like(self.torque)
 
@@ -304,7 +319,7 @@ class Bridge:
             return self.controller.sentence(silence)
         return ''
 
-    def enable(self, now):
+    def enable(self, now) -> Outcome:
         """Let torque flow, from zero on and for states from now on; return an Outcome."""
         if self.supervisor.active:  # and goes on as it does: nothing begins anew
             return self.supervisor.enable()

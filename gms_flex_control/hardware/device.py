@@ -52,26 +52,26 @@ class Device(ABC):
 
     @property
     @abstractmethod
-    def names(self):
+    def names(self) -> tuple:
         """Return the names of what is measured (tuple of str), as in ``mapping.<joint>``."""
 
     @abstractmethod
-    def connect(self):
+    def connect(self) -> None:
         """Connect; the torque is zero then."""
 
     @abstractmethod
-    def read(self, timeout):
+    def read(self, timeout) -> Sample | None:
         """Return the next Sample, or None if there is none within ``timeout`` seconds."""
 
     @abstractmethod
-    def write(self, efforts):
+    def write(self, efforts) -> None:
         """Send efforts (list of float) in the device's units; do not wait for an answer."""
 
     @abstractmethod
-    def close(self):
+    def close(self) -> None:
         """Disconnect; it may be called at any time and more than once."""
 
-    def figures(self):
+    def figures(self) -> dict:
         """Return counters for /diagnostics (dict of str to number)."""
         return {}
 

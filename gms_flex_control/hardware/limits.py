@@ -1,11 +1,12 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""What a robot may do, whatever the controller says: torque, rate, velocity, range and twist."""
+"""What a robot may do, whatever the controller says: torque, rate, velocity, range, torsion."""
 
 from dataclasses import dataclass, fields
 from functools import cached_property
 
+from gms_flex_control.compiled import compiled
 from gms_flex_control.errors import ParameterError
 from gms_flex_control.params.checks import freeze_arrays
 import numpy as np
@@ -29,7 +30,7 @@ class Limits:
     lower: np.ndarray            # range of the link; outside of it only inward torque [rad]
     upper: np.ndarray
     position_margin: np.ndarray  # beyond the range by so much is a fault [rad]
-    twist: np.ndarray            # motor angle minus link angle that is a fault [rad]
+    torsion: np.ndarray          # motor angle minus link angle that is a fault [rad]
 
     def __post_init__(self):
         freeze_arrays(self)
@@ -46,11 +47,9 @@ class Limits:
 
     @cached_property
     def within(self) -> tuple:
-        """Return least and most (4 n_joints,) of link angles, both sides' velocities, twists."""
-        fastest = self.velocity + self.velocity_margin
-        least = self.lower - self.position_margin, -fastest, -fastest, -self.twist
-        most = self.upper + self.position_margin, fastest, fastest, self.twist
-        return np.concatenate(least), np.concatenate(most)
+        """Return least and most link angle, fastest side and largest torsion, margins added."""
+        return (self.lower - self.position_margin, self.upper + self.position_margin,
+                self.velocity + self.velocity_margin, self.torsion)
 
     def missing(self) -> list:
         """Return names of the limits that some joint lacks and no real robot may lack."""
@@ -58,36 +57,55 @@ class Limits:
                 if (np.abs(getattr(self, name)) >= UNLIMITED).any()]
 
 
-def limited(command, before, elapsed, q, dq, limits) -> np.ndarray:
+def limited(command, before, elapsed, q, dq, limits, held=None) -> np.ndarray:
     """
     Return the torque (n_joints,) [N m] that a command may become; zero is always allowed.
 
     ``command``, finite [N m], is clipped to ``torque`` and to a rise of ``torque_rate`` in
     ``elapsed`` [s] beyond the torque ``before`` or zero, whichever is further. It is zero where
     it points out of the range or would speed up a link, at ``q`` [rad] and ``dq`` [rad/s], that
-    is as fast as it may be.
+    is as fast as it may be. ``held``, bool (n_joints,), is set where the rate alone held it back.
     """
-    lowest, highest = _reach(before, elapsed, limits)
-    torque = np.clip(command, np.maximum(lowest, -limits.torque),
-                     np.minimum(highest, limits.torque))
-    outward = ((q >= limits.upper) & (torque > 0.0)) | ((q <= limits.lower) & (torque < 0.0))
-    speeding = ((dq >= limits.velocity) & (torque > 0.0)) | (
-        (dq <= -limits.velocity) & (torque < 0.0))
-    torque[outward | speeding] = 0.0
+    torque = np.empty(len(command))
+    _limit(command, before, elapsed, q, dq, limits.torque, limits.torque_rate, limits.velocity,
+           limits.lower, limits.upper, torque, np.empty(len(torque), bool) if held is None
+           else held)
     return torque
 
 
-def _reach(before, elapsed, limits):
-    """Return the least and the largest torque (n_joints,) that the rate lets follow."""
-    rise = limits.torque_rate * max(elapsed, 0.0)
-    return np.minimum(before, 0.0) - rise, np.maximum(before, 0.0) + rise
+@compiled
+def _limit(command, before, elapsed, q, dq, most, rate, velocity, lower, upper, torque, held):
+    for j in range(len(command)):
+        rise = rate[j] * max(elapsed, 0.0)
+        wanted = min(max(command[j], -most[j]), most[j])
+        given = min(max(wanted, min(before[j], 0.0) - rise), max(before[j], 0.0) + rise)
+        held[j] = given != wanted
+        given = min(max(given, -most[j]), most[j])
+        if ((q[j] >= upper[j] or dq[j] >= velocity[j]) and given > 0.0
+                or (q[j] <= lower[j] or dq[j] <= -velocity[j]) and given < 0.0):
+            given = 0.0
+        torque[j] = given
 
 
-def held_back(command, before, elapsed, limits) -> np.ndarray:
-    """Return of which joints the rate alone holds the torque back, bool (n_joints,)."""
-    lowest, highest = _reach(before, elapsed, limits)
-    allowed = np.clip(command, -limits.torque, limits.torque)
-    return (allowed < lowest) | (allowed > highest)
+def is_sound(now, before, elapsed, limits) -> bool:
+    """
+    Return whether `violation` and `jump` find nothing; fast, on the way of every command.
+
+    ``now`` and ``before`` (4, n_joints) are q_link, dq_link, q_motor, dq_motor.
+    """
+    return _is_sound(now, before, elapsed, *limits.within)
+
+
+@compiled
+def _is_sound(now, before, elapsed, least, most, fastest, torsion):
+    for j in range(now.shape[1]):
+        far = fastest[j] * max(elapsed, _SHORTEST)
+        if not (least[j] <= now[0, j] <= most[j] and abs(now[2, j] - now[0, j]) <= torsion[j]
+                and abs(now[1, j]) <= fastest[j] and abs(now[3, j]) <= fastest[j]
+                and abs(now[0, j] - before[0, j]) <= far
+                and abs(now[2, j] - before[2, j]) <= far):
+            return False
+    return True
 
 
 def violation(names, measured, limits) -> str:
@@ -96,11 +114,7 @@ def violation(names, measured, limits) -> str:
 
     ``measured`` has ``q_link``, ``dq_link``, ``q_motor``, ``dq_motor`` (n_joints,) [rad, rad/s].
     """
-    q, twist = measured.q_link, measured.q_motor - measured.q_link
-    seen = np.concatenate((q, measured.dq_link, measured.dq_motor, twist))
-    least, most = limits.within
-    if not ((seen < least) | (seen > most)).any():  # as nearly always, on the way of a command
-        return ''
+    q, torsion = measured.q_link, measured.q_motor - measured.q_link
     above = q > limits.upper + limits.position_margin
     below = q < limits.lower - limits.position_margin
     if (above | below).any():
@@ -113,9 +127,12 @@ def violation(names, measured, limits) -> str:
             j = int(np.argmax(fast))
             return (f'the {side} side of {names[j]} moves at {dq[j]:.4g} rad/s, above its limit '
                     f'of {limits.velocity[j]:.4g} by more than {limits.velocity_margin[j]:.4g}')
-    j = int(np.argmax(np.abs(twist) > limits.twist))
-    return (f'motor and link of {names[j]} are {twist[j]:.4g} rad apart, more than the '
-            f'{limits.twist[j]:.4g} allowed; a sign, a gear ratio or an encoder may be wrong')
+    far = np.abs(torsion) > limits.torsion
+    if not far.any():
+        return ''
+    j = int(np.argmax(far))
+    return (f'motor and link of {names[j]} are {torsion[j]:.4g} rad apart, more than the '
+            f'{limits.torsion[j]:.4g} allowed; a sign, a gear ratio or an encoder may be wrong')
 
 
 def jump(names, measured, before, elapsed, limits) -> str:

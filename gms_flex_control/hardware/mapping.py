@@ -6,6 +6,7 @@
 from dataclasses import dataclass
 import math
 
+from gms_flex_control.compiled import compiled
 from gms_flex_control.errors import GmsFlexError, ParameterError
 import numpy as np
 
@@ -83,8 +84,8 @@ class JointMap:
             twice = [name for name in called if called.count(name) > 1]
             if twice:
                 raise ParameterError(f'two {what} are both called {twice[0]!r} {where}')
-        self._sign_over_ratio = np.array([r.sign / r.ratio for r in readings])
-        self._offset = np.array([r.offset for r in readings])
+        self.slope = np.array([r.sign / r.ratio for r in readings])  # angle per reading
+        self.offset = np.array([r.offset for r in readings])
         n, flexible = len(self.joints), [motor is not None for motor in motors]
         self._motor_channel = np.arange(n)
         self._motor_channel[flexible] = n + np.arange(sum(flexible))
@@ -94,23 +95,15 @@ class JointMap:
         self.effort_names = tuple(dict.fromkeys([*self.names, *(a.name for a in actuators)]))
         self._effort_channel = [self.effort_names.index(a.name) for a in actuators]
 
-    def angle(self, reading, channel):
-        """Return joint angles [rad] of ``reading`` (k,) of the encoders ``channel`` (k,)."""
-        return reading * self._sign_over_ratio[channel] + self._offset[channel]
+    def sides(self, values) -> tuple:
+        """Return values of link and motor side (..., n_joints) from those of all encoders."""
+        return values[..., :len(self.joints)], values[..., self._motor_channel]
 
-    def rate(self, reading, channel):
-        """Return joint velocities [rad/s] of what the encoders ``channel`` (k,) report."""
-        return reading * self._sign_over_ratio[channel]
-
-    def sides(self, values):
-        """Return values of link and motor side (n_joints,) from those of all encoders."""
-        return values[:len(self.joints)], values[self._motor_channel]
-
-    def efforts(self, torque):
+    def efforts(self, torque) -> np.ndarray:
         """Return efforts in the robot's units and order from torques (n_joints,) [N m]."""
         return (torque / self._scale)[self._order] + 0.0  # never -0
 
-    def torques(self, efforts, otherwise):
+    def torques(self, efforts, otherwise) -> np.ndarray:
         """
         Turn efforts by `effort_names`, NaN where unknown, into torques of the joints [N m].
 
@@ -136,7 +129,7 @@ class Timeline:
         self._in_time = None       # when a sample last came as its stamp has it
         self.jumps = 0             # of the clock of the source
 
-    def read(self, stamp, now):
+    def read(self, stamp, now) -> int | None:
         """
         Return the time of a sample [ns], above all before; None if it is no new one.
 
@@ -177,6 +170,38 @@ class Timeline:
         return time
 
 
+class _Plan:
+    """Where the encoders that one source measures stand in its messages."""
+
+    def __init__(self, place, names, joint_map):
+        if len(names) > _MOST_NAMES:
+            raise ReadingError(f'{place} has {len(names)} names, more than any robot')
+        wanted = [name for name in joint_map.names if name in names]
+        for name in wanted:
+            if names.count(name) > 1:
+                raise ReadingError(f'{place} names {name!r} more than once')
+        if not wanted:
+            raise ReadingError(f"{place} has none of {', '.join(joint_map.names)} (it has "
+                               f"{', '.join(names[:8]) or 'nothing'}); check mapping.<joint>")
+        self.names = list(names)
+        self.channel = np.array([joint_map.names.index(name) for name in wanted])
+        self.index = np.array([names.index(name) for name in wanted])
+        self.slope, self.offset = joint_map.slope[self.channel], joint_map.offset[self.channel]
+        self.efforts = [(c, names.index(name)) for c, name in enumerate(joint_map.effort_names)
+                        if c >= len(joint_map.names) and name in names]  # that no encoder has
+        self.nothing = np.full(len(names), np.nan)
+
+    def numbers(self, fields) -> list:
+        """Return ``fields`` of a message as arrays, NaN for an empty one; check lengths."""
+        found = []
+        for what, values in zip(('positions', 'velocities', 'efforts'), fields, strict=True):
+            if len(values) != len(self.names) and (len(values) or what == 'positions'):
+                raise ReadingError(f'joint states have {len(self.names)} names and '
+                                   f'{len(values)} {what}')
+            found.append(np.asarray(values, dtype=float) if len(values) else self.nothing)
+        return found
+
+
 class StateMerger:
     """
     Joint states of one or several sources as angles, velocities and efforts of one time.
@@ -187,30 +212,29 @@ class StateMerger:
 
     def __init__(self, joint_map, sources, *, cutoff, skew):
         self._map, self._sources = joint_map, tuple(sources)
-        self._cutoff, self._skew = cutoff, skew * NANOSECONDS
+        self._cutoff, self._skew = cutoff, round(skew * NANOSECONDS)
         m = len(joint_map.names)
         self._timelines = [Timeline() for _ in self._sources]
         self._plans = [None] * len(self._sources)
         self._owner = [None] * m
-        self._q, self._dq = np.zeros(m), np.zeros(m)
-        self._times = np.full(m, -1, dtype=np.int64)
+        self._latest, self._times = np.zeros((2, m)), np.full(m, -1, dtype=np.int64)
         self._fresh = np.zeros(m, dtype=bool)
-        self.position, self.velocity = np.zeros(m), np.zeros(m)  # of the joints [rad, rad/s]
+        self.state = np.zeros((2, m))  # angles and velocities of the joints [rad, rad/s]
         # by the map's effort_names, in the robot's units; NaN where unknown
         self.effort = np.full(len(joint_map.effort_names), np.nan)
         self.time, self.estimated = 0, 0   # of the state [ns]; readings without a velocity
 
     @property
-    def jumps(self):
+    def jumps(self) -> int:
         """Return how often the clock of any source jumped."""
         return sum(timeline.jumps for timeline in self._timelines)
 
-    def absent(self):
+    def absent(self) -> list:
         """Return the names of encoders that nothing has been heard of since the last state."""
         return [name for name, fresh in zip(self._map.names, self._fresh, strict=True)
                 if not fresh]
 
-    def take(self, source, names, position, velocity, effort, stamp, now):
+    def take(self, source, names, position, velocity, effort, stamp, now) -> bool:
         """
         Take one message of one source; return whether there is a new state.
 
@@ -220,90 +244,85 @@ class StateMerger:
         ReadingError, with nothing changed, if lengths, numbers or names make no sense.
         """
         plan = self._plan(source, names)
-        _, index, channel, told = plan
-        q, dq, torque = self._values(names, (position, velocity, effort), index, channel)
+        q, dq, torque = plan.numbers((position, velocity, effort))
+        bad = _first_bad(q, dq, plan.index, plan.slope, plan.offset)
+        if bad >= 0:
+            k = plan.index[bad]
+            raise ReadingError(f'joint states have position {q[k]:g} and velocity {dq[k]:g} for '
+                               f'{self._map.names[plan.channel[bad]]!r}')
         self._keep(source, plan)
         time = self._timelines[source].read(stamp, now)
         if time is None:
             return False
         if not self._fresh.any():  # a new state begins
             self.effort[len(self._map.names):] = np.nan
-        self._move(channel, q, dq, time)
-        self.effort[channel] = torque
-        for c, k in told if len(effort) else ():
-            self.effort[c] = effort[k]
-        self._fresh[channel] = True
-        newest = int(self._times.max())
-        if not self._fresh.all() or newest - int(self._times.min()) > self._skew:
-            return False
-        self._fresh[:] = False
-        self.time = newest
-        age = (self.time - self._times) / NANOSECONDS
-        self.position[:] = self._q + self._dq * age
-        self.velocity[:] = self._dq
-        return True
+        for c, k in plan.efforts if len(effort) else ():
+            self.effort[c] = torque[k]
+        estimated, newest = _merge(
+            q, dq, torque, plan.index, plan.channel, plan.slope, plan.offset, time, self._cutoff,
+            self._skew, self._latest, self._times, self._fresh, self.state, self.effort)
+        self.estimated += estimated
+        self.time = max(newest, self.time)
+        return newest > 0
 
     def _plan(self, source, names):
         plan = self._plans[source]
-        if plan is None or plan[0] != names:
-            plan = list(names), *self._make_plan(source, names)
+        if plan is not None and plan.names == names:
+            return plan
+        place = self._sources[source]
+        plan = _Plan(place, names, self._map)
+        for c in plan.channel:
+            if self._owner[c] not in (None, source):
+                raise ReadingError(f'{self._map.names[c]!r} comes from '
+                                   f'{self._sources[self._owner[c]]} and from {place}; leave it '
+                                   'out of one, or one out of bridge.state_topics')
         return plan
 
     def _keep(self, source, plan):
         if plan is not self._plans[source]:
             self._plans[source] = plan
-            for c in plan[2]:
+            for c in plan.channel:
                 self._owner[c] = source
 
-    def _make_plan(self, source, names):
-        place = self._sources[source]
-        if len(names) > _MOST_NAMES:
-            raise ReadingError(f'{place} has {len(names)} names, more than any robot')
-        wanted = [name for name in self._map.names if name in names]
-        for name in wanted:
-            if names.count(name) > 1:
-                raise ReadingError(f'{place} names {name!r} more than once')
-        if not wanted:
-            raise ReadingError(f"{place} has none of {', '.join(self._map.names)} (it has "
-                               f"{', '.join(names[:8]) or 'nothing'}); check mapping.<joint>")
-        channel = [self._map.names.index(name) for name in wanted]
-        for name, c in zip(wanted, channel, strict=True):
-            if self._owner[c] not in (None, source):
-                raise ReadingError(f'{name!r} comes from {self._sources[self._owner[c]]} and from '
-                                   f'{place}; leave it out of one, or one out of '
-                                   'bridge.state_topics')
-        told = [(c, names.index(name)) for c, name in enumerate(self._map.effort_names)
-                if c >= len(self._map.names) and name in names]
-        return [names.index(name) for name in wanted], np.array(channel), told
 
-    def _values(self, names, fields, index, channel):
-        """Return joint angle, velocity (NaN: none) and raw effort of the encoders ``channel``."""
-        columns = []
-        for what, values in zip(('positions', 'velocities', 'efforts'), fields, strict=True):
-            if len(values) != len(names) and (len(values) or what == 'positions'):
-                raise ReadingError(f'joint states have {len(names)} names and {len(values)} '
-                                   f'{what}')
-            columns.append(np.array([values[i] for i in index]) if len(values)
-                           else np.full(len(index), np.nan))
-        q = self._map.angle(columns[0], channel)
-        dq = self._map.rate(columns[1], channel)
-        bad = ~(np.abs(q) <= LARGEST) | (np.abs(dq) > LARGEST)
-        if bad.any():
-            k = int(np.argmax(bad))
-            raise ReadingError(f'joint states have position {columns[0][k]:g} and velocity '
-                               f'{columns[1][k]:g} for {self._map.names[channel[k]]!r}')
-        return q, dq, columns[2]
+@compiled
+def _first_bad(position, velocity, index, slope, offset):
+    """Return which reading makes no angle, or too fast a one; -1 if none does."""
+    for k in range(len(index)):
+        angle = position[index[k]] * slope[k] + offset[k]
+        rate = velocity[index[k]] * slope[k]
+        if not abs(angle) <= LARGEST or abs(rate) > LARGEST:  # NaN is no velocity, but no angle
+            return k
+    return -1
 
-    def _move(self, channel, q, dq, time):
-        """Take the angles ``q``; estimate the velocities that are NaN."""
-        unknown = np.isnan(dq)
-        if unknown.any():
-            elapsed = (time - self._times[channel]) / NANOSECONDS
-            known = (self._times[channel] >= 0) & (elapsed > 0.0) & (elapsed < _LONGEST_STEP)
-            elapsed = np.where(known, elapsed, 1.0)
-            gain = 1.0 - np.exp(-2.0 * math.pi * self._cutoff * elapsed)
-            before = self._dq[channel]
-            estimate = before + gain * ((q - self._q[channel]) / elapsed - before)
-            dq = np.where(unknown, np.where(known, estimate, 0.0), dq)
-            self.estimated += int(unknown.sum())
-        self._q[channel], self._dq[channel], self._times[channel] = q, dq, time
+
+@compiled
+def _merge(position, velocity, effort, index, channel, slope, offset, time, cutoff, skew, latest,
+           times, fresh, state, efforts):
+    """
+    Take readings at a ``time`` [ns] into the ``latest`` (2, m); make a ``state`` (2, m) of them.
+
+    Return how many velocities were estimated, and the time of the state, 0 where there is none.
+    """
+    estimated = 0
+    for k in range(len(index)):
+        c, i = channel[k], index[k]
+        angle, rate = position[i] * slope[k] + offset[k], velocity[i] * slope[k]
+        if math.isnan(rate):
+            estimated += 1
+            elapsed = (time - times[c]) / NANOSECONDS
+            rate = 0.0
+            if times[c] >= 0 and 0.0 < elapsed < _LONGEST_STEP:
+                before = latest[1, c]
+                rate = before + (1.0 - math.exp(-2.0 * math.pi * cutoff * elapsed)) * (
+                    (angle - latest[0, c]) / elapsed - before)
+        latest[0, c], latest[1, c], times[c], fresh[c] = angle, rate, time, True
+        efforts[c] = effort[i]
+    newest = times.max()
+    if not fresh.all() or newest - times.min() > skew:
+        return estimated, 0
+    fresh[:] = False
+    for c in range(len(times)):
+        state[0, c] = latest[0, c] + latest[1, c] * ((newest - times[c]) / NANOSECONDS)
+        state[1, c] = latest[1, c]
+    return estimated, newest

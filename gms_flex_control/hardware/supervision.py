@@ -38,11 +38,11 @@ class Supervisor:
         self._pressed = False
 
     @property
-    def active(self):
+    def active(self) -> bool:
         """Return whether torque may flow."""
         return self.state == ACTIVE
 
-    def enable(self, obstacle=''):
+    def enable(self, obstacle='') -> Outcome:
         """Go from ZERO to ACTIVE, unless ``obstacle`` says what stands against it."""
         if self.state == ACTIVE:
             return Outcome(True, 'ACTIVE already')
@@ -53,7 +53,7 @@ class Supervisor:
         self.state, self.reason = ACTIVE, 'enabled'
         return Outcome(True, 'ACTIVE')
 
-    def disable(self, reason='disabled'):
+    def disable(self, reason='disabled') -> Outcome:
         """Go from ACTIVE to ZERO; a fault stays one."""
         self.refusals += 1
         if self.state == FAULT:
@@ -61,7 +61,7 @@ class Supervisor:
         self.state, self.reason = ZERO, reason
         return Outcome(True, 'ZERO')
 
-    def trip(self, reason):
+    def trip(self, reason) -> bool:
         """Go from ACTIVE to FAULT; the first reason stays. Return whether it did."""
         self.refusals += 1
         if self.state != ACTIVE:
@@ -70,7 +70,7 @@ class Supervisor:
         self.faults += 1
         return True
 
-    def stop(self, reason):
+    def stop(self, reason) -> Outcome:
         """Emergency stop: to FAULT from any state, before any other reason."""
         self.refusals += 1
         if not self.stopped:
@@ -78,13 +78,13 @@ class Supervisor:
             self.state, self.reason, self.stopped = FAULT, reason, True
         return Outcome(True, f'FAULT: {self.reason}')
 
-    def button(self, pressed, name):
+    def button(self, pressed, name) -> None:
         """Take the position of the emergency-stop button called ``name``."""
         self._pressed = pressed
         if pressed:
             self.stop(f'emergency stop by {name}')
 
-    def reset(self):
+    def reset(self) -> Outcome:
         """Go from FAULT to ZERO, unless the emergency-stop button is still pressed."""
         self.refusals += 1
         if self._pressed:
@@ -93,7 +93,7 @@ class Supervisor:
             self.state, self.reason, self.stopped = ZERO, 'reset, not enabled yet', False
         return Outcome(True, f'{self.state}: {self.reason}')
 
-    def amend(self, reason):
+    def amend(self, reason) -> None:
         """Say more about the fault there is."""
         if self.state == FAULT and not self.stopped:
             self.reason = reason
@@ -112,12 +112,12 @@ class SupervisedRobot(ABC):
         """Say and do what a change of the supervisor's state asks for."""
 
     @property
-    def refusals(self):
+    def refusals(self) -> int:
         """Return how often torque was taken away so far, see Supervisor."""
         return self._supervisor.refusals
 
     @property
-    def at_zero(self):
+    def at_zero(self) -> bool:
         """Return whether the robot waits in ZERO to be enabled."""
         return self._supervisor.state == ZERO
 
@@ -132,12 +132,12 @@ class SupervisedRobot(ABC):
         return Outcome(False, 'not enabled: torque was withdrawn, or about to be, while this '
                               'request waited; call it again')
 
-    def stop(self, reason):
+    def stop(self, reason) -> Outcome:
         """Stop in an emergency; return an Outcome."""
         with self._lock:
             return self._settled(self._supervisor.stop(reason))
 
-    def button(self, pressed, name):
+    def button(self, pressed, name) -> None:
         """Take the position of the emergency-stop button."""
         with self._lock:
             self._supervisor.button(pressed, name)
@@ -188,11 +188,11 @@ class CommandWatch:
         """Note that somebody commands, acted on or not; see `SourceWatch.hear`."""
         return self._sources.hear(source, now)
 
-    def take(self, source, now):
+    def take(self, source, now) -> None:
         """Note that a command is acted on."""
         self.last, self.source = now, source
 
-    def silence(self, now):
+    def silence(self, now) -> int | None:
         """Return how long nobody has commanded [ns]; None if nobody ever did."""
         return None if self.last is None else now - self.last
 
@@ -208,7 +208,7 @@ class CommandWatch:
                 'silence of the controller [ms]': round((silence or 0) / 1e6, 1)}
 
 
-def recently(share, now, elapsed):
+def recently(share, now, elapsed) -> float:
     """Return the share of recent time something took, after ``elapsed`` [s] with it or without."""
     return share + (now - share) * min(elapsed / _RECENT, 1.0)
 
@@ -219,11 +219,11 @@ class Lateness:
     def __init__(self):
         self.share = 0.0
 
-    def restart(self):
+    def restart(self) -> None:
         """Begin anew, as where no command is to be expected."""
         self.share = 0.0
 
-    def note(self, missed, elapsed):
+    def note(self, missed, elapsed) -> None:
         """Note whether the command of a state was ``missed``, ``elapsed`` [s] after it."""
         self.share = recently(self.share, missed, elapsed)
 

@@ -42,20 +42,20 @@ class BridgedRobot(SupervisedRobot):
         self._sent = 0             # when efforts left last
         self._counted = {}, time.monotonic()
         self._writer = messages.JointStateWriter(joints, motors)
-        self._state_pub = Outlet(node, JointState, 'joint_states')
+        self._state_pub = Outlet(node, JointState, 'joint_states', ahead=True)
         self._ends, self._passed = False, 0
         link, boxes = DeviceLink if values['bridge.device'] else TopicLink, []
         self._link = link(node, self, values, self._map.command_names, boxes)
         Inbox(node, Float64MultiArray, 'effort_controller/commands', self._on_command,
               boxes=boxes)
 
-    def now(self):
+    def now(self) -> int:
         """Return a time that never jumps, near that of the system at the start [ns]."""
         return time.monotonic_ns() + self._steady
 
     # what comes ----------------------------------------------------------------------------
 
-    def take_state(self, source, names, position, velocity, effort, stamp):
+    def take_state(self, source, names, position, velocity, effort, stamp) -> bool:
         """Take joint states of the link, publish the state they complete; False if refused."""
         now, bridge, refused = self.now(), self._bridge, False
         with self._lock:
@@ -114,7 +114,7 @@ class BridgedRobot(SupervisedRobot):
 
     # requests, from any thread ---------------------------------------------------------------
 
-    def obstacle(self):
+    def obstacle(self) -> str:
         """Return what stands against torque now; '' if nothing does."""
         with self._lock:
             if self._supervisor.state != 'ZERO':
@@ -122,7 +122,7 @@ class BridgedRobot(SupervisedRobot):
             return (self._health.fault or self._bridge.obstacle(self.now())
                     or self._link.obstacle() or ('the bridge ends' if self._ends else ''))
 
-    def enable(self, refusals=None):
+    def enable(self, refusals=None) -> Outcome:
         """Let torque flow, unless it was taken away since there were ``refusals``."""
         with self._lock:
             obstacle = self.obstacle()
@@ -130,17 +130,17 @@ class BridgedRobot(SupervisedRobot):
                 return Outcome(False, f'not enabled: {obstacle}')
             return self._outdated(refusals) or self._settled(self._bridge.enable(self.now()))
 
-    def disable(self):
+    def disable(self) -> Outcome:
         """Take torque away; return an Outcome."""
         with self._lock:
             return self._settled(self._supervisor.disable())
 
-    def reset(self):
+    def reset(self) -> Outcome:
         """Leave a fault; return an Outcome."""
         with self._lock:
             return self._settled(self._supervisor.reset())
 
-    def fail(self, sentence):
+    def fail(self, sentence) -> None:
         """Enter the fault: something is wrong in this process or with the link."""
         with self._lock:
             self._bridge.fault(sentence)
@@ -148,7 +148,7 @@ class BridgedRobot(SupervisedRobot):
 
     # the watch -----------------------------------------------------------------------------
 
-    def run(self, spinner):
+    def run(self, spinner) -> None:
         """Watch over both sides until a signal comes."""
         process.tighten_timers()
         sys.setswitchinterval(_SWITCH)
@@ -194,7 +194,7 @@ class BridgedRobot(SupervisedRobot):
         if not self._supervisor.active and now - self._sent >= _ZERO_PERIOD:
             self._send()
 
-    def finish(self):
+    def finish(self) -> None:
         """Leave zero on the wire, and stay until those who acknowledge have it."""
         self._end()
         with self._lock:
@@ -202,7 +202,7 @@ class BridgedRobot(SupervisedRobot):
             self._send()
         self._link.finish()
 
-    def figures(self):
+    def figures(self) -> dict:
         """Return rates since the last call, counters and worst latencies for /diagnostics."""
         with self._lock:
             bridge, counters, now = self._bridge, dict(self._bridge.counters), time.monotonic()

@@ -154,12 +154,12 @@ class ControllerNode(Node):
             self.get_logger().info(f'the model has, not compensated: {", ".join(beyond)}')
         process.take_priority(self, values['realtime_priority'])
 
-    def run(self, spinner):
+    def run(self, spinner) -> None:
         """Answer joint states until a signal comes."""
         while spinner.goes_on():
             self.attend(spinner)
 
-    def attend(self, spinner):
+    def attend(self, spinner) -> None:
         """Run callbacks until the joint states may have stopped, and look whether they have."""
         spinner.spin_for(self._silence.patience())
         self._watched()
@@ -260,12 +260,12 @@ class ControllerNode(Node):
                 'frozen encoders': self._follower.encoders.count,
                 'longest time between answers [ms]': f'{self._silence.longest() * 1e3:.1f}'}
 
-    def finish(self):
+    def finish(self) -> None:
         """Leave zero torque on the wire."""
         self._outputs.finish(self._follower.last or 0)
 
 
-def main(args=None):
+def main(args=None) -> int:
     """Run the controller node until a signal; return its exit code."""
     return process.run_node(ControllerNode, args)
 

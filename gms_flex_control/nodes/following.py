@@ -57,7 +57,7 @@ class References:
         self._rest = None     # (stamp, Trajectory) of the way to rest
         self._torque = None   # mean of the last commands
 
-    def keep(self, stamp, reference, last=None):
+    def keep(self, stamp, reference, last=None) -> None:
         """
         Take a Reference for the joint state of ``stamp`` [ns].
 
@@ -70,28 +70,28 @@ class References:
             del self._kept[next(iter(self._kept)) if last is None else
                            max(self._kept, key=lambda known: abs(known - last))]
 
-    def has(self, stamp):
+    def has(self, stamp) -> bool:
         """Return whether there is one for exactly this joint state."""
         return stamp in self._kept
 
-    def forget(self):
+    def forget(self) -> None:
         """Follow nothing that has been received."""
         self._kept.clear()
         self.forget_motion()
 
-    def forget_motion(self):
+    def forget_motion(self) -> None:
         """Hold nothing from before: the robot is elsewhere, or its clock is."""
         self.phase = self._last = self._rest = self._torque = None
 
-    def is_fresh(self, stamp, now):
+    def is_fresh(self, stamp, now) -> bool:
         """Return whether one for ``stamp`` would be followed by the state of ``now`` [ns]."""
         return abs(stamp - now) <= self._timeout
 
-    def nearest(self, stamp):
+    def nearest(self, stamp) -> int | None:
         """Return how far the nearest stamp is [s]; None without any reference."""
         return min((abs(known - stamp) for known in self._kept), default=None)
 
-    def at(self, stamp):
+    def at(self, stamp) -> Reference | None:
         """Return the Reference for a joint state, moved to its time; None if there is none."""
         received = self._received(stamp)
         if received is not None:
@@ -134,7 +134,7 @@ class References:
             return Reference(EFFORT, left * self._torque[None, :])
         return None
 
-    def answered(self, torque, elapsed):
+    def answered(self, torque, elapsed) -> None:
         """Note the command (n,) [N m] that the law gave, ``elapsed`` [s] after the one before."""
         if self.phase != HOLDING or self._torque is None:
             self._torque = np.array(torque)
@@ -155,7 +155,7 @@ class Handover:
         self._way = self.left = None
         self._share, self._seen = 1.0, 0  # of the torque that is given, and stamp it was given at
 
-    def begin(self, stamp, measured, reference):
+    def begin(self, stamp, measured, reference) -> None:
         """Begin at the joint state of ``stamp`` [ns]; nothing if ``reference`` (5, n) is near."""
         self._way = self.left = None
         self._share, self._seen = 0.0, stamp
@@ -166,7 +166,7 @@ class Handover:
             self._way = (stamp, builders.approach(
                 offset, builders.hold(np.zeros(offset.shape[1])), 0.0, duration=self._duration))
 
-    def applied(self, stamp, reference):
+    def applied(self, stamp, reference) -> np.ndarray:
         """Return ``reference`` (5, n) with what is left of the way added."""
         if self._way is None:
             return reference
@@ -177,7 +177,7 @@ class Handover:
         self.left = self._way[1].sample(since)
         return reference + self.left
 
-    def fade(self, stamp, torque):
+    def fade(self, stamp, torque) -> None:
         """Let ``torque`` (n,) rise from zero where the motion has just begun; in place."""
         if self._share < 1.0:
             self._share += min((stamp - self._seen) / _FADE, _RISE)
@@ -201,17 +201,17 @@ class EncoderWatch:
         self.frozen, self.began, self.count = '', False, 0   # a finding, whether it is new
         self.use(torque_limit)
 
-    def use(self, torque_limit):
+    def use(self, torque_limit) -> None:
         """Take another torque limit (n_joints,) [N m]."""
         self._judge.use(torque_limit)
         self._nothing = (_NOTHING * torque_limit).tolist()
 
-    def reset(self):
+    def reset(self) -> None:
         """Take back what was found."""
         self._judge.reset()
         self.frozen, self.began = '', False
 
-    def act(self, torque, efforts):
+    def act(self, torque, efforts) -> None:
         """
         Take what has acted on the motors until the state that is looked at next.
 
@@ -265,13 +265,13 @@ class Follower:
         self.controller.tick(handover.applied(0, extrapolate(away, 0.0)), 0.0)
         self.controller.reset()
 
-    def use(self, gains):
+    def use(self, gains) -> None:
         """Take other gains."""
         self.controller.use(gains)
         self._limit = gains.torque_limit
         self.encoders.use(gains.torque_limit)
 
-    def reset(self):
+    def reset(self) -> None:
         """Begin anew from the measured state."""
         self.controller.reset()
         self.references.forget_motion()
@@ -282,7 +282,7 @@ class Follower:
         """Return whether a reference for ``stamp`` [ns] is of this time."""
         return self.last is None or self.references.is_fresh(stamp, self.last)
 
-    def keep(self, stamp, reference, source):
+    def keep(self, stamp, reference, source) -> None:
         """Take a Reference, unless another source's come as well; then nobody's are kept."""
         if not self._lockstep and self.is_fresh(stamp):
             now = time.monotonic_ns()

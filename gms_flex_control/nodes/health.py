@@ -3,7 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """How a node is: what it says on /diagnostics, its faults, and endpoints that do not fit."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import nullcontext
 from functools import wraps
 import time
@@ -14,6 +14,7 @@ from gms_flex_control.hardware.supervision import FAULT
 from rclpy.clock import Clock, ClockType
 from rclpy.logging import LoggingSeverity
 from rclpy.qos import qos_check_compatible, QoSCompatibility, QoSProfile
+from rclpy.time import Time
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 _LOOK_PERIOD = 0.1   # a change is published within this [s]
@@ -24,7 +25,7 @@ _COMMON = ('rosout', 'parameter_events')
 _ENDLESS = 2**62  # the graph tells a duration that was never set as about this or more [ns]
 
 
-def now(node):
+def now(node) -> Time:
     """Return the time of a node; that of the system while it waits for the first /clock."""
     time_of_node = node.get_clock().now()
     return time_of_node if time_of_node.nanoseconds else _SYSTEM.now()
@@ -50,11 +51,11 @@ class Health:
         self._timer = node.create_timer(_LOOK_PERIOD, self.shield(self._look),
                                         clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    def tell(self, level, sentence):
+    def tell(self, level, sentence) -> None:
         """Say how the node is; cheap enough for every tick."""
         self._state = (level, sentence)
 
-    def tell_state(self, supervisor, severity=LoggingSeverity.ERROR):
+    def tell_state(self, supervisor, severity=LoggingSeverity.ERROR) -> None:
         """Say and log the state of a Supervisor; ``severity`` is that of a fault in the log."""
         fault = supervisor.state == FAULT
         sentence = f'{supervisor.state}: {supervisor.reason}'
@@ -64,7 +65,7 @@ class Health:
         else:
             self._node.get_logger().info(sentence)
 
-    def warn(self, kind, sentence, skip_first=False):
+    def warn(self, kind, sentence, skip_first=False) -> None:
         """
         Log a warning, at most one of a ``kind`` every few seconds; ``skip_first`` after some.
 
@@ -83,7 +84,7 @@ class Health:
         return self._node.get_fully_qualified_name()
 
     @property
-    def status(self):
+    def status(self) -> tuple:
         """Return level and sentence; a fault and mismatched endpoints outweigh the rest."""
         if self.fault:
             return ERROR, f'FAULT: {self.fault}'
@@ -92,7 +93,7 @@ class Health:
             return max(level, ERROR), '; '.join((*self._mismatches, sentence))
         return level, sentence
 
-    def fail(self, sentence):
+    def fail(self, sentence) -> None:
         """Enter the fault, which lasts until `recover`; later faults change nothing."""
         if not self.fault:
             self.fault = sentence
@@ -100,18 +101,18 @@ class Health:
             self._on_fault()
             self.publish()
 
-    def failed(self, error, where):
+    def failed(self, error, where) -> None:
         """Enter the fault that an exception makes; its traceback is logged, but only once."""
         if not self.fault:
             lines = ''.join(traceback.format_exception(error)).rstrip()
             self._node.get_logger().error(f'exception in {where}\n{lines}')
         self.fail(f'{where} raised {type(error).__name__}: {error}')
 
-    def recover(self):
+    def recover(self) -> None:
         """End the fault."""
         self.fault = ''
 
-    def guard(self, callback):
+    def guard(self, callback) -> Callable:
         """Return ``callback`` such that it holds the lock, and as `shield` has it."""
         shielded, lock = self.shield(callback), self._lock
 
@@ -121,7 +122,7 @@ class Health:
                 return shielded(*arguments)
         return guarded
 
-    def shield(self, callback):
+    def shield(self, callback) -> Callable:
         """
         Return ``callback`` such that an exception ends in a fault, not in a dead executor.
 
@@ -156,7 +157,7 @@ class Health:
                 self._node.get_logger().error(sentence)
         self._mismatches = found
 
-    def publish(self):
+    def publish(self) -> None:
         """Publish the state now."""
         self._said = level, sentence = self.status
         status = DiagnosticStatus(

@@ -170,7 +170,7 @@ class IdentificationNode(Node):
         """Return the value of a parameter below ``identification``."""
         return self._values[f'identification.{name}']
 
-    def say(self, sentence):
+    def say(self, sentence) -> None:
         """Log a sentence."""
         self.get_logger().info(sentence)
 
@@ -222,7 +222,7 @@ class IdentificationNode(Node):
 
     # waiting -------------------------------------------------------------------------------
 
-    def spin(self):
+    def spin(self) -> None:
         """Handle what has come; raise what ends the step that is waiting."""
         self._spinner.spin_once(0.02)
         if not self._spinner.goes_on():
@@ -235,7 +235,7 @@ class IdentificationNode(Node):
         if self._stopped:
             raise StoppedError
 
-    def until(self, condition):
+    def until(self, condition) -> None:
         """Spin until ``condition()`` while the loop lives."""
         while not condition():
             self.spin()
@@ -267,7 +267,7 @@ class IdentificationNode(Node):
             if time.monotonic() > end:
                 raise ExperimentError(f'{words()} in {self["patience"]:g} s')
 
-    def phase(self, name, step=None):
+    def phase(self, name, step=None) -> None:
         """Publish what is done from the next joint state on."""
         phase = Phase(self.watch.stamp, name, step.joint if step else '',
                       step.name if step else '', step.value if step else 0.0)
@@ -275,7 +275,7 @@ class IdentificationNode(Node):
 
     # run -----------------------------------------------------------------------------------
 
-    def run(self, spinner):
+    def run(self, spinner) -> None:
         """Carry out what is unfinished; return when done or when a signal comes."""
         self._spinner = self._results.spinner = spinner
         results = self._results
@@ -346,17 +346,17 @@ class IdentificationNode(Node):
         if self.controller.is_ready():
             self._runner.give_back()
 
-    def see_out(self, future):
+    def see_out(self, future) -> None:
         """Spin until a last call is answered, for a while at most."""
         end = time.monotonic() + _GOODBYE
         while not future.done() and time.monotonic() < end:
             self._spinner.spin_once(0.02)
 
-    def finish(self):
+    def finish(self) -> None:
         """End: whatever stopped the experiment has asked for zero torque."""
 
 
-def main(args=None):
+def main(args=None) -> int:
     """Run the identification node; return its exit code."""
     return process.run_node(IdentificationNode, args)
 

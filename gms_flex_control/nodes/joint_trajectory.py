@@ -88,7 +88,7 @@ class Goal(NamedTuple):
     at_end: np.ndarray    # and once it is over
     allowance: int        # how much later than the last point it may be reached [ns]; 0: any time
 
-    def verdict(self, joints, error, late):
+    def verdict(self, joints, error, late) -> tuple | None:
         """
         Return code and sentence once the goal is over; None while it goes on.
 
@@ -145,12 +145,13 @@ class Following:
     """
     The action ``~/follow_joint_trajectory``: one goal at a time, a new one replaces the old.
 
-    ``begin`` takes a JointTrajectory, lets the Motion follow it and returns the stamp of its end;
-    it raises RefusedError. ``look`` is to be called for every joint state, with the node's lock.
+    ``prepare`` takes a JointTrajectory and returns what lets the Motion follow it, which is called
+    with the node's lock and returns the stamp of its end; both raise RefusedError. ``look`` is to
+    be called for every joint state, with the lock.
     """
 
-    def __init__(self, node, motion, begin, kind=FollowJointTrajectory):
-        self._node, self._motion, self._begin, self._kind = node, motion, begin, kind
+    def __init__(self, node, motion, prepare, kind=FollowJointTrajectory):
+        self._node, self._motion, self._prepare, self._kind = node, motion, prepare, kind
         self._active = None      # (handle, Goal, end, Trajectory, Future of the result)
         self._told = 0           # stamp of the last feedback
         ActionServer(node, kind, '~/follow_joint_trajectory', self._execute,
@@ -159,22 +160,23 @@ class Following:
     async def _execute(self, handle):
         """Follow a goal; return its result once it is over."""
         future = Future()
-        with self._node.direct.lock:
-            try:
-                goal = read_goal(handle.request, self._motion.joints)
-                end = self._begin(handle.request.trajectory)
-            except (RefusedError, TrajectoryError) as error:
-                self._node.health.warn('goal', f'goal refused: {error}')
-                handle.abort()
-                return self._result(_CODES.get(type(error), INVALID_GOAL), str(error))
-            self.end('a new goal replaces it')
-            self._active = handle, goal, end, self._motion.current, future
+        try:
+            goal = read_goal(handle.request, self._motion.joints)
+            follow = self._prepare(handle.request.trajectory)
+            with self._node.direct.lock:
+                end = follow()
+                self.end('a new goal replaces it')
+                self._active = handle, goal, end, self._motion.current, future
+        except (RefusedError, TrajectoryError) as error:
+            self._node.health.warn('goal', f'goal refused: {error}')
+            handle.abort()
+            return self._result(_CODES.get(type(error), INVALID_GOAL), str(error))
         return await future
 
     def _result(self, code, sentence):
         return self._kind.Result(error_code=code, error_string=sentence)
 
-    def look(self, stamp):
+    def look(self, stamp) -> None:
         """Judge the goal, if there is one, by the state of ``stamp`` [ns]; tell its client."""
         if self._active is None:
             return
@@ -204,7 +206,7 @@ class Following:
                 point.positions, point.velocities = rows[0].tolist(), rows[1].tolist()
             handle.publish_feedback(feedback)
 
-    def end(self, sentence):
+    def end(self, sentence) -> None:
         """Abort the goal, if there is one."""
         if self._active is not None:
             self._finish(self._active[0].abort, INVALID_GOAL, sentence)

@@ -36,12 +36,12 @@ _SWITCH = ('true', 'false')
 _ENVIRONMENT = {LAUNCHED: 'true'}
 
 
-def config(name):
+def config(name) -> PathJoinSubstitution:
     """Return the path of a file of the package's ``config`` folder, as a substitution."""
     return PathJoinSubstitution([FindPackageShare(PACKAGE), 'config', name])
 
 
-def arguments(*, bridge='', controller='controller.yaml', rviz='false', priority='0'):
+def arguments(*, bridge='', controller='controller.yaml', rviz='false', priority='0') -> list:
     """
     Return the arguments that every launch file has (list of DeclareLaunchArgument).
 
@@ -83,7 +83,7 @@ def arguments(*, bridge='', controller='controller.yaml', rviz='false', priority
                                           'publishes with mode:=lockstep')]
 
 
-def description(declared, actions):
+def description(declared, actions) -> LaunchDescription:
     """
     Return a LaunchDescription: what `arguments` declared, then ``actions`` in their namespace.
 
@@ -97,14 +97,14 @@ def description(declared, actions):
                      _state_publisher(), _rviz(), _recorder(), *actions])])
 
 
-def node(executable, *parameters, **options):
+def node(executable, *parameters, **options) -> Node:
     """Return one of our nodes with the files of robot and controller, and what is its own."""
     files = [LaunchConfiguration('robot'), LaunchConfiguration('controller')]
     return Node(package=PACKAGE, executable=executable, output='screen',
                 parameters=[*files, *parameters], additional_env=_ENVIRONMENT, **options)
 
 
-def closed_loop(controller=None, trajectory=None):
+def closed_loop(controller=None, trajectory=None) -> list:
     """
     Return the robot, simulated or bridged, the controller and the trajectory, or loop_node.
 

@@ -37,17 +37,17 @@ class LoopNode:
             if node.get_parameter('use_sim_time').value:
                 direct.hearers[node.resolve_topic_name('/clock')].append(partial(_set, node))
 
-    def run(self, spinner):
+    def run(self, spinner) -> None:
         """Run the loop until a signal comes, or the plant's duration is over."""
         spinner.attend = partial(self._controller.attend, spinner)
         self._plant.run(spinner)
 
-    def finish(self):
+    def finish(self) -> None:
         """Leave zero torque on the wire."""
         for node in self.nodes:
             node.finish()
 
-    def destroy_node(self):
+    def destroy_node(self) -> None:
         """End the nodes."""
         for node in self.nodes:
             node.destroy_node()
@@ -58,7 +58,7 @@ def _set(node, message):
     node.get_clock().set_ros_time_override(Time.from_msg(message.clock))
 
 
-def main(args=None):
+def main(args=None) -> int:
     """Run the loop until a signal; return its exit code."""
     return process.run_node(LoopNode, args)
 

@@ -43,7 +43,7 @@ def all_finite(values) -> bool:
     return math.isfinite(sum(values)) or all(math.isfinite(value) for value in values)
 
 
-def first_bad(values, limit):
+def first_bad(values, limit) -> int | None:
     """Return the index of the first number that is not within +-``limit``; None if all are."""
     # a sum that is finite has no NaN in it, for which min and max are of no use
     if not values or (math.isfinite(sum(values)) and -limit <= min(values)
@@ -80,7 +80,7 @@ def to_nanoseconds(stamp) -> int:
     return stamp.sec * NANOSECONDS + stamp.nanosec
 
 
-def set_stamp(stamp, nanoseconds):
+def set_stamp(stamp, nanoseconds) -> None:
     """Write integer nanoseconds into a builtin_interfaces Time."""
     stamp.sec, stamp.nanosec = divmod(nanoseconds, NANOSECONDS)
 
@@ -122,7 +122,7 @@ class JointStateReader:
             joints, motors, strict=True))])
         self._n = len(joints)
 
-    def read(self, message, measured):
+    def read(self, message, measured) -> None:
         """
         Write a JointState into ``measured`` (q_link, dq_link, q_motor, dq_motor).
 
@@ -147,10 +147,15 @@ class JointStateWriter:
     """Fill one reused JointState: links, then the motors that there are (names other than '')."""
 
     def __init__(self, joints, motors):
-        self._flexible = [j for j, motor in enumerate(motors) if motor]
-        self._nan = [math.nan if motor else 0.0 for motor in motors]
+        n, self._flexible = len(joints), [j for j, motor in enumerate(motors) if motor]
         self._rigid = [j for j, motor in enumerate(motors) if not motor]
         self.message = JointState(name=[*joints, *(motors[j] for j in self._flexible)])
+        numbers = [array('d', [math.nan] * len(self.message.name)) for _ in range(3)]
+        self.message.position, self.message.velocity, self.message.effort = numbers
+        # written through views of the message's own arrays, which is ten times as fast
+        views = [np.frombuffer(getattr(self.message, name)) for name in (
+            'position', 'velocity', 'effort')]
+        self._links, self._motors = [view[:n] for view in views], [view[n:] for view in views]
 
     def write(self, measured, applied, stamp) -> JointState:
         """
@@ -159,21 +164,15 @@ class JointStateWriter:
         ``measured`` is what the encoders read, ``applied`` (n_joints,) the torque of the sample
         that ends now [N m]. The effort of a flexible link is NaN: not measured.
         """
-        message, flexible = self.message, self._flexible
-        q_motor, dq_motor = measured.q_motor.tolist(), measured.dq_motor.tolist()
-        torque = applied.tolist()
-        message.position = array('d', measured.q_link.tolist() + [q_motor[j] for j in flexible])
-        message.velocity = array('d', measured.dq_link.tolist()
-                                 + [dq_motor[j] for j in flexible])
-        link_effort = list(self._nan)
-        for j in self._rigid:
-            link_effort[j] = torque[j]
-        message.effort = array('d', link_effort + [torque[j] for j in flexible])
-        set_stamp(message.header.stamp, stamp)
-        return message
-
-
-# arrays --------------------------------------------------------------------------------------
+        (q, dq, effort), flexible = self._links, self._flexible
+        q[:], dq[:] = measured.q_link, measured.dq_link
+        for side, values in zip(self._motors, (measured.q_motor, measured.dq_motor, applied),
+                                strict=True):
+            side[:] = values[flexible]
+        if self._rigid:
+            effort[self._rigid] = applied[self._rigid]
+        set_stamp(self.message.header.stamp, stamp)
+        return self.message
 
 
 def _mark(label=''):
@@ -221,7 +220,7 @@ class ReferenceWriter:
         return self._writer.write(rows, stamp)
 
 
-def read_stamp(message):
+def read_stamp(message) -> int | None:
     """Return the stamp [ns] in the layout of a Float64MultiArray, or None without one."""
     for dimension in message.layout.dim:
         if dimension.label.startswith(_STAMP):
@@ -239,7 +238,7 @@ def read_source(message) -> str:
     return ''
 
 
-def read_command(message, n):
+def read_command(message, n) -> array:
     """Return n torques [N m]; raises RefusedError unless they are n, finite and plausible."""
     torque = message.data
     if len(torque) != n:

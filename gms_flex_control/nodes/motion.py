@@ -13,6 +13,7 @@ _CREEP = 0.1        # a single encoder count looks as fast as that to a reset [r
 _SAME_STAMP = 0.2   # a stamp within this part of the period was foreseen
 LONGEST_PAUSE = 2 * NANOSECONDS     # of the joint states; the motion waits for longer ones
 _LONGEST_MOTION = 86400 * NANOSECONDS  # through points
+_HEAD = 5           # segments through points that depend on the state they begin at
 
 
 class PastError(RefusedError):
@@ -26,7 +27,7 @@ class Links:
         self._numbers = JointNumbers(joints)
         self.q, self.dq = np.zeros((2, len(joints)))
 
-    def read(self, message):
+    def read(self, message) -> None:
         """Take a JointState; raises RefusedError. Velocities that make no sense are zero."""
         self.q[:] = self._numbers.read(message, 'position')
         try:
@@ -41,7 +42,8 @@ class Motion:
 
     ``chosen`` is the trajectory of ``values``, checked parameters; `choose` changes both. Stamps
     are those of joint states [ns]. ``current`` is another object whenever the motion is another.
-    ``require`` raises TrajectoryError for one that the robot is not to follow.
+    ``require`` raises TrajectoryError for one that the robot is not to follow; with ``segments``
+    it looks at the first ones only.
     """
 
     def __init__(self, joints, links, chosen, values, require):
@@ -61,7 +63,7 @@ class Motion:
         """Return the reference (5, n) or (1, n) for the state of ``stamp``."""
         return self.current.sample((stamp - self._origin) / NANOSECONDS)
 
-    def begin(self, stamp):
+    def begin(self, stamp) -> None:
         """Take the first state, or one after the clock was set back, as time zero, at rest."""
         self._origin = self.last = stamp
         self.published = None
@@ -70,7 +72,7 @@ class Motion:
         if self.values['trajectory.autostart'] and self.values['trajectory.type'] != 'hold':
             self._enter(self.chosen, 0.0)
 
-    def wait_out(self, period):
+    def wait_out(self, period) -> None:
         """Let the motion go on where it was: the clock has jumped, or there were no states."""
         self._origin += period
         self.published = None
@@ -116,7 +118,7 @@ class Motion:
         state[1] = self.links.dq
         return state
 
-    def brake(self):
+    def brake(self) -> None:
         """Come to rest from wherever the reference is."""
         self._brake_from(self._state(self._now()))
 
@@ -126,7 +128,7 @@ class Motion:
         self.current = builders.approach(state, builders.hold(goal), time, duration=duration)
         self.running = self.has_points = False
 
-    def go(self):
+    def go(self) -> None:
         """Begin the chosen motion."""
         if self.values['trajectory.type'] == 'hold':
             self.brake()
@@ -146,26 +148,31 @@ class Motion:
             return f'{error}; the reference comes to rest'
         return ''
 
-    def rest_at_robot(self):
+    def rest_at_robot(self) -> None:
         """Take the robot's own motion for the reference and bring that to rest."""
         state = self._robot_state()
         state[1, np.abs(state[1]) < _CREEP] = 0.0
         self._brake_from(state)
 
-    def let_go(self):
+    def let_go(self) -> None:
         """Ask for zero torque from the next state on, until another motion begins."""
         self.current = builders.torque_levels(np.zeros((1, len(self.joints))), 1.0)
         self.running = self.has_points = False
 
-    def follow_points(self, times, states, stamp) -> tuple:
-        """
-        Go from the reference of now through those points that are yet to come.
+    def here(self) -> tuple:
+        """Return the last stamp of which all is settled [ns], and the reference (5, n) there."""
+        return self.published, self._state(self._now())
 
-        ``times`` (m,) and ``states`` (m, 5, n) are those of `read_joint_trajectory`, ``stamp`` is
-        when they begin, 0 for now. Return how many come, and the stamp of the last one [ns].
-        Raises PastError if none comes, RefusedError if the last one comes too late.
+    def through(self, here, times, states, stamp) -> tuple:
         """
-        begin = self.published
+        Return how many points are yet to come, the stamp of the last one [ns], and the way there.
+
+        ``here`` is that of `here`, ``times`` (m,) and ``states`` (m, 5, n) are those of
+        `read_joint_trajectory`, ``stamp`` is when they begin, 0 for now. Nothing changes yet, and
+        no lock is needed. Raises PastError if no point comes, RefusedError if the last one comes
+        too late.
+        """
+        begin, now = here
         times = times + (stamp or begin)
         ahead = times > begin
         if not ahead.any():
@@ -176,11 +183,14 @@ class Motion:
             raise RefusedError(
                 f'it ends in {(int(times[-1]) - begin) / NANOSECONDS:.3g} s by the stamps of the '
                 'joint states; is its stamp of another clock? Zero begins at once')
-        now = self._state(self._now())
         end, times = int(times[-1]), np.array([begin, *times[ahead]])
-        through = builders.through((times - self._origin) / NANOSECONDS,
-                                   np.stack([now, *states[ahead]]))
-        self._require(through)
-        self.current = through
+        return int(ahead.sum()), end, builders.through(
+            (times - self._origin) / NANOSECONDS, np.stack([now, *states[ahead]]))
+
+    def follow_points(self, *points) -> tuple:
+        """Go through points that `through` found a way through a moment ago; return as that."""
+        count, end, way = self.through(self.here(), *points)
+        self._require(way, segments=_HEAD)
+        self.current = way
         self.running = self.has_points = True
-        return int(ahead.sum()), end
+        return count, end

@@ -42,18 +42,18 @@ class LoopTiming:
         self._answered = np.zeros(samples, dtype=np.int64)
         self._count = 0
 
-    def published(self):
+    def published(self) -> None:
         """Note that the next state leaves now."""
         if self._count < len(self._published):
             self._published[self._count] = time.monotonic_ns()
             self._count += 1
 
-    def answered(self, sample, arrived):
+    def answered(self, sample, arrived) -> None:
         """Note that the command for state number ``sample`` came at ``arrived`` [ns]."""
         if 0 <= sample < self._count and self._answered[sample] == 0:
             self._answered[sample] = arrived
 
-    def save(self):
+    def save(self) -> None:
         """
         Write the figures to the file, if one was named.
 
@@ -88,11 +88,11 @@ class Paced:
         self.resumed = -_RISE    # stamp at which torque began to rise
         self.missed = self.left_out = 0
 
-    def answered(self, stamp, arrived):
+    def answered(self, stamp, arrived) -> None:
         """Note that the command for the state of ``stamp`` came."""
         self._arm.timing.answered((stamp - self._first) // self._arm.period, arrived)
 
-    def run(self, spinner):
+    def run(self, spinner) -> None:
         """Simulate until the duration is over or a signal comes."""
         with process.BackgroundSpin(spinner) as background:
             self._run(spinner, background)
@@ -195,10 +195,10 @@ class Lockstep:
         response.success, response.message = True, 'paused' if request.data else 'goes on'
         return response
 
-    def answered(self, stamp, arrived):
+    def answered(self, stamp, arrived) -> None:
         """Do nothing: no time is measured here."""
 
-    def run(self, spinner):
+    def run(self, spinner) -> None:
         """Simulate until the duration is over or a signal comes."""
         arm, robot = self._arm, self._robot
         self._publish_clock()

@@ -109,7 +109,7 @@ class NodeParameters:
                               'a file after --ros-args --params-file')
         return key.default_beside(given)
 
-    def watch(self, judge, apply, guard=lambda callback: callback):
+    def watch(self, judge, apply, guard=lambda callback: callback) -> None:
         """
         Let live parameters change while the node runs.
 

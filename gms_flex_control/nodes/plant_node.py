@@ -60,12 +60,12 @@ class PlantNode(Node):
             hold_service=values['bridge.hold_service'] if bridged else '')
         process.take_priority(self, values['realtime_priority'])
 
-    def run(self, spinner):
+    def run(self, spinner) -> None:
         """Simulate or bridge until a signal comes, or the duration is over."""
         self._safety.start()
         self._robot.run(spinner)
 
-    def finish(self):
+    def finish(self) -> None:
         """Leave zero torque on the wire."""
         self._robot.finish()
         self._safety.end()
@@ -105,11 +105,11 @@ class Safety:
         self._over = Future()
         self._thread = threading.Thread(target=self._spin, name='safety', daemon=True)
 
-    def start(self):
+    def start(self) -> None:
         """Serve from now on."""
         self._thread.start()
 
-    def end(self):
+    def end(self) -> None:
         """Serve no more."""
         self._over.set_result(None)
         if self._thread.is_alive():
@@ -190,7 +190,7 @@ class Safety:
                 "robot is; start trajectory_node or set bridge.hold_service to ''")
 
 
-def main(args=None):
+def main(args=None) -> int:
     """Run the plant node until a signal; return its exit code."""
     return process.run_node(PlantNode, args)
 

@@ -92,11 +92,11 @@ class Spinner:
             raise KeyboardInterrupt
 
     @property
-    def stopped(self):
+    def stopped(self) -> bool:
         """Return whether a signal has come."""
         return self._stopped
 
-    def add(self, *nodes):
+    def add(self, *nodes) -> None:
         """Take the nodes whose callbacks are run; ``health`` of the first, if any, is told."""
         health = getattr(nodes[0], 'health', None)
         self._failed = health and health.failed
@@ -104,15 +104,15 @@ class Spinner:
         for node in nodes:
             self._executor.add_node(node)
 
-    def goes_on(self):
+    def goes_on(self) -> bool:
         """Return whether the node is to go on."""
         return not self._stopped and rclpy.ok()
 
-    def spin_once(self, timeout=0.1):
+    def spin_once(self, timeout=0.1) -> None:
         """Run a callback that is due, or wait ``timeout`` seconds for one."""
         self._run(self._executor.spin_once, timeout)
 
-    def spin_for(self, duration=0.1):
+    def spin_for(self, duration=0.1) -> None:
         """
         Run all callbacks that become due within ``duration`` seconds.
 
@@ -129,11 +129,11 @@ class Spinner:
                 raise
             self._failed(error, 'the executor')
 
-    def attend(self):
+    def attend(self) -> None:
         """Run callbacks for a while, and do what is to be done now and then."""
         self.spin_for()
 
-    def spin(self):
+    def spin(self) -> None:
         """Run callbacks in this thread; the spin of EventsExecutor itself runs none."""
         while self.goes_on():
             self.spin_for()
@@ -237,7 +237,7 @@ class BackgroundSpin:
 # transport ----------------------------------------------------------------------------------
 
 
-def avoid_shared_memory():
+def avoid_shared_memory() -> None:
     """
     Let the nodes of this process reach others by UDP only; call it before rclpy.init.
 
@@ -264,7 +264,7 @@ def avoid_shared_memory():
         environment[_PROFILES[0]] = str(_LOCAL)
 
 
-def refuse_own_messages():
+def refuse_own_messages() -> None:
     """
     Make sure that the nodes of this process do not hear each other through DDS as well.
 
@@ -297,7 +297,7 @@ class _SchedAttr(ctypes.Structure):
                 ('deadline', ctypes.c_uint64), ('period', ctypes.c_uint64)]
 
 
-def shorten_slices():
+def shorten_slices() -> None:
     """
     Ask for short slices of time, for this thread and all that it starts from now on (Linux).
 
@@ -313,19 +313,19 @@ def shorten_slices():
     ctypes.CDLL(None).syscall(number, 0, ctypes.byref(wanted), 0)
 
 
-def tighten_timers():
+def tighten_timers() -> None:
     """Let sleeps of this thread end when asked, not within the usual 50 us (Linux)."""
     with suppress(OSError, AttributeError):
         ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
 
 
-def give_way():
+def give_way() -> None:
     """Let this thread run where the loop leaves time, as one of nice 10 (Linux)."""
     with suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICE)
 
 
-def end_with_launch():
+def end_with_launch() -> None:
     """
     Let this process get SIGTERM when the launch that started it has ended (Linux).
 
@@ -350,7 +350,7 @@ def _begin_fifo(thread, priority):
     os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(priority))
 
 
-def take_priority(node, priority):
+def take_priority(node, priority) -> None:
     """
     Let all threads of this process go before others; those that begin later inherit it.
 

@@ -51,11 +51,11 @@ class Recorder:
         self._thread.start()
 
     @property
-    def missing(self):
+    def missing(self) -> list:
         """Return the wanted topics that are not recorded yet."""
         return [name for name in self._wanted or () if name not in self._subscriptions]
 
-    def poll(self):
+    def poll(self) -> None:
         """Subscribe to what has appeared, cheaply; raises BagError if the bag takes no more."""
         if self._error is not None:
             raise self._error
@@ -63,7 +63,9 @@ class Recorder:
         if now < self._next_search:
             return
         known = len(self._subscriptions)
-        for name, types in self._node.get_topic_names_and_types():
+        # joint states last: a robot begins once they are heard, and all answers are heard by then
+        for name, types in sorted(self._node.get_topic_names_and_types(),
+                                  key=lambda topic: topic[0].endswith(f'/{STATES}')):
             if name not in self._subscriptions and name not in self._refused \
                     and self._is_wanted(name):
                 self._subscribe(name, types)
@@ -113,7 +115,7 @@ class Recorder:
         self._silent[name] = time.monotonic() + _PATIENCE
         self._say(f'subscribed to {name} ({types[0]}, {reliability.name.lower()})')
 
-    def put(self, name, message):
+    def put(self, name, message) -> None:
         """Write a message of this process's own, on a topic the bag has."""
         self._queue.append((name, time.time_ns(), serialize_message(message)))
 
@@ -130,7 +132,7 @@ class Recorder:
         for _ in range(len(self._queue)):
             self._writer.write(*self._queue.popleft())
 
-    def close(self):
+    def close(self) -> None:
         """Write what is queued and stop; raises BagError if the bag could not be written."""
         self._stop.set()
         self._thread.join()
@@ -159,21 +161,21 @@ class ExperimentBag:
         self._recorder = Recorder(self._node, self._writer, list(self._who), self._say)
         return self
 
-    def say(self, message):
+    def say(self, message) -> None:
         """Publish a message of the node's own, and record it."""
         self._own.publish(message)
         self._recorder.put(self._own.topic_name, message)
 
-    def poll(self):
+    def poll(self) -> None:
         """Look for topics and for errors of the disk; raises BagError."""
         self._recorder.poll()
 
     @property
-    def missing(self):
+    def missing(self) -> list:
         """Return the topics that nobody publishes yet."""
         return self._recorder.missing
 
-    def silent(self, bound):
+    def silent(self, bound) -> list:
         """Return what has not grown for ``bound`` seconds (list of str)."""
         now, found = time.monotonic(), []
         for topic, words in self._who.items():

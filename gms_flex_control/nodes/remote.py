@@ -15,6 +15,7 @@ from rcl_interfaces.srv import (
     SetParametersAtomically,
 )
 from rclpy.parameter import Parameter, parameter_value_to_python
+from rclpy.task import Future
 from std_srvs.srv import Trigger
 
 _BOUND = 3.0  # of waiting for an answer [s]
@@ -45,19 +46,19 @@ class RemoteNode:
         return all(client.service_is_ready()
                    for client in (*self._clients.values(), *self._triggers.values()))
 
-    def trigger(self, service):
+    def trigger(self, service) -> Future:
         """Call a Trigger service; return the future of its response."""
         return self._triggers[service].call_async(Trigger.Request())
 
-    def set_parameters(self, values):
+    def set_parameters(self, values) -> Future:
         """Set all of ``values`` (dict) or none; return the future of the response."""
         return self._clients[SetParametersAtomically].call_async(_setting(values))
 
-    def get_parameters(self, names):
+    def get_parameters(self, names) -> Future:
         """Return the future of the values of parameters, as `values_of` reads them."""
         return self._clients[GetParameters].call_async(GetParameters.Request(names=list(names)))
 
-    def ask_all(self, then):
+    def ask_all(self, then) -> None:
         """Call ``then`` with all values by name once they are there; only while spinning."""
         def with_names(future):
             names = list(future.result().result.names)
@@ -69,7 +70,7 @@ class RemoteNode:
         self._clients[ListParameters].call_async(
             ListParameters.Request()).add_done_callback(with_names)
 
-    def describe(self, prefixes):
+    def describe(self, prefixes) -> list | None:
         """
         Return the parameters below some ``prefixes`` in the order of the node.
 
@@ -87,7 +88,7 @@ class RemoteNode:
         return [_described(name, value, descriptor) for name, value, descriptor in zip(
             names, values_of(values), described.descriptors, strict=True)]
 
-    def change(self, name, value):
+    def change(self, name, value) -> dict | None:
         """Set one parameter; return accepted, reason and value then, None without an answer."""
         answer = self._call(SetParametersAtomically, _setting({name: value}))
         now = self._call(GetParameters, GetParameters.Request(names=[name]))

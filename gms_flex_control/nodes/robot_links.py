@@ -96,7 +96,7 @@ class TopicLink:
                 messages.to_nanoseconds(message.header.stamp))
         return on_robot_states
 
-    def write(self, efforts):
+    def write(self, efforts) -> None:
         """Publish efforts (list of float) in the robot's units and order."""
         data = messages.array('d', efforts)
         for publisher, message in self._efforts:
@@ -108,19 +108,19 @@ class TopicLink:
                 message.data = data
                 publisher.publish(self._array[0].data())
 
-    def beat(self):
+    def beat(self) -> None:
         """Tell the guardian that the bridge lives."""
         if self._guardian is not None:
             self._guardian.beat()
 
     @property
-    def broken(self):
+    def broken(self) -> str:
         """Return a sentence if the way to the robot is broken; else ''."""
         if self._guardian is not None and self._guardian.ended:
             return 'the guardian process has ended; start the bridge anew'
         return ''
 
-    def obstacle(self):
+    def obstacle(self) -> str:
         """Return what stands against torque here (str); '' if nothing does."""
         listeners = self._listeners()
         if not listeners:
@@ -152,14 +152,14 @@ class TopicLink:
     def __exit__(self, *_):
         """Leave the topics to the node."""
 
-    def finish(self):
+    def finish(self) -> None:
         """Wait until those who acknowledge have the last efforts."""
         for publisher, _ in self._efforts:
             publisher.wait_for_all_acked(_LONGEST_GOODBYE)
         if self._guardian is not None:
             self._guardian.end()
 
-    def figures(self):
+    def figures(self) -> dict:
         """Return what to report."""
         figures = {'listeners of the efforts': self._listeners(),
                    'publishers of the efforts beside the bridge': self._rivals()}
@@ -218,7 +218,7 @@ class DeviceLink:
         except Exception as error:  # noqa: B902  of a library we do not know
             self._node.get_logger().warning(f'device {self._name} failed to close: {error!r}')
 
-    def write(self, efforts):
+    def write(self, efforts) -> None:
         """Send efforts (list of float); nothing happens without a connection."""
         if not self._connected:
             return
@@ -231,15 +231,15 @@ class DeviceLink:
             self._unwritten = DeviceError(f'it failed to write: {error!r}')
             raise DeviceError(f'device {self._name} failed to write: {error!r}') from error
 
-    def beat(self):
+    def beat(self) -> None:
         """Do nothing: a device ends its torque by itself."""
 
     @property
-    def broken(self):
+    def broken(self) -> str:
         """Return a sentence if the way to the robot is broken; else ''."""
         return '' if self._connected else f'device {self._name} is not connected'
 
-    def obstacle(self):
+    def obstacle(self) -> str:
         """Return what stands against torque here (str); '' if nothing does."""
         return self.broken
 
@@ -253,11 +253,11 @@ class DeviceLink:
         self._over.set()
         self._thread.join(timeout=1.0)
 
-    def finish(self):
+    def finish(self) -> None:
         """Disconnect."""
         self._close()
 
-    def figures(self):
+    def figures(self) -> dict:
         """Return what to report."""
         return {'device connected': self._connected, 'device failures': self._failures,
                 **self._device.figures()}
@@ -285,19 +285,19 @@ class Guardian:
         self._heard_by = 0
 
     @property
-    def ended(self):
+    def ended(self) -> bool:
         """Return whether the process has ended, which it never should by itself."""
         return self._process.poll() is not None
 
     @property
-    def heard_by(self):
+    def heard_by(self) -> int:
         """Return how many take its efforts."""
         told = self._process.stdout.read()
         if told:
             self._heard_by = told[-1]
         return self._heard_by
 
-    def beat(self):
+    def beat(self) -> None:
         """Say that the bridge lives; to be called at least every 20 ms."""
         self._write(_BEAT)
 
@@ -307,7 +307,7 @@ class Guardian:
         except OSError:
             pass  # it is dead, which `ended` tells, or frozen with a full pipe
 
-    def end(self):
+    def end(self) -> None:
         """Let it go without a word, the bridge having said the last one."""
         self._write(_END)
         self._process.stdin.close()

@@ -8,7 +8,12 @@ import time
 
 from gms_flex_control.errors import SimulationError
 from gms_flex_control.hardware import limits as limiting
-from gms_flex_control.hardware.supervision import CommandWatch, SupervisedRobot, Supervisor
+from gms_flex_control.hardware.supervision import (
+    CommandWatch,
+    Outcome,
+    SupervisedRobot,
+    Supervisor,
+)
 from gms_flex_control.nodes import messages
 from gms_flex_control.nodes.messages import NANOSECONDS
 from gms_flex_control.nodes.pacing import Lockstep, LoopTiming, Paced
@@ -103,7 +108,7 @@ class SimulatedRobot(SupervisedRobot):
               values['mode'])
         node.get_logger().info(f"{len(joints)} joints, {values['rate']:g} Hz, {values['mode']}")
 
-    def run(self, spinner):
+    def run(self, spinner) -> None:
         """Simulate until the duration is over or a signal comes."""
         while self._arm.outlet.count_hearers() < self._listeners and spinner.goes_on():
             spinner.spin_once(0.02)
@@ -136,14 +141,14 @@ class SimulatedRobot(SupervisedRobot):
             self._pace.answered(stamp, now)
         return True
 
-    def simulate(self, torque):
+    def simulate(self, torque) -> None:
         """Simulate one sample under a torque, if any may flow."""
         broken = self._arm.simulate(torque if self._supervisor.active else self._arm.zero)
         if broken:
             self.fail(broken)
 
     @property
-    def active(self):
+    def active(self) -> bool:
         """Return whether torque may flow."""
         return self._supervisor.active
 
@@ -169,7 +174,7 @@ class SimulatedRobot(SupervisedRobot):
                 self._supervisor.enable(self._health.fault)
             self._settle()
 
-    def watch(self):
+    def watch(self) -> None:
         """Look for the silence of the controller."""
         silence = self._commands.silence(time.monotonic_ns())
         if silence is not None and silence > self._silence_timeout and self._supervisor.active:
@@ -185,30 +190,30 @@ class SimulatedRobot(SupervisedRobot):
             self._passing = False
         self._health.tell_state(self._supervisor, LoggingSeverity.WARN)
 
-    def obstacle(self):
+    def obstacle(self) -> str:
         """Return what stands against torque now (str)."""
         return self._health.fault
 
-    def enable(self, refusals=None):
+    def enable(self, refusals=None) -> Outcome:
         """Let torque flow as soon as there is a command; as BridgedRobot.enable."""
         with self._lock:
             outdated = self._outdated(refusals)
             self._wanted = self._wanted or not outdated
             return outdated or self._settled(self._supervisor.enable())
 
-    def disable(self):
+    def disable(self) -> Outcome:
         """Take torque away until `enable`; return an Outcome."""
         with self._lock:
             self._wanted = False
             return self._settled(self._supervisor.disable())
 
-    def reset(self):
+    def reset(self) -> Outcome:
         """Leave a fault; `enable` then lets torque flow again. Return an Outcome."""
         with self._lock:
             self._wanted = self._wanted and self._supervisor.state != 'FAULT'
             return self._settled(self._supervisor.reset())
 
-    def fail(self, sentence):
+    def fail(self, sentence) -> None:
         """Enter a fault that lasts until `reset`, also from one that would pass by itself."""
         with self._lock:
             if not self._supervisor.trip(sentence) and self._passing:
@@ -216,7 +221,7 @@ class SimulatedRobot(SupervisedRobot):
             self._passing = False
             self._settle()
 
-    def figures(self):
+    def figures(self) -> dict:
         """Return what to report on /diagnostics."""
         return {
             'state': self._supervisor.state, 'reason': self._supervisor.reason,
@@ -225,6 +230,6 @@ class SimulatedRobot(SupervisedRobot):
             'faults': self._supervisor.faults,
             **self._commands.figures(time.monotonic_ns())}
 
-    def finish(self):
+    def finish(self) -> None:
         """End: a simulated robot needs no last zero."""
         self._arm.timing.save()

@@ -39,23 +39,23 @@ class Watch:
         self._guarded, self._origin = False, None
 
     @property
-    def period(self):
+    def period(self) -> float:
         """Return the mean sample [s]."""
         return max(self.stamp - self._first, 1) / (NANOSECONDS * max(self.samples - 1, 1))
 
-    def guard(self, on):
+    def guard(self, on) -> None:
         """Watch the limits from now on, or no longer."""
         self._guarded = on
 
-    def mark(self):
+    def mark(self) -> None:
         """Measure travel from here."""
         self._origin = self.q_link.copy()
 
-    def travel(self, j):
+    def travel(self, j) -> float:
         """Return how far link ``j`` has moved since `mark` [rad]."""
         return float(abs(self.q_link[j] - self._origin[j]))
 
-    def take(self, message):
+    def take(self, message) -> None:
         """Read a JointState; raises RefusedError if it lacks a joint or a finite angle."""
         q_link = self._links.read(message, 'position')
         stamp = messages.to_nanoseconds(message.header.stamp)
@@ -96,7 +96,7 @@ class StepRunner:
         self._compensation = self._before = None
         self._adaptation = Adaptation(self._plan, journal.found)
 
-    def run(self):
+    def run(self) -> None:
         """Carry out all unfinished steps; the controller then is as it was."""
         node, plan = self._node, self._plan
         self._take_over()
@@ -134,7 +134,7 @@ class StepRunner:
         self._before, self._compensation = self._before or before, None
         self._set(remote, {name: min(limit, before[name]) for name, limit in limits.items()})
 
-    def give_back(self):
+    def give_back(self) -> None:
         """Leave the controller as it was, without waiting for its answer."""
         if self._before is not None:
             self._node.controller.set_parameters(self._before)

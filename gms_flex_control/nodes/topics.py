@@ -17,6 +17,7 @@ storm's before all others; so whatever comes, all topics of the node are looked 
 
 from array import array
 from collections import defaultdict
+from collections.abc import Iterator
 from functools import partial
 from itertools import chain
 import struct
@@ -53,36 +54,48 @@ class Direct:
 
 
 class Outlet:
-    """Publisher of one reused message of ``kind``, which nodes of the same process may hear."""
+    """
+    Publisher of one reused message of ``kind``, which nodes of the same process may hear.
 
-    def __init__(self, node, kind, topic, mode='realtime'):
+    They hear it after it was published, so that nobody gets an answer before what it answers;
+    ``ahead``, they hear it first: an effort of a real robot waits for no recorder.
+    """
+
+    def __init__(self, node, kind, topic, mode='realtime', ahead=False):
+        self._ahead = ahead
         self._publisher = node.create_publisher(kind, topic, process.publisher_qos(mode))
         self._hearers = node.direct.hearers[self._publisher.topic_name]
         self._serialized = None
 
-    def publish(self, message):
+    def publish(self, message) -> None:
         """Publish the message, and give it to those who hear it here; they keep nothing of it."""
+        if not self._ahead:
+            self._send(message)
+        for hear in self._hearers:
+            hear(message)
+        if self._ahead:
+            self._send(message)
+
+    def _send(self, message):
         if self.count_others():
             if self._serialized is None:
                 self._serialized = Serialized(message)
             self._publisher.publish(self._serialized.data())
-        for hear in self._hearers:
-            hear(message)
 
-    def count_others(self):
+    def count_others(self) -> int:
         """Return how many other processes' subscriptions take the message."""
         return self._publisher.get_subscription_count()
 
-    def count_hearers(self):
+    def count_hearers(self) -> int:
         """Return how many take the message, here and elsewhere."""
         return self.count_others() + len(self._hearers)
 
-    def wait_for_all_acked(self, timeout):
+    def wait_for_all_acked(self, timeout) -> None:
         """Wait until those who acknowledge have what was published, for ``timeout`` at most."""
         self._publisher.wait_for_all_acked(timeout)
 
 
-def all_waiting(subscription, most):
+def all_waiting(subscription, most) -> Iterator:
     """
     Yield the raw messages (bytes) that wait, ``most`` of them at most.
 
@@ -212,7 +225,7 @@ class Deserialized:
     def __init__(self):
         self._message, self._places = None, ()
 
-    def message(self, data):
+    def message(self, data) -> JointState:
         """Return the JointState of ``data`` (bytes)."""
         if not self._places or len(data) != self._size or self._rest(data) != self._known:
             return self._learn(data)
@@ -240,7 +253,7 @@ class Deserialized:
         return self._message
 
 
-def stamp_in(data, kind):
+def stamp_in(data, kind) -> int | None:
     """
     Return the stamp [ns] in the bytes of a JointState or Float64MultiArray, None without one.
 

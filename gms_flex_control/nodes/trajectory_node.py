@@ -50,13 +50,13 @@ class TrajectoryNode(Node):
         frames = frames_from_values(values, joints)
         offset = np.array([values[f'arm.{joint}.offset'] for joint in joints])
 
-        def require(trajectory):
-            require_within(trajectory, joints, frames, offset)
+        def require(trajectory, segments=None):
+            require_within(trajectory, joints, frames, offset, segments=segments)
 
         chosen = trajectory_from_values(values, joints)
         require(chosen)
         chosen.sample(0.0)  # compile before the first state comes
-        self._motion = Motion(joints, self._links, chosen, values, require)
+        self._motion, self._require = Motion(joints, self._links, chosen, values, require), require
         self._writer = messages.ReferenceWriter(
             len(joints), f'{self.get_fully_qualified_name()}#{os.getpid()}')
         self._counts = dict.fromkeys(('states followed', 'states refused', 'jumps of time'), 0)
@@ -65,7 +65,7 @@ class TrajectoryNode(Node):
         self._reference_pub = Outlet(self, Float64MultiArray, 'reference', values['mode'])
         Inbox(self, JointState, 'joint_states', self._on_joint_states, values['mode'])
         self.create_subscription(
-            JointTrajectory, '~/joint_trajectory', guard(self._on_joint_trajectory),
+            JointTrajectory, '~/joint_trajectory', self.health.shield(self._on_joint_trajectory),
             process.subscriber_qos('lockstep'), event_callbacks=process.NO_EVENTS)
         for name, handler in (('start', self._start), ('stop', self._stop),
                               ('reset', self._reset), ('release', self._release)):
@@ -89,9 +89,9 @@ class TrajectoryNode(Node):
             self.get_logger().info('no action ~/follow_joint_trajectory: control_msgs is not '
                                    'installed (sudo apt install ros-jazzy-control-msgs)')
             return None
-        return joint_trajectory.Following(self, self._motion, self._follow_points)
+        return joint_trajectory.Following(self, self._motion, self._prepare)
 
-    def run(self, spinner):
+    def run(self, spinner) -> None:
         """Publish until a signal comes."""
         spinner.spin()
 
@@ -164,23 +164,39 @@ class TrajectoryNode(Node):
 
     def _on_joint_trajectory(self, message):
         """Follow the points of a message from its stamp on, or at once; without any, stop."""
+        lock = self.direct.lock
         try:
             if message.points or self._motion.published is None or self.health.fault:
-                self._follow_points(message)
+                follow = self._prepare(message)
+                with lock:
+                    follow()
             else:
-                self._motion.brake()
+                with lock:
+                    self._motion.brake()
         except (RefusedError, TrajectoryError) as error:
             self.health.warn('joint trajectory', f'joint trajectory refused: {error}')
 
-    def _follow_points(self, message):
-        """Follow the points of a JointTrajectory; return the stamp of the last one [ns]."""
+    def _prepare(self, message):
+        """
+        Check the points of a JointTrajectory without the lock: a long motion takes its time.
+
+        Return what lets the motion follow them, to be called with the lock; it returns the stamp
+        of the last one [ns].
+        """
         motion = self._motion
         if motion.published is None or self.health.fault:
             raise RefusedError(self.health.fault or _NO_STATE)
-        points = joint_trajectory.read_joint_trajectory(message, motion.joints)
-        count, end = motion.follow_points(*points, messages.to_nanoseconds(message.header.stamp))
-        self.get_logger().info(f'follows {count} points of a joint trajectory')
-        return end
+        stamp = messages.to_nanoseconds(message.header.stamp)
+        points = *joint_trajectory.read_joint_trajectory(message, motion.joints), stamp
+        with self.direct.lock:
+            here = motion.here()
+        self._require(motion.through(here, *points)[-1])
+
+        def follow():
+            count, end = motion.follow_points(*points)
+            self.get_logger().info(f'follows {count} points of a joint trajectory')
+            return end
+        return follow
 
     def _reply(self, response, action, done):
         if self._motion.published is None:
@@ -210,11 +226,11 @@ class TrajectoryNode(Node):
     def _release(self, _request, response):
         return self._reply(response, self._motion.let_go, 'zero torque')
 
-    def finish(self):
+    def finish(self) -> None:
         """End: a controller whose reference stops sends zero torque by itself."""
 
 
-def main(args=None):
+def main(args=None) -> int:
     """Run the trajectory node until a signal; return its exit code."""
     return process.run_node(TrajectoryNode, args)
 

@@ -138,7 +138,7 @@ class LiveView:
         self._known = True
         self._listener.meet(robot)
 
-    def session(self):
+    def session(self) -> dict:
         """Return what the page has to know before it draws, as a dict for JSON."""
         version, scene = self._feed.version, self._listener.scene
         title = 'running loop' + (f' in {self._space}' if self._space else '')
@@ -147,15 +147,15 @@ class LiveView:
                 'columns': self._listener.columns,
                 'blocks': {'count': self._listener.blocks, 'origin': 'observer'}}
 
-    def since(self, number, wait):
+    def since(self, number, wait) -> dict:
         """As `gms_flex_control.view.live.Feed.since`."""
         return self._feed.since(number, wait)
 
-    def parameters(self):
+    def parameters(self) -> list:
         """Return the controller's live parameters; raises ViewError if it does not answer."""
         return self._answered(self._remote.describe(_TUNABLE))
 
-    def set_parameter(self, name, value):
+    def set_parameter(self, name, value) -> dict:
         """
         Set a parameter below ``gains``, or ``compensation``.
 
@@ -166,7 +166,7 @@ class LiveView:
             raise ViewError(f'{name[:80]} cannot be set here, only gains and compensation')
         return self._answered(self._remote.change(name, value))
 
-    def call(self, name):
+    def call(self, name) -> dict:
         """
         Ask plant or trajectory for what is in `_REQUESTS`, such as ``emergency_stop``.
 

@@ -17,7 +17,7 @@ def limits_from_values(values, joints) -> Limits | None:
     """Return Limits of ``joints`` from flat parameters of a plant; None if nothing is limited."""
     flat = complete(safety_keys(joints), values)
     if all(abs(flat[f'limits.{joint}.{name}']) >= UNLIMITED for joint in joints
-           for name in (*_NEEDED, 'twist')):
+           for name in (*_NEEDED, 'torsion')):
         return None
     return Limits(**{name: [flat[f'limits.{joint}.{name}'] for joint in joints]
                      for name in (key.name for key in LIMITS)})

@@ -55,7 +55,7 @@ LIMITS = (
     Key('upper', 'largest angle; beyond it only inward torque', 'rad', UNLIMITED, -UNLIMITED,
         UNLIMITED),
     Key('position_margin', 'beyond the range by so much: FAULT', 'rad', 0.1, 0.0, UNLIMITED),
-    Key('twist', 'difference of motor and link angle that is a FAULT', 'rad', UNLIMITED, SMALLEST,
+    Key('torsion', 'motor minus link angle that is a FAULT', 'rad', UNLIMITED, SMALLEST,
         UNLIMITED))
 # below bridge
 _BRIDGE = (
