@@ -45,6 +45,7 @@ WRONG = {
     'coverage': '--seeds x --out {dir}', 'real-machines': 'nonsense --out {dir}',
     'learn': '--machines nonsense --out {dir}',
     'next': '{missing} --robot {missing} --limits {missing} --out {dir}',
+    'plan': '--robot {missing} --out {dir}',
     'urdf': '--robot {missing}', 'tune': '--robot {missing} --out {dir}', 'compare': '{missing}',
     'view': '{missing}', 'effects': 'backlsh', 'export': '--to mujoco --robot {missing}'}
 
