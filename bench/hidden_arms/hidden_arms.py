@@ -86,7 +86,7 @@ def hidden_of(robot: RobotParams, rng: np.random.Generator) -> Hidden:
         'quadratic_drag': {'drag': 2.0 * size * level},
         'link_inertia_error': {'ratio': sign * float(rng.uniform(0.1, 0.3))},
         'motor_inertia_error': {'ratio': sign * float(rng.uniform(0.15, 0.4))},
-        'input_delay': {'delay': float(rng.uniform(4e-3, 12e-3))}}[name]
+        'input_delay': {'delay': float(rng.uniform(2e-3, 6e-3))}}[name]
     return Hidden(name=name, joint=robot.joints[j], values=values)
 
 
@@ -131,7 +131,7 @@ def try_job(job: Job) -> Outcome:
         motors_only, noise, f'{verdict} {first}'.strip(),
         verdict == 'complete' if job.clean else bool(names) and names[0] == truth,
         bool(names) and names[0] != truth, ratio, time.monotonic() - begun,
-        max(_megabytes() - 0.0, base))
+        max(_megabytes(), base))
 
 
 def _megabytes():
