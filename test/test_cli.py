@@ -47,6 +47,7 @@ WRONG = {
     'learn': '--machines nonsense --out {dir}',
     'next': '{missing} --robot {missing} --limits {missing} --out {dir}',
     'plan': '--robot {missing} --out {dir}',
+    'hidden-arms': '--seeds many',
     'urdf': '--robot {missing}', 'tune': '--robot {missing} --out {dir}', 'compare': '{missing}',
     'view': '{missing}', 'effects': 'backlsh', 'export': '--to mujoco --robot {missing}'}
 
@@ -151,7 +152,7 @@ def test_the_bare_command_is_the_help_with_verbs_by_group(its_tool, verbs, capsy
     listed = [re.findall(r'^  ([a-z-]+) ', group, re.MULTILINE) for group in groups]
     assert sorted(sum(listed, [])) == sorted(verbs)
     if its_tool is tool:
-        assert len(listed[0]) == 10 and 'identify' in listed[0]
+        assert len(listed[0]) == 11 and 'identify' in listed[0]
 
 
 @pytest.mark.parametrize(('typed', 'meant'), [
