@@ -82,7 +82,7 @@ class IdentificationResult(Result, Identification):
 
     def summary(self) -> str:
         """Return parameters with intervals, and errors on held-out data."""
-        return in_units(self.robot.arm, identification_text(self))
+        return self.in_units(identification_text(self))
 
     def to_dict(self) -> dict[str, Any]:
         """Return what ``gms_flex identify`` writes as report.json."""

@@ -10,11 +10,13 @@ import xml.etree.ElementTree as ElementTree
 from gms_flex_control import load_robot, Recording
 from gms_flex_control.dynamics.chain import mass_matrices
 from gms_flex_control.params.arm import ArmParams
+from gms_flex_control.params.bodies import Body
 import numpy as np
 
 ARM = Path(__file__).parents[1] / 'examples' / 'industrial_arm' / 'robot.yaml'
 STEP, EVERY = 5e-4, 4   # s; steps of a sample
 COUNTS = 2e6            # of the encoders, per revolution
+TOOL = 'tool_centre'     # link at the end of the arm, in whose frame loads are given
 
 
 def believed():
@@ -41,14 +43,33 @@ def hidden_urdf(seed=0):
     return ElementTree.tostring(root, encoding='unicode')
 
 
-def moved(urdf, arm: ArmParams, seconds, seed=0, noise=0.002):
+def loaded(urdf, load: Body | None):
+    """Return a URDF whose tool carries a load as a link of its own."""
+    if load is None:
+        return urdf
+    root = ElementTree.fromstring(urdf)
+    numbers = dict(zip(('ixx', 'ixy', 'ixz', 'iyy', 'iyz', 'izz'),
+                       map(repr, map(float, load.inertia[np.triu_indices(3)])), strict=True))
+    link = ElementTree.SubElement(root, 'link', name='load')
+    inertial = ElementTree.SubElement(link, 'inertial')
+    ElementTree.SubElement(inertial, 'mass', value=repr(float(load.mass)))
+    ElementTree.SubElement(inertial, 'origin', xyz=' '.join(map(repr, map(float, load.com))))
+    ElementTree.SubElement(inertial, 'inertia', **numbers)
+    joint = ElementTree.SubElement(root, 'joint', name='load_mount', type='fixed')
+    ElementTree.SubElement(joint, 'parent', link=TOOL)
+    ElementTree.SubElement(joint, 'child', link='load')
+    return ElementTree.tostring(root, encoding='unicode')
+
+
+def moved(urdf, arm: ArmParams, seconds, seed=0, noise=0.002, load=None, per_load=0.0, warm=1.0):
     """
     Return a Recording of PD control along sinusoids, friction in the joints.
 
-    ``noise`` is white noise of the recorded torque, of its standard deviation.
+    ``noise`` is white noise of the recorded torque, of its standard deviation. Friction is
+    ``warm`` times what it is and grows by ``per_load`` (n,) of the torque that moves the link.
     """
     import mujoco
-    model = mujoco.MjModel.from_xml_string(urdf)
+    model = mujoco.MjModel.from_xml_string(loaded(urdf, load))
     model.opt.gravity[:], model.opt.timestep = arm.gravity, STEP
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
     model.dof_armature[:] = 1.2 * arm.motor_inertia
@@ -73,7 +94,8 @@ def moved(urdf, arm: ArmParams, seconds, seed=0, noise=0.002):
         applied = stiff * (wanted - data.qpos) + 0.08 * stiff * (rate - data.qvel) + (
             data.qfrc_bias)
         for _ in range(EVERY):
-            friction = coulomb * np.tanh(data.qvel / 0.005) + viscous * data.qvel
+            friction = warm * (coulomb * np.tanh(data.qvel / 0.005) + viscous * data.qvel)
+            friction += per_load * np.abs(applied - friction) * np.tanh(data.qvel / 0.005)
             data.qfrc_applied[:] = applied - friction
             mujoco.mj_step(model, data)
     torque += noise * torque.std(axis=0) * rng.standard_normal(torque.shape)
@@ -82,4 +104,5 @@ def moved(urdf, arm: ArmParams, seconds, seed=0, noise=0.002):
         joints=tuple(f'joint{j + 1}' for j in range(n)), time=STEP * EVERY * np.arange(samples),
         q_link=count * np.round(angle / count), dq_link=nothing, q_motor=nothing,
         dq_motor=nothing, tau_motor=torque, command=torque,
-        reference=np.full((samples, 5, n), np.nan), friction_hat=nothing, source='hidden')
+        reference=np.full((samples, 5, n), np.nan), friction_hat=nothing, source='hidden',
+        load=load)

@@ -30,7 +30,8 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 VERBS = tool.VERBS
 OF_BENCH = tuple(verb for group in bench.GROUPS.values() for verb in group)
-WITHOUT_TABLE = {'urdf', 'completion', 'view', 'export', 'coverage', 'learn', 'real-machines'}
+WITHOUT_TABLE = {'urdf', 'completion', 'view', 'export', 'coverage', 'learn', 'real-machines',
+                 'hidden-arms'}
 BAGS = {'info', 'repair', 'analyse', 'identify', 'discrepancy', 'torsion'}
 NO_BAG = ROOT / 'test' / 'no_such_bag'
 # what is wrong with the input of a verb that takes no bag
@@ -45,6 +46,8 @@ WRONG = {
     'coverage': '--seeds x --out {dir}', 'real-machines': 'nonsense --out {dir}',
     'learn': '--machines nonsense --out {dir}',
     'next': '{missing} --robot {missing} --limits {missing} --out {dir}',
+    'plan': '--robot {missing} --out {dir}',
+    'hidden-arms': '--seeds many',
     'urdf': '--robot {missing}', 'tune': '--robot {missing} --out {dir}', 'compare': '{missing}',
     'view': '{missing}', 'effects': 'backlsh', 'export': '--to mujoco --robot {missing}'}
 
@@ -149,7 +152,7 @@ def test_the_bare_command_is_the_help_with_verbs_by_group(its_tool, verbs, capsy
     listed = [re.findall(r'^  ([a-z-]+) ', group, re.MULTILINE) for group in groups]
     assert sorted(sum(listed, [])) == sorted(verbs)
     if its_tool is tool:
-        assert len(listed[0]) == 10 and 'identify' in listed[0]
+        assert len(listed[0]) == 11 and 'identify' in listed[0]
 
 
 @pytest.mark.parametrize(('typed', 'meant'), [

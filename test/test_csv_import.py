@@ -332,8 +332,8 @@ def test_an_arm_with_currents_and_no_torque_constant_stays_in_ampere(load):
     log = load(columns, text)
     assert log.suspicions == ()
     np.testing.assert_allclose(log.recording.tau_motor[:, 2], columns['i2'], rtol=1e-12)
-    assert log.remarks[0].startswith('no torque_constant for joint1.torque, joint2.torque')
-    assert 'read A for N m' in log.remarks[0]
+    assert log.remarks[0].startswith('no torque_constant for joint1, joint2')
+    assert 'a current stays a current [A]' in log.remarks[0]
     milli = load({'t': LONG, 'q': SWING, 'tau': 1e3 * SPEED}, MOVED.replace('Nm', 'mA'))
     np.testing.assert_allclose(milli.recording.tau_motor[:, 0], SPEED, atol=1e-12)
 

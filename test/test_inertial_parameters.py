@@ -6,12 +6,12 @@
 from dataclasses import replace
 
 from gms_flex_control.dynamics import chain
+from gms_flex_control.identification.arm_estimates import base_estimates
+from gms_flex_control.identification.arm_regression import fit_base_parameters
 from gms_flex_control.identification.axis_fit import friction_regressors
 from gms_flex_control.identification.friction_map import friction_torque
 from gms_flex_control.identification.inertial_parameters import (
-    base_estimates,
     base_of,
-    fit_base_parameters,
     inertial_parameters,
     link_regressors,
 )

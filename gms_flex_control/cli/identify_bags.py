@@ -4,7 +4,6 @@
 """The verb `identify`: friction parameters from bags, together or each by itself."""
 
 from dataclasses import replace
-from functools import partial
 import json
 import os
 from pathlib import Path
@@ -12,6 +11,7 @@ from pathlib import Path
 from gms_flex_control.batches.journal import content_of
 from gms_flex_control.cli import each_bag
 from gms_flex_control.cli.terminal import conclude, refuse_fitted, refuse_unwritable, say
+from gms_flex_control.data.conditions import conditions_of, with_conditions
 from gms_flex_control.data.reader import joint_names, read_experiment
 from gms_flex_control.data.recording import link_names, MOTOR_SUFFIX
 from gms_flex_control.errors import ConfigError
@@ -19,7 +19,6 @@ from gms_flex_control.identification import output
 from gms_flex_control.identification.assumed_robot import only_joints, rigid_joints
 from gms_flex_control.identification.coordinates import MOST_BLOCKS
 from gms_flex_control.identification.identify import identify, Options
-from gms_flex_control.params.arm import in_units
 from gms_flex_control.reports import bags_summary
 from gms_flex_control.reports.answers import identification_answer, identification_text
 from gms_flex_control.reports.identification_page import write_identification_report
@@ -44,7 +43,7 @@ def identify_verb(args) -> int:
     if args.json:
         print(json.dumps(output.report_json(found), indent=2, allow_nan=False))
         return 0
-    words = partial(in_units, found.robot.arm)
+    words = found.in_units
     print(words(identification_text(found)))
     conclude(identification_answer(found, out, args.robot or ()), {
         'parameters': out / 'friction.yaml', 'report': out / 'report.html',
@@ -91,8 +90,14 @@ def _robot_in(bag, joints=None):
 
 
 def read_experiment_of(path, robot, guess_motors: bool = False) -> tuple:
-    """Return a bag as (Recording, phases), motors by their names in the bag if to be guessed."""
-    return read_experiment(path, robot.joints, None if guess_motors else motors_in(path, robot))
+    """
+    Return a bag as (Recording, phases), motors by their names in the bag if to be guessed.
+
+    With what its recording.yaml states.
+    """
+    motors = None if guess_motors else motors_in(path, robot)
+    recording, phases = read_experiment(path, robot.joints, motors)
+    return with_conditions(recording, conditions_of(path), motors or ()), phases
 
 
 def motors_in(path, robot) -> tuple[str, ...]:

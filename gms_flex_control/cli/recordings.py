@@ -12,11 +12,15 @@ from gms_flex_control.analysis.torsion import study
 from gms_flex_control.analysis.tracking import Run
 from gms_flex_control.cli.terminal import conclude
 from gms_flex_control.data import metadata
+from gms_flex_control.data.conditions import NAME, UNKNOWN
+from gms_flex_control.data.csv_import import currents_in
 from gms_flex_control.data.csv_import import import_csv as read_csv
 from gms_flex_control.data.csv_map import load_map
 from gms_flex_control.data.reader import read_recording
 from gms_flex_control.data.writer import write_recording
 from gms_flex_control.errors import BagError
+from gms_flex_control.file_io import write_text
+from gms_flex_control.params.arm import in_currents
 from gms_flex_control.params.gains import COMPENSATIONS
 from gms_flex_control.reports import recordings_page
 from gms_flex_control.resources import share_path
@@ -33,6 +37,10 @@ def import_csv(args) -> int:
     if import_map.source:
         custom['source'] = import_map.source
     write_recording(args.out, log.recording, log.motors, custom=custom)
+    currents = currents_in(import_map)
+    if currents:
+        write_text(Path(args.out) / NAME, 'torque_constant:  # N m per unit of effort\n' + ''.join(
+            f'  {joint}: {UNKNOWN}\n' for joint in currents))
     if args.json:
         print(json.dumps({
             'bag': str(args.out), 'joints': log.recording.joints, 'motors': log.motors,
@@ -40,7 +48,8 @@ def import_csv(args) -> int:
             'remarks': log.remarks,
             'suspicions': [suspicion._asdict() for suspicion in log.suspicions]}, indent=2))
     else:
-        print(f'{log.summary()}\nwritten to {args.out}')
+        every = len(currents) == len(log.recording.joints)
+        print(f'{in_currents(log.summary()) if every else log.summary()}\nwritten to {args.out}')
     return 0
 
 

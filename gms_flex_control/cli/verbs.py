@@ -187,6 +187,32 @@ _NEXT = Verb(
     ('next gap --robot robot.yaml --limits bridge.yaml --out plan',
      'next gap --robot robot.yaml --limits bridge.yaml --effects backlash:joint2 '
      'stiffness_error:joint2 --out plan'))
+_PLAN = Verb(
+    'plan', 'plan.plan', 'the motion that identifies an arm of a URDF best',
+    'Search the Fourier series with the smallest condition number of the base parameters within '
+    'position, velocity, acceleration and torque limits of the URDF and the options, links as '
+    'capsules that do not meet. Writes trajectory.yaml for trajectory_node and simulate; takes '
+    'about a minute.', (
+        option('--robot', nargs='+', required=True, metavar='FILE',
+               help='robot files of arm.kind urdf, later ones winning'),
+        option('--limits', nargs='+', metavar='FILE',
+               help='limits.<joint>.* as of the bridge, lower, upper, velocity, torque: narrower '
+                    'than those of the URDF'),
+        option('--acceleration', type=float, metavar='RAD/S2', least=1e-3,
+               help='largest of every joint (default: none)'),
+        option('--period', type=float, default=10.0, metavar='S', least=0.5, most=600.0,
+               help='of the first harmonic (default: %(default)g)'),
+        option('--harmonics', type=int, default=5, metavar='N', least=2, most=20,
+               help='default: %(default)d'),
+        option('--repeats', type=int, default=2, metavar='N', least=1, most=1000,
+               help='periods (default: %(default)d)'),
+        option('--radius', type=float, metavar='M', least=0.0, most=10.0,
+               help='of the links as capsules; 0 checks no collisions (default: 5 %% of the '
+                    'length of the arm)'),
+        option('--seed', type=int, default=0, metavar='N', help='of the search'),
+        out_folder('folder for the plan'), JSON),
+    ('plan --robot examples/industrial_arm/robot.yaml --out plan',
+     'plan --robot robot.yaml --limits bridge.yaml --acceleration 10 --out plan'))
 _TUNE = Verb(
     'tune', 'tune.tune', 'gains for a robot: proposed, judged, tried, verified',
     'Propose the stiffest gains of the cascade controller that keep margins, encoder noise and '
@@ -394,7 +420,8 @@ _COMPLETION = Verb(
 
 GROUPS = {
     'for a robot and its recordings': (
-        _IMPORT_CSV, _INFO, _VIEW, _IDENTIFY, _DISCREPANCY, _NEXT, _SIMULATE, _TUNE, _COMPARE,
+        _IMPORT_CSV, _INFO, _VIEW, _IDENTIFY, _DISCREPANCY, _NEXT, _PLAN, _SIMULATE, _TUNE,
+        _COMPARE,
         _EXPORT),
     'beside these': (_EFFECTS, _RECORD, _REPAIR, _ANALYSE, _TORSION, _CHECK_GAINS, _URDF, _DEMO,
                      _DEMO_IDENTIFY, _DEMO_DISCREPANCY, _COMPLETION)}

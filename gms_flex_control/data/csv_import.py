@@ -124,14 +124,19 @@ _ORDER = ('position', 'velocity', 'torque')
 CURRENT = {'A': 1.0, 'mA': 1e-3}
 
 
+def currents_in(import_map) -> list:
+    """Return the joints whose torque stays a current, its constant unknown."""
+    return [joint.name for joint in import_map.joints if any(
+        channel.unit in CURRENT and channel.torque_constant is None
+        for channel in joint.channels.values())]
+
+
 def _units_kept(import_map):
     """Yield what is not in the units the bag's topics are meant for."""
-    currents = [f'{joint.name}.{name}' for joint in import_map.joints
-                for name, channel in joint.channels.items()
-                if channel.unit in CURRENT and channel.torque_constant is None]
+    currents = currents_in(import_map)
     if currents:
-        yield (f'no torque_constant for {", ".join(currents)}: a current stays a current, so '
-               'read A for N m in every torque, friction and inertia made from this bag')
+        yield (f'no torque_constant for {", ".join(currents)}: a current stays a current [A]; '
+               'recording.yaml beside the bag says so, and takes the constant once it is known')
     linear = [joint.name for joint in import_map.joints
               if joint.channels['link_position'].unit in csv_map.LENGTH]
     if linear:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, fields, replace
 from typing import NamedTuple
 
 from gms_flex_control.errors import BagError
+from gms_flex_control.params.bodies import Body
 import numpy as np
 
 
@@ -22,7 +23,8 @@ class Phase(NamedTuple):
 
 # what has a column for each joint
 _OF_JOINTS = ('q_link', 'dq_link', 'q_motor', 'dq_motor', 'tau_motor', 'command', 'reference',
-              'friction_hat')
+              'friction_hat', 'scale_sd')
+_NOT_SAMPLED = ('joints', 'source', 'load', 'temperature')
 
 
 def _unknown():
@@ -50,14 +52,17 @@ class Recording:
     reference: np.ndarray = _unknown()     # (T, 5, n), desired link angle and derivatives 1 to 4
     friction_hat: np.ndarray = _unknown()  # (T, n), the observer's estimate [N m]
     supply: np.ndarray = _unknown()        # (T,), voltage of the drives' supply [V]
+    load: Body | None = None   # carried, in the frame at the end of the arm
+    temperature: str = ''      # label; recordings of one label have the same friction
+    scale_sd: np.ndarray = 0.0  # (n,), relative, of torques whose scale is not known
 
     def __post_init__(self):
         n, samples = len(self.joints), len(self.time)
         for one in fields(self):
-            if one.name in ('joints', 'source'):
+            if one.name in _NOT_SAMPLED:
                 continue
-            shape = {'time': (samples,), 'supply': (samples,), 'reference': (samples, 5, n)}.get(
-                one.name, (samples, n))
+            shape = {'time': (samples,), 'supply': (samples,), 'scale_sd': (n,),
+                     'reference': (samples, 5, n)}.get(one.name, (samples, n))
             value = np.array(getattr(self, one.name), dtype=float)
             value = np.full(shape, value) if value.ndim == 0 else value
             value.setflags(write=False)

@@ -13,7 +13,9 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
 
+from gms_flex_control import records
 from gms_flex_control.data.signal_analysis import quantum
+from gms_flex_control.dynamics import spatial
 from gms_flex_control.dynamics.chain import own_inertia
 from gms_flex_control.errors import BagError
 from gms_flex_control.identification.smoothing import (
@@ -23,6 +25,7 @@ from gms_flex_control.identification.smoothing import (
     means_held,
     noise_of,
 )
+from gms_flex_control.params.bodies import at_last_link, Body
 from gms_flex_control.simulation import plant
 import numpy as np
 from scipy.ndimage import convolve1d, maximum_filter1d, minimum_filter1d
@@ -80,6 +83,7 @@ class Motion:
     source: str                # where it came from
     unseen: tuple = ()         # of UnseenLink: readings and motion are computed, as believed
     pushed: np.ndarray | None = None  # (T, n) on the links of a null simulation [N m]
+    load: Body | None = None   # that was carried, in the frame of the last link
     _kept: dict = field(init=False, repr=False, default_factory=dict)
 
     def once(self, key, make):
@@ -90,6 +94,14 @@ class Motion:
         for old in list(self._kept)[:-_MOST_KEPT]:
             self._kept.pop(old, None)
         return found
+
+    def carrying(self, constants):
+        """Return the kernels' record of a model with the load that was carried."""
+        if self.load is None:
+            return constants
+        boxed = records.boxed(constants)
+        boxed['chain'][0] = spatial.carrying(constants.chain, self.load)
+        return boxed[0]
 
     def through_filter(self, torque):
         """Return torques (T, n) held over samples as the equations see them, shape (S, n)."""
@@ -157,6 +169,7 @@ def motion_of(recording, robot) -> Motion:
 
     """
     recording = recording.of_joints(robot.joints)
+    require_known(recording, robot)
     time, period = even_time(recording)
     readings = np.zeros((len(time), 2, recording.n_joints))
     known, unseen = np.ones(len(time), dtype=bool), unseen_links(recording, robot)
@@ -176,7 +189,20 @@ def motion_of(recording, robot) -> Motion:
     half = round(0.5 * _SETTLED / period)  # friction remembers the motion that nobody saw
     known = minimum_filter1d(known, 2 * half + 1, origin=half)
     known = minimum_filter1d(known, smoothing(period) + 4 * motion.factor)
-    return replace(motion, known=known[::motion.factor])
+    load = recording.load and at_last_link(recording.load, robot.arm.frames)
+    return replace(motion, known=known[::motion.factor], load=load)
+
+
+def require_known(recording, robot):
+    """Raise BagError where a recording has a load or torques that the robot's model cannot use."""
+    if recording.load is not None and robot.arm.frames is None:
+        raise BagError(f'{recording.source}: has a load, which needs an arm of a URDF; write the '
+                       'robot file with arm.kind: urdf, or add the load to its last link')
+    loose = np.flatnonzero(~np.isfinite(recording.scale_sd))
+    if len(loose):
+        raise BagError(f'{recording.source}: the torque constant of {recording.joints[loose[0]]} '
+                       "is 'unknown': state it in its recording.yaml; 'gms_flex identify "
+                       "--estimate all' finds it where another constant or a load is known")
 
 
 def make_motion(joints, time, period, readings, command, supply, commanded, source, unseen=(),
@@ -217,7 +243,7 @@ def at_full_rate(motion) -> Motion:
                        motion.readings.copy(), motion.command, motion.supply, motion.commanded,
                        motion.source, motion.unseen, factor=1)
     known = np.repeat(motion.known, motion.factor)[:len(motion.fine_time)]
-    return replace(fine, known=known, pushed=motion.pushed)
+    return replace(fine, known=known, pushed=motion.pushed, load=motion.load)
 
 
 def smoothing(period) -> int:

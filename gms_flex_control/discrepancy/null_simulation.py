@@ -79,6 +79,7 @@ def null_simulation(motion, constants, rng):
         If the model runs away.
 
     """
+    constants = motion.carrying(constants)
     links, n = constants.chain, len(motion.joints)
     carried, motors = own_inertia(links)
     inertia = np.where(links.flexible, links.motor_inertia, carried + motors)
@@ -104,7 +105,7 @@ def null_simulation(motion, constants, rng):
                                          motion.noise[side, j], rng)
     made = make_motion(motion.joints, motion.fine_time, motion.fine_period, readings, held,
                        motion.supply, motion.commanded, motion.source, motion.unseen)
-    return replace(made, known=motion.known, pushed=pushed)
+    return replace(made, known=motion.known, pushed=pushed, load=motion.load)
 
 
 def _read(angle, like, noise, rng):

@@ -201,6 +201,7 @@ def unexplained(motion, constants) -> np.ndarray:
         first.
 
     """
+    constants = motion.carrying(constants)
     drive = drive_torque(motion, constants)
     left, n = _residuals(motion, constants, drive, *motion_as_modelled(motion, constants, drive),
                          _key_of_links(motion, constants)), len(motion.joints)

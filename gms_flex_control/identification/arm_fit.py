@@ -14,6 +14,8 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from gms_flex_control.effects.catalogue.constant_link_torque import ConstantLinkTorque
+from gms_flex_control.identification.arm_estimates import base_estimates as spatial_estimates
+from gms_flex_control.identification.arm_regression import Differences, fit_base_parameters
 from gms_flex_control.identification.axis_fit import (
     fit_axis_with_ripple,
     fit_motor,
@@ -31,8 +33,6 @@ from gms_flex_control.identification.base_parameters import (
     fit_chain,
     nearest_arm,
 )
-from gms_flex_control.identification.inertial_parameters import base_estimates as spatial_estimates
-from gms_flex_control.identification.inertial_parameters import fit_base_parameters
 from gms_flex_control.identification.result import (
     CONFIDENT,
     Estimate,
@@ -75,6 +75,7 @@ class ArmFit(NamedTuple):
     shares: tuple    # per joint the torque of its inertia, of the whole
     ripples: tuple   # per joint its Ripple, None where there is none
     final: tuple = ()  # per joint its Estimates, where no correction is fitted along with friction
+    differences: Differences | None = None  # between recordings, of an arm in space
 
     def extras(self):
         """Return per joint a function Segment -> further torques (T, R) per correction."""
@@ -162,9 +163,10 @@ def _in_space(recordings, robot, motors):
         if motor is not None:
             rows[j] += tuple(_motor_rows(motor, f'arm.{robot.joints[j]}', bool(
                 robot.arm.rigid[j])))
-    rows[0] += (_SCALE,)
+    if not fit.differences.prior_sd.any():
+        rows[0] += (_SCALE,)
     return ArmFit(replace(robot, arm=fit.arm), motors, nothing, (np.zeros(0),) * n, (True,) * n,
-                  np.zeros(n), (None,) * n, (1.0,) * n, (None,) * n, tuple(rows))
+                  np.zeros(n), (None,) * n, (1.0,) * n, (None,) * n, tuple(rows), fit.differences)
 
 
 def _acting(n, joint, gravity):

@@ -145,9 +145,13 @@ def spring_torque(joint: int, stiffness: float, damping=0.0) -> Callable:
     return drive
 
 
-def friction_regressors(rate: np.ndarray) -> np.ndarray:
-    """Return columns (S, 8) of friction, each direction for itself."""
-    usual = float(np.sqrt(np.mean(rate ** 2)))
+def friction_regressors(rate: np.ndarray, usual: float | None = None) -> np.ndarray:
+    """
+    Return columns (S, 8) of friction, each direction for itself.
+
+    ``usual`` is the rate to whose parts the low-speed columns fade, by default the rms.
+    """
+    usual = float(np.sqrt(np.mean(rate ** 2))) if usual is None else usual
     columns = []
     for sign in (1.0, -1.0):
         on = sign * (np.sign(rate) == sign)

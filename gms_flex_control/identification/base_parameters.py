@@ -33,6 +33,7 @@ _SLOWEST = 0.05
 _PRIOR_SD = 1.0     # of masses and inertias around those described, of logarithms
 _COM_SD = 0.2     # of the link's length: of the centre of mass
 _WIDE = 0.5
+_SAME = 1e-9      # of the largest singular value: no column of its own
 _TOLD = 0.95      # share of a parameter that the data must tell
 
 
@@ -94,32 +95,46 @@ def fit_chain(recordings: Sequence, robot: RobotParams, drives: Sequence) -> tup
     return found, np.sqrt(np.diag(covariance))
 
 
-def regress(regressors, torque, rate, block, friction: Callable) -> tuple:
+def regress(regressors, torque, rate, block, friction: Callable, precision=0.0, pull=0.0,
+            weighting=None) -> tuple:
     """
     Return weighted least squares of the torque (S, n) of all joints on regressors (S, n, B).
 
     Each joint counts by its own noise, robustly, where it moves at ``rate`` (S, n); its friction,
-    columns ``friction(joint, rows)``, is eliminated. The values (B,), their normal matrix (B, B)
-    and, for each joint, regressors, torque and numbers of blocks of time, scaled.
+    columns ``friction(joint, rows)``, is eliminated. ``precision`` (B,) is that of priors at
+    ``pull`` (B,); ``weighting`` is that of `weighting_of` unless given. The values (B,), their
+    normal matrix (B, B) and, for each joint, regressors, torque and numbers of blocks of time,
+    scaled.
     """
     count = regressors.shape[2]
-    normal, right = np.zeros((count, count)), np.zeros(count)
+    normal = np.diag(np.broadcast_to(precision, count).astype(float))
+    right = normal @ np.broadcast_to(pull, count)
     pieces = []
-    for j in range(torque.shape[1]):
-        usual = np.sqrt(np.mean(rate[:, j] ** 2))
-        rows = np.abs(rate[:, j]) > _SLOWEST * usual
-        own = friction(j, rows)
-        columns = np.concatenate([regressors[rows, j], own], axis=1)
-        weights, scale = robust(columns, torque[rows, j])
-        root = np.sqrt(weights) / scale
-        basis = np.linalg.qr(own * root[:, None])[0]
+    for j, (rows, root) in enumerate(weighting or weighting_of(regressors, torque, rate,
+                                                               friction)):
+        basis, size, _ = np.linalg.svd(friction(j, rows) * root[:, None], full_matrices=False)
+        basis = basis[:, size > _SAME * size[:1]]
         scaled, target = regressors[rows, j] * root[:, None], torque[rows, j] * root
         scaled = scaled - basis @ (basis.T @ scaled)
         target = target - basis @ (basis.T @ target)
         normal += scaled.T @ scaled
         right += scaled.T @ target
         pieces.append((scaled, target, block[rows]))
-    return np.linalg.lstsq(normal, right, rcond=1e-10)[0], normal, pieces
+    size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    values = np.linalg.lstsq(normal / np.outer(size, size), right / size, rcond=1e-10)[0] / size
+    return values, normal, pieces
+
+
+def weighting_of(regressors, torque, rate, friction: Callable) -> list:
+    """Return for each joint where it moves (S,) and the roots of the weights there."""
+    found = []
+    for j in range(torque.shape[1]):
+        rows = np.abs(rate[:, j]) > _SLOWEST * np.sqrt(np.mean(rate[:, j] ** 2))
+        columns = np.concatenate([regressors[rows, j], friction(j, rows)], axis=1)
+        columns = columns[:, columns.any(axis=0)]
+        weights, scale = robust(columns, torque[rows, j])
+        found.append((rows, np.sqrt(weights) / scale))
+    return found
 
 
 def _filtered(recordings, drives, n):

@@ -9,9 +9,11 @@ from dataclasses import dataclass, replace
 import time
 import warnings
 
-from gms_flex_control.errors import own_warnings
+from gms_flex_control.errors import IdentificationError, own_warnings
 from gms_flex_control.friction.stribeck import steady_friction
+from gms_flex_control.identification.arm_estimates import difference_estimates
 from gms_flex_control.identification.arm_fit import arm_estimates, estimate_arm, folded
+from gms_flex_control.identification.arm_regression import fit_differences
 from gms_flex_control.identification.assumed_robot import believed_model, cleared
 from gms_flex_control.identification.coordinates import friction_record, MOST_BLOCKS, STATICS
 from gms_flex_control.identification.friction_map import friction_map, repeatability, start_of
@@ -111,6 +113,7 @@ def identify(takes: Sequence, robot: RobotParams, *, holdouts: Sequence = (),
             for finding in require(recording, model, force=options.force, rough=whole):
                 if finding.kind != 'torque_scale' or not whole:
                     warnings.warn(finding.text, stacklevel=2)
+        currents = _currents_of(takes, robot, whole)
         data = Data(takes, holdouts, model, whole)
         fits = data.fit(options, say)
         say('intervals and errors on data held out')
@@ -124,7 +127,22 @@ def identify(takes: Sequence, robot: RobotParams, *, holdouts: Sequence = (),
         duration=float(sum(take.time[-1] - take.time[0] for take, _ in takes)),
         period=data.bundle.period,
         warnings=tuple(dict.fromkeys(str(item.message) for item in caught)),
-        seconds=time.monotonic() - begin)
+        seconds=time.monotonic() - begin, currents=currents)
+
+
+def _currents_of(takes, robot, whole):
+    """Return whether efforts stay currents; IdentificationError where they cannot."""
+    unknown = [joint for take, _ in takes for joint, sd in zip(take.joints, take.scale_sd,
+                                                               strict=True)
+               if joint in robot.joints and np.isinf(sd)]
+    if not unknown or robot.arm.frames is not None:
+        return False
+    if not whole or robot.arm.kind != 'decoupled' or len(set(unknown)) < robot.n_joints:
+        raise IdentificationError(
+            f'{takes[0][0].source}: the torque constant of {unknown[0]} is unknown, but inertia '
+            'is in kg m^2: state it as torque_constant in recording.yaml, or leave --robot away, '
+            'then all is identified per torque constant')
+    return True
 
 
 class Data:
@@ -142,11 +160,16 @@ class Data:
         period, joints = _common_period(recordings), range(robot.n_joints)
         self.arm_fit = estimate_arm(recordings[:len(takes)], robot) if whole else None
         robot = self.arm_fit.robot if whole else robot
+        self.differences = _differences(recordings[:len(takes)], robot, self.arm_fit)
         self.described, self.sides = robot, drive_sides(recordings[0], robot)
         self.robot = rigid_where(robot, self.sides)
-        parts, self.robot = one_by_one([
-            segments_of(recording, robot, self.sides, phases, period) for recording, (_, phases)
-            in zip(recordings, (*takes, *holdouts), strict=True)], self.robot)
+        parts = [segments_of(recording, robot, self.sides, phases, period) for recording,
+                 (_, phases) in zip(recordings, (*takes, *holdouts), strict=True)]
+        if self.differences:
+            parts = [[self.differences.cleared(one, r) for one in part]
+                     for r, part in enumerate(parts)]
+        parts, self.robot = one_by_one(parts, self.robot, [one.load for one in recordings],
+                                       self.differences and self.differences.loaded)
         if whole:
             parts = [[replace(one, torque=one.torque - self.arm_fit.constant,
                               constant=self.arm_fit.constant) for one in part] for part in parts]
@@ -164,6 +187,7 @@ class Data:
             observer_bandwidth(arm, coulomb, half, self.step / 3.0, period),
             self.arm_fit.extras() if whole else (None,) * robot.n_joints)
         self.choices = self._paper_spreads = ()
+        self._sources = [take.source for take, _ in takes]
 
     def fit(self, options, say):
         """Return a JointFit per joint."""
@@ -192,6 +216,9 @@ class Data:
             found = folded(self.robot, self.arm_fit, thetas, spreads)
             robot = replace(robot, effects=found.effects, arm=replace(
                 found.arm, stiffness=robot.arm.stiffness))
+        if self.differences:
+            further = [(*own, *rows) for own, rows in zip(further, difference_estimates(
+                self.differences, robot.joints, self._sources), strict=True)]
         return tuple(_per_joint(len(fits), lambda j: self._result(
             j, fits, spreads[j], further[j]))), robot
 
@@ -237,6 +264,13 @@ class Data:
         return held_out_errors(
             Objective(bundle, joint, [one.theta for one in fits]), bundle, theta, simple, chosen,
             self.step[joint], repeatability(self.bundle.segments, self.robot.arm, joint))
+
+
+def _differences(recordings, robot, arm_fit):
+    """Return the Differences of recordings of an arm in space, None of others."""
+    if robot.arm.frames is None:
+        return None
+    return arm_fit.differences if arm_fit else fit_differences(recordings, robot)
 
 
 def _per_joint(count, task):

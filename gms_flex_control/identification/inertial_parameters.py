@@ -2,45 +2,22 @@
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """
-Inertial parameters of an arm of a URDF by weighted least squares on the regressor.
+Inertial parameters of an arm of a URDF, their base parameters, and the arm nearest to these.
 
 The torque that moves links is linear in ten numbers of each (mass, first moment, inertia about its
 frame) and in the motor inertia of rigid joints. Motion determines only some combinations of them,
 the base parameters: column-pivoted QR of the regressor along random motion names one number for
-each, and how the others join it (Gautier 1991). Every joint counts by its own noise,
-robustly; friction, each direction for itself, is eliminated joint by joint. Regressor and torque
-pass through one low-pass. The robot is then the one nearest to its URDF that has these base
-parameters: a change of the Cholesky factor of each link's pseudo-inertia, so that every link stays
-a body (Rucker and Wensing 2022).
+each, and how the others join it (Gautier 1991). The arm nearest to its URDF that has given base
+parameters is a change of the Cholesky factor of each link's pseudo-inertia, so that every link
+stays a body (Rucker and Wensing 2022).
 """
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
-from gms_flex_control import records
-from gms_flex_control.dynamics import chain
-from gms_flex_control.identification.axis_fit import friction_regressors
-from gms_flex_control.identification.base_parameters import regress
-from gms_flex_control.identification.objective import BLOCK_TIME
-from gms_flex_control.identification.result import (
-    CONFIDENT,
-    Estimate,
-    Interval,
-    NO_INTERVAL,
-    NOT_IDENTIFIABLE,
-)
-from gms_flex_control.identification.segments import (
-    drive_sides,
-    filled,
-    rigid_where,
-    segments_of,
-    torque_at_samples,
-)
-from gms_flex_control.identification.smoothing import low_pass
-from gms_flex_control.identification.uncertainty import block_sums, clustered, inverse_of
+from gms_flex_control.dynamics import chain, spatial
+from gms_flex_control.identification.uncertainty import inverse_of
 from gms_flex_control.params.arm import ArmParams
-from gms_flex_control.params.robot import RobotParams
 import numpy as np
 from scipy.linalg import qr
 from scipy.optimize import least_squares
@@ -52,30 +29,7 @@ MOTOR = 'motor_inertia'
 _POSES = 200        # of random motion, more than enough for the rank
 _SAME = 1e-8        # of the largest diagonal element of R: rank
 _SLIGHT = 1e-6      # of a coefficient that is not worth a word
-_THINNING = 8       # samples of a smoothing window that are enough
-_MEMORY = 4.0       # samples that the low-pass makes alike
 _PRIOR_SD = 0.3     # of a change of a Cholesky factor, and of the logarithm of motor inertia
-_WIDE = 0.5         # half an interval this large a part of the value tells nothing
-_NOT_MOVED = 'this motion hardly moves it: faster motion of all joints together tells it'
-
-
-class BaseFit(NamedTuple):
-    """Base parameters of an arm from recordings."""
-
-    names: tuple             # (B,), of the number that leads each, such as 'joint2.inertia_zz'
-    units: tuple             # (B,)
-    meanings: tuple          # (B,), the sum it stands for
-    values: np.ndarray       # (B,)
-    described: np.ndarray    # (B,), of the URDF
-    covariance: np.ndarray   # (B, B)
-    condition: float         # of the regressor, columns scaled
-    offset: np.ndarray       # (n,), half of what forward and backward friction differ by [N m]
-    arm: ArmParams           # nearest to the URDF
-
-    @property
-    def error(self):
-        """Return the standard deviations (B,)."""
-        return np.sqrt(np.diag(self.covariance))
 
 
 def link_regressors(angle, rate, acceleration, arm: ArmParams) -> np.ndarray:
@@ -85,26 +39,12 @@ def link_regressors(angle, rate, acceleration, arm: ArmParams) -> np.ndarray:
     Along angles, rates and accelerations (S, n). P are the ten numbers of each link, as
     `inertial_parameters` orders them, and the motor inertia of each rigid joint.
     """
-    links, n = chain.constants_of(arm).copy(), arm.n_joints
-    states, second = np.stack([angle, rate], axis=1), np.ascontiguousarray(acceleration)
-    work = records.build(chain.work_layout(n))
-
-    def torque(link, mass=0.0, com=(0.0, 0.0, 0.0), inertia=(0.0,) * 6):
-        for name in ('mass', 'com', 'inertia', 'motor_inertia'):
-            links[name][:] = 0.0
-        links.mass[link], links.com[link], links.inertia[link] = mass, com, inertia
-        bias, inertial = np.empty((2, *second.shape))
-        chain.rigid_body_along(states, second, links, work, bias, inertial)
-        return bias + inertial
-    columns = []
-    for link in range(n):
-        columns.append(torque(link, 1.0))
-        for axis in np.eye(3):  # a mass at the end of the axis, less what is no first moment of it
-            about = -(np.eye(3) - np.outer(axis, axis))[np.triu_indices(3)]
-            columns.append(torque(link, 1.0, axis, about) - columns[10 * link])
-        columns += [torque(link, inertia=one) for one in np.eye(6)]
-    columns += [acceleration * (np.arange(n) == j) for j in np.flatnonzero(arm.rigid)]
-    return np.stack(columns, axis=2)
+    n = arm.n_joints
+    motion = [np.ascontiguousarray(one, dtype=float) for one in (angle, rate, acceleration)]
+    columns = np.empty((len(motion[0]), n, 10 * n))
+    spatial.regressor_along(*motion, spatial.constants_of(arm), columns)
+    motors = motion[2][:, :, None] * np.eye(n)[:, arm.rigid]
+    return np.concatenate([columns, motors], axis=2)
 
 
 def inertial_parameters(arm: ArmParams) -> np.ndarray:
@@ -138,68 +78,18 @@ def base_of(arm: ArmParams) -> tuple[np.ndarray, np.ndarray]:
     return lead, combination
 
 
-def fit_base_parameters(recordings: Sequence, robot: RobotParams) -> BaseFit:
-    """Estimate the base parameters of a robot of kind urdf, joints in its order."""
-    sides = drive_sides(recordings[0], robot)
-    arm, n = rigid_where(robot, sides).arm, robot.n_joints
-    lead, combination = base_of(arm)
-    rows = [_rows(segment, arm, lead, recording.period) for recording in recordings
-            for segment in segments_of(recording, robot, sides)]
-    used = np.cumsum([0, *(part[4][-1] + 1 for part in rows)])
-    regressor, torque, friction, rate, block = (np.concatenate(part) for part in zip(
-        *((*part[:4], part[4] + first) for part, first in zip(rows, used, strict=False)),
-        strict=True))
-    values, normal, pieces = regress(regressor, torque, rate, block,
-                                     lambda j, chosen: friction[chosen, j])
-    scores = sum(_scores(*piece, values, used[-1]) for piece in pieces)
-    covariance = clustered(inverse_of(normal), scores, _MEMORY)
-    size = 1.0 / np.sqrt(np.diag(normal))
-    start = _all_parameters(arm)
-    offset = np.empty(n)
-    for j in range(n):
-        left = torque[:, j] - regressor[:, j] @ values
-        found = np.linalg.lstsq(friction[:, j], left, rcond=None)[0]
-        offset[j] = 0.5 * (found[0] - found[4])
-    names = _names(robot.joints, arm.rigid)
-    return BaseFit(
-        tuple(names[k] for k in lead),
-        tuple((UNITS * n)[k] if k < 10 * n else 'kg m^2' for k in lead),
-        tuple(_meaning(row, names) for row in combination), values, combination @ start,
-        covariance, float(np.sqrt(np.linalg.cond(normal * np.outer(size, size)))), offset,
-        _nearest(robot.arm, arm, combination, values, normal, covariance))
-
-
-def _scores(scaled, target, block, values, count):
-    sums = block_sums(scaled * (target - scaled @ values)[:, None], block)
-    return np.pad(sums, ((0, count - len(sums)), (0, 0)))
-
-
-def _rows(segment, arm, lead, period):
-    """Return regressor (S, n, B), torque (S, n), friction (S, n, 8), rate (S, n), block (S,)."""
-    every = max(segment.window // _THINNING, 1)
-    angle, rate, acceleration = (values[::every] for values in (
-        filled(segment.angle), segment.rate, segment.acceleration))
-    torque = low_pass(torque_at_samples(segment), segment.window)[::every]
-    window = max(segment.window // every, 1)
-    regressor = low_pass(link_regressors(angle, rate, acceleration, arm)[:, :, lead], window)
-    friction = low_pass(np.stack([friction_regressors(column) for column in rate.T], axis=1),
-                        window)
-    block = (every * np.arange(len(rate)) * period / BLOCK_TIME).astype(int)
-    inner = slice(2 * window, -2 * window, max(window // 2, 1))
-    return tuple(part[inner] for part in (regressor, torque, friction, rate, block))
-
-
-def _all_parameters(arm):
+def all_parameters(arm: ArmParams) -> np.ndarray:
     """Return what `link_regressors` is per unit of (P,)."""
     return np.concatenate([inertial_parameters(arm), arm.motor_inertia[arm.rigid]])
 
 
-def _names(joints, rigid):
+def names_of(joints: Sequence[str], rigid: np.ndarray) -> list:
+    """Return the names of what `link_regressors` is per unit of (P,)."""
     return [*(f'{joint}.{symbol}' for joint in joints for symbol in SYMBOLS),
             *(f'{joint}.{MOTOR}' for joint, alone in zip(joints, rigid, strict=True) if alone)]
 
 
-def _meaning(row, names):
+def meaning_of(row: np.ndarray, names: Sequence[str]) -> str:
     """Return a base parameter as the sum it stands for."""
     text = ''
     for k in np.flatnonzero(row):
@@ -208,8 +98,14 @@ def _meaning(row, names):
     return text
 
 
-def _nearest(described, arm, combination, values, normal, covariance):
-    """Return the ArmParams nearest to its URDF that has base parameters, all links bodies."""
+def nearest_arm(described: ArmParams, arm: ArmParams, combination, values, normal, covariance
+                ) -> ArmParams:
+    """
+    Return the arm nearest to its URDF that has base parameters ``values`` (B,), links bodies.
+
+    ``combination`` (B, P) is that of `base_of` for ``arm``, which is ``described`` with joints
+    rigid that their motor drives; ``normal`` and ``covariance`` (B, B) say how sure values are.
+    """
     n, rigid = arm.n_joints, arm.rigid
     wider = np.sqrt(np.diag(covariance) / np.diag(inverse_of(normal)))
     root = np.linalg.cholesky(normal / np.outer(wider, wider)
@@ -268,27 +164,3 @@ def _parameters(pseudo):
     """Return the ten numbers of a pseudo-inertia (4, 4)."""
     about = np.trace(pseudo[:3, :3]) * np.eye(3) - pseudo[:3, :3]
     return np.concatenate([pseudo[3:, 3], pseudo[:3, 3], about[np.triu_indices(3)]])
-
-
-def base_estimates(fit: BaseFit, joints: Sequence[str]) -> list:
-    """Return the Estimates of a BaseFit, a tuple per joint, the arm's with the first."""
-    rows = {joint: [] for joint in joints}
-    for name, unit, meaning, value, described, error in zip(
-            fit.names, fit.units, fit.meanings, fit.values, fit.described, fit.error, strict=True):
-        half = CONFIDENT * float(error)
-        told = half < _WIDE * abs(value)
-        note = f'base parameter {meaning}, {described:.4g} by the URDF'
-        rows[name.split('.')[0]].append(Estimate(
-            f'arm.{name}', unit, float(value), Interval(value - half, value + half) if told
-            else NO_INTERVAL, () if told else (NOT_IDENTIFIABLE,),
-            note if told else f'{note}; {_NOT_MOVED}'))
-    for joint, offset in zip(joints, fit.offset, strict=True):
-        rows[joint].append(Estimate(
-            f'arm.{joint}.torque_offset', 'N m', float(offset), NO_INTERVAL, (),
-            'a constant torque, or half of what friction differs by between the directions, '
-            'where it stays'))
-    rows[joints[0]].insert(0, Estimate(
-        'arm.condition_number', '1', fit.condition, NO_INTERVAL, (),
-        'of the regressor of base parameters, columns scaled: the smaller the better is the '
-        'motion'))
-    return [tuple(rows[joint]) for joint in joints]

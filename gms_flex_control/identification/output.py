@@ -10,7 +10,6 @@ load, wear, another machine.
 """
 
 from collections import Counter
-from functools import partial
 import json
 import math
 from textwrap import wrap
@@ -29,7 +28,6 @@ from gms_flex_control.identification.result import (
     short_name,
     standing,
 )
-from gms_flex_control.params.arm import in_units
 from gms_flex_control.params.robot import KINDS
 from gms_flex_control.schema.build import robot_values
 from gms_flex_control.schema.files import save_values
@@ -48,7 +46,7 @@ _FEW = {4: 1.363, 5: 1.206, 6: 1.200, 7: 1.140, 8: 1.129, 9: 1.107}
 
 def report_json(identification: Identification) -> dict:
     """Return an identification as plain data for JSON, without the long arrays; None for NaN."""
-    words = partial(in_units, identification.robot.arm)
+    words = identification.in_units
     return _plain({
         'format': REPORT_FORMAT, 'version': __version__, 'method': identification.method,
         'sources': identification.sources, 'holdouts': identification.holdouts,

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from gms_flex_control.friction.stribeck import steady_friction
+from gms_flex_control.params.arm import in_currents, in_units
 from gms_flex_control.params.robot import RobotParams
 from gms_flex_control.schema.build import robot_values
 import numpy as np
@@ -132,6 +133,12 @@ class Identification:
     seconds: float        # how long the fit took
     recorded: str = ''    # when, such as '2026-03-01 14:05 UTC'; '' if not known
     described: bool = True  # whether ``believed`` is what a file says, not a placeholder
+    currents: bool = False  # efforts are currents, torques and inertias are per torque constant
+
+    def in_units(self, text: str) -> str:
+        """Return a text that is written for torques of rotary axes, in the units of this robot."""
+        text = in_units(self.robot.arm, text)
+        return in_currents(text) if self.currents else text
 
 
 def short_name(name: str, joint: str) -> str:

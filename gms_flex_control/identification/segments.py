@@ -5,6 +5,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import zip_longest
 import warnings
 
 from gms_flex_control.data.recording import Recording
@@ -19,6 +20,7 @@ from gms_flex_control.identification.smoothing import (
     smoothing_window,
 )
 from gms_flex_control.params.arm import ArmParams
+from gms_flex_control.params.bodies import carrying
 from gms_flex_control.params.robot import RobotParams
 import numpy as np
 
@@ -30,6 +32,7 @@ _AGREE_WINDOW = 0.2    # at least, where spring and motor torque are compared: a
 _DAMPING_WINDOW = 0.05  # for the rate of the spring deflection [s]
 _THIN = 20             # samples from one pose to the next whose inertia is looked at
 _EVEN = 0.02           # stamps within this part of a period of an even grid count as even
+_TURNING = 0.02        # of the usual rate: so slow is a reversal
 _STANDING = 3.0        # encoder steps per 50 ms: slower is no motion for a fit of the torque
 
 
@@ -186,14 +189,16 @@ def _segment(recording, robot, sides, phases, rows, period, even):
                    tested=tested, phase=phase, source=recording.source, window=max(windows))
 
 
-def one_by_one(pieces: list, robot: RobotParams) -> tuple[list, RobotParams]:
+def one_by_one(pieces: list, robot: RobotParams, loads: Sequence = (),
+               per_load: np.ndarray | None = None) -> tuple[list, RobotParams]:
     """
     Return what was measured of a chain in space as that of axes which do not act on each other.
 
     The links are known: the torque that the measured motion of all joints requires, but for an
     inertia of each joint's own, is subtracted from its drive. What is left moves that inertia
-    against friction. ``pieces`` are the Segments of each recording; both are returned as they are
-    unless the links are those of a URDF.
+    against friction. ``pieces`` are the Segments of each recording, ``loads`` what it carried;
+    ``per_load`` (n,) is friction per torque that moves the link, subtracted as well. Both are
+    returned as they are unless the links are those of a URDF.
     """
     arm, n = robot.arm, robot.n_joints
     if arm.frames is None:
@@ -201,9 +206,13 @@ def one_by_one(pieces: list, robot: RobotParams) -> tuple[list, RobotParams]:
     poses = np.concatenate([filled(one.angle)[::_THIN] for part in pieces for one in part])
     inertia = np.median(np.diagonal(mass_matrices(poses, arm), axis1=1, axis2=2), axis=0)
 
-    def alone(piece):
-        taken = inverse_dynamics(filled(piece.angle), piece.rate, piece.acceleration, arm)
-        taken -= inertia * piece.acceleration
+    def alone(piece, load):
+        torque = inverse_dynamics(filled(piece.angle), piece.rate, piece.acceleration,
+                                  carrying(arm, load))
+        taken = torque - inertia * piece.acceleration
+        if per_load is not None:
+            slow = _TURNING * np.sqrt(np.mean(piece.rate ** 2, axis=0)) + 1e-300
+            taken += per_load * np.abs(torque) * np.tanh(piece.rate / slow)
         taken[:-1] = 0.5 * (taken[1:] + taken[:-1])  # a mean of the sample, as the drive is
         return replace(piece, torque=piece.torque - taken)
 
@@ -212,7 +221,8 @@ def one_by_one(pieces: list, robot: RobotParams) -> tuple[list, RobotParams]:
                      inertia=inertia - np.where(arm.rigid, arm.motor_inertia, 0.0),
                      motor_inertia=arm.motor_inertia, stiffness=arm.stiffness,
                      damping=arm.damping)
-    return [[alone(piece) for piece in part] for part in pieces], replace(robot, arm=axes)
+    return [[alone(piece, load) for piece in part] for part, load in zip_longest(
+        pieces, loads[:len(pieces)])], replace(robot, arm=axes)
 
 
 def torque_at_samples(segment: Segment) -> np.ndarray:

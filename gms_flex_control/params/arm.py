@@ -17,6 +17,9 @@ AXES = ('rotary', 'linear')
 # of linear axes in what is printed
 _OF_LINEAR = ((r'\bkg m\^2', 'kg'), (r'\b([mk]?N) m\b', r'\1'), (r'\bmrad\b', 'mm'),
               (r'\brad\b', 'm'))
+# of axes whose efforts are currents of unknown torque constant, after these
+_OF_CURRENT = ((r'\bkg m\^2', 'A s^2/rad'), (r'\bkg\b', 'A s^2/m'), (r'\bmN( m)?\b', 'mA'),
+               (r'\bkN( m)?\b', 'kA'), (r'\bN( m)?\b', 'A'))
 _ROUNDING = 1e-3  # of a principal moment of inertia: files round their numbers
 
 
@@ -32,6 +35,7 @@ class Frames:
     velocity: np.ndarray   # [rad/s]
     effort: np.ndarray     # [N m]
     end: np.ndarray = (0.0, 0.0, 0.0)  # (3,) of the chain, in the frame of the last link [m]
+    end_rotation: np.ndarray = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))  # of its frame
     source: str = ''       # the URDF file
     base: str = ''         # the links the chain begins and ends with
     tip: str = ''
@@ -43,6 +47,7 @@ class Frames:
         require_shape('rotation', self.rotation, (n, 3, 3))
         require_shape('position', self.position, (n, 3))
         require_shape('end', self.end, (3,))
+        require_shape('end_rotation', self.end_rotation, (3, 3))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -185,3 +190,8 @@ def in_units(arm: ArmParams, text: str) -> str:
     if arm.axes == 'rotary':
         return text
     return reduce(lambda written, unit: re.sub(*unit, written), _OF_LINEAR, text)
+
+
+def in_currents(text: str) -> str:
+    """Return a text of torques or forces with the units of currents in their place."""
+    return reduce(lambda written, unit: re.sub(*unit, written), _OF_CURRENT, text)

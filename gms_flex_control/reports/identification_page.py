@@ -3,7 +3,6 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """The page of an identification: what can be trusted, shown in pictures and tables."""
 
-from functools import partial
 from pathlib import Path
 
 from gms_flex_control.identification.result import (
@@ -21,7 +20,6 @@ from gms_flex_control.identification.result import (
     standing,
     STANDINGS,
 )
-from gms_flex_control.params.arm import in_units
 from gms_flex_control.reports.answers import held_out_rows, identification_answer, worst_joint
 from gms_flex_control.reports.figures import file_stem, save_figure
 from gms_flex_control.reports.page import Curve, decimate, Report, Series
@@ -44,7 +42,7 @@ def write_identification_report(identification, folder, *, beside=None, robot=()
     and listed as true; ``robot`` are the files of the robot that was believed; ``becomes`` is the
     folder's name if it is renamed afterwards.
     """
-    folder, words = Path(folder), partial(in_units, identification.robot.arm)
+    folder, words = Path(folder), identification.in_units
     answer = identification_answer(identification, becomes or folder, robot)
     report = Report('Friction identification', answer, data_sentence(identification), words)
     worst = worst_joint(identification)
@@ -57,7 +55,7 @@ def write_identification_report(identification, folder, *, beside=None, robot=()
 
 def _save_pictures(identification, folder, beside):
     """Yield the path of each picture for print, written."""
-    words = partial(in_units, identification.robot.arm)
+    words = identification.in_units
     for i, result in enumerate(identification.joints):
         stem = file_stem(result.joint)
         clash = any(file_stem(other.joint) == stem for other in identification.joints[:i])

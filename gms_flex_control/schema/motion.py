@@ -70,6 +70,9 @@ _BUILDERS = {
     'via_points': lambda p: builders.via_points(p.rows('points'), p['move_time'], p['hold_time']),
     'constant_velocity': lambda p: p.moved(builders.constant_velocity(
         p.each('velocity'), p['travel'], settle_time=p['ramp_time'])),
+    'fourier': lambda p: p.moved(builders.fourier(
+        p.rows('sine'), p.rows('cosine'), p.each('period')[0], repeats=p['repeats'],
+        ramp_time=p['ramp_time'])),
     'velocity_levels': lambda p: p.moved(builders.velocity_levels(
         p.rows('velocities'), p['durations'], settle_time=p['ramp_time'])),
     'torque_ramp': lambda p: p.held(builders.torque_ramp(p.torques(), p['rate'],

@@ -11,7 +11,7 @@ from gms_flex_control.params.key import below, Key, SMALLEST
 
 EXPERIMENTS = ('constant_velocity', 'break_away', 'presliding', 'sliding')
 TRAJECTORIES = ('hold', 'sinusoid', 'polynomial', 'via_points', 'constant_velocity',
-                'velocity_levels', 'torque_ramp', 'torque_levels', 'sliding')
+                'velocity_levels', 'torque_ramp', 'torque_levels', 'sliding', 'fourier')
 
 MODE = Key('mode', 'paced by the clock, or each sample waits for its command', default='realtime',
            choices=('realtime', 'lockstep'))
@@ -124,7 +124,9 @@ _MOTION = (
     Key('bias', 'added to torque ramp and torque levels, against gravity', 'N m', 0.0, live=True),
     Key('travel', 'this far moved ends torque ramp and torque levels, 0 for never', 'rad', 0.0,
         0.0, live=True),
-    Key('points', 'via points, the first included', 'rad', (0.0, 1.0, 0.0), live=True))
+    Key('points', 'via points, the first included', 'rad', (0.0, 1.0, 0.0), live=True),
+    Key('sine', 'amplitudes of the harmonics of a Fourier series', 'rad', (0.0,), live=True),
+    Key('cosine', 'the same, a quarter of a wave earlier', 'rad', (0.0,), live=True))
 # below identification
 _EXPERIMENT = (
     Key('experiments', f"which of {', '.join(EXPERIMENTS)}, in this order", default=EXPERIMENTS),

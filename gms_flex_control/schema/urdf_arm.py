@@ -16,6 +16,7 @@ import xml.etree.ElementTree as ElementTree
 
 from gms_flex_control.errors import ConfigError, did_you_mean, ParameterError
 from gms_flex_control.params.arm import Frames, require_body
+from gms_flex_control.params.bodies import Body, joined, moved
 import numpy as np
 
 LARGEST = 20_000_000  # bytes of a URDF
@@ -23,15 +24,8 @@ _MOVES = ('revolute', 'continuous', 'prismatic')
 _LOOSE = ('floating', 'planar')
 _MOST_ANGLE = 50.0    # a limit of a revolute joint beyond this is in degrees [rad]
 _XACRO = '{http://www.ros.org/wiki/xacro}'
+_POINT = 1e-6          # of a mass whose inertia is given as 0, times the mass [m^2]
 _SHAPES = ('visual', 'collision')
-
-
-class Body(NamedTuple):
-    """Mass, centre of mass and inertia about it, in the frame of a link."""
-
-    mass: float           # [kg]
-    com: np.ndarray       # (3,) [m]
-    inertia: np.ndarray   # (3, 3) [kg m^2]
 
 
 class Joint(NamedTuple):
@@ -160,15 +154,16 @@ class _Tree:
             frames.append((turn.T @ frame[0] @ aligned, turn.T @ frame[1]))
             turn, frame = aligned, (np.eye(3), np.zeros(3))
             stop = {other.name for other in moving}
-            bodies.append(_turned(self._moved(joint, stop), aligned))
-        end = frame[1] if tip else self._farthest(moving[-1].child)
+            bodies.append(moved(self._moved(joint, stop), aligned.T, np.zeros(3)))
+        end = frame if tip else self._farthest(moving[-1].child)
         limits = [_limits(joint) for joint in moving]
         rotation, position = (np.array(part) for part in zip(*frames, strict=True))
         return Links(
             Frames(rotation=rotation, position=position,
                    prismatic=[joint.kind == 'prismatic' for joint in moving],
                    **{name: [limit[name] for limit in limits] for name in limits[0]},
-                   end=turn.T @ end, source=source, base=base, tip=tip),
+                   end=turn.T @ end[1], end_rotation=turn.T @ end[0],
+                   source=source, base=base, tip=tip),
             *(np.array(part) for part in zip(*bodies, strict=True)))
 
     def _end(self, names, tip):
@@ -256,25 +251,24 @@ class _Tree:
             body = self._body(name)
             if body is not None:
                 bare = False
-                bodies.append(Body(body.mass, frame[0] @ body.com + frame[1],
-                                   frame[0] @ body.inertia @ frame[0].T))
+                bodies.append(moved(body, *frame))
             waiting += [(below.child, _then(frame, (below.rotation, below.position)))
                         for below in self.joints
                         if below.parent == name and below.name not in stop]
         if bare:
             raise ConfigError(f'link {joint.child!r}, which joint {joint.name!r} moves, has no '
                               '<inertial>: give it mass and inertia')
-        return _together(bodies)
+        return joined(bodies)
 
     def _farthest(self, link):
-        """Return where the farthest of the frames fixed to a link is, in its frame (3,) [m]."""
-        places, waiting = [], [(link, (np.eye(3), np.zeros(3)))]
+        """Return the farthest of the frames fixed to a link, in its own: rotation and place."""
+        frames, waiting = [], [(link, (np.eye(3), np.zeros(3)))]
         while waiting:
             name, frame = waiting.pop()
-            places.append(frame[1])
+            frames.append(frame)
             waiting += [(below.child, _then(frame, (below.rotation, below.position)))
                         for below in self.joints if below.parent == name and below.kind == 'fixed']
-        return max(places, key=np.linalg.norm)
+        return max(frames, key=lambda frame: np.linalg.norm(frame[1]))
 
     def _body(self, name):
         """Return the Body of one link, None of a frame without mass and shape."""
@@ -294,6 +288,8 @@ class _Tree:
         tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         if mass == 0.0 and not tensor.any():
             return None
+        if not tensor.any():  # a point, as many URDFs have it
+            tensor = _POINT * mass * np.eye(3)
         require_body(where, mass, tensor)
         return Body(mass, place, rotation @ tensor @ rotation.T)
 
@@ -390,19 +386,3 @@ def _to_z(axis):
     x, y, z = axis
     return np.array([[1.0 - x * x / (1.0 + z), -x * y / (1.0 + z), x],
                      [-x * y / (1.0 + z), 1.0 - y * y / (1.0 + z), y], [-x, -y, z]])
-
-
-def _turned(body, rotation):
-    """Return a Body in a frame turned by ``rotation``."""
-    return Body(body.mass, rotation.T @ body.com, rotation.T @ body.inertia @ rotation)
-
-
-def _together(bodies):
-    """Return several Bodies in one frame as one."""
-    mass = sum(body.mass for body in bodies)
-    com = sum(body.mass * body.com for body in bodies) / mass
-    inertia = np.zeros((3, 3))
-    for body in bodies:
-        away = body.com - com
-        inertia += body.inertia + body.mass * (away @ away * np.eye(3) - np.outer(away, away))
-    return Body(mass, com, inertia)

@@ -10,6 +10,7 @@ from gms_flex_control.errors import TrajectoryError
 from gms_flex_control.trajectory.segments import COEFFICIENTS, DERIVATIVES, joined, Trajectory
 import numpy as np
 
+_PER_WAVE = 8           # segments of a period of the highest harmonic
 _ALREADY_THERE = 1e-8  # what rounding leaves of a state and its derivatives
 
 
@@ -153,6 +154,44 @@ def sinusoid(amplitude, period, *, phase=0.0, ramp_time=None) -> Trajectory:
         start=[0.0, ramp_time], scale=[ramp_time, 1.0], poly=np.zeros((2, COEFFICIENTS, n)),
         envelope=np.stack([ramp, constant([1.0])[:, 0]]), amplitude=[amplitude] * 2,
         omega=[omega] * 2, phase=[phase, phase + omega * ramp_time])
+
+
+def fourier(sine, cosine, period, *, repeats=1, ramp_time=2.0) -> Trajectory:
+    """
+    Return a Fourier series between two rests at zero.
+
+    Parameters
+    ----------
+    sine, cosine : ndarray, shape (n_harmonics, n_joints)
+        Of harmonics 1, 2, ... [rad].
+    period : float
+        Of the first harmonic [s].
+    repeats : int
+        Periods.
+    ramp_time : float
+        From rest into the series, and out of it [s].
+
+    Notes
+    -----
+    Its segments are the polynomials of degree 9 through value and four derivatives, eight for a
+    period of the highest harmonic: they differ from the series by less than 1e-9 of it.
+
+    """
+    sine, cosine = np.atleast_2d(sine).astype(float), np.atleast_2d(cosine).astype(float)
+    _positive(period=period, ramp_time=ramp_time)
+    if sine.shape != cosine.shape:
+        raise TrajectoryError(f'sine and cosine need as many harmonics of each joint, got '
+                              f'{sine.shape} and {cosine.shape}')
+    knots = _PER_WAVE * len(sine) * int(repeats)
+    time = period * int(repeats) / knots * np.arange(knots + 1)
+    omega = 2.0 * np.pi / period * np.arange(1, len(sine) + 1)
+    turn, rate = omega * time[:, None], omega ** np.arange(DERIVATIVES)[:, None]
+    shift = 0.5 * np.pi * np.arange(DERIVATIVES)[:, None]  # of each derivative
+    states = (np.sin(turn[:, None] + shift) * rate) @ sine + (
+        np.cos(turn[:, None] + shift) * rate) @ cosine
+    still = at_rest(np.zeros(sine.shape[1]))[None]
+    times = np.concatenate([[0.0], ramp_time + time, [2.0 * ramp_time + time[-1]]])
+    return through(times, np.concatenate([still, states, still]))
 
 
 def velocity_levels(velocities, durations, *, settle_time=0.5) -> Trajectory:

@@ -1,0 +1,152 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""
+What is known of one recording beside its topics: load, temperature, torque constants.
+
+It stands in ``recording.yaml`` in the folder of the bag, ``my_bag.recording.yaml`` beside a bag
+that is a single file:
+
+    load: {mass: 5.0, com: [0.0, 0.0, 0.08], inertia: [0.02, 0.0, 0.0, 0.02, 0.0, 0.01]}
+    temperature: cold
+    torque_constant: {joint1: 12.4, joint2: {value: 9.1, sd: 0.05}, joint3: unknown}
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+import math
+from pathlib import Path
+
+from gms_flex_control.data.recording import Recording
+from gms_flex_control.errors import ConfigError, did_you_mean, ParameterError
+from gms_flex_control.file_io import read_yaml
+from gms_flex_control.params.arm import require_body
+from gms_flex_control.params.bodies import Body
+import numpy as np
+from ruamel.yaml.error import YAMLError
+
+NAME = 'recording.yaml'
+UNKNOWN = 'unknown'
+_KEYS = ('load', 'temperature', 'torque_constant')
+_OF_LOAD = ('mass', 'com', 'inertia')
+_OF_CONSTANT = ('value', 'sd')
+_POINT = 1e-9  # of mass times length squared: inertia of a load that is next to a point
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Conditions:
+    """What is known of one recording."""
+
+    load: Body | None = None   # carried, in the frame at the end of the arm
+    temperature: str = ''      # label; recordings of one label have the same friction
+    torque_constant: dict | None = None  # per joint value [N m per unit of effort], relative sd;
+    #                                      (1, inf) where unknown. None: efforts are torques
+
+
+def conditions_of(bag) -> Conditions:
+    """Return the Conditions of a bag; ConfigError if its file is wrong."""
+    path = Path(bag)
+    file = path / NAME if path.is_dir() else path.with_name(f'{path.stem}.{NAME}')
+    if not file.is_file():
+        return Conditions()
+    try:
+        data = read_yaml(file, 'safe')
+    except (OSError, UnicodeDecodeError, YAMLError) as error:
+        raise ConfigError(f'{file}: is not YAML ({str(error).splitlines()[0]})') from error
+    try:
+        values = _mapping(data or {}, _KEYS, '')
+        return Conditions(
+            load=_load(values['load']) if 'load' in values else None,
+            temperature=str(values.get('temperature', '')),
+            torque_constant=_constants(values['torque_constant'])
+            if 'torque_constant' in values else None)
+    except (ConfigError, ParameterError) as error:
+        raise ConfigError(f'{file}: {error}') from error
+
+
+def with_conditions(recording: Recording, conditions: Conditions,
+                    motors: Sequence[str] = ()) -> Recording:
+    """
+    Return a recording with what is known of it; efforts of known constants become torques [N m].
+
+    ``motors`` are further names by which constants may be given, in the order of the joints.
+    """
+    constants = conditions.torque_constant
+    if constants is None:
+        return replace(recording, load=conditions.load, temperature=conditions.temperature)
+    known = {**{joint: joint for joint in recording.joints},
+             **{motor: joint for motor, joint in zip(motors, recording.joints, strict=False)
+                if motor}}
+    wrong = next((name for name in constants if name not in known), None)
+    if wrong is not None:
+        raise ConfigError(f'{recording.source}: torque_constant names {wrong!r}, the recording '
+                          f'has {", ".join(recording.joints)}{did_you_mean(wrong, known)}')
+    values, doubt = np.ones(recording.n_joints), np.zeros(recording.n_joints)
+    for name, (value, sd) in constants.items():
+        j = recording.joints.index(known[name])
+        values[j], doubt[j] = value, sd
+    return replace(
+        recording, load=conditions.load, temperature=conditions.temperature, scale_sd=doubt,
+        tau_motor=recording.tau_motor * values, command=recording.command * values)
+
+
+def _mapping(data, allowed, where):
+    """Return a mapping (dict) whose keys are allowed."""
+    if not isinstance(data, dict):
+        raise ConfigError(f'{where or "the file"} must be a mapping of {", ".join(allowed)}, '
+                          f'got {data!r}')
+    for key in data:
+        if key not in allowed:
+            raise ConfigError(f'{where and f"{where}: "}unknown key {key!r}; known are '
+                              f'{", ".join(allowed)}{did_you_mean(str(key), allowed)}')
+    return data
+
+
+def _load(data):
+    values = _mapping(data, _OF_LOAD, 'load')
+    if 'mass' not in values:
+        raise ConfigError('load lacks mass [kg]')
+    mass = _numbers(values['mass'], 1, 'load.mass')[0]
+    com = _numbers(values.get('com', [0.0] * 3), 3, 'load.com')
+    if mass < 0.0:
+        raise ConfigError(f'load.mass is {mass:g} kg; give 0 for no load, or a mass above 0')
+    if mass == 0.0:
+        return None
+    inertia = _POINT * mass * np.eye(3)
+    if 'inertia' in values:
+        xx, xy, xz, yy, yz, zz = _numbers(values['inertia'], 6, 'load.inertia')
+        inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        require_body('load', mass, inertia)
+    return Body(mass, com, inertia)
+
+
+def _constants(data):
+    if not isinstance(data, dict) or not data:
+        raise ConfigError('torque_constant must name joints, such as {joint1: 12.4, joint2: '
+                          f'{UNKNOWN}}}, got {data!r}')
+    found = {}
+    for joint, entry in data.items():
+        where = f'torque_constant.{joint}'
+        if entry is None or entry == UNKNOWN:
+            found[joint] = (1.0, math.inf)
+            continue
+        parts = _mapping(entry, _OF_CONSTANT, where) if isinstance(entry, dict) else {
+            'value': entry}
+        value, sd = (_numbers(parts.get(name, default), 1, f'{where}.{name}')[0]
+                     for name, default in (('value', math.nan), ('sd', 0.0)))
+        if value == 0.0 or sd < 0.0:
+            raise ConfigError(f'{where}: value must not be 0 and sd at least 0, got {entry!r}')
+        found[joint] = (value, sd)
+    return found
+
+
+def _numbers(data, count, where):
+    """Return finite numbers (count,)."""
+    entries = data if isinstance(data, list) else [data]
+    good = len(entries) == count and all(
+        isinstance(one, (int, float)) and not isinstance(one, bool) and math.isfinite(one)
+        for one in entries)
+    if not good:
+        wanted = 'a number' if count == 1 else f'{count} numbers'
+        raise ConfigError(f'{where} must be {wanted}, got {data!r}')
+    return np.array(entries, dtype=float)

@@ -1,0 +1,88 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Estimates of what a regression of an arm found: base parameters, differences of recordings."""
+
+from collections.abc import Sequence
+
+from gms_flex_control.identification.arm_regression import BaseFit, Differences
+from gms_flex_control.identification.result import (
+    CONFIDENT,
+    Estimate,
+    Interval,
+    NO_INTERVAL,
+    NOT_IDENTIFIABLE,
+)
+
+_WIDE = 0.5         # half an interval this large a part of the value tells nothing
+_LEARNT = 0.5       # of the prior standard deviation: the recordings tell a scale
+_LARGE = 4.0        # standard errors: a zero is reported
+_NOT_MOVED = 'this motion hardly moves it: faster motion of all joints together tells it'
+_NEEDS = ('the scale is the one that the masses of the URDF have: a recording with a known load '
+          'and one without tell it')
+
+
+def base_estimates(fit: BaseFit, joints: Sequence[str]) -> list:
+    """Return the Estimates of a BaseFit, a tuple per joint, the arm's with the first."""
+    rows = {joint: [] for joint in joints}
+    for name, unit, meaning, value, described, error in zip(
+            fit.names, fit.units, fit.meanings, fit.values, fit.described, fit.error, strict=True):
+        half = CONFIDENT * float(error)
+        told = half < _WIDE * abs(value)
+        note = f'base parameter {meaning}, {described:.4g} by the URDF'
+        rows[name.split('.')[0]].append(Estimate(
+            f'arm.{name}', unit, float(value), Interval(value - half, value + half) if told
+            else NO_INTERVAL, () if told else (NOT_IDENTIFIABLE,),
+            note if told else f'{note}; {_NOT_MOVED}'))
+    for joint, offset in zip(joints, fit.offset, strict=True):
+        rows[joint].append(Estimate(
+            f'arm.{joint}.torque_offset', 'N m', float(offset), NO_INTERVAL, (),
+            'a constant torque, or half of what friction differs by between the directions, '
+            'where it stays'))
+    rows[joints[0]].insert(0, Estimate(
+        'arm.condition_number', '1', fit.condition, NO_INTERVAL, (),
+        'of the regressor of base parameters, columns scaled: the smaller the better is the '
+        'motion'))
+    return [tuple(rows[joint]) for joint in joints]
+
+
+def difference_estimates(found: Differences, joints: Sequence[str], sources: Sequence[str]
+                         ) -> list:
+    """Return the Estimates of Differences, a tuple per joint."""
+    rows = [[] for _ in joints]
+    for j, joint in enumerate(joints):
+        if found.prior_sd[j] > 0.0:
+            rows[j].append(scale_estimate(found, j, joint))
+        if found.loaded[j] > 0.0:
+            half = CONFIDENT * found.loaded_sd[j]
+            rows[j].append(Estimate(
+                f'friction.{joint}.per_load', '1', float(found.loaded[j]),
+                Interval(*map(float, (found.loaded[j] - half, found.loaded[j] + half))), (),
+                'friction grows by this share of the torque that moves the link'))
+        for k, label in enumerate(found.labels[1:], 1):
+            rows[j].append(Estimate(
+                f'friction.{joint}.at_{label}', '1', float(found.level[k, j]), NO_INTERVAL, (),
+                f'friction at {label!r} over that at {found.labels[0]!r}'))
+        for r, source in enumerate(sources):
+            value, error = found.zero[r, j], found.zero_sd[r, j]
+            if abs(value) > _LARGE * error > 0.0:
+                half = CONFIDENT * error
+                rows[j].append(Estimate(
+                    f'recordings.{r + 1}.{joint}.zero', 'rad', float(value),
+                    Interval(float(value - half), float(value + half)), (),
+                    f'of the link encoder in {source}, less that in the first recording'))
+    return [tuple(part) for part in rows]
+
+
+def scale_estimate(found: Differences, j: int, joint: str) -> Estimate:
+    """Return the Estimate of what is recorded of a joint's torque."""
+    value, error, prior = found.scale[j], found.scale_sd[j], found.prior_sd[j]
+    half = CONFIDENT * error * value
+    told = error < _LEARNT * prior and half < _WIDE * value
+    return Estimate(
+        f'arm.{joint}.torque_scale', '1', float(value),
+        Interval(float(value - half), float(value + half)) if told else NO_INTERVAL,
+        () if told else (NOT_IDENTIFIABLE,),
+        'recorded over true torque, and results are of true torques: the true torque constant is '
+        f'{1.0 / value:.4g} times the one of recording.yaml, times 1 if that has none'
+        if told else _NEEDS)

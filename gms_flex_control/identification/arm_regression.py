@@ -1,0 +1,400 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""
+Base parameters of an arm of a URDF from recordings, by weighted least squares on the regressor.
+
+    torque = scale (known + regressor parameters + slope zero) + friction + offset
+
+``scale`` is what is recorded of a torque, ``known`` that of known loads, ``zero`` by how much
+link encoders read more than in the first recording. Friction of each direction and temperature,
+and an offset by recording, are eliminated joint by joint; every joint counts by its own noise,
+robustly. Regressor and torque pass through one low-pass. Of links that are relied on the same
+fit gives what differs between recordings.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+from gms_flex_control.data.recording import Recording
+from gms_flex_control.dynamics import chain
+from gms_flex_control.errors import IdentificationError
+from gms_flex_control.identification.axis_fit import friction_regressors, robust
+from gms_flex_control.identification.base_parameters import regress, weighting_of
+from gms_flex_control.identification.inertial_parameters import (
+    all_parameters,
+    base_of,
+    link_regressors,
+    meaning_of,
+    names_of,
+    nearest_arm,
+    UNITS,
+)
+from gms_flex_control.identification.objective import BLOCK_TIME
+from gms_flex_control.identification.segments import (
+    drive_sides,
+    filled,
+    rigid_where,
+    Segment,
+    segments_of,
+    torque_at_samples,
+)
+from gms_flex_control.identification.smoothing import low_pass
+from gms_flex_control.identification.uncertainty import block_sums, clustered, inverse_of
+from gms_flex_control.params.arm import ArmParams
+from gms_flex_control.params.bodies import carrying
+from gms_flex_control.params.robot import RobotParams
+import numpy as np
+
+_THINNING = 8       # samples of a smoothing window that are enough
+_MEMORY = 4.0       # samples that the low-pass makes alike
+_ZERO_SD = 0.02     # of an encoder's zero between recordings [rad]
+_DRIVE_SD = 0.1     # of the logarithm of a torque's scale, where a known load tells it
+_UNKNOWN_SD = 0.5   # the same of currents, around what the URDF's masses give
+_ROUNDS = 8         # of Gauss and Newton: scales multiply parameters
+_SETTLED = 1e-5     # change of a logarithm of a scale that ends them
+_STEP = 1e-5        # of a zero, for slopes [rad]
+_LOADED = 5.0       # standard errors beyond which friction grows with the load
+_ADDS = 0.005       # and at least so much of the torque carried
+
+
+class Differences(NamedTuple):
+    """What differs between R recordings of one robot with n joints, and torques from true ones."""
+
+    scale: np.ndarray       # (n,), recorded torque over true torque
+    scale_sd: np.ndarray    # (n,), relative; 0 where the scale was taken as known
+    prior_sd: np.ndarray    # (n,), before the recordings were seen
+    zero: np.ndarray        # (R, n), of link encoders, less that of the first [rad]
+    zero_sd: np.ndarray     # (R, n)
+    offset: np.ndarray      # (R, n), of torques as recorded, less that of the first
+    labels: tuple           # (L,) of str, temperatures
+    level: np.ndarray       # (L, n), friction over that of the first temperature
+    change: np.ndarray      # (R, n, 4), coefficients of the friction that it has more
+    usual: np.ndarray       # (n,), rate that these are for [rad/s]
+    loaded: np.ndarray      # (n,), friction per torque carried, 0 where it does not grow
+    loaded_sd: np.ndarray   # (n,)
+
+    def cleared(self, segment: Segment, recording: int) -> Segment:
+        """
+        Return a segment of a recording as it were with true torques in the first recording.
+
+        That is with its encoder zeros, offsets and temperature. Of a recording that was not
+        fitted, only the scale of torques is known.
+        """
+        if recording >= len(self.zero):
+            return replace(segment, torque=segment.torque / self.scale)
+        more = np.stack([alike(friction_regressors(rate, usual)) @ change for rate, usual, change
+                         in zip(segment.rate.T, self.usual, self.change[recording], strict=True)],
+                        axis=1)
+        return replace(segment, angle=segment.angle - self.zero[recording],
+                       torque=(segment.torque - self.offset[recording] - more) / self.scale)
+
+
+class BaseFit(NamedTuple):
+    """Base parameters of an arm from recordings."""
+
+    names: tuple             # (B,), of the number that leads each, such as 'joint2.inertia_zz'
+    units: tuple             # (B,)
+    meanings: tuple          # (B,), the sum it stands for
+    values: np.ndarray       # (B,)
+    described: np.ndarray    # (B,), of the URDF
+    covariance: np.ndarray   # (B, B)
+    condition: float         # of the regressor, columns scaled
+    offset: np.ndarray       # (n,), half of what forward and backward friction differ by [N m]
+    arm: ArmParams           # nearest to the URDF
+    differences: Differences
+
+    @property
+    def error(self) -> np.ndarray:
+        """Return the standard deviations (B,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+
+class _Rows(NamedTuple):
+    """Samples of all recordings."""
+
+    regressor: np.ndarray  # (S, n, B)
+    known: np.ndarray      # (S, n) torque of what is known [N m]
+    slope: np.ndarray      # (S, n, n) of joint j by the angle of joint i [N m/rad]
+    torque: np.ndarray     # (S, n) as recorded
+    friction: np.ndarray   # (S, n, 8)
+    rate: np.ndarray       # (S, n)
+    block: np.ndarray      # (S,) int, of time
+    recording: np.ndarray  # (S,) int
+
+
+def alike(friction: np.ndarray) -> np.ndarray:
+    """Return columns (S, 4) of friction that both directions have alike, of those by direction."""
+    return friction[:, :4] + friction[:, 4:]
+
+
+def fit_base_parameters(recordings: Sequence[Recording], robot: RobotParams) -> BaseFit:
+    """Estimate the base parameters of a robot of kind urdf, joints in its order."""
+    arm, sides = _driven(recordings, robot)
+    base = base_of(arm)
+    fit = _Fit(recordings, robot, sides, arm, *base)
+    fit.solve()
+    found = fit.nearest()
+    if len(recordings) > 1:  # slopes by zeros are of the arm found
+        fit = _Fit(recordings, robot, sides, arm, *base, slopes_of=found)
+        fit.solve()
+        found = fit.nearest()
+    return fit.result(robot, found)
+
+
+def fit_differences(recordings: Sequence[Recording], robot: RobotParams) -> Differences | None:
+    """Return what differs between recordings of known links; None of one of known torques."""
+    arm, sides = _driven(recordings, robot)
+    if len(recordings) == 1 and not np.any(recordings[0].scale_sd):
+        return None
+    fit = _Fit(recordings, robot, sides, arm, np.zeros(0, dtype=int), np.zeros((0, 0)))
+    fit.solve()
+    return fit.differences()
+
+
+def _driven(recordings, robot):
+    sides = drive_sides(recordings[0], robot)
+    return rigid_where(robot, sides).arm, sides
+
+
+class _Fit:
+    """Least squares of one set of rows; ``lead`` and ``combination`` as of `base_of`."""
+
+    def __init__(self, recordings, robot, sides, arm, lead, combination, slopes_of=None):
+        self._robot, self._arm, self._lead, self._combination = robot, arm, lead, combination
+        self._labels = tuple(dict.fromkeys(one.temperature for one in recordings))
+        self._label = np.array([self._labels.index(one.temperature) for one in recordings])
+        self._rows, self._usual = _rows_of(recordings, robot, sides, arm, lead, slopes_of or arm)
+        n, count = arm.n_joints, len(lead)
+        doubt = np.max([one.scale_sd for one in recordings], axis=0)
+        loads = {one.load and (one.load.mass, *one.load.com) for one in recordings}
+        self._prior_sd = np.where(np.isinf(doubt), _UNKNOWN_SD, np.maximum(
+            doubt, _DRIVE_SD if len(loads) > 1 else 0.0))
+        self._free = np.flatnonzero(self._prior_sd > 0.0)
+        zeros = n * (len(recordings) - 1)
+        self._parts = [slice(0, count), slice(count, count + zeros),
+                       slice(count + zeros, count + zeros + len(self._free))]
+        self._values, self._zeros = np.zeros(count), np.zeros((len(recordings), n))
+        self._scale, self._loaded = np.ones(n), np.zeros(n, dtype=bool)
+        self._guess = self._guessed_scales(recordings, np.isinf(doubt))
+        self._scale[:] = self._guess
+
+    def _guessed_scales(self, recordings, unknown):
+        """Return the scales (n,) to begin from: of unknown ones, as the URDF's masses have it."""
+        guess, start = np.ones(len(unknown)), all_parameters(self._arm)
+        described = self._rows.known + (self._rows.regressor @ (self._combination @ start)
+                                        if len(self._lead) else 0.0)
+        for j in np.flatnonzero(unknown):
+            columns = np.concatenate([described[:, j:j + 1], self._own(j, slice(None))], axis=1)
+            root = np.sqrt(robust(columns, self._rows.torque[:, j])[0])
+            guess[j] = np.linalg.lstsq(columns * root[:, None], self._rows.torque[:, j] * root,
+                                       rcond=1e-10)[0][0]
+            if not guess[j] > 0.0:
+                raise IdentificationError(
+                    f'{recordings[0].source}: the torque of {self._robot.joints[j]} goes against '
+                    f'what its links require ({guess[j]:.3g} per N m): its sign is reversed, or '
+                    'its torque constant is negative; state it in recording.yaml')
+        return guess
+
+    def _own(self, j, chosen):
+        """Return the columns that are eliminated for a joint: friction, offsets, load (S', F)."""
+        rows, columns = self._rows, []
+        recording = rows.recording[chosen]
+        friction = rows.friction[chosen, j]
+        columns.append(friction)
+        for k in range(1, len(self._labels)):  # alike in both directions: an offset is another
+            columns.append(alike(friction) * (self._label[recording] == k)[:, None])
+        for r in range(1, len(self._zeros)):
+            columns.append((recording == r)[:, None].astype(float))
+        if self._loaded[j]:
+            columns.append(self._load_column(j)[chosen, None])
+        return np.concatenate(columns, axis=1)
+
+    def _load_column(self, j):
+        """Return the size of the torque that moves a link, against the motion (S,)."""
+        return np.sign(self._rows.rate[:, j]) * np.abs(self._scale[j] * self._torque()[:, j])
+
+    def _torque(self):
+        """Return the torque of the links at the present values (S, n) [N m]."""
+        rows = self._rows
+        moved = np.einsum('sji,si->sj', rows.slope, self._zeros[rows.recording])
+        return rows.known + rows.regressor @ self._values + moved
+
+    def solve(self):
+        """Find parameters, zeros and scales; then once more where friction grows with load."""
+        self._iterate()
+        left = [self._left(j) for j in range(len(self._scale))]
+        self._loaded = np.array([
+            value > max(_LOADED * error, _ADDS) for value, error in map(self._tried_load, left)])
+        if self._loaded.any():
+            self._iterate()
+
+    def _tried_load(self, left):
+        """Return what friction adds per torque carried at one joint, and its standard error."""
+        j, torque, rows = left
+        columns = np.concatenate([self._load_column(j)[rows, None], self._own(j, rows)], axis=1)
+        weights, scale = robust(columns, torque)
+        root = np.sqrt(weights)
+        scaled = columns * root[:, None]
+        values = np.linalg.lstsq(scaled, torque * root, rcond=1e-10)[0]
+        inverse = np.linalg.pinv(scaled.T @ scaled, rcond=1e-12, hermitian=True)
+        scores = block_sums(scaled * (torque * root - scaled @ values)[:, None],
+                            self._rows.block[rows])
+        return values[0], float(np.sqrt(clustered(scale ** 2 * inverse, scores / scale ** 2,
+                                                  _MEMORY)[0, 0]))
+
+    def _left(self, j):
+        """Return a joint, the torque its links do not explain, and where it moves."""
+        rows = self._rows
+        return (j, rows.torque[:, j] - self._scale[j] * self._torque()[:, j],
+                np.arange(len(rows.block)))
+
+    def _iterate(self):
+        rows, count = self._rows, self._parts[2].stop
+        precision = np.zeros(count)
+        precision[self._parts[1]] = _ZERO_SD ** -2
+        precision[self._parts[2]] = self._prior_sd[self._free] ** -2
+        weighting = None
+        for _ in range(_ROUNDS if len(self._free) else 1):
+            model = self._torque()
+            columns = self._columns(model)
+            pull = np.zeros(count)
+            pull[self._parts[1]] = -self._zeros[1:].ravel()
+            pull[self._parts[2]] = np.log(self._guess / self._scale)[self._free]
+            left = rows.torque - self._scale * model
+            weighting = weighting or weighting_of(columns, left, rows.rate, self._own)
+            self._step, self._normal, self._pieces = regress(
+                columns, left, rows.rate, rows.block, self._own, precision, pull, weighting)
+            step = self._step
+            values, zeros, scales = (step[part] for part in self._parts)
+            self._values = self._values + values
+            self._zeros[1:] += zeros.reshape(self._zeros[1:].shape)
+            self._scale[self._free] *= np.exp(np.clip(scales, -1.0, 1.0))
+            if np.all(np.abs(scales) < _SETTLED):
+                break
+
+    def _columns(self, model):
+        """Return derivatives (S, n, P) by parameters, zeros and logarithms of scales."""
+        rows, (samples, n) = self._rows, model.shape
+        zeros = np.zeros((samples, n, len(self._zeros), n))
+        zeros[np.arange(samples), :, rows.recording] = rows.slope
+        scales = (model[:, :, None] * np.eye(n))[:, :, self._free]
+        whole = np.concatenate([rows.regressor, zeros[:, :, 1:].reshape(samples, n, -1), scales],
+                               axis=2)
+        return self._scale[:, None] * whole
+
+    def _covariance(self):
+        count = int(self._rows.block.max()) + 1
+        scores = np.zeros((count, len(self._step)))
+        for scaled, target, block in self._pieces:
+            sums = block_sums(scaled * (target - scaled @ self._step)[:, None], block)
+            scores[:len(sums)] += sums
+        inverse = inverse_of(self._normal)
+        return clustered(inverse, scores, _MEMORY), inverse
+
+    def nearest(self):
+        """Return the arm nearest to the URDF that has the base parameters."""
+        links = self._parts[0]
+        covariance, inverse = (one[links, links] for one in self._covariance())
+        normal = self._normal if links.stop == len(self._normal) else inverse_of(inverse)
+        return nearest_arm(self._robot.arm, self._arm, self._combination, self._values, normal,
+                           covariance)
+
+    def result(self, robot, found):
+        """Return the BaseFit, ``found`` the nearest arm."""
+        rigid, n, links = self._arm.rigid, len(self._scale), self._parts[0]
+        names, own = names_of(robot.joints, rigid), self._normal[links, links]
+        size, offset = 1.0 / np.sqrt(np.diag(own)), np.empty(n)
+        for j in range(n):
+            _, left, rows = self._left(j)
+            friction = np.linalg.lstsq(self._own(j, rows), left, rcond=1e-10)[0]
+            offset[j] = 0.5 * (friction[0] - friction[4]) / self._scale[j]
+        return BaseFit(
+            tuple(names[k] for k in self._lead),
+            tuple((UNITS * n)[k] if k < 10 * n else 'kg m^2' for k in self._lead),
+            tuple(meaning_of(row, names) for row in self._combination), self._values,
+            self._combination @ all_parameters(self._arm), self._covariance()[0][links, links],
+            float(np.sqrt(np.linalg.cond(own * np.outer(size, size)))), offset, found,
+            self.differences())
+
+    def differences(self):
+        """Return the Differences of the recordings."""
+        n, error = len(self._scale), np.sqrt(np.diag(self._covariance()[0]))
+        scale_sd, zero_sd = np.zeros(n), np.zeros(self._zeros.shape)
+        scale_sd[self._free] = error[self._parts[2]]
+        zero_sd[1:] = error[self._parts[1]].reshape(zero_sd[1:].shape)
+        offset, loaded = np.zeros(self._zeros.shape), np.zeros((2, n))
+        level, change = np.ones((len(self._labels), n)), np.zeros((len(self._labels), n, 4))
+        for j in range(n):
+            _, left, rows = self._left(j)
+            own = self._own(j, rows)
+            values = np.linalg.lstsq(own, left, rcond=1e-10)[0]
+            at = 4 + 4 * len(self._labels)
+            offset[1:, j] = values[at:at + len(offset) - 1]
+            change[1:, j] = values[8:at].reshape(-1, 4)
+            level[1:, j] = 1.0 + self._changes(j, values[:8], change[1:, j])
+            if self._loaded[j]:
+                self._loaded[j] = False
+                loaded[:, j] = self._tried_load((j, left, rows))
+                self._loaded[j] = True
+        return Differences(self._scale, scale_sd, self._prior_sd, self._zeros, zero_sd, offset,
+                           self._labels, level, change[self._label], self._usual, *loaded)
+
+    def _changes(self, j, curve, changes):
+        """Return friction of ``changes`` (L - 1, 4) over that of the first temperature (8,)."""
+        rows, label = self._rows, self._label[self._rows.recording]
+        top = min(np.quantile(np.abs(rows.rate[label == k, j]), 0.9)
+                  for k in range(len(self._labels)))
+        seen = (np.abs(rows.rate[:, j]) < top) & (np.abs(rows.rate[:, j]) > 0.1 * top)
+        friction = rows.friction[seen, j]
+        usual = friction @ (0.5 * np.tile(curve[:4] + curve[4:], 2))
+        return changes @ alike(friction).T @ usual / max(usual @ usual, 1e-300)
+
+
+def _rows_of(recordings, robot, sides, arm, lead, slopes_of):
+    """Return the _Rows of recordings, ``slopes_of`` the arm of the slopes, and usual rates."""
+    pieces = [(r, segment) for r, recording in enumerate(recordings)
+              for segment in segments_of(recording, robot, sides)]
+    usual = np.sqrt(np.mean(np.concatenate([one.rate for _, one in pieces]) ** 2, axis=0))
+    parts, used, several = [], 0, len(recordings) > 1
+    for r, segment in pieces:
+        part = _segment_rows(segment, arm, lead, recordings[r], usual,
+                             slopes_of if several else None)
+        parts.append((*part[:-1], part[-1] + used, np.full(len(part[-1]), r)))
+        used = parts[-1][-2][-1] + 1
+    return _Rows(*(np.concatenate(part) for part in zip(*parts, strict=True))), usual
+
+
+def _segment_rows(segment, arm, lead, recording, usual, slopes_of):
+    """Return what _Rows has of a segment but the recording, blocks counted from 0."""
+    every = max(segment.window // _THINNING, 1)
+    motion = tuple(np.ascontiguousarray(values[::every]) for values in (
+        filled(segment.angle), segment.rate, segment.acceleration))
+    angle, rate, _ = motion
+    torque = low_pass(torque_at_samples(segment), segment.window)[::every]
+    window = max(segment.window // every, 1)
+    loaded = carrying(arm, recording.load)
+    if len(lead):
+        regressor = link_regressors(*motion, arm)[:, :, lead]
+        known = np.zeros(rate.shape)
+        if recording.load is not None:
+            known = chain.inverse_dynamics(*motion, loaded) - chain.inverse_dynamics(*motion, arm)
+    else:
+        regressor = np.zeros((*rate.shape, 0))
+        known = chain.inverse_dynamics(*motion, loaded)
+    slope = np.zeros((*rate.shape, arm.n_joints))
+    if slopes_of is not None:
+        of = carrying(slopes_of, recording.load)
+        for i, step in enumerate(_STEP * np.eye(arm.n_joints)):
+            # torque of the true angle, which is the reading less the zero
+            slope[:, :, i] = (chain.inverse_dynamics(angle - step, *motion[1:], of)
+                              - chain.inverse_dynamics(angle + step, *motion[1:], of)) / (
+                                  2.0 * _STEP)
+    friction = np.stack([friction_regressors(*one) for one in zip(rate.T, usual, strict=True)],
+                        axis=1)
+    regressor, known, slope, friction = (low_pass(one, window) for one in (
+        regressor, known, slope, friction))
+    block = (every * np.arange(len(rate)) * recording.period / BLOCK_TIME).astype(int)
+    inner = slice(2 * window, -2 * window, max(window // 2, 1))
+    return tuple(part[inner] for part in (regressor, known, slope, torque, friction, rate, block))

@@ -1,0 +1,107 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""What stands beside a bag: loads, temperatures, torque constants; currents to the end."""
+
+from dataclasses import replace
+import json
+
+from gms_flex_control.cli.main import main
+from gms_flex_control.data.conditions import conditions_of, with_conditions
+from gms_flex_control.data.writer import write_recording
+from gms_flex_control.discrepancy.motion import motion_of
+from gms_flex_control.errors import BagError, ConfigError, IdentificationError
+from gms_flex_control.identification.identify import identify
+from identified_axis import axis, experiment
+import numpy as np
+import pytest
+
+CONSTANT = 0.05  # N m/A
+
+
+@pytest.fixture
+def amperes():
+    """Return a recording whose efforts are currents."""
+    recording, _ = experiment(rigid=True)
+    return replace(recording, tau_motor=recording.tau_motor / CONSTANT)
+
+
+def stated(folder, text):
+    """Return the Conditions of a bag folder with a recording.yaml."""
+    (folder / 'recording.yaml').write_text(text)
+    return conditions_of(folder)
+
+
+def test_friction_of_currents_is_in_amperes_in_table_report_and_json(amperes, tmp_path, capsys):
+    """A known torque constant times each number gives the friction that was simulated."""
+    write_recording(tmp_path / 'bag', amperes, ('',))
+    (tmp_path / 'bag' / 'recording.yaml').write_text('torque_constant: {joint1: unknown}\n')
+    assert main(['identify', str(tmp_path / 'bag'), '--out', str(tmp_path / 'out')]) == 0
+    text = capsys.readouterr().out
+    page = (tmp_path / 'out' / 'report.html').read_text()
+    comment = (tmp_path / 'out' / 'friction.yaml').read_text().split('/**')[0]
+    for words in (text, page, comment):
+        assert 'N m' not in words and 'kg m^2' not in words
+    rows = {one['name']: one for one in json.loads(
+        (tmp_path / 'out' / 'report.json').read_text())['joints'][0]['estimates']}
+    for name, true, unit in (('friction.joint1.forward.coulomb', 0.09087, 'A'),
+                             ('friction.joint1.backward.coulomb', 0.08363, 'A'),
+                             ('arm.joint1.inertia', 0.035, 'A s^2/rad')):
+        assert CONSTANT * rows[name]['value'] == pytest.approx(true, rel=0.05)
+        assert rows[name]['unit'] == unit
+
+
+def test_currents_do_not_move_masses_in_kilograms(amperes):
+    recording = replace(amperes, scale_sd=[np.inf])
+    with pytest.raises(IdentificationError, match='torque constant of joint1 is unknown'):
+        identify([recording], axis(rigid=True))
+    with pytest.raises(BagError, match='state it in its recording.yaml'):
+        motion_of(recording, axis(rigid=True))
+
+
+def test_a_known_constant_makes_torques(amperes, tmp_path):
+    found = with_conditions(amperes, stated(
+        tmp_path, f'torque_constant: {{joint1: {CONSTANT}}}\ntemperature: 31\n'))
+    np.testing.assert_allclose(found.tau_motor, experiment(rigid=True)[0].tau_motor)
+    assert found.temperature == '31' and not found.scale_sd.any()
+    partly = with_conditions(amperes, stated(
+        tmp_path, 'torque_constant: {joint1: {value: 0.06, sd: 0.2}}\n'))
+    np.testing.assert_array_equal(partly.scale_sd, 0.2)
+
+
+def test_a_load_is_a_body_in_the_frame_at_the_end_of_the_arm(tmp_path):
+    load = stated(tmp_path, 'load: {mass: 2, com: [0, 0, 0.1]}\n').load
+    assert load.mass == 2.0 and load.com[2] == 0.1 and np.all(np.diag(load.inertia) > 0.0)
+    assert stated(tmp_path, 'load: {mass: 0}\n').load is None
+    assert conditions_of(tmp_path / 'nowhere').load is None
+
+
+@pytest.mark.parametrize(('text', 'sentence'), [
+    ('laod: {mass: 1}', "unknown key 'laod'.*did you mean 'load'"),
+    ('load: {mass: -1}', 'load.mass is -1 kg'),
+    ('load: {mass: heavy}', "load.mass must be a number, got 'heavy'"),
+    ('load: {mass: 1, com: [1, 2]}', 'load.com must be 3 numbers'),
+    ('load: {mass: 1, inertia: [1, 0, 0, 0.1, 0, 0.1]}', 'no body'),
+    ('load: {com: [0, 0, 0]}', 'load lacks mass'),
+    ('torque_constant: 3', 'must name joints'),
+    ('torque_constant: {joint1: 0}', 'value must not be 0'),
+    ('torque_constant: {joint1: {vlaue: 3}}', "unknown key 'vlaue'"),
+    ('load: [', 'is not YAML')])
+def test_a_wrong_file_is_refused_in_one_sentence(tmp_path, text, sentence):
+    with pytest.raises(ConfigError, match=sentence) as caught:
+        stated(tmp_path, text + '\n')
+    assert 'recording.yaml' in str(caught.value)
+
+
+def test_a_constant_of_no_joint_is_refused(amperes, tmp_path):
+    with pytest.raises(ConfigError, match="names 'joint2'"):
+        with_conditions(amperes, stated(tmp_path, 'torque_constant: {joint2: 1.0}\n'))
+
+
+def test_a_load_needs_an_arm_of_a_urdf(tmp_path):
+    recording = with_conditions(experiment(rigid=True)[0], stated(
+        tmp_path, 'load: {mass: 2}\n'))
+    with pytest.raises(IdentificationError, match='needs an arm of a URDF'):
+        identify([recording], axis(rigid=True))
+    with pytest.raises(BagError, match='needs an arm of a URDF'):
+        motion_of(recording, axis(rigid=True))
