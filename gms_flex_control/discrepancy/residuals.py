@@ -157,6 +157,8 @@ def residuals_along(states, second, friction, bias, inertial, drive, rest, time,
         plant.springs(state, period, constants, work)
         for j in range(n):
             s[j, sig.FRICTION] = friction[k, j]
+            if not links.flexible[j]:  # not as measured: that would explain torque by torque
+                s[j, sig.SPRING] = inertial[k, j] + bias[k, j] + friction[k, j]
         for stage in (_FRICTION, _LINK, _MOTOR):
             effect_table.run_stage(stage, s, state.memory, period, effects)
         for j in range(n):
