@@ -127,8 +127,8 @@ def clear_sensor_errors(states, friction, drive, time, period, constants, state,
 
 
 @compiled
-def residuals_along(states, second, friction, bias, inertial, drive, rest, time, period, weight,
-                    constants, state, work, out):
+def residuals_along(states, second, friction, bias, inertial, carried, drive, rest, time, period,
+                    weight, constants, state, work, out):
     """
     Fill the residual torques ``out`` (T, 2 n) of link and motor equations [N m].
 
@@ -136,8 +136,8 @@ def residuals_along(states, second, friction, bias, inertial, drive, rest, time,
     ----------
     states, second : ndarray, shapes (T, 6, n) and (T, 2, n)
         Smoothed motion; filtered second differences of the readings.
-    friction, bias, inertial : ndarray, shape (T, n)
-        Torques of the blocks, ``C dq + g`` and ``M second`` [N m].
+    friction, bias, inertial, carried : ndarray, shape (T, n)
+        Torques of the blocks, ``C dq + g``, ``M second`` and ``M ddq`` [N m].
     drive, rest : ndarray, shape (T, n)
         Filtered torque of the actuators [N m]; torsion as read less the smoothed one [rad].
     time, period : ndarray, shape (T,), and float
@@ -158,7 +158,7 @@ def residuals_along(states, second, friction, bias, inertial, drive, rest, time,
         for j in range(n):
             s[j, sig.FRICTION] = friction[k, j]
             if not links.flexible[j]:  # not as measured: that would explain torque by torque
-                s[j, sig.SPRING] = inertial[k, j] + bias[k, j] + friction[k, j]
+                s[j, sig.SPRING] = carried[k, j] + bias[k, j] + friction[k, j]
         for stage in (_FRICTION, _LINK, _MOTOR):
             effect_table.run_stage(stage, s, state.memory, period, effects)
         for j in range(n):
@@ -294,7 +294,7 @@ def _on_motors(motion, constants, drive, states, second):
     if acts(constants, SENSOR):
         states, second = cleared(motion, drive, states, second, constants)
     nothing = np.zeros_like(drive)  # links do not enter
-    return _formed(motion, constants, drive, states, second, nothing, nothing, nothing)[
+    return _formed(motion, constants, drive, states, second, nothing, nothing, nothing, nothing)[
         :, drive.shape[1]:]
 
 
@@ -313,15 +313,18 @@ def _residuals(motion, constants, drive, states, second, way):
         friction = kept(way, partial(_friction, motion, states, constants, work))
     bias, inertial = kept((*way, *_key(constants, (), *_of_bodies(constants))), partial(
         _rigid_body, states, second, constants, work))
-    out = _formed(motion, constants, drive, states, second, friction, bias, inertial)
+    carried = inertial if np.all(constants.chain.flexible) else kept(
+        ('carried', *way, *_key(constants, (), *_of_bodies(constants))), partial(
+            inertial_torque, states, constants, work))
+    out = _formed(motion, constants, drive, states, second, friction, bias, inertial, carried)
     if motion.pushed is not None:
         out[:, :drive.shape[1]] -= motion.push
     return out
 
 
-def _formed(motion, constants, drive, states, second, friction, bias, inertial):
+def _formed(motion, constants, drive, states, second, friction, bias, inertial, carried):
     out, n = np.empty((len(drive), 2 * drive.shape[1])), drive.shape[1]
-    residuals_along(states, second, friction, bias, inertial, drive, motion.twist_rest,
+    residuals_along(states, second, friction, bias, inertial, carried, drive, motion.twist_rest,
                     motion.time, motion.period, weight_of_neighbours(motion.factor), constants,
                     fresh_state(constants), plant.workspace(n), out)
     return out
@@ -360,6 +363,11 @@ def _rigid_body(states, second, constants, work):
     chain.rigid_body_along(states, np.ascontiguousarray(second[:, 0]), constants.chain,
                            work.chain, bias, inertial)
     return bias, inertial
+
+
+def inertial_torque(states, constants, work) -> np.ndarray:
+    """Return ``M ddq`` of the smoothed acceleration along a motion (S, 6, n), (S, n) [N m]."""
+    return _rigid_body(states, states[:, 2:3], constants, work)[1]
 
 
 def drive_torque(motion, constants) -> np.ndarray:

@@ -117,6 +117,7 @@ def _compared(motions, holdout, robot, options, say):
     found = search(likelihood, most=options.most, excluded=options.without, say=say)
     likelihood, found = _again(likelihood, found, options, say)
     say('held-out prediction')
+    searched = found.best
     found, worths, free, whole = judged(likelihood, found)
     held_out = HeldOut(likelihood, Likelihood(holdout, robot, options.seed, options.doubt,
                                               held_out=True) if holdout else None)
@@ -128,8 +129,10 @@ def _compared(motions, holdout, robot, options, say):
         findings = [one for one in findings if not left.is_of(one)]
         if not (any(one.main for one in findings) and _explain_most(gap)):
             findings = []  # they only resemble some of it
-    more = left is not None or np.any(gap.after ** 2 > BETTER * gap.floor ** 2)
-    after = _best_predicting(likelihood, found, whole if left else found, held_out, more)
+    more = left is not None or np.any(gap.after ** 2 > BETTER * np.nan_to_num(gap.floor) ** 2)
+    whole = whole if left else found
+    after = _best_predicting(likelihood, found, whole, held_out, [
+        searched, predicting_subset(likelihood, whole, held_out)] if more else [])
     if after is not found.best:
         gap = held_out.gap(found.before, after)
     result = _result(likelihood, found, after, findings, left, gap)
@@ -233,13 +236,13 @@ def _explain_most(gap):
     return gap.energy_ratio <= 0.5 and not worse
 
 
-def _best_predicting(likelihood, found, whole, held_out, more):
+def _best_predicting(likelihood, found, whole, held_out, further):
     """
     Return the State that predicts torque and free runs best on held-out data.
 
-    That with the effects found, unless another is clearly better: with fewer, or with such as
-    only resemble what is missing. Where there is ``more`` than noise left, any of them together.
-    A known parameter beyond its prior takes no effect's place: that is a wrong belief, unnamed.
+    That with the effects found, unless another is clearly better: with fewer, with such as only
+    resemble what is missing, or ``further`` States. None is written that worsens torque or free
+    runs. A known parameter beyond its prior takes no effect's place: that is a wrong belief.
     """
     known, best = likelihood.known, {}
     limit = plausible_limit(likelihood, found.best.model)
@@ -247,12 +250,12 @@ def _best_predicting(likelihood, found, whole, held_out, more):
         if np.all(np.abs(state.model.x) / likelihood.sd <= limit):
             best.setdefault(len(state.key(known)), state)
     others = [state for state in (found.before, whole.best,
-                                  *(best[size] for size in sorted(best)[:_SIZES]))
+                                  *(best[size] for size in sorted(best)[:_SIZES]), *further)
               if state is not found.best]
-    if more:
-        others.append(predicting_subset(likelihood, whole, held_out))
-    other = min(others, key=held_out.energy)
-    return other if CLEARLY * held_out.energy(other) < held_out.energy(found.best) else found.best
+    other = min((one for one in others if one is found.before
+                 or not held_out.worsens(one, found.before)), key=held_out.energy)
+    own = found.before if held_out.worsens(found.best, found.before) else found.best
+    return other if CLEARLY * held_out.energy(other) < held_out.energy(own) else own
 
 
 def _tried(found):
