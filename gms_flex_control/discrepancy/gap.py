@@ -67,7 +67,7 @@ class HeldOut:
         Return the squared residual torque of a State on held-out data times that of free runs.
 
         In Coulomb frictions squared and in rad^2, the geometric mean of all runs: one that slips
-        decides nothing. Infinite of a model whose simulation runs away.
+        decides nothing.
         """
         return self.errors(state).energy
 
@@ -78,18 +78,18 @@ class HeldOut:
         return self._errors[id(state.model)][1]
 
     def _errors_of(self, state):
-        torque, followed = self.torque(state), self._measured.is_followed(state.model)
-        squares = _free_squares(self._measured, _whole(self._measured, state.model))
+        torque, squares = self.torque(state), _free_squares(
+            self._measured, _whole(self._measured, state.model))
         runs = np.sum(squares, axis=1)
         free = np.exp(np.mean(np.log(np.maximum(runs, 1e-30)))) if len(runs) else 1.0
-        energy = float(np.sum((torque / self._likelihood.coulomb) ** 2) * free)
-        return Errors(torque, _rms(squares), energy if followed or not len(runs) else np.inf)
+        return Errors(torque, _rms(squares),
+                      float(np.sum((torque / self._likelihood.coulomb) ** 2) * free))
 
     def worsens(self, state, other) -> bool:
         """Return whether a State has clearly larger torques or free-run errors than another."""
         one, two = self.errors(state), self.errors(other)
         scale = self._likelihood.coulomb
-        return bool(np.isinf(one.energy) or any(
+        return bool(any(
             np.nansum(a ** 2) > CLEARLY * np.nansum(b ** 2)
             for a, b in ((one.torque / scale, two.torque / scale), (one.free, two.free))))
 
@@ -214,16 +214,20 @@ def _runs_inform(likelihood):
     Return whether free runs say anything about a model.
 
     Not where acceleration takes next to nothing of the torque that the model as believed leaves:
-    an angle that follows from errors of the torque alone is anywhere.
+    an angle that follows from errors of the torque alone is anywhere. Of flexible joints both
+    equations are added, in which springs have no part.
     """
-    x = np.zeros(len(likelihood.nuisances))
-    believed = [(likelihood.robot, x, [one.settled for one in likelihood.whitenings])]
-    constants = likelihood.constants(likelihood.robot, x)
-    work = plant.workspace(likelihood.robot.n_joints)
-    inertial = np.concatenate([inertial_torque(one.states, constants, work)
-                               for one in likelihood.motions])
-    taken = np.sqrt(np.mean(inertial ** 2, axis=0))
-    return bool(np.any(taken > _INERTIAL * _torque(likelihood, believed)[0]))
+    n, x = likelihood.robot.n_joints, np.zeros(len(likelihood.nuisances))
+    constants, work = likelihood.constants(likelihood.robot, x), plant.workspace(n)
+    taken, left, chain = np.zeros(n), np.zeros(n), constants.chain
+    for motion, whitening, residual in zip(
+            likelihood.motions, likelihood.whitenings,
+            likelihood.residuals(likelihood.motions, likelihood.robot, x), strict=True):
+        inertial = (inertial_torque(motion.states, constants, work)
+                    + chain.flexible * chain.motor_inertia * motion.states[:, 5])
+        taken += np.mean(inertial ** 2, axis=0)
+        left += np.mean(whitening.torque_rows(residual[:, :n] + residual[:, n:]) ** 2, axis=0)
+    return bool(np.any(taken > _INERTIAL ** 2 * left))
 
 
 # --- free runs ----------------------------------------------------------------------------------
