@@ -241,8 +241,8 @@ def _best_predicting(likelihood, found, whole, held_out, further):
     Return the State that predicts torque and free runs best on held-out data.
 
     That with the effects found, unless another is clearly better: with fewer, with such as only
-    resemble what is missing, or ``further`` States. None is written that worsens torque or free
-    runs. A known parameter beyond its prior takes no effect's place: that is a wrong belief.
+    resemble what is missing, or ``further`` States. None of these is written that worsens torque
+    or free runs. A known parameter beyond its prior takes no effect's place: that is a wrong belief.
     """
     known, best = likelihood.known, {}
     limit = plausible_limit(likelihood, found.best.model)
@@ -254,8 +254,7 @@ def _best_predicting(likelihood, found, whole, held_out, further):
               if state is not found.best]
     other = min((one for one in others if one is found.before
                  or not held_out.worsens(one, found.before)), key=held_out.energy)
-    own = found.before if held_out.worsens(found.best, found.before) else found.best
-    return other if CLEARLY * held_out.energy(other) < held_out.energy(own) else own
+    return other if CLEARLY * held_out.energy(other) < held_out.energy(found.best) else found.best
 
 
 def _tried(found):
