@@ -9,7 +9,8 @@ from types import SimpleNamespace
 from bench.hidden_robots.cases import make_case
 from discrepancy_runs import driven_motion, likelihood_of, retuned_of, rigid_motion
 from gms_flex_control.discrepancy.dictionary import Dictionary, guesses_of, may_join
-from gms_flex_control.discrepancy.likelihood import Likelihood, scales_of
+from gms_flex_control.discrepancy.likelihood import Likelihood
+from gms_flex_control.discrepancy.motion import scales_of
 from gms_flex_control.discrepancy.nuisance import nuisances_of, PRIOR
 from gms_flex_control.discrepancy.thresholds import PLAUSIBLE
 from gms_flex_control.effects import registry

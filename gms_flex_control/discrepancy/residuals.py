@@ -33,7 +33,6 @@ _ACTUATOR, _TWIST, _SPRING, _FRICTION, _LINK, _MOTOR, SENSOR = (int(stage) for s
 _SUBSTEPS = 4         # of a sample, where an actuator changes its command
 _CORRECTIONS = 4      # of an unseen link's angle, where a spring is not linear
 _CLEARINGS = 3        # iterations that clear a motion of the errors of its encoders
-_OF_SLOPE = 2000      # samples of the regression that gives the slope of a spring
 _LEAST_SHIFT = 1e-3   # of the largest: smaller ones give no secant
 _STIFFEST = 6.0       # times a spring's stiffness, at most
 _OF_BODIES = {  # by a field that the record of that kind of arm has
@@ -78,16 +77,6 @@ def friction_along(states, period, constants, state, work, friction):
         replay_friction(k, states, period, constants, state, work)
         for j in range(states.shape[2]):
             friction[k, j] = work.friction[j]
-
-
-@compiled
-def spring_torques(states, drive, time, period, constants, state, work, spring):
-    """Fill the torques (T, n) of springs along a motion (T, 6, n)."""
-    for k in range(drive.shape[0]):
-        plant.take_place(k, states, drive[k], time[k], state, work)
-        plant.springs(state, period, constants, work)
-        for j in range(drive.shape[1]):
-            spring[k, j] = work.signals[j, sig.SPRING]
 
 
 @compiled
@@ -210,23 +199,6 @@ def unexplained(motion, constants) -> np.ndarray:
         left[:, link.joint] += left[:, n + link.joint]
         left[:, n + link.joint] = 0.0
     return left
-
-
-def stiffness_along(motion, constants) -> np.ndarray:
-    """
-    Return by how much spring torques change with the torsion along a motion, (n,) [N m/rad].
-
-    The slope of the regression line over some samples: that of a linear spring is its stiffness.
-    """
-    every = max(len(motion.time) // _OF_SLOPE, 1)
-    states, drive, time = (np.ascontiguousarray(one[::every]) for one in (
-        motion.states, motion.drive, motion.time))
-    torque = np.empty_like(drive)
-    spring_torques(states, drive, time, motion.period * every, constants,
-                   fresh_state(constants), plant.workspace(len(motion.joints)), torque)
-    torsion = states[:, 3] - states[:, 0]
-    torsion = torsion - torsion.mean(axis=0)
-    return np.sum(torque * torsion, axis=0) / np.maximum(np.sum(torsion ** 2, axis=0), 1e-300)
 
 
 def motion_as_modelled(motion, constants, drive) -> tuple:

@@ -49,6 +49,7 @@ import numpy as np
 
 _SIZES = 4            # of sets that may predict better than the one found
 _EVEN = 2.0           # times the white part: noise of more is slow or fast
+_FAST_OCTAVES = 2     # highest ones: above 5 Hz
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -204,7 +205,7 @@ def noise_of(likelihood, model):
     n, total = robot.n_joints, likelihood.excess_torque(model)
     white = np.sqrt(np.mean(likelihood.noise ** 2, axis=0))
     response = likelihood.noise_response()
-    levels = likelihood.octave_levels(model)
+    levels = _octave_levels(likelihood, model)
     for c in range(2 * n):
         rms = float(np.hypot(total[c], white[c] * response[c]))
         if rms < PRACTICAL_FLOOR * likelihood.coulomb[c % n]:
@@ -214,6 +215,19 @@ def noise_of(likelihood, model):
         found.append(Noise(robot.joints[c % n], 'link' if c < n else 'motor', float(white[c]),
                            rms, colour))
     return tuple(found)
+
+
+def _octave_levels(likelihood, model):
+    """Return noise levels of slow and of fast octaves of each equation in motion, (2 n, 2)."""
+    groups, out = likelihood.groups, np.zeros((2 * likelihood.robot.n_joints, 2))
+    levels = model.sums.groups / groups.count
+    for c in range(len(out)):
+        for side, fast in enumerate((False, True)):
+            mine = np.unique(groups.group[(groups.channel == c)
+                                          & ((groups.part < _FAST_OCTAVES) == fast)])
+            if len(mine):
+                out[c, side] = np.average(levels[mine], weights=groups.count[mine])
+    return out
 
 
 def _left_over(likelihood, model, free, gap, measured=None):
@@ -242,7 +256,7 @@ def _best_predicting(likelihood, found, whole, held_out, further):
 
     That with the effects found, unless another is clearly better: with fewer, with such as only
     resemble what is missing, or ``further`` States. None of these is written that worsens torque
-    or free runs. A known parameter beyond its prior takes no effect's place: that is a wrong belief.
+    or free runs. A known parameter beyond its prior takes no effect's place: it is a wrong belief.
     """
     known, best = likelihood.known, {}
     limit = plausible_limit(likelihood, found.best.model)
