@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 
 from gms_flex_control.analysis.tracking import link_rms
 from gms_flex_control.control.feedforward import compensated
-from gms_flex_control.discrepancy.likelihood import scales_of
-from gms_flex_control.discrepancy.motion import motion_of
+from gms_flex_control.discrepancy.motion import motion_of, scales_of
 from gms_flex_control.effects import registry
 from gms_flex_control.errors import ConfigError, did_you_mean, ParameterError, SimulationError
 from gms_flex_control.experiment.believed import random_error

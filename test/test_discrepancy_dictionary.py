@@ -9,7 +9,8 @@ from types import SimpleNamespace
 from bench.hidden_robots.cases import make_case
 from discrepancy_runs import driven_motion, likelihood_of, retuned_of, rigid_motion
 from gms_flex_control.discrepancy.dictionary import Dictionary, guesses_of, may_join
-from gms_flex_control.discrepancy.likelihood import Likelihood, scales_of
+from gms_flex_control.discrepancy.likelihood import Likelihood
+from gms_flex_control.discrepancy.motion import scales_of
 from gms_flex_control.discrepancy.nuisance import nuisances_of, PRIOR
 from gms_flex_control.discrepancy.thresholds import PLAUSIBLE
 from gms_flex_control.effects import registry
@@ -85,7 +86,8 @@ def test_a_rigid_axis_has_guesses_of_what_can_be_there():
                         'tip_payload', 'supply_sag', 'motor_inertia_error'}
     motion = replace(motion, commanded=False)
     measured = looked_for(robot, motion)
-    assert found - measured == {'actuator_deadzone', 'actuator_saturation'}
+    assert found - measured == {'actuator_deadzone', 'actuator_saturation', 'actuator_lag',
+                                'input_delay'}  # what is measured has passed them
     robot, _ = rigid_motion(0.0, motor_inertia=0.02)  # all of its inertia stands at the motor
     assert looked_for(robot, motion) - measured == {'motor_inertia_error'}
     nuisances = nuisances_of(plant.constants_of(robot), PRIOR)

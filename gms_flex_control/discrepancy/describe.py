@@ -108,11 +108,13 @@ def paragraph(result, unseen=(), known_off=None) -> tuple:
     parts = [*_verdict(result), *_remainder(result)]
     if result.stand_ins:
         names_of = ' and '.join(f'{one.name} of {one.joint}' for one in result.stand_ins)
+        left = min(result.gap.energy_ratio, 1.0)
         parts.append((
             f'The written model has {names_of} as well: it predicts better so, though by '
             'less than what matters in practice.' if result.verdict == COMPLETE else
-            f'The written model has {names_of} in its place: it predicts better so, but '
-            'this only resembles what is missing.', True))
+            f'The written model has {names_of} in its place: this explains '
+            f'{100.0 * (1.0 - left):.0f} % of what is missing and predicts better, but it only '
+            f'resembles the cause; {100.0 * left:.0f} % remains unexplained.', True))
     parts.append((_gap(result), False))
     more = [*_noise(result)]
     if result.recordings:

@@ -11,6 +11,7 @@ before anything was measured.
 
 from typing import NamedTuple
 
+from gms_flex_control.compiled import compiled
 from gms_flex_control.discrepancy.fitting import (
     informative,
     limits,
@@ -20,12 +21,15 @@ from gms_flex_control.discrepancy.fitting import (
     solve,
 )
 from gms_flex_control.discrepancy.likelihood import Fitted
-from gms_flex_control.discrepancy.residuals import stiffness_along
+from gms_flex_control.discrepancy.residuals import fresh_state
 from gms_flex_control.discrepancy.thresholds import CREDIBLE
+from gms_flex_control.effects import signals as sig
+from gms_flex_control.simulation import plant
 import numpy as np
 
 _SOFTEST = 0.05       # of the stiffness believed, which a play has
 _WEIGHINGS = 3        # times that noise levels are taken anew
+_OF_SLOPE = 2000      # samples of the regression that gives the slope of a spring
 
 
 class State(NamedTuple):
@@ -84,6 +88,33 @@ def log_determinant(likelihood, model):
             ratio = np.maximum(stiffness_along(motion, constants)[seen] / believed[seen], _SOFTEST)
             out += float(count[seen] @ np.log(ratio))
     return out
+
+
+@compiled
+def spring_torques(states, drive, time, period, constants, state, work, spring):
+    """Fill the torques (T, n) of springs along a motion (T, 6, n)."""
+    for k in range(drive.shape[0]):
+        plant.take_place(k, states, drive[k], time[k], state, work)
+        plant.springs(state, period, constants, work)
+        for j in range(drive.shape[1]):
+            spring[k, j] = work.signals[j, sig.SPRING]
+
+
+def stiffness_along(motion, constants) -> np.ndarray:
+    """
+    Return by how much spring torques change with the torsion along a motion, (n,) [N m/rad].
+
+    The slope of the regression line over some samples: that of a linear spring is its stiffness.
+    """
+    every = max(len(motion.time) // _OF_SLOPE, 1)
+    states, drive, time = (np.ascontiguousarray(one[::every]) for one in (
+        motion.states, motion.drive, motion.time))
+    torque = np.empty_like(drive)
+    spring_torques(states, drive, time, motion.period * every, constants,
+                   fresh_state(constants), plant.workspace(len(motion.joints)), torque)
+    torsion = states[:, 3] - states[:, 0]
+    torsion = torsion - torsion.mean(axis=0)
+    return np.sum(torque * torsion, axis=0) / np.maximum(np.sum(torsion ** 2, axis=0), 1e-300)
 
 
 def posterior(states, known):

@@ -159,7 +159,7 @@ def predictive(likelihood, found, worths, held_out) -> tuple:
     """Return the search's end without effects that worsen HeldOut prediction, and its Worths."""
     while worths:
         energy = held_out.energy(found.best)
-        if len(worths) == 1 and np.isfinite(energy):
+        if len(worths) == 1:
             break
         without_each = {one.index: held_out.energy(_without(likelihood, found, one.index))
                         for one in worths}

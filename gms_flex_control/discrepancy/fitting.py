@@ -120,15 +120,19 @@ def is_at_limit(spec, robot) -> bool:
     """
     Return whether an effect has a parameter where the search for it ends, which is no value.
 
-    What the catalogue allows is such an end, too, unless physics ends there: at zero, or a share.
+    What the catalogue allows is such an end, too, unless physics ends there: at zero, at a share,
+    or where the effect says so.
     """
+    kind = find(spec.name)
+
     def is_end(limit, allowed, unit):
         return limit != allowed or (np.isfinite(limit) and limit != 0.0 and unit != '1')
     return any(
-        is_end(lower, one.lower, one.unit) and value < lower + _AT_LIMIT * abs(lower)
+        not kind.least_is_value and is_end(lower, one.lower, one.unit)
+        and value < lower + _AT_LIMIT * abs(lower)
         or is_end(upper, one.upper, one.unit) and value > upper - _AT_LIMIT * abs(upper)
         for one, value, lower, upper in zip(
-            find(spec.name).parameters, spec.values, *bounds_of(spec, robot), strict=True))
+            kind.parameters, spec.values, *bounds_of(spec, robot), strict=True))
 
 
 def effect_columns(likelihood, robot, x, rows, numbers) -> np.ndarray:

@@ -3,6 +3,8 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """The gap between model and measurement on data held out: residual torque and free runs."""
 
+from typing import NamedTuple
+
 from gms_flex_control.compiled import compiled
 from gms_flex_control.discrepancy.fitting import at_values, numbers_of, values_of
 from gms_flex_control.discrepancy.null_simulation import null_simulation
@@ -11,14 +13,16 @@ from gms_flex_control.discrepancy.residuals import (
     cleared,
     drive_torque,
     fresh_state,
+    inertial_torque,
     motion_as_modelled,
     replay_friction,
     SENSOR,
 )
 from gms_flex_control.discrepancy.result import Gap
-from gms_flex_control.discrepancy.thresholds import PLAUSIBLE
+from gms_flex_control.discrepancy.thresholds import CLEARLY, PLAUSIBLE
 from gms_flex_control.discrepancy.validation import FOLDS, steps
 from gms_flex_control.effects import signals as sig
+from gms_flex_control.errors import SimulationError
 from gms_flex_control.simulation import plant
 from gms_flex_control.simulation.predictor import copy_state
 import numpy as np
@@ -27,6 +31,15 @@ _FARTHEST = 10.0      # errors of free runs that run away count as so much [rad]
 _SEED = 991           # of the null simulation behind the noise floor, used in no fit
 HORIZON, STRIDE = 0.5, 0.5   # length of a run, and from one start to the next [s]
 _STEP = 4e-4                 # of the integration [s]
+_INERTIAL = 0.1              # of what the model leaves, that acceleration takes at least
+
+
+class Errors(NamedTuple):
+    """How far a model is from data held out."""
+
+    torque: np.ndarray  # (n,) residual torque of each joint in motion, rms [N m]
+    free: np.ndarray    # (n,) free-run error, rms [rad]; NaN without runs
+    energy: float       # by which models are compared, see `HeldOut.energy`
 
 
 class HeldOut:
@@ -43,7 +56,7 @@ class HeldOut:
     """
 
     def __init__(self, likelihood, other=None):
-        self._likelihood, self.other, self._energies = likelihood, other, {}
+        self._likelihood, self.other, self._errors = likelihood, other, {}
 
     @property
     def _measured(self):
@@ -54,18 +67,31 @@ class HeldOut:
         Return the squared residual torque of a State on held-out data times that of free runs.
 
         In Coulomb frictions squared and in rad^2, the geometric mean of all runs: one that slips
-        decides nothing. Infinite of a model whose simulation runs away.
+        decides nothing.
         """
-        if id(state.model) not in self._energies:  # the model is kept, so that its id is its own
-            self._energies[id(state.model)] = state.model, self._energy(state)
-        return self._energies[id(state.model)][1]
+        return self.errors(state).energy
 
-    def _energy(self, state):
-        if not self._measured.is_followed(state.model):
-            return np.inf
-        runs = np.sum(_free_squares(self._measured, _whole(self._measured, state.model)), axis=1)
+    def errors(self, state) -> Errors:
+        """Return the Errors of a State."""
+        if id(state.model) not in self._errors:  # the model is kept, so that its id is its own
+            self._errors[id(state.model)] = state.model, self._errors_of(state)
+        return self._errors[id(state.model)][1]
+
+    def _errors_of(self, state):
+        torque, squares = self.torque(state), _free_squares(
+            self._measured, _whole(self._measured, state.model))
+        runs = np.sum(squares, axis=1)
         free = np.exp(np.mean(np.log(np.maximum(runs, 1e-30)))) if len(runs) else 1.0
-        return float(np.sum((self.torque(state) / self._likelihood.coulomb) ** 2) * free)
+        return Errors(torque, _rms(squares),
+                      float(np.sum((torque / self._likelihood.coulomb) ** 2) * free))
+
+    def worsens(self, state, other) -> bool:
+        """Return whether a State has clearly larger torques or free-run errors than another."""
+        one, two = self.errors(state), self.errors(other)
+        scale = self._likelihood.coulomb
+        return bool(any(
+            np.nansum(a ** 2) > CLEARLY * np.nansum(b ** 2)
+            for a, b in ((one.torque / scale, two.torque / scale), (one.free, two.free))))
 
     def torque(self, state, plausible=np.inf) -> np.ndarray:
         """
@@ -83,16 +109,18 @@ class HeldOut:
                  'after': self._parts(after)}
         torque = {name: _torque(measured, one) for name, one in parts.items()}
         clean, whole = _clean(measured, after.model), _whole(measured, after.model)
-        floor = _torque(measured, whole, clean)
+        floor = _torque(measured, whole, clean) if clean else [np.full(measured.robot.n_joints,
+                                                                       np.nan)] * 2
         free = {name: _rms(_free_squares(measured, parts[name])) for name in ('retuned', 'after')}
-        above = [float(np.sum(np.maximum(torque[name][0] ** 2 - floor[0] ** 2, 0.0)))
+        noise = np.nan_to_num(floor[0])
+        above = [float(np.sum(np.maximum(torque[name][0] ** 2 - noise ** 2, 0.0)))
                  for name in ('retuned', 'after')]
         return Gap(
             joints=likelihood.robot.joints,
             **{name: one[0] for name, one in torque.items()}, floor=floor[0],
             rest_before=torque['retuned'][1], rest_after=torque['after'][1],
             free_before=free['retuned'], free_after=free['after'],
-            free_floor=_rms(_free_squares(measured, whole, clean)),
+            free_floor=_rms(_free_squares(measured, whole, clean)) if clean else floor[0],
             energy_ratio=above[1] / above[0] if above[0] > 0.0 else 1.0)
 
     def _parts(self, state, plausible=np.inf):
@@ -126,10 +154,13 @@ def _whole(likelihood, model):
 
 
 def _clean(likelihood, model):
-    """Return null simulations of a model, Motion each."""
+    """Return null simulations of a model, list of Motion, or None if it runs away."""
     constants = likelihood.constants(model.robot, model.x)
-    return [null_simulation(motion, constants, np.random.default_rng(_SEED))
-            for motion in likelihood.motions]
+    try:
+        return [null_simulation(motion, constants, np.random.default_rng(_SEED))
+                for motion in likelihood.motions]
+    except SimulationError:
+        return None
 
 
 def _torque(likelihood, parts, motions=None):
@@ -160,6 +191,8 @@ def _rms(squares):
 
 def _free_squares(likelihood, parts, motions=None):
     """Return the mean squares of the errors of free runs (S, n) [rad^2]."""
+    if not _runs_inform(likelihood):
+        return np.empty((0, likelihood.robot.n_joints))
     squares = []
     for robot, x, masks in parts:
         constants = likelihood.constants(robot, x)
@@ -174,6 +207,27 @@ def _free_squares(likelihood, parts, motions=None):
                            for one in (link, motor))
             squares.append(np.mean(link ** 2 + motor ** 2, axis=1) / 2.0)
     return np.concatenate(squares)
+
+
+def _runs_inform(likelihood):
+    """
+    Return whether free runs say anything about a model.
+
+    Not where acceleration takes next to nothing of the torque that the model as believed leaves:
+    an angle that follows from errors of the torque alone is anywhere. Of flexible joints both
+    equations are added, in which springs have no part.
+    """
+    n, x = likelihood.robot.n_joints, np.zeros(len(likelihood.nuisances))
+    constants, work = likelihood.constants(likelihood.robot, x), plant.workspace(n)
+    taken, left, chain = np.zeros(n), np.zeros(n), constants.chain
+    for motion, whitening, residual in zip(
+            likelihood.motions, likelihood.whitenings,
+            likelihood.residuals(likelihood.motions, likelihood.robot, x), strict=True):
+        inertial = (inertial_torque(motion.states, constants, work)
+                    + chain.flexible * chain.motor_inertia * motion.states[:, 5])
+        taken += np.mean(inertial ** 2, axis=0)
+        left += np.mean(whitening.torque_rows(residual[:, :n] + residual[:, n:]) ** 2, axis=0)
+    return bool(np.any(taken > _INERTIAL ** 2 * left))
 
 
 # --- free runs ----------------------------------------------------------------------------------

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import os
 from typing import NamedTuple
 
-from gms_flex_control.discrepancy.motion import encoder_step
+from gms_flex_control.discrepancy.motion import scales_of
 from gms_flex_control.discrepancy.nuisance import (
     nuisances_of,
     of_recordings,
@@ -43,7 +43,6 @@ _NULL_RUNS = 9         # simulations in which nothing is missing
 _MEASURED_BY = 6       # of these: by which residuals are whitened
 _MEDIAN = 0.4549       # of the square of a standard normal number
 _LEAST_SCALE, _MOST_SCALE = 0.1, 2.0  # of the torque that was commanded: drives give no more
-_FAST_OCTAVES = 2      # highest ones: above 5 Hz
 _DRAWS = 4             # of unit noise
 _WILD = 4.0            # times the squared torque that the recording lacks: driven wild
 _LOW = 4.0             # standard deviations of chi square: sums below are no merit of a model
@@ -374,18 +373,6 @@ class Likelihood:
             self.torque_noise(0, np.random.default_rng([self._seed, 8, 0]), 1.0))
         return np.sqrt(np.mean(rows ** 2, axis=0))
 
-    def octave_levels(self, model) -> np.ndarray:
-        """Return noise levels of slow and of fast octaves of each equation in motion, (2 n, 2)."""
-        groups, out = self.groups, np.zeros((2 * self.robot.n_joints, 2))
-        levels = model.sums.groups / groups.count
-        for c in range(len(out)):
-            for side, fast in enumerate((False, True)):
-                mine = np.unique(groups.group[(groups.channel == c)
-                                              & ((groups.part < _FAST_OCTAVES) == fast)])
-                if len(mine):
-                    out[c, side] = np.average(levels[mine], weights=groups.count[mine])
-        return out
-
     def torque_rms(self, one, other) -> float:
         """Return the rms by which residual torques of two models differ, larger equation."""
         squares = [(a - b) ** 2 for a, b in zip(self.torque(one), self.torque(other),
@@ -406,31 +393,6 @@ class Likelihood:
         """Return Coulomb friction of a joint, the least of all for the whole arm [N m]."""
         joints = self.robot.joints
         return float(self.coulomb[joints.index(joint)] if joint in joints else self.coulomb.min())
-
-
-def scales_of(motions, robot) -> list:
-    """Return the Scales of each joint over all recordings."""
-    arm, found = robot.arm, []
-    for j in range(robot.n_joints):
-        link, rate, motor = (np.concatenate([one.states[:, row, j] for one in motions])
-                             for row in (0, 1, 3))
-        torque = np.concatenate([one.command[:, j] for one in motions])
-        twist = 0.0 if arm.rigid[j] else float(np.std(motor - link))  # an offset is no usual size
-        spring = float(arm.stiffness[j] * twist) if twist > 0.0 else float(np.std(torque))
-        speed = max(float(np.sqrt(np.mean(rate ** 2))), 1e-6)
-        found.append(Scales(
-            friction=float(np.mean([side.static[j] + side.viscous[j] * speed for side in (
-                robot.friction.forward, robot.friction.backward)])),
-            torque=float(np.abs(torque).max()), spring=spring, twist=twist, speed=speed,
-            inertia=float(arm.motor_inertia[j]), link_inertia=float(arm.link_inertia[j]),
-            mass=float(arm.mass.sum()), lowest=float(link.min()), highest=float(link.max()),
-            turned=float(np.ptp(motor)),
-            duration=float(max(one.time[-1] - one.time[0] for one in motions)),
-            supply=min(float(one.supply.mean()) for one in motions),
-            count=max(encoder_step(one.readings[:, 0, j], one.noise[0, j]) for one in motions),
-            presliding=float(np.max(robot.friction.weight[j] * robot.friction.forward.coulomb[j]
-                                    / robot.friction.stiffness[j]))))
-    return found
 
 
 def with_effect(robot, spec):

@@ -17,6 +17,7 @@ from gms_flex_control import records
 from gms_flex_control.data.signal_analysis import quantum
 from gms_flex_control.dynamics import spatial
 from gms_flex_control.dynamics.chain import own_inertia
+from gms_flex_control.effects.guess import Scales
 from gms_flex_control.errors import BagError
 from gms_flex_control.identification.smoothing import (
     derivatives,
@@ -264,6 +265,31 @@ def standing(angle, noise, period) -> np.ndarray:
     step = np.array([encoder_step(column, own)
                      for column, own in zip(angle.T, noise, strict=True)])
     return spread <= np.maximum(_ONE_COUNT * step, _DEVIATIONS * noise)
+
+
+def scales_of(motions, robot) -> list:
+    """Return the Scales of each joint over all recordings."""
+    arm, found = robot.arm, []
+    for j in range(robot.n_joints):
+        link, rate, motor = (np.concatenate([one.states[:, row, j] for one in motions])
+                             for row in (0, 1, 3))
+        torque = np.concatenate([one.command[:, j] for one in motions])
+        twist = 0.0 if arm.rigid[j] else float(np.std(motor - link))  # an offset is no usual size
+        spring = float(arm.stiffness[j] * twist) if twist > 0.0 else float(np.std(torque))
+        speed = max(float(np.sqrt(np.mean(rate ** 2))), 1e-6)
+        found.append(Scales(
+            friction=float(np.mean([side.static[j] + side.viscous[j] * speed for side in (
+                robot.friction.forward, robot.friction.backward)])),
+            torque=float(np.abs(torque).max()), spring=spring, twist=twist, speed=speed,
+            inertia=float(arm.motor_inertia[j]), link_inertia=float(arm.link_inertia[j]),
+            mass=float(arm.mass.sum()), lowest=float(link.min()), highest=float(link.max()),
+            turned=float(np.ptp(motor)),
+            duration=float(max(one.time[-1] - one.time[0] for one in motions)),
+            supply=min(float(one.supply.mean()) for one in motions),
+            count=max(encoder_step(one.readings[:, 0, j], one.noise[0, j]) for one in motions),
+            presliding=float(np.max(robot.friction.weight[j] * robot.friction.forward.coulomb[j]
+                                    / robot.friction.stiffness[j]))))
+    return found
 
 
 # --- links without encoder ----------------------------------------------------------------------

@@ -33,7 +33,6 @@ _ACTUATOR, _TWIST, _SPRING, _FRICTION, _LINK, _MOTOR, SENSOR = (int(stage) for s
 _SUBSTEPS = 4         # of a sample, where an actuator changes its command
 _CORRECTIONS = 4      # of an unseen link's angle, where a spring is not linear
 _CLEARINGS = 3        # iterations that clear a motion of the errors of its encoders
-_OF_SLOPE = 2000      # samples of the regression that gives the slope of a spring
 _LEAST_SHIFT = 1e-3   # of the largest: smaller ones give no secant
 _STIFFEST = 6.0       # times a spring's stiffness, at most
 _OF_BODIES = {  # by a field that the record of that kind of arm has
@@ -81,16 +80,6 @@ def friction_along(states, period, constants, state, work, friction):
 
 
 @compiled
-def spring_torques(states, drive, time, period, constants, state, work, spring):
-    """Fill the torques (T, n) of springs along a motion (T, 6, n)."""
-    for k in range(drive.shape[0]):
-        plant.take_place(k, states, drive[k], time[k], state, work)
-        plant.springs(state, period, constants, work)
-        for j in range(drive.shape[1]):
-            spring[k, j] = work.signals[j, sig.SPRING]
-
-
-@compiled
 def clear_sensor_errors(states, friction, drive, time, period, constants, state, work, true, bend):
     """
     Fill motion ``true`` (T, 6, n) and by how much second differences ``bend`` (T, 2, n) too far.
@@ -127,8 +116,8 @@ def clear_sensor_errors(states, friction, drive, time, period, constants, state,
 
 
 @compiled
-def residuals_along(states, second, friction, bias, inertial, drive, rest, time, period, weight,
-                    constants, state, work, out):
+def residuals_along(states, second, friction, bias, inertial, carried, drive, rest, time, period,
+                    weight, constants, state, work, out):
     """
     Fill the residual torques ``out`` (T, 2 n) of link and motor equations [N m].
 
@@ -136,8 +125,8 @@ def residuals_along(states, second, friction, bias, inertial, drive, rest, time,
     ----------
     states, second : ndarray, shapes (T, 6, n) and (T, 2, n)
         Smoothed motion; filtered second differences of the readings.
-    friction, bias, inertial : ndarray, shape (T, n)
-        Torques of the blocks, ``C dq + g`` and ``M second`` [N m].
+    friction, bias, inertial, carried : ndarray, shape (T, n)
+        Torques of the blocks, ``C dq + g``, ``M second`` and ``M ddq`` [N m].
     drive, rest : ndarray, shape (T, n)
         Filtered torque of the actuators [N m]; torsion as read less the smoothed one [rad].
     time, period : ndarray, shape (T,), and float
@@ -157,6 +146,8 @@ def residuals_along(states, second, friction, bias, inertial, drive, rest, time,
         plant.springs(state, period, constants, work)
         for j in range(n):
             s[j, sig.FRICTION] = friction[k, j]
+            if not links.flexible[j]:  # not as measured: that would explain torque by torque
+                s[j, sig.SPRING] = carried[k, j] + bias[k, j] + friction[k, j]
         for stage in (_FRICTION, _LINK, _MOTOR):
             effect_table.run_stage(stage, s, state.memory, period, effects)
         for j in range(n):
@@ -209,23 +200,6 @@ def unexplained(motion, constants) -> np.ndarray:
         left[:, link.joint] += left[:, n + link.joint]
         left[:, n + link.joint] = 0.0
     return left
-
-
-def stiffness_along(motion, constants) -> np.ndarray:
-    """
-    Return by how much spring torques change with the torsion along a motion, (n,) [N m/rad].
-
-    The slope of the regression line over some samples: that of a linear spring is its stiffness.
-    """
-    every = max(len(motion.time) // _OF_SLOPE, 1)
-    states, drive, time = (np.ascontiguousarray(one[::every]) for one in (
-        motion.states, motion.drive, motion.time))
-    torque = np.empty_like(drive)
-    spring_torques(states, drive, time, motion.period * every, constants,
-                   fresh_state(constants), plant.workspace(len(motion.joints)), torque)
-    torsion = states[:, 3] - states[:, 0]
-    torsion = torsion - torsion.mean(axis=0)
-    return np.sum(torque * torsion, axis=0) / np.maximum(np.sum(torsion ** 2, axis=0), 1e-300)
 
 
 def motion_as_modelled(motion, constants, drive) -> tuple:
@@ -293,7 +267,7 @@ def _on_motors(motion, constants, drive, states, second):
     if acts(constants, SENSOR):
         states, second = cleared(motion, drive, states, second, constants)
     nothing = np.zeros_like(drive)  # links do not enter
-    return _formed(motion, constants, drive, states, second, nothing, nothing, nothing)[
+    return _formed(motion, constants, drive, states, second, nothing, nothing, nothing, nothing)[
         :, drive.shape[1]:]
 
 
@@ -312,15 +286,18 @@ def _residuals(motion, constants, drive, states, second, way):
         friction = kept(way, partial(_friction, motion, states, constants, work))
     bias, inertial = kept((*way, *_key(constants, (), *_of_bodies(constants))), partial(
         _rigid_body, states, second, constants, work))
-    out = _formed(motion, constants, drive, states, second, friction, bias, inertial)
+    carried = inertial if np.all(constants.chain.flexible) else kept(
+        ('carried', *way, *_key(constants, (), *_of_bodies(constants))), partial(
+            inertial_torque, states, constants, work))
+    out = _formed(motion, constants, drive, states, second, friction, bias, inertial, carried)
     if motion.pushed is not None:
         out[:, :drive.shape[1]] -= motion.push
     return out
 
 
-def _formed(motion, constants, drive, states, second, friction, bias, inertial):
+def _formed(motion, constants, drive, states, second, friction, bias, inertial, carried):
     out, n = np.empty((len(drive), 2 * drive.shape[1])), drive.shape[1]
-    residuals_along(states, second, friction, bias, inertial, drive, motion.twist_rest,
+    residuals_along(states, second, friction, bias, inertial, carried, drive, motion.twist_rest,
                     motion.time, motion.period, weight_of_neighbours(motion.factor), constants,
                     fresh_state(constants), plant.workspace(n), out)
     return out
@@ -359,6 +336,11 @@ def _rigid_body(states, second, constants, work):
     chain.rigid_body_along(states, np.ascontiguousarray(second[:, 0]), constants.chain,
                            work.chain, bias, inertial)
     return bias, inertial
+
+
+def inertial_torque(states, constants, work) -> np.ndarray:
+    """Return ``M ddq`` of the smoothed acceleration along a motion (S, 6, n), (S, n) [N m]."""
+    return _rigid_body(states, states[:, 2:3], constants, work)[1]
 
 
 def drive_torque(motion, constants) -> np.ndarray:

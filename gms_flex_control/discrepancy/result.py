@@ -68,7 +68,7 @@ class Gap:
     before: np.ndarray        # of the model as given
     retuned: np.ndarray       # with known parameters re-tuned
     after: np.ndarray         # with the effects found
-    floor: np.ndarray         # of a null simulation
+    floor: np.ndarray         # of a null simulation; NaN where that runs away
     rest_before: np.ndarray   # re-tuned
     rest_after: np.ndarray
     free_before: np.ndarray   # re-tuned

@@ -49,6 +49,7 @@ import numpy as np
 
 _SIZES = 4            # of sets that may predict better than the one found
 _EVEN = 2.0           # times the white part: noise of more is slow or fast
+_FAST_OCTAVES = 2     # highest ones: above 5 Hz
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,6 +118,7 @@ def _compared(motions, holdout, robot, options, say):
     found = search(likelihood, most=options.most, excluded=options.without, say=say)
     likelihood, found = _again(likelihood, found, options, say)
     say('held-out prediction')
+    searched = found.best
     found, worths, free, whole = judged(likelihood, found)
     held_out = HeldOut(likelihood, Likelihood(holdout, robot, options.seed, options.doubt,
                                               held_out=True) if holdout else None)
@@ -128,8 +130,10 @@ def _compared(motions, holdout, robot, options, say):
         findings = [one for one in findings if not left.is_of(one)]
         if not (any(one.main for one in findings) and _explain_most(gap)):
             findings = []  # they only resemble some of it
-    more = left is not None or np.any(gap.after ** 2 > BETTER * gap.floor ** 2)
-    after = _best_predicting(likelihood, found, whole if left else found, held_out, more)
+    more = left is not None or np.any(gap.after ** 2 > BETTER * np.nan_to_num(gap.floor) ** 2)
+    whole = whole if left else found
+    after = _best_predicting(likelihood, found, whole, held_out, [
+        searched, predicting_subset(likelihood, whole, held_out)] if more else [])
     if after is not found.best:
         gap = held_out.gap(found.before, after)
     result = _result(likelihood, found, after, findings, left, gap)
@@ -201,7 +205,7 @@ def noise_of(likelihood, model):
     n, total = robot.n_joints, likelihood.excess_torque(model)
     white = np.sqrt(np.mean(likelihood.noise ** 2, axis=0))
     response = likelihood.noise_response()
-    levels = likelihood.octave_levels(model)
+    levels = _octave_levels(likelihood, model)
     for c in range(2 * n):
         rms = float(np.hypot(total[c], white[c] * response[c]))
         if rms < PRACTICAL_FLOOR * likelihood.coulomb[c % n]:
@@ -211,6 +215,19 @@ def noise_of(likelihood, model):
         found.append(Noise(robot.joints[c % n], 'link' if c < n else 'motor', float(white[c]),
                            rms, colour))
     return tuple(found)
+
+
+def _octave_levels(likelihood, model):
+    """Return noise levels of slow and of fast octaves of each equation in motion, (2 n, 2)."""
+    groups, out = likelihood.groups, np.zeros((2 * likelihood.robot.n_joints, 2))
+    levels = model.sums.groups / groups.count
+    for c in range(len(out)):
+        for side, fast in enumerate((False, True)):
+            mine = np.unique(groups.group[(groups.channel == c)
+                                          & ((groups.part < _FAST_OCTAVES) == fast)])
+            if len(mine):
+                out[c, side] = np.average(levels[mine], weights=groups.count[mine])
+    return out
 
 
 def _left_over(likelihood, model, free, gap, measured=None):
@@ -233,13 +250,13 @@ def _explain_most(gap):
     return gap.energy_ratio <= 0.5 and not worse
 
 
-def _best_predicting(likelihood, found, whole, held_out, more):
+def _best_predicting(likelihood, found, whole, held_out, further):
     """
     Return the State that predicts torque and free runs best on held-out data.
 
-    That with the effects found, unless another is clearly better: with fewer, or with such as
-    only resemble what is missing. Where there is ``more`` than noise left, any of them together.
-    A known parameter beyond its prior takes no effect's place: that is a wrong belief, unnamed.
+    That with the effects found, unless another is clearly better: with fewer, with such as only
+    resemble what is missing, or ``further`` States. None of these is written that worsens torque
+    or free runs. A known parameter beyond its prior takes no effect's place: it is a wrong belief.
     """
     known, best = likelihood.known, {}
     limit = plausible_limit(likelihood, found.best.model)
@@ -247,11 +264,10 @@ def _best_predicting(likelihood, found, whole, held_out, more):
         if np.all(np.abs(state.model.x) / likelihood.sd <= limit):
             best.setdefault(len(state.key(known)), state)
     others = [state for state in (found.before, whole.best,
-                                  *(best[size] for size in sorted(best)[:_SIZES]))
+                                  *(best[size] for size in sorted(best)[:_SIZES]), *further)
               if state is not found.best]
-    if more:
-        others.append(predicting_subset(likelihood, whole, held_out))
-    other = min(others, key=held_out.energy)
+    other = min((one for one in others if one is found.before
+                 or not held_out.worsens(one, found.before)), key=held_out.energy)
     return other if CLEARLY * held_out.energy(other) < held_out.energy(found.best) else found.best
 
 

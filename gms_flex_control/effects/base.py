@@ -71,6 +71,7 @@ class Effect(ABC):
     needs_chain = False       # requires links that carry each other
     of_recording = False      # an error of the recording, not of the robot
     needs_supply = False      # requires a recorded voltage of the supply
+    least_is_value = False    # the least value searched for is where physics ends
     fed_forward = False       # a torque that follows smoothly from what a controller measures
     acts_along_motion = True  # what was measured is enough to compute it
     estimated_with_arm = False  # identification finds it anew with the arm

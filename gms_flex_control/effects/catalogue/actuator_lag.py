@@ -19,6 +19,7 @@ class ActuatorLag(Term):
     confusable = ('input_delay', 'recording_delay')
     tells = 'torque that changes faster, up to a tenth of the sample rate'
     of_feedback = True
+    needs_commands = True
     parameters = (Parameter('time_constant', 's', 'time constant', lower=0.0, typical=8e-3),)
     guesses = staticmethod(lambda s: sizes((0.001, 0.003, 0.006, 0.012, 0.02)))
     excludes = staticmethod(lambda rigid: ('input_delay',))  # their sum alone shows

@@ -24,6 +24,7 @@ class InputDelay(Term):
     confusable = ('actuator_lag', 'recording_delay')
     tells = 'torque that changes faster, up to a tenth of the sample rate'
     of_feedback = True
+    needs_commands = True
     parameters = (Parameter('delay', 's', 'dead time', lower=0.0, upper=0.05, typical=8e-3),)
     guesses = staticmethod(lambda s: sizes((0.001, 0.003, 0.006, 0.012, 0.02)))
     excludes = staticmethod(lambda rigid: ('actuator_lag',))  # their sum alone shows

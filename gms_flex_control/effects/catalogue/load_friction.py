@@ -12,7 +12,8 @@ class LoadFriction(Term):
     """
     F -> F (1 + ratio abs(s) / load).
 
-    s is what the transmission carries: weight, inertia and friction of the link.
+    s is what the transmission carries: weight, inertia and friction of the link. Along a recording
+    it follows from the motion where the joint is rigid: torque explains no torque.
     """
 
     name = 'load_friction'

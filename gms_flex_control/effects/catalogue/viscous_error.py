@@ -20,6 +20,7 @@ class ViscousError(Term):
     confusable = ('quadratic_drag',)
     tells = 'faster motion, over a range of speeds of 1 to 5'
     replaces = 'viscous'
+    least_is_value = True     # no viscous friction at all
     parameters = (Parameter('slope', 'N m s/rad', 'further viscous friction',
                             typical=lambda s: 0.3 * s.friction / s.speed),)
     guesses = staticmethod(lambda s: linear(0.1 * s.friction / s.speed))
