@@ -16,7 +16,7 @@ GROUPS = {
     'on robots that are simulated': {
         'recover': 'bench.recover', 'coverage': 'bench.coverage',
         'hide': 'bench.hidden_robots.hide', 'score': 'bench.hidden_robots.score',
-        'learn': 'bench.learn'},
+        'learn': 'bench.learn', 'next': 'bench.next'},
     'on recordings of real ones': {'real-machines': 'bench.real_machines.real_machines'}}
 EXAMPLES = {verb: [f'{PROG} {verb} {options}'.rstrip() for options in each]
             for verb, each in {
@@ -28,6 +28,7 @@ EXAMPLES = {verb: [f'{PROG} {verb} {options}'.rstrip() for options in each]
     'hide': ('--effect backlash --out hidden', '--kind single double --seeds 0:5 --out hidden'),
     'score': ('--out quick', '--kind single --seeds 0:20 --no-peers --out singles'),
     'learn': ('--seeds 0:1 --clean 0:2 --machines --out learned', '--out learned'),
+    'next': ('--seeds 0:1 --out next', '--families "lag, delay" --seeds 0:4 --out lag'),
     'real-machines': ('--first', 'kr300_axis1 --out bench_real_output')}.items()}
 
 

@@ -36,7 +36,7 @@ NO_BAG = ROOT / 'test' / 'no_such_bag'
 # what is wrong with the input of a verb that takes no bag
 WRONG = {
     'demo': '--out {file}', 'demo-identify': '--plan {missing} --out {dir}',
-    'demo-discrepancy': '--effect nothing --out {dir}',
+    'demo-discrepancy': '--effect nothing --out {dir}', 'demo-next': '--out {file}',
     'simulate': '--robot {missing} --out {dir}', 'record': '--all --duration -1 --out {dir}',
     'import-csv': '{missing} --map import_kr300.yaml --out {dir}',
     'check-gains': '--robot {missing}', 'joints': '--most 0', 'speed': '--robot {missing}',
@@ -121,7 +121,8 @@ def test_bad_input_is_said_in_one_sentence(verb, tmp_path, capsys):
 
 @pytest.mark.parametrize('arguments', [
     'record --all --out {dir}', 'view live', 'faults --list', 'demo --out {dir}',
-    'demo-identify --out {dir}', 'demo-discrepancy --out {dir}'])
+    'demo-identify --out {dir}', 'demo-discrepancy --out {dir}',
+    'demo-next --out {dir}'])
 def test_without_ros_the_extra_is_named(arguments, tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, 'rclpy', None)  # importing it then fails
     out = tmp_path / 'out'
