@@ -233,7 +233,7 @@ def _draw(rng, own, kind, seed, population, plant, duration, effect, softer, hea
     if kind == 'clutter':
         clutter = _clutter(rng, effects, robot, figures)
         torques = sizes.Torques(recording_of(bare, references[0], time, robot, False,
-                                           'without effects', None), robot)
+                                             'without effects', None), robot)
         others = (effect,) if effect else names
         effects = _dominant(rng, effects[0], clutter, robot, figures, torques, others)
     robot = replace(robot, effects=effects + clutter)
@@ -244,7 +244,7 @@ def _draw(rng, own, kind, seed, population, plant, duration, effect, softer, hea
         run = driven(robot, nominal, gains, reference, seeds[k], disturbance=disturbances[k],
                      supply=supply, noise=drives.draw(own, len(time)))
         recordings.append(recording_of(run, reference, time, robot, with_rates,
-                                     f'{kind} {seed}', seen))
+                                       f'{kind} {seed}', seen))
     if all(spec.name != 'supply_sag' for spec in effects) and rng.random() < 0.5:
         recordings = [replace(recording, supply=None) for recording in recordings]
     first = disturbances[0]
