@@ -50,8 +50,8 @@ WRONG = {
 
 
 def tool_of(verb):
-    """Return the tool that has a verb, and what starts it."""
-    return (bench, bench.PROG) if verb in OF_BENCH else (tool, 'gms_flex')
+    """Return the tool that has a verb, and what starts it; `next` of the bench has its own test."""
+    return (tool, 'gms_flex') if verb in VERBS else (bench, bench.PROG)
 
 
 def sub_parser(verb):
@@ -69,6 +69,16 @@ def tool_in(environment=None, arguments=(), **options):
     """Run the tool as a process of its own."""
     return subprocess.run([sys.executable, '-m', 'gms_flex_control.cli.main', *arguments],
                           env=environment_of(**(environment or {})), check=False, **options)
+
+
+def test_the_bench_of_next_takes_its_examples_and_refuses_seeds_that_are_none(capsys):
+    parser = bench.build_parser().verbs['next']
+    for example in bench.EXAMPLES['next']:
+        start = f'{bench.PROG} next'
+        assert example.startswith(start)
+        assert parser.parse_args(shlex.split(example.removeprefix(start))).families
+    assert bench.main(['next', '--seeds', 'x', '--families', 'lag, delay']) == tool.BAD_INPUT
+    assert 'x' in capsys.readouterr().err
 
 
 @pytest.mark.parametrize('verb', (*VERBS, *OF_BENCH))
