@@ -50,7 +50,7 @@ WRONG = {
 
 
 def tool_of(verb):
-    """Return the tool that has a verb, and what starts it; `next` of the bench has its own test."""
+    """Return the tool that has a verb, gms_flex first, and what starts it."""
     return (tool, 'gms_flex') if verb in VERBS else (bench, bench.PROG)
 
 
