@@ -109,7 +109,7 @@ def separate(recordings: Sequence[Recording], robot: RobotParams, sets: Sequence
             return ended(BUDGET)
         plan = plan_next(left, gains, limits, period=period, odds=odds,
                          longest=min(longest, room), say=say)
-        if not plan.pairs(True):
+        if not plan.pairs(True) and rounds:  # what the first recordings foresee is a poor guess
             return ended(INSEPARABLE if room >= longest else BUDGET, plan)
         say(plan.sentence())
         recording = drive(plan, len(rounds) + 1)
