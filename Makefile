@@ -3,7 +3,7 @@ SHELL := /bin/bash
 BIN := .venv/bin
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help demo demo-identify demo-discrepancy test test-fast lint bench bench-real screenshots pictures \
+.PHONY: help demo demo-identify demo-discrepancy demo-next test test-fast lint bench bench-real screenshots pictures \
         newcomers docs lock clean
 
 # A ROS installation or another environment in the caller's shell must not leak in.
@@ -24,6 +24,9 @@ demo-identify: .venv/.with-ros  ## Run identification over ROS 2 into demo_ident
 
 demo-discrepancy: .venv/.with-ros  ## Hide an effect, find it and drive with it known, over ROS 2
 	@$(BIN)/gms_flex demo-discrepancy --out demo_discrepancy_output
+
+demo-next: .venv/.with-ros  ## Leave two names, design and drive the motion that leaves one, over ROS 2
+	@$(BIN)/gms_flex demo-next --out demo_next_output
 
 test: lint  ## Run the linters, the tests and a colcon build
 	@$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder test
@@ -61,7 +64,7 @@ lock: .venv/.created  ## Write constraints.txt anew from the newest versions set
 	  --output-file constraints.txt setup.py -
 
 clean:  ## Remove the environment and all that was made
-	rm -rf .venv docs/_api docs/_build demo_output demo_identify_output demo_discrepancy_output bench_real_output build install log .pytest_cache .ruff_cache *.egg-info
+	rm -rf .venv docs/_api docs/_build demo_output demo_identify_output demo_discrepancy_output demo_next_output bench_real_output build install log .pytest_cache .ruff_cache *.egg-info
 
 # A new lock starts a new environment, so that nothing of the old one stays.
 .venv/.created: constraints.txt scripts/create_venv.sh

@@ -9,7 +9,8 @@ from pathlib import Path
 import time
 from typing import NamedTuple
 
-from bench.hidden_robots.cases import make_case
+from bench.hidden_robots import outsiders
+from bench.hidden_robots.cases import make_case, require_known
 from bench.hidden_robots.hide import seeds_of
 from bench.real_machines.machines import BAND, MACHINES
 from bench.real_machines.motion import low_pass, motion_of, residual_torque, rms
@@ -63,6 +64,8 @@ def add_parser(subparsers):
                     'Gaussian process and a neural network. A killed run goes on.')
     parser.add_argument('--seeds', default='0:3', metavar='A:B',
                         help='of each disturbance (default: %(default)s)')
+    parser.add_argument('--disturbances', nargs='*', default=[*STATE, *OTHERS], metavar='NAME',
+                        help='hidden in robots (default: %(default)s)')
     parser.add_argument('--clean', default='0:20', metavar='A:B',
                         help='of clean robots (default: %(default)s)')
     parser.add_argument('--machines', nargs='*', default=list(REAL), metavar='MACHINE',
@@ -80,10 +83,11 @@ def run(args):
     unknown = [name for name in args.machines if name not in MACHINES]
     if unknown:
         raise ConfigError(f'--machines {unknown[0]}: unknown, known are {", ".join(MACHINES)}')
+    for name in args.disturbances:
+        require_known('disturbance', name, outsiders.NAMES)
     items = [Item('outside', name, seed, args.duration) for seed in seeds_of(args.seeds)
-             for name in STATE]
+             for name in args.disturbances if name in STATE or seed == 0]
     items += [Item('clean', '', seed, CLEAN) for seed in seeds_of(args.clean)]
-    items += [Item('outside', name, 0, args.duration) for name in OTHERS]
     items += [Item('real', name, 0, 0.0) for name in args.machines
               if not MACHINES[name].absent()]
     journal = Journal(args.out, fingerprint(_SOURCES)

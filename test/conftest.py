@@ -44,7 +44,7 @@ def pytest_runtest_setup(item):
 # files that take longest and about how long [s]; nothing but the order depends on it
 WITH_NODES = {
     'controller': 20,  # compiles what the nodes run
-    'nodes_identification': 60, 'demo_discrepancy': 60, 'tutorials': 55,
+    'nodes_identification': 60, 'demo_discrepancy': 60, 'demo_next': 60, 'tutorials': 55,
     'faults': 35, 'nodes_lockstep': 28, 'nodes_bridge': 25, 'nodes_signals': 18,
     'colcon_workspace': 20, 'demo': 15, 'nodes_files': 15,
     'demo_identify': 12, 'nodes_composed': 12, 'sros2': 12}

@@ -37,7 +37,7 @@ NO_BAG = ROOT / 'test' / 'no_such_bag'
 # what is wrong with the input of a verb that takes no bag
 WRONG = {
     'demo': '--out {file}', 'demo-identify': '--plan {missing} --out {dir}',
-    'demo-discrepancy': '--effect nothing --out {dir}',
+    'demo-discrepancy': '--effect nothing --out {dir}', 'demo-next': '--out {file}',
     'simulate': '--robot {missing} --out {dir}', 'record': '--all --duration -1 --out {dir}',
     'import-csv': '{missing} --map import_kr300.yaml --out {dir}',
     'check-gains': '--robot {missing}', 'joints': '--most 0', 'speed': '--robot {missing}',
@@ -53,8 +53,8 @@ WRONG = {
 
 
 def tool_of(verb):
-    """Return the tool that has a verb, and what starts it."""
-    return (bench, bench.PROG) if verb in OF_BENCH else (tool, 'gms_flex')
+    """Return the tool that has a verb, gms_flex first, and what starts it."""
+    return (tool, 'gms_flex') if verb in VERBS else (bench, bench.PROG)
 
 
 def sub_parser(verb):
@@ -72,6 +72,16 @@ def tool_in(environment=None, arguments=(), **options):
     """Run the tool as a process of its own."""
     return subprocess.run([sys.executable, '-m', 'gms_flex_control.cli.main', *arguments],
                           env=environment_of(**(environment or {})), check=False, **options)
+
+
+def test_the_bench_of_next_takes_its_examples_and_refuses_seeds_that_are_none(capsys):
+    parser = bench.build_parser().verbs['next']
+    for example in bench.EXAMPLES['next']:
+        start = f'{bench.PROG} next'
+        assert example.startswith(start)
+        assert parser.parse_args(shlex.split(example.removeprefix(start))).families
+    assert bench.main(['next', '--seeds', 'x', '--families', 'lag, delay']) == tool.BAD_INPUT
+    assert 'x' in capsys.readouterr().err
 
 
 @pytest.mark.parametrize('verb', (*VERBS, *OF_BENCH))
@@ -124,7 +134,8 @@ def test_bad_input_is_said_in_one_sentence(verb, tmp_path, capsys):
 
 @pytest.mark.parametrize('arguments', [
     'record --all --out {dir}', 'view live', 'faults --list', 'demo --out {dir}',
-    'demo-identify --out {dir}', 'demo-discrepancy --out {dir}'])
+    'demo-identify --out {dir}', 'demo-discrepancy --out {dir}',
+    'demo-next --out {dir}'])
 def test_without_ros_the_extra_is_named(arguments, tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, 'rclpy', None)  # importing it then fails
     out = tmp_path / 'out'

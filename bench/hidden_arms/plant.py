@@ -158,8 +158,8 @@ def recording_of(robot: RobotParams, described: RobotParams, hidden: Hidden | No
         motor[k, soft] = now[soft]
         torque[k] = command
         wanted = reference[k]
-        sag = np.where(arm.rigid, 0.0, data.qfrc_bias[:n] / np.where(arm.rigid, 1.0,
-                                                                      described.arm.stiffness))
+        sag = np.where(arm.rigid, 0.0, data.qfrc_bias[:n] / np.where(
+            arm.rigid, 1.0, described.arm.stiffness))
         command = (mass * (_BANDWIDTH ** 2 * (wanted[0] + sag - now)
                            + 2.0 * _BANDWIDTH * (wanted[1] - rate) + wanted[2])
                    + data.qfrc_bias[:n])
@@ -252,7 +252,7 @@ class _Acting:
         return stiffness * twist
 
     def friction(self, tau, angle, carried):
-        """Return friction (n,), ``tau`` without the effect."""
+        """Return the friction of all joints (n,), from ``tau`` of the robot without the effect."""
         tau, j, p = tau.copy(), self._j, self._p
         if self._name == 'position_friction':
             tau[j] *= 1.0 + p['ratio'] * np.cos(p['order'] * angle[j] + p['phase'])

@@ -232,8 +232,8 @@ def _draw(rng, own, kind, seed, population, plant, duration, effect, softer, hea
     clutter = ()
     if kind == 'clutter':
         clutter = _clutter(rng, effects, robot, figures)
-        torques = sizes.Torques(_recording(bare, references[0], time, robot, False,
-                                           'without effects', None), robot)
+        torques = sizes.Torques(recording_of(bare, references[0], time, robot, False,
+                                             'without effects', None), robot)
         others = (effect,) if effect else names
         effects = _dominant(rng, effects[0], clutter, robot, figures, torques, others)
     robot = replace(robot, effects=effects + clutter)
@@ -243,8 +243,8 @@ def _draw(rng, own, kind, seed, population, plant, duration, effect, softer, hea
         supply, seen = plants.draw_supply(rng, time)
         run = driven(robot, nominal, gains, reference, seeds[k], disturbance=disturbances[k],
                      supply=supply, noise=drives.draw(own, len(time)))
-        recordings.append(_recording(run, reference, time, robot, with_rates,
-                                     f'{kind} {seed}', seen))
+        recordings.append(recording_of(run, reference, time, robot, with_rates,
+                                       f'{kind} {seed}', seen))
     if all(spec.name != 'supply_sag' for spec in effects) and rng.random() < 0.5:
         recordings = [replace(recording, supply=None) for recording in recordings]
     first = disturbances[0]
@@ -322,7 +322,8 @@ def _clutter(rng, effects, robot, figures):
     return tuple(specs)
 
 
-def _recording(motion, reference, time, robot, with_rates, source, supply):
+def recording_of(motion, reference, time, robot, with_rates, source, supply):
+    """Return a Motion of a hidden robot as the Recording that its user has."""
     q_link, dq_link, q_motor, dq_motor = np.moveaxis(motion.measured, 1, 0)
     asked = np.vstack([np.zeros(robot.n_joints), motion.command[:-1]])
     unknown = np.full(q_link.shape, np.nan)

@@ -305,8 +305,7 @@ def _write_files(hidden, out):
 def _found_and_driven(hidden, gains, seed, files, out):
     """Drive, find, and drive again with what was found and with the truth: a DemoOutcome."""
     (believed, *_), plant = files
-    for model in files[0][0], files[1]:  # all kernels, those for effects as well
-        _compile_loops(read_plan([*files[0], files[1]], model=model, overrides={'rate': RATE}))
+    compile_effects(files)
     recordings = {}
 
     def driven(belief, model):
@@ -321,6 +320,12 @@ def _found_and_driven(hidden, gains, seed, files, out):
     driven('found', out / 'robot.yaml' if result.robot is not None else believed)
     driven('true', plant)
     return demo_page.DemoOutcome(hidden, seed, result, recordings)
+
+
+def compile_effects(files) -> None:
+    """Compile all kernels, those for effects as well, into the cache that the nodes share."""
+    for model in files[0][0], files[1]:
+        _compile_loops(read_plan([*files[0], files[1]], model=model, overrides={'rate': RATE}))
 
 
 def _find(recording, believed, gains, path):

@@ -1,62 +1,174 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""`gms_flex next`: the motion to be recorded next, that separates what is left."""
+"""`gms_flex next`: the motion to be recorded next, that separates what is left; or all of them."""
 
 import json
 from pathlib import Path
+from typing import NamedTuple
 
 from gms_flex_control import blas
 from gms_flex_control.answer import Answer, command, Number
-from gms_flex_control.cli.terminal import conclude, say
+from gms_flex_control.cli.terminal import conclude, import_ros, refuse_unwritable, say
 from gms_flex_control.data.reader import read_recording
-from gms_flex_control.design.plan import plan_next, surviving, write_plan
-from gms_flex_control.design.separation import beliefs_of
+from gms_flex_control.design.plan import clipped, plan_next, surviving, write_plan
+from gms_flex_control.design.separation import beliefs_of, closed_loop_plan
+from gms_flex_control.design.sequential import ONE_LEFT, separate
 from gms_flex_control.effects.registry import find
 from gms_flex_control.errors import ConfigError
+from gms_flex_control.experiment.simulated import simulate_to_bag
 from gms_flex_control.file_io import write_text
-from gms_flex_control.params.robot import WHOLE_ARM
+from gms_flex_control.hardware.limits import Limits
+from gms_flex_control.params.gains import ControllerParams
+from gms_flex_control.params.robot import RobotParams, WHOLE_ARM
 from gms_flex_control.reports.figures import save_figure
-from gms_flex_control.reports.pictures import next_figure
+from gms_flex_control.reports.pictures import next_figure, separated_figure
 from gms_flex_control.resources import controller_file
 from gms_flex_control.schema.files import load_controller, load_limits, load_robot
 import numpy as np
 
 
+class Task(NamedTuple):
+    """What is to be separated, and with which robot."""
+
+    robot: RobotParams       # as believed
+    gains: ControllerParams  # within the limits
+    limits: Limits
+    bags: list               # paths of the recordings so far
+    sets: list               # of the explanations
+    period: float            # of the controller [s]
+
+    def recordings(self) -> list:
+        """Return the recordings so far."""
+        return [read_recording(bag, self.robot.joints, self.robot.motors) for bag in self.bags]
+
+
 def next_recording(args) -> int:
-    """Write the plan; return 0, or 1 if no motion separates the explanations."""
+    """Write the plan, or carry it out; return 0, or 1 if not all explanations are separated."""
+    task, out = _task(args), Path(args.out)
+    refuse_unwritable(out)
+    with blas.in_one_thread(), np.errstate(all='ignore'):
+        if args.with_ros or args.simulate:
+            return _carry_out(task, args, out)
+        say('explanations along the recordings so far')
+        plan = plan_next(beliefs_of(task.recordings(), task.robot, task.sets), task.gains,
+                         task.limits, period=task.period, odds=args.odds, longest=args.longest,
+                         say=say)
+    trajectory = write_files(plan, out)
+    if args.json:
+        print(json.dumps(_as_dict(plan), indent=1))
+        return int(bool(plan.undecided))
+    numbers = tuple(Number(f'log odds after {one.duration:.0f} s: {one.candidate.words}',
+                           f'{one.pairs.min():.1f}', f'{plan.wanted:.1f}', '')
+                    for one in plan.compared[:3])
+    conclude(Answer(plan.sentence(), ('worst pair', 'wanted', ''), numbers, command(
+        'simulate', '--robot', *args.robot, '--trajectory', trajectory, '--duration',
+        f'{plan.best.duration:.0f}', '--out', out / 'bag')),
+        {'motion': trajectory, 'picture': out / 'plan.png', 'numbers': out / 'plan.json'})
+    return int(bool(plan.undecided))
+
+
+def _task(args):
+    """Return the Task of the arguments."""
     robot = load_robot(args.robot)
     gains = load_controller(args.controller or controller_file(), robot)
     limits = load_limits(args.limits, robot.joints)
     if limits is None or limits.missing():
         raise ConfigError(f'--limits {" ".join(args.limits)}: limits.{robot.joints[0]}.'
                           f'{limits.missing()[0] if limits else "torque"} is missing')
+    if args.with_ros and args.simulate:
+        raise ConfigError('--run and --simulate exclude each other: a robot is real or simulated')
     report = _report(args.result)
-    sets = _sets(args.effects, robot) if args.effects else surviving(report)
+    sets = sets_of(args.effects, robot) if args.effects else surviving(report)
     if len(sets) < 2:
         raise ConfigError(f'{args.result} leaves one explanation, so there is nothing to '
                           'separate; --effects names others')
-    with blas.in_one_thread(), np.errstate(all='ignore'):
-        say('explanations along the recordings so far')
-        beliefs = beliefs_of([read_recording(bag, robot.joints, robot.motors)
-                              for bag in report['sources']], robot, sets)
-        plan = plan_next(beliefs, gains, limits, period=1.0 / args.rate, odds=args.odds,
-                         longest=args.longest, say=say)
-    out = Path(args.out)
+    return Task(robot, clipped(gains, limits), limits, report['sources'], sets, 1.0 / args.rate)
+
+
+# --- rounds -------------------------------------------------------------------------------------
+
+
+def _carry_out(task, args, out):
+    """Plan and record in turn; return 0 if one explanation is left, else 1."""
+    if (out / '1').exists():
+        raise ConfigError(f'--out {out} has recordings of an earlier run; name another folder')
+    drive = _by_ros(out) if args.with_ros else _in_simulation(task, load_robot(args.simulate), out)
+    found = separate(task.recordings(), task.robot, task.sets, task.gains, task.limits, drive,
+                     period=task.period, odds=args.odds, budget=args.budget,
+                     longest=args.longest, say=say)
+    report_separation(found, task, args.robot, out, args.json)
+    return int(found.verdict != ONE_LEFT)
+
+
+def _in_simulation(task, robot, out):
+    """Return what drives a simulated robot (RobotParams)."""
+    if robot.joints != task.robot.joints:
+        raise ConfigError(f'--simulate: joints {", ".join(robot.joints)} are not those of --robot '
+                          f'({", ".join(task.robot.joints)})')
+
+    def drive(plan, number):
+        write_files(plan, out / str(number))
+        return simulate_to_bag(closed_loop_plan(
+            robot, task.robot, plan.best.candidate, plan.best.duration, task.gains,
+            period=task.period, seed=number), out / str(number) / 'bag')
+    return drive
+
+
+def _by_ros(out):
+    """Return what drives the robot of the running nodes."""
+    runner = import_ros('gms_flex_control.nodes.motion_runner')
+
+    def drive(plan, number):
+        write_files(plan, out / str(number))
+        runner.drive_motion(plan.best.candidate.parameters, plan.best.duration,
+                            out / str(number) / 'bag', say=say)
+        joints = plan.beliefs.robot
+        return read_recording(out / str(number) / 'bag', joints.joints, joints.motors)
+    return drive
+
+
+def write_files(plan, out) -> Path:
+    """Write trajectory, numbers and picture of a plan; return the path of the trajectory."""
     trajectory = write_plan(plan, out)
     write_text(out / 'plan.json', json.dumps(_as_dict(plan), indent=1) + '\n')
     save_figure(next_figure(plan), out / 'plan.png')
-    if args.json:
-        print(json.dumps(_as_dict(plan), indent=1))
-    else:
-        numbers = tuple(Number(f'nats in {one.duration:.0f} s: {one.candidate.words}',
-                               f'{one.least:.1f}', f'{plan.wanted:.1f}', '')
-                        for one in plan.compared[:3])
-        conclude(Answer(plan.sentence(), ('worst pair', 'wanted', ''), numbers, command(
-            'simulate', '--robot', *args.robot, '--trajectory', trajectory, '--duration',
-            f'{plan.best.duration:.0f}', '--out', out / 'bag')),
-            {'motion': trajectory, 'picture': out / 'plan.png', 'numbers': out / 'plan.json'})
-    return 1 if plan.undecided else 0
+    return trajectory
+
+
+def report_separation(found, task, robot_files, out, as_json=False) -> None:
+    """Write and print what a Separation ended with."""
+    values = separation_values(found)
+    write_text(out / 'separation.json', json.dumps(values, indent=1) + '\n')
+    files = {'numbers': out / 'separation.json'}
+    if found.rounds:
+        save_figure(separated_figure(found), out / 'separation.png')
+        files['picture'] = out / 'separation.png'
+    if as_json:
+        print(json.dumps(values, indent=1))
+        return
+    before = (found.rounds[0].plan if found.rounds else found).beliefs
+    shares = {one.effects: share for one, share in zip(before.hypotheses, before.probabilities,
+                                                       strict=True)}
+    numbers = tuple(Number(f'probability of {one.words}', f'{shares.get(one.effects, 0.0):.3g}',
+                           f'{share:.3g}', '') for one, share in zip(
+        found.beliefs.hypotheses, found.beliefs.probabilities, strict=True))
+    new = [out / str(k + 1) / 'bag' for k in range(len(found.rounds))]
+    conclude(Answer(found.sentence(), ('before', 'after', ''), numbers[:3], command(
+        'discrepancy', *task.bags, *new, '--robot', *robot_files, '--out', out / 'gap')), files)
+
+
+def separation_values(found) -> dict:
+    """Return a Separation as plain values."""
+    return {'sentence': found.sentence(), 'verdict': found.verdict, 'robot_time': found.spent,
+            'probabilities': {one.words: float(share) for one, share in zip(
+                found.beliefs.hypotheses, found.beliefs.probabilities, strict=True)},
+            'log_odds': found.beliefs.odds.round(3).tolist(), 'wanted': found.wanted,
+            'left': [one.words for one in found.left],
+            'rounds': [_as_dict(one.plan) for one in found.rounds]}
+
+
+# --- files --------------------------------------------------------------------------------------
 
 
 def _report(folder):
@@ -73,7 +185,7 @@ def _report(folder):
     return report
 
 
-def _sets(texts, robot):
+def sets_of(texts, robot) -> list:
     """Return explanations given as EFFECT:JOINT+EFFECT:JOINT."""
     sets = []
     for text in texts:
@@ -92,7 +204,7 @@ def _sets(texts, robot):
 def _as_dict(plan):
     def of(one):
         return {'motion': one.candidate.name, 'duration': one.duration,
-                'nats': one.nats.round(3).tolist()}
+                'log_odds': one.odds.round(3).tolist()}
     return {'sentence': plan.sentence(), 'wanted': plan.wanted,
             'explanations': [one.words for one in plan.beliefs.hypotheses],
             'best': of(plan.best), 'compared': [of(one) for one in plan.compared],

@@ -170,7 +170,9 @@ _NEXT = Verb(
     'Read a result of discrepancy that leaves several explanations and choose the motion that '
     'separates them fastest: each is simulated as the robot, and all are fitted to that '
     'simulation beside the recordings so far. Every explanation, also two standard deviations '
-    'from its fit, keeps the limits. Exit code 1 if no motion separates all of them.', (
+    'from its fit, keeps the limits. With --run the plan is driven and recorded, with --simulate '
+    'simulated, and so on until one explanation is left, the budget is spent or no motion '
+    'separates them. Exit code 1 if not all of them are separated.', (
         option('result', metavar='RESULT', help='folder that discrepancy wrote'),
         option('--robot', nargs='+', required=True, metavar='FILE',
                help='robot files that discrepancy was given, later ones winning'),
@@ -180,11 +182,17 @@ _NEXT = Verb(
         option('--effects', nargs='+', metavar='EFFECT:JOINT[+EFFECT:JOINT]',
                help='explanations to separate; default: those that RESULT leaves'),
         number('--rate', 'HZ', 500.0, 'of the controller', least=10.0, most=10_000.0),
+        option('--run', action='store_true', dest='with_ros',
+               help='drive it with the nodes that run, record, and go on'),
+        option('--simulate', nargs='+', metavar='FILE',
+               help='likewise with a simulated robot, of these files'),
+        number('--budget', 'S', 60.0, 'robot time of --run and --simulate', least=4.0, most=36e3),
         option('--odds', type=float, default=99.0, least=1.5, most=1e9,
                help='wanted between every pair (default: %(default)g)'),
         number('--longest', 'S', 60.0, 'motion', least=8.0, most=3600.0),
         out_folder('folder for the plan'), JSON),
     ('next gap --robot robot.yaml --limits bridge.yaml --out plan',
+     'next gap --robot robot.yaml --limits bridge.yaml --run --budget 60 --out rounds',
      'next gap --robot robot.yaml --limits bridge.yaml --effects backlash:joint2 '
      'stiffness_error:joint2 --out plan'))
 _PLAN = Verb(
@@ -409,6 +417,20 @@ _DEMO_DISCREPANCY = Verb(
         number('--duration', 'S', 60.0, 'of the motion, simulated'), JSON),
     ('demo-discrepancy --seed 3',
      'demo-discrepancy --effect position_friction --duration 30 --out found'))
+_DEMO_NEXT = Verb(
+    'demo-next', 'demo_next.demo_next',
+    'two names for one recording; designed motions leave one, over ROS 2',
+    'Hide a constant torque on the second link, record moves in one direction, which a friction '
+    'that differs by direction explains as well, then design, drive and record motions until one '
+    'of both names is left. Exit code 1 if it is not the true one.', (
+        option('--effects', nargs='+', metavar='EFFECT:JOINT',
+               default=['constant_link_torque:joint2', 'friction_asymmetry:joint2'],
+               help='explanations (default: %(default)s)'),
+        option('--seed', type=int, default=0, least=0, help='of what is believed of the robot'),
+        number('--budget', 'S', 30.0, 'robot time after the first recording', least=8.0,
+               most=3600.0),
+        out_folder('folder for everything; made anew', 'demo_next_output'), JSON),
+    ('demo-next', 'demo-next --seed 3 --out separated'))
 _COMPLETION = Verb(
     'completion', 'main.completion',
     'complete verbs, options and files by TAB in bash, zsh and fish',
@@ -424,4 +446,4 @@ GROUPS = {
         _COMPARE,
         _EXPORT),
     'beside these': (_EFFECTS, _RECORD, _REPAIR, _ANALYSE, _TORSION, _CHECK_GAINS, _URDF, _DEMO,
-                     _DEMO_IDENTIFY, _DEMO_DISCREPANCY, _COMPLETION)}
+                     _DEMO_IDENTIFY, _DEMO_DISCREPANCY, _DEMO_NEXT, _COMPLETION)}

@@ -17,7 +17,8 @@ from gms_flex_control.schema.files import save_values
 import numpy as np
 
 MOST = 4               # hypotheses that are separated at once
-_FIRST = 8.0           # length at which motions are compared [s]
+_FIRST, SHORTEST = 8.0, 4.0  # length at which motions are compared, and of any [s]
+_WORTH = 0.8           # of the length compared: a shorter motion saves time
 _PACES = 1.0, 1.6, 2.5, 4.0  # that are tried until all limits are kept
 _SAFE = 1.5            # times the evidence wanted: what is expected scatters
 
@@ -32,27 +33,32 @@ class NextRecording:
     compared: tuple           # of Prediction at one length, the best first
     refused: tuple            # names of motions that would cross a limit
 
+    def pairs(self, separated: bool) -> list:
+        """Return the pairs of hypotheses that the motion separates, or those that it does not."""
+        return [pair for pair, odds in zip(combinations(self.beliefs.hypotheses, 2),
+                                           self.best.pairs, strict=True)
+                if (odds >= self.wanted) == separated]
+
     @property
     def undecided(self) -> list:
         """Return the pairs of hypotheses that the motion does not separate, in words."""
-        hypotheses, nats = self.beliefs.hypotheses, self.best.nats
-        return [f'{hypotheses[a].words} and {hypotheses[b].words}'
-                for a, b in combinations(range(len(hypotheses)), 2)
-                if min(nats[a, b], nats[b, a]) < self.wanted]
+        return [f'{one.words} and {other.words}' for one, other in self.pairs(False)]
 
     def sentence(self) -> str:
         """Return what to record and what it will show."""
-        best, hypotheses = self.best, self.beliefs.hypotheses
-        words = [one.words for one in hypotheses]
-        text = (f'Record {best.duration:.0f} s of {best.candidate.words}: expected to separate '
-                f'{", ".join(words[:-1])} and {words[-1]} by a factor of at least '
-                f'{np.exp(min(best.least, 50.0)):.3g}')
-        if not self.undecided:
-            return f'{text}.'
-        if len(self.undecided) == len(words) * (len(words) - 1) // 2:
+        best, separated = self.best, self.pairs(True)
+        if not separated:
             return (f'No motion within the limits and {best.duration:.0f} s separates '
                     f'{" or ".join(self.undecided)}.')
-        return f'{text}; not {" nor ".join(self.undecided)}.'
+        least = np.exp(min(best.pairs[best.pairs >= self.wanted].min(), 50.0))
+        if self.undecided:
+            what = ', '.join(f'{one.words} from {other.words}' for one, other in separated)
+            rest = f', but not {" nor ".join(self.undecided)}'
+        else:
+            words = [one.words for one in self.beliefs.hypotheses]
+            what, rest = f'{", ".join(words[:-1])} and {words[-1]}', ''
+        return (f'Record {best.duration:.0f} s of {best.candidate.words}: expected to separate '
+                f'{what} by a factor of at least {least:.3g}{rest}.')
 
 
 def surviving(report: Mapping) -> list[frozenset]:
@@ -117,45 +123,61 @@ def plan_next(beliefs: Beliefs, gains: ControllerParams, limits: Limits, *, peri
 
     """
     wanted, found, refused = float(np.log(odds)), [], []
-    gains = replace(gains, torque_limit=np.minimum(gains.torque_limit, limits.torque))
+    first = min(_FIRST, longest)
+    gains = clipped(gains, limits)
     for kind in zip(*(candidates(limits, beliefs.robot.joints, pace) for pace in _PACES),
                     strict=True):
         say(kind[0].words)
-        one = next(filter(None, (predicted(beliefs, candidate, _FIRST, gains, limits,
+        one = next(filter(None, (predicted(beliefs, candidate, first, gains, limits,
                                            period=period) for candidate in kind)), None)
         if one is None:
             refused.append(kind[0].name)
         else:
             found.append(one)
+            if one.pairs.min() >= wanted and _lengths(beliefs, one, wanted, longest) == [SHORTEST]:
+                break  # no motion is shorter
     if not found:
         raise ConfigError('every motion would cross a limit with a robot of the hypotheses; '
                           'widen the limits, or look at gains with gms_flex tune')
-    found.sort(key=lambda one: -_merit(one.nats, wanted))
+    found.sort(key=lambda one: -_merit(one, wanted))
     best = found[0]
-    pairs = _pairs(best.nats)
-    short = pairs[(pairs < _SAFE * wanted) & (pairs > 0.0)]
-    lengths = sorted({min(_FIRST * _SAFE * wanted / short.min(), longest), longest}
-                     ) if len(short) else []
-    for length in lengths:
+    for length in _lengths(beliefs, best, wanted, longest):
         say(f'{best.candidate.words}, {length:.0f} s')
-        longer = predicted(beliefs, best.candidate, length, gains, limits, period=period)
-        if longer is not None and _merit(longer.nats, wanted) > _merit(best.nats, wanted):
-            best = longer
-        if _pairs(best.nats).min() >= wanted:
+        other = predicted(beliefs, best.candidate, length, gains, limits, period=period)
+        if other is None:
+            continue
+        enough = other.pairs.min() >= wanted
+        if enough or (length > best.duration and _merit(other, wanted) > _merit(best, wanted)):
+            best = other
+        if enough:
             break
     return NextRecording(beliefs=beliefs, wanted=wanted, best=best, compared=tuple(found),
                          refused=tuple(refused))
 
 
-def _pairs(nats):
-    """Return the lesser of both log Bayes factors of each pair."""
-    return np.minimum(nats, nats.T)[np.triu_indices(len(nats), 1)]
+def clipped(gains: ControllerParams, limits: Limits) -> ControllerParams:
+    """Return gains of a controller that asks for no more torque than limits allow."""
+    return replace(gains, torque_limit=np.minimum(gains.torque_limit, limits.torque))
 
 
-def _merit(nats, wanted):
-    """Return how much of what is wanted of all pairs a motion gives, then by the worst pair."""
-    pairs = _pairs(nats)
-    return np.sum(np.clip(pairs, 0.0, wanted)) + 1e-3 * pairs.min()
+def _lengths(beliefs, best, wanted, longest):
+    """Return lengths to be tried of the best motion: log odds grow in proportion to time."""
+    growth = best.odds - beliefs.odds
+    growth = np.where(growth > 0.0, growth, np.nan) / best.duration
+    needed = np.maximum(_SAFE * wanted - beliefs.odds, 0.0) / growth
+    needed = np.fmax(needed, needed.T)[np.triu_indices(len(needed), 1)]  # of either true [s]
+    if best.pairs.min() >= wanted:
+        shorter = max(float(np.nanmax(needed)), SHORTEST)
+        return [shorter] if shorter < _WORTH * best.duration else []
+    needed = needed[needed > best.duration]
+    lengths = [*([min(float(needed.min()), longest)] if len(needed) else []), longest]
+    return [one for one in dict.fromkeys(lengths) if one > best.duration]
+
+
+def _merit(prediction, wanted):
+    """Return how much of the odds wanted of all pairs a motion gives, then by the worst pair."""
+    pairs = prediction.pairs
+    return np.sum(np.clip(pairs, -wanted, wanted)) + 1e-3 * pairs.min()
 
 
 def write_plan(plan: NextRecording, folder: str | Path) -> Path:

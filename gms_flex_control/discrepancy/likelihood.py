@@ -90,10 +90,13 @@ class Likelihood:
     held_out : bool
         Whether models are fitted to other recordings: what is particular about these ones is
         not known.
+    cautious : bool
+        Whether derivatives count only where they are not mostly encoder noise, as those by the
+        inertia of a joint that stands: else the noise of two null simulations may steer a fit.
 
     """
 
-    def __init__(self, motions, robot, seed=0, widened=1.0, held_out=False):
+    def __init__(self, motions, robot, seed=0, widened=1.0, held_out=False, cautious=False):
         self.motions, self.robot, self._seed = tuple(motions), robot, seed
         self.known = len(robot.effects)  # effects of any model that are no discovery
         prior = {kind: widened * sd for kind, sd in PRIOR.items()}
@@ -105,6 +108,7 @@ class Likelihood:
         self.coulomb = 0.5 * (robot.friction.forward.coulomb + robot.friction.backward.coulomb)
         self.pool = ThreadPoolExecutor(os.cpu_count() or 1)
         self._scales, self._held_out = scales_of(self.motions, robot), held_out
+        self._cautious = cautious
         self._simulate(robot, np.zeros(len(self.nuisances)))
 
     # --- noise -------------------------------------------------------------------------------
@@ -157,7 +161,7 @@ class Likelihood:
                 self, lambda robot, x: [self.rows_of(self.residuals(run, robot, x))
                                         for run in self._pair],
                 *self._null, [[self.rows_of(run) for run in pair]
-                              for pair in self._null_residuals])
+                              for pair in self._null_residuals], self._cautious)
 
     def torque_noise(self, m, rng, size=None) -> np.ndarray:
         """Return the residual torque (S, 2 n) of white torque noise in a recording."""

@@ -134,10 +134,12 @@ class EncoderNoise:
         Of the null simulations.
     by_step : sequence of pair of ndarray, shape (R,)
         Of both with each nuisance parameter `NUISANCE_STEP` off; the last pair as simulated.
+    cautious : bool
+        Whether no derivative is known where it is mostly noise.
 
     """
 
-    def __init__(self, likelihood, residuals_of, robot, x, by_step):
+    def __init__(self, likelihood, residuals_of, robot, x, by_step, cautious=False):
         self._groups, self._known = likelihood.groups, likelihood.known
         self._residuals_of, self._robot, self._x = residuals_of, robot, x
         self._begun = by_step[-1]
@@ -146,7 +148,8 @@ class EncoderNoise:
         self._by_nuisance, self._informative = np.moveaxis(np.array(
             [self._shown(pair, NUISANCE_STEP) for pair in by_step[:-1]]).reshape(
                 len(x), 2, len(self.own)), 1, 0)
-        self._shapes = np.array([one.name in OF_SHAPE for one in likelihood.nuisances], dtype=bool)
+        self._shapes = np.array([cautious or one.name in OF_SHAPE for one in likelihood.nuisances],
+                                dtype=bool)
         self._by_effect = {}  # (effect, joint): as `_shown`, (parameters, R) each
 
     def _shown(self, pair, step):

@@ -3,7 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Experiments over DDS: node processes in lockstep, started, watched and ended."""
 
-from contextlib import ExitStack
+from contextlib import contextmanager, ExitStack
 from dataclasses import dataclass
 import os
 from pathlib import Path
@@ -206,6 +206,26 @@ def drive(plan: DrivenPlan, bag: Path, *, log: Path) -> None:
                                   *ros_arguments(plant_files, timing)])
         processes.wait('plant', bound)
         for name in ('trajectory', 'controller', 'recorder'):
+            processes.stop(name)
+
+
+@contextmanager
+def stepped_loop(files, model: Path, plant: Path, rate: float, *, log: Path):
+    """
+    Run plant, controller and trajectory node in lockstep for the ``with`` block.
+
+    Arguments as the fields of DrivenPlan; the reference stays where the robot is.
+    """
+    mode = {'mode': 'lockstep'}
+    with Processes(dict(os.environ), log) as processes:
+        processes.start('controller', [*executable('controller_node'),
+                                       *ros_arguments([*files, model], mode)])
+        processes.start('trajectory', [*executable('trajectory_node'),
+                                       *ros_arguments(files, mode)])
+        processes.start('plant', [*executable('plant_node'), *ros_arguments(
+            [*files, plant], {**mode, 'rate': rate, 'wait_for_subscribers': _LISTENERS})])
+        yield processes
+        for name in ('plant', 'trajectory', 'controller'):
             processes.stop(name)
 
 

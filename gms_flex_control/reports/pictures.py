@@ -24,7 +24,7 @@ MOST_LOOPS = 6        # drawn in one picture
 _MOST_POINTS = 4000   # of a cloud
 _COLUMNS = 4          # of panels over each variable
 _CLEAR = 0.99         # of what is drawn there: the farthest bins are cut
-_LOW_PASS = 8.0       # of predicted torques [Hz]
+_LOW_PASS, _SLOW = 8.0, 3.0  # of predicted torques, beside measured ones too [Hz]
 # one colour for one model in every picture and chart
 GIVEN, BEFORE, AFTER, FLOOR, OWN = '0.65', COLOURS[1], COLOURS[0], '0.35', COLOURS[2]
 
@@ -257,4 +257,39 @@ def next_figure(plan) -> Figure:
         panel.grid(color='0.9', linewidth=0.6)
         panel.tick_params(direction='in', labelsize=8)
         panel.set_xlim(0.0, float(np.max(runs[0].time)))
+    return figure
+
+
+def separated_figure(found) -> Figure:
+    """
+    Return a Separation: torque predicted by each explanation, and measured, in the last round.
+
+    Along the measured motion, less that of the likeliest, in the equation in which they part most;
+    where a link stands its friction is whatever it likes.
+    """
+    beliefs, last = found.beliefs, len(found.beliefs.likelihood.motions) - 1
+    shown, joints = beliefs.hypotheses[:4], beliefs.robot.joints
+    left = [beliefs.likelihood.torque(one.model)[last] for one in shown]
+    time = beliefs.likelihood.whitenings[last].time
+    still = beliefs.likelihood.groups.at_rest[last]
+    low_pass = butter(2, _SLOW, fs=1.0 / (time[1] - time[0]), output='sos')
+    left = [sosfiltfilt(low_pass, one, axis=0) for one in left]
+    for one in left:
+        one[np.tile(still, 2)] = np.nan
+    figure, panels = panels_of(len(joints), 1, (WIDTH, 0.9 + 1.7 * len(joints)), sharex=True)
+    for j, (joint, panel) in enumerate(zip(joints, panels[:, 0], strict=True)):
+        c = max((j, j + len(joints)), key=lambda c: sum(
+            np.nansum((one[:, c] - left[0][:, c]) ** 2) for one in left))
+        for k, (torque, one) in enumerate(zip(left, shown, strict=True)):
+            panel.plot(time, 1e3 * (torque[:, c] - left[0][:, c]), STYLES[k % len(STYLES)],
+                       color=COLOURS[k % len(COLOURS)], linewidth=1.0, label=one.words)
+        panel.plot(time, -1e3 * left[0][:, c], color='0.2', linewidth=0.6, label='measured')
+        panel.set_ylabel(f'{joint}, {"link" if c < len(joints) else "motor"} [mN m]')
+        panel.grid(color='0.9', linewidth=0.6)
+        panel.tick_params(direction='in', labelsize=8)
+        panel.set_xlim(float(time[0]), float(time[-1]))
+    panels[0, 0].set_title(f'predicted torque less that with {shown[0].words}, below '
+                           f'{_SLOW:g} Hz', fontsize=9)
+    panels[0, 0].legend(frameon=False, fontsize=8)
+    panels[-1, 0].set_xlabel('time [s]')
     return figure

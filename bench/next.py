@@ -1,0 +1,281 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""`python -m bench next`: names that a first recording leaves, and motions that separate them."""
+
+from dataclasses import replace
+import json
+from pathlib import Path
+import time
+from typing import NamedTuple
+
+from bench.hidden_robots import motions, plants, sizes, truth
+from bench.hidden_robots.cases import recording_of
+from bench.hidden_robots.hide import seeds_of
+from gms_flex_control import blas
+from gms_flex_control.answer import align
+from gms_flex_control.batches.batch import run_kept
+from gms_flex_control.batches.journal import fingerprint
+from gms_flex_control.cli.options import add_batch_options
+from gms_flex_control.design.motions import Candidate, random_moves
+from gms_flex_control.design.plan import clipped
+from gms_flex_control.design.separation import beliefs_of, keeps
+from gms_flex_control.design.sequential import separate
+from gms_flex_control.errors import GmsFlexError, SimulationError
+from gms_flex_control.file_io import write_text
+from gms_flex_control.hardware.limits import Limits
+from gms_flex_control.reports.figures import save_figure
+from gms_flex_control.reports.pictures import COLOURS, panels_of, WIDTH
+import numpy as np
+
+PERIOD, FIRST = 2e-3, 6.0       # [s]; of the first recording
+TIMES = 5.0, 10.0, 20.0         # of robot time at which the fixed motions are judged [s]
+BUDGET, ODDS = 20.0, 99.0       # robot time of the designed motions [s]; odds wanted
+ASKED, ASKED_RANDOM = 0.8, 0.4  # share resolved rightly in the budget: at least, at most
+_TRIES, _SMALLER = 6, 0.6       # sizes of a hidden effect until the first recording leaves two
+_SEED = 27                      # stream of random numbers, of no other bench
+_SOURCES = ('discrepancy', 'design', 'effects', 'simulation')
+ONE_WAY = {'trajectory.type': 'via_points', 'trajectory.move_time': 2.0,
+           'trajectory.hold_time': 0.0, 'trajectory.joint1.points': [0.0, 0.3, 0.6, 0.9],
+           'trajectory.joint2.points': [0.0, 0.4, 0.8, 1.2]}
+
+
+def swings(amplitude, period):
+    """Return parameters of sinusoids of both joints."""
+    return {'trajectory.type': 'sinusoid', 'trajectory.ramp_time': 2.0} | {
+        f'trajectory.joint{j + 1}.{name}': values[j]
+        for j in range(2) for name, values in (('amplitude', amplitude), ('period', period))}
+
+
+class Family(NamedTuple):
+    """Effects that one kind of recording does not separate."""
+
+    effects: tuple   # of (effect, index of the joint)
+    motion: dict     # of the first recording
+
+
+FAMILIES = {
+    'payload, inertia': Family((('tip_payload', 0), ('link_inertia_error', 1)),
+                               swings((0.0, 0.5), (3.0, 3.0))),
+    'stiffness, torque gain': Family((('stiffness_error', 1), ('torque_gain', 1)),
+                                     swings((0.3, 0.3), (4.0, 5.0))),
+    'spring offset, link torque, eccentricity': Family(
+        (('spring_offset', 1), ('constant_link_torque', 1), ('link_encoder_eccentricity', 1)),
+        swings((0.1, 0.1), (3.0, 4.0))),
+    'lag, delay': Family((('actuator_lag', 1), ('input_delay', 1)),
+                         swings((0.3, 0.3), (4.0, 5.0))),
+    'backlash, spring offset': Family((('backlash', 1), ('spring_offset', 1)), ONE_WAY),
+    'friction asymmetry, link torque': Family(
+        (('friction_asymmetry', 1), ('constant_link_torque', 1)), ONE_WAY),
+    'friction drift, load friction': Family((('friction_drift', 1), ('load_friction', 1)),
+                                            swings((0.5, 0.5), (6.0, 6.0)))}
+
+
+class Item(NamedTuple):
+    """One robot to be tried."""
+
+    family: str
+    seed: int
+
+    @property
+    def key(self) -> str:
+        """Return a name of its own."""
+        return f'{self.family}/{self.seed}'
+
+
+class Robot(NamedTuple):
+    """A hidden robot whose first recording leaves two names or more."""
+
+    true: object        # RobotParams
+    believed: object
+    gains: object
+    limits: Limits
+    effect: frozenset   # of (effect, joint), hidden
+    sets: list          # left by the first recording
+    first: object       # Recording
+    plant: str          # 'soft' or 'stiff'
+
+
+def add_parser(subparsers):
+    """Add the verb to the command line."""
+    parser = subparsers.add_parser(
+        'next', help='designed motions beside rich and random ones, on hidden robots',
+        description='Hide an effect in robots whose first recording leaves two names or more. '
+                    'Count how many are resolved rightly by so much robot time of designed '
+                    'motions, of the rich motion and of random moves. A killed run goes on.')
+    parser.add_argument('--seeds', default='0:2', metavar='A:B',
+                        help='of each family of effects (default: %(default)s)')
+    parser.add_argument('--families', nargs='*', default=list(FAMILIES), metavar='NAME',
+                        choices=FAMILIES, help='default: all')
+    add_batch_options(parser)
+    parser.add_argument('--out', default='next', metavar='DIR',
+                        help='next.json, next.png, journal (default: %(default)s)')
+    parser.set_defaults(run=run)
+
+
+def run(args) -> int:
+    """Try all, write and print the figures; return 0."""
+    items = [Item(family, seed) for seed in seeds_of(args.seeds) for family in args.families]
+    found = run_kept(tried, {item.key: item for item in items}, args,
+                     fingerprint(_SOURCES) + fingerprint(('next.py',), Path(__file__).parent),
+                     'robots')
+    rows = [one for one in found.values() if one]
+    write_text(Path(args.out) / 'next.json', json.dumps(rows, indent=1) + '\n')
+    print('\n\n'.join(text_of(rows)))
+    if rows:
+        save_figure(figure_of(rows), Path(args.out) / 'next.png')
+    return 0
+
+
+# --- one robot ----------------------------------------------------------------------------------
+
+
+def tried(item) -> dict | None:
+    """Return what becomes of an Item as plain values; None if no draw leaves two names."""
+    with blas.in_one_thread(), np.errstate(all='ignore'):
+        robot = draw(item)
+        if robot is None:
+            return None
+        kept = []
+        row = {'family': item.family, 'seed': item.seed, 'plant': robot.plant,
+               'hidden': ' '.join(*robot.effect),
+               'left': [' '.join(sorted(one)[0]) for one in robot.sets],
+               'designed': _designed(robot, item, kept)}
+        rng = np.random.default_rng([_SEED, item.seed, 1])
+        grid = PERIOD * np.arange(round(TIMES[-1] / PERIOD))
+        for name, reference in (
+                ('rich', motions.draw_reference(rng, 'rich', robot.plant, grid)),
+                ('random', random_moves(robot.limits, robot.true.joints, item.seed).trajectory(
+                    robot.true.joints).sample(grid))):
+            row[name] = _judged(robot, reference, item.seed)
+        return row | {'kept_limits': all(kept)}
+
+
+def draw(item) -> Robot | None:
+    """Draw a Robot, with smaller and smaller effects until its first recording leaves two."""
+    family = FAMILIES[item.family]
+    rng = np.random.default_rng([_SEED, list(FAMILIES).index(item.family), item.seed])
+    plant = str(rng.choice(plants.PLANTS))
+    robot, gains = plants.draw_robot(rng, plant)
+    believed = plants.draw_belief(rng, robot)
+    limits = Limits(torque=gains.torque_limit, torque_rate=[100.0] * 2, velocity=[1.5, 2.0],
+                    velocity_margin=[0.5] * 2, lower=[-1.2] * 2, upper=[1.2] * 2,
+                    position_margin=[0.1] * 2, torsion=1.0 / robot.arm.stiffness)
+    sets = [frozenset({(name, 'arm' if name == 'tip_payload' else robot.joints[j])})
+            for name, j in family.effects]
+    name, j = family.effects[item.seed % len(family.effects)]
+    reference = Candidate('first', '', family.motion).trajectory(robot.joints).sample(
+        PERIOD * np.arange(round(FIRST / PERIOD)))
+    try:
+        bare = truth.simulate(robot, believed, gains, reference, period=PERIOD)
+        given = sizes.MAIN[name](rng, sizes.figures_of(robot, bare, PERIOD)[j])
+        size = next(iter(given))
+        for _ in range(_TRIES):
+            true = replace(robot, effects=(sizes.spec(name, j, robot.joints, given),))
+            first = drive(true, believed, gains, reference, item.seed)[1]
+            beliefs = beliefs_of([first], believed, sets)
+            left = [one.effects for one in beliefs.left(np.log(ODDS)).hypotheses]
+            if len(left) > 1 and sets[item.seed % len(sets)] in left:
+                return Robot(true, believed, clipped(gains, limits), limits,
+                             sets[item.seed % len(sets)], left, first, plant)
+            given = given | {size: _SMALLER * given[size]}
+    except GmsFlexError:
+        pass
+    return None
+
+
+def drive(true, believed, gains, reference, seed):
+    """Return the hidden Motion of a robot along a reference (T, 5, n), and its Recording."""
+    motion = truth.simulate(true, believed, gains, reference, period=PERIOD, seed=seed)
+    return motion, recording_of(motion, reference, PERIOD * np.arange(len(reference)), true, True,
+                                'hidden robot', None)
+
+
+def _designed(robot, item, kept):
+    """Return robot time, time to design and what is left with designed motions."""
+    def driven(plan, number):
+        reference = plan.best.candidate.trajectory(robot.true.joints).sample(
+            PERIOD * np.arange(round(plan.best.duration / PERIOD)))
+        motion, recording = drive(robot.true, robot.believed, robot.gains, reference,
+                                  1000 * number + item.seed)
+        kept.append(keeps(motion, robot.limits))
+        return recording
+
+    begun = time.process_time()
+    found = separate([robot.first], robot.believed, robot.sets, robot.gains, robot.limits, driven,
+                     period=PERIOD, odds=ODDS, budget=BUDGET, longest=BUDGET)
+    return {'time': found.spent, 'verdict': found.verdict, 'rounds': len(found.rounds),
+            'seconds': time.process_time() - begun,
+            'answer': _answer(robot, [one.effects for one in found.left])}
+
+
+def _judged(robot, reference, seed):
+    """Return what so much time of a fixed motion leaves, by time, and whether limits are kept."""
+    try:
+        motion, _ = drive(robot.true, robot.believed, robot.gains, reference, 77 + seed)
+    except SimulationError:
+        return {'answers': ['open'] * len(TIMES), 'kept_limits': False}
+    answers = []
+    for duration in TIMES:
+        _, recording = drive(robot.true, robot.believed, robot.gains,
+                             reference[:round(duration / PERIOD)], 77 + seed)
+        beliefs = beliefs_of([robot.first, recording], robot.believed, robot.sets)
+        answers.append(_answer(robot, [
+            one.effects for one in beliefs.left(np.log(ODDS)).hypotheses]))
+    return {'answers': answers, 'kept_limits': keeps(motion, robot.limits)}
+
+
+def _answer(robot, left):
+    """Return 'right', 'wrong' or 'open'."""
+    return 'open' if len(left) > 1 else 'right' if left[0] == robot.effect else 'wrong'
+
+
+# --- words --------------------------------------------------------------------------------------
+
+
+def shares(rows) -> dict:
+    """Return the share resolved rightly at each of `TIMES` by kind of motion, dict of list."""
+    designed = [np.mean([one['designed']['answer'] == 'right' and one['designed']['time'] <= at
+                         for one in rows]) for at in TIMES]
+    return {'designed': designed} | {name: [np.mean([
+        one[name]['answers'][k] == 'right' for one in rows]) for k in range(len(TIMES))]
+        for name in ('rich', 'random')}
+
+
+def text_of(rows):
+    """Yield tables of the figures."""
+    yield align(['hidden', 'left', 'plant', 'designed', 's', 'rich', 'random'], [
+        [one['hidden'], str(len(one['left'])), one['plant'], one['designed']['answer'],
+         f'{one["designed"]["time"]:.0f}', *('/'.join(one[name]['answers'])
+                                             for name in ('rich', 'random'))] for one in rows])
+    if not rows:
+        return
+    yield align(['resolved rightly', *(f'{at:g} s' for at in TIMES)], [
+        [name, *(f'{100.0 * share:.0f} %' for share in values)]
+        for name, values in shares(rows).items()])
+    wrong = {name: sum(one[name]['answers'][-1] == 'wrong' for one in rows)
+             for name in ('rich', 'random')}
+    yield (f'{len(rows)} robots. Resolved wrongly: designed '
+           f'{sum(one["designed"]["answer"] == "wrong" for one in rows)}, rich {wrong["rich"]}, '
+           f'random {wrong["random"]}. Limits crossed by designed motions: '
+           f'{sum(not one["kept_limits"] for one in rows)}. Processor time to design and update, '
+           f'median {np.median([one["designed"]["seconds"] for one in rows]):.0f} s, most '
+           f'{max(one["designed"]["seconds"] for one in rows):.0f} s.')
+
+
+def figure_of(rows):
+    """Return the shares resolved rightly over robot time."""
+    figure, panels = panels_of(1, 1, (0.6 * WIDTH, 3.0))
+    at = np.sort([one['designed']['time'] for one in rows
+                  if one['designed']['answer'] == 'right'])
+    panels[0, 0].step([0.0, *at, TIMES[-1]], [*(np.arange(len(at) + 1) / len(rows)),
+                                              len(at) / len(rows)], where='post',
+                      color=COLOURS[0], label='designed')
+    for k, name in enumerate(('rich', 'random'), 1):
+        panels[0, 0].plot([0.0, *TIMES], [0.0, *shares(rows)[name]], 'o-', color=COLOURS[k],
+                          label=name)
+    panels[0, 0].set(xlabel='robot time after the first recording [s]',
+                     ylabel='share resolved rightly', ylim=(0.0, 1.0))
+    panels[0, 0].legend(frameon=False)
+    panels[0, 0].grid(color='0.9')
+    return figure

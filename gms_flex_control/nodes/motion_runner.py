@@ -1,0 +1,145 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""A motion driven by the running trajectory node, and recorded."""
+
+from collections.abc import Callable
+from pathlib import Path
+import time
+
+from gms_flex_control.data.writer import BagWriter
+from gms_flex_control.errors import GmsFlexError
+from gms_flex_control.experiment.driven import TOPICS
+from gms_flex_control.nodes.messages import NANOSECONDS, to_nanoseconds
+from gms_flex_control.nodes.process import NO_EVENTS
+from gms_flex_control.nodes.recorder import Recorder
+from gms_flex_control.nodes.remote import RemoteNode
+import rclpy
+from rclpy.experimental import EventsExecutor
+from rclpy.qos import qos_profile_sensor_data
+from rclpy.signals import SignalHandlerOptions
+from sensor_msgs.msg import JointState
+
+_BOUND = 10.0    # for an answer [s]
+_SILENCE = 5.0   # without a joint state: the robot has stopped talking [s]
+APPROACH = 2.0   # to the beginning of a motion, and to rest: of the trajectory node [s]
+
+
+class RunError(GmsFlexError):
+    """A motion could not be driven; the sentence says why, and what to look at."""
+
+
+def drive_motion(parameters: dict, duration: float, bag: str | Path, *, patience: float = 20.0,
+                 say: Callable[[str], object] = lambda text: None) -> None:
+    """
+    Set the motion of the running node ``/trajectory``, start it, record it, bring it to rest.
+
+    Parameters
+    ----------
+    parameters : dict of str to object
+        ``trajectory.*`` of the motion.
+    duration : float
+        From its beginning by the stamps of the joint states [s]; `APPROACH` is added.
+    bag : str or Path
+        Folder to be made.
+    patience : float
+        For nodes and topics to be there [s].
+    say : callable
+        Called with what happens.
+
+    Raises
+    ------
+    RunError
+        If the nodes are missing, refuse the motion, or fall silent. ``~/stop`` has been called.
+    BagError
+        If the bag cannot be written.
+
+    """
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        with BagWriter(bag) as writer:
+            runner = _Runner(writer, patience, say)
+            try:
+                runner.run(parameters | {'trajectory.approach_time': APPROACH}, duration)
+            finally:
+                runner.close()
+    finally:
+        rclpy.try_shutdown()
+
+
+class _Runner:
+    """A node that records, and commands the trajectory node."""
+
+    def __init__(self, writer, patience, say):
+        self._patience = patience
+        self._node = rclpy.create_node(f'_gms_flex_next_{time.time_ns() % 10**9}',
+                                       enable_rosout=False, start_parameter_services=False)
+        self._executor = EventsExecutor()
+        self._executor.add_node(self._node)
+        self._trajectory = RemoteNode(self._node, 'trajectory', ('start', 'stop'))
+        self._recorder = Recorder(self._node, writer, list(TOPICS), say)
+        self._stamp, self._heard, self._moving = None, time.monotonic(), False
+        self._node.create_subscription(JointState, 'joint_states', self._on_state,
+                                       qos_profile_sensor_data, event_callbacks=NO_EVENTS)
+
+    def _on_state(self, message):
+        self._stamp, self._heard = to_nanoseconds(message.header.stamp), time.monotonic()
+
+    def run(self, parameters, duration):
+        """Drive the motion and bring it to rest."""
+        self._until(self._trajectory.is_ready, 'the services of /trajectory are not there: start '
+                    'plant_node or the bridge, controller_node and trajectory_node first',
+                    self._patience)
+        self._until(lambda: not self._recorder.missing and self._stamp is not None,
+                    'not all nodes publish', self._patience, self._recorder)
+        answer = self._answer(self._trajectory.set_parameters(parameters)).result
+        if not answer.successful:
+            raise RunError(f'/trajectory refuses the motion: {answer.reason}')
+        self._trigger('start')
+        self._moving = True
+        self._pass(duration + APPROACH)
+        self._trigger('stop')
+        self._moving = False
+        self._pass(APPROACH)
+
+    def _trigger(self, service):
+        response = self._answer(self._trajectory.trigger(service))
+        if not response.success:
+            raise RunError(f'/trajectory/{service}: {response.message}')
+
+    def _answer(self, future):
+        self._until(future.done, '/trajectory does not answer', _BOUND)
+        return future.result()
+
+    def _until(self, done, otherwise, bound, recorder=None):
+        """Spin until something is done; raise RunError, with what is missing, after a while."""
+        end = time.monotonic() + bound
+        while not done():
+            self._spin()
+            if time.monotonic() > end:
+                missing = f' ({", ".join(recorder.missing)} missing)' if recorder else ''
+                raise RunError(f'{otherwise}{missing}; same ROS_DOMAIN_ID?')
+
+    def _pass(self, duration):
+        """Spin for so long by the stamps of the joint states [s]."""
+        end = self._stamp + round(duration * NANOSECONDS)
+        while self._stamp < end:
+            self._spin()
+            if time.monotonic() - self._heard > _SILENCE:
+                raise RunError(f'no joint state for {_SILENCE:g} s: the robot has stopped; look '
+                               'at /diagnostics')
+
+    def _spin(self):
+        self._recorder.poll()
+        self._executor.spin_once(timeout_sec=0.02)
+
+    def close(self):
+        """Stop a motion that still goes on, and end the recording."""
+        try:
+            if self._moving:
+                self._moving = False
+                self._trigger('stop')
+        finally:
+            self._recorder.close()
+            self._executor.shutdown()
+            self._node.destroy_node()
