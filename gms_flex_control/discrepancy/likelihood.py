@@ -210,13 +210,15 @@ class Likelihood:
         """
         of_noise, groups = self.encoder_noise, self.groups
         noise = of_noise.pair(robot, x) if exact else of_noise.along(robot, x)
-        added = 0.5 * (groups.sums(noise ** 2) - of_noise.own_sums)
-        most = 0.5 * _MOST_ADDED * of_noise.own_sums
+        own = 0.5 * of_noise.own_sums
+        added, most = 0.5 * groups.sums(noise ** 2) - own, _MOST_ADDED * own
         whole = groups.sums(rows ** 2)
+        # a recording that is quieter than null simulations has less noise to be cleared of
+        share = np.minimum(whole / np.maximum(own + np.maximum(added, 0.0), 1e-300), 1.0)
         least = np.minimum(whole, self._least)  # clearing is no merit below what chance does
-        cleared = np.maximum(whole - np.minimum(added, most), least)
+        cleared = np.maximum(whole - share * np.minimum(added, most), least)
         return Sums(cleared, self.misfit(cleared) + float(np.sum((x / self.sd) ** 2)),
-                    (cleared > least) & (added < most))
+                    share * ((cleared > least) & (added < most)))
 
     def misfit(self, sums):
         """Return -2 log likelihood of sums (..., G) at the likeliest noise levels."""
