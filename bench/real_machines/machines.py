@@ -17,7 +17,7 @@ HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
 VARIABLE = 'GMS_FLEX_SHARED_DATA'
 BAND = 8.0                     # of the low-pass: that of the tool's residual torque [Hz]
-_NOT_SAMPLED = ('joints', 'source')
+_NOT_SAMPLED = ('joints', 'source', 'load', 'temperature', 'scale_sd')
 
 
 class Piece(NamedTuple):
