@@ -55,7 +55,7 @@ class Sums(NamedTuple):
 
     groups: np.ndarray  # (G,)
     cost: float         # -2 log likelihood and -2 log prior, but for constants
-    cleared: np.ndarray  # (G,) whether what noise adds has been subtracted, bool
+    cleared: np.ndarray  # (G,) share of what noise adds that has been subtracted, 0 to 1
 
 
 @dataclass(frozen=True, eq=False)
