@@ -6,7 +6,7 @@ Numpy records: how parameters and states reach the compiled kernels.
 
 A record is one block of memory with named fields of fixed shape, so a kernel gets a single
 pointer, knows every loop's length when it is compiled and counts no references. Reasons and
-measurements: docs/decisions/0002-records-as-kernel-arguments.md.
+measurements: docs/decisions.md.
 """
 
 from types import SimpleNamespace

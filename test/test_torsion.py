@@ -118,7 +118,7 @@ def test_the_command_prints_numbers_and_writes_a_report(tmp_path, capsys):
 
 @pytest.mark.skipif(not KR300.is_dir(), reason=f'the recordings of {KR300} are not here')
 def test_the_first_look_at_a_real_robot_is_as_documented(tmp_path):
-    """The numbers of docs/first_look_kr300.md."""
+    """The numbers of docs/real_machines.md."""
     log = import_csv(KR300 / 'rec_A.csv', ROOT / 'config' / 'import_kr300.yaml')
     found = study(log.recording, 'axis1', 4.58e6)
     measured, error = found.torque_error
@@ -128,7 +128,7 @@ def test_the_first_look_at_a_real_robot_is_as_documented(tmp_path):
     assert [e.relative_error for e in found.explanations] == pytest.approx(
         [0.816, 0.098, 0.242, 0.088], abs=0.001)
     assert 1e3 * found.explanations[1].delay == pytest.approx(3.07, abs=0.01)
-    documented = (ROOT / 'docs' / 'first_look_kr300.md').read_text(encoding='utf-8')
+    documented = (ROOT / 'docs' / 'real_machines.md').read_text(encoding='utf-8')
     for line in recordings_page.torsion_text(found).splitlines()[1:4]:
         assert line in documented
     assert recordings_page.write_torsion_report(found, tmp_path).is_file()

@@ -2,7 +2,7 @@
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """
-How effects can join compiled kernels: the alternatives of docs/decisions/0001, measured.
+How effects can join compiled kernels: the alternatives of docs/decisions.md, measured.
 
 Every alternative runs the same ``apply`` functions of the catalogue over the same signals in a
 compiled loop. Compile times come from fresh processes: with an empty cache, with a full one,

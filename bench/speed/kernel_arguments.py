@@ -2,7 +2,7 @@
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """
-How parameters and state can reach compiled kernels: docs/decisions/0002, measured.
+How parameters and state can reach compiled kernels: docs/decisions.md, measured.
 
 The kernels name fields only, so the very same plant runs on numpy records and on NamedTuples of
 arrays made from them.

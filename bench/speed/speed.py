@@ -22,7 +22,7 @@ SUITES = {
     'batches': ('batches', 'measure'),
     'export': ('mujoco_export', 'measure'),
 }
-# the others support decisions in docs/decisions
+# the others support decisions in docs/decisions.md
 DEFAULT = ('loop', 'step', 'tick', 'ros', 'fit', 'identify')
 
 
@@ -32,7 +32,7 @@ def add_parser(subparsers):
         'speed', help='speed on this machine, beside MuJoCo and numpy',
         description='Measure speed: medians of interleaved repetitions. Compare figures of one '
                     'run only. MuJoCo is measured where the extra "bench" is installed. The '
-                    'suites "effects", "arguments" and "batches" are those of docs/decisions '
+                    'suites "effects", "arguments" and "batches" are those of docs/decisions.md '
                     'and docs/scale.md, "export" compares free runs of the exported MJCF with our '
                     'own, effect by effect (docs/export.md), "view" the late samples of the loop '
                     'with and without the page of view live; these run only when asked for.')

@@ -4,7 +4,7 @@
 """
 Effects as compiled kernels run them: a table of function addresses sorted by stage.
 
-Why addresses, and what the alternatives cost: docs/decisions/0001-effects-by-address.md.
+Why addresses, and what the alternatives cost: docs/decisions.md.
 """
 
 from dataclasses import replace
