@@ -5,7 +5,7 @@
 Run the identification experiment on the simulated robot, or on a real one through the bridge.
 
 Its bag, the friction found and a report stand in the folder it was started from. On hardware
-read docs/identification_experiment.md first: the arm moves as soon as the bridge is enabled.
+read docs/identification.md first: the arm moves as soon as the bridge is enabled.
 """
 
 from gms_flex_control.nodes import launch_parts as parts
