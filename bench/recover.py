@@ -11,9 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from gms_flex_control.answer import align
-from gms_flex_control.batches.batch import run_batch
-from gms_flex_control.batches.journal import fingerprint, Journal
-from gms_flex_control.batches.workers import open_executor
+from gms_flex_control.batches import fingerprint, Journal, open_executor, run_batch
 from gms_flex_control.cli.options import add_batch_options
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.experiment.believed import scaled_friction

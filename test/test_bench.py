@@ -24,7 +24,7 @@ from gms_flex_control.errors import ConfigError, GmsFlexError
 from gms_flex_control.params.robot import EncoderParams
 from gms_flex_control.resources import controller_file, robot_file
 from gms_flex_control.schema.files import load_controller, load_robot
-from gms_flex_control.simulation import closed_loop, plant
+from gms_flex_control.simulation import loop, plant
 from gms_flex_control.trajectory.builders import sinusoid
 import numpy as np
 import pytest
@@ -47,7 +47,7 @@ def test_plain_numpy_and_the_kernels_compute_the_same(robot, gains, compensation
     """Two implementations of all equations, with reversals; a low torque limit saturates."""
     gains = replace(gains, compensation=compensation, torque_limit=[limit, limit])
     damped = replace(robot, arm=replace(robot.arm, damping=[0.02, 0.01], gravity=0.5))
-    run = closed_loop.run(damped, robot, gains, sinusoid([1.0, 0.7], period, ramp_time=0.2),
+    run = loop.run(damped, robot, gains, sinusoid([1.0, 0.7], period, ramp_time=0.2),
                           duration=0.7, period_ns=1_000_000, substeps=4)
     q, command = numpy_loop.run(damped, robot, gains, run.reference, 1e-3, 4)
     assert np.ptp(q, axis=0).min() > 0.05

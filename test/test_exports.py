@@ -15,8 +15,8 @@ from gms_flex_control.cli.main import main
 from gms_flex_control.dynamics.chain import matrices
 from gms_flex_control.effects import registry
 from gms_flex_control.errors import ConfigError
-from gms_flex_control.exports import friction as friction_targets
 from gms_flex_control.exports import mujoco
+from gms_flex_control.exports import target as friction_targets
 from gms_flex_control.exports.target import export
 from gms_flex_control.friction.stribeck import steady_friction
 from gms_flex_control.params.robot import WHOLE_ARM

@@ -10,7 +10,7 @@ from core_runs import joint_friction, push_plant, scaled_friction, single_axis
 from gms_flex_control.errors import ParameterError
 from gms_flex_control.friction.stribeck import steady_friction
 from gms_flex_control.params.robot import EncoderParams
-from gms_flex_control.simulation import closed_loop, plant
+from gms_flex_control.simulation import loop, plant
 from gms_flex_control.trajectory.builders import sinusoid
 import numpy as np
 import pytest
@@ -162,7 +162,7 @@ def test_a_step_of_many_substeps_is_as_many_short_steps(ideal_robot, joints):
 
 def test_a_run_repeats_bit_by_bit_and_its_seed_is_the_noise(robot, gains):
     noisy = replace(robot, encoder=EncoderParams(counts=20000, noise=1e-4, velocity_cutoff=50))
-    runs = [closed_loop.run(noisy, robot, gains, sinusoid([1.0, 1.0], 6.0), duration=0.5,
+    runs = [loop.run(noisy, robot, gains, sinusoid([1.0, 1.0], 6.0), duration=0.5,
                             seed=seed) for seed in (3, 3, 4)]
     for name in ('measured', 'true', 'command', 'applied', 'friction', 'friction_hat'):
         np.testing.assert_array_equal(getattr(runs[0], name), getattr(runs[1], name))
@@ -170,7 +170,7 @@ def test_a_run_repeats_bit_by_bit_and_its_seed_is_the_noise(robot, gains):
 
 
 def test_the_applied_torque_of_a_sample_is_the_command_of_the_one_before(ideal_robot, gains):
-    run = closed_loop.run(ideal_robot, ideal_robot, gains, sinusoid([1.0, 1.0], 6.0),
+    run = loop.run(ideal_robot, ideal_robot, gains, sinusoid([1.0, 1.0], 6.0),
                           duration=0.5)
     np.testing.assert_allclose(run.applied[1:], run.command[:-1], rtol=1e-13)
     np.testing.assert_array_equal(run.applied[0], [0.0, 0.0])

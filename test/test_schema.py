@@ -9,8 +9,7 @@ import re
 
 from core_runs import stribeck
 from gms_flex_control.errors import ConfigError, ParameterError
-from gms_flex_control.experiment.plan import read_plan
-from gms_flex_control.experiment.simulated import simulate
+from gms_flex_control.experiment.simulated import read_plan, simulate
 from gms_flex_control.params.gains import COMPENSATIONS
 from gms_flex_control.params.key import offered_range
 from gms_flex_control.params.robot import EffectSpec

@@ -18,10 +18,10 @@ from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.robot import EffectSpec, EncoderParams
 from gms_flex_control.resources import robot_file
 from gms_flex_control.schema import files
-from gms_flex_control.schema.bridge import limits_from_values
 from gms_flex_control.schema.build import robot_values
-from gms_flex_control.simulation import closed_loop
-from gms_flex_control.simulation.stepped import SteppedPlant
+from gms_flex_control.schema.node_values import limits_from_values
+from gms_flex_control.simulation import loop as closed_loop
+from gms_flex_control.simulation.loop import SteppedPlant
 from gms_flex_control.trajectory import builders
 from gms_flex_control.tuning import margins, trial
 from gms_flex_control.tuning.linear_loop import compliance, linear_loop, Timing

@@ -29,7 +29,7 @@ from gms_flex_control.schema.urdf import robot_urdf
 from gms_flex_control.schema.urdf_arm import read_links
 from gms_flex_control.simulation import plant
 from gms_flex_control.trajectory import builders
-from gms_flex_control.trajectory.limits import require_within
+from gms_flex_control.trajectory.polynomials import require_within
 import numpy as np
 import pytest
 

@@ -7,8 +7,7 @@ from functools import partial
 import json
 from pathlib import Path
 
-from gms_flex_control.batches.batch import run_kept
-from gms_flex_control.batches.journal import content_of, digest_of, fingerprint
+from gms_flex_control.batches import content_of, digest_of, fingerprint, run_kept
 from gms_flex_control.cli.identify_bags import motors_in
 from gms_flex_control.cli.terminal import conclude, refuse_unwritable
 from gms_flex_control.cli.verbs import OF_A_BAG, OF_A_PLANT

@@ -10,8 +10,7 @@ import math
 from pathlib import Path
 
 from gms_flex_control import __version__, results
-from gms_flex_control.batches.batch import run_kept
-from gms_flex_control.batches.journal import digest_of, fingerprint
+from gms_flex_control.batches import digest_of, fingerprint, run_kept
 from gms_flex_control.cli.terminal import conclude, refuse_unwritable
 from gms_flex_control.control.gain_conditions import check
 from gms_flex_control.errors import ConfigError

@@ -6,13 +6,15 @@
 from dataclasses import dataclass
 
 from gms_flex_control.errors import ParameterError
-from gms_flex_control.params.checks import (
+from gms_flex_control.params.key import (
     freeze_arrays,
+    keys_of,
+    number,
     require_finite,
     require_ranges,
     require_shape,
+    SMALLEST,
 )
-from gms_flex_control.params.key import keys_of, number, SMALLEST
 import numpy as np
 
 WEIGHT_TOLERANCE = 1e-6  # of the sum of a joint's weights
