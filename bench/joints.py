@@ -71,7 +71,7 @@ def loop_of(robot):
 
     def run():
         return loop.run(robot, robot, gains, motion, duration=_DURATION,
-                               period_ns=_PERIOD_NS, substeps=_SUBSTEPS)
+                        period_ns=_PERIOD_NS, substeps=_SUBSTEPS)
     end = run().true[-1, 0]
     if not np.isfinite(end).all():
         raise SimulationError(f'{robot.n_joints} joints: the simulation diverged')

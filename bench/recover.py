@@ -26,9 +26,8 @@ from gms_flex_control.identification.result import (
     presliding_difference,
 )
 from gms_flex_control.resources import controller_file, robot_file, share_path
-from gms_flex_control.schema.build import robot_values
+from gms_flex_control.schema.build import controller_values, robot_values
 from gms_flex_control.schema.files import load_controller, load_robot
-from gms_flex_control.tuning.propose import controller_values
 import numpy as np
 
 # what is asked of the identification, by the last part of a parameter's name (largest error)

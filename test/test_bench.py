@@ -48,7 +48,7 @@ def test_plain_numpy_and_the_kernels_compute_the_same(robot, gains, compensation
     gains = replace(gains, compensation=compensation, torque_limit=[limit, limit])
     damped = replace(robot, arm=replace(robot.arm, damping=[0.02, 0.01], gravity=0.5))
     run = loop.run(damped, robot, gains, sinusoid([1.0, 0.7], period, ramp_time=0.2),
-                          duration=0.7, period_ns=1_000_000, substeps=4)
+                   duration=0.7, period_ns=1_000_000, substeps=4)
     q, command = numpy_loop.run(damped, robot, gains, run.reference, 1e-3, 4)
     assert np.ptp(q, axis=0).min() > 0.05
     if limit == 2.0:
@@ -65,9 +65,8 @@ def test_the_mechanism_in_mujoco_is_the_same(robot):
     expected[:2, :2] = matrices(q, *np.zeros((3, 2)), robot.arm).mass
     np.testing.assert_allclose(mujoco_arm.MujocoArm(robot, 1e-4).mass_matrix(q), expected,
                                atol=1e-9)
-    slippery = replace(robot.friction, **{way: replace(
-        getattr(robot.friction, way), static=[1e-9, 1e-9], coulomb=[1e-9, 1e-9],
-        viscous=[0.02, 0.01]) for way in ('forward', 'backward')})
+    slippery = robot.friction.each_way(lambda way: replace(
+        way, static=[1e-9, 1e-9], coulomb=[1e-9, 1e-9], viscous=[0.02, 0.01]))
     free = replace(robot, friction=slippery)
     arm, command = mujoco_arm.MujocoArm(free, 1e-4), np.array([0.1, -0.05])
     arm.advance(command, 3000)

@@ -31,7 +31,7 @@ def arm():
 
 def run(robot, gains, mode, motion, model=None, **options):
     return loop.run(robot, model or robot, replace(gains, compensation=mode), motion,
-                           **{'duration': 20.0} | options)
+                    **{'duration': 20.0} | options)
 
 
 @pytest.mark.parametrize('velocity', [0.004, 0.05, -0.004, -0.3])

@@ -7,10 +7,11 @@ from dataclasses import replace
 from pathlib import Path
 import re
 
-from core_runs import joint_friction, model_with_error, single_axis
+from core_runs import model_with_error, single_axis
 from gms_flex_control.control import cascade
 from gms_flex_control.errors import ParameterError
 from gms_flex_control.params.gains import ControllerParams
+from gms_flex_control.params.key import of_joints
 from gms_flex_control.simulation import encoder, loop, plant
 from gms_flex_control.trajectory import builders
 import numpy as np
@@ -121,7 +122,7 @@ def test_tracking_with_an_exact_model_is_as_good_as_expected(
     """Mean square errors of a prototype: none within a factor 2, compensated at most 2.5."""
     reference, duration = (SINUSOID, 20.0) if trajectory == 'sinusoid' else (ONE_MOVE, 10.0)
     found = mean_square(loop.run(ideal_robot, ideal_robot, with_mode(gains, mode),
-                                        reference, duration=duration))
+                                 reference, duration=duration))
     assert np.all(found < 2.5 * np.array(expected))
     if mode == 'none':
         assert np.all(found < 2.0 * np.array(expected))
@@ -153,7 +154,7 @@ def documented(row):
 def test_the_documentation_states_what_is_reached(robot, ideal_robot, gains, mode):
     """Both tables of docs/model.md, within 30 %."""
     exact = [mean_square(loop.run(ideal_robot, ideal_robot, with_mode(gains, mode),
-                                         reference, duration=duration))
+                                  reference, duration=duration))
              for reference, duration in ((SINUSOID, 20.0), (ONE_MOVE, 10.0))]
     rows = documented(mode + r'\b')
     np.testing.assert_allclose(np.concatenate(exact), rows[0], rtol=0.3)
@@ -254,7 +255,7 @@ def test_one_flexible_and_one_rigid_joint_run_together(ideal_robot, gains):
 
 
 def test_a_single_axis_is_controlled(ideal_robot, gains):
-    axis = single_axis(joint_friction(ideal_robot.friction, 0), 0.3, stiffness=1.5,
+    axis = single_axis(ideal_robot.friction.of_joints([0]), 0.3, stiffness=1.5,
                        motor_inertia=0.006)
     one = ControllerParams(compensation='gms', **{
         name: getattr(gains, name)[[0]] for name in vars(gains) if name != 'compensation'})
@@ -264,22 +265,13 @@ def test_a_single_axis_is_controlled(ideal_robot, gains):
 
 def test_three_joints_are_controlled(ideal_robot, gains):
     """A third link like the second one, with its friction and its gains."""
-    def third(x):
-        return np.concatenate([x, x[-1:]])
-    arm = replace(ideal_robot.arm, **{name: third(getattr(ideal_robot.arm, name)) for name in (
-        'mass', 'length', 'com', 'inertia', 'motor_inertia', 'stiffness', 'damping', 'offset')})
-    friction = ideal_robot.friction
-    steady = [replace(side, **{name: third(value) for name, value in vars(side).items()})
-              for side in (friction.forward, friction.backward)]
-    friction = replace(friction, forward=steady[0], backward=steady[1], **{
-        name: third(getattr(friction, name)) for name in ('stiffness', 'weight', 'attraction')})
-    robot = replace(ideal_robot, joints=('a', 'b', 'c'), motors=('x', 'y', 'z'), arm=arm,
-                    friction=friction)
-    three = ControllerParams(compensation='gms', **{
-        name: third(value) for name, value in vars(with_mode(gains, 'gms')).items()
-        if name != 'compensation'})
+    third = [0, 1, 1]
+    robot = replace(ideal_robot, joints=('a', 'b', 'c'), motors=('x', 'y', 'z'),
+                    arm=of_joints(ideal_robot.arm, third),
+                    friction=ideal_robot.friction.of_joints(third))
+    three = of_joints(with_mode(gains, 'gms'), third)
     run = loop.run(robot, robot, three, builders.sinusoid([0.6, 0.6, 0.6], 6.0),
-                          duration=12.0)
+                   duration=12.0)
     assert np.all(mean_square(run) < 1e-4)
 
 

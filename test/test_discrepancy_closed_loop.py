@@ -19,7 +19,7 @@ import pytest
 def recording(ideal_robot, gains):
     """Return three seconds of the default robot, read without error."""
     run = loop.run(ideal_robot, ideal_robot, gains, sinusoid([0.3, 0.2], 2.0),
-                          duration=3.0)
+                   duration=3.0)
     q_link, dq_link, q_motor, dq_motor = np.moveaxis(run.measured, 1, 0)
     return Recording(joints=ideal_robot.joints, time=run.time, q_link=q_link, dq_link=dq_link,
                      q_motor=q_motor, dq_motor=dq_motor, tau_motor=run.applied,

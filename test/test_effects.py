@@ -388,10 +388,10 @@ def test_errors_of_friction_and_inertia_are_other_parameters(ideal_robot):
     """Of their joint alone; a level below what is possible stops there."""
     before = ideal_robot.friction
     after = with_effect(ideal_robot, 'coulomb_error', 'joint2', 0.3).friction
-    for side in ('forward', 'backward'):
-        for name in ('static', 'coulomb'):
-            np.testing.assert_allclose(getattr(getattr(after, side), name),
-                                       getattr(getattr(before, side), name) * [1.0, 1.3])
+    for side, changed in zip((before.forward, before.backward), (after.forward, after.backward),
+                             strict=True):
+        np.testing.assert_allclose(changed.static, side.static * [1.0, 1.3])
+        np.testing.assert_allclose(changed.coulomb, side.coulomb * [1.0, 1.3])
     after = with_effect(ideal_robot, 'stribeck_error', 'joint1', 0.25).friction
     np.testing.assert_allclose(after.forward.static - before.forward.static,
                                [0.25 * before.forward.coulomb[0], 0.0])

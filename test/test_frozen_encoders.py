@@ -216,7 +216,7 @@ def test_no_motion_with_4096_counts_looks_frozen(robot, gains, motion, compensat
     model = replace(robot, encoder=COARSE)
     gains = replace(gains, compensation=compensation)
     run = loop.run(replace(model, effects=effects), model, gains, MOTIONS[motion],
-                          duration=12.0, period_ns=round(DT * 1e9), q_link=np.array([0.2, -0.1]))
+                   duration=12.0, period_ns=round(DT * 1e9), q_link=np.array([0.2, -0.1]))
     judge, last = FrozenEncoders(model, gains.torque_limit), np.zeros(2)
     longest = 0.0
     for k, (row, command) in enumerate(zip(run.measured, run.command, strict=True)):

@@ -8,7 +8,7 @@ import json
 import math
 import re
 
-from core_runs import joint_friction, single_axis
+from core_runs import single_axis
 from gms_flex_control.cli.main import main
 from gms_flex_control.control.controller import SteppedController
 from gms_flex_control.control.gain_conditions import violations
@@ -235,7 +235,7 @@ def test_draws_stay_within_the_spread_and_within_intervals(arm):
 @pytest.fixture
 def axis_file(tmp_path, arm):
     """Return the file of one flexible axis with the paper's friction."""
-    axis = single_axis(joint_friction(arm[0].friction, 0), 0.3, stiffness=1.5, motor_inertia=0.006)
+    axis = single_axis(arm[0].friction.of_joints([0]), 0.3, stiffness=1.5, motor_inertia=0.006)
     axis = replace(axis, encoder=arm[0].encoder)
     files.save_robot(axis, tmp_path / 'axis.yaml')
     return tmp_path / 'axis.yaml'

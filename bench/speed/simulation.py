@@ -62,7 +62,7 @@ def measure_loop(robot, gains, quick=False):
     motion, repetitions = reference_motion(robot), 3 if quick else 9
     options = {'period_ns': PERIOD_NS, 'substeps': SUBSTEPS}
     cases = {'ours': lambda: loop.run(robot, robot, gains, motion, duration=duration,
-                                             **options)}
+                                      **options)}
     amount = {'ours': duration, 'mujoco': duration / 4, 'numpy': slow}
     if mujoco_arm.available():
         reference = motion.sample(np.arange(round(amount['mujoco'] / PERIOD)) * PERIOD)

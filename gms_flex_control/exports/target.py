@@ -13,6 +13,7 @@ from gms_flex_control.effects.catalogue.viscous_error import ViscousError
 from gms_flex_control.effects.table import with_changes, with_friction
 from gms_flex_control.errors import ConfigError, did_you_mean
 from gms_flex_control.params.arm import in_units
+from gms_flex_control.params.friction import STRIBECK, StribeckParams
 from gms_flex_control.params.robot import RobotParams, WHOLE_ARM
 from gms_flex_control.schema.build import robot_values
 from gms_flex_control.schema.keys import known_keys
@@ -85,9 +86,8 @@ def simplified(robot: RobotParams, without: Iterable[str]) -> RobotParams:
         sides = [replace(side, static=side.coulomb + excess, velocity=velocity)
                  for side in sides]
     if 'direction' in without:
-        sides = 2 * [replace(sides[0], **{
-            name: _mean(sides, lambda side, name=name: getattr(side, name))
-            for name in ('static', 'coulomb', 'velocity', 'viscous')})]
+        sides = 2 * [StribeckParams(**{
+            name: _mean(sides, lambda side, name=name: getattr(side, name)) for name in STRIBECK})]
     if 'stribeck' in without:
         sides = [replace(side, static=side.coulomb) for side in sides]
     friction = replace(friction, forward=sides[0], backward=sides[1])

@@ -177,6 +177,12 @@ def freeze_arrays(instance, *, skip=()) -> None:
         object.__setattr__(instance, one.name, value)
 
 
+def of_joints(params, columns, **others) -> Any:
+    """Return the parameters of some joints (list of int) in that order, ``others`` replaced."""
+    return replace(params, **{key.name: getattr(params, key.name)[columns]
+                              for key in keys_of(type(params))}, **others)
+
+
 def require_shape(name: str, value: np.ndarray, shape: tuple) -> None:
     """Raise ParameterError unless ``value`` has ``shape``."""
     if value.shape != shape:
