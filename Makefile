@@ -29,10 +29,10 @@ demo-next: .venv/.with-ros  ## Leave two names, design and drive the motion that
 	@$(BIN)/gms_flex demo-next --out demo_next_output
 
 test: lint  ## Run the linters, the tests and a colcon build
-	@$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder test
+	@$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 test-fast: .venv/.with-test  ## Run the tests without nodes, browser and long fits, in a minute
-	@$(BIN)/python -m pytest -q -n 2 --fast test
+	@$(BIN)/python -m pytest -q -n 2 --fast
 
 lint: .venv/.with-test  ## Run ruff (the ament linters run among the tests)
 	@$(BIN)/ruff check .

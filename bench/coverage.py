@@ -18,9 +18,7 @@ from typing import NamedTuple
 
 from bench.hidden_robots.hide import seeds_of
 from gms_flex_control.answer import align
-from gms_flex_control.batches.batch import run_batch
-from gms_flex_control.batches.journal import fingerprint, Journal
-from gms_flex_control.batches.workers import open_executor
+from gms_flex_control.batches import fingerprint, Journal, open_executor, run_batch
 from gms_flex_control.cli.identify_bags import read_experiment_of
 from gms_flex_control.cli.options import add_batch_options
 from gms_flex_control.data.recording import Recording
@@ -36,7 +34,7 @@ from gms_flex_control.params.friction import FrictionParams, StribeckParams
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.robot import EncoderParams, RobotParams
 from gms_flex_control.schema.files import load_robot, save_values
-from gms_flex_control.simulation.closed_loop import Loop
+from gms_flex_control.simulation.loop import Loop
 from gms_flex_control.trajectory import builders
 import numpy as np
 

@@ -26,7 +26,7 @@ from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.robot import EncoderParams, RobotParams
 from gms_flex_control.schema.urdf import robot_urdf
 from gms_flex_control.schema.urdf_arm import read_links
-from gms_flex_control.simulation import closed_loop
+from gms_flex_control.simulation import loop
 from gms_flex_control.trajectory import builders
 import numpy as np
 
@@ -70,8 +70,8 @@ def loop_of(robot):
     motion = builders.sinusoid(0.3 * one, 3.0)
 
     def run():
-        return closed_loop.run(robot, robot, gains, motion, duration=_DURATION,
-                               period_ns=_PERIOD_NS, substeps=_SUBSTEPS)
+        return loop.run(robot, robot, gains, motion, duration=_DURATION,
+                        period_ns=_PERIOD_NS, substeps=_SUBSTEPS)
     end = run().true[-1, 0]
     if not np.isfinite(end).all():
         raise SimulationError(f'{robot.n_joints} joints: the simulation diverged')

@@ -16,9 +16,7 @@ from bench.real_machines.machines import BAND, MACHINES
 from bench.real_machines.motion import low_pass, motion_of, residual_torque, rms
 from bench.real_machines.split import identified, model_rms, parts_of
 from gms_flex_control.answer import align
-from gms_flex_control.batches.batch import run_batch
-from gms_flex_control.batches.journal import fingerprint, Journal
-from gms_flex_control.batches.workers import open_executor
+from gms_flex_control.batches import fingerprint, Journal, open_executor, run_batch
 from gms_flex_control.cli.options import add_batch_options
 from gms_flex_control.discrepancy import motion as measured
 from gms_flex_control.discrepancy.fitting import retuned

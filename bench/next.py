@@ -14,8 +14,7 @@ from bench.hidden_robots.cases import recording_of
 from bench.hidden_robots.hide import seeds_of
 from gms_flex_control import blas
 from gms_flex_control.answer import align
-from gms_flex_control.batches.batch import run_kept
-from gms_flex_control.batches.journal import fingerprint
+from gms_flex_control.batches import fingerprint, run_kept
 from gms_flex_control.cli.options import add_batch_options
 from gms_flex_control.design.motions import Candidate, random_moves
 from gms_flex_control.design.plan import clipped

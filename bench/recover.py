@@ -11,9 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from gms_flex_control.answer import align
-from gms_flex_control.batches.batch import run_batch
-from gms_flex_control.batches.journal import fingerprint, Journal
-from gms_flex_control.batches.workers import open_executor
+from gms_flex_control.batches import fingerprint, Journal, open_executor, run_batch
 from gms_flex_control.cli.options import add_batch_options
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.experiment.believed import scaled_friction
@@ -28,9 +26,8 @@ from gms_flex_control.identification.result import (
     presliding_difference,
 )
 from gms_flex_control.resources import controller_file, robot_file, share_path
-from gms_flex_control.schema.build import robot_values
+from gms_flex_control.schema.build import controller_values, robot_values
 from gms_flex_control.schema.files import load_controller, load_robot
-from gms_flex_control.tuning.propose import controller_values
 import numpy as np
 
 # what is asked of the identification, by the last part of a parameter's name (largest error)

@@ -16,8 +16,7 @@ if TYPE_CHECKING:
     from gms_flex_control.data.reader import read_recording
     from gms_flex_control.data.recording import Recording
     from gms_flex_control.data.writer import write_recording
-    from gms_flex_control.experiment.plan import read_plan
-    from gms_flex_control.experiment.simulated import simulate
+    from gms_flex_control.experiment.simulated import read_plan, simulate
     from gms_flex_control.results import analyse, compare, find_discrepancy, identify, tune
     from gms_flex_control.schema.files import load_controller, load_robot, save_robot
 
@@ -31,7 +30,7 @@ __all__ = ['Recording', 'analyse', 'compare', 'find_discrepancy', 'identify', 'l
            'write_recording']
 _HOME = {
     'load_robot': 'schema.files', 'save_robot': 'schema.files', 'load_controller': 'schema.files',
-    'read_plan': 'experiment.plan', 'simulate': 'experiment.simulated',
+    'read_plan': 'experiment.simulated', 'simulate': 'experiment.simulated',
     'Recording': 'data.recording', 'read_recording': 'data.reader',
     'write_recording': 'data.writer'}
 

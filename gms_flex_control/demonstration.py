@@ -11,8 +11,7 @@ from gms_flex_control.discrepancy.motion import motion_of, scales_of
 from gms_flex_control.effects import registry
 from gms_flex_control.errors import ConfigError, did_you_mean, ParameterError, SimulationError
 from gms_flex_control.experiment.believed import random_error
-from gms_flex_control.experiment.plan import Plan
-from gms_flex_control.experiment.simulated import simulate
+from gms_flex_control.experiment.simulated import Plan, simulate
 from gms_flex_control.params.robot import EffectSpec, RobotParams, WHOLE_ARM
 from gms_flex_control.trajectory import builders
 import numpy as np

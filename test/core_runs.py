@@ -11,16 +11,9 @@ from gms_flex_control.dynamics import chain, spatial
 from gms_flex_control.experiment import believed
 from gms_flex_control.friction import gms
 from gms_flex_control.params.arm import ArmParams
-from gms_flex_control.params.friction import FrictionParams, StribeckParams
 from gms_flex_control.params.robot import EncoderParams, RobotParams
 from gms_flex_control.simulation import plant
 import numpy as np
-
-
-def stribeck(source, **changes):
-    """Return Stribeck parameters with some fields replaced."""
-    names = ('static', 'coulomb', 'velocity', 'viscous')
-    return StribeckParams(**{name: getattr(source, name) for name in names} | changes)
 
 
 def scaled_friction(friction, ratio):
@@ -31,19 +24,8 @@ def scaled_friction(friction, ratio):
 
 def model_with_error(robot, *, friction=1.0, stiffness=1.0, inertia=1.0):
     """Return what a controller might believe of ``robot``: its parameters times ratios."""
-    arm = replace(robot.arm, stiffness=stiffness * robot.arm.stiffness,
-                  mass=inertia * robot.arm.mass, inertia=inertia * robot.arm.inertia)
+    arm = replace(robot.arm.scaled(inertia), stiffness=stiffness * robot.arm.stiffness)
     return replace(robot, arm=arm, friction=scaled_friction(robot.friction, friction))
-
-
-def joint_friction(friction, joint):
-    """Return the friction of one joint alone."""
-    def take(steady):
-        return stribeck(steady, **{name: getattr(steady, name)[[joint]] for name in
-                                   ('static', 'coulomb', 'velocity', 'viscous')})
-    return FrictionParams(forward=take(friction.forward), backward=take(friction.backward),
-                          stiffness=friction.stiffness[[joint]],
-                          weight=friction.weight[[joint]], attraction=friction.attraction[[joint]])
 
 
 def single_axis(friction, inertia, *, stiffness=np.inf, motor_inertia=0.0, **options):

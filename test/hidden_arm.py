@@ -9,8 +9,7 @@ import xml.etree.ElementTree as ElementTree
 
 from gms_flex_control import load_robot, Recording
 from gms_flex_control.dynamics.chain import mass_matrices
-from gms_flex_control.params.arm import ArmParams
-from gms_flex_control.params.bodies import Body
+from gms_flex_control.params.arm import ArmParams, Body
 import numpy as np
 
 ARM = Path(__file__).parents[1] / 'examples' / 'industrial_arm' / 'robot.yaml'

@@ -5,6 +5,7 @@
 
 from dataclasses import replace
 
+from gms_flex_control.experiment.believed import scaled_friction
 from gms_flex_control.friction.stribeck import steady_friction
 from gms_flex_control.identification.result import (
     Candidate,
@@ -17,7 +18,7 @@ from gms_flex_control.identification.result import (
     Loop,
     Trace,
 )
-from gms_flex_control.params.friction import FrictionParams
+from gms_flex_control.params.key import of_joints
 from gms_flex_control.resources import robot_file
 from gms_flex_control.schema.build import robot_values
 from gms_flex_control.schema.files import load_robot
@@ -51,27 +52,15 @@ def identification(joints=2, **changes):
 
 def one_axis(robot):
     """Return the first joint alone, as a rigid decoupled axis."""
-    friction = robot.friction
-    names = ('static', 'coulomb', 'velocity', 'viscous')
-    first = FrictionParams(
-        **{way: replace(getattr(friction, way), **{
-            name: getattr(getattr(friction, way), name)[:1] for name in names})
-           for way in ('forward', 'backward')},
-        stiffness=friction.stiffness[:1], weight=friction.weight[:1],
-        attraction=friction.attraction[:1])
-    arm = {name: getattr(robot.arm, name)[:1] for name in (
-        'mass', 'length', 'com', 'inertia', 'motor_inertia', 'damping', 'offset')}
-    rigid = replace(robot.arm, kind='decoupled', stiffness=[np.inf], **arm)
-    return replace(robot, joints=robot.joints[:1], motors=('',), arm=rigid, friction=first)
+    rigid = replace(of_joints(robot.arm, [0], kind='decoupled'), stiffness=[np.inf])
+    return replace(robot, joints=robot.joints[:1], motors=('',), arm=rigid,
+                   friction=robot.friction.of_joints([0]))
 
 
 def padded(friction, ratio):
     """Return friction torques times a ratio, with two empty blocks as a fit leaves them."""
-    def scaled(steady):
-        return replace(steady, static=ratio * steady.static, coulomb=ratio * steady.coulomb,
-                       viscous=ratio * steady.viscous)
     none = np.zeros((len(friction.attraction), 2))
-    return replace(friction, forward=scaled(friction.forward), backward=scaled(friction.backward),
+    return replace(scaled_friction(friction, ratio),
                    stiffness=np.hstack([ratio * friction.stiffness, none]),
                    weight=np.hstack([friction.weight, none]))
 

@@ -9,9 +9,7 @@ import sys
 import threading
 
 import batch_items
-from gms_flex_control.batches.batch import Progress, run_batch
-from gms_flex_control.batches.journal import Journal
-from gms_flex_control.batches.workers import open_executor
+from gms_flex_control.batches import Journal, open_executor, Progress, run_batch
 from gms_flex_control.comparison import study
 from gms_flex_control.comparison.study import Condition
 from gms_flex_control.errors import BatchError, SimulationError
@@ -147,7 +145,7 @@ def _released(finished, folder, victim):
 
 def test_a_scheduler_that_is_not_there_is_reported(monkeypatch):
     pytest.importorskip('distributed', reason="Dask is not installed (extra 'dask')")
-    monkeypatch.setattr('gms_flex_control.batches.workers._PATIENCE', '1s')
+    monkeypatch.setattr('gms_flex_control.batches._PATIENCE', '1s')
     with pytest.raises(BatchError, match='does not answer'), open_executor(
             scheduler='tcp://127.0.0.1:9'):
         pass

@@ -8,21 +8,25 @@ import json
 import re
 
 from core_runs import model_with_error
-from gms_flex_control.batches.batch import run_batch
-from gms_flex_control.batches.workers import open_executor
+from gms_flex_control.batches import open_executor, run_batch
 from gms_flex_control.cli.main import main
 from gms_flex_control.comparison import prediction, study
 from gms_flex_control.comparison.prediction import along, predicted
 from gms_flex_control.comparison.study import Condition, conditions, CONTESTANTS, plant_of
-from gms_flex_control.experiment.plan import read_plan
-from gms_flex_control.experiment.simulated import run_plan, simulate, simulate_to_bag, to_recording
+from gms_flex_control.experiment.simulated import (
+    read_plan,
+    run_plan,
+    simulate,
+    simulate_to_bag,
+    to_recording,
+)
 from gms_flex_control.params.gains import COMPENSATIONS
 from gms_flex_control.params.robot import EncoderParams
 from gms_flex_control.reports import comparison_page
 from gms_flex_control.resources import controller_file, robot_file, share_path
 from gms_flex_control.schema.build import robot_values
 from gms_flex_control.schema.files import save_values
-from gms_flex_control.simulation import closed_loop
+from gms_flex_control.simulation import loop
 from gms_flex_control.trajectory import builders
 import numpy as np
 import pytest
@@ -105,7 +109,7 @@ def test_a_cell_is_the_simulation_it_names_wherever_it_is_worked_on(arm):
     assert found == {key: study.try_cell(item) for key, item in items.items()}
     plant = model_with_error(arm[0], friction=1.3)
     plant = replace(plant, friction=replace(plant.friction, attraction=arm[0].friction.attraction))
-    run = closed_loop.run(plant, *arm, builders.sinusoid(np.ones(2), 6.0), duration=20.0)
+    run = loop.run(plant, *arm, builders.sinusoid(np.ones(2), 6.0), duration=20.0)
     mse = np.mean((run.true[:, 0] - run.reference[:, 0]) ** 2, axis=0)
     np.testing.assert_allclose(found[keys[0]]['sinusoid']['mse'], mse, rtol=1e-9)
 

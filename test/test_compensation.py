@@ -14,7 +14,7 @@ from gms_flex_control.params.gains import COMPENSATIONS, ControllerParams
 from gms_flex_control.params.robot import EffectSpec, EncoderParams
 from gms_flex_control.resources import controller_file, robot_file
 from gms_flex_control.schema.files import load_controller, load_robot
-from gms_flex_control.simulation import closed_loop
+from gms_flex_control.simulation import loop
 from gms_flex_control.trajectory import builders
 import numpy as np
 import pytest
@@ -30,8 +30,8 @@ def arm():
 
 
 def run(robot, gains, mode, motion, model=None, **options):
-    return closed_loop.run(robot, model or robot, replace(gains, compensation=mode), motion,
-                           **{'duration': 20.0} | options)
+    return loop.run(robot, model or robot, replace(gains, compensation=mode), motion,
+                    **{'duration': 20.0} | options)
 
 
 @pytest.mark.parametrize('velocity', [0.004, 0.05, -0.004, -0.3])

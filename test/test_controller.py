@@ -7,11 +7,12 @@ from dataclasses import replace
 from pathlib import Path
 import re
 
-from core_runs import joint_friction, model_with_error, single_axis
+from core_runs import model_with_error, single_axis
 from gms_flex_control.control import cascade
 from gms_flex_control.errors import ParameterError
 from gms_flex_control.params.gains import ControllerParams
-from gms_flex_control.simulation import closed_loop, encoder, plant
+from gms_flex_control.params.key import of_joints
+from gms_flex_control.simulation import encoder, loop, plant
 from gms_flex_control.trajectory import builders
 import numpy as np
 import pytest
@@ -120,8 +121,8 @@ def test_tracking_with_an_exact_model_is_as_good_as_expected(
         ideal_robot, gains, mode, trajectory, expected):
     """Mean square errors of a prototype: none within a factor 2, compensated at most 2.5."""
     reference, duration = (SINUSOID, 20.0) if trajectory == 'sinusoid' else (ONE_MOVE, 10.0)
-    found = mean_square(closed_loop.run(ideal_robot, ideal_robot, with_mode(gains, mode),
-                                        reference, duration=duration))
+    found = mean_square(loop.run(ideal_robot, ideal_robot, with_mode(gains, mode),
+                                 reference, duration=duration))
     assert np.all(found < 2.5 * np.array(expected))
     if mode == 'none':
         assert np.all(found < 2.0 * np.array(expected))
@@ -133,7 +134,7 @@ def test_with_a_mixed_model_error_it_still_beats_the_papers_ratios(robot, gains,
     """Friction x 0.85, K x 1.05, inertia x 0.93, 20 000 counts, 2 ms: none / gms, Table 4."""
     model = model_with_error(robot, friction=0.85, stiffness=1.05, inertia=0.93)
     reference, duration = (SINUSOID, 20.0) if trajectory == 'sinusoid' else (POLYNOMIAL, 25.0)
-    errors = {mode: mean_square(closed_loop.run(
+    errors = {mode: mean_square(loop.run(
         robot, model, with_mode(gains, mode), reference, duration=duration))
         for mode in ('none', 'gms_paper', 'gms')}
     assert np.all(errors['none'] / errors['gms'] > PAPER_RATIOS[trajectory])
@@ -152,15 +153,15 @@ def documented(row):
 @pytest.mark.parametrize('mode', ['none', 'gms_paper', 'gms'])
 def test_the_documentation_states_what_is_reached(robot, ideal_robot, gains, mode):
     """Both tables of docs/model.md, within 30 %."""
-    exact = [mean_square(closed_loop.run(ideal_robot, ideal_robot, with_mode(gains, mode),
-                                         reference, duration=duration))
+    exact = [mean_square(loop.run(ideal_robot, ideal_robot, with_mode(gains, mode),
+                                  reference, duration=duration))
              for reference, duration in ((SINUSOID, 20.0), (ONE_MOVE, 10.0))]
     rows = documented(mode + r'\b')
     np.testing.assert_allclose(np.concatenate(exact), rows[0], rtol=0.3)
     if mode == 'none':
         return
     model = model_with_error(robot, friction=0.85, stiffness=1.05, inertia=0.93)
-    ratios = [np.divide(*(mean_square(closed_loop.run(
+    ratios = [np.divide(*(mean_square(loop.run(
         robot, model, with_mode(gains, each), reference, duration=duration))
         for each in ('none', mode))) for reference, duration in ((SINUSOID, 20.0),
                                                                  (POLYNOMIAL, 25.0))]
@@ -170,7 +171,7 @@ def test_the_documentation_states_what_is_reached(robot, ideal_robot, gains, mod
 def after_move(robot, model, gains, move_time, far=(1.0, 1.0)):
     """Return the peak to peak of the links in 5 s of rest, from 1 s after a move [rad]."""
     reference = builders.via_points([[0.0, 0.0], far], move_time, 0.0)
-    run = closed_loop.run(robot, model, gains, reference, duration=move_time + 6.0)
+    run = loop.run(robot, model, gains, reference, duration=move_time + 6.0)
     return np.ptp(run.true[run.time >= move_time + 1.0, 0], axis=0)
 
 
@@ -188,7 +189,7 @@ def test_what_a_brisk_move_leaves_ringing_dies_out(ideal_robot, gains, ratio):
     """After 1 rad in 2 s the links ring in their presliding springs, ever less."""
     model = model_with_error(ideal_robot, friction=ratio)
     reference = builders.via_points([[0.0, 0.0], [1.0, 1.0]], 2.0, 0.0)
-    run = closed_loop.run(ideal_robot, model, with_mode(gains, 'gms'), reference, duration=12.0)
+    run = loop.run(ideal_robot, model, with_mode(gains, 'gms'), reference, duration=12.0)
     early, late = (np.ptp(run.true[(run.time >= begin) & (run.time < begin + 1.0), 0], axis=0)
                    for begin in (7.0, 11.0))
     assert np.all(late < np.maximum(early, 1e-5))
@@ -212,7 +213,7 @@ def test_the_papers_law_hunts_where_gms_holds_still(ideal_robot, gains):
 def test_the_observer_does_not_wind_up_at_the_torque_limit(ideal_robot, gains):
     """Commands stay within the limit; freed from it, the loop is soon as good as never there."""
     tight = with_mode(gains, 'gms', torque_limit=np.full(2, 0.22))
-    run = closed_loop.run(ideal_robot, ideal_robot, tight, SINUSOID, duration=20.0)
+    run = loop.run(ideal_robot, ideal_robot, tight, SINUSOID, duration=20.0)
     assert np.abs(run.command).max() == 0.22
     assert np.mean(np.abs(run.command) >= 0.22) > 0.05
     assert np.abs(run.friction_hat).max() < 1.5 * np.abs(run.friction).max()
@@ -240,7 +241,7 @@ def test_rigid_joints_are_controlled_by_the_link_law_alone(ideal_robot, gains, m
     """Without a motor side u = u_ed; friction is compensated all the same."""
     rigid = replace(ideal_robot, motors=('', ''),
                     arm=replace(ideal_robot.arm, stiffness=[np.inf, np.inf]))
-    run = closed_loop.run(rigid, rigid, with_mode(gains, mode), SINUSOID, duration=10.0)
+    run = loop.run(rigid, rigid, with_mode(gains, mode), SINUSOID, duration=10.0)
     error = mean_square(run)
     assert np.all(error < (2e-2 if mode == 'none' else 1e-4))
     assert np.abs(run.command).max() < 2.0
@@ -249,37 +250,28 @@ def test_rigid_joints_are_controlled_by_the_link_law_alone(ideal_robot, gains, m
 def test_one_flexible_and_one_rigid_joint_run_together(ideal_robot, gains):
     mixed = replace(ideal_robot, motors=('', 'joint2_motor'),
                     arm=replace(ideal_robot.arm, stiffness=[np.inf, 1.5]))
-    run = closed_loop.run(mixed, mixed, with_mode(gains, 'gms'), SINUSOID, duration=10.0)
+    run = loop.run(mixed, mixed, with_mode(gains, 'gms'), SINUSOID, duration=10.0)
     assert np.all(mean_square(run) < 1e-4)
 
 
 def test_a_single_axis_is_controlled(ideal_robot, gains):
-    axis = single_axis(joint_friction(ideal_robot.friction, 0), 0.3, stiffness=1.5,
+    axis = single_axis(ideal_robot.friction.of_joints([0]), 0.3, stiffness=1.5,
                        motor_inertia=0.006)
     one = ControllerParams(compensation='gms', **{
         name: getattr(gains, name)[[0]] for name in vars(gains) if name != 'compensation'})
-    run = closed_loop.run(axis, axis, one, builders.sinusoid([1.0], 6.0), duration=12.0)
+    run = loop.run(axis, axis, one, builders.sinusoid([1.0], 6.0), duration=12.0)
     assert mean_square(run)[0] < 2e-6
 
 
 def test_three_joints_are_controlled(ideal_robot, gains):
     """A third link like the second one, with its friction and its gains."""
-    def third(x):
-        return np.concatenate([x, x[-1:]])
-    arm = replace(ideal_robot.arm, **{name: third(getattr(ideal_robot.arm, name)) for name in (
-        'mass', 'length', 'com', 'inertia', 'motor_inertia', 'stiffness', 'damping', 'offset')})
-    friction = ideal_robot.friction
-    steady = [replace(side, **{name: third(value) for name, value in vars(side).items()})
-              for side in (friction.forward, friction.backward)]
-    friction = replace(friction, forward=steady[0], backward=steady[1], **{
-        name: third(getattr(friction, name)) for name in ('stiffness', 'weight', 'attraction')})
-    robot = replace(ideal_robot, joints=('a', 'b', 'c'), motors=('x', 'y', 'z'), arm=arm,
-                    friction=friction)
-    three = ControllerParams(compensation='gms', **{
-        name: third(value) for name, value in vars(with_mode(gains, 'gms')).items()
-        if name != 'compensation'})
-    run = closed_loop.run(robot, robot, three, builders.sinusoid([0.6, 0.6, 0.6], 6.0),
-                          duration=12.0)
+    third = [0, 1, 1]
+    robot = replace(ideal_robot, joints=('a', 'b', 'c'), motors=('x', 'y', 'z'),
+                    arm=of_joints(ideal_robot.arm, third),
+                    friction=ideal_robot.friction.of_joints(third))
+    three = of_joints(with_mode(gains, 'gms'), third)
+    run = loop.run(robot, robot, three, builders.sinusoid([0.6, 0.6, 0.6], 6.0),
+                   duration=12.0)
     assert np.all(mean_square(run) < 1e-4)
 
 

@@ -14,8 +14,7 @@ from gms_flex_control.design.plan import NextRecording, plan_next, surviving
 from gms_flex_control.design.separation import beliefs_of, log_odds, Prediction
 from gms_flex_control.design.sequential import BUDGET, INSEPARABLE, separate
 from gms_flex_control.errors import ConfigError
-from gms_flex_control.experiment.plan import Plan
-from gms_flex_control.experiment.simulated import simulate
+from gms_flex_control.experiment.simulated import Plan, simulate
 from gms_flex_control.hardware.limits import Limits
 from gms_flex_control.params.robot import EffectSpec
 from gms_flex_control.schema.files import save_robot

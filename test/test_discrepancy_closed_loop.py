@@ -9,7 +9,7 @@ from gms_flex_control.data.recording import Recording
 from gms_flex_control.discrepancy.closed_loop import simulated, stretch_of
 from gms_flex_control.errors import BagError
 from gms_flex_control.params.robot import EffectSpec
-from gms_flex_control.simulation import closed_loop
+from gms_flex_control.simulation import loop
 from gms_flex_control.trajectory.builders import sinusoid
 import numpy as np
 import pytest
@@ -18,8 +18,8 @@ import pytest
 @pytest.fixture(scope='module')
 def recording(ideal_robot, gains):
     """Return three seconds of the default robot, read without error."""
-    run = closed_loop.run(ideal_robot, ideal_robot, gains, sinusoid([0.3, 0.2], 2.0),
-                          duration=3.0)
+    run = loop.run(ideal_robot, ideal_robot, gains, sinusoid([0.3, 0.2], 2.0),
+                   duration=3.0)
     q_link, dq_link, q_motor, dq_motor = np.moveaxis(run.measured, 1, 0)
     return Recording(joints=ideal_robot.joints, time=run.time, q_link=q_link, dq_link=dq_link,
                      q_motor=q_motor, dq_motor=dq_motor, tau_motor=run.applied,

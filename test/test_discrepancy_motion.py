@@ -15,7 +15,7 @@ from gms_flex_control.discrepancy.result import COMPLETE, FOUND
 from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
 from gms_flex_control.params.robot import EffectSpec
 from gms_flex_control.simulation import plant
-from gms_flex_control.simulation.stepped import SteppedPlant
+from gms_flex_control.simulation.loop import SteppedPlant
 import numpy as np
 import pytest
 

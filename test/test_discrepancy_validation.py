@@ -22,6 +22,7 @@ from gms_flex_control.discrepancy.validation import (
     gain_of,
 )
 from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
+from gms_flex_control.experiment.believed import scaled_friction
 from gms_flex_control.params.robot import EffectSpec
 import numpy as np
 import pytest
@@ -107,16 +108,12 @@ def test_a_smaller_torque_constant_makes_no_smaller_residuals(case, likelihood):
     """Half the torque, inertia, friction and stiffness: the same robot by another unit."""
     robot, half = case.nominal, 0.5
     arm, friction = robot.arm, robot.friction
-    sides = {side: replace(one, static=half * one.static, coulomb=half * one.coulomb,
-                           viscous=half * one.viscous)
-             for side, one in (('forward', friction.forward), ('backward', friction.backward))}
     smaller = replace(
         robot, effects=tuple(EffectSpec(name='torque_gain', joint=joint, values=(half - 1.0,))
                              for joint in robot.joints),
         arm=replace(arm, **{name: half * getattr(arm, name) for name in (
             'mass', 'inertia', 'motor_inertia', 'stiffness', 'damping')}),
-        friction=replace(friction, **sides, stiffness=half * friction.stiffness,
-                         attraction=half * friction.attraction))
+        friction=replace(scaled_friction(friction, half), attraction=half * friction.attraction))
     x = np.zeros(len(likelihood.sd))
     whole = torque_rms(likelihood, likelihood.fitted(robot, x))
     # the motor equation counts per unit of commanded torque, the link equation has none

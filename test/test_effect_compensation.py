@@ -11,8 +11,8 @@ from gms_flex_control.control.feedforward import as_parameters, compensated
 from gms_flex_control.effects.registry import find
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
 from gms_flex_control.params.robot import EffectSpec
-from gms_flex_control.simulation import closed_loop
-from gms_flex_control.simulation.stepped import SteppedPlant
+from gms_flex_control.simulation import loop
+from gms_flex_control.simulation.loop import SteppedPlant
 from gms_flex_control.trajectory.builders import via_points
 import numpy as np
 import pytest
@@ -37,7 +37,7 @@ def rms(run):
 def test_stepped_as_by_nodes_it_is_the_compiled_loop_bit_by_bit(effects, robot, gains):
     noisy = replace(robot, encoder=replace(robot.encoder, noise=1e-4))
     model = replace(noisy, effects=effects)
-    run = closed_loop.run(noisy, model, gains, MOTION, duration=2.0, seed=4)
+    run = loop.run(noisy, model, gains, MOTION, duration=2.0, seed=4)
     plant = SteppedPlant(noisy, period=PERIOD, substeps=20, seed=4)
     controller = SteppedController(gains, model)
     plant.measure()
@@ -147,7 +147,7 @@ def test_effects_that_are_parameters_become_parameters(robot):
     (spec('viscous_error', slope=0.15), 1, 0.7)])
 def test_the_links_follow_better_once_the_effect_is_known(effect, joint, at_most, robot, gains):
     true = replace(robot, effects=(effect,))
-    before, after = (rms(closed_loop.run(true, model, gains, MOTION, duration=8.3))
+    before, after = (rms(loop.run(true, model, gains, MOTION, duration=8.3))
                      for model in (robot, true))
     assert after[joint] < at_most * before[joint]
 

@@ -13,7 +13,7 @@ from gms_flex_control.effects import signals as sig
 from gms_flex_control.effects.base import Change, Stage, Term
 from gms_flex_control.errors import ParameterError
 from gms_flex_control.params.robot import EffectSpec
-from gms_flex_control.simulation import closed_loop, plant
+from gms_flex_control.simulation import loop, plant
 from gms_flex_control.trajectory.builders import hold
 import numpy as np
 import pytest
@@ -388,10 +388,10 @@ def test_errors_of_friction_and_inertia_are_other_parameters(ideal_robot):
     """Of their joint alone; a level below what is possible stops there."""
     before = ideal_robot.friction
     after = with_effect(ideal_robot, 'coulomb_error', 'joint2', 0.3).friction
-    for side in ('forward', 'backward'):
-        for name in ('static', 'coulomb'):
-            np.testing.assert_allclose(getattr(getattr(after, side), name),
-                                       getattr(getattr(before, side), name) * [1.0, 1.3])
+    for side, changed in zip((before.forward, before.backward), (after.forward, after.backward),
+                             strict=True):
+        np.testing.assert_allclose(changed.static, side.static * [1.0, 1.3])
+        np.testing.assert_allclose(changed.coulomb, side.coulomb * [1.0, 1.3])
     after = with_effect(ideal_robot, 'stribeck_error', 'joint1', 0.25).friction
     np.testing.assert_allclose(after.forward.static - before.forward.static,
                                [0.25 * before.forward.coulomb[0], 0.0])
@@ -432,7 +432,7 @@ def test_the_plant_takes_changes_and_terms_together(ideal_robot):
 def test_a_sensor_effect_changes_what_is_measured_and_not_what_is_true(ideal_robot, gains):
     spec = EffectSpec(name='link_encoder_eccentricity', joint='joint2', values=(0.02, 0.5))
     robot = replace(ideal_robot, effects=(spec,))
-    run = closed_loop.run(robot, ideal_robot, gains, hold([0.0, 0.0]), duration=0.1)
+    run = loop.run(robot, ideal_robot, gains, hold([0.0, 0.0]), duration=0.1)
     measured, true = run.measured[:, 0], run.true[:, 0]
     np.testing.assert_allclose(measured[:, 1], true[:, 1] + 0.02 * np.sin(true[:, 1] + 0.5),
                                rtol=1e-14)

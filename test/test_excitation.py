@@ -17,7 +17,7 @@ from gms_flex_control.design.excitation import (
 )
 from gms_flex_control.dynamics import chain
 from gms_flex_control.errors import ConfigError
-from gms_flex_control.experiment.plan import read_plan
+from gms_flex_control.experiment.simulated import read_plan
 from gms_flex_control.identification.inertial_parameters import base_of
 from gms_flex_control.schema.files import load_robot
 from gms_flex_control.trajectory.builders import fourier

@@ -10,13 +10,13 @@ import xml.etree.ElementTree as ElementTree
 from bench import __main__ as bench
 from bench.hidden_robots.sizes import spec
 from bench.speed import mujoco_export
-from core_runs import joint_friction, single_axis, stribeck
+from core_runs import single_axis
 from gms_flex_control.cli.main import main
 from gms_flex_control.dynamics.chain import matrices
 from gms_flex_control.effects import registry
 from gms_flex_control.errors import ConfigError
-from gms_flex_control.exports import friction as friction_targets
 from gms_flex_control.exports import mujoco
+from gms_flex_control.exports import target as friction_targets
 from gms_flex_control.exports.target import export
 from gms_flex_control.friction.stribeck import steady_friction
 from gms_flex_control.params.robot import WHOLE_ARM
@@ -50,10 +50,10 @@ def loaded(robot, without=LUGRE):
 
 def axis_of(robot, **effects):
     """Return a flywheel on the second joint, its Stribeck curve alike in both directions."""
-    one = joint_friction(robot.friction, 1)
+    one = robot.friction.of_joints([1])
     excess, forward = one.forward.static - one.forward.coulomb, one.forward
-    backward = stribeck(one.backward, static=one.backward.coulomb + excess,
-                        velocity=forward.velocity)
+    backward = replace(one.backward, static=one.backward.coulomb + excess,
+                       velocity=forward.velocity)
     return with_effects(single_axis(replace(one, backward=backward), 1e9), **effects)
 
 

@@ -3,14 +3,9 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Friction: what the Generalized Maxwell-Slip model must do, against closed forms."""
 
-from core_runs import (
-    drive_friction,
-    joint_friction,
-    push_plant,
-    single_axis,
-    step_friction,
-    stribeck,
-)
+from dataclasses import replace
+
+from core_runs import drive_friction, push_plant, single_axis, step_friction
 from gms_flex_control.errors import ParameterError
 from gms_flex_control.friction import gms
 from gms_flex_control.friction.stribeck import steady_friction, stribeck_level
@@ -33,8 +28,8 @@ def friction(robot):
 @pytest.fixture
 def maxwell(friction):
     """Return link 1 with F_s = F_c both ways: a Maxwell-slip (Iwan) model."""
-    level = stribeck(joint_friction(friction, 0).forward, static=[0.1], coulomb=[0.1],
-                     viscous=[0.0])
+    level = replace(friction.of_joints([0]).forward, static=[0.1], coulomb=[0.1],
+                    viscous=[0.0])
     return FrictionParams(forward=level, backward=level, stiffness=friction.stiffness[[0]],
                           weight=friction.weight[[0]], attraction=[1.5])
 
@@ -114,7 +109,7 @@ def test_a_minor_loop_closes_and_leaves_no_trace(maxwell):
 def test_presliding_does_not_depend_on_the_rate(friction, joint):
     """A loop of 1 mrad with legs of 10 s and of 100 s: the same torque within 1e-5 N m."""
     x = path(0.0, 1e-3, -1e-3, 1e-3, steps=5000)
-    one = joint_friction(friction, joint)
+    one = friction.of_joints([joint])
     loops = [drive_friction(one, x, leg / 5000)[0] for leg in (10.0, 100.0)]
     assert np.abs(loops[0] - loops[1]).max() <= 1e-5
 
@@ -145,7 +140,7 @@ def test_friction_lags_behind_the_velocity(friction, joint, direction):
     """At equal speed without reversal, friction is higher speeding up than slowing down."""
     period, dt = 0.5, 1e-4
     t = np.arange(0.0, 4 * period, dt)
-    one = joint_friction(friction, joint)
+    one = friction.of_joints([joint])
     mean = 2.0 * one.forward.velocity[0]
     x = direction * (mean * t - 0.9 * mean * period / (2 * np.pi) * np.cos(2 * np.pi * t / period))
     torque = direction * drive_friction(one, x, dt)[0][-int(period / dt):, 0]
@@ -161,7 +156,7 @@ def break_away(friction, rate):
     """Return the friction torque of link 1 when it first moves at twice the Stribeck velocity."""
     period = min(1e-3, 2e-3 / rate)
     command = rate * period * np.arange(int((0.25 / rate + 0.3) / period))[:, None]
-    axis = single_axis(joint_friction(friction, 0), ARM_STRAIGHT)
+    axis = single_axis(friction.of_joints([0]), ARM_STRAIGHT)
     run = push_plant(axis, command, period, substeps=20)
     first = np.argmax(run[:, 1, 0] > 2.0 * friction.forward.velocity[0])
     assert first > 0
@@ -197,7 +192,7 @@ def test_bias_and_vibration_below_break_away_do_not_make_it_drift(friction):
     dt = 2e-4
     t = np.arange(0.0, 12.0, dt)
     torque = np.minimum(t, 1.0) * (0.03 + 0.02 * np.sin(2 * np.pi * 10.0 * t))
-    one = joint_friction(friction, 0)
+    one = friction.of_joints([0])
     axis = push_plant(single_axis(one, 0.05), torque[:, None], dt)[:, 0, 0]
     lugre = lugre_drift(one, 0.05, torque, dt)
     cycle = int(0.1 / dt)
@@ -219,7 +214,7 @@ def dragged(friction, speed):
 
 def test_a_soft_spring_on_a_moving_belt_sticks_and_slips(friction):
     """Pulled slowly it rests most of the time and jumps; pulled fast it slides evenly."""
-    slow, fast = (dragged(joint_friction(friction, 0), speed) for speed in (2e-3, 0.1))
+    slow, fast = (dragged(friction.of_joints([0]), speed) for speed in (2e-3, 0.1))
     assert np.mean(np.abs(slow) < 0.2 * 2e-3) > 0.7
     assert slow.max() > 10.0 * 2e-3
     assert slow.mean() == pytest.approx(2e-3, rel=0.2)
@@ -233,7 +228,7 @@ def test_a_closed_presliding_loop_creates_no_energy(friction, seed):
     corners = rng.uniform(-2e-3, 2e-3, 8)
     loop = path(*corners, corners[0], steps=200)
     for joint in (0, 1):
-        one = joint_friction(friction, joint)
+        one = friction.of_joints([joint])
         _, state = drive_friction(one, np.concatenate([path(0.0, corners[0]), loop]), 1e-2)
         before = np.sum(state.torque)
         torque, state = drive_friction(one, loop, 1e-2, state)
@@ -247,7 +242,7 @@ def test_the_kernel_is_the_corrected_model_in_plain_python(friction, motion):
     t = np.arange(0.0, 3.0, 1e-3)
     x = np.sin(2 * np.pi * t / 1.5) if motion == 'fast' else 0.01 * np.sin(2 * np.pi * t)
     for joint in (0, 1):
-        one = joint_friction(friction, joint)
+        one = friction.of_joints([joint])
         np.testing.assert_allclose(drive_friction(one, x, 1e-3)[0][:, 0],
                                    python_blocks(x, 1e-3, one), rtol=0, atol=1e-13)
 
@@ -261,13 +256,13 @@ def test_one_millisecond_is_as_good_as_twenty_microseconds(friction):
     truth = drive_friction(friction, motion(fine), 20e-6)[0][::50]
     error = drive_friction(friction, motion(coarse), 1e-3)[0] - truth
     assert np.all(np.sqrt(np.mean(error ** 2, axis=0)) < 2e-5)
-    unclipped = python_blocks(motion(coarse), 1e-3, joint_friction(friction, 0), clip=False)
+    unclipped = python_blocks(motion(coarse), 1e-3, friction.of_joints([0]), clip=False)
     assert np.sqrt(np.mean((unclipped - truth[:, 0]) ** 2)) > 5e-3
 
 
 def test_the_exact_slip_step_holds_where_explicit_euler_blows_up(friction):
     """Steps of three times s / C: Euler grows without bound, the exponential settles."""
-    one = joint_friction(friction, 0)
+    one = friction.of_joints([0])
     level, weight, attraction = one.forward.coulomb[0], one.weight[0, 0], 1.5
     dt = 3.0 * level / attraction
     euler, state = 0.9 * weight * level, gms.init(one)

@@ -13,8 +13,8 @@ from gms_flex_control.control.frozen_encoders import FrozenEncoders, torque_thre
 from gms_flex_control.hardware.limits import limited, Limits
 from gms_flex_control.nodes.following import EncoderWatch
 from gms_flex_control.params.robot import EffectSpec, EncoderParams
-from gms_flex_control.simulation import closed_loop
-from gms_flex_control.simulation.stepped import SteppedPlant
+from gms_flex_control.simulation import loop
+from gms_flex_control.simulation.loop import SteppedPlant
 from gms_flex_control.trajectory import builders
 import numpy as np
 import pytest
@@ -215,8 +215,8 @@ def test_no_motion_with_4096_counts_looks_frozen(robot, gains, motion, compensat
     """Begun 0.2 rad away, that the torque be large; the controller knows of no motor friction."""
     model = replace(robot, encoder=COARSE)
     gains = replace(gains, compensation=compensation)
-    run = closed_loop.run(replace(model, effects=effects), model, gains, MOTIONS[motion],
-                          duration=12.0, period_ns=round(DT * 1e9), q_link=np.array([0.2, -0.1]))
+    run = loop.run(replace(model, effects=effects), model, gains, MOTIONS[motion],
+                   duration=12.0, period_ns=round(DT * 1e9), q_link=np.array([0.2, -0.1]))
     judge, last = FrozenEncoders(model, gains.torque_limit), np.zeros(2)
     longest = 0.0
     for k, (row, command) in enumerate(zip(run.measured, run.command, strict=True)):

@@ -11,7 +11,7 @@ from gms_flex_control.hardware.bridge import Bridge, BridgeParams
 from gms_flex_control.hardware.limits import Limits, UNLIMITED
 from gms_flex_control.hardware.mapping import Actuation, JointMap, Reading
 from gms_flex_control.hardware.supervision import CommandWatch, SourceWatch, Supervisor
-from gms_flex_control.schema.bridge import bridge_from_values, limits_from_values
+from gms_flex_control.schema.node_values import bridge_from_values, limits_from_values
 import pytest
 
 MS = 1_000_000

@@ -15,8 +15,7 @@ from gms_flex_control.dynamics.chain import matrices
 from gms_flex_control.errors import GmsFlexError, IdentificationError
 from gms_flex_control.experiment.identification_plan import read_identification_plan
 from gms_flex_control.experiment.identification_simulated import simulate_identification
-from gms_flex_control.experiment.plan import read_plan
-from gms_flex_control.experiment.simulated import simulate
+from gms_flex_control.experiment.simulated import read_plan, simulate
 from gms_flex_control.identification.assumed_robot import rigid_joints
 from gms_flex_control.identification.recording_checks import check, require
 from gms_flex_control.identification.torque_checks import filtered, rigid_torque

@@ -5,8 +5,7 @@
 
 from functools import cache
 
-from gms_flex_control.experiment.plan import read_plan
-from gms_flex_control.experiment.simulated import simulate
+from gms_flex_control.experiment.simulated import read_plan, simulate
 from gms_flex_control.identification.assumed_robot import believed_model
 from gms_flex_control.identification.coordinates import Coordinates
 from gms_flex_control.identification.identify import Data

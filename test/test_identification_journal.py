@@ -6,11 +6,11 @@
 from pathlib import Path
 
 from gms_flex_control.errors import BagError
-from gms_flex_control.experiment.identification_plan import read_identification_plan
-from gms_flex_control.experiment.identification_progress import (
+from gms_flex_control.experiment.identification_plan import (
     Adaptation,
     ExperimentError,
     Journal,
+    read_identification_plan,
     require_space,
 )
 from gms_flex_control.schema.files import load_controller, load_robot

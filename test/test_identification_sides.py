@@ -6,10 +6,23 @@
 from dataclasses import replace
 import warnings
 
+from gms_flex_control.errors import IdentificationError
+from gms_flex_control.identification.assumed_robot import only_joints, rigid_joints
 from gms_flex_control.identification.segments import drive_sides, TorqueWarning
 import numpy as np
 import pytest
 from test_identification_checks import healthy
+
+
+def test_some_joints_of_a_robot_file_are_taken_in_their_order():
+    axes = rigid_joints(['x', 'y', 'z'])
+    axes = replace(axes, arm=replace(axes.arm, inertia=[1.0, 2.0, 3.0]))
+    chosen = only_joints(axes, ['z', 'x'])
+    assert chosen.joints == ('z', 'x') and chosen.motors == ('', '')
+    np.testing.assert_array_equal(chosen.arm.inertia, [3.0, 1.0])
+    assert chosen.friction.stiffness.shape == (2, axes.friction.stiffness.shape[1])
+    with pytest.raises(IdentificationError, match='--joints w: the robot has x, y, z'):
+        only_joints(axes, ['w'])
 
 
 @pytest.mark.parametrize('name', ['sinusoid', 'noise', 'polynomial', 'fast moves', 'slow',

@@ -11,7 +11,7 @@ from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.identification.arm_estimates import difference_estimates
 from gms_flex_control.identification.arm_regression import fit_base_parameters, fit_differences
 from gms_flex_control.identification.inertial_parameters import base_of, inertial_parameters
-from gms_flex_control.params.bodies import Body
+from gms_flex_control.params.arm import Body
 from gms_flex_control.schema.urdf_arm import read_links
 from gms_flex_control.simulation import plant
 from hidden_arm import believed, hidden_urdf, moved

@@ -8,8 +8,7 @@ from pathlib import Path
 from bridge_lab import ask, bridge_lab, move
 from gms_flex_control.data.reader import read_recording
 from gms_flex_control.experiment.driven import executable, TOPICS
-from gms_flex_control.experiment.plan import read_plan
-from gms_flex_control.experiment.simulated import simulate_to_bag
+from gms_flex_control.experiment.simulated import read_plan, simulate_to_bag
 from gms_flex_control.nodes import messages
 from gms_flex_control.nodes.topics import Deserialized, Serialized
 from node_harness import (

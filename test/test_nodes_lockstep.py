@@ -10,8 +10,7 @@ from gms_flex_control.data.bag import Bag
 from gms_flex_control.data.cdr import unpack_joint_state
 from gms_flex_control.data.reader import read_recording
 from gms_flex_control.experiment.driven import drive, DrivenPlan
-from gms_flex_control.experiment.plan import read_plan
-from gms_flex_control.experiment.simulated import simulate_to_bag
+from gms_flex_control.experiment.simulated import read_plan, simulate_to_bag
 from gms_flex_control.schema.files import load_robot, save_robot
 from node_harness import (
     array_message,

@@ -6,11 +6,12 @@
 from dataclasses import replace
 
 import core_runs
-from core_runs import joint_friction, push_plant, scaled_friction, single_axis
+from core_runs import push_plant, scaled_friction, single_axis
 from gms_flex_control.errors import ParameterError
 from gms_flex_control.friction.stribeck import steady_friction
+from gms_flex_control.params.key import of_joints
 from gms_flex_control.params.robot import EncoderParams
-from gms_flex_control.simulation import closed_loop, plant
+from gms_flex_control.simulation import loop, plant
 from gms_flex_control.trajectory.builders import sinusoid
 import numpy as np
 import pytest
@@ -117,7 +118,7 @@ def test_decoupled_axes_are_as_many_single_axes(ideal_robot):
     command = 0.4 * np.random.default_rng(1).standard_normal((500, 2)).cumsum(axis=0) / 10.0
     run = push_plant(both, command, 2e-3, substeps=20)
     for j in range(2):
-        axis = single_axis(joint_friction(both.friction, j),
+        axis = single_axis(both.friction.of_joints([j]),
                            arm.inertia[j] + arm.mass[j] * arm.com[j] ** 2,
                            stiffness=arm.stiffness[j], motor_inertia=arm.motor_inertia[j])
         alone = push_plant(axis, command[:, [j]], 2e-3, substeps=20)
@@ -125,7 +126,7 @@ def test_decoupled_axes_are_as_many_single_axes(ideal_robot):
 
 
 def test_a_single_axis_slides_where_torque_and_steady_friction_balance(ideal_robot):
-    one = joint_friction(ideal_robot.friction, 0)
+    one = ideal_robot.friction.of_joints([0])
     for sign in (1.0, -1.0):
         run = push_plant(single_axis(one, 0.05), np.full((20000, 1), 0.12 * sign), 1e-3)
         assert steady_friction(run[-1, 1], one) == pytest.approx([0.12 * sign], rel=1e-6)
@@ -142,18 +143,9 @@ def test_at_rest_without_torque_nothing_moves(robot):
 def test_a_step_of_many_substeps_is_as_many_short_steps(ideal_robot, joints):
     """Holding the command, 10 samples of one substep are one sample of 10."""
     pick = [0, 1, 1][:joints]
-    names = ('mass', 'length', 'com', 'inertia', 'motor_inertia', 'stiffness', 'damping',
-             'offset')
-    arm = replace(ideal_robot.arm, **{name: getattr(ideal_robot.arm, name)[pick]
-                                      for name in names})
-    friction = ideal_robot.friction
-    steady = [replace(side, **{name: getattr(side, name)[pick] for name in (
-        'static', 'coulomb', 'velocity', 'viscous')})
-        for side in (friction.forward, friction.backward)]
-    friction = replace(friction, forward=steady[0], backward=steady[1], **{
-        name: getattr(friction, name)[pick] for name in ('stiffness', 'weight', 'attraction')})
     robot = replace(ideal_robot, joints=tuple('abc'[:joints]), motors=tuple('xyz'[:joints]),
-                    arm=arm, friction=friction)
+                    arm=of_joints(ideal_robot.arm, pick),
+                    friction=ideal_robot.friction.of_joints(pick))
     command = np.full((40, joints), 0.3)
     coarse = push_plant(robot, command, 1e-3, substeps=10)
     fine = push_plant(robot, np.repeat(command, 10, axis=0), 1e-4)
@@ -162,16 +154,16 @@ def test_a_step_of_many_substeps_is_as_many_short_steps(ideal_robot, joints):
 
 def test_a_run_repeats_bit_by_bit_and_its_seed_is_the_noise(robot, gains):
     noisy = replace(robot, encoder=EncoderParams(counts=20000, noise=1e-4, velocity_cutoff=50))
-    runs = [closed_loop.run(noisy, robot, gains, sinusoid([1.0, 1.0], 6.0), duration=0.5,
-                            seed=seed) for seed in (3, 3, 4)]
+    runs = [loop.run(noisy, robot, gains, sinusoid([1.0, 1.0], 6.0), duration=0.5,
+                     seed=seed) for seed in (3, 3, 4)]
     for name in ('measured', 'true', 'command', 'applied', 'friction', 'friction_hat'):
         np.testing.assert_array_equal(getattr(runs[0], name), getattr(runs[1], name))
     assert np.any(runs[0].measured != runs[2].measured)
 
 
 def test_the_applied_torque_of_a_sample_is_the_command_of_the_one_before(ideal_robot, gains):
-    run = closed_loop.run(ideal_robot, ideal_robot, gains, sinusoid([1.0, 1.0], 6.0),
-                          duration=0.5)
+    run = loop.run(ideal_robot, ideal_robot, gains, sinusoid([1.0, 1.0], 6.0),
+                   duration=0.5)
     np.testing.assert_allclose(run.applied[1:], run.command[:-1], rtol=1e-13)
     np.testing.assert_array_equal(run.applied[0], [0.0, 0.0])
 

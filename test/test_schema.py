@@ -7,10 +7,8 @@ from dataclasses import fields, replace
 from pathlib import Path
 import re
 
-from core_runs import stribeck
 from gms_flex_control.errors import ConfigError, ParameterError
-from gms_flex_control.experiment.plan import read_plan
-from gms_flex_control.experiment.simulated import simulate
+from gms_flex_control.experiment.simulated import read_plan, simulate
 from gms_flex_control.params.gains import COMPENSATIONS
 from gms_flex_control.params.key import offered_range
 from gms_flex_control.params.robot import EffectSpec
@@ -99,7 +97,7 @@ def test_a_saved_robot_is_read_back_as_it_was(robot, tmp_path):
     rng = np.random.default_rng(0)
     arm = replace(robot.arm, gravity=9.81, stiffness=[np.inf, 1.0 / 3.0],
                   mass=rng.uniform(0.1, 1.0, 2), offset=rng.uniform(-2.0, 2.0, 2))
-    friction = replace(robot.friction, forward=stribeck(
+    friction = replace(robot.friction, forward=replace(
         robot.friction.forward, viscous=rng.uniform(0.0, 0.1, 2)))
     effects = (EffectSpec(name='backlash', joint='joint2', values=(0.1 / 3,)),
                EffectSpec(name='torque_ripple', joint='joint1', values=(0.01, 12.0, -0.3)),

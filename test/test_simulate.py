@@ -11,7 +11,7 @@ import sys
 
 from gms_flex_control.cli.main import main
 from gms_flex_control.data.reader import read_recording
-from gms_flex_control.experiment.plan import read_plan
+from gms_flex_control.experiment.simulated import read_plan
 from gms_flex_control.schema.files import load_robot
 import numpy as np
 import pytest

@@ -6,8 +6,7 @@
 from gms_flex_control.errors import TrajectoryError
 from gms_flex_control.params.arm import Frames
 from gms_flex_control.trajectory import builders
-from gms_flex_control.trajectory.limits import require_within
-from gms_flex_control.trajectory.segments import Trajectory
+from gms_flex_control.trajectory.polynomials import require_within, Trajectory
 import numpy as np
 import pytest
 

@@ -8,7 +8,7 @@ import json
 import math
 import re
 
-from core_runs import joint_friction, single_axis
+from core_runs import single_axis
 from gms_flex_control.cli.main import main
 from gms_flex_control.control.controller import SteppedController
 from gms_flex_control.control.gain_conditions import violations
@@ -18,10 +18,10 @@ from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.robot import EffectSpec, EncoderParams
 from gms_flex_control.resources import robot_file
 from gms_flex_control.schema import files
-from gms_flex_control.schema.bridge import limits_from_values
 from gms_flex_control.schema.build import robot_values
-from gms_flex_control.simulation import closed_loop
-from gms_flex_control.simulation.stepped import SteppedPlant
+from gms_flex_control.schema.node_values import limits_from_values
+from gms_flex_control.simulation import loop as closed_loop
+from gms_flex_control.simulation.loop import SteppedPlant
 from gms_flex_control.trajectory import builders
 from gms_flex_control.tuning import margins, trial
 from gms_flex_control.tuning.linear_loop import compliance, linear_loop, Timing
@@ -235,7 +235,7 @@ def test_draws_stay_within_the_spread_and_within_intervals(arm):
 @pytest.fixture
 def axis_file(tmp_path, arm):
     """Return the file of one flexible axis with the paper's friction."""
-    axis = single_axis(joint_friction(arm[0].friction, 0), 0.3, stiffness=1.5, motor_inertia=0.006)
+    axis = single_axis(arm[0].friction.of_joints([0]), 0.3, stiffness=1.5, motor_inertia=0.006)
     axis = replace(axis, encoder=arm[0].encoder)
     files.save_robot(axis, tmp_path / 'axis.yaml')
     return tmp_path / 'axis.yaml'

@@ -29,7 +29,7 @@ from gms_flex_control.schema.urdf import robot_urdf
 from gms_flex_control.schema.urdf_arm import read_links
 from gms_flex_control.simulation import plant
 from gms_flex_control.trajectory import builders
-from gms_flex_control.trajectory.limits import require_within
+from gms_flex_control.trajectory.polynomials import require_within
 import numpy as np
 import pytest
 
@@ -117,13 +117,8 @@ def test_a_planar_chain_written_as_urdf_has_the_terms_of_the_closed_form(n, tmp_
         stiffness=np.r_[np.inf, np.full(n - 1, 9.0)])
     joints = tuple(f'j{j}' for j in range(n))
     path = tmp_path / 'planar.urdf'
-    friction = paper.friction
-    steady = {way: replace(getattr(friction, way), **{
-        name: np.resize(getattr(getattr(friction, way), name), n)
-        for name in ('static', 'coulomb', 'velocity', 'viscous')})
-        for way in ('forward', 'backward')}
-    friction = replace(friction, **steady, stiffness=np.ones((n, 1)), weight=np.ones((n, 1)),
-                       attraction=np.ones(n))
+    friction = replace(paper.friction.of_joints(np.arange(n) % 2), stiffness=np.ones((n, 1)),
+                       weight=np.ones((n, 1)), attraction=np.ones(n))
     path.write_text(robot_urdf(replace(
         paper, joints=joints, motors=('',) + tuple(f'm{j}' for j in range(1, n)), arm=planar,
         friction=friction), motors=False))
@@ -428,12 +423,7 @@ def test_a_motor_carried_by_a_link_is_coupled_by_the_cosine_of_both_axes(axis, c
         '<axis xyz="0 0 1"/><limit lower="-1"', f'<axis xyz="{axis}"/><limit lower="-1"'))
     robot = load_robot(ARMS['industrial_arm'])
     arm = replace(arm_of(tmp_path / 'arm.urdf', ('j1', 'j2'), robot.arm), gravity=np.zeros(3))
-    friction = replace(
-        robot.friction, stiffness=robot.friction.stiffness[:2], weight=robot.friction.weight[:2],
-        attraction=robot.friction.attraction[:2], **{side: StribeckParams(**{
-            name: getattr(getattr(robot.friction, side), name)[:2]
-            for name in ('static', 'coulomb', 'velocity', 'viscous')})
-            for side in ('forward', 'backward')})
+    friction = robot.friction.of_joints([0, 1])
     coupling, motor = 0.05, arm.motor_inertia[1]
     pair = replace(robot, joints=('j1', 'j2'), motors=('m1', 'm2'), arm=arm, friction=friction,
                    effects=(EffectSpec(name='motor_inertia_coupling', joint='j2',

@@ -99,7 +99,7 @@ def test_a_signal_that_was_not_recorded_is_named_as_missing(field, signal):
 
 
 def test_one_rigid_joint_and_many_joints_have_a_scene(robot):
-    rigid = scene_of(single_axis(one_joint(robot.friction), 0.1))
+    rigid = scene_of(single_axis(robot.friction.of_joints([0]), 0.1))
     assert rigid.rigid == (True,) and rigid.kind == 'decoupled' and rigid.length[0] > 0.0
     chain = unknown_scene([f'j{k}' for k in range(7)], [True] * 7)
     straight = extent(chain, np.zeros((4, 7)))
@@ -120,16 +120,6 @@ def test_places_in_space_are_those_of_mujoco():
         np.testing.assert_allclose(points[1:-1], data.xpos[model.jnt_bodyid], atol=1e-9)
     np.testing.assert_allclose(extent(scene_of(arm), angles), (
         *found.min(axis=(0, 1)), *found.max(axis=(0, 1))))
-
-
-def one_joint(friction):
-    """Return the friction of the first joint."""
-    names = ('static', 'coulomb', 'velocity', 'viscous')
-    ways = {way: replace(getattr(friction, way), **{
-        name: getattr(getattr(friction, way), name)[:1] for name in names})
-        for way in ('forward', 'backward')}
-    return replace(friction, **ways, **{name: getattr(friction, name)[:1] for name in (
-        'stiffness', 'weight', 'attraction')})
 
 
 def test_blocks_along_a_motion_are_those_of_the_model_stepped_by_hand(robot):

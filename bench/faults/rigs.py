@@ -17,7 +17,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from gms_flex_control.nodes.messages import JointStateWriter, NANOSECONDS
 from gms_flex_control.resources import robot_file
 from gms_flex_control.schema.files import load_robot
-from gms_flex_control.simulation.stepped import SteppedPlant
+from gms_flex_control.simulation.loop import SteppedPlant
 import numpy as np
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray

@@ -99,10 +99,8 @@ def robot_near(robot: RobotParams, rng: np.random.Generator) -> RobotParams:
     arm = replace(arm, motor_inertia=off(arm.motor_inertia, _INERTIA_SD),
                   stiffness=off(arm.stiffness, _STIFFNESS_SD))
     level, viscous = (1.0 + _FRICTION_SD * rng.standard_normal((2, n)))
-    sides = {side: replace(steady, static=level * steady.static, coulomb=level * steady.coulomb,
-                           viscous=viscous * steady.viscous) for side, steady in (
-                               ('forward', friction.forward), ('backward', friction.backward))}
-    return replace(robot, arm=arm, friction=replace(friction, **sides))
+    return replace(robot, arm=arm, friction=friction.each_way(
+        lambda steady: steady.scaled(static=level, coulomb=level, viscous=viscous)))
 
 
 def try_job(job: Job) -> Outcome:

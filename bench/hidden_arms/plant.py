@@ -66,10 +66,8 @@ def with_change(robot: RobotParams, hidden: Hidden | None) -> RobotParams:
         return replace(robot, arm=replace(arm, gravity=np.linalg.norm(arm.gravity) * down))
     if hidden.name in ('coulomb_error', 'viscous_error'):
         names = ('static', 'coulomb') if hidden.name == 'coulomb_error' else ('viscous',)
-        sides = {side: replace(steady, **{name: factor * getattr(steady, name) for name in names})
-                 for side, steady in (('forward', friction.forward),
-                                      ('backward', friction.backward))}
-        return replace(robot, friction=replace(friction, **sides))
+        return replace(robot, friction=friction.each_way(
+            lambda steady: steady.scaled(**dict.fromkeys(names, factor))))
     return robot
 
 

@@ -14,8 +14,8 @@ from gms_flex_control.data.writer import write_recording
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.file_io import write_text
 from gms_flex_control.reports.discrepancy_values import described
+from gms_flex_control.schema.build import controller_values
 from gms_flex_control.schema.files import save_robot, save_values
-from gms_flex_control.tuning.propose import controller_values
 import numpy as np
 
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from bench.hidden_robots.cases import in_turn
 from bench.hidden_robots.populations import POPULATIONS
-from gms_flex_control.batches import journal
+from gms_flex_control import batches
 from gms_flex_control.effects.registry import find
 from gms_flex_control.errors import ConfigError
 
@@ -88,5 +88,5 @@ def jobs_of(name, share=1.0):
 
 def fingerprint():
     """Return a hash (str) of the sources an answer depends on."""
-    return (journal.fingerprint(_SOURCES)
-            + journal.fingerprint(_OWN, Path(__file__).parent))
+    return (batches.fingerprint(_SOURCES)
+            + batches.fingerprint(_OWN, Path(__file__).parent))

@@ -4,7 +4,7 @@
 """Motions drawn from a seed: a rich one, and the two of the paper."""
 
 from gms_flex_control.trajectory import builders
-from gms_flex_control.trajectory.segments import COEFFICIENTS, Trajectory
+from gms_flex_control.trajectory.polynomials import COEFFICIENTS, Trajectory
 import numpy as np
 
 MOTIONS = ('rich', 'sinusoid', 'polynomial', 'slow')

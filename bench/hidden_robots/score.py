@@ -16,8 +16,7 @@ from bench.hidden_robots.judgement import RIGHT, WORKFLOW
 from bench.hidden_robots.outcome import try_job
 from bench.hidden_robots.plants import PLANTS
 from bench.hidden_robots.populations import POPULATIONS
-from gms_flex_control.batches.journal import Journal
-from gms_flex_control.batches.workers import open_executor
+from gms_flex_control.batches import Journal, open_executor
 from gms_flex_control.cli.options import add_batch_options
 from gms_flex_control.discrepancy.thresholds import EVIDENCE
 from gms_flex_control.errors import ConfigError, SimulationError

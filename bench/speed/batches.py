@@ -12,9 +12,7 @@ from tempfile import TemporaryDirectory
 from time import perf_counter, process_time
 
 from bench.speed.timing import Measurement
-from gms_flex_control.batches.batch import run_batch
-from gms_flex_control.batches.journal import Journal
-from gms_flex_control.batches.workers import open_executor
+from gms_flex_control.batches import Journal, open_executor, run_batch
 from gms_flex_control.comparison.study import Cell, Condition, NOMINAL, Setting, try_cell
 from gms_flex_control.errors import GmsFlexError
 from gms_flex_control.experiment.driven import executable

@@ -12,8 +12,8 @@ from gms_flex_control.control import cascade
 from gms_flex_control.control.controller import SteppedController
 from gms_flex_control.params.robot import EffectSpec, EncoderParams
 from gms_flex_control.records import boxed
-from gms_flex_control.simulation import closed_loop, encoder, plant
-from gms_flex_control.simulation.stepped import SteppedPlant
+from gms_flex_control.simulation import encoder, loop, plant
+from gms_flex_control.simulation.loop import SteppedPlant
 from gms_flex_control.trajectory.builders import sinusoid
 import numpy as np
 
@@ -61,8 +61,8 @@ def measure_loop(robot, gains, quick=False):
     duration, slow = (4.0, 0.02) if quick else (10.0, 0.5)
     motion, repetitions = reference_motion(robot), 3 if quick else 9
     options = {'period_ns': PERIOD_NS, 'substeps': SUBSTEPS}
-    cases = {'ours': lambda: closed_loop.run(robot, robot, gains, motion, duration=duration,
-                                             **options)}
+    cases = {'ours': lambda: loop.run(robot, robot, gains, motion, duration=duration,
+                                      **options)}
     amount = {'ours': duration, 'mujoco': duration / 4, 'numpy': slow}
     if mujoco_arm.available():
         reference = motion.sample(np.arange(round(amount['mujoco'] / PERIOD)) * PERIOD)

@@ -7,8 +7,7 @@ from functools import partial
 import json
 from pathlib import Path
 
-from gms_flex_control.batches.batch import run_kept
-from gms_flex_control.batches.journal import content_of, digest_of, fingerprint
+from gms_flex_control.batches import content_of, digest_of, fingerprint, run_kept
 from gms_flex_control.cli.identify_bags import motors_in
 from gms_flex_control.cli.terminal import conclude, refuse_unwritable
 from gms_flex_control.cli.verbs import OF_A_BAG, OF_A_PLANT
@@ -19,9 +18,8 @@ from gms_flex_control.params.arm import in_units
 from gms_flex_control.reports import comparison_page
 from gms_flex_control.resources import controller_file, robot_file
 from gms_flex_control.results import prediction_values
-from gms_flex_control.schema.build import robot_values
+from gms_flex_control.schema.build import controller_values, robot_values
 from gms_flex_control.schema.files import load_controller, load_robot
-from gms_flex_control.tuning.propose import controller_values
 import numpy as np
 
 # what a figure depends on

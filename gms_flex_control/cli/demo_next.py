@@ -10,7 +10,7 @@ from pathlib import Path
 
 from gms_flex_control import blas
 from gms_flex_control.cli.demos import compile_effects, RATE
-from gms_flex_control.cli.next_recording import report_separation, sets_of, Task, write_files
+from gms_flex_control.cli.designs import report_separation, sets_of, Task, write_files
 from gms_flex_control.cli.terminal import import_ros, prepare, refuse_foreign, say
 from gms_flex_control.data.reader import read_recording
 from gms_flex_control.design.plan import clipped
@@ -22,7 +22,7 @@ from gms_flex_control.experiment.driven import (
     private_environment,
     stepped_loop,
 )
-from gms_flex_control.experiment.plan import read_plan
+from gms_flex_control.experiment.simulated import read_plan
 from gms_flex_control.resources import controller_file, robot_file, share_path
 from gms_flex_control.schema.files import load_controller, load_limits, load_robot, save_robot
 import numpy as np

@@ -28,8 +28,7 @@ from gms_flex_control.experiment.driven import (
     DrivenPlan,
 )
 from gms_flex_control.experiment.identification_plan import read_identification_plan
-from gms_flex_control.experiment.plan import Plan, read_plan
-from gms_flex_control.experiment.simulated import simulate, simulate_to_bag
+from gms_flex_control.experiment.simulated import Plan, read_plan, simulate, simulate_to_bag
 from gms_flex_control.identification.identify import identify
 from gms_flex_control.identification.output import write_friction, write_report_json
 from gms_flex_control.reports import demo_page
@@ -39,7 +38,7 @@ from gms_flex_control.reports.identification_page import write_identification_re
 from gms_flex_control.reports.recordings_page import write_tracking_report
 from gms_flex_control.resources import controller_file, robot_file, share_path
 from gms_flex_control.schema.files import load_controller, load_robot, save_robot, save_values
-from gms_flex_control.simulation.stepped import SteppedPlant
+from gms_flex_control.simulation.loop import SteppedPlant
 import numpy as np
 
 RATE = 500.0  # joint states per second [Hz]

@@ -10,7 +10,7 @@ from pathlib import Path
 import sys
 from textwrap import fill
 
-from gms_flex_control.batches.journal import content_of
+from gms_flex_control.batches import content_of
 from gms_flex_control.cli import each_bag
 from gms_flex_control.cli.identify_bags import read_experiment_of
 from gms_flex_control.cli.terminal import conclude, refuse_fitted, refuse_unwritable, say

@@ -14,9 +14,14 @@ import traceback
 from typing import NamedTuple
 from uuid import uuid4
 
-from gms_flex_control.batches.batch import run_batch
-from gms_flex_control.batches.journal import content_of, digest_of, fingerprint, Journal
-from gms_flex_control.batches.workers import open_executor
+from gms_flex_control.batches import (
+    content_of,
+    digest_of,
+    fingerprint,
+    Journal,
+    open_executor,
+    run_batch,
+)
 from gms_flex_control.blas import alone_in_one_thread
 from gms_flex_control.cli.terminal import conclude
 from gms_flex_control.errors import BatchError, ConfigError, GmsFlexError, own_warnings

@@ -8,7 +8,7 @@ import json
 import os
 from pathlib import Path
 
-from gms_flex_control.batches.journal import content_of
+from gms_flex_control.batches import content_of
 from gms_flex_control.cli import each_bag
 from gms_flex_control.cli.terminal import conclude, refuse_fitted, refuse_unwritable, say
 from gms_flex_control.data.conditions import conditions_of, with_conditions

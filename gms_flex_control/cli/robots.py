@@ -11,9 +11,8 @@ from gms_flex_control.answer import command
 from gms_flex_control.cli.terminal import write_or_print
 from gms_flex_control.effects import registry
 from gms_flex_control.errors import ConfigError
-from gms_flex_control.experiment.plan import read_plan
-from gms_flex_control.experiment.simulated import simulate_to_bag
-from gms_flex_control.exports import friction, mujoco, target
+from gms_flex_control.experiment.simulated import read_plan, simulate_to_bag
+from gms_flex_control.exports import mujoco, target
 from gms_flex_control.params.arm import in_units
 from gms_flex_control.resources import controller_file, robot_file, share_path
 from gms_flex_control.schema.files import load_limits, load_robot
@@ -119,10 +118,10 @@ def _exported(robot, args):
     if args.to == 'csv':
         if args.without:
             raise ConfigError('--without: csv holds every parameter; leave the option out')
-        return friction.table(robot)
+        return target.table(robot)
     step = {} if args.timestep is None else {'timestep': args.timestep}
-    chosen = {'mujoco': mujoco.target(**step), 'urdf': friction.URDF,
-              'ros2_control': friction.ROS2_CONTROL}
+    chosen = {'mujoco': mujoco.target(**step), 'urdf': target.URDF,
+              'ros2_control': target.ROS2_CONTROL}
     return target.export(robot, chosen[args.to], args.without)
 
 

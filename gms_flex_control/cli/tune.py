@@ -10,8 +10,7 @@ import math
 from pathlib import Path
 
 from gms_flex_control import __version__, results
-from gms_flex_control.batches.batch import run_kept
-from gms_flex_control.batches.journal import digest_of, fingerprint
+from gms_flex_control.batches import digest_of, fingerprint, run_kept
 from gms_flex_control.cli.terminal import conclude, refuse_unwritable
 from gms_flex_control.control.gain_conditions import check
 from gms_flex_control.errors import ConfigError
@@ -21,9 +20,9 @@ from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.reports import tuning_page
 from gms_flex_control.reports.figures import save_figure
 from gms_flex_control.resources import controller_file, robot_file
-from gms_flex_control.schema.build import robot_values
+from gms_flex_control.schema.build import controller_values, robot_values
 from gms_flex_control.schema.files import load_controller, load_robot, save_values
-from gms_flex_control.tuning import propose, trial
+from gms_flex_control.tuning import trial
 from gms_flex_control.tuning.linear_loop import Timing
 from gms_flex_control.tuning.propose import Demands
 import numpy as np
@@ -111,7 +110,7 @@ def _verified(robot, gains, demands, intervals, args):
     amplitude = np.full(robot.n_joints, args.amplitude)
     items = {f'draw {k}': trial.Drawn(robot, gains, demands.timing, amplitude, intervals,
                                       args.seed, k) for k in range(args.verify)}
-    digest = digest_of((robot_values(robot), propose.controller_values(gains, robot.joints),
+    digest = digest_of((robot_values(robot), controller_values(gains, robot.joints),
                         demands.timing, args.amplitude, intervals, args.seed))
     found = run_kept(trial.try_drawn, items, args, f'{fingerprint(SOURCES)} {digest}',
                      'robots')
@@ -125,7 +124,7 @@ def _write(args, robot, proposal, demands):
         f'{args.delay:g} ms of delay.',
         *tuning_page.loop_lines(proposal.judgement, robot, demands.timing)[:1],
         tuning_page.margins_table(proposal.judgement, robot)])
-    save_values(propose.controller_values(proposal.gains, robot.joints), out / 'controller.yaml',
+    save_values(controller_values(proposal.gains, robot.joints), out / 'controller.yaml',
                 comment=comment)
     save_figure(tuning_page.tuning_figure(robot, proposal.gains, demands.timing),
                 out / 'tuning.png')

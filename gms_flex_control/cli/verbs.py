@@ -166,7 +166,7 @@ _SIMULATE = Verb(
      'simulate --robot robot.yaml results/friction.yaml --set gains.joint1.kd_link=1.0 --out '
      'my_bag'))
 _NEXT = Verb(
-    'next', 'next_recording.next_recording', 'the motion to record next, to separate explanations',
+    'next', 'designs.next_recording', 'the motion to record next, to separate explanations',
     'Read a result of discrepancy that leaves several explanations and choose the motion that '
     'separates them fastest: each is simulated as the robot, and all are fitted to that '
     'simulation beside the recordings so far. Every explanation, also two standard deviations '
@@ -196,7 +196,7 @@ _NEXT = Verb(
      'next gap --robot robot.yaml --limits bridge.yaml --effects backlash:joint2 '
      'stiffness_error:joint2 --out plan'))
 _PLAN = Verb(
-    'plan', 'plan.plan', 'the motion that identifies an arm of a URDF best',
+    'plan', 'designs.plan', 'the motion that identifies an arm of a URDF best',
     'Search the Fourier series with the smallest condition number of the base parameters within '
     'position, velocity, acceleration and torque limits of the URDF and the options, links as '
     'capsules that do not meet. Writes trajectory.yaml for trajectory_node and simulate; takes '

@@ -59,9 +59,8 @@ def plant_of(robot, condition, seed) -> RobotParams:
     """Return the robot as it is under a condition; every compensation meets the same draws."""
     if condition.draw is not None:
         return draw(robot, {}, np.random.default_rng([seed, condition.draw]))[0]
-    arm = replace(robot.arm, stiffness=robot.arm.stiffness * condition.stiffness,
-                  mass=robot.arm.mass * condition.mass,
-                  inertia=robot.arm.inertia * condition.mass)
+    arm = replace(robot.arm.scaled(condition.mass),
+                  stiffness=robot.arm.stiffness * condition.stiffness)
     found = replace(robot, arm=arm, friction=scaled_friction(robot.friction, condition.friction))
     if condition.counts is not None:
         found = replace(found, encoder=replace(robot.encoder, counts=condition.counts))

@@ -20,8 +20,7 @@ from pathlib import Path
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.errors import ConfigError, did_you_mean, ParameterError
 from gms_flex_control.file_io import read_yaml
-from gms_flex_control.params.arm import require_body
-from gms_flex_control.params.bodies import Body
+from gms_flex_control.params.arm import Body, require_body
 import numpy as np
 from ruamel.yaml.error import YAMLError
 

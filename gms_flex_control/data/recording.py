@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, fields, replace
 from typing import NamedTuple
 
 from gms_flex_control.errors import BagError
-from gms_flex_control.params.bodies import Body
+from gms_flex_control.params.arm import Body
 import numpy as np
 
 

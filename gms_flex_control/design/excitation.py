@@ -23,7 +23,7 @@ from gms_flex_control.identification.inertial_parameters import base_of, link_re
 from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.params.robot import RobotParams
 from gms_flex_control.trajectory.builders import fourier, sinusoid
-from gms_flex_control.trajectory.segments import Trajectory
+from gms_flex_control.trajectory.polynomials import Trajectory
 import numpy as np
 from scipy.optimize import minimize
 

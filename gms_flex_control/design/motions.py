@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from gms_flex_control.hardware.limits import Limits
-from gms_flex_control.schema.motion import trajectory_from_values
 from gms_flex_control.schema.node_keys import trajectory_keys
-from gms_flex_control.trajectory.segments import Trajectory
+from gms_flex_control.schema.node_values import trajectory_from_values
+from gms_flex_control.trajectory.polynomials import Trajectory
 import numpy as np
 
 _OF_LIMIT = 0.8        # share of each limit that a reference uses: the robot overshoots

@@ -34,8 +34,7 @@ from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.nuisance import with_nuisances
 from gms_flex_control.discrepancy.thresholds import PLAUSIBLE
 from gms_flex_control.errors import ConfigError, SimulationError
-from gms_flex_control.experiment.plan import Plan
-from gms_flex_control.experiment.simulated import run_plan, to_recording
+from gms_flex_control.experiment.simulated import Plan, run_plan, to_recording
 from gms_flex_control.hardware.limits import Limits
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.robot import EffectSpec, RobotParams

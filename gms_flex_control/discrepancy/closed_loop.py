@@ -9,7 +9,7 @@ from typing import NamedTuple
 from gms_flex_control.discrepancy.motion import supply_voltage
 from gms_flex_control.discrepancy.nuisance import with_nuisances
 from gms_flex_control.errors import BagError
-from gms_flex_control.simulation.closed_loop import Loop
+from gms_flex_control.simulation.loop import Loop
 import numpy as np
 
 LEAST_TIME = 1.0   # with a reference all along, shorter recordings are of no use [s]

@@ -26,7 +26,7 @@ from gms_flex_control.identification.smoothing import (
     means_held,
     noise_of,
 )
-from gms_flex_control.params.bodies import at_last_link, Body
+from gms_flex_control.params.arm import at_last_link, Body
 from gms_flex_control.simulation import plant
 import numpy as np
 from scipy.ndimage import convolve1d, maximum_filter1d, minimum_filter1d

@@ -18,7 +18,7 @@ from functools import cache
 from gms_flex_control import records
 from gms_flex_control.compiled import compiled
 from gms_flex_control.dynamics import vectors as vec
-from gms_flex_control.params.bodies import Body, joined
+from gms_flex_control.params.arm import Body, joined
 from gms_flex_control.records import FLOAT
 import numpy as np
 

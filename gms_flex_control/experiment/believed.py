@@ -19,20 +19,15 @@ def scaled_friction(friction, factor) -> FrictionParams:
 
     Scaled are static, coulomb, viscous and block stiffness.
     """
-    def of_direction(steady):
-        return replace(steady, static=steady.static * factor, coulomb=steady.coulomb * factor,
-                       viscous=steady.viscous * factor)
-
-    return replace(friction, forward=of_direction(friction.forward),
-                   backward=of_direction(friction.backward),
-                   stiffness=friction.stiffness * factor)
+    return friction.each_way(
+        lambda steady: steady.scaled(static=factor, coulomb=factor, viscous=factor),
+        stiffness=friction.stiffness * factor)
 
 
 def mixed_error(robot) -> RobotParams:
     """Return the robot with friction x 0.85, joint stiffness x 1.05 and link masses x 0.93."""
-    arm = replace(robot.arm, stiffness=robot.arm.stiffness * STIFFNESS,
-                  mass=robot.arm.mass * MASS, inertia=robot.arm.inertia * MASS)
-    return replace(robot, arm=arm, friction=scaled_friction(robot.friction, FRICTION))
+    return replace(robot, friction=scaled_friction(robot.friction, FRICTION), arm=replace(
+        robot.arm.scaled(MASS), stiffness=robot.arm.stiffness * STIFFNESS))
 
 
 def random_error(rng, robot, least=0.01, most=0.03) -> RobotParams:
@@ -46,18 +41,16 @@ def random_error(rng, robot, least=0.01, most=0.03) -> RobotParams:
         shape = np.shape(values)
         return 1.0 + rng.uniform(least, most, shape) * rng.choice([-1.0, 1.0], shape)
 
-    arm, friction, sides = robot.arm, robot.friction, []
-    links = off(arm.mass)
-    for steady in (friction.forward, friction.backward):
+    def off_way(steady):
         level = off(steady.static)
-        sides.append(replace(steady, static=steady.static * level, coulomb=steady.coulomb * level,
-                             velocity=steady.velocity * off(steady.velocity),
-                             viscous=steady.viscous * off(steady.viscous)))
+        return steady.scaled(static=level, coulomb=level, velocity=off(steady.velocity),
+                             viscous=off(steady.viscous))
+
+    arm, friction = robot.arm, robot.friction
+    links, friction = off(arm.mass), friction.each_way(off_way)  # the order is that of the draws
     return replace(
         robot, effects=(),
-        arm=replace(arm, mass=arm.mass * links, inertia=arm.inertia * links,
-                    motor_inertia=arm.motor_inertia * off(arm.motor_inertia),
+        arm=replace(arm.scaled(links), motor_inertia=arm.motor_inertia * off(arm.motor_inertia),
                     stiffness=arm.stiffness * off(arm.stiffness)),
-        friction=replace(friction, forward=sides[0], backward=sides[1],
-                         stiffness=friction.stiffness * off(friction.stiffness[:, :1]),
+        friction=replace(friction, stiffness=friction.stiffness * off(friction.stiffness[:, :1]),
                          attraction=friction.attraction * off(friction.attraction)))

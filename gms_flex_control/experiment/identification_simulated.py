@@ -7,10 +7,10 @@ from dataclasses import replace
 
 from gms_flex_control.data.recording import Phase, Recording
 from gms_flex_control.errors import SimulationError
-from gms_flex_control.experiment.identification_progress import Adaptation, LEAVING
+from gms_flex_control.experiment.identification_plan import Adaptation, LEAVING
 from gms_flex_control.experiment.identification_steps import BRAKING_TIME
 from gms_flex_control.experiment.simulated import recording_of
-from gms_flex_control.simulation.closed_loop import Loop
+from gms_flex_control.simulation.loop import Loop
 from gms_flex_control.trajectory import builders
 import numpy as np
 

@@ -1,16 +1,25 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""What a target can express of a robot, and the refusal of what it cannot, by name."""
+"""A robot for other programs: what a target can express of it, the refusal of the rest."""
 
 from collections.abc import Callable, Iterable
+import csv
 from dataclasses import dataclass, replace
+import io
 
 from gms_flex_control.effects import learned, registry
-from gms_flex_control.effects.table import with_changes
+from gms_flex_control.effects.catalogue.viscous_error import ViscousError
+from gms_flex_control.effects.table import with_changes, with_friction
 from gms_flex_control.errors import ConfigError, did_you_mean
-from gms_flex_control.params.robot import RobotParams
+from gms_flex_control.params.arm import in_units
+from gms_flex_control.params.friction import STRIBECK, StribeckParams
+from gms_flex_control.params.robot import RobotParams, WHOLE_ARM
+from gms_flex_control.schema.build import robot_values
+from gms_flex_control.schema.keys import known_keys
+from gms_flex_control.schema.urdf import robot_urdf
 import numpy as np
+from ruamel.yaml import YAML
 
 # parts of the model that are no effects of the catalogue, and what is exported instead
 PARTS = {
@@ -77,9 +86,8 @@ def simplified(robot: RobotParams, without: Iterable[str]) -> RobotParams:
         sides = [replace(side, static=side.coulomb + excess, velocity=velocity)
                  for side in sides]
     if 'direction' in without:
-        sides = 2 * [replace(sides[0], **{
-            name: _mean(sides, lambda side, name=name: getattr(side, name))
-            for name in ('static', 'coulomb', 'velocity', 'viscous')})]
+        sides = 2 * [StribeckParams(**{
+            name: _mean(sides, lambda side, name=name: getattr(side, name)) for name in STRIBECK})]
     if 'stribeck' in without:
         sides = [replace(side, static=side.coulomb) for side in sides]
     friction = replace(friction, forward=sides[0], backward=sides[1])
@@ -133,3 +141,57 @@ _HAS = {
     'motor_inertia': lambda robot: robot.arm.motor_inertia > 0.0,
     'gravity': lambda robot: np.full(robot.n_joints, bool(np.any(robot.arm.gravity))),
 }
+
+
+_DRY = ('presliding', 'stribeck', 'direction')
+_HEADER = """\
+# Friction of each joint, in the order of joints: torque = viscous * velocity + coulomb * sign.
+# viscous: N m s/rad, coulomb: N m (N s/m and N of a linear axis).
+"""
+COLUMNS = ('parameter', 'joint', 'value', 'unit', 'meaning')
+
+
+def urdf(robot: RobotParams, without: tuple = ()) -> str:
+    """Return a robot of rigid joints as URDF, friction as ``<dynamics>`` [N m, N m s/rad]."""
+    return robot_urdf(with_friction(robot), motors=False)
+
+
+def ros2_control(robot: RobotParams, without: tuple = ()) -> str:
+    """Return a ROS parameter file of viscous and Coulomb friction, one list over joints each."""
+    robot = with_friction(robot)
+    lists = {name: [float(f'{value:.9g}') for value in getattr(robot.friction.forward, name)]
+             for name in ('viscous', 'coulomb')}
+    yaml, text = YAML(), io.StringIO()
+    yaml.default_flow_style = None
+    yaml.dump({'/**': {'ros__parameters': {'joints': list(robot.joints), 'friction': lists}}},
+              text)
+    return _HEADER + text.getvalue()
+
+
+URDF = Target(title='URDF', write=urdf, effects=(ViscousError.name,),
+              parts=('spring', 'motor_inertia', 'gravity', *_DRY))
+ROS2_CONTROL = Target(title='ros2_control', write=ros2_control, effects=(ViscousError.name,),
+                      parts=_DRY)
+
+
+def table(robot: RobotParams) -> str:
+    """
+    Return a robot, effects included, as CSV with the columns `COLUMNS`.
+
+    One row per number; entry k of an array is ``name[k]``.
+    """
+    values = robot_values(robot)
+    keys = known_keys(values, robot.joints)
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator='\n')
+    writer.writerow(COLUMNS)
+    for name, value in values.items():
+        if name in ('joints', 'motors'):
+            continue
+        parts, key = name.split('.'), keys[name]
+        joint = next((part for part in parts[1:-1] if part in (*robot.joints, WHOLE_ARM)), '')
+        entries = enumerate(value) if isinstance(value, list) else ((None, value),)
+        for k, entry in entries:
+            writer.writerow([name if k is None else f'{name}[{k}]', joint, entry,
+                             in_units(robot.arm, key.unit), key.description])
+    return text.getvalue()

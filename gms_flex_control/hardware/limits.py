@@ -8,7 +8,7 @@ from functools import cached_property
 
 from gms_flex_control.compiled import compiled
 from gms_flex_control.errors import ParameterError
-from gms_flex_control.params.checks import freeze_arrays
+from gms_flex_control.params.key import freeze_arrays
 import numpy as np
 
 UNLIMITED = 1e9           # of a limit that nobody gave

@@ -42,8 +42,7 @@ from gms_flex_control.identification.segments import (
 )
 from gms_flex_control.identification.smoothing import low_pass
 from gms_flex_control.identification.uncertainty import block_sums, clustered, inverse_of
-from gms_flex_control.params.arm import ArmParams
-from gms_flex_control.params.bodies import carrying
+from gms_flex_control.params.arm import ArmParams, carrying
 from gms_flex_control.params.robot import RobotParams
 import numpy as np
 

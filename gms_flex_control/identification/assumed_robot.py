@@ -11,7 +11,7 @@ torque, and the torque is recorded.
 """
 
 from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 import warnings
 
 from gms_flex_control import records
@@ -25,6 +25,7 @@ from gms_flex_control.errors import IdentificationError
 from gms_flex_control.identification.smoothing import derivatives
 from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
+from gms_flex_control.params.key import of_joints
 from gms_flex_control.params.robot import EncoderParams, RobotParams
 from gms_flex_control.simulation import plant
 import numpy as np
@@ -67,20 +68,10 @@ def only_joints(robot: RobotParams, joints: Sequence[str]) -> RobotParams:
         raise IdentificationError('the links of an arm act on each other: identify all '
                                   'its joints together, or describe it as decoupled axes')
     order = [robot.joints.index(joint) for joint in joints]
-    friction = robot.friction
     return replace(
         robot, joints=tuple(joints), motors=tuple(robot.motors[k] for k in order),
-        arm=_taken(robot.arm, order, ('kind', 'gravity')),
-        friction=_taken(friction, order, ('forward', 'backward'),
-                        forward=_taken(friction.forward, order),
-                        backward=_taken(friction.backward, order)),
+        arm=of_joints(robot.arm, order), friction=robot.friction.of_joints(order),
         effects=tuple(spec for spec in robot.effects if spec.joint in joints))
-
-
-def _taken(params, order, kept=(), **values):
-    taken = {field.name: getattr(params, field.name)[order] for field in fields(params)
-             if field.name not in kept}
-    return replace(params, **taken, **values)
 
 
 def believed_model(robot: RobotParams, whole=False, force=False) -> RobotParams:

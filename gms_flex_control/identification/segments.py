@@ -19,8 +19,7 @@ from gms_flex_control.identification.smoothing import (
     noise_of,
     smoothing_window,
 )
-from gms_flex_control.params.arm import ArmParams
-from gms_flex_control.params.bodies import carrying
+from gms_flex_control.params.arm import ArmParams, carrying
 from gms_flex_control.params.robot import RobotParams
 import numpy as np
 

@@ -12,7 +12,7 @@ from gms_flex_control.hardware.supervision import LATE, NOTABLE, Outcome, Superv
 from gms_flex_control.nodes import messages, process
 from gms_flex_control.nodes.robot_links import DeviceLink, TopicLink
 from gms_flex_control.nodes.topics import Inbox, Outlet
-from gms_flex_control.schema.bridge import bridge_from_values
+from gms_flex_control.schema.node_values import bridge_from_values
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 

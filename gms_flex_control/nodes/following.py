@@ -13,7 +13,7 @@ from gms_flex_control.hardware.supervision import SourceWatch
 from gms_flex_control.nodes.health import OK, WARN
 from gms_flex_control.nodes.messages import all_finite, EFFORT, NANOSECONDS
 from gms_flex_control.trajectory import builders
-from gms_flex_control.trajectory.segments import extrapolate
+from gms_flex_control.trajectory.polynomials import extrapolate
 import numpy as np
 
 _LONGEST_TICK = 0.5  # a longer gap between states starts the observer anew [s]

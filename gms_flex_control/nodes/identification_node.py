@@ -13,10 +13,10 @@ import time
 from gms_flex_control.data.recording import Phase
 from gms_flex_control.errors import GmsFlexError
 from gms_flex_control.experiment.driven import executable
-from gms_flex_control.experiment.identification_plan import plan_identification
-from gms_flex_control.experiment.identification_progress import (
+from gms_flex_control.experiment.identification_plan import (
     ExperimentError,
     Journal,
+    plan_identification,
     require_space,
 )
 from gms_flex_control.nodes import messages, process

@@ -18,9 +18,9 @@ from gms_flex_control.nodes import messages
 from gms_flex_control.nodes.messages import NANOSECONDS
 from gms_flex_control.nodes.pacing import Lockstep, LoopTiming, Paced
 from gms_flex_control.nodes.topics import Inbox, Outlet
-from gms_flex_control.schema.bridge import limits_from_values
 from gms_flex_control.schema.build import robot_from_values
-from gms_flex_control.simulation.stepped import SteppedPlant
+from gms_flex_control.schema.node_values import limits_from_values
+from gms_flex_control.simulation.loop import SteppedPlant
 import numpy as np
 from rclpy.logging import LoggingSeverity
 from sensor_msgs.msg import JointState

@@ -3,7 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """The steps of an experiment, one after the other, by the parameters of the other nodes."""
 
-from gms_flex_control.experiment.identification_progress import (
+from gms_flex_control.experiment.identification_plan import (
     Adaptation,
     ExperimentError,
     LEAVING,

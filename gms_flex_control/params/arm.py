@@ -1,15 +1,22 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""Inertia, stiffness and gravity of an arm with flexible or rigid joints."""
+"""Rigid bodies and arms: inertia, stiffness, gravity of flexible or rigid joints, loads."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 import re
+from typing import NamedTuple
 
 from gms_flex_control.errors import ParameterError
-from gms_flex_control.params.checks import freeze_arrays, require_finite, require_shape
-from gms_flex_control.params.key import number, SMALLEST
+from gms_flex_control.params.key import (
+    freeze_arrays,
+    number,
+    require_finite,
+    require_shape,
+    SMALLEST,
+)
 import numpy as np
 
 KINDS = ('planar', 'decoupled', 'urdf')
@@ -195,3 +202,42 @@ def in_units(arm: ArmParams, text: str) -> str:
 def in_currents(text: str) -> str:
     """Return a text of torques or forces with the units of currents in their place."""
     return reduce(lambda written, unit: re.sub(*unit, written), _OF_CURRENT, text)
+
+
+class Body(NamedTuple):
+    """Mass, centre of mass and inertia about it, in a frame named where it is used."""
+
+    mass: float           # [kg]
+    com: np.ndarray       # (3,) [m]
+    inertia: np.ndarray   # (3, 3) [kg m^2]
+
+
+def moved(body: Body, rotation: np.ndarray, position: np.ndarray) -> Body:
+    """Return a body in the frame in which its own has ``rotation`` and ``position``."""
+    return Body(body.mass, rotation @ body.com + position, rotation @ body.inertia @ rotation.T)
+
+
+def joined(bodies: Sequence[Body]) -> Body:
+    """Return several bodies in one frame as one."""
+    mass = sum(body.mass for body in bodies)
+    com = sum(body.mass * body.com for body in bodies) / mass
+    inertia = np.zeros((3, 3))
+    for body in bodies:
+        away = body.com - com
+        inertia += body.inertia + body.mass * (away @ away * np.eye(3) - np.outer(away, away))
+    return Body(mass, com, inertia)
+
+
+def at_last_link(load: Body, frames: Frames) -> Body:
+    """Return a load given in the frame at the end of a chain in the frame of its last link."""
+    return moved(load, frames.end_rotation, frames.end)
+
+
+def carrying(arm: ArmParams, load: Body | None) -> ArmParams:
+    """Return an arm of kind urdf with a load, given in the frame at its end, on its last link."""
+    if load is None:
+        return arm
+    mass, com, inertia = arm.mass.copy(), arm.com.copy(), arm.inertia.copy()
+    mass[-1], com[-1], inertia[-1] = joined(
+        [Body(mass[-1], com[-1], inertia[-1]), at_last_link(load, arm.frames)])
+    return replace(arm, mass=mass, com=com, inertia=inertia)

@@ -3,16 +3,20 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Friction parameters of n joints with N Maxwell-slip blocks each."""
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 from gms_flex_control.errors import ParameterError
-from gms_flex_control.params.checks import (
+from gms_flex_control.params.key import (
     freeze_arrays,
+    keys_of,
+    number,
+    of_joints,
     require_finite,
     require_ranges,
     require_shape,
+    SMALLEST,
 )
-from gms_flex_control.params.key import keys_of, number, SMALLEST
 import numpy as np
 
 WEIGHT_TOLERANCE = 1e-6  # of the sum of a joint's weights
@@ -38,6 +42,11 @@ class StribeckParams:
             raise ParameterError(
                 f'static {self.static} is below coulomb {self.coulomb}: '
                 'the Stribeck curve would rise with speed; were they swapped?')
+
+    def scaled(self, **factors) -> 'StribeckParams':
+        """Return it with some values, by their names, times a number or an array (n_joints,)."""
+        return replace(self, **{name: factor * getattr(self, name)
+                                for name, factor in factors.items()})
 
 
 STRIBECK = tuple(key.name for key in keys_of(StribeckParams))
@@ -77,3 +86,14 @@ class FrictionParams:
         if not np.allclose(self.weight.sum(axis=1), 1.0, atol=WEIGHT_TOLERANCE):
             raise ParameterError(f'block weights must sum to 1 per joint, got sums '
                                  f'{self.weight.sum(axis=1)}; divide them by their sum')
+
+    def each_way(self, change: Callable[[StribeckParams], StribeckParams],
+                 **others) -> 'FrictionParams':
+        """Return it with both directions changed by a function, and other fields replaced."""
+        return replace(self, forward=change(self.forward), backward=change(self.backward),
+                       **others)
+
+    def of_joints(self, columns: list) -> 'FrictionParams':
+        """Return the friction of some joints (list of int), in that order; one may come twice."""
+        return of_joints(self, columns, forward=of_joints(self.forward, columns),
+                         backward=of_joints(self.backward, columns))

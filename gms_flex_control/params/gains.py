@@ -6,8 +6,7 @@
 from dataclasses import dataclass
 
 from gms_flex_control.errors import ParameterError
-from gms_flex_control.params.checks import freeze_arrays, require_ranges
-from gms_flex_control.params.key import keys_of, number
+from gms_flex_control.params.key import freeze_arrays, keys_of, number, require_ranges
 import numpy as np
 
 # gms_paper is the paper's observer, corrected, with tanh; gms the better one, with the sign of the

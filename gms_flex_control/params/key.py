@@ -1,14 +1,15 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""What one parameter of a node or file is, and whether a value fits it."""
+"""What one parameter of a node or file is, and whether values fit it."""
 
 from dataclasses import dataclass, field, fields, replace
 from functools import cache
 import math
 from typing import Any
 
-from gms_flex_control.errors import ConfigError, did_you_mean
+from gms_flex_control.errors import ConfigError, did_you_mean, ParameterError
+import numpy as np
 
 REQUIRED = object()
 SMALLEST = 1e-12  # of what must be above zero
@@ -160,3 +161,49 @@ def _above(number):
     """Return the next 1, 2 or 5 times a power of ten."""
     power = 10.0 ** math.floor(math.log10(number))
     return next(end * power for end in _ENDS if end * power >= _ROUNDING * number)
+
+
+def freeze_arrays(instance, *, skip=()) -> None:
+    """Replace the array fields of a frozen dataclass by read-only float arrays."""
+    for one in fields(instance):
+        if one.name in skip:
+            continue
+        try:
+            value = np.array(getattr(instance, one.name), dtype=float)
+        except (TypeError, ValueError) as error:
+            raise ParameterError(
+                f'{one.name} must be numbers, got {getattr(instance, one.name)!r}') from error
+        value.setflags(write=False)
+        object.__setattr__(instance, one.name, value)
+
+
+def of_joints(params, columns, **others) -> Any:
+    """Return the parameters of some joints (list of int) in that order, ``others`` replaced."""
+    return replace(params, **{key.name: getattr(params, key.name)[columns]
+                              for key in keys_of(type(params))}, **others)
+
+
+def require_shape(name: str, value: np.ndarray, shape: tuple) -> None:
+    """Raise ParameterError unless ``value`` has ``shape``."""
+    if value.shape != shape:
+        raise ParameterError(f'{name} must have shape {shape} (one entry per joint), '
+                             f'got shape {value.shape}')
+
+
+def require_finite(name: str, value, *, above=None, at_least=None) -> None:
+    """Raise ParameterError unless all entries are finite and within the open or closed bound."""
+    if not np.all(np.isfinite(value)):
+        raise ParameterError(f'{name} must be finite, got {value}')
+    if above is not None and not np.all(value > above):
+        raise ParameterError(f'{name} must be above {above:g}, got {value}')
+    if at_least is not None and not np.all(value >= at_least):
+        raise ParameterError(f'{name} must be at least {at_least:g}, got {value}')
+
+
+def require_ranges(instance, shape: tuple, prefix: str = '') -> None:
+    """Raise ParameterError unless all fields with a Key have ``shape``, and a sign it allows."""
+    for key in keys_of(type(instance)):
+        name, value = prefix + key.name, getattr(instance, key.name)
+        require_shape(name, value, shape)
+        require_finite(name, value, above=0.0 if key.lower > 0.0 else None,
+                       at_least=0.0 if key.lower == 0.0 else None)

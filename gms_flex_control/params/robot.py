@@ -9,9 +9,8 @@ from typing import NamedTuple
 
 from gms_flex_control.errors import ParameterError
 from gms_flex_control.params.arm import ArmParams
-from gms_flex_control.params.checks import freeze_arrays, require_ranges
 from gms_flex_control.params.friction import FrictionParams
-from gms_flex_control.params.key import number
+from gms_flex_control.params.key import freeze_arrays, number, require_ranges
 import numpy as np
 
 WHOLE_ARM = 'arm'

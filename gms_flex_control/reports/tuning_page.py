@@ -9,9 +9,10 @@ from pathlib import Path
 from gms_flex_control.answer import align, Answer, command, measured
 from gms_flex_control.params.gains import GAINS
 from gms_flex_control.reports.figures import COLOURS, panels_of, STYLES, WIDTH
+from gms_flex_control.schema.build import controller_values
 from gms_flex_control.tuning.linear_loop import linear_loop
 from gms_flex_control.tuning.margins import joint_margins, open_loop, poses
-from gms_flex_control.tuning.propose import controller_values, link_bandwidth
+from gms_flex_control.tuning.propose import link_bandwidth
 from gms_flex_control.tuning.trial import MOTIONS
 from matplotlib.figure import Figure
 import numpy as np

@@ -215,6 +215,14 @@ def controller_from_values(values: dict, joints) -> ControllerParams:
                                 **_columns(ControllerParams, flat, 'gains', joints))
 
 
+def controller_values(gains: ControllerParams, joints) -> dict:
+    """Return gains as flat parameters, the inverse of `controller_from_values`."""
+    values = {'compensation': gains.compensation}
+    for j, joint in enumerate(joints):
+        values |= _row(gains, f'gains.{joint}', j)
+    return values
+
+
 def robot_values(robot: RobotParams) -> dict:
     """Return a robot as flat parameters, the inverse of `robot_from_values`."""
     values = {'joints': list(robot.joints), 'motors': list(robot.motors),

@@ -12,8 +12,8 @@ from gms_flex_control.hardware.limits import Limits
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.robot import RobotParams
 from gms_flex_control.schema import build
-from gms_flex_control.schema.bridge import limits_from_values
 from gms_flex_control.schema.keys import known_keys
+from gms_flex_control.schema.node_values import limits_from_values
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 

@@ -7,7 +7,7 @@ from functools import cache
 from math import factorial, perm
 
 from gms_flex_control.errors import TrajectoryError
-from gms_flex_control.trajectory.segments import COEFFICIENTS, DERIVATIVES, joined, Trajectory
+from gms_flex_control.trajectory.polynomials import COEFFICIENTS, DERIVATIVES, joined, Trajectory
 import numpy as np
 
 _PER_WAVE = 8           # segments of a period of the highest harmonic

@@ -15,7 +15,8 @@ from typing import NamedTuple
 
 from gms_flex_control.control import gain_conditions
 from gms_flex_control.params.arm import ArmParams
-from gms_flex_control.params.gains import ControllerParams, GAINS
+from gms_flex_control.params.gains import ControllerParams
+from gms_flex_control.params.key import of_joints
 from gms_flex_control.tuning.linear_loop import Timing
 from gms_flex_control.tuning.margins import demands_missed, judged, Judgement
 import numpy as np
@@ -103,22 +104,14 @@ def _rounded(value):
 
 def _one_axis(robot, joint, inertia):
     """Return a joint of a robot as an axis of its own with the given inertia."""
-    arm = robot.arm
-    only = [joint]
+    arm, only = robot.arm, [joint]
     if arm.rigid[joint]:
         inertia = inertia - arm.motor_inertia[joint]
     alone = ArmParams(kind='decoupled', mass=[0.0], length=[0.0], com=[0.0], inertia=[inertia],
                       motor_inertia=arm.motor_inertia[only], stiffness=arm.stiffness[only],
                       damping=arm.damping[only])
-    friction = robot.friction
-    steady = {way: replace(getattr(friction, way), **{
-        name: getattr(getattr(friction, way), name)[only]
-        for name in ('static', 'coulomb', 'velocity', 'viscous')})
-        for way in ('forward', 'backward')}
-    friction = replace(friction, **steady, stiffness=friction.stiffness[only],
-                       weight=friction.weight[only], attraction=friction.attraction[only])
     return replace(robot, joints=(robot.joints[joint],), motors=(robot.motors[joint],), arm=alone,
-                   friction=friction, effects=())
+                   friction=robot.friction.of_joints(only), effects=())
 
 
 def _joint_gains(robot, base, demands, joint, cap):
@@ -126,7 +119,7 @@ def _joint_gains(robot, base, demands, joint, cap):
     inertia = _inertia_range(robot, joint)
     axes = [_one_axis(robot, joint, value) for value in dict.fromkeys(inertia)]
     own = demands._replace(torque_limit=demands.torque_limit[[joint]], bandwidth=None)
-    own_base = replace(base, **{name: getattr(base, name)[[joint]] for name in GAINS})
+    own_base = of_joints(base, [joint])
     nearest = None
     for wanted in ('all', 'exact'):
         for values in _candidates(robot, demands, joint, inertia[1], cap):
@@ -183,11 +176,3 @@ def _with_joint(gains, joint, values):
         changed[name] = getattr(gains, name).copy()
         changed[name][joint] = value
     return replace(gains, **changed)
-
-
-def controller_values(gains, joints) -> dict:
-    """Return gains as the flat parameters of a controller file."""
-    values = {'compensation': gains.compensation}
-    for j, joint in enumerate(joints):
-        values |= {f'gains.{joint}.{name}': float(getattr(gains, name)[j]) for name in GAINS}
-    return values

@@ -19,7 +19,7 @@ from gms_flex_control.effects.catalogue.input_delay import InputDelay
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.params.robot import EffectSpec, RobotParams
 from gms_flex_control.schema.build import robot_from_values, robot_values
-from gms_flex_control.simulation import closed_loop
+from gms_flex_control.simulation import loop
 from gms_flex_control.trajectory import builders
 from gms_flex_control.tuning.margins import judged
 import numpy as np
@@ -69,7 +69,7 @@ def try_gains(robot, model, gains, timing, motion, amplitude, seed=0) -> tuple:
     """
     course = (builders.sinusoid(amplitude, PERIOD) if motion == 'sinusoid'
               else builders.polynomial(amplitude, MOVE, HOLD))
-    run = closed_loop.run(
+    run = loop.run(
         with_delay(robot, timing.delay), model, gains, course,
         duration=DURATION[motion], period_ns=round(1e9 * timing.period), seed=seed,
         substeps=max(5, math.ceil(timing.period / 1e-4 - 1e-9)))

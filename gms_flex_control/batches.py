@@ -1,21 +1,94 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""Where the items of a batch are worked on: processes of this machine, or a Dask cluster."""
+"""A function called for many items, in processes or on a Dask cluster, with a journal."""
 
 from collections.abc import Generator, Iterator
 from concurrent.futures import as_completed, CancelledError, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+import hashlib
+import json
 import multiprocessing
 import os
+from pathlib import Path
 import pickle
 import signal
+import sys
 import threading
+from time import monotonic
 from typing import Protocol
 
-from gms_flex_control.batches.journal import fingerprint
-from gms_flex_control.errors import BatchError, LostItemError
+import gms_flex_control
+from gms_flex_control.errors import BatchError, ConfigError, LostItemError
+
+ROOT = Path(gms_flex_control.__file__).parent
+
+
+class Journal:
+    """
+    The outcomes so far, in ``folder`` / outcomes.jsonl; the folder is made if need be.
+
+    Outcomes of other ``sources``, a hash of all they depend on beside their key, are not taken.
+    ConfigError is raised if the folder cannot be written.
+    """
+
+    def __init__(self, folder, sources):
+        self.path, self._sources = Path(folder) / 'outcomes.jsonl', sources
+        self.outcomes, self.stale = {}, 0
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            lines = self.path.read_text('utf-8').splitlines() if self.path.exists() else []
+        except OSError as error:
+            raise ConfigError(f'--out {folder}: {error.strerror}; name a folder that can be '
+                              'written') from error
+        for line in lines:
+            self._take(line)
+
+    def _take(self, line):
+        try:
+            outcome = json.loads(line)
+            key, sources = outcome['key'], outcome['sources']
+        except (ValueError, KeyError, TypeError):
+            return  # the line a killed run did not finish
+        if sources != self._sources:
+            self.stale += 1
+            return
+        self.outcomes[key] = outcome
+
+    def add(self, outcome) -> None:
+        """Keep an outcome (dict with 'key'), on disk at once."""
+        outcome = outcome | {'sources': self._sources}
+        self.outcomes[outcome['key']] = outcome
+        text = json.dumps(outcome, allow_nan=False) + '\n'
+        with self.path.open('ab+') as file:
+            if file.tell():
+                file.seek(-1, 2)
+                text = text if file.read(1) == b'\n' else '\n' + text
+            file.write(text.encode())
+
+
+def fingerprint(parts=('.',), root: Path = ROOT) -> str:
+    """Return a hash (16 digits) of folders or modules within ``root``, by default all."""
+    digest = hashlib.sha256()
+    for part in parts:
+        path = root / part
+        for source in [path] if path.is_file() else sorted(path.rglob('*.py')):
+            digest.update(source.relative_to(root).as_posix().encode() + source.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def content_of(bag) -> list:
+    """Return names, sizes and times of a bag's files: another recording is not taken for it."""
+    path = Path(bag)
+    files = [path] if path.is_file() else sorted(one for one in path.rglob('*') if one.is_file())
+    return [(one.name, one.stat().st_size, one.stat().st_mtime_ns) for one in files]
+
+
+def digest_of(values) -> str:
+    """Return 16 hexadecimal digits that stand for plain values, distinguished by their repr."""
+    return hashlib.sha256(repr(values).encode()).hexdigest()[:16]
+
 
 _MOST_BREAKS = 3  # in a row without one finished item
 _PATIENCE = '10s'  # for the scheduler to answer
@@ -205,3 +278,106 @@ class Cluster:
     def _lost(self):
         raise LostItemError(f'--scheduler {self._address}: one item killed every worker that took '
                             'it; is there enough memory?')
+
+
+_WIDTH = 30  # characters
+
+
+def run_batch(function, items: dict, *, executor: Executor, journal: Journal | None = None,
+              label: str = '', lost=None) -> dict:
+    """
+    Return what a function makes of many items by their keys, in the order of the items.
+
+    All of it goes through JSON, so that it is the same whether it was kept or just found.
+
+    Parameters
+    ----------
+    function : callable
+        Of a module; takes one item and returns plain values without NaN.
+    items : dict of str to object
+        By a key of their own.
+    executor : Executor
+        From `open_executor`.
+    journal : Journal, optional
+        Of finished items; these are not done again, and stay in it whatever ends the batch.
+    label : str
+        Of the progress bar, which appears on a terminal only.
+    lost : callable, optional
+        LostItemError -> what stands for an item that kills its workers; such a value is not kept,
+        so that the item is tried again another time. Default: the error ends the batch.
+
+    """
+    kept = {} if journal is None else journal.outcomes
+    found = {key: kept[key]['value'] for key in items if key in kept}
+    missing = [key for key in items if key not in found]
+    with Progress(len(items), len(found), label) as progress:
+        for index, result in executor.finished(function, [items[key] for key in missing]):
+            key = missing[index]
+            try:
+                found[key] = json.loads(json.dumps(result(), allow_nan=False))
+            except LostItemError as error:
+                if lost is None:
+                    raise
+                found[key] = lost(error)
+            else:
+                if journal is not None:
+                    journal.add({'key': key, 'value': found[key]})
+            progress.step()
+    return {key: found[key] for key in items}
+
+
+def run_kept(function, items: dict, args, sources: str, label: str) -> dict:
+    """
+    Call a function for many items as `run_batch` does, with the options of a verb.
+
+    ``args`` has ``workers``, ``scheduler`` and ``out``, a folder whose journal keeps outcomes of
+    the same ``sources``, see Journal.
+    """
+    journal = Journal(args.out, sources)
+    with open_executor(args.workers, args.scheduler) as executor:
+        return run_batch(function, items, executor=executor, journal=journal, label=label)
+
+
+class Progress:
+    """A bar of one line with count and time left, drawn where ``stream`` is a terminal."""
+
+    def __init__(self, total, done=0, label='', stream=None):
+        self._total, self._first, self._done, self._label = total, done, done, label
+        self._stream = sys.stderr if stream is None else stream
+        self._shown = self._stream.isatty()
+        self._begin, self._last = monotonic(), 0.0
+
+    def __enter__(self):
+        """Draw the bar for the first time."""
+        self._draw()
+        return self
+
+    def __exit__(self, *_):
+        """Remove the bar."""
+        if self._shown:
+            self._stream.write('\r\x1b[K')
+            self._stream.flush()
+
+    def step(self) -> None:
+        """Count one more finished item."""
+        self._done += 1
+        if self._done == self._total or monotonic() - self._last >= 0.1:
+            self._draw()
+
+    def _draw(self):
+        if not self._shown:
+            return
+        self._last = monotonic()
+        self._stream.write(f'\r\x1b[K{self.line(self._last - self._begin)}')
+        self._stream.flush()
+
+    def line(self, elapsed) -> str:
+        """Return the bar as text after ``elapsed`` seconds."""
+        share = self._done / self._total if self._total else 1.0
+        full = int(_WIDTH * share)
+        left = ''
+        if self._done > self._first:
+            rate = elapsed / (self._done - self._first)
+            left = f', {rate * (self._total - self._done):.0f} s left'
+        return (f'{self._label} [{"#" * full}{"-" * (_WIDTH - full)}] '
+                f'{self._done}/{self._total}{left}')

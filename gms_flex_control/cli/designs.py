@@ -1,7 +1,7 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""`gms_flex next`: the motion to be recorded next, that separates what is left; or all of them."""
+"""The verbs `next` and `plan`: motions that separate explanations, or identify an arm best."""
 
 import json
 from pathlib import Path
@@ -11,6 +11,7 @@ from gms_flex_control import blas
 from gms_flex_control.answer import Answer, command, Number
 from gms_flex_control.cli.terminal import conclude, import_ros, refuse_unwritable, say
 from gms_flex_control.data.reader import read_recording
+from gms_flex_control.design.excitation import Bounds, plan_excitation, sentence
 from gms_flex_control.design.plan import clipped, plan_next, surviving, write_plan
 from gms_flex_control.design.separation import beliefs_of, closed_loop_plan
 from gms_flex_control.design.sequential import ONE_LEFT, separate
@@ -24,7 +25,7 @@ from gms_flex_control.params.robot import RobotParams, WHOLE_ARM
 from gms_flex_control.reports.figures import save_figure
 from gms_flex_control.reports.pictures import next_figure, separated_figure
 from gms_flex_control.resources import controller_file
-from gms_flex_control.schema.files import load_controller, load_limits, load_robot
+from gms_flex_control.schema.files import load_controller, load_limits, load_robot, save_values
 import numpy as np
 
 
@@ -209,3 +210,41 @@ def _as_dict(plan):
             'explanations': [one.words for one in plan.beliefs.hypotheses],
             'best': of(plan.best), 'compared': [of(one) for one in plan.compared],
             'refused': list(plan.refused), 'undecided': plan.undecided}
+
+
+def plan(args) -> int:
+    """Write the motion and what it is worth; return 0."""
+    refuse_unwritable(args.out)
+    robot = load_robot(args.robot)
+    if robot.arm.frames is None:
+        raise ConfigError(f'--robot {" ".join(args.robot)}: arm.kind is {robot.arm.kind}; plan '
+                          'needs urdf. identification_node moves axes that are alone')
+    limits = load_limits(args.limits, robot.joints) if args.limits else None
+    bounds = Bounds.of_robot(robot, limits, args.acceleration or np.inf)
+    with blas.in_one_thread():
+        found = plan_excitation(
+            robot, bounds, period=args.period, harmonics=args.harmonics, repeats=args.repeats,
+            radius=args.radius, seed=args.seed,
+            say=(lambda _: None) if args.json else lambda text: say(f'  {text} ...'))
+    out = Path(args.out)
+    out.mkdir(parents=True, exist_ok=True)
+    words, trajectory = sentence(found, robot.joints), out / 'trajectory.yaml'
+    save_values(found.values, trajectory, comment=words)
+    values = {'condition_number': found.condition, 'sinusoids': found.usual,
+              'base_parameters': found.parameters, 'shares_of_limits': found.used,
+              'clearance': found.clearance if np.isfinite(found.clearance) else None,
+              'duration': found.trajectory.end}
+    write_text(out / 'plan.json', json.dumps(values, indent=1) + '\n')
+    if args.json:
+        print(json.dumps(values, indent=1))
+        return 0
+    shares = [Number(f'largest {name} [% of its limit]', '-', f'{100.0 * share:.0f}', '100')
+              for name, share in found.used.items()]
+    conclude(Answer(words, ('sinusoids', 'plan', 'limit'), (
+        Number('condition number', f'{found.usual:.3g}', f'{found.condition:.3g}', '-'),
+        *shares), command(
+            'simulate', '--robot', *args.robot, '--controller',
+            Path(args.robot[0]).with_name('controller.yaml'), '--trajectory', trajectory,
+            '--duration', f'{found.trajectory.end:.0f}', '--out', out / 'bag')),
+        {'motion': trajectory, 'numbers': out / 'plan.json'})
+    return 0

@@ -24,7 +24,7 @@ from gms_flex_control.errors import ConfigError, GmsFlexError
 from gms_flex_control.params.robot import EncoderParams
 from gms_flex_control.resources import controller_file, robot_file
 from gms_flex_control.schema.files import load_controller, load_robot
-from gms_flex_control.simulation import closed_loop, plant
+from gms_flex_control.simulation import loop, plant
 from gms_flex_control.trajectory.builders import sinusoid
 import numpy as np
 import pytest
@@ -47,8 +47,8 @@ def test_plain_numpy_and_the_kernels_compute_the_same(robot, gains, compensation
     """Two implementations of all equations, with reversals; a low torque limit saturates."""
     gains = replace(gains, compensation=compensation, torque_limit=[limit, limit])
     damped = replace(robot, arm=replace(robot.arm, damping=[0.02, 0.01], gravity=0.5))
-    run = closed_loop.run(damped, robot, gains, sinusoid([1.0, 0.7], period, ramp_time=0.2),
-                          duration=0.7, period_ns=1_000_000, substeps=4)
+    run = loop.run(damped, robot, gains, sinusoid([1.0, 0.7], period, ramp_time=0.2),
+                   duration=0.7, period_ns=1_000_000, substeps=4)
     q, command = numpy_loop.run(damped, robot, gains, run.reference, 1e-3, 4)
     assert np.ptp(q, axis=0).min() > 0.05
     if limit == 2.0:
@@ -65,9 +65,8 @@ def test_the_mechanism_in_mujoco_is_the_same(robot):
     expected[:2, :2] = matrices(q, *np.zeros((3, 2)), robot.arm).mass
     np.testing.assert_allclose(mujoco_arm.MujocoArm(robot, 1e-4).mass_matrix(q), expected,
                                atol=1e-9)
-    slippery = replace(robot.friction, **{way: replace(
-        getattr(robot.friction, way), static=[1e-9, 1e-9], coulomb=[1e-9, 1e-9],
-        viscous=[0.02, 0.01]) for way in ('forward', 'backward')})
+    slippery = robot.friction.each_way(lambda way: replace(
+        way, static=[1e-9, 1e-9], coulomb=[1e-9, 1e-9], viscous=[0.02, 0.01]))
     free = replace(robot, friction=slippery)
     arm, command = mujoco_arm.MujocoArm(free, 1e-4), np.array([0.1, -0.05])
     arm.advance(command, 3000)

@@ -16,7 +16,7 @@ from bench.hidden_robots.cases import available_effects, make_case
 from bench.hidden_robots.jobs import fingerprint, Job, jobs_of
 from bench.hidden_robots.outcome import finite, try_job
 from bench.hidden_robots.score import jobs_asked
-from gms_flex_control.batches.journal import Journal
+from gms_flex_control.batches import Journal
 from gms_flex_control.discrepancy.result import Credible, Noise
 from gms_flex_control.discrepancy.thresholds import EVIDENCE
 from gms_flex_control.discrepancy.validation import Gain
@@ -376,7 +376,7 @@ def test_workers_of_a_killed_run_end_with_it(tmp_path):
         'import os, sys, time\n'
         'from concurrent.futures import ProcessPoolExecutor\n'
         'from multiprocessing import get_context\n'
-        'from gms_flex_control.batches.workers import end_with_parent\n'
+        'from gms_flex_control.batches import end_with_parent\n'
         "if __name__ == '__main__':\n"
         '    pool = ProcessPoolExecutor(1, initializer=end_with_parent,\n'
         "                               mp_context=get_context('spawn'))\n"

@@ -31,11 +31,9 @@ COMMAND = np.stack([0.5 * np.sin(1.3 * TIME) + 0.1 * np.sin(7 * TIME), 0.3 * np.
 
 def without_friction(robot, **arm):
     """Return a robot whose friction is too small to matter."""
-    def side(steady):
-        return replace(steady, static=[1e-12] * 2, coulomb=[1e-12] * 2, viscous=[0.0] * 2)
-    friction = replace(robot.friction, forward=side(robot.friction.forward),
-                       backward=side(robot.friction.backward),
-                       stiffness=np.zeros_like(robot.friction.stiffness))
+    friction = robot.friction.each_way(
+        lambda side: replace(side, static=[1e-12] * 2, coulomb=[1e-12] * 2, viscous=[0.0] * 2),
+        stiffness=np.zeros_like(robot.friction.stiffness))
     return replace(robot, friction=friction, arm=replace(robot.arm, **arm))
 
 
@@ -298,21 +296,11 @@ def test_every_outsider_disturbs():
 
 def test_joints_that_do_not_interact(ideal_robot):
     """One flexible axis: the plant says the same."""
-    friction = single_friction(ideal_robot.friction)
+    friction = ideal_robot.friction.of_joints([0])
     axis = single_axis(friction, 0.05, stiffness=2.0, motor_inertia=0.005)
     hidden = truth.simulate_open(axis, COMMAND[:, :1])[1:]
     plant = push_plant(axis, COMMAND[:, :1], 2e-3, substeps=400)[:, :4]
     assert np.abs(hidden - plant).max() < 1e-3
-
-
-def single_friction(friction):
-    """Return the friction of the first joint alone."""
-    def side(steady):
-        return replace(steady, **{name: getattr(steady, name)[:1] for name in (
-            'static', 'coulomb', 'velocity', 'viscous')})
-    return replace(friction, forward=side(friction.forward), backward=side(friction.backward),
-                   stiffness=friction.stiffness[:1], weight=friction.weight[:1],
-                   attraction=friction.attraction[:1])
 
 
 def test_a_longer_chain_is_refused():
