@@ -43,6 +43,13 @@ def take(merged, names, position, stamp, *, source=0, velocity=(), effort=(), no
                        stamp if now is None else now)
 
 
+def by_joints(mapped, *, state=((0.0,) * 3,) * 2, efforts=(NAN,) * 3, otherwise=(0.0,) * 2):
+    """Return what `JointMap.sort` makes of readings of three encoders: sides, torque."""
+    sides, torque = np.zeros((4, 2)), np.zeros(2)
+    mapped.sort(*map(np.array, (state, efforts, otherwise)), sides, torque)
+    return sides, torque
+
+
 # mapping ---------------------------------------------------------------------------------------
 
 
@@ -52,9 +59,9 @@ def test_angles_and_rates_follow_sign_gear_and_offset():
     angle = np.array([1.0, 1.0, 30.0]) * mapped.slope + mapped.offset
     np.testing.assert_allclose(angle, [1.5, -1.0, -0.3 + 0.1])
     np.testing.assert_allclose(np.array([1.0, 1.0, 30.0]) * mapped.slope, [1.0, -1.0, -0.3])
-    link, motor = mapped.sides(angle)
-    np.testing.assert_allclose(link, [1.5, -1.0])
-    np.testing.assert_allclose(motor, [-0.2, -1.0])  # the rigid joint has one encoder
+    sides, _ = by_joints(mapped, state=[angle, 2.0 * angle])
+    np.testing.assert_allclose(sides[:2], [[1.5, -1.0], [3.0, -2.0]])
+    np.testing.assert_allclose(sides[2:], [[-0.2, -1.0], [-0.4, -2.0]])  # rigid: one encoder
 
 
 def test_power_is_the_same_on_both_sides_of_the_gear():
@@ -71,9 +78,10 @@ def test_efforts_go_out_in_the_robots_order_and_come_back():
     mapped = joint_map(order=('b', 'a'))
     np.testing.assert_allclose(mapped.efforts(np.array([5.0, 0.25])), [0.25, -1.0])
     assert mapped.command_names == ('lb', 'ma')
-    back = mapped.torques(np.array([NAN, 0.25, -1.0]), np.zeros(2))
+    _, back = by_joints(mapped, efforts=[NAN, 0.25, -1.0])
     np.testing.assert_allclose(back, [5.0, 0.25])
-    np.testing.assert_allclose(mapped.torques(np.full(3, NAN), np.array([7.0, 8.0])), [7.0, 8.0])
+    _, back = by_joints(mapped, otherwise=[7.0, 8.0])
+    np.testing.assert_allclose(back, [7.0, 8.0])
     assert '-' not in str(mapped.efforts(np.zeros(2)))  # no negative zero on the wire
 
 

@@ -68,8 +68,7 @@ class RobotSide:
         """Take the state that the merger has completed; return the time since the last [s]."""
         merger = self.merger
         elapsed = (merger.time - self.stamp) / NANOSECONDS
-        self.rows[:2], self.rows[2:] = joint_map.sides(merger.state)
-        self.applied = joint_map.torques(merger.effort, given)
+        joint_map.sort(merger.state, merger.effort, given, self.rows, self.applied)
         self.worst_age = max(self.worst_age, now - merger.time)
         return elapsed
 
@@ -141,6 +140,7 @@ class Bridge:
         """Compile before the first state comes."""
         names, robot = list(self.params.joint_map.names), RobotSide(self.params)
         robot.merger.take(0, names, [0.0] * len(names), (), (), 1, 1)
+        robot.take(self.params.joint_map, robot.applied, 1)
         limiting.is_sound(robot.rows, robot.rows, 0.0, self.params.limits)
         limiting.limited(robot.applied, robot.applied, 0.0, *robot.rows[:2], self.params.limits)
 
@@ -221,8 +221,10 @@ class Bridge:
         held = np.zeros(len(command), dtype=bool)
         controller.torque = limiting.limited(command, controller.torque, elapsed,
                                              measured.q_link, measured.dq_link, limits, held)
-        controller.held_back = recently(controller.held_back, held, elapsed)
-        self.counters['commands held back by torque_rate'] += int(held.any())
+        held = held.tolist()
+        controller.held_back = [recently(share, one, elapsed) for share, one in zip(
+            controller.held_back, held, strict=True)]
+        self.counters['commands held back by torque_rate'] += any(held)
         controller.given = now
         self.counters['commands acted on'] += 1
         return True

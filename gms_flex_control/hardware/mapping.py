@@ -3,8 +3,10 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """From a robot's names, units and clocks to joint angles, torques and one time, and back."""
 
+from array import array
 from dataclasses import dataclass
 import math
+from operator import is_
 
 from gms_flex_control.compiled import compiled
 from gms_flex_control.errors import GmsFlexError, ParameterError
@@ -93,24 +95,31 @@ class JointMap:
         self.command_names = tuple(actuators[j].name for j in self._order)
         # some robots tell an effort under a name that no encoder has
         self.effort_names = tuple(dict.fromkeys([*self.names, *(a.name for a in actuators)]))
-        self._effort_channel = [self.effort_names.index(a.name) for a in actuators]
-
-    def sides(self, values) -> tuple:
-        """Return values of link and motor side (..., n_joints) from those of all encoders."""
-        return values[..., :len(self.joints)], values[..., self._motor_channel]
+        self._effort_channel = np.array([self.effort_names.index(a.name) for a in actuators])
 
     def efforts(self, torque) -> np.ndarray:
         """Return efforts in the robot's units and order from torques (n_joints,) [N m]."""
         return (torque / self._scale)[self._order] + 0.0  # never -0
 
-    def torques(self, efforts, otherwise) -> np.ndarray:
+    def sort(self, state, efforts, otherwise, sides, torque) -> None:
         """
-        Turn efforts by `effort_names`, NaN where unknown, into torques of the joints [N m].
+        Sort what was measured by joints: into ``sides`` (4, n_joints) and ``torque`` (n_joints,).
 
-        ``otherwise`` (n_joints,) stands in where the robot measures none.
+        ``state`` (2, m) has angles and velocities by `names`, ``sides`` gets those of the links,
+        then of the motors. ``efforts`` are by `effort_names`; where the robot measures none (NaN)
+        the torque is that of ``otherwise`` (n_joints,) [N m].
         """
-        torque = efforts[self._effort_channel] * self._scale
-        return np.where(np.isfinite(torque), torque, otherwise)
+        _sort(state, efforts, otherwise, self._motor_channel, self._effort_channel, self._scale,
+              sides, torque)
+
+
+@compiled
+def _sort(state, efforts, otherwise, motor, actuator, scale, sides, torque):
+    for j in range(len(torque)):
+        for k in range(2):
+            sides[k, j], sides[2 + k, j] = state[k, j], state[k, motor[j]]
+        measured = efforts[actuator[j]] * scale[j]
+        torque[j] = measured if math.isfinite(measured) else otherwise[j]
 
 
 class Timeline:
@@ -187,12 +196,26 @@ class _Plan:
         self.channel = np.array([joint_map.names.index(name) for name in wanted])
         self.index = np.array([names.index(name) for name in wanted])
         self.slope, self.offset = joint_map.slope[self.channel], joint_map.offset[self.channel]
-        self.efforts = [(c, names.index(name)) for c, name in enumerate(joint_map.effort_names)
-                        if c >= len(joint_map.names) and name in names]  # that no encoder has
+        # efforts under names that no encoder has: where in those by `effort_names`, and here
+        self.others = np.array([
+            (c, names.index(name)) for c, name in enumerate(joint_map.effort_names)
+            if c >= len(joint_map.names) and name in names], dtype=int).reshape(-1, 2)
         self.nothing = np.full(len(names), np.nan)
+        self._fields, self._numbers = (None,), None
 
     def numbers(self, fields) -> list:
-        """Return ``fields`` of a message as arrays, NaN for an empty one; check lengths."""
+        """
+        Return ``fields`` of a message as arrays, NaN for an empty one; check lengths.
+
+        A message that is used again has its numbers in the same arrays.
+        """
+        if not all(map(is_, fields, self._fields)):
+            self._numbers = self._found(fields)
+            reused = all(isinstance(values, array) and values for values in fields)
+            self._fields = fields if reused else (None,)
+        return self._numbers
+
+    def _found(self, fields):
         found = []
         for what, values in zip(('positions', 'velocities', 'efforts'), fields, strict=True):
             if len(values) != len(self.names) and (len(values) or what == 'positions'):
@@ -254,13 +277,10 @@ class StateMerger:
         time = self._timelines[source].read(stamp, now)
         if time is None:
             return False
-        if not self._fresh.any():  # a new state begins
-            self.effort[len(self._map.names):] = np.nan
-        for c, k in plan.efforts if len(effort) else ():
-            self.effort[c] = torque[k]
         estimated, newest = _merge(
-            q, dq, torque, plan.index, plan.channel, plan.slope, plan.offset, time, self._cutoff,
-            self._skew, self._latest, self._times, self._fresh, self.state, self.effort)
+            q, dq, torque, plan.index, plan.channel, plan.slope, plan.offset, plan.others, time,
+            self._cutoff, self._skew, self._latest, self._times, self._fresh, self.state,
+            self.effort)
         self.estimated += estimated
         self.time = max(newest, self.time)
         return newest > 0
@@ -297,14 +317,19 @@ def _first_bad(position, velocity, index, slope, offset):
 
 
 @compiled
-def _merge(position, velocity, effort, index, channel, slope, offset, time, cutoff, skew, latest,
-           times, fresh, state, efforts):
+def _merge(position, velocity, effort, index, channel, slope, offset, others, time, cutoff, skew,
+           latest, times, fresh, state, efforts):
     """
     Take readings at a ``time`` [ns] into the ``latest`` (2, m); make a ``state`` (2, m) of them.
 
     Return how many velocities were estimated, and the time of the state, 0 where there is none.
     """
     estimated = 0
+    if not fresh.any():  # a new state begins
+        efforts[len(times):] = np.nan
+    for k in range(len(others)):
+        if not math.isnan(effort[others[k, 1]]):
+            efforts[others[k, 0]] = effort[others[k, 1]]
     for k in range(len(index)):
         c, i = channel[k], index[k]
         angle, rate = position[i] * slope[k] + offset[k], velocity[i] * slope[k]

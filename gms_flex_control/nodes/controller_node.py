@@ -80,7 +80,8 @@ class _Outputs:
         self._state = JointState(name=list(robot.joints))
         self._every, self._ticks = every, 0
         self.sent, self._zero = np.zeros((2, n))  # the last command
-        self._command_pub = Outlet(node, Float64MultiArray, 'effort_controller/commands', mode)
+        self._command_pub = Outlet(node, Float64MultiArray, 'effort_controller/commands', mode,
+                                   ahead=True)
         self._state_pub = Outlet(node, JointState, '~/state', mode)
         self._blocks_pub = Outlet(node, Float64MultiArray, '~/blocks', mode)
         self._sticking_pub = Outlet(node, Float64MultiArray, '~/sticking', mode)

@@ -114,15 +114,9 @@ class Health:
 
     def guard(self, callback) -> Callable:
         """Return ``callback`` such that it holds the lock, and as `shield` has it."""
-        shielded, lock = self.shield(callback), self._lock
+        return self.shield(callback, self._lock)
 
-        @wraps(callback)
-        def guarded(*arguments):
-            with lock:
-                return shielded(*arguments)
-        return guarded
-
-    def shield(self, callback) -> Callable:
+    def shield(self, callback, lock=nullcontext()) -> Callable:
         """
         Return ``callback`` such that an exception ends in a fault, not in a dead executor.
 
@@ -132,10 +126,11 @@ class Health:
 
         @wraps(callback)
         def shielded(*arguments):
-            try:
-                return callback(*arguments)
-            except Exception as error:  # noqa: B902  whatever it is, torque must end
-                self.failed(error, name)
+            with lock:
+                try:
+                    return callback(*arguments)
+                except Exception as error:  # noqa: B902  whatever it is, torque must end
+                    self.failed(error, name)
             response = arguments[-1] if arguments else None
             if hasattr(response, 'success'):
                 response.success, response.message = False, f'FAULT: {self.fault}'

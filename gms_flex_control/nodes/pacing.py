@@ -22,6 +22,7 @@ _SWITCH = 1e-4           # for so long a callback may delay a state that is due 
 _CALLBACKS_PERIOD = 1e-2  # between looks at callbacks where nobody else listens [s]
 _SHORTEST_SAMPLE = 4e-4   # where somebody does: a recorder keeps up with that [s]
 _REPEAT_PERIOD = 1.0     # an unanswered state is sent again in lockstep [s]
+_READY = 50_000          # before its deadline a state waits for it awake [ns]
 _LATEST_START = 5        # samples the stamps may be off the clock before some are left out
 _RISE = round(0.1 * NANOSECONDS)  # in which torque rises after a silence
 _LONGEST = 3600          # seconds that are measured; later samples are not
@@ -108,24 +109,32 @@ class Paced:
             if background.error is not None:
                 raise background.error
             deadline += arm.period
-            ahead = self._robot.command[1] == arm.stamp  # answered at once, in this process
-            if ahead:
-                self._simulate()
-            early = deadline - time.monotonic_ns()
-            if early > 0:
-                time.sleep(early / NANOSECONDS)
+            # answered at once, in this process, or while half of the sample passed
+            ahead = self._simulate_ahead()
+            if not ahead:
+                process.sleep_until(deadline - arm.period // 2)
+                ahead = self._simulate_ahead()
+            process.sleep_until(deadline - _READY)
             with self._lock:
-                left_out = self._follow_clock()
+                left_out = self._follow_clock(max(deadline - time.monotonic_ns(), 0))
             if left_out > 0:  # no more than it is late: the clock may have been set
                 late = time.monotonic_ns() - deadline
                 deadline += min(left_out, late // arm.period) * arm.period
             if not ahead:
+                process.sleep_until(deadline)
                 self._simulate()
             with self._lock:
-                arm.end_sample()
+                arm.end_sample(deadline)
         if self.missed:
             self._node.get_logger().info(
                 f'{self.missed} of {arm.ticks} samples had no fresh command')
+
+    def _simulate_ahead(self):
+        """Simulate the sample that follows the last state if that was answered; return so."""
+        answered = self._robot.command[1] == self._arm.stamp
+        if answered:
+            self._simulate()
+        return answered
 
     def _simulate(self):
         """Simulate the sample that follows the last state."""
@@ -156,10 +165,14 @@ class Paced:
         if self._lateness.share > NOTABLE:
             self._health.warn('late', f'{self._lateness}: {LATE}, or simulate with mode:=lockstep')
 
-    def _follow_clock(self):
-        """Let the stamp of the sample that ends now be near the clock; return samples left out."""
+    def _follow_clock(self, early):
+        """
+        Let the stamp of the sample that ends in ``early`` ns be near the clock.
+
+        Return how many samples are left out.
+        """
         arm = self._arm
-        behind = now(self._node).nanoseconds - arm.stamp - arm.period
+        behind = now(self._node).nanoseconds + early - arm.stamp - arm.period
         if abs(behind) <= _LATEST_START * arm.period:
             return 0
         count = int(behind / arm.period)

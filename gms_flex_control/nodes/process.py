@@ -15,6 +15,7 @@ import re
 import signal
 import sys
 import threading
+import time
 
 from gms_flex_control.errors import ConfigError, GmsFlexError
 import rclpy
@@ -34,7 +35,7 @@ LAUNCHED = 'GMS_FLEX_LAUNCHED'  # set in the environment of what our launch file
 WAY_OUT = 'allow rtprio in /etc/security/limits.conf'  # where no priority is permitted
 _PR_SET_PDEATHSIG, _PR_SET_TIMERSLACK = 1, 29
 _SCHED_SETATTR = {'x86_64': 314, 'aarch64': 274}  # numbers of the system call
-_SLICE = 100_000   # the shortest there is [ns]
+SHORT, LATER = 100_000, 1_000_000  # slices: the shortest there is, and of who lets it go first [ns]
 _NICE = 10
 RANGE = 'ROS_AUTOMATIC_DISCOVERY_RANGE'
 _BUILT_IN = 'FASTDDS_BUILTIN_TRANSPORTS'
@@ -139,17 +140,17 @@ class Spinner:
             self.spin_for()
 
 
-def run_node(make_node, args=None) -> int:
+def run_node(make_node, args=None, time_slice=SHORT) -> int:
     """
     Run one node, or several as one, until SIGINT or SIGTERM.
 
     ``make_node`` returns the node; it has ``run(spinner)``, which returns when
     ``spinner.goes_on()`` is false, and ``finish()``, which publishes what must be last. Several
-    have ``nodes``. Return the exit code: 0 after a signal, 2 if parameters or arguments were
+    have ``nodes``. ``time_slice`` is as of `shorten_slices`. Return the exit code: 0 after a signal, 2 if parameters or arguments were
     refused.
     """
     sys.setswitchinterval(5e-4)  # a busy thread may delay the loop by this, not by 5 ms
-    shorten_slices()
+    shorten_slices(time_slice)
     avoid_shared_memory()
     spinner, node = Spinner(), None
     end_with_launch()
@@ -297,11 +298,11 @@ class _SchedAttr(ctypes.Structure):
                 ('deadline', ctypes.c_uint64), ('period', ctypes.c_uint64)]
 
 
-def shorten_slices() -> None:
+def shorten_slices(time_slice=SHORT) -> None:
     """
-    Ask for short slices of time, for this thread and all that it starts from now on (Linux).
+    Ask for slices of time as short as ``time_slice`` [ns], for this thread and all that it starts from now on (Linux).
 
-    Whoever asks for little at a time is let run sooner when it wakes, at no cost to the shares:
+    Whoever asks for less at a time is let run sooner when it wakes, at no cost to the shares:
     Linux from 6.12 on does so without any privilege, an older one takes no notice.
     """
     number = _SCHED_SETATTR.get(platform.machine())
@@ -309,7 +310,7 @@ def shorten_slices() -> None:
             or os.sched_getscheduler(0) != os.SCHED_OTHER):
         return
     wanted = _SchedAttr(size=ctypes.sizeof(_SchedAttr), policy=os.SCHED_OTHER,
-                        nice=os.getpriority(os.PRIO_PROCESS, 0), runtime=_SLICE)
+                        nice=os.getpriority(os.PRIO_PROCESS, 0), runtime=time_slice)
     ctypes.CDLL(None).syscall(number, 0, ctypes.byref(wanted), 0)
 
 
@@ -317,6 +318,13 @@ def tighten_timers() -> None:
     """Let sleeps of this thread end when asked, not within the usual 50 us (Linux)."""
     with suppress(OSError, AttributeError):
         ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
+
+
+def sleep_until(deadline) -> None:
+    """Sleep until ``deadline`` [ns] by time.monotonic_ns."""
+    left = deadline - time.monotonic_ns()
+    if left > 0:
+        time.sleep(left * 1e-9)
 
 
 def give_way() -> None:

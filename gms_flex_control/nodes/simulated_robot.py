@@ -67,15 +67,17 @@ class _Arm:
                                   f'{torque.tolist()} N m; more substeps or a softer robot')
         return '' if limits is None else limiting.violation(self._joints, measured, limits)
 
-    def end_sample(self):
-        """Publish what is measured at the end of a sample."""
+    def end_sample(self, deadline=0):
+        """Publish what is measured at the end of a sample, at ``deadline`` by monotonic_ns."""
         self.ticks += 1
         self.stamp += self.period
-        self.publish()
+        self.publish(deadline)
 
-    def publish(self):
-        """Publish the state there is."""
+    def publish(self, deadline=0):
+        """Publish the state there is, ready before the ``deadline`` at which it leaves [ns]."""
         message = self._writer.write(self._plant.measured, self._plant.applied, self.stamp)
+        while time.monotonic_ns() < deadline:
+            pass  # a sleep would end too late, and what it finds would be cold
         self.timing.published()
         self.outlet.publish(message)
 

@@ -18,8 +18,6 @@ storm's before all others; so whatever comes, all topics of the node are looked 
 from array import array
 from collections import defaultdict
 from collections.abc import Iterator
-from functools import partial
-from itertools import chain
 import struct
 import threading
 import time
@@ -66,6 +64,9 @@ class Outlet:
         self._publisher = node.create_publisher(kind, topic, process.publisher_qos(mode))
         self._hearers = node.direct.hearers[self._publisher.topic_name]
         self._serialized = None
+        # of rclpy's handle: what Publisher does around it takes longer than the call
+        self._publish, self.count_others = (self._publisher.handle.publish_raw,
+                                            self._publisher.handle.get_subscription_count)
 
     def publish(self, message) -> None:
         """Publish the message, and give it to those who hear it here; they keep nothing of it."""
@@ -80,11 +81,7 @@ class Outlet:
         if self.count_others():
             if self._serialized is None:
                 self._serialized = Serialized(message)
-            self._publisher.publish(self._serialized.data())
-
-    def count_others(self) -> int:
-        """Return how many other processes' subscriptions take the message."""
-        return self._publisher.get_subscription_count()
+            self._publish(self._serialized.data())
 
     def count_hearers(self) -> int:
         """Return how many take the message, here and elsewhere."""
@@ -129,8 +126,7 @@ class Inbox:
             node.create_subscription(kind, topic, self._handle, process.subscriber_qos(mode),
                                      event_callbacks=process.NO_EVENTS)
             return
-        self._message_of = (Deserialized().message if kind is JointState else
-                            partial(deserialize_message, message_type=kind))
+        self._message_of = Deserialized(kind).message
         self._boxes = [] if boxes is None else boxes
         self._boxes.append(self)
         self._subscription = node.create_subscription(
@@ -138,8 +134,9 @@ class Inbox:
             raw=True, event_callbacks=process.NO_EVENTS)
 
     def _empty(self, first):
-        """Take what there is here, of which ``first`` (bytes) was taken already, and elsewhere."""
-        self._take(chain([first], self._waiting()))
+        """Take ``first`` (bytes), for which nothing waits, then what there is here and elsewhere."""
+        for messages in ([first], self._waiting()):
+            self._take(messages)
         for box in self._boxes:
             if box is not self:
                 box._take(box._waiting())
@@ -186,8 +183,7 @@ class Serialized:
     def __init__(self, message):
         self._message, self._has_header = message, isinstance(message, JointState)
         self._fields = ('position', 'velocity', 'effort') if self._has_header else ('data',)
-        self._labels = [] if self._has_header else [
-            dimension for dimension in message.layout.dim if dimension.label.startswith(_STAMP)]
+        self._labels = [] if self._has_header else _stamp_dimensions(message)
         self._lengths = None
 
     def data(self) -> bytes:
@@ -210,47 +206,66 @@ class Serialized:
     def _learn(self, label, count):
         """Find out where in the bytes everything stands."""
         self._data = data = bytearray(serialize_message(self._message))
-        begin = data.find(label)
-        self._label = slice(begin, begin + len(label))
+        self._label = _place_of(label, data)
         self._places = _places(len(data), count, len(self._fields))
 
 
 class Deserialized:
     """
-    JointStates from their bytes: one message for all that differ in stamp and numbers only.
+    Messages of a kind from their bytes: one for all that differ in stamp and numbers only.
 
     Whoever takes it keeps nothing of it.
     """
 
-    def __init__(self):
-        self._message, self._places = None, ()
+    def __init__(self, kind=JointState):
+        self._kind, self._message, self._size = kind, None, None
 
-    def message(self, data) -> JointState:
-        """Return the JointState of ``data`` (bytes)."""
-        if not self._places or len(data) != self._size or self._rest(data) != self._known:
+    def message(self, data) -> JointState | Float64MultiArray:
+        """Return the message of ``data`` (bytes)."""
+        if len(data) != self._size or [data[place] for place in self._same] != self._known:
             return self._learn(data)
-        message, stamp = self._message, self._message.header.stamp
-        stamp.sec, stamp.nanosec = _TIME.unpack_from(data, _TIME_AT)
-        message.position, message.velocity, message.effort = (
-            array('d', data[place]) for place in self._places)
-        return message
-
-    def _rest(self, data):
-        """Return what stands before the positions, and how many numbers the others are."""
-        position, velocity, effort = self._places
-        return (data[_TIME_AT + _TIME.size:position.start],
-                *(data[place.start - _GAP:place.start - 4] for place in (velocity, effort)))
+        if self._kind is JointState:
+            stamp = self._message.header.stamp
+            stamp.sec, stamp.nanosec = _TIME.unpack_from(data, _TIME_AT)
+        for place, dimension in self._labels:
+            dimension.label = data[place].decode('ascii', 'replace')
+        for place, values in self._numbers:
+            values[:] = data[place]
+        return self._message
 
     def _learn(self, data):
-        self._message, self._size = deserialize_message(data, JointState), len(data)
-        numbers = self._message.position, self._message.velocity, self._message.effort
-        places = _places(self._size, len(numbers[0]), len(numbers))
+        message = deserialize_message(data, self._kind)
+        self._message, self._size = message, None
+        if self._kind is JointState:
+            labels, begin, fields = [], _TIME_AT + _TIME.size, ('position', 'velocity', 'effort')
+        else:
+            labels, begin, fields = _stamp_dimensions(message), _TIME_AT, ('data',)
+        numbers = [memoryview(getattr(message, field)).cast('B') for field in fields]
+        places = _places(len(data), len(numbers[0]) // 8, len(numbers))
         # of other lengths or another byte order, they do not stand there
-        fits = all(data[place] == values.tobytes() and values
-                   for place, values in zip(places, numbers, strict=True))
-        self._places = places if fits else ()
-        self._known = self._rest(data) if fits else None
-        return self._message
+        fit = all(values and data[place] == values
+                  for place, values in zip(places, numbers, strict=True))
+        if not fit or data.count(_STAMP.encode()) > 1:
+            return message
+        self._labels = []
+        self._same = [slice(begin, places[0].start),
+                      *(slice(place.start - _GAP, place.start - 4) for place in places[1:])]
+        if labels:
+            place = _place_of(labels[0].label.encode(), data)
+            self._labels = [(place, labels[0])]
+            self._same = [slice(begin, place.start), slice(place.stop, places[0].start)]
+        self._numbers = list(zip(places, numbers, strict=True))
+        self._known, self._size = [data[place] for place in self._same], len(data)
+        return message
+
+
+def _stamp_dimensions(message):
+    return [dimension for dimension in message.layout.dim if dimension.label.startswith(_STAMP)]
+
+
+def _place_of(label, data):
+    begin = data.find(label)
+    return slice(begin, begin + len(label))
 
 
 def stamp_in(data, kind) -> int | None:

@@ -232,7 +232,8 @@ class TrajectoryNode(Node):
 
 def main(args=None) -> int:
     """Run the trajectory node until a signal; return its exit code."""
-    return process.run_node(TrajectoryNode, args)
+    # a whole sample ahead: the answer to the state goes first
+    return process.run_node(TrajectoryNode, args, process.LATER)
 
 
 if __name__ == '__main__':
