@@ -83,7 +83,7 @@ def run(args):
     figures = json.dumps({
         'seeds': [one.seed for one in trials], 'rate': args.rate,
         'torque_noise': args.torque_noise,
-        'parameters': [{**row._asdict(), 'covered': row.covered if row.told else None}
+        'parameters': [{**row._asdict(), 'covered': row.covered if row.identified else None}
                        for row in rows],
         'curve': [[value if math.isfinite(value) else None for value in one.curve]
                   for one in trials], 'blocks': [one.blocks for one in trials],
@@ -116,13 +116,14 @@ def table(rows):
                   'has interval'],
                  [[row.name.removeprefix('friction.'), f'{row.true:.5g}', f'{row.middle:.5g}',
                    f'{100 * row.worst:.2f} %',
-                   f'{100 * row.covered:.0f} %' if row.told else '-', f'{100 * row.told:.0f} %']
+                   f'{100 * row.covered:.0f} %' if row.identified else '-',
+                   f'{100 * row.identified:.0f} %']
                   for row in rows])
 
 
 def summary(rows, trials):
     """Return coverage and the presliding curve in two lines."""
-    counts = np.array([row.trials * row.told for row in rows])
+    counts = np.array([row.trials * row.identified for row in rows])
     holds = np.nansum([row.covered for row in rows] * counts)
     covered = 100 * holds / max(counts.sum(), 1.0)
     curves = 100 * np.array([one.curve for one in trials])
@@ -164,7 +165,7 @@ class Recovered(NamedTuple):
     middle: float      # median estimate
     worst: float       # largest relative error
     covered: float     # share of intervals that hold the truth; NaN without any
-    told: float        # share of trials with an interval
+    identified: float  # share of trials with an interval
     trials: int
 
 

@@ -92,7 +92,7 @@ def test_results_are_not_written_over_a_file(tmp_path, capsys, healthy):
 
 
 @pytest.mark.parametrize(('base', 'fault', 'words'), [
-    ('unlike', 'too short', 'too short to tell friction from inertia; record'),
+    ('unlike', 'too short', 'too short to separate friction from inertia; record'),
     ('unlike', 'clock ahead', 'the clock jumps ahead'),
     ('unlike', 'clock back', 'the motion contradicts them'),
     ('unlike', 'half dropped', 'are missing'),
@@ -142,7 +142,7 @@ def test_a_poor_bag_never_gives_a_confident_wrong_number(tmp_path, capsys, fault
 
     Static and Coulomb friction within 10 %, each of the other steady parameters within 10 % of
     the truth, within its interval, or flagged. No word is needed on a torque of the motor that
-    is not used, since the spring tells it.
+    is not used, since the spring identifies it.
     """
     import json
     words, inject = BADLY[fault]

@@ -422,7 +422,7 @@ def test_real_recordings_are_suspicious_only_with_their_torque_reversed(name, im
         joint._replace(channels=joint.channels | {
             'torque': replace(joint.channels['torque'], sign=-1.0)}) for joint in right.joints))
     found = [(suspicion.kind, suspicion.place) for suspicion in import_csv(path, wrong).suspicions]
-    # lifted once and held: weight and friction cannot be told apart without the robot
+    # lifted once and held: weight and friction are not separable without the robot
     told = () if 'up_and_down' in name else right.joints
     assert found == [('sign', f'{joint.name}.torque') for joint in told]
 

@@ -150,7 +150,7 @@ WORDS = {
     'link encoders swapped': 'angles of one side of joint1 and joint2 seem exchanged',
     'no angle': 'link angle of joint1 was not recorded', 'motor reversed': '-1.006 times as far',
     'motor reversed, commands': 'motor velocity of joint1 is not', 'too short': 'are too short',
-    'torque in mN m': 'times what its twist', 'commands in mN m': 'times what its twist',
+    'torque in mN m': 'times what its torsion', 'commands in mN m': 'times what its torsion',
     'commands reversed': 'wrong sign'}
 TOLD = {'torque clipped': (clipped, 'clipped'), 'samples repeated': (repeated, 'repeat'),
         'a tenth lost': (some_lost, 'missing'), 'one way': (one_way, 'forward only')}

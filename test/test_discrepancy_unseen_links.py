@@ -51,7 +51,7 @@ def test_the_link_is_where_its_encoder_saw_it(plant_name):
 
 
 def test_each_model_puts_the_link_where_its_own_effects_want_it():
-    """A motor with strong ripple and a torque that is late: what they do to the twist is known."""
+    """A motor with strong ripple and a late torque: their effect on the torsion is known."""
     case = make_case('single', 11, effect='motor_coulomb', duration=20.0)
     motion = motion_of(blind(case.recording), case.truth.robot)
     off = []

@@ -12,7 +12,7 @@ import pytest
 
 pytestmark = pytest.mark.fast
 
-SCALES = Scales(friction=0.1, torque=0.5, spring=0.3, twist=0.2, speed=0.5, inertia=0.005,
+SCALES = Scales(friction=0.1, torque=0.5, spring=0.3, torsion=0.2, speed=0.5, inertia=0.005,
                 link_inertia=0.1, lowest=-1.0, highest=1.0, turned=2.0, duration=20.0, supply=12.0,
                 mass=2.5)
 
@@ -41,7 +41,7 @@ def test_what_an_effect_declares_is_consistent(ideal_robot, name):
 def test_an_effect_says_what_it_shows_against_and_what_it_is_confused_with(name):
     kind = registry.find(name)
     assert kind.evidence in VARIABLES
-    assert kind.tells and not kind.tells.endswith('.')
+    assert kind.discriminated_by and not kind.discriminated_by.endswith('.')
     for other in kind.confusable:
         assert other != name and name in registry.find(other).confusable
 

@@ -43,7 +43,7 @@ EQUATIONS = {
     'actuator_lag': ([0.005], sig.TORQUE, lambda s, p: s[sig.TORQUE] * (
         1 + p[0] / DT * np.expm1(-DT / p[0]))),
     'actuator_saturation': ([0.1], sig.TORQUE, lambda s, p: clip(s[sig.TORQUE], p[0])),
-    'backlash': ([0.03], sig.TWIST, lambda s, p: s[sig.TWIST] - clip(s[sig.TWIST], p[0])),
+    'backlash': ([0.03], sig.TORSION, lambda s, p: s[sig.TORSION] - clip(s[sig.TORSION], p[0])),
     'base_flexibility': ([8.0, 0.5, 0.05], sig.SENSED_LINK, lambda s, p: s[sig.SENSED_LINK] - (
         base_after(DT, s[sig.FRICTION] - s[sig.TORQUE], *p))),
     'constant_link_torque': ([-0.02], sig.LINK_TORQUE, lambda s, p: s[sig.LINK_TORQUE] + p[0]),
@@ -58,7 +58,7 @@ EQUATIONS = {
     'friction_drift': ([0.3, 50.0], sig.FRICTION, lambda s, p: s[sig.FRICTION] * (
         1 + p[0] * s[sig.TIME] / p[1])),
     'input_delay': ([DT / 4], sig.TORQUE, lambda s, p: s[sig.TORQUE] * 0.75),
-    'kinematic_error': ([0.01, 0.4], sig.TWIST, lambda s, p: s[sig.TWIST] + p[0] * np.sin(
+    'kinematic_error': ([0.01, 0.4], sig.TORSION, lambda s, p: s[sig.TORSION] + p[0] * np.sin(
         2 * s[sig.Q_MOTOR] + p[1])),
     'link_encoder_eccentricity': ([0.02, 0.3], sig.SENSED_LINK, lambda s, p: (
         s[sig.SENSED_LINK] + p[0] * np.sin(s[sig.Q_LINK] + p[1]))),
@@ -79,11 +79,11 @@ EQUATIONS = {
         s[sig.LINK_TORQUE] - p[0] * s[sig.DQ_LINK] * abs(s[sig.DQ_LINK]))),
     'recording_delay': ([0.003], sig.SENSED_LINK, lambda s, p: s[sig.SENSED_LINK] - (
         p[0] * s[sig.DQ_LINK] - p[0] ** 2 / 2 * s[sig.DDQ_LINK])),
-    'spring_cubic': ([12.0], sig.SPRING, lambda s, p: s[sig.SPRING] + p[0] * s[sig.TWIST] ** 3),
+    'spring_cubic': ([12.0], sig.SPRING, lambda s, p: s[sig.SPRING] + p[0] * s[sig.TORSION] ** 3),
     'spring_damping': ([0.02], sig.SPRING, lambda s, p: (
-        s[sig.SPRING] + p[0] * s[sig.TWIST_RATE])),
+        s[sig.SPRING] + p[0] * s[sig.TORSION_RATE])),
     'spring_hysteresis': ([0.01, 0.005], sig.SPRING, lambda s, p: s[sig.SPRING]),  # begins so
-    'spring_offset': ([0.01], sig.TWIST, lambda s, p: s[sig.TWIST] + p[0]),
+    'spring_offset': ([0.01], sig.TORSION, lambda s, p: s[sig.TORSION] + p[0]),
     'stiffness_drift': ([0.2, 50.0], sig.SPRING, lambda s, p: s[sig.SPRING] * (
         1 + p[0] * s[sig.TIME] / p[1])),
     'supply_sag': ([0.05, 2.0], sig.TORQUE, lambda s, p: s[sig.TORQUE] * (
@@ -97,7 +97,7 @@ EQUATIONS = {
         s[sig.FRICTION] + p[0] * s[sig.DQ_LINK])),
 }
 # what else a term may change
-FURTHER = {'backlash': [sig.TWIST_RATE], 'base_flexibility': [sig.SENSED_MOTOR],
+FURTHER = {'backlash': [sig.TORSION_RATE], 'base_flexibility': [sig.SENSED_MOTOR],
            'motor_inertia_coupling': [sig.LINK_TORQUE - sig.WIDTH],
            'recording_delay': [row * sig.WIDTH + side for row in range(3)
                                for side in (sig.SENSED_LINK, sig.SENSED_MOTOR)]}
@@ -160,8 +160,8 @@ def test_a_term_does_what_its_equation_says(name):
         after = run_compiled(name, values, before)
         assert after[row, changed] == pytest.approx(equation(Row(before, row), values), rel=1e-12,
                                                     abs=1e-15)
-        if name == 'backlash' and abs(before[1, sig.TWIST]) < values[0]:
-            assert after[1, sig.TWIST_RATE] == 0.0
+        if name == 'backlash' and abs(before[1, sig.TORSION]) < values[0]:
+            assert after[1, sig.TORSION_RATE] == 0.0
         for signal in (changed, *FURTHER.get(name, ())):
             Row(after, row)[signal] = Row(before, row)[signal]
         np.testing.assert_array_equal(after, before)
@@ -237,15 +237,15 @@ def test_a_delay_gives_every_held_command_later(delay, substep):
 def test_hysteresis_yields_at_its_force_and_springs_back():
     """Up: force / yield per radian, then flat; back: the full slope again."""
     memory, values = np.zeros(table.MEMORY_SIZE), [0.01, 0.004]
-    twist = np.concatenate([np.linspace(0, 0.01, 101), np.linspace(0.01, 0.002, 81)[1:]])
+    torsion = np.concatenate([np.linspace(0, 0.01, 101), np.linspace(0.01, 0.002, 81)[1:]])
     torque = []
-    for e in twist:
+    for e in torsion:
         signals = np.zeros((3, sig.WIDTH))
-        signals[1, sig.TWIST] = e
+        signals[1, sig.TORSION] = e
         torque.append(run_compiled('spring_hysteresis', values, signals,
                                    memory=memory)[1, sig.SPRING])
-    up = np.minimum(2.5 * twist[:101], 0.01)
-    down = np.maximum(0.01 - 2.5 * (0.01 - twist[101:]), -0.01)
+    up = np.minimum(2.5 * torsion[:101], 0.01)
+    down = np.maximum(0.01 - 2.5 * (0.01 - torsion[101:]), -0.01)
     np.testing.assert_allclose(torque, np.concatenate([up, down]), atol=1e-14)
 
 
@@ -301,7 +301,7 @@ def test_values_an_effect_does_not_allow_are_refused(given, sentence):
 
 
 def test_terms_run_in_the_order_of_stages_then_of_the_file():
-    """Gain before saturation as written; the spring after the twist, wherever written."""
+    """Gain before saturation as written; the spring after the torsion, wherever written."""
     joints = ('j0', 'j1', 'j2')
     names = (('spring_cubic', [100.0]), ('spring_offset', [0.1]), ('torque_gain', [1.0]),
              ('actuator_saturation', [0.5]))

@@ -29,7 +29,7 @@ class CableDrag(Term):
     stage = Stage.FRICTION
     evidence = 'link rate'
     confusable = ()
-    tells = 'the same motion without the cable'
+    discriminated_by = 'the same motion without the cable'
     parameters = (Parameter('slope', 'N m s/rad', 'slope'),)
 
     @classmethod

@@ -247,7 +247,7 @@ def test_one_direction_is_named_with_the_parameters_it_costs(name):
     found = [finding for finding in check(one_way(recording), robot)
              if finding.kind == 'one_direction']
     assert [finding.joint for finding in found] == ['joint1', 'joint2']
-    assert 'friction.joint1.backward cannot be had' in found[0].text
+    assert 'friction.joint1.backward is not identifiable' in found[0].text
 
 
 def test_recordings_of_other_joint_order_are_told_by_name():

@@ -111,7 +111,7 @@ def test_the_nearest_arm_has_these_base_parameters_and_is_made_of_bodies(hidden,
 
 
 def test_what_the_motion_does_not_move_is_said(hidden):
-    """The last joint at rest: its motor inertia and zz cannot be told."""
+    """The last joint at rest: its motor inertia and zz are not identifiable."""
     _, robot, recording = hidden
     still = np.broadcast_to(recording.q_link[:1, 5:], (len(recording.time), 1))
     held = replace(recording, q_link=np.concatenate([recording.q_link[:, :5], still], axis=1))

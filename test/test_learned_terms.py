@@ -56,7 +56,7 @@ def along(stage, signal, q, rate, load, dt, constants, signals, memory, out):
     for k in range(len(q)):
         signals[0, :] = 0.0
         signals[0, sig.Q_LINK], signals[0, sig.DQ_LINK] = q[k], rate[k]
-        signals[0, sig.TWIST] = q[k]
+        signals[0, sig.TORSION] = q[k]
         before = load[k] if signal != sig.SPRING else 0.0
         signals[0, sig.SPRING] = before
         table.run_stage(stage, signals, memory, dt, constants)

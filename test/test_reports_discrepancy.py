@@ -127,7 +127,7 @@ def test_pictures_are_drawn_of_any_names_and_of_nothing(tmp_path):
     x, y = sampled()
     curve = binned(x, y)
     evidence = Evidence(effect='backlash', joint='$_<b>', equation='link', of_joint='$_<b>',
-                        x_label='twist [rad]', times='the direction of $_<b>', x=x, y=y,
+                        x_label='torsion [rad]', times='the direction of $_<b>', x=x, y=y,
                         before=curve, after=curve, own=curve)
     edges = np.linspace(0.0, 1.0, 4)
     empty = Map('link equation', 'x [rad]', 'y [rad]', edges, edges, *np.full((2, 3, 3), np.nan))

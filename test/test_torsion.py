@@ -37,7 +37,7 @@ def axis(delay=0.0, noise=0.0, **changed):
     friction = np.where(motion(t, 1) > 0, 30.0, -20.0) + 8.0 * motion(t, 1)
     spring = M * motion(t, 2) + friction  # Eq. (1), link
     motor = motion(t, 0) + spring / K
-    torque = spring + J * motion(t, 2)    # the motor accelerates as the link, but for the twist
+    torque = spring + J * motion(t, 2)    # the motor accelerates as the link, but for the torsion
     torque = torque + noise * np.random.default_rng(0).standard_normal(len(t))
     return Recording(joints=('axis1',), source='a closed form', time=t, **{
         'q_link': motion(t - delay, 0)[:, None], 'q_motor': motor[:, None],

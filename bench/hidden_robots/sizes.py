@@ -30,9 +30,9 @@ class Figures(NamedTuple):
     moment: float        # mass moment about the joint [kg m]
     inertia: float       # seen by the joint, the others at rest [kg m^2]
     reach: float         # distance of the tip from the joint, arm stretched [m]
-    twist: float         # [rad]
-    twist_cubed: float   # [rad^3]
-    twist_rate: float    # [rad/s]
+    torsion: float       # [rad]
+    torsion_cubed: float  # [rad^3]
+    torsion_rate: float  # [rad/s]
     speed: float         # of the link [rad/s]
     speed_squared: float
     acceleration: float  # of the link [rad/s^2]
@@ -69,7 +69,7 @@ def figures_of(robot, motion, period):
     """
     arm, friction = robot.arm, robot.friction
     q, v, q_motor, v_motor = np.moveaxis(motion.true, 1, 0)
-    twist, a = q_motor - q, np.gradient(v, period, axis=0)
+    torsion, a = q_motor - q, np.gradient(v, period, axis=0)
     reach = np.cumsum(arm.length[::-1])[::-1]
     columns = {
         'stiffness': arm.stiffness, 'motor_inertia': arm.motor_inertia,
@@ -77,7 +77,8 @@ def figures_of(robot, motion, period):
         'viscous': friction.forward.viscous, 'moment': mass_moments(arm),
         'inertia': arm.inertia + arm.mass * arm.com ** 2 + carried_masses(arm) * arm.length ** 2,
         'reach': reach,
-        'twist': rms(twist), 'twist_cubed': rms(twist ** 3), 'twist_rate': rms(v_motor - v),
+        'torsion': rms(torsion), 'torsion_cubed': rms(torsion ** 3),
+        'torsion_rate': rms(v_motor - v),
         'speed': rms(v), 'speed_squared': rms(v * v), 'acceleration': rms(a),
         'motor_speed': rms(v_motor),
         'torque': rms(motion.command), 'peak': np.quantile(np.abs(motion.command), 0.995, axis=0),
@@ -111,15 +112,15 @@ def end_stop(rng, k):
 
 # name: values of a main effect, in the ranges labs meet, drawn for figures k of its joint
 MAIN = {
-    'backlash': lambda r, k: {'half_gap': between(r, 0.02, 0.3) * k.twist},
+    'backlash': lambda r, k: {'half_gap': between(r, 0.02, 0.3) * k.torsion},
     'spring_cubic': lambda r, k: {
-        'cubic': between(r, 0.05, 0.5) * k.stiffness / (2.0 * k.twist) ** 2},
+        'cubic': between(r, 0.05, 0.5) * k.stiffness / (2.0 * k.torsion) ** 2},
     'spring_damping': lambda r, k: {'damping': between(r, 3e-3, 3e-2)},
     'spring_hysteresis': lambda r, k: {'force': between(r, 3e-3, 20e-3),
-                                       'yield': between(r, 0.05, 0.5) * k.twist},
+                                       'yield': between(r, 0.05, 0.5) * k.torsion},
     'stiffness_error': lambda r, k: {'ratio': either(r, 0.06, 0.25)},
     'stiffness_drift': lambda r, k: {'ratio': either(r, 0.06, 0.25), 'duration': k.duration},
-    'spring_offset': lambda r, k: {'offset': either(r, 0.03, 0.2) * k.twist},
+    'spring_offset': lambda r, k: {'offset': either(r, 0.03, 0.2) * k.torsion},
     'motor_viscous': lambda r, k: {'viscous': between(r, 2e-3, 30e-3)},
     'motor_coulomb': lambda r, k: {'coulomb': between(r, 2e-3, 30e-3)},
     'torque_ripple': lambda r, k: {'amplitude': between(r, 2e-3, 15e-3),
@@ -140,7 +141,7 @@ MAIN = {
     'position_friction': lambda r, k: {'ratio': between(r, 0.05, 0.35),
                                        'order': float(r.integers(1, 6)), 'phase': angle(r)},
     'load_friction': lambda r, k: {'ratio': between(r, 0.02, 0.15),
-                                   'load': k.stiffness * k.twist},
+                                   'load': k.stiffness * k.torsion},
     'friction_drift': lambda r, k: {'ratio': either(r, 0.1, 0.5), 'duration': k.duration},
     'quadratic_drag': lambda r, k: {'drag': between(r, 8e-3, 8e-2)},
     'gravity_tilt': lambda r, k: {'tilt': np.radians(between(r, 0.1, 1.5)),
@@ -153,9 +154,9 @@ MAIN = {
                                       'inertia': between(r, 0.5, 3.0) * k.inertia,
                                       'damping': between(r, 0.02, 0.1)},
     'end_stop': end_stop,
-    'kinematic_error': lambda r, k: {'amplitude': between(r, 0.02, 0.2) * k.twist,
+    'kinematic_error': lambda r, k: {'amplitude': between(r, 0.02, 0.2) * k.torsion,
                                      'phase': angle(r)},
-    'link_encoder_eccentricity': lambda r, k: {'amplitude': between(r, 0.02, 0.2) * k.twist,
+    'link_encoder_eccentricity': lambda r, k: {'amplitude': between(r, 0.02, 0.2) * k.torsion,
                                                'phase': angle(r)},
     'encoder_skew': lambda r, k: {'delay': either(r, 0.5e-3, 5e-3)},
     'supply_sag': lambda r, k: {'ratio': between(r, 0.03, 0.1), 'nominal': NOMINAL_SUPPLY},
@@ -164,11 +165,11 @@ MAIN = {
 # name: values with which the torque of the effect is t [N m], about, for figures k of its joint
 SMALL = {
     'backlash': lambda r, k, t: {'half_gap': t / k.stiffness},
-    'spring_cubic': lambda r, k, t: {'cubic': t / k.twist_cubed},
-    'spring_damping': lambda r, k, t: {'damping': t / k.twist_rate},
-    'spring_hysteresis': lambda r, k, t: {'force': t, 'yield': 0.3 * k.twist},
-    'stiffness_error': lambda r, k, t: {'ratio': either(r, 1, 1) * t / k.stiffness / k.twist},
-    'stiffness_drift': lambda r, k, t: {'ratio': 1.7 * t / k.stiffness / k.twist,
+    'spring_cubic': lambda r, k, t: {'cubic': t / k.torsion_cubed},
+    'spring_damping': lambda r, k, t: {'damping': t / k.torsion_rate},
+    'spring_hysteresis': lambda r, k, t: {'force': t, 'yield': 0.3 * k.torsion},
+    'stiffness_error': lambda r, k, t: {'ratio': either(r, 1, 1) * t / k.stiffness / k.torsion},
+    'stiffness_drift': lambda r, k, t: {'ratio': 1.7 * t / k.stiffness / k.torsion,
                                         'duration': k.duration},
     'spring_offset': lambda r, k, t: {'offset': either(r, 1, 1) * t / k.stiffness},
     'motor_viscous': lambda r, k, t: {'viscous': t / k.motor_speed},
@@ -177,14 +178,14 @@ SMALL = {
                                       'phase': angle(r)},
     'torque_gain': lambda r, k, t: {'gain_error': either(r, 1, 1) * t / k.torque},
     'actuator_lag': lambda r, k, t: {
-        'time_constant': min(t / k.stiffness / k.twist_rate, 2e-3)},
+        'time_constant': min(t / k.stiffness / k.torsion_rate, 2e-3)},
     'actuator_deadzone': lambda r, k, t: {'deadzone': t},
     'motor_torque_bias': lambda r, k, t: {'bias': either(r, 1, 1) * t},
     'constant_link_torque': lambda r, k, t: {'bias': either(r, 1, 1) * t},
     'friction_asymmetry': lambda r, k, t: {'ratio': either(r, 1, 1) * t / k.static},
     'position_friction': lambda r, k, t: {'ratio': 1.4 * t / k.static,
                                           'order': float(r.integers(1, 6)), 'phase': angle(r)},
-    'load_friction': lambda r, k, t: {'ratio': t / k.static, 'load': k.stiffness * k.twist},
+    'load_friction': lambda r, k, t: {'ratio': t / k.static, 'load': k.stiffness * k.torsion},
     'friction_drift': lambda r, k, t: {'ratio': either(r, 1, 1) * 1.7 * t / k.static,
                                        'duration': k.duration},
     'quadratic_drag': lambda r, k, t: {'drag': t / k.speed_squared},

@@ -26,7 +26,7 @@ def test_intervals_that_hold_the_truth_are_counted():
     """Of 0.95, 1.02, 1.2 and 1.3, the last without an interval, two are within 0.1 of 1."""
     row, = recovered([trial(0, 0.95), trial(1, 1.02), trial(2, 1.2),
                       trial(3, 1.3, flags=('not identifiable',))])
-    assert (row.covered, row.told) == pytest.approx((2 / 3, 3 / 4))
+    assert (row.covered, row.identified) == pytest.approx((2 / 3, 3 / 4))
     assert (row.middle, row.worst) == pytest.approx((1.11, 0.3))
     assert '67 %' in table([row])
 

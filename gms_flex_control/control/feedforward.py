@@ -105,9 +105,9 @@ def _sense(control, measured, reference, constants, state):
         s[j, sig.TORQUE] = control.command[j]
         s[j, sig.SPRING] = control.command[j] - constants.motor_inertia[j] * s[j, sig.DDQ_LINK]
         if constants.flexible[j]:
-            s[j, sig.TWIST] = measured.q_motor[j] - measured.q_link[j]
-            s[j, sig.TWIST_RATE] = measured.dq_motor[j] - measured.dq_link[j]
-            s[j, sig.SPRING] = constants.stiffness[j] * s[j, sig.TWIST]
+            s[j, sig.TORSION] = measured.q_motor[j] - measured.q_link[j]
+            s[j, sig.TORSION_RATE] = measured.dq_motor[j] - measured.dq_link[j]
+            s[j, sig.SPRING] = constants.stiffness[j] * s[j, sig.TORSION]
         s[j, sig.FRICTION] = control.friction_hat[j]
         s[j, sig.LINK_TORQUE] = s[j, sig.MOTOR_TORQUE] = 0.0
 

@@ -80,12 +80,12 @@ def with_conditions(recording: Recording, conditions: Conditions,
     if wrong is not None:
         raise ConfigError(f'{recording.source}: torque_constant names {wrong!r}, the recording '
                           f'has {", ".join(recording.joints)}{did_you_mean(wrong, known)}')
-    values, doubt = np.ones(recording.n_joints), np.zeros(recording.n_joints)
+    values, deviations = np.ones(recording.n_joints), np.zeros(recording.n_joints)
     for name, (value, sd) in constants.items():
         j = recording.joints.index(known[name])
-        values[j], doubt[j] = value, sd
+        values[j], deviations[j] = value, sd
     return replace(
-        recording, load=conditions.load, temperature=conditions.temperature, scale_sd=doubt,
+        recording, load=conditions.load, temperature=conditions.temperature, scale_sd=deviations,
         tau_motor=recording.tau_motor * values, command=recording.command * values)
 
 

@@ -142,7 +142,7 @@ def plan_excitation(robot: RobotParams, bounds: Bounds, *, period: float = 10.0,
     seed : int
         Of the starts of the search.
     say : callable
-        Told what is being done.
+        Called with what is being done.
 
     Raises
     ------

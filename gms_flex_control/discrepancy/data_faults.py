@@ -52,11 +52,11 @@ def _of_commands(recording, robot, found):
     other = _with_commands(recording, recording.joints)
     if np.array_equal(other.tau_motor, recording.tau_motor, equal_nan=True):
         return []  # looked over already
-    told = {(finding.kind, finding.joint) for finding in found}
+    named = {(finding.kind, finding.joint) for finding in found}
     return [finding._replace(text=f'{finding.text} (of its torque commands, which the equations '
                              'take)')
             for finding in check(other, robot)
-            if finding.kind in _OF_TORQUE and (finding.kind, finding.joint) not in told]
+            if finding.kind in _OF_TORQUE and (finding.kind, finding.joint) not in named]
 
 
 def _with_commands(recording, joints):

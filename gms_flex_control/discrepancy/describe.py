@@ -144,7 +144,7 @@ def _verdict(result):
         if one.confusable_with:
             yield (f'{one.effect} of {one.joint} is indistinguishable here from '
                    f'{" or ".join(one.confusable_with)}; discriminating experiment: '
-                   f'{one.tells_apart}.'), True
+                   f'{one.discriminated_by}.'), True
     added = {(spec.name, spec.joint) for spec in result.robot.effects}
     beside = [*result.findings[_IN_FULL:], *(one for one in result.minor if one.key in added)]
     if beside:

@@ -337,8 +337,8 @@ def findings_of(likelihood, found, worths, held_out) -> list:
             runner_up=f'{others[0][0]} of {others[0][1]}' if others else None,
             runner_up_score=others[0][2] * one.evidence if others else 0.0,
             confusable_with=tuple(sorted(alike - {spec.name})),
-            tells_apart=kind.tells if others else '', evidence=evidence_of(one, others),
-            rms_before=before, rms_after=after))
+            discriminated_by=kind.discriminated_by if others else '',
+            evidence=evidence_of(one, others), rms_before=before, rms_after=after))
     return [one for one in out if one.main or not find(one.effect).of_recording]
 
 

@@ -136,11 +136,11 @@ def described(spec, span):
     formula, (what, like) = formula_of(*curve_of(spec, span)), _WHAT[spec.name]
     unit = _UNITS.get(spec.name, 'rad')
     error = f'{100.0 * formula.error:.0f} % of it rms'
-    return (f'{what} of {spec.joint} {like} {_told(formula, unit, spec.name)} (error {error})',
+    return (f'{what} of {spec.joint} {like} {_in_words(formula, unit, spec.name)} (error {error})',
             formula.error)
 
 
-def _told(formula, unit, name):
+def _in_words(formula, unit, name):
     """Return a formula in words, its place in a unit."""
     def size(value):
         if name == 'learned_drift':

@@ -77,7 +77,7 @@ class Motion:
     states: np.ndarray         # (S, 6, n) smoothed motion there
     second: np.ndarray         # (S, 2, n) filtered second differences of readings [rad/s^2]
     drive: np.ndarray          # (S, n) the torque commands behind the same filter [N m]
-    twist_rest: np.ndarray     # (S, n) torsion as read, filtered, less the smoothed one [rad]
+    torsion_rest: np.ndarray     # (S, n) torsion as read, filtered, less the smoothed one [rad]
     standing: np.ndarray       # (S, n) whether the encoder sees the link stand, bool
     known: np.ndarray          # (S,) whether all angles were read, bool; else a straight line
     commanded: bool            # ``command`` is what was asked for; else torque as measured
@@ -227,13 +227,14 @@ def make_motion(joints, time, period, readings, command, supply, commanded, sour
         len(time), 6, n)
     factor = factor or max(int(WORKING_PERIOD / period * (1.0 + 1e-6)), 1)
     thin = np.ascontiguousarray(states[::factor])
-    twist = thinned(filtered_alike(readings[:, 1] - readings[:, 0], 1.0 / 12.0), factor)
+    torsion = thinned(filtered_alike(readings[:, 1] - readings[:, 0], 1.0 / 12.0), factor)
     return Motion(
         joints=tuple(joints), fine_time=time, fine_period=period, readings=readings,
         fine_states=np.ascontiguousarray(states), command=command, supply=supply, noise=noise,
         factor=factor, time=np.ascontiguousarray(time[::factor]), period=period * factor,
         states=thin, second=thinned(bend, factor), drive=thinned(held, factor),
-        twist_rest=twist - filtered_alike(thin[:, 3] - thin[:, 0], weight_of_neighbours(factor)),
+        torsion_rest=torsion - filtered_alike(
+            thin[:, 3] - thin[:, 0], weight_of_neighbours(factor)),
         standing=standing(readings[:, 0], noise[0], period)[::factor],
         known=np.ones(len(thin), dtype=bool), commanded=commanded, source=source, unseen=unseen)
 
@@ -274,13 +275,13 @@ def scales_of(motions, robot) -> list:
         link, rate, motor = (np.concatenate([one.states[:, row, j] for one in motions])
                              for row in (0, 1, 3))
         torque = np.concatenate([one.command[:, j] for one in motions])
-        twist = 0.0 if arm.rigid[j] else float(np.std(motor - link))  # an offset is no usual size
-        spring = float(arm.stiffness[j] * twist) if twist > 0.0 else float(np.std(torque))
+        torsion = 0.0 if arm.rigid[j] else float(np.std(motor - link))  # without the offset
+        spring = float(arm.stiffness[j] * torsion) if torsion > 0.0 else float(np.std(torque))
         speed = max(float(np.sqrt(np.mean(rate ** 2))), 1e-6)
         found.append(Scales(
             friction=float(np.mean([side.static[j] + side.viscous[j] * speed for side in (
                 robot.friction.forward, robot.friction.backward)])),
-            torque=float(np.abs(torque).max()), spring=spring, twist=twist, speed=speed,
+            torque=float(np.abs(torque).max()), spring=spring, torsion=torsion, speed=speed,
             inertia=float(arm.motor_inertia[j]), link_inertia=float(arm.link_inertia[j]),
             mass=float(arm.mass.sum()), lowest=float(link.min()), highest=float(link.max()),
             turned=float(np.ptp(motor)),

@@ -192,7 +192,7 @@ def _shown_over(along, spec, own, j):
     Return variable (S,), its label, factor of the residual (S,) and the factor's name.
 
     The effect names its variable; of which joint, and if it is to be another one after all, is
-    told by what its contribution follows.
+    named by what its contribution follows.
     """
     wanted, rate = find(spec.name).evidence, along.variables(j)['link rate']
     if wanted == 'time':

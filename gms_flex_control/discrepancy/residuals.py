@@ -29,7 +29,7 @@ from gms_flex_control.identification.smoothing import derivatives, low_pass
 from gms_flex_control.simulation import plant
 import numpy as np
 
-_ACTUATOR, _TWIST, _SPRING, _FRICTION, _LINK, _MOTOR, SENSOR = (int(stage) for stage in Stage)
+_ACTUATOR, _TORSION, _SPRING, _FRICTION, _LINK, _MOTOR, SENSOR = (int(stage) for stage in Stage)
 _SUBSTEPS = 4         # of a sample, where an actuator changes its command
 _CORRECTIONS = 4      # of an unseen link's angle, where a spring is not linear
 _CLEARINGS = 3        # iterations that clear a motion of the errors of its encoders
@@ -218,7 +218,7 @@ def _key_of_links(motion, constants):
     """Return what distinguishes motions with unseen links, tuple of bytes."""
     if not motion.unseen:
         return ()
-    key = _key(constants, (_ACTUATOR, _TWIST, _SPRING, _MOTOR), 'stiffness', 'damping',
+    key = _key(constants, (_ACTUATOR, _TORSION, _SPRING, _MOTOR), 'stiffness', 'damping',
                'motor_inertia')
     return ('unseen', *key, *(_key(constants, (SENSOR,), 'friction', *_of_bodies(constants))
                               if acts(constants, SENSOR) else ()))
@@ -229,7 +229,7 @@ def _with_unseen_links(motion, constants, drive):
     states, second, before = motion.states, motion.second, None
     weight, shift = weight_of_neighbours(motion.factor), np.zeros_like(drive)
     joints = [link.joint for link in motion.unseen]
-    linear = not (acts(constants, _TWIST) or acts(constants, _SPRING))
+    linear = not (acts(constants, _TORSION) or acts(constants, _SPRING))
     for _ in range(1 if linear else _CORRECTIONS):  # one is exact for a linear spring
         on_motor = _on_motors(motion, constants, drive, states, second)
         stiffness = _secant(before, on_motor, filtered_alike(shift, weight),
@@ -297,7 +297,7 @@ def _residuals(motion, constants, drive, states, second, way):
 
 def _formed(motion, constants, drive, states, second, friction, bias, inertial, carried):
     out, n = np.empty((len(drive), 2 * drive.shape[1])), drive.shape[1]
-    residuals_along(states, second, friction, bias, inertial, carried, drive, motion.twist_rest,
+    residuals_along(states, second, friction, bias, inertial, carried, drive, motion.torsion_rest,
                     motion.time, motion.period, weight_of_neighbours(motion.factor), constants,
                     fresh_state(constants), plant.workspace(n), out)
     return out

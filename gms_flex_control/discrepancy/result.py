@@ -38,7 +38,7 @@ class Finding:
     runner_up: str | None   # the next best explanation in its place, 'effect of joint'
     runner_up_score: float  # ``score`` times the share of it that this one would explain
     confusable_with: tuple  # of str, effects indistinguishable from it in these data
-    tells_apart: str        # experiment that separates it from those and the runner-up, or ''
+    discriminated_by: str   # experiment that separates it from those and the runner-up, or ''
     evidence: str           # one sentence
     rms_before: np.ndarray  # (n,) held-out residual of each joint without it [N m]
     rms_after: np.ndarray   # (n,) with it [N m]

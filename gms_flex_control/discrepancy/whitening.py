@@ -15,13 +15,13 @@ import numpy as np
 from scipy.ndimage import minimum_filter1d, uniform_filter1d
 
 HIGHEST = 20.0        # frequency that is looked at [Hz]
-TORQUE_BAND = 8.0     # up to which torques are told [Hz]
+TORQUE_BAND = 8.0     # up to which torques are reported [Hz]
 _EDGE = 0.5           # at both ends, where filters are not settled [s]
 _BINS = 1.0           # Hz, over which a spectrum is taken as even
 _OCTAVES = 4          # below HIGHEST; the rest is slow
 _MOMENT = 0.3         # s, over which the scale in time is taken as even
 _FEWEST = 3           # rows of an octave, likewise
-_RAMP = 0.1           # s, from where an equation tells nothing to where it does
+_RAMP = 0.1           # s, from where an equation says nothing to where it does
 BLOCK = 2.0           # of time, left out as a whole: longer than friction remembers [s]
 _FEWEST_SEEN = 40     # residuals of a group that show a noise level
 

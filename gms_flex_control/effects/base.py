@@ -21,7 +21,7 @@ class Stage(IntEnum):
     """Where in the model an effect acts; the stages run in this order in every substep."""
 
     ACTUATOR = 0  # torque command -> torque of the motor
-    TWIST = 1     # q_motor - q_link -> torsion the spring sees
+    TORSION = 1     # q_motor - q_link -> torsion the spring sees
     SPRING = 2    # torsion -> spring torque
     FRICTION = 3  # friction torque of the link
     LINK = 4      # extra torque on the link
@@ -63,7 +63,7 @@ class Effect(ABC):
     evidence: str             # what it shows against, of discrepancy.remainder.VARIABLES
     confusable = ()           # names of effects that data hardly distinguish from it
     declared_from = 0.8       # share of what it explains from which these are reported as well
-    tells: str                # the discriminating experiment, as '... would tell'
+    discriminated_by: str     # the experiment that separates it from others, without a verb
     of_feedback = False       # encoder noise in the torque of a feedback resembles a little of it
     replaces = None           # kind of known parameter of which this is a larger error
     needs_link_encoder = False  # cannot be judged on a flexible joint without one

@@ -22,7 +22,7 @@ class Scales(NamedTuple):
     friction: float   # F_s and viscous friction at that speed, mean of both directions [N m]
     torque: float     # largest command [N m]
     spring: float     # standard deviation of the spring torque [N m]
-    twist: float      # standard deviation of the twist [rad]; 0 where rigid
+    torsion: float      # standard deviation of the torsion [rad]; 0 where rigid
     speed: float      # rms of the link's rate [rad/s]
     inertia: float    # J [kg m^2]
     link_inertia: float  # about the joint [kg m^2]
@@ -39,7 +39,7 @@ class Scales(NamedTuple):
     @property
     def rigid(self):
         """Return whether the joint has no spring."""
-        return self.twist <= 0.0
+        return self.torsion <= 0.0
 
 
 class Guess(NamedTuple):
@@ -82,7 +82,7 @@ def waves(size, orders):
 
 
 def orders(span, highest, lowest=1.0):
-    """Return orders within bounds that motion over a span [rad] can tell from each other."""
+    """Return orders within bounds that motion over a span [rad] can distinguish."""
     step = np.clip(np.pi / max(span, 1e-6), 0.25, 1.0)
     return np.arange(lowest, highest + 0.5 * step, step)
 

@@ -22,7 +22,7 @@ from gms_flex_control.effects.signals import (
     Q_LINK,
     SPRING,
     TIME,
-    TWIST,
+    TORSION,
 )
 import numpy as np
 
@@ -101,7 +101,7 @@ class Learned(Term):
     """A term that is linear in weights; ``count`` of them are its first parameters."""
 
     confusable = ()
-    tells = 'another motion over the same range'
+    discriminated_by = 'another motion over the same range'
     count = KNOTS
     written = True            # belongs into a robot file
     size = 'friction'         # usual size of a weight, of effects.guess.Scales
@@ -144,7 +144,7 @@ class LearnedTorsion(Learned):
     @staticmethod
     def apply(s, p, memory, dt):
         """Change the signals of one joint."""
-        s[SPRING] += curve(s[TWIST], p)
+        s[SPRING] += curve(s[TORSION], p)
 
 
 class LearnedRateFriction(Learned):

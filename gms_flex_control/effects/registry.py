@@ -42,8 +42,8 @@ def names() -> tuple[str, ...]:
 def in_words(name: str) -> str:
     """Return what an effect of the catalogue is, such as 'Play in the transmission'."""
     kind = find(name)
-    told = kind if name in learned.KINDS else inspect.getmodule(kind)
-    return inspect.getdoc(told).splitlines()[0].rstrip('.')
+    described = kind if name in learned.KINDS else inspect.getmodule(kind)
+    return inspect.getdoc(described).splitlines()[0].rstrip('.')
 
 
 @cache

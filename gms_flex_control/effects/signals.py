@@ -5,7 +5,7 @@
 The signals an effect reads and changes: one row of numbers per joint.
 
 An effect's ``apply(s, p, memory, dt)`` gets the row ``s`` of its joint as a pointer, so that
-``s[TWIST]`` is the twist of that joint and ``s[WIDTH + TWIST]`` that of the next one.
+``s[TORSION]`` is the torsion of that joint and ``s[WIDTH + TORSION]`` that of the next one.
 """
 
 TIME = 0           # since the start of the run [s]
@@ -18,8 +18,8 @@ DQ_MOTOR = 6       # [rad/s]
 DDQ_LINK = 7       # of the substep before [rad/s^2]
 DDQ_MOTOR = 8      # of the substep before [rad/s^2]
 TORQUE = 9         # torque of the actuator [N m]; stage ACTUATOR changes it
-TWIST = 10         # q_motor - q_link as the spring sees it [rad]; stage TWIST changes it
-TWIST_RATE = 11    # dq_motor - dq_link [rad/s]; stage TWIST changes it
+TORSION = 10         # q_motor - q_link as the spring sees it [rad]; stage TORSION changes it
+TORSION_RATE = 11    # dq_motor - dq_link [rad/s]; stage TORSION changes it
 SPRING = 12        # from motor to link, TORQUE - J DDQ_LINK of a rigid joint [N m]; stage SPRING
 FRICTION = 13      # friction torque of the link, against the motion [N m]; stage FRICTION
 LINK_TORQUE = 14   # extra torque on the link [N m]; stage LINK adds to it

@@ -46,7 +46,7 @@ class _Joint:
     stiffness: float           # of the spring
     damping: float
     cubic: float = 0.0
-    rest: tuple = (0.0, 0.0)   # twist of the unloaded spring, from and to
+    rest: tuple = (0.0, 0.0)   # torsion of the unloaded spring, from and to
     drag: float = 0.0
     link_torque: float = 0.0
     motor_torque: float = 0.0

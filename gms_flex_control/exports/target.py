@@ -67,11 +67,11 @@ def export(robot: RobotParams, target: Target, without: Iterable[str] = ()) -> s
         if name not in without:
             lacking.setdefault(name, []).append(where)
     if lacking:
-        told = ', '.join(f'{name} of {" and ".join(dict.fromkeys(places))}'
-                         for name, places in lacking.items())
+        named = ', '.join(f'{name} of {" and ".join(dict.fromkeys(places))}'
+                          for name, places in lacking.items())
         names = ' '.join(dict.fromkeys((*without, *lacking)))
         instead = ', '.join(PARTS[name] for name in lacking if name in PARTS)
-        raise ConfigError(f'{target.title} cannot express {told}; add --without {names}'
+        raise ConfigError(f'{target.title} cannot express {named}; add --without {names}'
                           f'{f" to export {instead} instead" if instead else ""}')
     return target.write(robot, without)
 

@@ -24,7 +24,7 @@ import numpy as np
 _KEPT_STATES = 64          # published states that a command may answer
 _NO_COMMAND = 'no command from'
 _LONGEST_RAMP = 0.05       # a torque never rises for longer than that at once [s]
-_OFTEN = 0.2               # share of recent time in which a torque that comes late is told
+_OFTEN = 0.2               # share of recent time in which a torque that comes late is reported
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -268,7 +268,7 @@ class Bridge:
         return True
 
     def take_torque_away(self) -> None:
-        """Forget the torque given; what the supervisor is told beside this says why."""
+        """Forget the torque given; what is reported to the supervisor beside this says why."""
         self.controller.torque = np.zeros_like(self.torque)
 
     def watch(self, now) -> bool:

@@ -93,7 +93,7 @@ class JointMap:
         self._motor_channel[flexible] = n + np.arange(sum(flexible))
         self._scale = np.array([a.sign * a.torque_constant * a.gear for a in actuators])
         self.command_names = tuple(actuators[j].name for j in self._order)
-        # some robots tell an effort under a name that no encoder has
+        # some robots report an effort under a name that no encoder has
         self.effort_names = tuple(dict.fromkeys([*self.names, *(a.name for a in actuators)]))
         self._effort_channel = np.array([self.effort_names.index(a.name) for a in actuators])
 

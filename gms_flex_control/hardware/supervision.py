@@ -145,7 +145,7 @@ class SupervisedRobot(ABC):
 
 
 class SourceWatch:
-    """Tell two who send at once; ``what`` they do, such as 'controllers command'."""
+    """Report two who send at once; ``what`` they do, such as 'controllers command'."""
 
     def __init__(self, what):
         self._what, self._heard, self._conflict = what, {}, ''
@@ -178,7 +178,7 @@ class SourceWatch:
 
 
 class CommandWatch:
-    """Tell two commanding controllers, and the silence of one."""
+    """Report two commanding controllers, and the silence of one."""
 
     def __init__(self):
         self._sources = SourceWatch('controllers command')

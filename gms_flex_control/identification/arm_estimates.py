@@ -14,12 +14,12 @@ from gms_flex_control.identification.result import (
     NOT_IDENTIFIABLE,
 )
 
-_WIDE = 0.5         # half an interval this large a part of the value tells nothing
-_LEARNT = 0.5       # of the prior standard deviation: the recordings tell a scale
+_WIDE = 0.5         # half an interval this large a part of the value says nothing
+_LEARNT = 0.5       # of the prior standard deviation: the recordings identify a scale
 _LARGE = 4.0        # standard errors: a zero is reported
-_NOT_MOVED = 'this motion hardly moves it: faster motion of all joints together tells it'
+_NOT_MOVED = 'this motion hardly moves it: faster motion of all joints together identifies it'
 _NEEDS = ('the scale is the one that the masses of the URDF have: a recording with a known load '
-          'and one without tell it')
+          'and one without identify it')
 
 
 def base_estimates(fit: BaseFit, joints: Sequence[str]) -> list:
@@ -28,12 +28,12 @@ def base_estimates(fit: BaseFit, joints: Sequence[str]) -> list:
     for name, unit, meaning, value, described, error in zip(
             fit.names, fit.units, fit.meanings, fit.values, fit.described, fit.error, strict=True):
         half = CONFIDENT * float(error)
-        told = half < _WIDE * abs(value)
+        known = half < _WIDE * abs(value)
         note = f'base parameter {meaning}, {described:.4g} by the URDF'
         rows[name.split('.')[0]].append(Estimate(
-            f'arm.{name}', unit, float(value), Interval(value - half, value + half) if told
-            else NO_INTERVAL, () if told else (NOT_IDENTIFIABLE,),
-            note if told else f'{note}; {_NOT_MOVED}'))
+            f'arm.{name}', unit, float(value), Interval(value - half, value + half) if known
+            else NO_INTERVAL, () if known else (NOT_IDENTIFIABLE,),
+            note if known else f'{note}; {_NOT_MOVED}'))
     for joint, offset in zip(joints, fit.offset, strict=True):
         rows[joint].append(Estimate(
             f'arm.{joint}.torque_offset', 'N m', float(offset), NO_INTERVAL, (),
@@ -78,11 +78,11 @@ def scale_estimate(found: Differences, j: int, joint: str) -> Estimate:
     """Return the Estimate of what is recorded of a joint's torque."""
     value, error, prior = found.scale[j], found.scale_sd[j], found.prior_sd[j]
     half = CONFIDENT * error * value
-    told = error < _LEARNT * prior and half < _WIDE * value
+    known = error < _LEARNT * prior and half < _WIDE * value
     return Estimate(
         f'arm.{joint}.torque_scale', '1', float(value),
-        Interval(float(value - half), float(value + half)) if told else NO_INTERVAL,
-        () if told else (NOT_IDENTIFIABLE,),
+        Interval(float(value - half), float(value + half)) if known else NO_INTERVAL,
+        () if known else (NOT_IDENTIFIABLE,),
         'recorded over true torque, and results are of true torques: the true torque constant is '
         f'{1.0 / value:.4g} times the one of recording.yaml, times 1 if that has none'
-        if told else _NEEDS)
+        if known else _NEEDS)

@@ -46,20 +46,20 @@ from gms_flex_control.params.robot import EffectSpec, RobotParams
 import numpy as np
 
 CONSTANT = ConstantLinkTorque.name
-_LIGHT = 0.05       # of the torque: inertia that cannot be told is set to what needs this share
+_LIGHT = 0.05       # of the torque, taken by an inertia that is not identifiable
 _ERRORS, _PART = 5.0, 0.1  # of the regression, and of the number: unit of a correction
 _SLIGHT = 0.1      # of the torque: an inertia that needs less is not to be believed
-_WIDE = 0.5         # half an interval this large a part of the value tells nothing
-_TELLS_INERTIA = 'faster changes of speed tell it'
-_TELLS_GRAVITY = 'motion over a wider range of angles tells it'
-_TELLS_MOTOR = ('a motion that makes the motor swing against the link tells it, both encoders '
-                'sampled at one time')
-_TELLS_CONSTANT = ('a constant torque is told from friction by motion both ways at the same '
+_WIDE = 0.5         # half an interval this large a part of the value says nothing
+_NEEDS_INERTIA = 'faster changes of speed identify it'
+_NEEDS_GRAVITY = 'motion over a wider range of angles identifies it'
+_NEEDS_MOTOR = ('a motion that makes the motor swing against the link identifies it, both '
+                'encoders sampled at one time')
+_NEEDS_CONSTANT = ('a constant torque is separated from friction by motion both ways at the same '
                    'angles and speeds')
 _SCALE = Estimate(
     'arm.torque_scale', '', 1.0, NO_INTERVAL, (NOT_IDENTIFIABLE,),
     'all torques, stiffnesses and inertias go with the scale of the recorded torque; these data '
-    'cannot tell it, a known mass added to the link would')
+    'does not identify it, a known mass added to the link would')
 
 
 class ArmFit(NamedTuple):
@@ -196,8 +196,8 @@ def _with_motors(arm, motors):
     for j, motor in enumerate(motors):
         if motor is None or arm.rigid[j]:
             continue
-        for name, value, told in zip(values, motor[:3], motor.believed, strict=True):
-            if told:
+        for name, value, known in zip(values, motor[:3], motor.believed, strict=True):
+            if known:
                 values[name][j] = value
     return replace(arm, **values)
 
@@ -210,7 +210,7 @@ def _inertia_to_use(axis, rows):
     friction would be too stiff for the samples.
     """
     least = _LIGHT * np.std(rows.torque) / max(np.std(rows.acceleration), 1e-300)
-    return axis.inertia if axis.inertia_told else float(least)
+    return axis.inertia if axis.inertia_known else float(least)
 
 
 def with_axis(arm: ArmParams, joint: int, inertia: float, cosine: float, sine: float) -> ArmParams:
@@ -301,10 +301,11 @@ def arm_estimates(robot: RobotParams, arm_fit: ArmFit, thetas: Sequence, spreads
     rows = [[] for _ in thetas]
     if _is_chain(robot.arm):
         values, covariance = _combined(robot.arm, arm_fit, thetas, spreads)
-        told = np.zeros(len(values))
+        determined = np.zeros(len(values))
         for numbers, spread in zip(arm_fit.numbers, spreads, strict=True):
-            told[numbers] = np.maximum(told[numbers], spread.told[-len(numbers):])
-        rows[0] += base_estimates(values, covariance, told, robot.n_joints,
+            determined[numbers] = np.maximum(determined[numbers],
+                                             spread.determined[-len(numbers):])
+        rows[0] += base_estimates(values, covariance, determined, robot.n_joints,
                                   any(arm_fit.has_gravity))
     for j, (theta, spread) in enumerate(zip(thetas, spreads, strict=True)):
         name = f'arm.{robot.joints[j]}'
@@ -326,15 +327,15 @@ def _axis_rows(robot, arm_fit, joint, theta, spread, name):
     covariance = spread.covariance[at:, at:] * np.outer(scale, scale)
     error = np.sqrt(np.diag(covariance))
     rows = [_row(f'{name}.inertia', 'kg m^2', values[0], error[0],
-                 'about the joint, centre of mass and motor included', _TELLS_INERTIA)]
+                 'about the joint, centre of mass and motor included', _NEEDS_INERTIA)]
     if arm_fit.shares[joint] < _SLIGHT:
         rows[0] = rows[0]._replace(flags=(NOT_IDENTIFIABLE,), note=(
             f'it takes {100 * max(arm_fit.shares[joint], 0.0):.2g} % of the torque in this '
-            f'motion, less than what the model lacks may take: {_TELLS_INERTIA}'))
+            f'motion, less than what the model lacks may take: {_NEEDS_INERTIA}'))
     if 3 in numbers:
         rows.append(_row(f'effects.{robot.joints[joint]}.{CONSTANT}.bias', 'N m', -values[-1],
                          error[-1], 'friction would have to be several times '
-                         'larger one way than the other without it', _TELLS_CONSTANT))
+                         'larger one way than the other without it', _NEEDS_CONSTANT))
     if 1 in numbers:
         size = np.hypot(*values[1:3])
         slope = values[1:3] / max(size, 1e-300)
@@ -343,13 +344,13 @@ def _axis_rows(robot, arm_fit, joint, theta, spread, name):
         turn = np.array([-slope[1], slope[0]]) / max(size, 1e-300)
         rows.append(_row(f'{name}.gravity_torque', 'N m', size, np.sqrt(slope @ spreads @ slope),
                          'of the link held level: mass com '
-                         'gravity; mass and com apart cannot be told', _TELLS_GRAVITY))
+                         'gravity; mass and com apart are not identifiable', _NEEDS_GRAVITY))
         error = float(np.sqrt(turn @ spreads @ turn))
-        told = error < _WIDE
+        known = error < _WIDE
         rows.append(Estimate(
             f'{name}.offset', 'rad', float(angle), Interval(angle - CONFIDENT * error,
                                                             angle + CONFIDENT * error),
-            () if told else (NOT_IDENTIFIABLE,), '' if told else _TELLS_GRAVITY))
+            () if known else (NOT_IDENTIFIABLE,), '' if known else _NEEDS_GRAVITY))
     if arm_fit.ripples[joint]:
         rows += _ripple_rows(arm_fit.ripples[joint],
                              f'effects.{robot.joints[joint]}.{RIPPLE}')
@@ -373,25 +374,25 @@ def _ripple_rows(ripple, name):
     return rows
 
 
-def _row(name, unit, value, error, meaning, tells):
+def _row(name, unit, value, error, meaning, needs):
     interval = Interval(value - CONFIDENT * error, value + CONFIDENT * error)
-    told = CONFIDENT * error < _WIDE * abs(value) and (value > 0.0 or 'bias' in name)
+    known = CONFIDENT * error < _WIDE * abs(value) and (value > 0.0 or 'bias' in name)
     return Estimate(name, unit, float(value), Interval(*map(float, interval)),
-                    () if told else (NOT_IDENTIFIABLE,), meaning if told else tells)
+                    () if known else (NOT_IDENTIFIABLE,), meaning if known else needs)
 
 
 def _motor_rows(motor, name, rigid):
     rows = []
-    for part, unit, value, error, told in zip(
+    for part, unit, value, error, known in zip(
             ('motor_inertia', 'stiffness', 'damping'), ('kg m^2', 'N m/rad', 'N m s/rad'),
             motor[:3], motor.error, motor.believed, strict=True):
         if rigid and part == 'motor_inertia':
             continue
-        note = '' if told else _TELLS_MOTOR
-        if not told and motor.skew >= SKEWED:
-            note = ('most of the twist goes with the velocity, as if the two encoders were read '
+        note = '' if known else _NEEDS_MOTOR
+        if not known and motor.skew >= SKEWED:
+            note = ('most of the torsion goes with the velocity, as if the two encoders were read '
                     'at different times: that looks like a soft spring or damping and is neither')
         wide = Interval(float(value - CONFIDENT * error), float(value + CONFIDENT * error))
         rows.append(Estimate(f'{name}.{part}', unit, float(value), wide,
-                             () if told else (NOT_IDENTIFIABLE,), note))
+                             () if known else (NOT_IDENTIFIABLE,), note))
     return rows

@@ -49,7 +49,7 @@ import numpy as np
 _THINNING = 8       # samples of a smoothing window that are enough
 _MEMORY = 4.0       # samples that the low-pass makes alike
 _ZERO_SD = 0.02     # of an encoder's zero between recordings [rad]
-_DRIVE_SD = 0.1     # of the logarithm of a torque's scale, where a known load tells it
+_DRIVE_SD = 0.1     # of the logarithm of a torque's scale, where a known load identifies it
 _UNKNOWN_SD = 0.5   # the same of currents, around what the URDF's masses give
 _ROUNDS = 8         # of Gauss and Newton: scales multiply parameters
 _SETTLED = 1e-5     # change of a logarithm of a scale that ends them

@@ -30,9 +30,9 @@ from gms_flex_control.params.robot import EncoderParams, RobotParams
 from gms_flex_control.simulation import plant
 import numpy as np
 
-_TWIST, _SPRING, _LINK, _MOTOR = (int(stage) for stage in (
-    Stage.TWIST, Stage.SPRING, Stage.LINK, Stage.MOTOR))
-_ON_LINK = (Stage.TWIST, Stage.SPRING, Stage.LINK, Stage.MOTOR)
+_TORSION, _SPRING, _LINK, _MOTOR = (int(stage) for stage in (
+    Stage.TORSION, Stage.SPRING, Stage.LINK, Stage.MOTOR))
+_ON_LINK = (Stage.TORSION, Stage.SPRING, Stage.LINK, Stage.MOTOR)
 _WINDOW = 0.05        # of the rates and accelerations that effects look at [s]
 _CLEARINGS = 3        # of a motion from errors of its encoders
 
@@ -101,7 +101,8 @@ def _reason(robot, spec, whole):
         return (f'{name}: --estimate all finds the arm without effects; take it out of the robot '
                 'file, or leave --estimate away')
     if not kind.acts_along_motion:
-        return f'{name}: what was measured does not tell it apart; take it out of the robot file'
+        return (f'{name}: no recording identifies friction beside it; take it out of the robot '
+                'file')
     if issubclass(kind, Change):
         changed = kind.change(robot, 0 if kind.whole_arm else robot.joints.index(spec.joint),
                               spec.values)
@@ -165,7 +166,7 @@ def _motion(time, q_link, q_motor, period):
     for link, motor in zip(q_link.T, q_motor.T, strict=True):
         for angle in (link, motor if np.isfinite(motor).any() else link):
             known = np.isfinite(angle)
-            angle = np.interp(time, time[known], angle[known])  # as read: the twist is of these
+            angle = np.interp(time, time[known], angle[known])  # as read: the torsion is of these
             _, rate, acceleration = derivatives(angle, period, window)
             columns += [angle, rate, acceleration]
     return np.stack(columns, 1).reshape(len(time), -1, 6).swapaxes(1, 2).copy()
@@ -178,12 +179,12 @@ def _further_torques(motion, torque, time, period, constants, spring, state, wor
     for k in range(out.shape[0]):
         plant.take_place(k, motion, torque[k], time[k], state, work)
         for j in range(out.shape[1]):
-            out[k, j] = -(links.stiffness[j] * s[j, sig.TWIST]
-                          + links.damping[j] * s[j, sig.TWIST_RATE]) if spring[j] else 0.0
-        effect_table.run_stage(_TWIST, s, state.memory, period, effects)
+            out[k, j] = -(links.stiffness[j] * s[j, sig.TORSION]
+                          + links.damping[j] * s[j, sig.TORSION_RATE]) if spring[j] else 0.0
+        effect_table.run_stage(_TORSION, s, state.memory, period, effects)
         for j in range(out.shape[1]):
-            s[j, sig.SPRING] = (links.stiffness[j] * s[j, sig.TWIST] + links.damping[j]
-                                * s[j, sig.TWIST_RATE]) if spring[j] else s[j, sig.TORQUE]
+            s[j, sig.SPRING] = (links.stiffness[j] * s[j, sig.TORSION] + links.damping[j]
+                                * s[j, sig.TORSION_RATE]) if spring[j] else s[j, sig.TORQUE]
         for stage in (_SPRING, _LINK, _MOTOR):
             effect_table.run_stage(stage, s, state.memory, period, effects)
         for j in range(out.shape[1]):

@@ -12,7 +12,7 @@ looks like friction that differs between the directions, and stays with it, unle
 then have to be several times larger one way than the other.
 
 A ripple, a torque periodic in the angle as gears, screws and motors make, is no friction, but
-where it is as large as what tells presliding and the Stribeck curve apart it replaces both. So it
+where it is as large as what separates presliding from the Stribeck curve it replaces both. So it
 is looked for with the inertia, before friction is fitted.
 
 The motor's equation ``u = J q2'' + K (q2 - q1) + d (q2' - q1')`` gives stiffness, motor inertia
@@ -43,7 +43,7 @@ _SLOWEST = 0.05    # of the usual speed: below this a row does not count as movi
 _FADING = (0.15, 0.5)  # speeds at which the fading parts of friction fade, of the usual speed
 _HUBER = 1.5       # residuals beyond this many standard deviations count less
 _ROUNDS = 8
-_NARROW = 1.0      # range of angles in which gravity is hardly told from a constant [rad]
+_NARROW = 1.0      # range of angles in which gravity is hardly separable from a constant [rad]
 _CLEAR = 0.5       # of the held-out error: gravity must help this much there
 _WORTH = 0.97      # of the held-out error: gravity or a ripple that helps less is not there
 _LOPSIDED = 0.5    # of the friction the other way: below this there is a constant torque
@@ -52,7 +52,7 @@ _RIPPLE_CLEAR = 3.0   # standard errors: a ripple below is not there
 _RIPPLE_ROUNDS = 4    # of order and all else in turn
 _ABOUT = 0.5       # of a wave over the range of angles: how far an order is looked for
 _EXPLAINED = 0.9   # of the torque's variance, for stiffness and motor inertia to be believed
-_SMALLEST = 0.005  # of the torque: a smaller part is not told from what the model lacks
+_SMALLEST = 0.005  # of the torque: a smaller part may be what the model lacks
 
 
 class Rows(NamedTuple):
@@ -76,7 +76,7 @@ class AxisFit(NamedTuple):
     error: np.ndarray      # (4,), standard errors of these
     has_gravity: bool
     explained: float       # share of the torque's variance
-    inertia_told: bool     # whether the inertia is clearly above zero
+    inertia_known: bool    # whether the inertia is clearly above zero
     share: float           # torque of the inertia, of the whole
     left: np.ndarray       # (S,), torque that is not explained; 0 where the axis hardly moves
     rippling: np.ndarray   # (S,), torque of the ripple; likewise
@@ -123,7 +123,7 @@ def rows_of(recordings: Sequence, drive: Callable, joint: int) -> Rows:
             used = block[-1] + 1
             parts.append((motion.value, motion.first, motion.second, torque.value, block))
     if not parts:
-        raise IdentificationError('no recording is long enough to tell the inertia')
+        raise IdentificationError('no recording is long enough to identify the inertia')
     return Rows(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
 
@@ -131,7 +131,7 @@ def held_torque(joint: int) -> Callable:
     """Return a function Recording -> motor torque (T,) at the stamps, not over a sample."""
     def drive(recording):
         torque = recording.tau_motor[:, joint].copy()
-        torque[:-1] = 0.5 * (torque[:-1] + torque[1:])  # one tells the sample that ended there
+        torque[:-1] = 0.5 * (torque[:-1] + torque[1:])  # one is of the sample that ended there
         return torque
     return drive
 
@@ -139,9 +139,9 @@ def held_torque(joint: int) -> Callable:
 def spring_torque(joint: int, stiffness: float, damping=0.0) -> Callable:
     """Return a function Recording -> torque (T,) of the joint's spring."""
     def drive(recording):
-        twist = recording.q_motor[:, joint] - recording.q_link[:, joint]
-        rate = np.gradient(twist, recording.time) if damping else 0.0
-        return stiffness * twist + damping * rate
+        torsion = recording.q_motor[:, joint] - recording.q_link[:, joint]
+        rate = np.gradient(torsion, recording.time) if damping else 0.0
+        return stiffness * torsion + damping * rate
     return drive
 
 
@@ -171,7 +171,7 @@ def fit_axis(rows: Rows, joint: str, source: str, wave: np.ndarray | None = None
     moving = np.abs(rows.rate) > _SLOWEST * usual
     if moving.sum() < _FEWEST:
         raise IdentificationError(f'{source}: {joint} moves in {moving.sum()} samples only; '
-                                  'record longer motion to tell its inertia')
+                                  'record longer motion to identify its inertia')
     rows = Rows(*(part[moving] for part in rows))
     wave = np.empty((len(moving), 0)) if wave is None else wave
     gravity = np.stack([np.cos(rows.angle), np.sin(rows.angle)], axis=1)
@@ -183,8 +183,8 @@ def fit_axis(rows: Rows, joint: str, source: str, wave: np.ndarray | None = None
     has_gravity = with_gravity < enough * off
     columns = both if has_gravity else others
     values, error = _solution(columns, rows)
-    told = values[0] > CONFIDENT * error[0]
-    if not told:  # what is no inertia must not bend the rest
+    known = values[0] > CONFIDENT * error[0]
+    if not known:  # what is no inertia must not bend the rest
         kept, wide = _solution(columns[:, 1:], rows)
         values, error = np.append(0.0, kept), np.append(error[0], wide)
     rest = rows.torque - columns @ values
@@ -200,7 +200,7 @@ def fit_axis(rows: Rows, joint: str, source: str, wave: np.ndarray | None = None
         found[:, 3] = 0.5 * (levels[0] - levels[1]), error[count]
     level = max(0.5 * sum(levels), _LEAST * float(np.std(rows.torque)))
     return AxisFit(*map(float, found[0]), level, found[1], bool(has_gravity),
-                   float(1.0 - np.var(rest) / (np.var(rows.torque) or 1.0)), bool(told),
+                   float(1.0 - np.var(rest) / (np.var(rows.torque) or 1.0)), bool(known),
                    float(values[0] * np.std(rows.acceleration) / (np.std(rows.torque) or 1.0)),
                    left, rippling, values[wave], float(np.sqrt(np.sum(error[wave] ** 2))),
                    with_gravity if has_gravity else off)
@@ -317,10 +317,10 @@ class MotorFit(NamedTuple):
 
     @property
     def believed(self):
-        """Return which of J, K and d the data tell, bool (3,)."""
+        """Return which of J, K and d are identifiable, bool (3,)."""
         values = np.array(self[:3])
-        told = (values > CONFIDENT * self.error) & (self.share > _SMALLEST)
-        return told & (self.explained > _EXPLAINED) & (self.skew < SKEWED)
+        known = (values > CONFIDENT * self.error) & (self.share > _SMALLEST)
+        return known & (self.explained > _EXPLAINED) & (self.skew < SKEWED)
 
 
 def fit_motor(recordings: Sequence, joint: int) -> MotorFit | None:
@@ -334,9 +334,9 @@ def fit_motor(recordings: Sequence, joint: int) -> MotorFit | None:
         if len(time.value):
             block = used + ((time.value - time.value[0]) / BLOCK_TIME).astype(int)
             used = block[-1] + 1
-            twist, rate = motor.value - link.value, motor.first - link.first
-            parts.append(np.stack([torque.value, motor.second, twist, rate,
-                                   np.ones(len(twist)), link.first, np.sign(link.first), block]))
+            torsion, rate = motor.value - link.value, motor.first - link.first
+            parts.append(np.stack([torque.value, motor.second, torsion, rate,
+                                   np.ones(len(torsion)), link.first, np.sign(link.first), block]))
     if not parts or sum(part.shape[1] for part in parts) < _FEWEST:
         return None
     table = np.concatenate(parts, axis=1)

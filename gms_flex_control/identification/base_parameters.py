@@ -5,7 +5,7 @@
 Base parameters of a planar chain, and the physical arm nearest to them.
 
 The torque of a chain is linear in ``A_ij`` and the moments of dynamics.chain, and these are all
-that motion can tell: masses, centres of mass and inertias of their own only as far as they make
+that motion identifies: masses, centres of mass and inertias of their own only as far as they make
 these. The arm is then the one with positive masses and inertias that fits best, as close to the
 one described as the data allow.
 """
@@ -34,7 +34,7 @@ _PRIOR_SD = 1.0     # of masses and inertias around those described, of logarith
 _COM_SD = 0.2     # of the link's length: of the centre of mass
 _WIDE = 0.5
 _SAME = 1e-9      # of the largest singular value: no column of its own
-_TOLD = 0.95      # share of a parameter that the data must tell
+_DETERMINED = 0.95      # share of a parameter that the data must determine
 
 
 def _base_names(n, has_gravity):
@@ -169,7 +169,7 @@ def nearest_arm(arm: ArmParams, values: np.ndarray, precision: np.ndarray,
     """
     Return the arm of positive masses and inertias that makes base parameters (B,) best.
 
-    ``precision`` (B, B) says how sure they are; what the data cannot tell stays near ``arm``.
+    ``precision`` (B, B) says how sure they are; what the data leave open stays near ``arm``.
     """
     n, root = arm.n_joints, np.linalg.cholesky(
         precision + 1e-12 * np.diag(np.diag(precision) + 1e-300)).T
@@ -186,18 +186,18 @@ def nearest_arm(arm: ArmParams, values: np.ndarray, precision: np.ndarray,
     return changed(least_squares(residual, np.zeros(3 * n)).x)
 
 
-def base_estimates(values, covariance, told, n: int, has_gravity: bool) -> tuple:
-    """Return the Estimates of base parameters (B,), ``told`` (B,) the share the data tell."""
+def base_estimates(values, covariance, determined, n: int, has_gravity: bool) -> tuple:
+    """Return the Estimates of base parameters (B,), ``determined`` (B,) their share."""
     rows = []
     for (name, unit), value, variance, share in zip(
-            _base_names(n, has_gravity), values, np.diag(covariance), told, strict=True):
+            _base_names(n, has_gravity), values, np.diag(covariance), determined, strict=True):
         half = CONFIDENT * float(np.sqrt(variance))
         interval = Interval(value - half, value + half)
-        known = half < _WIDE * abs(value) and share > _TOLD
+        known = half < _WIDE * abs(value) and share > _DETERMINED
         rows.append(Estimate(name, unit, float(value), interval,
                              () if known else (NOT_IDENTIFIABLE,),
                              'a base parameter: masses, centres of mass and inertias count only '
                              'as far as they make it' if known else
-                             'only its sum with others is told where the joints move one at a '
-                             'time: faster motion of all joints together tells it'))
+                             'only its sum with others is identifiable where the joints move one '
+                             'at a time: faster motion of all joints together identifies it'))
     return tuple(rows)

@@ -99,7 +99,7 @@ def identify(takes: Sequence, robot: RobotParams, *, holdouts: Sequence = (),
     Raises
     ------
     IdentificationError
-        If the data cannot tell the friction, or would tell it wrongly; the sentence says why.
+        If the data do not identify the friction, or would bias it; the sentence says why.
 
     """
     begin, options, say = time.monotonic(), options or Options(), say or (lambda text: None)

@@ -64,7 +64,7 @@ def refine(objective: Objective, coordinates: Coordinates, free: np.ndarray, pri
     Move free numbers (P,) to the nearest minimum of the cost.
 
     ``sharpness`` is a factor on the observer's bandwidth: above 1 the cost has fewer local minima
-    and tells less. ``roughly`` ends early, where another fit goes on from here. ``floor`` [rad]
+    and says less. ``roughly`` ends early, where another fit goes on from here. ``floor`` [rad]
     is the innovation below which a block counts as explained, to compare fits.
     """
     now, count = objective.evaluate(coordinates, free, sharpness, floor), 0
@@ -108,7 +108,7 @@ def _damped_step(curvature, slope, damping):
     """Return the step of Levenberg and Marquardt; a number without any effect stays."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(curvature), 1e-300))
     if not (np.isfinite(curvature).all() and np.isfinite(slope).all()):
-        return np.zeros(len(slope))  # derivatives that run away tell no direction
+        return np.zeros(len(slope))  # derivatives that run away give no direction
     scaled = curvature * np.outer(scale, scale) + damping * np.eye(len(slope))
     return scale * np.linalg.lstsq(scaled, scale * slope, rcond=1e-14)[0]
 

@@ -8,7 +8,7 @@ First blocks with fixed yield displacements, spread over decades, and free weigh
 problem that finds the shape of the presliding curve from far away. Then blocks of equal weight
 at the quantiles of that shape, for several N; the data held out choose among them. The observer
 of the predictor is stiff at first and soft in the end: stiff, each innovation depends on the
-last moments only and the cost has hardly any local minimum; soft, it tells the most.
+last moments only and the cost has hardly any local minimum; soft, it says the most.
 
 Where links stick and slip the cost is rough: a fit ends in one of many local minima. Those near
 the truth lie along a funnel, so that fits from perturbations of the best find a better one until
@@ -206,7 +206,7 @@ def multi_start(objective: Objective, coordinates: Coordinates, starts: Sequence
     ordered = [_in_order(coordinates, end.free) for end in ends]
     good = [free for free, end in zip(ordered, ends, strict=True)
             if _cost_above(end, floor, prior) <= _GOOD * lowest]
-    few = student.ppf(_UPPER, max(len(good) - 1, 2)) / norm.ppf(_UPPER)  # so few tell little
+    few = student.ppf(_UPPER, max(len(good) - 1, 2)) / norm.ppf(_UPPER)  # so few say little
     scatter = few * np.sqrt(np.mean(np.square(np.array(good) - good[0]), axis=0))
     gain = total_cost(replace(begin, floor=floor), starts[0], prior) / lowest
     return MultiStart(tuple(ordered[:KEPT]), scatter, gain)

@@ -111,8 +111,8 @@ def friction_values(identification: Identification) -> dict:
     return values | uncertainty_values(identification)
 
 
-# kinds of known parameters by the parameters of friction that tell them
-_TOLD_BY = {'level': 'coulomb', 'viscous': 'viscous', 'static': 'static',
+# kinds of known parameters by the parameters of friction that determine them
+_KNOWN_BY = {'level': 'coulomb', 'viscous': 'viscous', 'static': 'static',
             'velocity': 'velocity', 'attraction': 'attraction', 'blocks': 'stiffness['}
 
 
@@ -120,11 +120,11 @@ def uncertainty_values(identification: Identification) -> dict:
     """
     Return how well friction is known: flat ``uncertainty`` parameters, from the intervals.
 
-    Relative standard deviations; estimates that are flagged tell nothing.
+    Relative standard deviations; flagged estimates say nothing.
     """
     values = {}
     for result in identification.joints:
-        for kind, name in _TOLD_BY.items():
+        for kind, name in _KNOWN_BY.items():
             sizes = [0.5 * (one.interval.high - one.interval.low)
                      / CONFIDENT / abs(one.value) for one in result.estimates
                      if not one.flags and one.value and one.name.startswith('friction.')
@@ -165,11 +165,11 @@ def _comment(identification):
 
 
 class OverBags(NamedTuple):
-    """One parameter over all bags that tell it."""
+    """One parameter over all bags that identify it."""
 
     name: str
     unit: str
-    bags: int                  # that tell it: neither set nor flagged as not identifiable
+    bags: int                  # that identify it: neither set nor flagged as not identifiable
     mean: float
     median: float
     standard_deviation: float  # over the bags; NaN for one
@@ -207,19 +207,19 @@ def over_bags(bags: dict) -> tuple:
     Stiffnesses of blocks only from the bags that have the commonest number of blocks.
     """
     usual = _usual_blocks(bags)
-    told, units = {}, {}
+    found, units = {}, {}
     for bag, values in bags.items():
         blocks = _blocks(values)
         for one in values['estimates']:
             units[one['name']] = one['unit']
-            told.setdefault(one['name'], {})
+            found.setdefault(one['name'], {})
             joint = _block_of(one['name'])
-            if is_told(one) and (joint is None or blocks[joint] == usual[joint]):
-                told[one['name']][bag] = one
-    return tuple(_row(name, units[name], rows) for name, rows in told.items() if rows)
+            if is_identified(one) and (joint is None or blocks[joint] == usual[joint]):
+                found[one['name']][bag] = one
+    return tuple(_row(name, units[name], rows) for name, rows in found.items() if rows)
 
 
-def is_told(estimate: dict) -> bool:
+def is_identified(estimate: dict) -> bool:
     """Return whether data, and not a prior or a person, gave an estimate of `bag_values`."""
     return (estimate['standing'] not in (NOT_IDENTIFIABLE, SET)
             and None not in (estimate['value'], estimate['low'], estimate['high']))

@@ -43,7 +43,7 @@ class Estimate(NamedTuple):
     value: float
     interval: Interval     # NaN where a flag says that the data give none
     flags: tuple           # of 'at bound', 'not identifiable', 'depends on the model'; empty: good
-    note: str              # a sentence on the flags and what motion would tell; '' without
+    note: str              # a sentence on the flags and what motion would identify it; '' without
 
 
 class FrictionMap(NamedTuple):
@@ -198,7 +198,7 @@ def floor_shares(held_out: HeldOut) -> tuple[float, float]:
 
 
 def joint_sentences(result: JointResult) -> list:
-    """Return (sentence, whether a warning): what can be trusted of a joint and what would tell."""
+    """Return (sentence, whether a warning): what can be trusted of a joint, and what to record."""
     return [*_prediction(result.held_out), *_parameters(result),
             *((text, True) for text in result.warnings)]
 

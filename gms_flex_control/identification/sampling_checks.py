@@ -16,7 +16,7 @@ from gms_flex_control.identification.check_limits import Finding, sides
 from gms_flex_control.params.robot import RobotParams
 import numpy as np
 
-_GAP_BESIDE = 10                         # samples that tell the velocity beside a gap
+_GAP_BESIDE = 10                         # samples that give the velocity beside a gap
 _BESIDE = 5                              # likewise beside a run of equal samples
 
 
@@ -27,7 +27,7 @@ def length(signals: Recording) -> list[Finding]:
         return []
     severity = 'refuse' if count < limits.FEWEST or duration < limits.SHORTEST else 'warn'
     return [Finding('too_short', '', severity, f'{signals.source}: {count} samples in '
-                    f'{duration:.3g} s are too short to tell friction from inertia; record at '
+                    f'{duration:.3g} s are too short to separate friction from inertia; record at '
                     f'least {limits.SHORT:g} s and {limits.FEWEST} samples, with motion both '
                     'ways')]
 
@@ -142,8 +142,8 @@ def missing(signals: Recording, robot: RobotParams) -> list[Finding]:
         channels = [('link angle', signals.q_link[:, j], True),
                     ('torque', signals.tau_motor[2:, j], not flexible)]
         if flexible:
-            no_twist = not np.isfinite(signals.tau_motor[2:, j]).any()
-            channels.insert(1, ('motor angle', signals.q_motor[:, j], no_twist))
+            no_torsion = not np.isfinite(signals.tau_motor[2:, j]).any()
+            channels.insert(1, ('motor angle', signals.q_motor[:, j], no_torsion))
         for name, values, needed in channels:
             found += _holes(signals, joint, name, values, needed)
     return found
@@ -156,7 +156,7 @@ def _holes(signals, joint, name, values, needed):
         severity = 'refuse' if needed else 'warn'
         text = (f'the {name} of {joint} was not recorded' + (
             '; nothing can be fitted without it' if needed else
-            '; what it alone tells cannot be had: record it as well'))
+            '; what it alone shows is lost: record it as well'))
     elif share >= limits.MISSING_WARN or lost.size > limits.MISSING_MOST:
         severity = 'refuse' if share > limits.MISSING_REFUSE else 'warn'
         runs = np.diff(np.flatnonzero(np.diff(np.concatenate([[0], ~np.isfinite(values), [0]]))))
@@ -200,8 +200,8 @@ def _one_way(source, joint, filtered):
     way, other = ('forward', 'backward') if forward > backward else ('backward', 'forward')
     yield Finding('one_direction', joint, 'warn', f'{source}: {joint} moves {way} only '
                   f'({max(forward, backward):.3g} rad against {min(forward, backward):.2g}): '
-                  f'friction.{joint}.{other} cannot be had, nor friction be told from a constant '
-                  'torque; add motion the other way')
+                  f'friction.{joint}.{other} is not identifiable, nor friction separable from a '
+                  'constant torque; add motion the other way')
 
 
 def rates(signals: Recording) -> list[Finding]:

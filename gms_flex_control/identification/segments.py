@@ -94,7 +94,7 @@ def _spring_mismatch(recording, robot, j):
     time, period = recording.time[known], recording.period
     grid, (q_link, q_motor) = _even(time, (recording.q_link[known, j],
                                            recording.q_motor[known, j]))
-    # a state tells the mean torque of the sample before it
+    # a state has the mean torque of the sample before it
     tau = np.interp(grid, time - 0.5 * period, recording.tau_motor[known, j])
     inertia = max(robot.arm.motor_inertia[j], robot.arm.stiffness[j] * period ** 2)
     window = max(smoothing_window(period, noise_of(q_motor), inertia, np.std(tau)),
@@ -263,9 +263,9 @@ def _spring(recording, robot, j, grid, time, rows, q_link):
     torque = robot.arm.stiffness[j] * (q_motor - q_link)
     if robot.arm.damping[j] > 0.0:
         period = grid[1] - grid[0]
-        twist = q_motor - q_link
+        torsion = q_motor - q_link
         torque = torque + robot.arm.damping[j] * derivatives(
-            twist, period, max(2 * round(_DAMPING_WINDOW / period / 2) + 1, 5))[1]
+            torsion, period, max(2 * round(_DAMPING_WINDOW / period / 2) + 1, 5))[1]
     return np.append(0.5 * (torque[1:] + torque[:-1]), torque[-1])
 
 

@@ -5,7 +5,7 @@
 Which fit of a joint is chosen: the number of blocks, and what it was fitted to.
 
 The data held out choose among numbers of blocks. The predictor's innovations weigh every moment
-by how well it is understood, which tells the most from an arm that is as described. On a machine
+by how well it is understood, which says the most of an arm that is as described. On a machine
 with forces that nobody has described, few moments are, and they need not be like the rest: there
 a plain fit of the torque predicts better. Both are tried, and Coulomb and viscous friction with a
 single stiff block as well; torque and free simulation choose among them on the data held out;
@@ -55,19 +55,19 @@ from scipy.stats import t as student
 CANDIDATES = (1, 2, 4, 6, 8)  # numbers of blocks that are tried
 _SHARPNESS = (2.0, 1.0)
 _AWAY = 2.0           # times the largest cost of a block
-_FEW_OUT = 6          # blocks held out, fewer of which hardly tell their scatter
+_FEW_OUT = 6          # blocks held out, fewer of which hardly show their scatter
 _ONE_ERROR = 0.8413    # of a normal distribution is below one standard deviation
 
 INNOVATIONS, TORQUE, SIMPLE = 'innovations', 'torque', 'coulomb and viscous'
 _SENTENCES = {
     INNOVATIONS: (),
-    TORQUE: ('Forces that the model lacks are as large as what tells friction apart: the '
+    TORQUE: ('Forces that the model lacks are as large as what identifies friction: the '
              'parameters are those that predict the drive torque best, not those of friction '
              'alone.',),
-    SIMPLE: ('GMS friction cannot be told from these data: it predicts no better than Coulomb + '
+    SIMPLE: ('these data do not identify GMS friction: it predicts no better than Coulomb + '
              'viscous friction, which is what was taken (one stiff block, no Stribeck part). '
              'Slow reversals and torque ramps below break-away, with an encoder that resolves '
-             'them, would tell it.',)}
+             'them, would identify it.',)}
 _MOST = 20_000        # samples that are looked at, if they are no further apart than
 _COARSE = 8e-3        # [s]
 _YIELDS = (2.0, 0.2, 0.6, 10.0, 50.0)  # of the simple one's block, in encoder steps
@@ -385,7 +385,7 @@ def _trials(bundle):
     Return what a fit has to pass, a tuple of _Trial.
 
     Where data are few, one part of them held out may be like no other, and a motion that lacks
-    a quarter may not tell the simple model either: a fit must be better on all of them, by more
+    a quarter may not identify the simple model: a fit must be better on all of them, by more
     than it flatters itself, and as each quarter is held out in turn.
     """
     period = bundle.period

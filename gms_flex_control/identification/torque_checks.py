@@ -134,7 +134,7 @@ def _directions(signals, robot, motion):
 
 
 def _balance_sign(motion, tau, total, j):
-    """Return 1 or -1 if a torque drives joint j forward or backward, 0 if one cannot tell."""
+    """Return 1 or -1 if a torque drives joint j forward or backward, 0 if that is open."""
     fits = _balance_fit(motion, tau, total, j)
     if fits is None:
         return 0
@@ -155,9 +155,9 @@ def _work(tau, velocity):
 
 def _spring_sign(motion, j):
     """Return 1 or -1 if the torque of joint j fits its spring as it is or with sides exchanged."""
-    tau, twist = motion.tau[:, j], motion.q_motor[:, j] - motion.q_link[:, j]
-    explained, gain = _spring_fit(tau, motion.ddq_motor[:, j], twist)
-    explained_other, gain_other = _spring_fit(tau, motion.ddq_link[:, j], -twist)
+    tau, torsion = motion.tau[:, j], motion.q_motor[:, j] - motion.q_link[:, j]
+    explained, gain = _spring_fit(tau, motion.ddq_motor[:, j], torsion)
+    explained_other, gain_other = _spring_fit(tau, motion.ddq_link[:, j], -torsion)
     if explained > limits.CLEAR and gain > limits.CLEAR and gain_other < 0.1:
         return 1
     if explained_other > limits.CLEAR and gain_other > limits.CLEAR and gain < 0.1:
@@ -181,36 +181,36 @@ def _spring_scale(signals, robot, motion, j):
     """Compare torque over deflection with the stiffness; an encoder delay must not decide it."""
     tau, one = motion.tau[:, j], np.ones(len(motion.tau))
     stiffness = robot.arm.stiffness[j]
-    twist = motion.q_motor[:, j] - motion.q_link[:, j]
+    torsion = motion.q_motor[:, j] - motion.q_link[:, j]
     ratios, limit = [], limits.SCALE_STIFFNESS
-    rest = np.stack([twist, motion.dq_link[:, j]])
-    exact = _spring_fit(tau, motion.ddq_motor[:, j], twist)[0] > limits.EXACT
+    rest = np.stack([torsion, motion.dq_link[:, j]])
+    exact = _spring_fit(tau, motion.ddq_motor[:, j], torsion)[0] > limits.EXACT
     if not exact and rest[1].any() and np.corrcoef(rest)[0, 1] ** 2 > 0.1:
-        limit *= 3.0  # read late, one encoder adds a part of the velocity to the twist
+        limit *= 3.0  # read late, one encoder adds a part of the velocity to the torsion
     for others in [[motion.ddq_motor[:, j]]] if exact else (
             [], [motion.ddq_motor[:, j]], [motion.dq_motor[:, j]],
             [motion.ddq_motor[:, j], motion.dq_motor[:, j]]):
-        fit = sign_fit(tau, [twist], [one, *others])
+        fit = sign_fit(tau, [torsion], [one, *others])
         if fit.as_is > limits.CLEAR:
             ratios.append(fit.weights[0] / stiffness)
     if not ratios or min(ratios) < limit and max(ratios) > 1 / limit:
         return
-    if _fits_where_small(tau, motion.ddq_motor[:, j], twist, stiffness):
+    if _fits_where_small(tau, motion.ddq_motor[:, j], torsion, stiffness):
         return  # drives that give but a part of what is asked of them
     middle = float(np.median(ratios))
     yield Finding('torque_scale', signals.joints[j], 'refuse', f'{signals.source}: the torque '
-                  f'of {signals.joints[j]} is {middle:.3g} times what its twist and a stiffness '
+                  f'of {signals.joints[j]} is {middle:.3g} times what its torsion and a stiffness '
                   f'of {stiffness:.4g} N m/rad make; give the torque in N m at the joint (unit, '
                   'gear ratio, torque constant), or correct the stiffness')
 
 
-def _fits_where_small(tau, ddq_motor, twist, stiffness):
+def _fits_where_small(tau, ddq_motor, torsion, stiffness):
     """Return whether torque (T,) is what the spring makes where it is no more than that ever."""
-    small = np.abs(tau) <= stiffness * np.abs(twist - np.median(twist)).max()
+    small = np.abs(tau) <= stiffness * np.abs(torsion - np.median(torsion)).max()
     if small.sum() < limits.FEWEST_ROWS:
         return False
     free = [np.ones(int(small.sum())), ddq_motor[small]]
-    fit = sign_fit(tau[small], [twist[small]], free)
+    fit = sign_fit(tau[small], [torsion[small]], free)
     ratio = fit.weights[0] / stiffness
     return fit.as_is > limits.EXACT and 1 / limits.SCALE_STIFFNESS < ratio < limits.SCALE_STIFFNESS
 
@@ -244,8 +244,8 @@ def _unexplained(signals, robot, motion):
         fits = _balance_fit(motion, motion.tau[:, j], total, j)
         shares = [fit.as_is for fit in fits or ()]
         if j in springs:
-            twist = motion.q_motor[:, j] - motion.q_link[:, j]
-            shares.append(_spring_fit(motion.tau[:, j], motion.ddq_motor[:, j], twist)[0])
+            torsion = motion.q_motor[:, j] - motion.q_link[:, j]
+            shares.append(_spring_fit(motion.tau[:, j], motion.ddq_motor[:, j], torsion)[0])
         if shares and max(shares) < limits.UNEXPLAINED:
             found.append(Finding(
                 'unexplained', signals.joints[j], 'warn', f'{signals.source}: inertia, gravity, '
@@ -284,9 +284,9 @@ def _side_scales(signals, robot, motion):
         if not (x.any() and y.any()):
             continue
         slope, fit = x @ y / (x @ x), x @ y / np.sqrt((x @ x) * (y @ y))
-        twist = robot.arm.stiffness[j] * np.std(y - x)
+        torsion = robot.arm.stiffness[j] * np.std(y - x)
         tau = motion.tau[:, j]
-        torn = twist > limits.SIDE_FACTOR * np.std(tau) if np.isfinite(tau).all() else abs(
+        torn = torsion > limits.SIDE_FACTOR * np.std(tau) if np.isfinite(tau).all() else abs(
             np.log(abs(slope) + 1e-12)) > np.log(5.0)
         low, high = limits.SIDE_SLOPE
         if abs(fit) > limits.SIDE_FIT and not low < slope < high and (torn or slope < 0.0):
@@ -323,8 +323,8 @@ def _exchanged_joints(signals, robot, motion):
     """Find two joints that, exchanged as a whole, fit the robot's inertia far better."""
     loads, springs = [], _spring_joints(robot, motion)
     for j in range(robot.n_joints):
-        twist = motion.q_motor[:, j] - motion.q_link[:, j]
-        loads.append(robot.arm.stiffness[j] * twist if j in springs else motion.tau[:, j])
+        torsion = motion.q_motor[:, j] - motion.q_link[:, j]
+        loads.append(robot.arm.stiffness[j] * torsion if j in springs else motion.tau[:, j])
     if not all(np.isfinite(load).all() for load in loads):
         return []
     n = robot.n_joints
@@ -428,10 +428,10 @@ def _torque_joints(robot, motion):
             and np.ptp(motion.tau[:, j]) > 0 and motion.moved[j]]
 
 
-def _spring_fit(tau, acceleration, twist):
+def _spring_fit(tau, acceleration, torsion):
     """Return what inertia and spring explain of a torque, and the share the spring adds."""
     free = [np.ones_like(tau)]
-    both = sign_fit(tau, [acceleration, twist], free).as_is
+    both = sign_fit(tau, [acceleration, torsion], free).as_is
     alone = sign_fit(tau, [acceleration], free).as_is
     return both, (both - alone) / max(1.0 - alone, 1e-12)
 

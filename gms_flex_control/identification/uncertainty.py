@@ -38,7 +38,7 @@ import numpy as np
 from scipy.stats import t as student
 
 _UPPER = 0.975          # of a 95 % interval
-_VAGUE = np.log(2.0)    # half an interval this wide in the logarithm tells nothing
+_VAGUE = np.log(2.0)    # half an interval this wide in the logarithm says nothing
 _NOTHING = 2e-3         # of the friction level: a part this small is at its bound
 _BEYOND = 3.0           # times the reach of presliding: a block that slips later is none of it
 _STILL_FALLS = 0.05     # of F_s - F_c, left at the highest velocity: F_c is beyond the data
@@ -46,16 +46,16 @@ _LONGEST_MEMORY = 2.0   # of an innovation that is looked for [s]
 _SMALL_STEP = 1e-4      # of a free number, for a derivative
 _NAMES = ('static', 'coulomb', 'velocity', 'viscous')
 _UNITS = ('N m', 'N m', 'rad/s', 'N m s/rad')
-_TELLS = {
-    'static': 'motion slower than v_s and break-away from rest tell it',
-    'coulomb': 'steady motion well above v_s tells it',
-    'velocity': 'steady velocities between rest and the flat part of the curve tell it',
-    'viscous': 'faster motion tells it',
-    'attraction': 'velocity that varies within a second around v_s tells it',
-    'stiffness': 'slow torque ramps below break-away, with small loops, tell it',
+_NEEDS = {
+    'static': 'motion slower than v_s and break-away from rest identify it',
+    'coulomb': 'steady motion well above v_s identifies it',
+    'velocity': 'steady velocities between rest and the flat part of the curve identify it',
+    'viscous': 'faster motion identifies it',
+    'attraction': 'velocity that varies within a second around v_s identifies it',
+    'stiffness': 'slow torque ramps below break-away, with small loops, identify it',
 }
-_TOGETHER_NOTE = ('the numbers of a Stribeck curve are told together, and these data leave others '
-                  'of this curve open')
+_TOGETHER_NOTE = ('the numbers of a Stribeck curve are identified together, and these data leave '
+                  'others of this curve open')
 _DEPENDS_NOTE = ('models that explain the data as well or better (another number of blocks, or '
                  'fitted by the motion instead of the torque) have values farther off than chance '
                  'explains')
@@ -65,7 +65,7 @@ class Spread(NamedTuple):
     """Uncertainty of free numbers, of one model."""
 
     covariance: np.ndarray  # (P, P)
-    told: np.ndarray        # (P,), share of each number that the data tell, the rest is prior
+    determined: np.ndarray  # (P,), share that the data determine, the rest is prior
 
 
 def spread_of(objective, fit) -> Spread:
@@ -75,11 +75,11 @@ def spread_of(objective, fit) -> Spread:
     memory = objective.memory(coordinates, free, _LONGEST_MEMORY)
     inverse = inverse_of(curvature)
     scores = evaluation.weight[:, None] * evaluation.gradient
-    told = 1.0 - np.clip(prior.precision * np.diag(inverse), 0.0, 1.0)
+    determined = 1.0 - np.clip(prior.precision * np.diag(inverse), 0.0, 1.0)
     own = objective.finest ** 2 * np.tensordot(  # the predictor's error, alike through a block
         evaluation.weight ** 2 * evaluation.count, evaluation.curvature, 1)
     return Spread(clustered(inverse, scores, memory * evaluation.dispersion)
-                  + inverse @ own @ inverse + np.diag(fit.sampling ** 2), told)
+                  + inverse @ own @ inverse + np.diag(fit.sampling ** 2), determined)
 
 
 def torque_spread(error, coordinates: Coordinates, free: np.ndarray, prior) -> Spread:
@@ -89,8 +89,8 @@ def torque_spread(error, coordinates: Coordinates, free: np.ndarray, prior) -> S
     curvature = slope.T @ slope / noise + np.diag(prior.precision)
     inverse = np.linalg.pinv(curvature, rcond=1e-12, hermitian=True)
     scores = block_sums(slope * off[:, None] / noise, error.block)
-    told = 1.0 - np.clip(prior.precision * np.diag(inverse), 0.0, 1.0)
-    return Spread(clustered(inverse, scores, 1.0), told)
+    determined = 1.0 - np.clip(prior.precision * np.diag(inverse), 0.0, 1.0)
+    return Spread(clustered(inverse, scores, 1.0), determined)
 
 
 def block_sums(rows: np.ndarray, block: np.ndarray) -> np.ndarray:
@@ -136,30 +136,30 @@ def estimates_of(joint: str, coordinates: Coordinates, free: np.ndarray, spread:
     variance = np.einsum('ip,pq,iq->i', directions, spread.covariance, directions)
     error = np.sqrt(variance) / np.maximum(theta, 1e-300)
     off = _model_dependence(theta, coordinates.n_blocks, rivals)
-    told, rows = spread.told.copy(), []
+    determined, rows = spread.determined.copy(), []
     for at in (0, PER_DIRECTION):
         if np.exp(-(top / theta[at + VELOCITY]) ** 2) > _STILL_FALLS:
-            told[[at, at + VELOCITY]] = 0.0
+            determined[[at, at + VELOCITY]] = 0.0
     for k, direction in enumerate(('forward', 'backward')):
         for i, (name, unit) in enumerate(zip(_NAMES, _UNITS, strict=True)):
             rows.append((f'friction.{joint}.{direction}.{name}', unit, PER_DIRECTION * k + i,
-                         told[PER_DIRECTION * k + (1 if name == 'static' else
-                                                   0 if name == 'coulomb' else i)], name))
-    rows.append((f'friction.{joint}.attraction', 'N m/s', 8, told[8], 'attraction'))
+                         determined[PER_DIRECTION * k + (1 if name == 'static' else
+                                                         0 if name == 'coulomb' else i)], name))
+    rows.append((f'friction.{joint}.attraction', 'N m/s', 8, determined[8], 'attraction'))
     soft_to_stiff = np.argsort(theta[BLOCKS:BLOCKS + coordinates.n_blocks], kind='stable')
     for number, i in enumerate(soft_to_stiff):
         rows.append((f'friction.{joint}.stiffness[{number}]', 'N m/rad', BLOCKS + i,
-                     told[coordinates.yields][i], 'stiffness'))
-    return _told_together(f'friction.{joint}.', [
+                     determined[coordinates.yields][i], 'stiffness'))
+    return _known_together(f'friction.{joint}.', [
         _estimate(row, theta, error, off, (reach, travel)) for row in rows])
 
 
-def _told_together(prefix, estimates):
+def _known_together(prefix, estimates):
     """
-    Return Estimates as a tuple, without those that only others of their curve would tell.
+    Return Estimates as a tuple, without those that need others of their curve.
 
     With F_c unknown, the whole curve is: a wide Stribeck part takes its place, and that of the
-    viscous part. F_s and v_s tell each other, and a lag behind the curve (C) needs one of both.
+    viscous part. F_s and v_s need each other, and a lag behind the curve (C) needs one of both.
     """
     rows = {one.name.removeprefix(prefix): one for one in estimates}
 
@@ -204,7 +204,7 @@ def _model_dependence(theta, n_blocks, rivals):
 
 
 def _estimate(row, theta, error, off, reaches):
-    name, unit, i, told, kind = row
+    name, unit, i, determined, kind = row
     value, chance, half = float(theta[i]), error[i], CONFIDENT * np.hypot(error[i], off[i])
     flags, notes = [], []
     if kind == 'viscous' and value < _NOTHING * theta[1]:
@@ -213,15 +213,15 @@ def _estimate(row, theta, error, off, reaches):
     if kind == 'static' and value - theta[i + 1] < _NOTHING * value:
         flags.append('at bound')
         notes.append('static and Coulomb friction are the same')
-    if told < 0.5 or CONFIDENT * chance > _VAGUE:
+    if determined < 0.5 or CONFIDENT * chance > _VAGUE:
         flags.append(NOT_IDENTIFIABLE)
-        notes.append(_TELLS[kind])
+        notes.append(_NEEDS[kind])
     elif off[i] > CONFIDENT * chance and half > WELL_KNOWN:
         flags.append(DEPENDS)
         notes.append(_DEPENDS_NOTE)
     elif half > _VAGUE:
         flags.append(NOT_IDENTIFIABLE)
-        notes.append(_TELLS[kind])
+        notes.append(_NEEDS[kind])
     if kind == 'stiffness':
         weight = theta[i + MOST_BLOCKS]
         late = _slips_late(weight * theta[STATICS].mean() / value,
@@ -237,10 +237,10 @@ def _estimate(row, theta, error, off, reaches):
 def _slips_late(yielding, reach, travel):
     """Return what is to be said of a block that slips after presliding or never, '' if none."""
     if reach == 0.0:
-        return 'no presliding is in the data, which alone tells stiffnesses'
+        return 'no presliding is in the data, which alone identifies stiffnesses'
     if yielding > travel:
         return (f'slips only after {yielding:.3g} rad, farther than the joint ever moved '
-                f'({travel:.3g} rad): it never slipped, so that these data tell no break-away')
+                f'({travel:.3g} rad): it never slipped, so these data hold no break-away')
     if yielding > _BEYOND * reach:
         return (f'slips only after {yielding:.3g} rad, beyond the {reach:.3g} rad of presliding '
                 'in the data: a slow rise of friction after reversals, not a stiffness of '
@@ -270,13 +270,13 @@ def shown_displacements(estimates: Sequence[Estimate], static: float, step: floa
     """
     Return displacements [rad] from the first to the last yield of identifiable blocks.
 
-    Below the first, stiffer blocks would make the curve, of which the data tell nothing, and
+    Below the first, stiffer blocks would make the curve, of which the data say nothing, and
     below a ``step`` of the encoder [rad] nothing is seen; ``static`` is the mean F_s [N m]. Empty
     where no stiffness is identifiable, or all yield within a step.
     """
     blocks = [one for one in estimates if '.stiffness[' in one.name]
     yields = np.array([static / len(blocks) / max(one.value, 1e-300) for one in blocks])
-    told = ~np.array([bool({NOT_IDENTIFIABLE, DEPENDS} & set(one.flags)) for one in blocks])
-    if not told.any() or yields[told].max() < step:
+    known = ~np.array([bool({NOT_IDENTIFIABLE, DEPENDS} & set(one.flags)) for one in blocks])
+    if not known.any() or yields[known].max() < step:
         return np.zeros(0)
-    return np.geomspace(max(yields[told].min(), step), yields[told].max(), points)
+    return np.geomspace(max(yields[known].min(), step), yields[known].max(), points)

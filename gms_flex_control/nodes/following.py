@@ -190,7 +190,7 @@ class EncoderWatch:
     Look for frozen encoders, state by state.
 
     What is sent need not act: limits between here and the motor make it less, a robot that is
-    disabled or stopped makes it nothing. The efforts that the robot tells count where they are
+    disabled or stopped makes it nothing. The efforts that the robot reports count where they are
     smaller; their signs and units may be anybody's.
     """
 
@@ -238,7 +238,7 @@ class Follower:
     """
     The answer to each joint state: the law, its references and what stands against them.
 
-    It is told of by ``health`` (tell, warn); ``values`` are checked parameters.
+    ``health`` reports it (tell, warn); ``values`` are checked parameters.
     """
 
     def __init__(self, robot, gains, values, health):
@@ -316,7 +316,7 @@ class Follower:
             self.references.forget_motion()
             self._health.tell(WARN, self._obstacle)
             return self._zero
-        if jumped and not self._lockstep:  # the next state tells whether this clock goes on
+        if jumped and not self._lockstep:  # the next state shows whether this clock goes on
             return self._zero
         reference = self.references.at(stamp)
         if reference is None:

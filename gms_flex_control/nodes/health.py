@@ -22,7 +22,7 @@ _LOOKS_PER_REPORT = 10
 _WARN_PERIOD = 5.0   # of warnings of one kind [s]
 _SYSTEM = Clock()
 _COMMON = ('rosout', 'parameter_events')
-_ENDLESS = 2**62  # the graph tells a duration that was never set as about this or more [ns]
+_ENDLESS = 2**62  # the graph reports a duration that was never set as about this or more [ns]
 
 
 def now(node) -> Time:
@@ -169,7 +169,7 @@ def mismatches(node) -> Iterator:
     """
     Yield a sentence for every endpoint of others that does not fit one of ``node``.
 
-    It names topic, node and policy, from the graph: QoS events would tell sooner, but with the
+    It names topic, node and policy, from the graph: QoS events would be sooner, but with the
     EventsExecutor they can deadlock.
     """
     for own in node.subscriptions:

@@ -35,7 +35,7 @@ from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
 _BYTES_PER_SAMPLE = 1000  # state, command and reference with their frames, generously
-_RATE_SAMPLES = 20        # joint states that tell the rate
+_RATE_SAMPLES = 20        # joint states that give the rate
 _JUDGED = (0, 1)          # exit codes of gms_flex discrepancy: nothing, something is missing
 _GOODBYE = 1.0            # for a last call to be answered [s]
 _LATCHED = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=100,
@@ -216,7 +216,7 @@ class IdentificationNode(Node):
         return response
 
     def _release(self):
-        """Ask for zero torque at once; what waits for the robot is told by StoppedError."""
+        """Ask for zero torque at once; what waits for the robot gets a StoppedError."""
         self._stopped = True
         return self.trajectory.trigger('release')
 

@@ -153,7 +153,7 @@ class Following:
     def __init__(self, node, motion, prepare, kind=FollowJointTrajectory):
         self._node, self._motion, self._prepare, self._kind = node, motion, prepare, kind
         self._active = None      # (handle, Goal, end, Trajectory, Future of the result)
-        self._told = 0           # stamp of the last feedback
+        self._reported = 0       # stamp of the last feedback
         ActionServer(node, kind, '~/follow_joint_trajectory', self._execute,
                      cancel_callback=lambda _: CancelResponse.ACCEPT)
 
@@ -177,7 +177,7 @@ class Following:
         return self._kind.Result(error_code=code, error_string=sentence)
 
     def look(self, stamp) -> None:
-        """Judge the goal, if there is one, by the state of ``stamp`` [ns]; tell its client."""
+        """Judge the goal, if there is one, by the state of ``stamp`` [ns]; answer its client."""
         if self._active is None:
             return
         handle, goal, end, trajectory, _ = self._active
@@ -197,8 +197,8 @@ class Following:
             if verdict[0] == PATH_TOLERANCE_VIOLATED:
                 motion.brake()
             self._finish(handle.succeed if reached else handle.abort, *verdict)
-        elif not 0 <= stamp - self._told < _FEEDBACK_PERIOD:
-            self._told = stamp
+        elif not 0 <= stamp - self._reported < _FEEDBACK_PERIOD:
+            self._reported = stamp
             feedback = self._kind.Feedback(joint_names=list(motion.joints))
             set_stamp(feedback.header.stamp, stamp)
             for point, rows in ((feedback.desired, desired), (feedback.actual, actual),

@@ -37,7 +37,7 @@ _TYPES = {kind: getattr(ParameterType, f'PARAMETER_{kind.upper()}')
 
 
 def _descriptor(key, value):
-    """Return what ROS tells of a parameter that has a value."""
+    """Return what ROS says of a parameter that has a value."""
     choices = f"one of {', '.join(key.choices)}" if key.choices else ''
     unit = f' [{key.unit}]' if key.unit else ''
     descriptor = ParameterDescriptor(  # rqt_reconfigure shows the description alone

@@ -56,7 +56,7 @@ def subscriber_qos(mode, depth=10) -> QoSProfile:
     Return the quality of service we subscribe with.
 
     Best effort costs the loop no acknowledgements in real time; in lockstep every message is
-    waited for. Ten messages deep, so that a short stall loses none; stale ones are told by
+    waited for. Ten messages deep, so that a short stall loses none; stale ones show by
     their stamp. Who must see each of them asks for more.
     """
     reliability = (ReliabilityPolicy.RELIABLE if mode == 'lockstep'
@@ -98,7 +98,7 @@ class Spinner:
         return self._stopped
 
     def add(self, *nodes) -> None:
-        """Take the nodes whose callbacks are run; ``health`` of the first, if any, is told."""
+        """Take the nodes whose callbacks are run; ``health`` of the first, if any, is notified."""
         health = getattr(nodes[0], 'health', None)
         self._failed = health and health.failed
         self._executor = EventsExecutor()
@@ -246,7 +246,7 @@ def avoid_shared_memory() -> None:
     again, while any one process of the domain is frozen: too long for a torque to go on. On one
     host UDP is as fast for messages of this size.
 
-    For the range LOCALHOST rmw_fastrtps adds shared memory whatever Fast DDS is told; there the
+    For the range LOCALHOST rmw_fastrtps adds shared memory whatever Fast DDS is set to; there the
     same discovery is described in a profile instead. Other middleware, and profiles or transports
     that the environment names, stay as they are.
     """

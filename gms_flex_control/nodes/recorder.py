@@ -91,7 +91,7 @@ class Recorder:
     def _subscribe(self, name, types):
         publishers = self._node.get_publishers_info_by_topic(name)
         if not publishers:
-            return  # only subscribed to so far: nothing tells the quality of service
+            return  # only subscribed to so far: nothing shows the quality of service
         try:
             if len(types) > 1:
                 raise BagError(f'topic {name!r} has the types {" and ".join(types)}; '

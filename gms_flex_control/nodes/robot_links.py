@@ -109,7 +109,7 @@ class TopicLink:
                 publisher.publish(self._array[0].data())
 
     def beat(self) -> None:
-        """Tell the guardian that the bridge lives."""
+        """Signal to the guardian that the bridge lives."""
         if self._guardian is not None:
             self._guardian.beat()
 
@@ -268,7 +268,7 @@ class DeviceLink:
 
 class Guardian:
     """
-    The bridge's side: start the process, and tell it that the bridge lives.
+    The bridge's side: start the process, and signal to it that the bridge lives.
 
     ``name`` is that of its node; ``array`` and ``joint`` the topics of the efforts as
     Float64MultiArray and as JointState, '' for none; ``names`` those of the actuators.
@@ -292,9 +292,9 @@ class Guardian:
     @property
     def heard_by(self) -> int:
         """Return how many take its efforts."""
-        told = self._process.stdout.read()
-        if told:
-            self._heard_by = told[-1]
+        answer = self._process.stdout.read()
+        if answer:
+            self._heard_by = answer[-1]
         return self._heard_by
 
     def beat(self) -> None:
@@ -305,7 +305,7 @@ class Guardian:
         try:
             self._process.stdin.write(data)
         except OSError:
-            pass  # it is dead, which `ended` tells, or frozen with a full pipe
+            pass  # it is dead, which `ended` reports, or frozen with a full pipe
 
     def end(self) -> None:
         """Let it go without a word, the bridge having said the last one."""

@@ -17,7 +17,7 @@ usage: ros2 run gms_flex_control {name} --ros-args --params-file ROBOT.yaml [ARG
 
 The joints, and all else that this node needs to know, are parameters. Examples are in
 $(ros2 pkg prefix --share gms_flex_control)/config; every --params-file may add to those before,
--p NAME:=VALUE sets one. 'ros2 param describe' tells what a parameter means once the node runs,
+-p NAME:=VALUE sets one. 'ros2 param describe' says what a parameter means once the node runs,
 'ros2 launch gms_flex_control closed_loop.launch.py --show-args' how to start all nodes at once."""
 
 

@@ -24,7 +24,7 @@ _OVERSPEED = 1.25      # of the limit that steps are planned for
 
 class Watch:
     """
-    Follow the joint states of an IdentificationPlan's joints, and its limits once told to.
+    Follow the joint states of an IdentificationPlan's joints, and its limits once asked to.
 
     ``stamp`` [ns], ``samples`` (how many) and ``q_link`` (n_joints,) [rad], NaN before the first,
     are those of the last state; ``fault`` is the sentence about the first limit passed, or None.

@@ -58,10 +58,10 @@ class LiveView:
 
     def __init__(self, namespace='', controller=CONTROLLER):
         self._space, self._controller = namespace.rstrip('/'), controller
-        self._known = False      # whether the controller has told its robot
+        self._known = False      # whether the controller has sent its robot
         self._there = False      # whether it answers
         self._asked = -math.inf
-        self._feed, self._todo, self._told = Feed(), deque(), deque()
+        self._feed, self._todo, self._answers = Feed(), deque(), deque()
         self._stop = threading.Event()
         self._threads = [threading.Thread(target=run, name=run.__name__, daemon=True)
                          for run in (self._listen, self._ask)]
@@ -96,8 +96,8 @@ class LiveView:
         """Take messages in, and pass them on some at a time."""
         process.give_way()
         while not self._stop.wait(_PASS_PERIOD):
-            while self._told:
-                self._meet(self._told.popleft())
+            while self._answers:
+                self._meet(self._answers.popleft())
             self._listener.take_all()
             self._listener.pass_on(self._there)
 
@@ -111,7 +111,7 @@ class LiveView:
                 self._asked = now
                 was, self._there = self._there, self._remote.is_ready()
                 if self._there and not (was and self._known):  # it may have another robot now
-                    self._remote.ask_all(self._told.append)
+                    self._remote.ask_all(self._answers.append)
 
     def _spinning(self):
         """Yield between the answers of services until the end."""

@@ -12,7 +12,7 @@ from textwrap import fill
 
 from gms_flex_control import __version__
 from gms_flex_control.answer import align, Answer, command, measured
-from gms_flex_control.identification.output import is_told
+from gms_flex_control.identification.output import is_identified
 from gms_flex_control.identification.result import number, percent
 
 _WIDTH = 96
@@ -42,7 +42,8 @@ def bags_csv(found) -> str:
     names = list(dict.fromkeys(one['name'] for values in good for one in values['estimates']))
     lines = [['bag', 'reason', *verdicts, *(f'held_out.{joint}' for joint in joints), *names]]
     for bag, values in found.items():
-        known = {one['name']: one['value'] for one in values.get('estimates', ()) if is_told(one)}
+        known = {one['name']: one['value'] for one in values.get('estimates', ())
+                 if is_identified(one)}
         lines.append([bag, values['reason'], *map(values.get, verdicts),
                       *map(values.get('held_out', {}).get, joints), *map(known.get, names)])
     return _csv(lines)
@@ -122,7 +123,8 @@ def _findings(good):
 
 def _parameters(rows, good):
     beside = list(good)[:_COLUMNS] if 1 < len(good) <= _COLUMNS else []
-    known = {bag: {one['name']: one['value'] for one in good[bag]['estimates'] if is_told(one)}
+    known = {bag: {one['name']: one['value'] for one in good[bag]['estimates']
+                   if is_identified(one)}
              for bag in beside}
     lines = [[row.name.removeprefix('friction.'), row.unit, str(row.bags), number(row.mean),
               number(row.standard_deviation, 2), _share(row), number(row.foreseen, 2),

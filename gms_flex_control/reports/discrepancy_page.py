@@ -152,7 +152,7 @@ def _add_findings(report, result, evidence, picture, first):
         if finding.confusable_with:
             report.note(f'Indistinguishable in these data from '
                         f'{", ".join(finding.confusable_with)}. Discriminating experiment: '
-                        f'{finding.tells_apart}.', warning=True)
+                        f'{finding.discriminated_by}.', warning=True)
         stem = file_stem(f'{finding.effect}_{finding.joint}')
         picture(evidence_figure(shown), f'evidence_{i + 1}_{stem}.png')
         if shown is not first:

@@ -69,7 +69,7 @@ def _finding_values(finding, joints):
         'share': finding.share, 'torque': finding.torque,
         'evidence': finding.evidence, 'runner_up': finding.runner_up,
         'runner_up_score': finding.runner_up_score,
-        'confusable_with': finding.confusable_with, 'tells_apart': finding.tells_apart,
+        'confusable_with': finding.confusable_with, 'discriminated_by': finding.discriminated_by,
         'rms_before': _by_joint(joints, finding.rms_before),
         'rms_after': _by_joint(joints, finding.rms_after)}
 

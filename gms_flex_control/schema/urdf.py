@@ -96,8 +96,8 @@ def _dynamics(joint, robot, j):
 
 def _sizes(arm):
     """Return a drawn length for each link (n_joints,) [m]."""
-    told = np.where(arm.length > 0.0, arm.length, 2.0 * np.abs(arm.com))
-    return np.where(told > 0.0, told, told.max() if told.max() > 0.0 else 0.2)
+    known = np.where(arm.length > 0.0, arm.length, 2.0 * np.abs(arm.com))
+    return np.where(known > 0.0, known, known.max() if known.max() > 0.0 else 0.2)
 
 
 def _frame(robot, j, size):

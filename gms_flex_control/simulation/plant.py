@@ -93,8 +93,8 @@ def fill_signals(state, command, time, work) -> None:
         s[j, sig.Q_LINK], s[j, sig.DQ_LINK] = state.q_link[j], state.dq_link[j]
         s[j, sig.Q_MOTOR], s[j, sig.DQ_MOTOR] = state.q_motor[j], state.dq_motor[j]
         s[j, sig.TORQUE] = command[j]
-        s[j, sig.TWIST] = state.q_motor[j] - state.q_link[j]
-        s[j, sig.TWIST_RATE] = state.dq_motor[j] - state.dq_link[j]
+        s[j, sig.TORSION] = state.q_motor[j] - state.q_link[j]
+        s[j, sig.TORSION_RATE] = state.dq_motor[j] - state.dq_link[j]
         s[j, sig.LINK_TORQUE], s[j, sig.MOTOR_TORQUE] = 0.0, 0.0
 
 
@@ -106,8 +106,8 @@ def springs(state, dt, constants, work) -> None:
     for j in range(links.motor_inertia.shape[0]):
         s[j, sig.SPRING] = s[j, sig.TORQUE] - links.motor_inertia[j] * s[j, sig.DDQ_LINK]
         if links.flexible[j]:
-            s[j, sig.SPRING] = (links.stiffness[j] * s[j, sig.TWIST]
-                                + links.damping[j] * s[j, sig.TWIST_RATE])
+            s[j, sig.SPRING] = (links.stiffness[j] * s[j, sig.TORSION]
+                                + links.damping[j] * s[j, sig.TORSION_RATE])
     effect_table.run_stage(_SPRING, s, state.memory, dt, effects)
 
 

@@ -21,7 +21,7 @@ from gms_flex_control.records import FLAG, FLOAT
 from gms_flex_control.simulation import encoder
 import numpy as np
 
-_ACTUATOR, _TWIST, _SPRING, _FRICTION, _LINK, _MOTOR, _SENSOR = (int(stage) for stage in Stage)
+_ACTUATOR, _TORSION, _SPRING, _FRICTION, _LINK, _MOTOR, _SENSOR = (int(stage) for stage in Stage)
 
 
 @cache
@@ -53,8 +53,8 @@ def fill(x, q, v, q_motor, v_motor, command, time):
         s[j, sig.Q_LINK], s[j, sig.DQ_LINK] = q[j] - lean, v[j] - lean_rate
         s[j, sig.Q_MOTOR], s[j, sig.DQ_MOTOR] = q_motor[j] - lean, v_motor[j] - lean_rate
         s[j, sig.TORQUE], s[j, sig.SUPPLY] = command[j], x.supply[0]
-        s[j, sig.TWIST] = q_motor[j] - q[j]
-        s[j, sig.TWIST_RATE] = v_motor[j] - v[j]
+        s[j, sig.TORSION] = q_motor[j] - q[j]
+        s[j, sig.TORSION_RATE] = v_motor[j] - v[j]
         s[j, sig.LINK_TORQUE], s[j, sig.MOTOR_TORQUE] = 0.0, 0.0
 
 
@@ -66,9 +66,10 @@ def load(x, q, v, q_motor, v_motor, command, time, dt, memory, c, strange, drawn
     effect_table.run_stage(_ACTUATOR, s, memory, dt, effects)
     for j in range(n):
         s[j, sig.TORQUE] += x.noise[j]
-    effect_table.run_stage(_TWIST, s, memory, dt, effects)
+    effect_table.run_stage(_TORSION, s, memory, dt, effects)
     for j in range(n):
-        s[j, sig.SPRING] = c.stiffness[j] * s[j, sig.TWIST] + c.damping[j] * s[j, sig.TWIST_RATE]
+        s[j, sig.SPRING] = (c.stiffness[j] * s[j, sig.TORSION]
+                            + c.damping[j] * s[j, sig.TORSION_RATE])
     effect_table.run_stage(_SPRING, s, memory, dt, effects)
     for j in range(n):
         s[j, sig.FRICTION] = friction.friction_torque(j, s[j, sig.DQ_LINK], x.torque,

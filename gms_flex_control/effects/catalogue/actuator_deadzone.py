@@ -16,7 +16,7 @@ class ActuatorDeadzone(Term):
     stage = Stage.ACTUATOR
     evidence = 'torque'
     confusable = ('backlash',)
-    tells = 'fast motion with small torque beside slow motion with large torque'
+    discriminated_by = 'fast motion with small torque beside slow motion with large torque'
     needs_commands = True
     parameters = (Parameter('deadzone', 'N m', 'half width', lower=0.0,
                             typical=lambda s: 0.3 * s.friction),)

@@ -17,7 +17,7 @@ class ActuatorLag(Term):
     memory_size = 1
     evidence = 'time since reversal'
     confusable = ('input_delay', 'recording_delay')
-    tells = 'torque that changes faster, up to a tenth of the sample rate'
+    discriminated_by = 'torque that changes faster, up to a tenth of the sample rate'
     of_feedback = True
     needs_commands = True
     parameters = (Parameter('time_constant', 's', 'time constant', lower=0.0, typical=8e-3),)

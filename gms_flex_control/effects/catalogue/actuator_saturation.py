@@ -15,7 +15,7 @@ class ActuatorSaturation(Term):
     name = 'actuator_saturation'
     stage = Stage.ACTUATOR
     evidence = 'torque'
-    tells = 'faster motion, which asks for torque well beyond the limit'
+    discriminated_by = 'faster motion, which asks for torque well beyond the limit'
     needs_commands = True
     parameters = (Parameter('limit', 'N m', 'largest torque either way', lower=0.0),)
     guesses = staticmethod(lambda s: sizes(s.torque * np.linspace(0.2, 0.95, 16)))

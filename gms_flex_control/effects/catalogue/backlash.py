@@ -5,7 +5,7 @@
 
 from gms_flex_control.effects.base import Parameter, Stage, Term
 from gms_flex_control.effects.guess import sizes
-from gms_flex_control.effects.signals import TWIST, TWIST_RATE
+from gms_flex_control.effects.signals import TORSION, TORSION_RATE
 import numpy as np
 
 
@@ -13,18 +13,18 @@ class Backlash(Term):
     """The spring carries no torque within the gap: e -> dz(e, half_gap)."""
 
     name = 'backlash'
-    stage = Stage.TWIST
+    stage = Stage.TORSION
     evidence = 'torsion'
     confusable = ('actuator_deadzone',)
-    tells = 'slow reversals under load, and with the link free'
+    discriminated_by = 'slow reversals under load, and with the link free'
     parameters = (Parameter('half_gap', 'rad', 'half width of the play', lower=0.0,
-                            typical=lambda s: 0.2 * s.twist),)
+                            typical=lambda s: 0.2 * s.torsion),)
     guesses = staticmethod(
-        lambda s: [] if s.rigid else sizes(s.twist * np.geomspace(0.01, 0.6, 12)))
+        lambda s: [] if s.rigid else sizes(s.torsion * np.geomspace(0.01, 0.6, 12)))
 
     @staticmethod
     def apply(s, p, memory, dt):
-        e = s[TWIST]
-        s[TWIST] = e - min(max(e, -p[0]), p[0])
+        e = s[TORSION]
+        s[TORSION] = e - min(max(e, -p[0]), p[0])
         if -p[0] < e < p[0]:
-            s[TWIST_RATE] = 0.0
+            s[TORSION_RATE] = 0.0

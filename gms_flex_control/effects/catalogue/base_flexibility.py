@@ -22,7 +22,7 @@ class BaseFlexibility(Term):
     stage = Stage.SENSOR
     memory_size = 2
     evidence = 'link acceleration'
-    tells = 'short pulses of torque with the arm at rest'
+    discriminated_by = 'short pulses of torque with the arm at rest'
     needs_link_encoder = True
     acts_along_motion = False  # needs torques that only a simulation has
     parameters = (

@@ -16,7 +16,7 @@ class ConstantLinkTorque(Term):
     evidence = 'link rate'
     confusable = ('spring_offset', 'friction_asymmetry')
     declared_from = 0.3       # levels that differ by direction are nearly a constant torque
-    tells = 'motion both ways over the whole range, with rests between'
+    discriminated_by = 'motion both ways over the whole range, with rests between'
     fed_forward = True
     estimated_with_arm = True
     parameters = (Parameter('bias', 'N m', 'torque', typical=lambda s: 0.3 * s.friction),)

@@ -16,7 +16,7 @@ class CoulombError(Change):
     name = 'coulomb_error'
     evidence = 'link rate'
     confusable = ('friction_drift',)
-    tells = 'the same motion at the beginning and at the end of a long run'
+    discriminated_by = 'the same motion at the beginning and at the end of a long run'
     replaces = 'level'
     parameters = (Parameter('ratio', '1', 'relative error', lower=-0.95, relative=True,
                             typical=0.3),)

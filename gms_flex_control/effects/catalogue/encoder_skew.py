@@ -14,7 +14,7 @@ class EncoderSkew(Term):
     name = 'encoder_skew'
     stage = Stage.SENSOR
     evidence = 'motor rate'
-    tells = 'motion at constant speeds, slow and fast, both ways'
+    discriminated_by = 'motion at constant speeds, slow and fast, both ways'
     needs_link_encoder = True
     parameters = (Parameter('delay', 's', 'by which the motor side is older than the link side',
                             lower=-0.05, upper=0.05, typical=3e-3),)

@@ -15,7 +15,7 @@ class EndStop(Term):
     name = 'end_stop'
     stage = Stage.LINK
     evidence = 'link angle'
-    tells = 'slow motion into the stop and out of it'
+    discriminated_by = 'slow motion into the stop and out of it'
     parameters = (
         Parameter('angle', 'rad', 'where it begins'),
         Parameter('stiffness', 'N m/rad', 'stiffness of the stop', lower=0.0,

@@ -18,7 +18,7 @@ class FrictionAsymmetry(Term):
     stage = Stage.FRICTION
     evidence = 'link rate'
     confusable = ('constant_link_torque', 'viscous_asymmetry')
-    tells = 'motion both ways over the whole range, with rests between'
+    discriminated_by = 'motion both ways over the whole range, with rests between'
     replaces = 'asymmetry'
     parameters = (Parameter('ratio', '1', 'relative difference', typical=0.2,
                             searched=(LEAST_RELATIVE, -LEAST_RELATIVE)),)

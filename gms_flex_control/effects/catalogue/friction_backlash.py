@@ -24,7 +24,7 @@ class FrictionBacklash(Term):
     memory_size = 3           # angle before, whether there is one, z
     evidence = 'time since reversal'
     confusable = ('friction_hysteresis',)
-    tells = 'many reversals of several sizes, smaller and larger than the play'
+    discriminated_by = 'many reversals of several sizes, smaller and larger than the play'
     parameters = (
         Parameter('force', 'N m', 'torque once it slips', lower=0.0,
                   typical=lambda s: 0.3 * s.friction),

@@ -15,7 +15,7 @@ class FrictionDrift(Term):
     stage = Stage.FRICTION
     evidence = 'time'
     confusable = ('coulomb_error',)
-    tells = 'the same motion at the beginning and at the end of a long run'
+    discriminated_by = 'the same motion at the beginning and at the end of a long run'
     parameters = (
         Parameter('ratio', '1', 'relative change over the duration', relative=True, typical=0.3),
         Parameter('duration', 's', 'time in which the change happens', lower=0.0, fixed=True))

@@ -19,7 +19,7 @@ class FrictionHysteresis(Term):
     memory_size = 2 + _ELEMENTS  # angle before, whether there is one, torque over force of each
     evidence = 'time since reversal'
     confusable = ('friction_backlash', 'presliding_error')
-    tells = 'many reversals of several sizes, from small ones to beyond the reach'
+    discriminated_by = 'many reversals of several sizes, from small ones to beyond the reach'
     fed_forward = True
     parameters = (
         Parameter('force', 'N m', 'torque of all elements once they yield', lower=0.0,

@@ -24,7 +24,7 @@ class GravityTilt(Change):
     whole_arm = True
     needs_chain = True
     evidence = 'link angle'
-    tells = 'rests in many poses all around'
+    discriminated_by = 'rests in many poses all around'
     parameters = (
         Parameter('tilt', 'rad', 'angle between the plane, or the base, and the horizontal',
                   typical=0.015),

@@ -22,7 +22,7 @@ class InputDelay(Term):
     memory_size = 2 + 2 * _SLOTS  # time, newest slot, (since when, torque) of each slot
     evidence = 'time since reversal'
     confusable = ('actuator_lag', 'recording_delay')
-    tells = 'torque that changes faster, up to a tenth of the sample rate'
+    discriminated_by = 'torque that changes faster, up to a tenth of the sample rate'
     of_feedback = True
     needs_commands = True
     parameters = (Parameter('delay', 's', 'dead time', lower=0.0, upper=0.05, typical=8e-3),)

@@ -15,13 +15,13 @@ class LinkEncoderEccentricity(Term):
     name = 'link_encoder_eccentricity'
     stage = Stage.SENSOR
     evidence = 'link angle'
-    tells = 'whole revolutions without load'
+    discriminated_by = 'whole revolutions without load'
     needs_link_encoder = True
     parameters = (
         Parameter('amplitude', 'rad', 'amplitude of the error', lower=0.0,
-                  typical=lambda s: 0.1 * s.twist),
+                  typical=lambda s: 0.1 * s.torsion),
         Parameter('phase', 'rad', 'phase at q_link = 0'))
-    guesses = staticmethod(lambda s: [] if s.rigid else wave(0.02 * s.twist))
+    guesses = staticmethod(lambda s: [] if s.rigid else wave(0.02 * s.torsion))
 
     @staticmethod
     def apply(s, p, memory, dt):

@@ -16,7 +16,7 @@ class LinkInertiaError(Change):
     name = 'link_inertia_error'
     evidence = 'link acceleration'
     confusable = ('tip_payload',)
-    tells = 'the joint alone with the others bent and stretched'
+    discriminated_by = 'the joint alone with the others bent and stretched'
     replaces = 'inertia'
     parameters = (Parameter('ratio', '1', 'relative error', lower=-0.95, relative=True,
                             typical=0.3),)

@@ -19,7 +19,7 @@ class LoadFriction(Term):
     name = 'load_friction'
     stage = Stage.FRICTION
     evidence = 'torsion'
-    tells = 'the same motion under another load'
+    discriminated_by = 'the same motion under another load'
     fed_forward = True
     parameters = (
         Parameter('ratio', '1', 'relative growth at the load', lower=0.0, relative=True,

@@ -21,7 +21,7 @@ class LowSpeedFriction(Term):
     stage = Stage.FRICTION
     evidence = 'link rate'
     confusable = ('stribeck_error',)
-    tells = 'slow motion at many constant speeds'
+    discriminated_by = 'slow motion at many constant speeds'
     fed_forward = True
     parameters = (
         Parameter('ratio', '1', 'relative change as the speed nears zero', relative=True,

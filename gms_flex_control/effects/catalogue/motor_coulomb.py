@@ -14,7 +14,7 @@ class MotorCoulomb(Term):
     name = 'motor_coulomb'
     stage = Stage.MOTOR
     evidence = 'motor rate'
-    tells = 'slow motion of the motor with the link taken off'
+    discriminated_by = 'slow motion of the motor with the link taken off'
     parameters = (Parameter('coulomb', 'N m', 'level', lower=0.0,
                             typical=lambda s: 0.3 * s.friction),)
     guesses = staticmethod(lambda s: linear(0.1 * s.friction, positive=True))

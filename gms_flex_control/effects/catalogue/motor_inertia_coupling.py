@@ -21,7 +21,7 @@ class MotorInertiaCoupling(Term):
     name = 'motor_inertia_coupling'
     stage = Stage.LINK
     evidence = 'link acceleration'
-    tells = 'fast motion of this joint with the one before it held, and free'
+    discriminated_by = 'fast motion of this joint with the one before it held, and free'
     parameters = (Parameter('inertia', 'kg m^2',
                             'coupling inertia S, rotor inertia times gear ratio',
                             typical=lambda s: s.inertia),)

@@ -14,7 +14,7 @@ class MotorInertiaError(Change):
 
     name = 'motor_inertia_error'
     evidence = 'link acceleration'
-    tells = 'fast motion of the motor with the link held'
+    discriminated_by = 'fast motion of the motor with the link held'
     replaces = 'motor_inertia'
     parameters = (Parameter('ratio', '1', 'relative error', lower=-0.99, relative=True,
                             typical=0.3),)

@@ -14,7 +14,7 @@ class MotorTorqueBias(Term):
     name = 'motor_torque_bias'
     stage = Stage.MOTOR
     evidence = 'motor rate'
-    tells = 'a recording with another load, or with the link held'
+    discriminated_by = 'a recording with another load, or with the link held'
     fed_forward = True
     parameters = (Parameter('bias', 'N m', 'torque', typical=lambda s: 0.3 * s.friction),)
     guesses = staticmethod(lambda s: linear(0.1 * s.friction))

@@ -14,7 +14,7 @@ class MotorViscous(Term):
     name = 'motor_viscous'
     stage = Stage.MOTOR
     evidence = 'motor rate'
-    tells = 'fast motion of the motor with the link taken off'
+    discriminated_by = 'fast motion of the motor with the link taken off'
     fed_forward = True
     parameters = (Parameter('viscous', 'N m s/rad', 'viscous coefficient', lower=0.0,
                             typical=lambda s: 0.2 * s.friction / s.speed),)

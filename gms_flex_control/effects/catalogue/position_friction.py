@@ -17,7 +17,7 @@ class PositionFriction(Term):
     name = 'position_friction'
     stage = Stage.FRICTION
     evidence = 'link angle'
-    tells = 'slow motion both ways over the whole range'
+    discriminated_by = 'slow motion both ways over the whole range'
     fed_forward = True
     parameters = (
         Parameter('ratio', '1', 'relative variation', typical=0.2,

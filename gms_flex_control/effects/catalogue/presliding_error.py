@@ -22,7 +22,7 @@ class PreslidingError(Change):
     name = 'presliding_error'
     evidence = 'time since reversal'
     confusable = ('friction_hysteresis',)
-    tells = 'many small reversals, of a few mrad'
+    discriminated_by = 'many small reversals, of a few mrad'
     replaces = 'blocks'
     parameters = (
         Parameter('stiffness', '1', 'relative error of all block stiffnesses', lower=-0.95,

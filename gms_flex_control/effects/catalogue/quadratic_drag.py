@@ -15,7 +15,7 @@ class QuadraticDrag(Term):
     stage = Stage.LINK
     evidence = 'link rate'
     confusable = ('viscous_error',)
-    tells = 'faster motion, over a range of speeds of 1 to 5'
+    discriminated_by = 'faster motion, over a range of speeds of 1 to 5'
     fed_forward = True
     parameters = (Parameter('drag', 'N m s^2/rad^2', 'coefficient', lower=0.0,
                             typical=lambda s: 0.2 * s.friction / s.speed ** 2),)

@@ -55,7 +55,8 @@ class RecordingDelay(Term):
     whole_arm = True
     evidence = 'time since reversal'
     confusable = ('actuator_lag', 'input_delay')
-    tells = 'fast motion of each joint in turn: drives are late one by one, a recording at once'
+    discriminated_by = ('fast motion of each joint in turn: drives are late one by one, a '
+                        'recording at once')
     needs_link_encoder = True
     of_feedback = True
     of_recording = True

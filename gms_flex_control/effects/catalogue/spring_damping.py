@@ -5,7 +5,7 @@
 
 from gms_flex_control.effects.base import Parameter, Stage, Term
 from gms_flex_control.effects.guess import linear
-from gms_flex_control.effects.signals import SPRING, TWIST_RATE
+from gms_flex_control.effects.signals import SPRING, TORSION_RATE
 
 
 class SpringDamping(Term):
@@ -14,11 +14,11 @@ class SpringDamping(Term):
     name = 'spring_damping'
     stage = Stage.SPRING
     evidence = 'time since reversal'
-    tells = 'free swings of the link with the motor held'
-    parameters = (Parameter('damping', 'N m s/rad', 'damping of the twist', lower=0.0,
-                            typical=lambda s: 0.2 * (s.inertia * s.spring / s.twist) ** 0.5),)
+    discriminated_by = 'free swings of the link with the motor held'
+    parameters = (Parameter('damping', 'N m s/rad', 'damping of the torsion', lower=0.0,
+                            typical=lambda s: 0.2 * (s.inertia * s.spring / s.torsion) ** 0.5),)
     guesses = staticmethod(lambda s: [] if s.rigid else linear(0.003, positive=True))
 
     @staticmethod
     def apply(s, p, memory, dt):
-        s[SPRING] += p[0] * s[TWIST_RATE]
+        s[SPRING] += p[0] * s[TORSION_RATE]

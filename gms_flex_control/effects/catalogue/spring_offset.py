@@ -5,22 +5,22 @@
 
 from gms_flex_control.effects.base import Parameter, Stage, Term
 from gms_flex_control.effects.guess import linear
-from gms_flex_control.effects.signals import TWIST
+from gms_flex_control.effects.signals import TORSION
 
 
 class SpringOffset(Term):
     """e -> e + offset."""
 
     name = 'spring_offset'
-    stage = Stage.TWIST
+    stage = Stage.TORSION
     evidence = 'torsion'
     confusable = ('constant_link_torque',)
-    tells = 'a recording with another load, or with the link held'
+    discriminated_by = 'a recording with another load, or with the link held'
     needs_link_encoder = True
-    parameters = (Parameter('offset', 'rad', 'twist of the unloaded spring, negative',
-                            typical=lambda s: 0.2 * s.twist),)
-    guesses = staticmethod(lambda s: [] if s.rigid else linear(0.05 * s.twist))
+    parameters = (Parameter('offset', 'rad', 'torsion of the unloaded spring, negative',
+                            typical=lambda s: 0.2 * s.torsion),)
+    guesses = staticmethod(lambda s: [] if s.rigid else linear(0.05 * s.torsion))
 
     @staticmethod
     def apply(s, p, memory, dt):
-        s[TWIST] += p[0]
+        s[TORSION] += p[0]

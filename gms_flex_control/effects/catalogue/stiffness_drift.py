@@ -15,7 +15,7 @@ class StiffnessDrift(Term):
     stage = Stage.SPRING
     evidence = 'time'
     confusable = ('stiffness_error',)
-    tells = 'a longer recording, or one before and one after warming up'
+    discriminated_by = 'a longer recording, or one before and one after warming up'
     parameters = (
         Parameter('ratio', '1', 'relative change over the duration', relative=True, typical=0.2),
         Parameter('duration', 's', 'time in which the change happens', lower=0.0, fixed=True))

@@ -15,7 +15,7 @@ class StiffnessError(Change):
     name = 'stiffness_error'
     evidence = 'torsion'
     confusable = ('stiffness_drift',)
-    tells = 'a longer recording, or one before and one after warming up'
+    discriminated_by = 'a longer recording, or one before and one after warming up'
     replaces = 'stiffness'
     parameters = (Parameter('ratio', '1', 'relative error', lower=-0.99, relative=True,
                             typical=0.2),)

@@ -16,7 +16,7 @@ class StribeckError(Change):
     name = 'stribeck_error'
     evidence = 'link rate'
     confusable = ('low_speed_friction',)
-    tells = 'slow motion at many constant speeds'
+    discriminated_by = 'slow motion at many constant speeds'
     replaces = 'static'
     parameters = (Parameter('ratio', '1', 'further friction at rest over the Coulomb level',
                             lower=-0.95, relative=True, typical=0.3),)

@@ -14,7 +14,7 @@ class SupplySag(Term):
     name = 'supply_sag'
     stage = Stage.ACTUATOR
     evidence = 'torque'
-    tells = 'the same motion at two voltages of the supply'
+    discriminated_by = 'the same motion at two voltages of the supply'
     needs_supply = True
     parameters = (
         Parameter('ratio', '1/V', 'relative fall of the torque constant per volt less', lower=0.0,

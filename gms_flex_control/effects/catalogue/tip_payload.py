@@ -22,7 +22,7 @@ class TipPayload(Change):
     needs_chain = True
     evidence = 'link acceleration'
     confusable = ('link_inertia_error',)
-    tells = 'the same motion with the last link bent and stretched'
+    discriminated_by = 'the same motion with the last link bent and stretched'
     parameters = (Parameter('mass', 'kg', 'mass of the payload', lower=0.0,
                             typical=lambda s: 0.1 * s.mass),)
     guesses = staticmethod(lambda s: linear(0.05, positive=True))

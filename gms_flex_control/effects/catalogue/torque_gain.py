@@ -14,7 +14,7 @@ class TorqueGain(Term):
     name = 'torque_gain'
     stage = Stage.ACTUATOR
     evidence = 'torque'
-    tells = 'a known weight hung on the link'
+    discriminated_by = 'a known weight hung on the link'
     # no drive gives more than twice its torque
     parameters = (Parameter('gain_error', '1', 'relative error', searched=(LEAST_RELATIVE, 1.0),
                             typical=0.2),)

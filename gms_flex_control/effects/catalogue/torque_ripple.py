@@ -18,7 +18,7 @@ class TorqueRipple(Term):
     stage = Stage.MOTOR
     evidence = 'motor angle'
     confusable = ('kinematic_error',)
-    tells = 'the same path under another load'
+    discriminated_by = 'the same motion under another load'
     fed_forward = True
     parameters = (
         Parameter('amplitude', 'N m', 'amplitude', lower=0.0, typical=lambda s: 0.1 * s.friction),

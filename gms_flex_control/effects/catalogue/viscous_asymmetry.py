@@ -18,7 +18,7 @@ class ViscousAsymmetry(Term):
     stage = Stage.FRICTION
     evidence = 'link rate'
     confusable = ('friction_asymmetry',)
-    tells = 'motion both ways over a range of speeds of 1 to 5'
+    discriminated_by = 'motion both ways over a range of speeds of 1 to 5'
     replaces = 'viscous_asymmetry'
     parameters = (Parameter('slope', 'N m s/rad',
                             'viscous friction added forward, taken off backward',

@@ -18,7 +18,7 @@ class ViscousError(Term):
     stage = Stage.FRICTION
     evidence = 'link rate'
     confusable = ('quadratic_drag',)
-    tells = 'faster motion, over a range of speeds of 1 to 5'
+    discriminated_by = 'faster motion, over a range of speeds of 1 to 5'
     replaces = 'viscous'
     least_is_value = True     # no viscous friction at all
     parameters = (Parameter('slope', 'N m s/rad', 'further viscous friction',

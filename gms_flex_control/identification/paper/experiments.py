@@ -4,7 +4,7 @@
 """
 What each experiment of the paper's section 4 uses of the data.
 
-What a joint does at each sample is told from motion and torque where nobody wrote it down.
+What a joint does at each sample follows from motion and torque where nobody wrote it down.
 """
 
 from collections.abc import Sequence
@@ -56,7 +56,7 @@ class _Motion(NamedTuple):
     change: np.ndarray    # of the velocity between the halves of a window [rad/s]
     friction: np.ndarray  # friction torque [N m]
     loading: np.ndarray   # change of the friction torque over a window [N m]
-    slowest: float        # speed that a window can tell from rest [rad/s]
+    slowest: float        # speed that a window can distinguish from rest [rad/s]
     doubt: float          # of a velocity of half a window [rad/s]
 
 
@@ -68,7 +68,7 @@ class Piece(NamedTuple):
     friction: np.ndarray  # (T,) [N m]
     period: float         # [s]
     window: int           # samples of `smooth`
-    first: int            # sample from which it counts; those before tell the blocks' load
+    first: int            # sample from which it counts; those before give the blocks' load
 
     def smooth(self, values):
         """Return ``values`` (T,), their rate and its rate, smoothed alike."""

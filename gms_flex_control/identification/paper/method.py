@@ -117,7 +117,7 @@ def fit_paper(segments, arm: ArmParams, joint: int, period: float, half: float) 
     """
     Identify the friction of one joint as section 4 of the paper does.
 
-    95 % intervals of the least-squares steps; none for the block stiffnesses. Phases are told
+    95 % intervals of the least-squares steps; none for the block stiffnesses. Phases follow
     from motion and torque where a segment names none; ``half`` is half an encoder count [rad].
     Raises IdentificationError if one of the three experiments is missing from the data.
     """
