@@ -113,7 +113,7 @@ def friction_values(identification: Identification) -> dict:
 
 # kinds of known parameters by the parameters of friction that determine them
 _KNOWN_BY = {'level': 'coulomb', 'viscous': 'viscous', 'static': 'static',
-            'velocity': 'velocity', 'attraction': 'attraction', 'blocks': 'stiffness['}
+             'velocity': 'velocity', 'attraction': 'attraction', 'blocks': 'stiffness['}
 
 
 def uncertainty_values(identification: Identification) -> dict:
