@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 from gms_flex_control.analysis.tracking import link_rms, Run, table4, tracking_of_copies
 from gms_flex_control.answer import align, Answer, command, measured
+from gms_flex_control.cli.other_verbs import ALLOWED, BELIEVED_FRICTION, DEMO_MOTIONS
 from gms_flex_control.cli.robots import trajectory_file
 from gms_flex_control.cli.terminal import conclude, import_ros, prepare, refuse_foreign, say
-from gms_flex_control.cli.verbs import ALLOWED, BELIEVED_FRICTION, DEMO_MOTIONS
 from gms_flex_control.control.controller import SteppedController
 from gms_flex_control.data import reader
 from gms_flex_control.demonstration import hide_effect

@@ -45,12 +45,12 @@ class _Angle:
         self.angle = self.sentence = None
         self.wait()
 
-    def wait(self):
+    def wait(self) -> None:
         """Ask for witnesses from now on; a finding stays."""
         self.still = self.turned = self.pushed = 0.0
         self.torque = self.before = None
 
-    def look(self, angle, rate, torque, dt):
+    def look(self, angle, rate, torque, dt) -> None:
         """Take the next sample; see `FrozenEncoders.look`."""
         if angle != self.angle:
             self.angle, self.sentence = angle, None

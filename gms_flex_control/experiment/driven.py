@@ -3,6 +3,7 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Experiments over DDS: node processes in lockstep, started, watched and ended."""
 
+from collections.abc import Generator
 from contextlib import contextmanager, ExitStack
 from dataclasses import dataclass
 import os
@@ -210,7 +211,7 @@ def drive(plan: DrivenPlan, bag: Path, *, log: Path) -> None:
 
 
 @contextmanager
-def stepped_loop(files, model: Path, plant: Path, rate: float, *, log: Path):
+def stepped_loop(files, model: Path, plant: Path, rate: float, *, log: Path) -> Generator:
     """
     Run plant, controller and trajectory node in lockstep for the ``with`` block.
 

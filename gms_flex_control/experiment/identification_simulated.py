@@ -63,11 +63,11 @@ class _Experiment:
         self._q_link = self._state[0].copy()
         self._runs, self._references, self.phases = [], [], []
 
-    def phase(self, name, joint, step, value):
+    def phase(self, name, joint, step, value) -> None:
         """Note that a phase begins with the next sample."""
         self.phases.append(Phase(self._loop.samples * self._period_ns, name, joint, step, value))
 
-    def do(self, step):
+    def do(self, step) -> None:
         """Carry out one step."""
         step = self._adaptation.applied_to(step)
         self.phase(step.phase, step.joint, step.name, step.value)
@@ -122,7 +122,7 @@ class _Experiment:
         self._runs.append(run)
         self._references.append(np.full_like(reference, np.nan) if is_effort else reference)
 
-    def recording(self, torque_noise, rng):
+    def recording(self, torque_noise, rng) -> Recording:
         """Return all samples as a Recording."""
         measured, command, applied = (np.concatenate([getattr(run, name) for run in self._runs])
                                       for name in ('measured', 'command', 'applied'))

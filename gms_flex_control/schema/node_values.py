@@ -99,18 +99,18 @@ class _Motion:
     def __getitem__(self, name):
         return self._values[f'trajectory.{name}']
 
-    def each(self, name):
+    def each(self, name) -> list:
         """Return one parameter of every joint (list)."""
         return [self._values[f'trajectory.{joint}.{name}'] for joint in self._joints]
 
-    def torques(self):
+    def torques(self) -> list:
         """Return the amplitudes of a torque ramp; one at least is not zero."""
         torques = self.each('torque')
         if not any(torques):
             raise TrajectoryError('give trajectory.<joint>.torque [N m] of a joint at least')
         return torques
 
-    def rows(self, name):
+    def rows(self, name) -> list:
         """Return a list per joint as one of all joints per entry; as many of every joint."""
         columns = self.each(name)
         if len({len(column) for column in columns}) != 1 or not columns[0]:
@@ -118,11 +118,11 @@ class _Motion:
                                   f'{[len(column) for column in columns]}')
         return [list(row) for row in zip(*columns, strict=True)]
 
-    def moved(self, trajectory):
+    def moved(self, trajectory) -> Trajectory:
         """Return a motion from zero as one from where it is to begin."""
         return trajectory.displaced(self.each('offset'))
 
-    def held(self, trajectory):
+    def held(self, trajectory) -> Trajectory:
         """Return a torque with what holds the arm against gravity."""
         return trajectory.displaced(self.each('bias'))
 

@@ -24,7 +24,7 @@ _WITH_MOTORS = """Link and motor of a flexible joint are joints of their own, as
 _WITHOUT_MOTORS = 'Motors and springs are left out; a joint stands for its link side.'
 
 
-def robot_urdf(robot, *, name='arm', motors=True, limits=None, plugin=''):
+def robot_urdf(robot, *, name='arm', motors=True, limits=None, plugin='') -> str:
     """
     Return a robot as URDF text.
 

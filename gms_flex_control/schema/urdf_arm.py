@@ -139,7 +139,7 @@ class _Tree:
                     'not supported; leave one of them out')
             self._above[joint.child] = joint
 
-    def chain(self, names, base, tip, source):
+    def chain(self, names, base, tip, source) -> 'Links':
         """Return the Links of the chain of joints ``names``; see `read_links`."""
         path = self._path(self._end(names, tip), base)
         self._require(names, path, tip)
