@@ -9,7 +9,9 @@ import xml.etree.ElementTree as ElementTree
 
 from gms_flex_control import load_robot, Recording
 from gms_flex_control.dynamics.chain import mass_matrices
+from gms_flex_control.identification.inertial_parameters import base_of, inertial_parameters
 from gms_flex_control.params.arm import ArmParams, Body
+from gms_flex_control.schema.urdf_arm import read_links
 import numpy as np
 
 ARM = Path(__file__).parents[1] / 'examples' / 'industrial_arm' / 'robot.yaml'
@@ -58,6 +60,21 @@ def loaded(urdf, load: Body | None):
     ElementTree.SubElement(joint, 'parent', link=TOOL)
     ElementTree.SubElement(joint, 'child', link='load')
     return ElementTree.tostring(root, encoding='unicode')
+
+
+def hidden_arm(folder, like):
+    """Write the hidden URDF to a folder; return its text and the arm of a robot made of it."""
+    path = folder / 'arm.urdf'
+    path.write_text(hidden_urdf())
+    links = read_links(path, like.joints)
+    return path.read_text(), replace(
+        like.arm, mass=links.mass, com=links.com, inertia=links.inertia,
+        motor_inertia=1.2 * like.arm.motor_inertia)
+
+
+def base_values(arm):
+    """Return the base parameters of an arm, joints rigid."""
+    return base_of(arm)[1] @ np.concatenate([inertial_parameters(arm), arm.motor_inertia])
 
 
 def moved(urdf, arm: ArmParams, seconds, seed=0, noise=0.002, load=None, per_load=0.0, warm=1.0):

@@ -3,10 +3,10 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Real node processes on a ROS domain of their own, and a node in the test that talks to them."""
 
-import os
 from pathlib import Path
 import signal
 
+from processes import environment_of
 import pytest
 
 rclpy = pytest.importorskip('rclpy')
@@ -51,8 +51,7 @@ class Lab(bench.Bench):
 
     def __enter__(self):
         super().__enter__()
-        paths = [str(Path(__file__).parents[1]), *filter(None, [os.environ.get('PYTHONPATH')])]
-        self.environment['PYTHONPATH'] = os.pathsep.join(paths)
+        self.environment['PYTHONPATH'] = environment_of()['PYTHONPATH']
         return self
 
     def set_parameters(self, node, *, together=False, **parameters):

@@ -3,7 +3,6 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """A live recorder process: killed, interrupted, refused."""
 
-import os
 from pathlib import Path
 import queue
 import signal
@@ -16,6 +15,7 @@ import time
 from gms_flex_control.data import cdr
 from gms_flex_control.data.bag import Bag
 from gms_flex_control.data.inspection import repair_bag, summarise
+from processes import environment_of
 import pytest
 
 # other processes of the machine can delay real nodes beyond any bound
@@ -42,11 +42,9 @@ RECORD = """if True:
 @pytest.fixture(scope='module')
 def environment():
     take_domain = pytest.importorskip('bench.faults.node_bench').take_domain
-    paths = [str(HERE.parent), *filter(None, [os.environ.get('PYTHONPATH')])]
     domain, lock = take_domain()
     with lock:
-        yield dict(os.environ, PYTHONPATH=os.pathsep.join(paths), ROS_DOMAIN_ID=str(domain),
-                   ROS_AUTOMATIC_DISCOVERY_RANGE='LOCALHOST')
+        yield environment_of(ROS_DOMAIN_ID=str(domain), ROS_AUTOMATIC_DISCOVERY_RANGE='LOCALHOST')
 
 
 @pytest.fixture(params=['reliable', 'best_effort'], scope='module')

@@ -25,6 +25,7 @@ from gms_flex_control.effects import registry
 from gms_flex_control.errors import own_warnings
 import numba
 import numpy as np
+from processes import environment_of, TOOL
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -62,16 +63,10 @@ def sub_parser(verb):
     return tool_of(verb)[0].build_parser().verbs[verb]
 
 
-def environment_of(**further):
-    """Return the environment of a process that finds the package."""
-    path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get('PYTHONPATH')])])
-    return {**os.environ, 'PYTHONPATH': path, **further}
-
-
 def tool_in(environment=None, arguments=(), **options):
     """Run the tool as a process of its own."""
-    return subprocess.run([sys.executable, '-m', 'gms_flex_control.cli.main', *arguments],
-                          env=environment_of(**(environment or {})), check=False, **options)
+    return subprocess.run([*TOOL, *arguments], env=environment_of(**(environment or {})),
+                          check=False, **options)
 
 
 def test_the_bench_of_next_takes_its_examples_and_refuses_seeds_that_are_none(capsys):

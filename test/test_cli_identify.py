@@ -53,35 +53,19 @@ def healthy(tmp_path_factory):
     return bag_of(folder, recording, robot), saved(folder, robot)
 
 
-def test_a_bag_that_is_not_there(tmp_path, capsys, healthy):
-    assert_refused(tmp_path, capsys, str(tmp_path / 'none'), tmp_path / 'none', '--robot',
-                   healthy[1])
-
-
-def test_a_robot_file_that_is_not_there(tmp_path, capsys, healthy):
-    assert_refused(tmp_path, capsys, 'none.yaml: cannot be read', healthy[0], '--robot',
-                   tmp_path / 'none.yaml')
-
-
 def test_a_robot_without_the_joints_of_the_bag(tmp_path, capsys, healthy):
     robot = replace(axis(), joints=('elbow',), motors=('elbow_motor',))
     assert_refused(tmp_path, capsys, 'elbow', healthy[0], '--robot', saved(tmp_path, robot))
 
 
-@pytest.mark.parametrize('number', [0, 99])
-def test_a_number_of_blocks_out_of_range(tmp_path, capsys, healthy, number):
-    assert_refused(tmp_path, capsys, f'--blocks {number}: give numbers from 1 to 8', healthy[0],
-                   '--robot', healthy[1], '--blocks', 4, number)
-
-
-def test_a_joint_the_robot_does_not_have(tmp_path, capsys, healthy):
-    assert_refused(tmp_path, capsys, '--joints joint9: the robot has joint1, joint2', healthy[0],
-                   '--robot', healthy[1], '--joints', 'joint9')
-
-
-def test_one_link_of_a_planar_arm(tmp_path, capsys, healthy):
-    assert_refused(tmp_path, capsys, 'act on each other', healthy[0], '--robot', healthy[1],
-                   '--joints', 'joint2')
+@pytest.mark.parametrize(('further', 'words'), [
+    (('--robot', 'none.yaml'), 'none.yaml: cannot be read'),
+    (('--blocks', 4, 0), '--blocks 0: give numbers from 1 to 8'),
+    (('--blocks', 4, 99), '--blocks 99: give numbers from 1 to 8'),
+    (('--joints', 'joint9'), '--joints joint9: the robot has joint1, joint2'),
+    (('--joints', 'joint2'), 'act on each other')])
+def test_options_that_do_not_fit_the_robot(tmp_path, capsys, healthy, further, words):
+    assert_refused(tmp_path, capsys, words, healthy[0], '--robot', healthy[1], *further)
 
 
 def test_results_are_not_written_over_a_file(tmp_path, capsys, healthy):

@@ -4,40 +4,23 @@
 """The demo, shortened: three node processes, a recorder, bags, Table 4 and the report."""
 
 import json
-import os
-from pathlib import Path
-import subprocess
-import sys
 
 from gms_flex_control.cli.main import main
 from gms_flex_control.data.inspection import summarise
 from gms_flex_control.data.reader import read_recording
 import numpy as np
+from processes import run_with_nodes
 import pytest
 
 MODES = ('none', 'gms')
 
 
-def demo(*options, domain):
-    """Return the finished process of ``gms_flex demo`` with these options."""
-    paths = [str(Path(__file__).parents[1]), *filter(None, [os.environ.get('PYTHONPATH')])]
-    return subprocess.run(
-        [sys.executable, '-m', 'gms_flex_control.cli.main', 'demo', *options], text=True,
-        capture_output=True, timeout=200, check=False,
-        env=dict(os.environ, PYTHONPATH=os.pathsep.join(paths), ROS_DOMAIN_ID=str(domain)))
-
-
 @pytest.fixture(scope='module')
 def outcome(tmp_path_factory):
     """Run two compensations for 3 s each; return the folder and what was printed."""
-    harness = pytest.importorskip('node_harness')
-    domain, lock = harness.take_domain()
     out = tmp_path_factory.mktemp('demo') / 'output'
-    process = demo('--out', str(out), '--motions', 'sinusoid', '--modes', *MODES,
-                   '--duration', '3', domain=domain)
-    lock.close()
-    assert process.returncode == 0, process.stdout + process.stderr
-    return out, process
+    return out, run_with_nodes('demo', '--out', out, '--motions', 'sinusoid', '--modes', *MODES,
+                               '--duration', 3)
 
 
 def test_both_tables_are_printed_and_progress_on_a_terminal_only(outcome):

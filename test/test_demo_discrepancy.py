@@ -4,10 +4,6 @@
 """The discrepancy demo, shortened: nine node processes, three bags, one effect found."""
 
 import json
-import os
-from pathlib import Path
-import subprocess
-import sys
 
 from gms_flex_control.data.reader import read_recording
 from gms_flex_control.demonstration import draw_effect, drawable, hide_effect
@@ -18,6 +14,7 @@ from gms_flex_control.experiment.simulated import read_plan, simulate
 from gms_flex_control.resources import controller_file
 from gms_flex_control.schema.files import load_robot
 import numpy as np
+from processes import run_with_nodes
 import pytest
 
 SEED, DURATION = 0, 20.0
@@ -26,18 +23,9 @@ SEED, DURATION = 0, 20.0
 @pytest.fixture(scope='module')
 def outcome(tmp_path_factory):
     """Run the demo on 20 s; return its folder and what it printed."""
-    harness = pytest.importorskip('node_harness')
-    domain, lock = harness.take_domain()
     folder = tmp_path_factory.mktemp('demo_discrepancy') / 'output'
-    paths = [str(Path(__file__).parents[1]), *filter(None, [os.environ.get('PYTHONPATH')])]
-    done = subprocess.run(
-        [sys.executable, '-m', 'gms_flex_control.cli.main', 'demo-discrepancy', '--out', folder,
-         '--seed', str(SEED), '--duration', str(DURATION)],
-        text=True, capture_output=True, timeout=500, check=False,
-        env=dict(os.environ, PYTHONPATH=os.pathsep.join(paths), ROS_DOMAIN_ID=str(domain)))
-    lock.close()
-    assert done.returncode == 0, done.stdout + done.stderr
-    return folder, done.stdout
+    return folder, run_with_nodes('demo-discrepancy', '--out', folder, '--seed', SEED,
+                                  '--duration', DURATION).stdout
 
 
 @pytest.fixture(scope='module')

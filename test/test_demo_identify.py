@@ -5,16 +5,15 @@
 
 import contextlib
 import os
-from pathlib import Path
 import pty
 import subprocess
-import sys
 
 from gms_flex_control.cli import demos
 from gms_flex_control.cli.main import main
 from gms_flex_control.data import reader
 from gms_flex_control.errors import IdentificationError
 import numpy as np
+from processes import environment_of, TOOL
 import pytest
 
 PLAN = """/**:
@@ -37,13 +36,11 @@ def outcome(tmp_path_factory):
     domain, lock = harness.take_domain()
     folder = tmp_path_factory.mktemp('demo_identify')
     (folder / 'plan.yaml').write_text(PLAN)
-    paths = [str(Path(__file__).parents[1]), *filter(None, [os.environ.get('PYTHONPATH')])]
     terminal, end = pty.openpty()
     process = subprocess.Popen(
-        [sys.executable, '-m', 'gms_flex_control.cli.main', 'demo-identify', '--out',
-         str(folder / 'output'), '--plan', str(folder / 'plan.yaml')],
-        text=True, stdout=subprocess.PIPE, stderr=end,
-        env=dict(os.environ, PYTHONPATH=os.pathsep.join(paths), ROS_DOMAIN_ID=str(domain)))
+        [*TOOL, 'demo-identify', '--out', str(folder / 'output'), '--plan',
+         str(folder / 'plan.yaml')], text=True, stdout=subprocess.PIPE, stderr=end,
+        env=environment_of(ROS_DOMAIN_ID=str(domain)))
     os.close(end)
     shown = shown_on(terminal)
     printed = process.communicate(timeout=200)[0]

@@ -4,15 +4,13 @@
 """The demo of `next`: real nodes follow designed motions until one name is left."""
 
 import json
-import os
 from pathlib import Path
-import subprocess
-import sys
 
 from gms_flex_control.cli.main import main
 from gms_flex_control.data.reader import read_recording
 from gms_flex_control.schema.files import load_limits, load_robot, read_values
 import numpy as np
+from processes import run_with_nodes
 import pytest
 
 ROOT = Path(__file__).parents[1]
@@ -22,16 +20,8 @@ BUDGET = 30.0
 @pytest.fixture(scope='module')
 def outcome(tmp_path_factory):
     """Run the demo; return its folder."""
-    harness = pytest.importorskip('node_harness')
-    domain, lock = harness.take_domain()
     folder = tmp_path_factory.mktemp('demo_next') / 'output'
-    paths = [str(ROOT), *filter(None, [os.environ.get('PYTHONPATH')])]
-    done = subprocess.run(
-        [sys.executable, '-m', 'gms_flex_control.cli.main', 'demo-next', '--out', folder,
-         '--budget', str(BUDGET)], text=True, capture_output=True, timeout=600, check=False,
-        env=dict(os.environ, PYTHONPATH=os.pathsep.join(paths), ROS_DOMAIN_ID=str(domain)))
-    lock.close()
-    assert done.returncode == 0, done.stdout + done.stderr
+    run_with_nodes('demo-next', '--out', folder, '--budget', BUDGET)
     return folder
 
 

@@ -22,6 +22,14 @@ def flat(record):
     return numbers
 
 
+def assert_written_as_fitted(robot, nuisances, x):
+    """Raise unless a robot that is written has the inertia and moments that were fitted."""
+    asked = flat(tuned(plant.constants_of(robot), nuisances, x))
+    made = flat(plant.constants_of(with_nuisances(robot, nuisances, x)))
+    for field in ('chain.coupling', 'chain.moment'):
+        np.testing.assert_allclose(made[field], asked[field], rtol=1e-9, atol=1e-15)
+
+
 @pytest.mark.parametrize('arm', [{}, {'damping': [0.01, 0.02]}, {'gravity': [0.0, -9.0]},
                                  {'kind': 'decoupled', 'gravity': [0.0, -9.0]},
                                  {'kind': 'decoupled', 'stiffness': [np.inf, 5.0]},
@@ -64,14 +72,10 @@ def test_nuisances_scale_what_a_link_carries_with_what_effects_add(ideal_robot, 
     arm = replace(ideal_robot.arm, kind=kind, mass=mass, gravity=[0.0, -9.0])
     robot = replace(ideal_robot, arm=arm, effects=(
         EffectSpec(name=name, joint=joint, values=values),))
-    base = plant.constants_of(robot)
-    nuisances = nuisances_of(base, PRIOR)
+    nuisances = nuisances_of(plant.constants_of(robot), PRIOR)
     for seed in range(5):
         x = np.random.default_rng(seed).uniform(-0.04, 0.04, len(nuisances))
-        asked, made = flat(tuned(base, nuisances, x)), flat(
-            plant.constants_of(with_nuisances(robot, nuisances, x)))
-        for field in ('chain.coupling', 'chain.moment'):
-            np.testing.assert_allclose(made[field], asked[field], rtol=1e-9, atol=1e-15)
+        assert_written_as_fitted(robot, nuisances, x)
 
 
 @pytest.mark.parametrize('tilt', [0.0, 0.1])
@@ -80,11 +84,7 @@ def test_a_point_mass_and_a_known_tilt_are_written_as_they_are_fitted(ideal_robo
     known = (EffectSpec(name='gravity_tilt', joint='arm', values=(tilt, -1.5)),) if tilt else ()
     robot = replace(ideal_robot, effects=known, arm=replace(
         ideal_robot.arm, inertia=[0.0, 0.0], gravity=[0.0, -9.0 * (not tilt)]))
-    base = plant.constants_of(robot)
-    nuisances = nuisances_of(base, PRIOR)
+    nuisances = nuisances_of(plant.constants_of(robot), PRIOR)
     x = np.array([{'gravity': 0.03, 'inertia': -0.02}.get(nuisance.name, 0.0)
                   for nuisance in nuisances])
-    asked, made = flat(tuned(base, nuisances, x)), flat(
-        plant.constants_of(with_nuisances(robot, nuisances, x)))
-    for field in ('chain.coupling', 'chain.moment'):
-        np.testing.assert_allclose(made[field], asked[field], rtol=1e-9, atol=1e-15)
+    assert_written_as_fitted(robot, nuisances, x)

@@ -50,18 +50,24 @@ def test_the_link_is_where_its_encoder_saw_it(plant_name):
     assert np.all(motors > 4.0 * strayed(case, computed.q_link))  # it is not just the motor's
 
 
-def test_each_model_puts_the_link_where_its_own_effects_want_it():
-    """A motor with strong ripple and a late torque: their effect on the torsion is known."""
-    case = make_case('single', 11, effect='motor_coulomb', duration=20.0)
+def off_without_and_with_the_effect(case, error):
+    """Return an error (n,) of the link of the effect, of models without and with it."""
     motion = motion_of(blind(case.recording), case.truth.robot)
-    off = []
+    joint, off = case.truth.robot.joints.index(case.truth.effects[0].joint), []
     for robot in (replace(case.truth.robot, effects=()), case.truth.robot):
         constants = plant.constants_of(robot)
         states, _ = motion_as_modelled(motion, constants, drive_torque(motion, constants))
-        off.append(strayed(case, np.stack([np.interp(case.recording.time, motion.time, column)
-                                           for column in states[:, 0].T], axis=1)))
-    joint = case.truth.robot.joints.index(case.truth.effects[0].joint)
-    assert off[1][joint] < 0.7 * off[0][joint]
+        off.append(error(motion, states)[joint])
+    return off
+
+
+def test_each_model_puts_the_link_where_its_own_effects_want_it():
+    """A motor with strong ripple and a late torque: their effect on the torsion is known."""
+    case = make_case('single', 11, effect='motor_coulomb', duration=20.0)
+    time = case.recording.time
+    off = off_without_and_with_the_effect(case, lambda motion, states: strayed(case, np.stack(
+        [np.interp(time, motion.time, column) for column in states[:, 0].T], axis=1)))
+    assert off[1] < 0.7 * off[0]
 
 
 @pytest.mark.parametrize('effect', ['spring_damping', 'spring_cubic', 'spring_hysteresis',
@@ -81,15 +87,10 @@ def test_an_effect_of_no_size_changes_nothing(effect):
 
 def test_a_spring_that_stiffens_puts_the_link_where_its_encoder_saw_it():
     case = make_case('single', 1, effect='spring_cubic', plant='stiff', duration=20.0)
-    motion = motion_of(blind(case.recording), case.truth.robot)
     seen = motion_of(case.recording, case.truth.robot)
-    off = []
-    for robot in (replace(case.truth.robot, effects=()), case.truth.robot):
-        constants = plant.constants_of(robot)
-        states, _ = motion_as_modelled(motion, constants, drive_torque(motion, constants))
-        off.append(np.std((states - seen.states)[200:-200, 0], axis=0))
-    joint = case.truth.robot.joints.index(case.truth.effects[0].joint)
-    assert off[1][joint] < 0.2 * off[0][joint]
+    off = off_without_and_with_the_effect(case, lambda _, states: np.std(
+        (states - seen.states)[200:-200, 0], axis=0))
+    assert off[1] < 0.2 * off[0]
 
 
 def test_links_that_have_encoders_are_taken_from_them():

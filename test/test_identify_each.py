@@ -9,7 +9,6 @@ import os
 from pathlib import Path
 import signal
 import subprocess
-import sys
 import threading
 from types import SimpleNamespace
 
@@ -23,9 +22,9 @@ from gms_flex_control.identification.output import is_outlier, over_bags
 from identified_axis import pendulum
 from loopback_cluster import cluster, until
 import numpy as np
+from processes import environment_of, TOOL
 import pytest
 
-ROOT = Path(__file__).parents[1]
 NAMES = ('first', 'empty', 'second', 'third')
 INERTIAS = {'first': 0.02, 'second': 0.022, 'third': 0.02}
 
@@ -78,10 +77,8 @@ def assert_same(out, alone):
 
 def run_in_process(bags, out, *further):
     """Start the verb as a process of its own."""
-    path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get('PYTHONPATH')])])
-    return subprocess.Popen(
-        [sys.executable, '-m', 'gms_flex_control.cli.main', *arguments(bags, out, *further)],
-        env={**os.environ, 'PYTHONPATH': path}, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    return subprocess.Popen([*TOOL, *arguments(bags, out, *further)], env=environment_of(),
+                            stdout=subprocess.PIPE, stderr=subprocess.PIPE)
 
 
 def children(pid):

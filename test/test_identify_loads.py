@@ -10,11 +10,9 @@ from gms_flex_control.discrepancy.null_simulation import null_simulation
 from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.identification.arm_estimates import difference_estimates
 from gms_flex_control.identification.arm_regression import fit_base_parameters, fit_differences
-from gms_flex_control.identification.inertial_parameters import base_of, inertial_parameters
 from gms_flex_control.params.arm import Body
-from gms_flex_control.schema.urdf_arm import read_links
 from gms_flex_control.simulation import plant
-from hidden_arm import believed, hidden_urdf, moved
+from hidden_arm import base_values, believed, hidden_arm, moved
 import numpy as np
 import pytest
 
@@ -31,13 +29,10 @@ WARM = 0.8                                                # friction of the seco
 @pytest.fixture(scope='module')
 def hidden(tmp_path_factory):
     """Return the robot as believed, the true arm, recordings without and with a load."""
-    robot, path = believed(), tmp_path_factory.mktemp('hidden') / 'arm.urdf'
-    path.write_text(hidden_urdf())
-    links = read_links(path, robot.joints)
-    arm = replace(robot.arm, mass=links.mass, com=links.com, inertia=links.inertia,
-                  motor_inertia=1.2 * robot.arm.motor_inertia)
-    bare = moved(path.read_text(), robot.arm, 16.0, per_load=PER_LOAD)
-    heavy = moved(path.read_text(), robot.arm, 16.0, seed=1, load=LOAD, per_load=PER_LOAD,
+    robot = believed()
+    urdf, arm = hidden_arm(tmp_path_factory.mktemp('hidden'), robot)
+    bare = moved(urdf, robot.arm, 16.0, per_load=PER_LOAD)
+    heavy = moved(urdf, robot.arm, 16.0, seed=1, load=LOAD, per_load=PER_LOAD,
                   warm=WARM)
     bare = replace(bare, tau_motor=SCALE * bare.tau_motor, temperature='cold')
     heavy = replace(heavy, tau_motor=SCALE * heavy.tau_motor + OFFSET, temperature='warm',
@@ -48,11 +43,6 @@ def hidden(tmp_path_factory):
 @pytest.fixture(scope='module')
 def found(hidden):
     return fit_base_parameters(hidden[2], hidden[0])
-
-
-def base_values(arm):
-    """Return the base parameters of an arm, joints rigid."""
-    return base_of(arm)[1] @ np.concatenate([inertial_parameters(arm), arm.motor_inertia])
 
 
 def test_a_known_load_tells_the_scale_of_every_torque_that_it_loads(found):

@@ -19,8 +19,7 @@ from gms_flex_control.identification.segments import segments_of
 from gms_flex_control.identification.smoothing import low_pass, rms
 from gms_flex_control.params.arm import require_body
 from gms_flex_control.schema.files import load_robot, save_robot
-from gms_flex_control.schema.urdf_arm import read_links
-from hidden_arm import believed, hidden_urdf, moved
+from hidden_arm import base_values, believed, hidden_arm, moved
 import numpy as np
 import pytest
 
@@ -30,23 +29,14 @@ pytest.importorskip('mujoco', reason="MuJoCo is the extra 'bench'")
 @pytest.fixture(scope='module')
 def hidden(tmp_path_factory):
     """Return the true arm, the robot as believed and a recording."""
-    robot, path = believed(), tmp_path_factory.mktemp('hidden') / 'arm.urdf'
-    path.write_text(hidden_urdf())
-    links = read_links(path, robot.joints)
-    arm = replace(robot.arm, mass=links.mass, com=links.com, inertia=links.inertia,
-                  motor_inertia=1.2 * robot.arm.motor_inertia)
-    return arm, robot, moved(path.read_text(), robot.arm, 16.0)
+    robot = believed()
+    urdf, arm = hidden_arm(tmp_path_factory.mktemp('hidden'), robot)
+    return arm, robot, moved(urdf, robot.arm, 16.0)
 
 
 @pytest.fixture(scope='module')
 def found(hidden):
     return fit_base_parameters([hidden[2]], hidden[1])
-
-
-def base_values(arm):
-    """Return the base parameters of an arm, joints rigid."""
-    _, combination = base_of(arm)
-    return combination @ np.concatenate([inertial_parameters(arm), arm.motor_inertia])
 
 
 def test_the_torque_is_the_regressor_times_the_parameters():

@@ -11,7 +11,7 @@ from gms_flex_control.dynamics import chain
 from gms_flex_control.friction import gms
 from gms_flex_control.identification.coordinates import Coordinates, friction_record, MOST_BLOCKS
 from gms_flex_control.params.arm import ArmParams
-from gms_flex_control.params.friction import FrictionParams, StribeckParams
+from gms_flex_control.params.friction import FrictionParams, STRIBECK, StribeckParams
 from gms_flex_control.params.robot import EncoderParams, RobotParams
 from gms_flex_control.simulation import plant, predictor
 import numpy as np
@@ -30,6 +30,14 @@ def arm_of(kind, n):
                      com=np.full(n, 0.2), inertia=np.linspace(0.03, 0.02, n),
                      motor_inertia=np.full(n, 0.01), stiffness=np.full(n, np.inf),
                      damping=np.zeros(n))
+
+
+def params_of(record):
+    """Return the FrictionParams of a record of the kernels."""
+    sides = [StribeckParams(**{name: getattr(record, name)[row] for name in STRIBECK})
+             for row in range(2)]
+    return FrictionParams(forward=sides[0], backward=sides[1], stiffness=record.stiffness,
+                          weight=record.weight, attraction=record.attraction)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,14 +102,9 @@ class Case:
 
     def driven(self, substeps=1):
         """Return angles and rates (T, n) of the plant under the torque, from rest at zero."""
-        record = self.friction()
-        sides = [StribeckParams(**{name: getattr(record, name)[row] for name in (
-            'static', 'coulomb', 'velocity', 'viscous')}) for row in range(2)]
-        friction = FrictionParams(forward=sides[0], backward=sides[1], weight=record.weight,
-                                  stiffness=record.stiffness, attraction=record.attraction)
         names = tuple(f'joint{j + 1}' for j in range(self.n))
         robot = RobotParams(joints=names, motors=('',) * self.n, arm=self.arm,
-                            friction=friction, encoder=EncoderParams())
+                            friction=params_of(self.friction()), encoder=EncoderParams())
         theta, _ = self.coordinates.unpack(self.free(self.joint))
         command = self.torque.copy()
         command[:, self.joint] += self.extra @ theta[len(theta) - self.n_extra:]
@@ -282,10 +285,7 @@ def test_replay_is_the_friction_of_each_step():
     angle = np.stack([0.02 * np.sin(6.0 * time), 3e-3 * time + 2e-3 * np.sin(25.0 * time)], 1)
     rate = np.diff(angle, axis=0, prepend=angle[:1]) / PERIOD
     record = case.friction()
-    sides = [StribeckParams(**{name: getattr(record, name)[row] for name in (
-        'static', 'coulomb', 'velocity', 'viscous')}) for row in range(2)]
-    friction = FrictionParams(forward=sides[0], backward=sides[1], stiffness=record.stiffness,
-                              weight=record.weight, attraction=record.attraction)
+    friction = params_of(record)
     state, expected = gms.init(friction), [np.zeros(2)]
     for step in np.diff(angle, axis=0):
         state, tau = step_friction(state, step, PERIOD, friction)

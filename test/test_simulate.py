@@ -7,13 +7,13 @@ import json
 import os
 from pathlib import Path
 import subprocess
-import sys
 
 from gms_flex_control.cli.main import main
 from gms_flex_control.data.reader import read_recording
 from gms_flex_control.experiment.simulated import read_plan
 from gms_flex_control.schema.files import load_robot
 import numpy as np
+from processes import environment_of, run_tool, TOOL
 import pytest
 
 pytestmark = pytest.mark.fast
@@ -21,14 +21,6 @@ pytestmark = pytest.mark.fast
 CONFIG = Path(__file__).parents[1] / 'config'
 ROBOT, CONTROLLER = CONFIG / 'robot.yaml', CONFIG / 'controller.yaml'
 HERE = Path(__file__).parents[1]
-
-
-def tool(*arguments):
-    """Return the finished process of ``gms_flex``."""
-    paths = [str(HERE), *filter(None, [os.environ.get('PYTHONPATH')])]
-    return subprocess.run([sys.executable, '-m', 'gms_flex_control.cli.main', *arguments],
-                          text=True, capture_output=True, timeout=120, check=False,
-                          env=dict(os.environ, PYTHONPATH=os.pathsep.join(paths)))
 
 
 def parameters(path, text):
@@ -61,13 +53,13 @@ def test_wrong_arguments_exit_2(arguments, capsys):
 
 def test_the_process_exits_0_1_and_2(tmp_path):
     """As a shell sees it: version, gains that break a condition, a bag that is not there."""
-    assert tool('--version').returncode == 0
+    assert run_tool('--version').returncode == 0
     weak = tmp_path / 'weak.yaml'
     weak.write_text(CONTROLLER.read_text().replace('kd_link: 0.8', 'kd_link: 0.1'))
-    said_no = tool('check-gains', '--robot', str(ROBOT), '--controller', str(weak))
+    said_no = run_tool('check-gains', '--robot', str(ROBOT), '--controller', str(weak))
     assert said_no.returncode == 1 and said_no.stderr == ''
     assert 'joint1' in said_no.stdout and 'verdict' in said_no.stdout
-    absent = tool('info', str(tmp_path / 'absent'))
+    absent = run_tool('info', str(tmp_path / 'absent'))
     assert absent.returncode == 2 and absent.stdout == ''
     assert len(absent.stderr.splitlines()) == 1
     assert absent.stderr.startswith('gms_flex info: ') and 'absent' in absent.stderr
@@ -78,10 +70,8 @@ def test_a_reader_that_has_seen_enough_is_no_error(tmp_path):
     read, write = os.pipe()
     os.close(read)
     process = subprocess.Popen(
-        [sys.executable, '-m', 'gms_flex_control.cli.main', 'simulate', '--duration', '0.1',
-         '--out', str(tmp_path / 'bag')], stdout=write, stderr=subprocess.PIPE, text=True,
-        env=dict(os.environ, PYTHONPATH=os.pathsep.join(
-            [str(HERE), os.environ.get('PYTHONPATH', '')])))
+        [*TOOL, 'simulate', '--duration', '0.1', '--out', str(tmp_path / 'bag')], stdout=write,
+        stderr=subprocess.PIPE, text=True, env=environment_of())
     os.close(write)
     _, complaint = process.communicate(timeout=120)
     assert process.returncode == 0 and complaint == ''

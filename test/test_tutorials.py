@@ -12,6 +12,7 @@ from time import monotonic, sleep
 
 from gms_flex_control.data.reader import read_recording
 import numpy as np
+from processes import environment_of
 import pytest
 from tutorial import (
     is_as_documented,
@@ -41,8 +42,7 @@ def environment(tmp_path):
     tools = tmp_path / 'tools'
     tools.mkdir()
     write_tool(tools / 'gms_flex', '-m gms_flex_control.cli.main')
-    path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get('PYTHONPATH')])])
-    return {**os.environ, 'PYTHONPATH': path, 'CONFIG': str(ROOT / 'config'),
+    return {**environment_of(), 'CONFIG': str(ROOT / 'config'),
             'EXAMPLES': str(ROOT / 'examples'),
             'PATH': f'{tools}{os.pathsep}{os.environ["PATH"]}'}
 

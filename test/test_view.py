@@ -28,6 +28,7 @@ from gms_flex_control.view.recorded import BagView, blocks_along, CHUNK, open_ba
 from gms_flex_control.view.scene import extent, places, scene_of, unknown_scene
 from gms_flex_control.view.server import Access, ViewServer
 import numpy as np
+from processes import TOOL
 import pytest
 
 PERIOD = 0.01
@@ -426,8 +427,7 @@ def test_beyond_this_machine_parameters_are_seen_and_not_set():
 
 def run_view(*arguments):
     """Start the tool and return its process."""
-    return subprocess.Popen([sys.executable, '-m', 'gms_flex_control.cli.main', 'view',
-                             *map(str, arguments)], stdout=subprocess.PIPE,
+    return subprocess.Popen([*TOOL, 'view', *map(str, arguments)], stdout=subprocess.PIPE,
                             stderr=subprocess.PIPE, text=True)
 
 

@@ -60,11 +60,20 @@ class TorsionStudy:
     torsion_offset: float     # the mean taken off: zero error of the encoders [rad]
     inertia: float            # M + J, from the torque [kg m^2]
     motor_inertia: float      # J as given; this part of the torque does not load the spring
-    coulomb: tuple            # forward and backward [N m]
-    viscous: float            # [N m s/rad]
     moving: np.ndarray        # bool, samples used for the fit
     robot: RobotParams        # the axis of `first_model`, zero error as its spring_offset
     explanations: tuple       # Explanations, the given spring first
+
+    @property
+    def coulomb(self) -> tuple:
+        """Return Coulomb friction forward and backward [N m]."""
+        friction = self.robot.friction
+        return float(friction.forward.coulomb[0]), float(friction.backward.coulomb[0])
+
+    @property
+    def viscous(self) -> float:
+        """Return viscous friction [N m s/rad]."""
+        return float(self.robot.friction.forward.viscous[0])
 
     @property
     def torque_error(self) -> tuple:
@@ -110,8 +119,7 @@ def study(recording, joint, stiffness, motor_inertia=0.0) -> TorsionStudy:
         acceleration=acceleration, torque=torque, torque_model=torque_model,
         torsion=torsion - torsion.mean(), torsion_model=(load - load.mean()) / stiffness,
         torsion_offset=float(torsion.mean()), inertia=float(fit[0]),
-        motor_inertia=float(motor_inertia), coulomb=(float(fit[1]), float(fit[2])),
-        viscous=float(fit[3]), moving=moving,
+        motor_inertia=float(motor_inertia), moving=moving,
         robot=replace(robot, effects=(zero,)),
         explanations=tuple(_explain(torsion, load, velocity, stiffness)))
 

@@ -112,7 +112,7 @@ def _joint_values(table, import_map, joint, time, keep, remarks):
             place = f'{joint.name}.{name} ({import_map.path}:{channel.line})'
             raw = table.column(channel.column, place)[keep]
             values[name] = _in_si(raw, channel, table, keep, place)
-            if channel.back_emf:
+            if channel.pwm.back_emf:
                 values[name] = values[name] - _back_emf_torque(channel, joint, values, time)
             if channel.enabled is not None:
                 values[name] = np.where(table.column(channel.enabled, place)[keep] == 0, 0.0,
@@ -151,9 +151,10 @@ def _in_si(raw, channel, table, keep, place):
     elif channel.unit in CURRENT:
         factor = CURRENT[channel.unit] * (channel.torque_constant or 1.0)
     elif channel.unit == 'pwm':
-        volts = channel.voltage if isinstance(channel.voltage, float) else table.column(
-            channel.voltage, place)[keep]
-        factor = channel.torque_per_volt * volts / channel.full_scale
+        pwm = channel.pwm
+        volts = pwm.voltage if isinstance(pwm.voltage, float) else table.column(
+            pwm.voltage, place)[keep]
+        factor = pwm.torque_per_volt * volts / pwm.full_scale
     values = channel.sign * channel.scale * factor * (raw + channel.offset)
     if channel.unwrap:
         known = np.isfinite(values)
@@ -169,7 +170,8 @@ def _back_emf_torque(channel, joint, values, time):
     if velocity is None:
         velocity = estimate_velocity(time, values[f'{side}_position'], 0.02)
     # the map's velocity is the joint's: the motor behind a gear turns gear_ratio times as fast
-    return channel.torque_per_volt * channel.back_emf * velocity * channel.gear_ratio ** 2
+    pwm = channel.pwm
+    return pwm.torque_per_volt * pwm.back_emf * velocity * channel.gear_ratio ** 2
 
 
 def estimate_velocity(time, position, window) -> np.ndarray:

@@ -242,6 +242,15 @@ class TimeColumn(NamedTuple):
     line: int = 0
 
 
+class Pwm(NamedTuple):
+    """What makes a torque of the duty of a drive."""
+
+    full_scale: float | None = None
+    voltage: str | float | None = None    # a column or volts
+    torque_per_volt: float | None = None  # [N m/V]
+    back_emf: float = 0.0                 # [V s/rad]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Channel:
     """One quantity of one joint."""
@@ -258,10 +267,7 @@ class Channel:
     counts_per_rev: float | None = None
     unwrap: bool = False
     estimate: float | None = None  # window of central differences [s]
-    full_scale: float | None = None
-    voltage: str | float | None = None  # a column or volts
-    torque_per_volt: float | None = None  # [N m/V]
-    back_emf: float = 0.0          # [V s/rad]
+    pwm: Pwm = Pwm()
     torque_constant: float | None = None  # [N m/A]; None: the torque stays in A
     enabled: str | int | None = None  # a column that is 0 while the drive gives no torque
 
@@ -369,8 +375,10 @@ def _channel(joint, key):
                        estimate=ESTIMATE_WINDOW)
     node = joint.section(key)
     node.only(*_KEYS[quantity])
-    values = {name: getattr(node, _READ[name])(name, getattr(Channel, name))
-              for name in _KEYS[quantity] if name != 'unit'}
+    values = {name: getattr(node, _READ[name])(name, Pwm._field_defaults.get(
+        name, getattr(Channel, name, None))) for name in _KEYS[quantity] if name != 'unit'}
+    if quantity == 'torque':
+        values['pwm'] = Pwm(*(values.pop(name) for name in Pwm._fields))
     if 'unit' in node.keys() or 'estimate' not in node.keys():
         values['unit'] = node.unit('unit', UNITS[quantity])
     channel = Channel(name=key, quantity=quantity, line=joint.line(key), **values)
@@ -387,13 +395,13 @@ def _check(node, channel):
     needs = {'counts': ['counts_per_rev'], 'counts/s': ['counts_per_rev'],
              'pwm': ['full_scale', 'voltage', 'torque_per_volt']}
     for key in needs.get(channel.unit, []):
-        if getattr(channel, key) is None:
+        if getattr(channel.pwm if channel.unit == 'pwm' else channel, key) is None:
             raise node.wrong(f'has the unit {channel.unit!r} and therefore needs {key}')
     special = {'counts_per_rev', 'torque_constant', 'full_scale', 'voltage', 'torque_per_volt'}
     allowed = ['torque_constant'] if channel.unit in ('A', 'mA') else needs.get(channel.unit, [])
     for key in special.intersection(node.keys()).difference(allowed):
         raise node.wrong(f'has no meaning with the unit {channel.unit!r}; leave it out', key)
-    if channel.back_emf and channel.unit != 'pwm':
+    if channel.pwm.back_emf and channel.unit != 'pwm':
         raise node.wrong(f'has no meaning with the unit {channel.unit!r}; leave it out',
                          'back_emf')
     if channel.scale == 0:

@@ -80,6 +80,16 @@ class Processes:
             stderr=subprocess.STDOUT)
         return self._running[name]
 
+    def start_node(self, name: str, files, parameters: dict | None = None) -> None:
+        """Start ``<name>_node`` in lockstep with parameter files, and single parameters."""
+        self.start(name, [*executable(f'{name}_node'), *ros_arguments(
+            files, {'mode': 'lockstep', **(parameters or {})})])
+
+    def stop_all(self, *names: str) -> None:
+        """Stop several processes, one after the other."""
+        for name in names:
+            self.stop(name)
+
     def _path(self, name):
         return self._log / f'{name}.log'
 
@@ -186,28 +196,22 @@ def drive(plan: DrivenPlan, bag: Path, *, log: Path) -> None:
     The recording goes to ``bag``, what the processes print into the folder ``log``. ProcessError
     if a process fails or does not end in time.
     """
-    mode = {'mode': 'lockstep'}
-    trajectory = {**mode, 'trajectory.autostart': True}
-    controller_files = [*plan.files, plan.model]  # the model last: what the controller believes
-    plant_files = plan.files if plan.plant is None else [*plan.files, plan.plant]
-    timing = {**mode, 'rate': plan.rate, 'duration': plan.duration,
-              'wait_for_subscribers': _LISTENERS}
     bound = _START_BOUND + plan.duration * plan.rate / _SLOWEST_STEPS
     with Processes(private_environment(), log) as processes:
         processes.start('recorder', [*executable('gms_flex'), 'record', '--topics', *TOPICS,
                                      '--out', str(bag)])
-        processes.start('controller', [*executable('controller_node'), *ros_arguments(
-            controller_files, {**mode, 'compensation': plan.compensation})])
-        processes.start('trajectory', [*executable('trajectory_node'),
-                                       *ros_arguments(plan.files, trajectory)])
+        # the model last: what the controller believes
+        processes.start_node('controller', [*plan.files, plan.model],
+                             {'compensation': plan.compensation})
+        processes.start_node('trajectory', plan.files, {'trajectory.autostart': True})
         # the recorder must hear the first answer, and that comes right after the first state
         processes.wait_for_text('recorder', [f'subscribed to {topic} ' for topic in TOPICS[1:]],
                                 _START_BOUND)
-        processes.start('plant', [*executable('plant_node'),
-                                  *ros_arguments(plant_files, timing)])
+        processes.start_node(
+            'plant', plan.files if plan.plant is None else [*plan.files, plan.plant],
+            {'rate': plan.rate, 'duration': plan.duration, 'wait_for_subscribers': _LISTENERS})
         processes.wait('plant', bound)
-        for name in ('trajectory', 'controller', 'recorder'):
-            processes.stop(name)
+        processes.stop_all('trajectory', 'controller', 'recorder')
 
 
 @contextmanager
@@ -217,17 +221,13 @@ def stepped_loop(files, model: Path, plant: Path, rate: float, *, log: Path) -> 
 
     Arguments as the fields of DrivenPlan; the reference stays where the robot is.
     """
-    mode = {'mode': 'lockstep'}
     with Processes(dict(os.environ), log) as processes:
-        processes.start('controller', [*executable('controller_node'),
-                                       *ros_arguments([*files, model], mode)])
-        processes.start('trajectory', [*executable('trajectory_node'),
-                                       *ros_arguments(files, mode)])
-        processes.start('plant', [*executable('plant_node'), *ros_arguments(
-            [*files, plant], {**mode, 'rate': rate, 'wait_for_subscribers': _LISTENERS})])
+        processes.start_node('controller', [*files, model])
+        processes.start_node('trajectory', files)
+        processes.start_node('plant', [*files, plant],
+                             {'rate': rate, 'wait_for_subscribers': _LISTENERS})
         yield processes
-        for name in ('plant', 'trajectory', 'controller'):
-            processes.stop(name)
+        processes.stop_all('plant', 'trajectory', 'controller')
 
 
 def drive_recorded(plan: DrivenPlan, bag: Path, *, log: Path) -> Recording:
@@ -259,7 +259,6 @@ def drive_identification(experiment: DrivenIdentification, bag: Path, *, log: Pa
 
     ``say`` gets a line of progress for each step; all else as of `drive`.
     """
-    mode = {'mode': 'lockstep'}
     believed = [*experiment.files, experiment.model]
     bound = _START_BOUND + experiment.duration * experiment.rate / _SLOWEST_STEPS
     said = 0
@@ -271,17 +270,11 @@ def drive_identification(experiment: DrivenIdentification, bag: Path, *, log: Pa
                 say(line)
             said = len(lines)
 
-        processes.start('controller', [*executable('controller_node'),
-                                       *ros_arguments(believed, mode)])
-        processes.start('trajectory', [*executable('trajectory_node'),
-                                       *ros_arguments(experiment.files, mode)])
-        processes.start('identification', [
-            *executable('identification_node'), *ros_arguments(
-                [*believed, experiment.plan],
-                {**mode, 'identification.bag': bag, 'identification.fit': False})])
-        processes.start('plant', [*executable('plant_node'), *ros_arguments(
-            experiment.files, {**mode, 'rate': experiment.rate,
-                               'wait_for_subscribers': _LISTENERS})])
+        processes.start_node('controller', believed)
+        processes.start_node('trajectory', experiment.files)
+        processes.start_node('identification', [*believed, experiment.plan],
+                             {'identification.bag': bag, 'identification.fit': False})
+        processes.start_node('plant', experiment.files, {
+            'rate': experiment.rate, 'wait_for_subscribers': _LISTENERS})
         processes.wait('identification', bound, report)
-        for name in ('plant', 'trajectory', 'controller'):
-            processes.stop(name)
+        processes.stop_all('plant', 'trajectory', 'controller')

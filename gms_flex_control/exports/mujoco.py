@@ -15,6 +15,7 @@ far away: an actuator would add an input.
 from dataclasses import dataclass, field
 from functools import partial
 import math
+from operator import attrgetter
 import xml.etree.ElementTree as ElementTree
 
 from gms_flex_control.effects.registry import find
@@ -34,6 +35,28 @@ _FINER = 10.0 ** -0.5  # reach of an element of friction_hysteresis over that of
 
 
 @dataclass
+class _Spring:
+    """What stands between motor and link."""
+
+    stiffness: float
+    damping: float
+    cubic: float = 0.0
+    rest: tuple = (0.0, 0.0)   # torsion of the unloaded spring, from and to
+    parallel: list = field(default_factory=list)  # beside the spring: (force, yield)
+
+
+@dataclass
+class _Drive:
+    """What an actuator makes of the torque that is asked."""
+
+    gain: float = 1.0
+    asked: float = math.inf    # largest torque that can be asked of it
+    given: float = math.inf    # largest torque behind its lag
+    lag: float = 0.0
+    delay: float = 0.0
+
+
+@dataclass
 class _Joint:
     """What MuJoCo's elements of one joint say; filled by effects, [N m, rad, s]."""
 
@@ -43,22 +66,14 @@ class _Joint:
     excess: np.ndarray         # static friction above Coulomb: forward, backward
     stribeck: np.ndarray       # velocity: forward, backward
     bristle: float             # stiffness of the excess
-    stiffness: float           # of the spring
-    damping: float
-    cubic: float = 0.0
-    rest: tuple = (0.0, 0.0)   # torsion of the unloaded spring, from and to
+    spring: _Spring
+    drive: _Drive = field(default_factory=_Drive)
     drag: float = 0.0
     link_torque: float = 0.0
     motor_torque: float = 0.0
     motor_viscous: float = 0.0
     motor_loss: float = 0.0
-    gain: float = 1.0
-    asked: float = math.inf    # largest torque that can be asked of the actuator
-    given: float = math.inf    # largest torque behind its lag
-    lag: float = 0.0
-    delay: float = 0.0
     stops: list = field(default_factory=list)    # (angle, stiffness)
-    parallel: list = field(default_factory=list)  # beside the spring: (force, yield)
     ripples: list = field(default_factory=list)  # (amplitude, order, phase)
 
 
@@ -77,46 +92,50 @@ def _friction_hysteresis(joint, force, reach):
 
 
 def _actuator_saturation(joint, limit):
-    before = limit / abs(joint.gain) if joint.gain else math.inf
-    if joint.lag:
-        joint.given = min(joint.given, before)
+    drive = joint.drive
+    before = limit / abs(drive.gain) if drive.gain else math.inf
+    if drive.lag:
+        drive.given = min(drive.given, before)
     else:
-        joint.asked = min(joint.asked, before)
+        drive.asked = min(drive.asked, before)
 
 
-def _add(name):
+def _add(name, part=lambda joint: joint):
     def add(joint, value):
-        setattr(joint, name, getattr(joint, name) + value)
+        setattr(part(joint), name, getattr(part(joint), name) + value)
     return add
 
 
 def _torque_gain(joint, error):
-    joint.gain *= 1.0 + error
+    joint.drive.gain *= 1.0 + error
 
 
 def _backlash(joint, half_gap):
-    joint.rest = joint.rest[0] - half_gap, joint.rest[1] + half_gap
+    low, high = joint.spring.rest
+    joint.spring.rest = low - half_gap, high + half_gap
 
 
 def _spring_hysteresis(joint, force, reach):
     if force and reach:
-        joint.parallel.append((force, reach))
+        joint.spring.parallel.append((force, reach))
 
 
 def _spring_offset(joint, offset):
-    joint.rest = joint.rest[0] - offset, joint.rest[1] - offset
+    low, high = joint.spring.rest
+    joint.spring.rest = low - offset, high - offset
 
 
+_DRIVE, _SPRING = attrgetter('drive'), attrgetter('spring')
 # what each effect changes; the order is that of the robot file within a stage
 EFFECTS = {
-    'actuator_lag': _add('lag'), 'actuator_saturation': _actuator_saturation,
+    'actuator_lag': _add('lag', _DRIVE), 'actuator_saturation': _actuator_saturation,
     'backlash': _backlash, 'constant_link_torque': _add('link_torque'),
     'end_stop': lambda joint, *stop: joint.stops.append(stop),
     'friction_asymmetry': _friction_asymmetry, 'friction_hysteresis': _friction_hysteresis,
-    'input_delay': _add('delay'), 'motor_coulomb': _add('motor_loss'),
+    'input_delay': _add('delay', _DRIVE), 'motor_coulomb': _add('motor_loss'),
     'motor_torque_bias': _add('motor_torque'), 'motor_viscous': _add('motor_viscous'),
-    'quadratic_drag': _add('drag'), 'spring_cubic': _add('cubic'),
-    'spring_damping': _add('damping'),
+    'quadratic_drag': _add('drag'), 'spring_cubic': _add('cubic', _SPRING),
+    'spring_damping': _add('damping', _SPRING),
     'spring_hysteresis': _spring_hysteresis,
     'spring_offset': _spring_offset, 'torque_gain': _torque_gain,
     'torque_ripple': lambda joint, *ripple: joint.ripples.append(ripple),
@@ -218,7 +237,7 @@ def _joint(robot, j, dry):
     return _Joint(viscous=viscous, elements=[] if dry else blocks,
                   loss=coulomb if dry else np.zeros(2), excess=static - coulomb,
                   stribeck=velocity, bristle=bristle,
-                  stiffness=arm.stiffness[j], damping=arm.damping[j])
+                  spring=_Spring(arm.stiffness[j], arm.damping[j]))
 
 
 def _require_short(robot, joints, timestep):
@@ -228,8 +247,8 @@ def _require_short(robot, joints, timestep):
     for j, joint in enumerate(joints):
         on_link = joint.bristle + sum(element[0] for element in joint.elements) + sum(
             stop[1] for stop in joint.stops)
-        spring = 0.0 if arm.rigid[j] else joint.stiffness + sum(
-            force / reach for force, reach in joint.parallel)
+        spring = 0.0 if arm.rigid[j] else joint.spring.stiffness + sum(
+            force / reach for force, reach in joint.spring.parallel)
         fastest = (on_link + spring) / link[j]
         if not arm.rigid[j]:
             fastest = max(fastest, spring * (1.0 / link[j] + 1.0 / arm.motor_inertia[j]))
@@ -297,11 +316,11 @@ def _frictions(tendons, name, joint):
 
 def _springs(tendons, robot, j, joint):
     """Add the spring between motor and link, and what yields beside it."""
-    ends = {robot.motors[j]: 1.0, robot.joints[j]: -1.0}
-    polynomial = (joint.stiffness, *((0.0, joint.cubic) if joint.cubic else ()))
+    ends, spring = {robot.motors[j]: 1.0, robot.joints[j]: -1.0}, joint.spring
+    polynomial = (spring.stiffness, *((0.0, spring.cubic) if spring.cubic else ()))
     _tendon(tendons, f'{robot.joints[j]}_spring', ends, *polynomial,
-            springlength=_text(*joint.rest), damping=_text(joint.damping))
-    for k, (force, reach) in enumerate(joint.parallel, start=1):
+            springlength=_text(*spring.rest), damping=_text(spring.damping))
+    for k, (force, reach) in enumerate(spring.parallel, start=1):
         _tendon(tendons, f'{robot.joints[j]}_hysteresis{k}', ends, force / reach,
                 springlength=_text(0.0), springyield=_text(reach))
 
@@ -314,18 +333,18 @@ def _tendon(tendons, name, coefficients, *stiffness, **attributes):
 
 
 def _actuator(actuators, robot, j, joint, timestep):
-    name = robot.motors[j] or robot.joints[j]
+    name, drive = robot.motors[j] or robot.joints[j], joint.drive
     actuator = ElementTree.SubElement(actuators, 'general', name=name, joint=name,
-                                      gear=_text(joint.gain))
-    for attribute, limit in (('ctrlrange', joint.asked), ('forcerange', joint.given)):
+                                      gear=_text(drive.gain))
+    for attribute, limit in (('ctrlrange', drive.asked), ('forcerange', drive.given)):
         if limit < math.inf:
             actuator.set(attribute, _text(-limit, limit))
-    lag = joint.lag - 0.5 * timestep  # MuJoCo holds the torque at the beginning of a step
+    lag = drive.lag - 0.5 * timestep  # MuJoCo holds the torque at the beginning of a step
     if lag > 0.0:
         actuator.attrib.update(dyntype='filterexact', dynprm=_text(lag))
-    if joint.delay:
-        actuator.attrib.update(delay=_text(joint.delay), interp='linear',
-                               nsample=str(math.ceil(joint.delay / timestep) + 2))
+    if drive.delay:
+        actuator.attrib.update(delay=_text(drive.delay), interp='linear',
+                               nsample=str(math.ceil(drive.delay / timestep) + 2))
 
 
 def _passive(actuators, robot, j, joint):

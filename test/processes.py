@@ -1,0 +1,35 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""The tool as a process of its own, of this clone, on a ROS domain of its own where nodes run."""
+
+import os
+from pathlib import Path
+import subprocess
+import sys
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+TOOL = [sys.executable, '-m', 'gms_flex_control.cli.main']
+
+
+def environment_of(**further):
+    """Return the environment of a process that finds the package."""
+    path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get('PYTHONPATH')])])
+    return {**os.environ, 'PYTHONPATH': path, **further}
+
+
+def run_tool(*words, timeout=200, **environment):
+    """Return the finished process of ``gms_flex``."""
+    return subprocess.run([*TOOL, *map(str, words)], text=True, capture_output=True,
+                          timeout=timeout, check=False, env=environment_of(**environment))
+
+
+def run_with_nodes(*words, timeout=600):
+    """Return the finished process of a verb that starts nodes and succeeds."""
+    domain, lock = pytest.importorskip('node_harness').take_domain()
+    with lock:
+        done = run_tool(*words, timeout=timeout, ROS_DOMAIN_ID=str(domain))
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done
