@@ -3,15 +3,17 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """What looks wrong in an imported log; each finding names the column and the line."""
 
+import re
 from typing import NamedTuple
 
 from gms_flex_control.data.csv_map import (
+    canonical,
     FORCE,
     LENGTH,
     POSITION,
     POSITION_OF,
     TORQUE,
-    unit_in_name,
+    UNITS,
 )
 from gms_flex_control.data.signal_analysis import (
     derivative_slope,
@@ -108,6 +110,26 @@ def _name_and_unit(what, place, channel):
     if named and named != channel.unit and channel.unit not in ('pwm', 'A'):
         yield Suspicion('unit', place, f'{what} is mapped as {channel.unit!r} but its name '
                         f'says {named!r}')
+
+
+def unit_in_name(column, quantity) -> str | None:
+    """
+    Return the unit a column's name such as ``'speed [rpm]'`` ends in, None if it has none.
+
+    Only units of ``quantity``, a key of ``UNITS``, are looked for.
+    """
+    text = column.strip().lower().replace('²', '2')
+    bracket = re.search(r'[\[(]\s*([^\])]*?)\s*[\])]\s*$', text)
+    parts = re.split(r'[_\s.]+', text)
+    candidates = [bracket.group(1)] if bracket else [
+        '_'.join(parts[-count:]) for count in (3, 2, 1) if len(parts) > count]
+    for candidate in candidates:
+        if candidate in ('m', 'n', 'a', 'ma') and not bracket:
+            continue  # q_m is rather the motor's angle than metres
+        for known in UNITS[quantity]:
+            if canonical(candidate).lower() == known.lower():
+                return known
+    return None
 
 
 def _values(what, place, values, lines):

@@ -12,7 +12,6 @@ column was measured on the fast side of a gear. Every mistake is named with its 
 
 from dataclasses import dataclass, field
 import math
-import re
 from typing import NamedTuple, Self
 
 from gms_flex_control.errors import did_you_mean, ImportDataError
@@ -50,26 +49,6 @@ def canonical(unit) -> str:
     """Return the name of a unit used here ('Nm' -> 'N m'), itself if it has no other."""
     text = str(unit).strip()
     return _ALIASES.get(text.lower(), text)
-
-
-def unit_in_name(column, quantity) -> str | None:
-    """
-    Return the unit a column's name such as ``'speed [rpm]'`` ends in, None if it has none.
-
-    Only units of ``quantity``, a key of ``UNITS``, are looked for.
-    """
-    text = column.strip().lower().replace('²', '2')
-    bracket = re.search(r'[\[(]\s*([^\])]*?)\s*[\])]\s*$', text)
-    parts = re.split(r'[_\s.]+', text)
-    candidates = [bracket.group(1)] if bracket else [
-        '_'.join(parts[-count:]) for count in (3, 2, 1) if len(parts) > count]
-    for candidate in candidates:
-        if candidate in ('m', 'n', 'a', 'ma') and not bracket:
-            continue  # q_m is rather the motor's angle than metres
-        for known in UNITS[quantity]:
-            if canonical(candidate).lower() == known.lower():
-                return known
-    return None
 
 
 def read_map(path) -> 'MapNode':
