@@ -31,17 +31,20 @@ PERIOD, FIRST = 2e-3, 6.0       # [s]; of the first recording
 TIMES = 5.0, 10.0, 20.0         # of robot time at which the fixed motions are judged [s]
 BUDGET, ODDS = 20.0, 99.0       # robot time of the designed motions [s]; odds wanted
 ASKED, ASKED_RANDOM = 0.8, 0.4  # share resolved rightly in the budget: at least, at most
-_TRIES, _SMALLER = 6, 0.6       # sizes of a hidden effect until the first recording leaves two
+_TRIES, _SMALLER = 8, 0.6       # sizes of a hidden effect until the first recording leaves two
 _SEED = 27                      # stream of random numbers, of no other bench
 _SOURCES = ('discrepancy', 'design', 'effects', 'simulation')
 ONE_WAY = {'trajectory.type': 'via_points', 'trajectory.move_time': 2.0,
            'trajectory.hold_time': 0.0, 'trajectory.joint1.points': [0.0, 0.3, 0.6, 0.9],
            'trajectory.joint2.points': [0.0, 0.4, 0.8, 1.2]}
+CREEPING = {'trajectory.type': 'constant_velocity', 'trajectory.travel': 1.2,
+            'trajectory.ramp_time': 1.0, 'trajectory.joint1.velocity': 0.1,
+            'trajectory.joint2.velocity': 0.15}
 
 
-def swings(amplitude, period):
+def swings(amplitude, period, ramp=2.0):
     """Return parameters of sinusoids of both joints."""
-    return {'trajectory.type': 'sinusoid', 'trajectory.ramp_time': 2.0} | {
+    return {'trajectory.type': 'sinusoid', 'trajectory.ramp_time': ramp} | {
         f'trajectory.joint{j + 1}.{name}': values[j]
         for j in range(2) for name, values in (('amplitude', amplitude), ('period', period))}
 
@@ -62,12 +65,12 @@ FAMILIES = {
         (('spring_offset', 1), ('constant_link_torque', 1), ('link_encoder_eccentricity', 1)),
         swings((0.1, 0.1), (3.0, 4.0))),
     'lag, delay': Family((('actuator_lag', 1), ('input_delay', 1)),
-                         swings((0.3, 0.3), (4.0, 5.0))),
-    'backlash, spring offset': Family((('backlash', 1), ('spring_offset', 1)), ONE_WAY),
+                         CREEPING),
+    'backlash, spring offset': Family((('backlash', 1), ('spring_offset', 1)), CREEPING),
     'friction asymmetry, link torque': Family(
         (('friction_asymmetry', 1), ('constant_link_torque', 1)), ONE_WAY),
     'friction drift, load friction': Family((('friction_drift', 1), ('load_friction', 1)),
-                                            swings((0.5, 0.5), (6.0, 6.0)))}
+                                            swings((0.3, 0.3), (3.0, 3.0), FIRST))}
 
 
 class Item(NamedTuple):

@@ -10,8 +10,8 @@ from pathlib import Path
 from gms_flex_control.cli.main import main
 from gms_flex_control.data.writer import write_recording
 from gms_flex_control.design.motions import candidates, random_moves
-from gms_flex_control.design.plan import NextRecording, plan_next, surviving
-from gms_flex_control.design.separation import beliefs_of, log_odds, Prediction
+from gms_flex_control.design.plan import NextRecording, plan_next, SHORTEST, surviving
+from gms_flex_control.design.separation import beliefs_of, log_odds, Prediction, resolving
 from gms_flex_control.design.sequential import BUDGET, INSEPARABLE, separate
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.experiment.simulated import Plan, simulate
@@ -77,7 +77,7 @@ def test_the_planned_motion_is_expected_to_separate_what_is_left_and_keeps_limit
     wanted = np.log(99.0)
     assert len(beliefs.left(wanted).hypotheses) == 2
     plan = plan_next(beliefs, gains, LIMITS, period=PERIOD, longest=20.0)
-    assert not plan.undecided and plan.best.duration <= 20.0
+    assert plan.probability > 0.8 and plan.best.duration <= 20.0
     assert 'friction_asymmetry of joint2' in plan.sentence()
     found = _recording(biased, robot, gains, plan.best.candidate.trajectory(JOINTS),
                        plan.best.duration)
@@ -121,37 +121,52 @@ def test_what_predicts_the_same_ends_as_inseparable_and_no_budget_as_spent(
         robot, gains, forward_only, monkeypatch):
     """A plan that separates nothing is driven once: the first recording may foresee badly."""
     monkeypatch.setattr('gms_flex_control.design.plan.predicted', lambda beliefs, candidate,
-                        duration, *args, **options: Prediction(candidate, duration,
-                                                               np.zeros((2, 2)), ()))
+                        duration, loop: Prediction(candidate, duration, beliefs.odds, ()))
 
     beliefs = beliefs_of([forward_only[1]], robot, [BIAS, ASYMMETRY])
     monkeypatch.setattr('gms_flex_control.design.sequential.beliefs_of',
                         lambda recordings, robot, sets: beliefs)
+    driven = []
 
     def drive(plan, number):
-        assert number == 1
+        driven.append(number)
         return forward_only[1]
-    for budget, longest, verdict in ((60.0, 60.0, BUDGET), (60.0, 30.0, INSEPARABLE),
-                                     (2.0, 60.0, BUDGET)):
+    for budget, verdict in ((60.0, INSEPARABLE), (2.0, BUDGET)):
+        driven.clear()
         found = separate([forward_only[1]], robot, [BIAS, ASYMMETRY], gains, LIMITS, drive,
-                         period=PERIOD, budget=budget, longest=longest)
-        assert found.verdict == verdict and len(found.left) == 2 and (
-            found.spent == (8.0 if budget > 4.0 else 0.0))
+                         period=PERIOD, budget=budget, longest=30.0)
+        assert found.verdict == verdict and len(found.left) == 2
+        assert driven == ([1] if budget > SHORTEST else [])
         assert all(one.words in found.sentence() for one in found.left)
 
 
-def test_the_sentence_states_the_factor_of_the_pairs_that_are_separated(robot, gains,
-                                                                        forward_only):
+def test_a_motion_counts_by_the_probability_of_what_it_confirms(robot, forward_only):
+    """That the unlikely would not be confirmed matters little; odds as wanted are even chances."""
+    beliefs = replace(beliefs_of([forward_only[1]], robot, [BIAS, ASYMMETRY]),
+                      odds=np.log([[1.0, 4.0], [0.2, 1.0]]))
+    wanted, likely = np.log(99.0), beliefs.probabilities
+    assert likely == pytest.approx([0.8, 0.2])
+
+    def chance(first, second):
+        return resolving(beliefs, np.array([[0.0, first], [second, 0.0]]), wanted)
+    assert chance(wanted, -50.0) == pytest.approx(0.5 * likely[0], rel=1e-3)
+    assert chance(60.0, -50.0) == pytest.approx(likely[0], rel=0.1)
+    assert chance(-50.0, 60.0) == pytest.approx(likely[1], rel=0.1)
+    assert chance(60.0, 60.0) > chance(20.0, 20.0) > chance(60.0, 0.0) > chance(6.0, 0.0)
+
+
+def test_the_sentence_states_probability_and_odds_of_each_explanation(robot, gains,
+                                                                      forward_only):
     beliefs = beliefs_of([forward_only[1]], robot, [BIAS, ASYMMETRY])
     three = replace(beliefs, hypotheses=(*beliefs.hypotheses, replace(
         beliefs.hypotheses[0], effects=frozenset({('backlash', 'joint1')}))))
-    odds = np.array([[0.0, 1.0, 9.0], [1.0, 0.0, 8.0], [9.0, 8.0, 0.0]])
-    one = candidates(LIMITS, JOINTS)[0]
+    odds = np.log([[1.0, 20.0, 30.0], [5.0, 1.0, 7.0], [9.0, 8.0, 1.0]])
     plan = NextRecording(beliefs=three, wanted=np.log(99.0), compared=(), refused=(),
-                         best=Prediction(one, 8.0, odds, ()))
-    names = [one.words for one in three.hypotheses]
-    assert f'by a factor of at least {np.exp(8.0):.3g}' in plan.sentence()
-    assert plan.sentence().endswith(f'but not {names[0]} and {names[1]}.')
+                         best=Prediction(candidates(LIMITS, JOINTS)[0], 8.0, odds, ()),
+                         probability=0.93)
+    assert 'of 3 explanations it leaves the true one with a probability of 93 %' in plan.sentence()
+    for least, one in zip((20, 5, 8), three.hypotheses, strict=True):
+        assert f'{least} to 1 if it is {one.words}' in plan.sentence()
 
 
 def test_noise_of_encoders_that_two_models_show_differently_is_no_evidence(robot, forward_only):

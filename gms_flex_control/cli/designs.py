@@ -12,8 +12,8 @@ from gms_flex_control.answer import Answer, command, Number
 from gms_flex_control.cli.terminal import conclude, import_ros, refuse_unwritable, say
 from gms_flex_control.data.reader import read_recording
 from gms_flex_control.design.excitation import Bounds, plan_excitation, sentence
-from gms_flex_control.design.plan import clipped, plan_next, surviving, write_plan
-from gms_flex_control.design.separation import beliefs_of, closed_loop_plan
+from gms_flex_control.design.plan import clipped, LIKELY, plan_next, surviving, write_plan
+from gms_flex_control.design.separation import beliefs_of, closed_loop_plan, resolving
 from gms_flex_control.design.sequential import ONE_LEFT, separate
 from gms_flex_control.effects.registry import find
 from gms_flex_control.errors import ConfigError
@@ -58,15 +58,16 @@ def next_recording(args) -> int:
     trajectory = write_files(plan, out)
     if args.json:
         print(json.dumps(_as_dict(plan), indent=1))
-        return int(bool(plan.undecided))
-    numbers = tuple(Number(f'log odds after {one.duration:.0f} s: {one.candidate.words}',
-                           f'{one.pairs.min():.1f}', f'{plan.wanted:.1f}', '')
-                    for one in plan.compared[:3])
-    conclude(Answer(plan.sentence(), ('worst pair', 'wanted', ''), numbers, command(
+        return int(plan.probability < LIKELY)
+    numbers = tuple(Number(
+        f'{one.duration:.0f} s of {one.candidate.words}',
+        f'{100.0 * resolving(plan.beliefs, one.odds, plan.wanted):.0f} %', '', '')
+        for one in plan.compared[:3])
+    conclude(Answer(plan.sentence(), ('leaves the true one', '', ''), numbers, command(
         'simulate', '--robot', *args.robot, '--trajectory', trajectory, '--duration',
         f'{plan.best.duration:.0f}', '--out', out / 'bag')),
         {'motion': trajectory, 'picture': out / 'plan.png', 'numbers': out / 'plan.json'})
-    return int(bool(plan.undecided))
+    return int(plan.probability < LIKELY)
 
 
 def _task(args):
@@ -209,7 +210,7 @@ def _as_dict(plan):
     return {'sentence': plan.sentence(), 'wanted': plan.wanted,
             'explanations': [one.words for one in plan.beliefs.hypotheses],
             'best': of(plan.best), 'compared': [of(one) for one in plan.compared],
-            'refused': list(plan.refused), 'undecided': plan.undecided}
+            'refused': list(plan.refused), 'probability': plan.probability}
 
 
 def plan(args) -> int:

@@ -13,14 +13,16 @@ from gms_flex_control.trajectory.polynomials import Trajectory
 import numpy as np
 
 _OF_LIMIT = 0.8        # share of each limit that a reference uses: the robot overshoots
-_QUICK = 4.0           # velocity limits that a reference gains in a second
+_QUICK, _QUICKEST = 4.0, 8.0  # velocity limits that moves, and swings, gain in a second
 _SLOW, _CREEP = 2.5, 20.0  # times the shortest period or time that the limits allow
+_GENTLE = 12.0         # times the shortest period, of the slowest swings
 _APART = 1.3           # times the period of the joint before: joints are not in step
-_SHORT = 0.15          # of the range: swings whose reversals are frequent
+_MEDIUM, _SHORT, _TINY = 0.4, 0.15, 0.05  # of the range: the shorter, the quicker they reverse
 _CREEPING = 0.02       # of the range: swings within presliding and play
 _HOLD = 0.6            # at each posture [s]
 _FASTEST, _STEEPEST = 2.4609375, 9.3721  # peak rates of a move of degree 9 over unit time
-_POSTURES = 6
+_POSTURES, _STROKES = 6, 5
+_TONES, _PERIOD, _LONGEST = 12, 6.0, 120.0  # harmonics of tones, and their period; of any [s]
 
 
 class Candidate(NamedTuple):
@@ -39,7 +41,7 @@ class Candidate(NamedTuple):
 def candidates(limits: Limits, joints: Sequence[str], pace: float = 1.0, seed: int = 0
                ) -> list[Candidate]:
     """
-    Return motions of many kinds: swings, short, creeping and of single joints, and postures.
+    Return motions of many kinds: swings, tones, strokes, moves, of all joints and of single ones.
 
     Parameters
     ----------
@@ -50,40 +52,61 @@ def candidates(limits: Limits, joints: Sequence[str], pace: float = 1.0, seed: i
     pace : float
         Times as slow as the limits allow; torque may demand it.
     seed : int
-        Of the postures.
+        Of postures and phases.
 
     """
-    reach = _OF_LIMIT * np.minimum(limits.upper, -limits.lower)
+    reach = _reach(limits)
     several = 'all joints' if len(joints) > 1 else joints[0]
+
+    def swing(name, words, amplitude, slower=1.0):
+        return _swing(name, words, amplitude, limits, joints, slower * pace)
     found = [
-        _swing('fast_swings', f'fast swings of {several}', reach, limits, joints, pace),
-        _swing('slow_swings', f'slow swings of {several}', reach, limits, joints, _SLOW * pace),
-        _swing('short_swings', f'short fast swings of {several}', _SHORT * reach, limits, joints,
-               pace),
-        _swing('creeping', f'slow reversals of {several} within a small range',
-               _CREEPING * reach, limits, joints, _CREEP * pace),
+        swing('short_swings', f'short fast swings of {several}', _SHORT * reach),
+        swing('medium_swings', f'medium fast swings of {several}', _MEDIUM * reach),
+        _tones('tones', f'many tones at once of {several}', reach, limits, joints, pace, seed),
+        swing('fast_swings', f'wide fast swings of {several}', reach),
+        random_moves(limits, joints, seed, pace),
+        swing('tiny_swings', f'tiny quick swings of {several}', _TINY * reach),
+        swing('slow_swings', f'wide slow swings of {several}', reach, _SLOW),
+        _strokes('strokes', f'strokes of {several}, each shorter and slower than the one before', reach,
+                 limits, joints, pace),
+        swing('creeping', f'slow reversals of {several} within a small range',
+              _CREEPING * reach, _CREEP),
         _postures('fast_postures', f'fast moves with holds at {_POSTURES} postures', reach,
-                  limits, joints, pace, seed),
+                  limits, joints, pace, seed + 1),
         _postures('slow_postures', f'slow moves with holds at {_POSTURES} postures', reach,
                   limits, joints, _SLOW * pace, seed)]
-    if len(joints) > 1:
-        found += [_swing(f'{joint}_alone', f'fast swings of {joint} alone, the others held',
-                         np.where(np.arange(len(joints)) == j, reach, 0.0), limits, joints, pace)
-                  for j, joint in enumerate(joints)]
+    for j, joint in enumerate(joints if len(joints) > 1 else ()):
+        alone = np.where(np.arange(len(joints)) == j, reach, 0.0)
+        found += [swing(f'{joint}_alone', f'wide fast swings of {joint} alone, the others held',
+                        alone),
+                  swing(f'{joint}_alone_short', f'short fast swings of {joint} alone, the '
+                        'others held', _SHORT * alone)]
     return found
 
 
-def random_moves(limits: Limits, joints: Sequence[str], seed: int) -> Candidate:
+def gentlest(limits: Limits, joints: Sequence[str]) -> Candidate:
+    """Return slow swings, slower than any candidate."""
+    return _swing('gentlest', 'the slowest swings', _reach(limits), limits, joints, _GENTLE)
+
+
+def random_moves(limits: Limits, joints: Sequence[str], seed: int, pace: float = 1.0
+                 ) -> Candidate:
     """Return moves through random postures, which designed motions are compared with."""
-    reach = _OF_LIMIT * np.minimum(limits.upper, -limits.lower)
-    return _postures('random', 'random moves', reach, limits, joints, 1.0, seed, 40)
+    return _postures('random_moves', 'moves through random postures', _reach(limits), limits,
+                     joints, pace, seed, 40)
+
+
+def _reach(limits):
+    """Return the amplitudes about zero that references may have (n,)."""
+    return _OF_LIMIT * np.minimum(limits.upper, -limits.lower)
 
 
 def _swing(name, words, amplitude, limits, joints, slower):
     """Return sinusoids, the period of each joint `_APART` times that of the one before."""
     period = 2.0 * np.pi * slower * float(np.max(np.maximum(
         amplitude / (_OF_LIMIT * limits.velocity),
-        np.sqrt(amplitude / (_OF_LIMIT * _QUICK * limits.velocity)))))
+        np.sqrt(amplitude / (_OF_LIMIT * _QUICKEST * limits.velocity)))))
     parameters = {'trajectory.type': 'sinusoid', 'trajectory.ramp_time': 0.5 * period}
     for j, joint in enumerate(joints):
         parameters |= {f'trajectory.{joint}.amplitude': float(amplitude[j]),
@@ -91,15 +114,50 @@ def _swing(name, words, amplitude, limits, joints, slower):
     return Candidate(name, words, parameters)
 
 
+def _tones(name, words, reach, limits, joints, slower, seed):
+    """Return a Fourier series of random phases, its velocities alike, as fast as limits allow."""
+    order = np.arange(1, _TONES + 1)[:, None]
+    turn = 2.0 * np.pi * order[:, :, None] * np.linspace(0.0, 1.0, 400)
+    phase = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi, (_TONES, len(joints)))
+    period = _PERIOD * slower
+
+    def peak(power):  # of the derivative of this order (n,)
+        rate = (2.0 * np.pi * order / period) ** power / order
+        return np.abs(np.sum(rate[:, :, None] * np.sin(
+            turn + phase[:, :, None] + 0.5 * np.pi * power), axis=0)).max(axis=1)
+    size = np.minimum.reduce([
+        reach / peak(0), _OF_LIMIT * limits.velocity / peak(1) / slower,
+        _OF_LIMIT * _QUICKEST * limits.velocity / peak(2) / slower ** 2])
+    parameters = {'trajectory.type': 'fourier', 'trajectory.ramp_time': 1.0,
+                  'trajectory.repeats': int(np.ceil(_LONGEST / period))}
+    for j, joint in enumerate(joints):
+        parameters |= {f'trajectory.{joint}.period': float(period), **{
+            f'trajectory.{joint}.{name}': (size[j] / order[:, 0] * of(phase[:, j])).tolist()
+            for name, of in (('sine', np.cos), ('cosine', np.sin))}}
+    return Candidate(name, words, parameters)
+
+
 def _postures(name, words, reach, limits, joints, slower, seed, count=_POSTURES):
     """Return rest-to-rest moves through random postures, repeated to the end."""
     places = np.random.default_rng(seed).uniform(-reach, reach, (count, len(joints)))
-    places = np.vstack([np.zeros(len(joints)), np.tile(places, (8, 1))])
+    return _moves(name, words, np.tile(places, (8, 1)), limits, joints, slower, _HOLD)
+
+
+def _strokes(name, words, reach, limits, joints, slower):
+    """Return strokes to and fro in equal times, each shorter than the one before."""
+    share = np.arange(2 * _STROKES, 0, -1) / (2 * _STROKES)
+    places = np.outer(share * np.tile([1.0, -1.0], _STROKES), reach)
+    return _moves(name, words, np.tile(places, (8, 1)), limits, joints, slower, 0.0)
+
+
+def _moves(name, words, places, limits, joints, slower, hold):
+    """Return rest-to-rest moves of equal times from zero through ``places`` (K, n)."""
+    places = np.vstack([np.zeros(len(joints)), places])
     distance = np.abs(np.diff(places, axis=0)).max(axis=0)
     time = slower * np.max(np.maximum(
         _FASTEST * distance / (_OF_LIMIT * limits.velocity),
         np.sqrt(_STEEPEST * distance / (_OF_LIMIT * _QUICK * limits.velocity))))
     parameters = {'trajectory.type': 'via_points', 'trajectory.move_time': float(time),
-                  'trajectory.hold_time': _HOLD}
+                  'trajectory.hold_time': hold}
     return Candidate(name, words, parameters | {
         f'trajectory.{joint}.points': places[:, j].tolist() for j, joint in enumerate(joints)})

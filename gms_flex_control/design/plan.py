@@ -5,11 +5,10 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from itertools import combinations
 from pathlib import Path
 
 from gms_flex_control.design.motions import candidates
-from gms_flex_control.design.separation import Beliefs, predicted, Prediction
+from gms_flex_control.design.separation import Beliefs, loop_of, predicted, Prediction, resolving
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.hardware.limits import Limits
 from gms_flex_control.params.gains import ControllerParams
@@ -17,10 +16,11 @@ from gms_flex_control.schema.files import save_values
 import numpy as np
 
 MOST = 4               # hypotheses that are separated at once
-_FIRST, SHORTEST = 8.0, 4.0  # length at which motions are compared, and of any [s]
-_WORTH = 0.8           # of the length compared: a shorter motion saves time
-_PACES = 1.0, 1.6, 2.5, 4.0  # that are tried until all limits are kept
-_SAFE = 1.5            # times the evidence wanted: what is expected scatters
+SHORTEST = 5.0         # length at which motions are compared, and of any [s]
+_AROUND = 4.0          # before and after each motion: on the way to it, and at rest [s]
+_PACES = tuple(1.25 ** k for k in range(8))  # that are tried until all limits are kept
+_PROMISING = 0.9       # probability of leaving one in the shortest time: no other is looked for
+LIKELY = 0.5           # probability from which a motion is said to separate
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -28,37 +28,21 @@ class NextRecording:
     """The motion to be recorded next."""
 
     beliefs: Beliefs
-    wanted: float             # log odds that every pair is to have afterwards
+    wanted: float             # log odds that leave one of a pair
     best: Prediction          # the motion chosen
+    probability: float        # that it leaves one hypothesis, the true one
     compared: tuple           # of Prediction at one length, the best first
     refused: tuple            # names of motions that would cross a limit
 
-    def pairs(self, separated: bool) -> list:
-        """Return the pairs of hypotheses that the motion separates, or those that it does not."""
-        return [pair for pair, odds in zip(combinations(self.beliefs.hypotheses, 2),
-                                           self.best.pairs, strict=True)
-                if (odds >= self.wanted) == separated]
-
-    @property
-    def undecided(self) -> list:
-        """Return the pairs of hypotheses that the motion does not separate, in words."""
-        return [f'{one.words} and {other.words}' for one, other in self.pairs(False)]
-
     def sentence(self) -> str:
         """Return what to record and what it will show."""
-        best, separated = self.best, self.pairs(True)
-        if not separated:
-            return (f'No motion within the limits and {best.duration:.0f} s separates '
-                    f'{" or ".join(self.undecided)}.')
-        least = np.exp(min(best.pairs[best.pairs >= self.wanted].min(), 50.0))
-        if self.undecided:
-            what = ', '.join(f'{one.words} from {other.words}' for one, other in separated)
-            rest = f', but not {" nor ".join(self.undecided)}'
-        else:
-            words = [one.words for one in self.beliefs.hypotheses]
-            what, rest = f'{", ".join(words[:-1])} and {words[-1]}', ''
-        return (f'Record {best.duration:.0f} s of {best.candidate.words}: expected to separate '
-                f'{what} by a factor of at least {least:.3g}{rest}.')
+        best, count = self.best, len(self.beliefs.hypotheses)
+        lead = [np.delete(row, k).min() for k, row in enumerate(best.odds)]
+        ahead = ', '.join(f'{np.exp(min(one, 50.0)):.3g} to 1 if it is {hypothesis.words}'
+                          for one, hypothesis in zip(lead, self.beliefs.hypotheses, strict=True))
+        return (f'Record {best.duration:.0f} s of {best.candidate.words}: of {count} explanations '
+                f'it leaves the true one with a probability of {100.0 * self.probability:.0f} %; '
+                f'expected odds are {ahead}.')
 
 
 def surviving(report: Mapping) -> list[frozenset]:
@@ -93,7 +77,9 @@ def plan_next(beliefs: Beliefs, gains: ControllerParams, limits: Limits, *, peri
               odds: float = 99.0, longest: float = 60.0,
               say: Callable[[str], object] = lambda text: None) -> NextRecording:
     """
-    Choose the motion that separates the hypotheses fastest.
+    Choose the motion, and its length, that leaves the true hypothesis soonest.
+
+    That with most probability of doing so in a second, what is around a motion included.
 
     Parameters
     ----------
@@ -123,61 +109,44 @@ def plan_next(beliefs: Beliefs, gains: ControllerParams, limits: Limits, *, peri
 
     """
     wanted, found, refused = float(np.log(odds)), [], []
-    first = min(_FIRST, longest)
-    gains = clipped(gains, limits)
+    first = min(SHORTEST, longest)
+    loop = loop_of(beliefs, clipped(gains, limits), limits, period=period, duration=first)
+
+    def choice(one):
+        """Return the best length of a motion, its probability, and that in a second."""
+        lengths = np.arange(first, longest + 0.5)
+        odds = [resolving(beliefs, one.after(length, beliefs.odds), wanted) for length in lengths]
+        k = int(np.argmax(odds / (lengths + _AROUND)))
+        return float(lengths[k]), odds[k], odds[k] / (lengths[k] + _AROUND)
     for kind in zip(*(candidates(limits, beliefs.robot.joints, pace) for pace in _PACES),
                     strict=True):
         say(kind[0].words)
-        one = next(filter(None, (predicted(beliefs, candidate, first, gains, limits,
-                                           period=period) for candidate in kind)), None)
+        one = next(filter(None, (predicted(beliefs, candidate, first, loop)
+                                 for candidate in kind if loop.kept)), None)
         if one is None:
             refused.append(kind[0].name)
-        else:
-            found.append(one)
-            if one.pairs.min() >= wanted and _lengths(beliefs, one, wanted, longest) == [SHORTEST]:
-                break  # no motion is shorter
+            continue
+        found.append(one)
+        length, probability, _ = choice(one)
+        if length == first and probability >= _PROMISING:
+            break
     if not found:
         raise ConfigError('every motion would cross a limit with a robot of the hypotheses; '
                           'widen the limits, or look at gains with gms_flex tune')
-    found.sort(key=lambda one: -_merit(one, wanted))
-    best = found[0]
-    for length in _lengths(beliefs, best, wanted, longest):
+    found.sort(key=lambda one: -choice(one)[2])
+    best, (length, probability, _) = found[0], choice(found[0])
+    if length != first:
         say(f'{best.candidate.words}, {length:.0f} s')
-        other = predicted(beliefs, best.candidate, length, gains, limits, period=period)
-        if other is None:
-            continue
-        enough = other.pairs.min() >= wanted
-        if enough or (length > best.duration and _merit(other, wanted) > _merit(best, wanted)):
-            best = other
-        if enough:
-            break
-    return NextRecording(beliefs=beliefs, wanted=wanted, best=best, compared=tuple(found),
-                         refused=tuple(refused))
+        other = predicted(beliefs, best.candidate, length, loop)
+        if other is not None:
+            best, probability = other, resolving(beliefs, other.odds, wanted)
+    return NextRecording(beliefs=beliefs, wanted=wanted, best=best, probability=probability,
+                         compared=tuple(found), refused=tuple(refused))
 
 
 def clipped(gains: ControllerParams, limits: Limits) -> ControllerParams:
     """Return gains of a controller that asks for no more torque than limits allow."""
     return replace(gains, torque_limit=np.minimum(gains.torque_limit, limits.torque))
-
-
-def _lengths(beliefs, best, wanted, longest):
-    """Return lengths to be tried of the best motion: log odds grow in proportion to time."""
-    growth = best.odds - beliefs.odds
-    growth = np.where(growth > 0.0, growth, np.nan) / best.duration
-    needed = np.maximum(_SAFE * wanted - beliefs.odds, 0.0) / growth
-    needed = np.fmax(needed, needed.T)[np.triu_indices(len(needed), 1)]  # of either true [s]
-    if best.pairs.min() >= wanted:
-        shorter = max(float(np.nanmax(needed)), SHORTEST)
-        return [shorter] if shorter < _WORTH * best.duration else []
-    needed = needed[needed > best.duration]
-    lengths = [*([min(float(needed.min()), longest)] if len(needed) else []), longest]
-    return [one for one in dict.fromkeys(lengths) if one > best.duration]
-
-
-def _merit(prediction, wanted):
-    """Return how much of the odds wanted of all pairs a motion gives, then by the worst pair."""
-    pairs = prediction.pairs
-    return np.sum(np.clip(pairs, -wanted, wanted)) + 1e-3 * pairs.min()
 
 
 def write_plan(plan: NextRecording, folder: str | Path) -> Path:

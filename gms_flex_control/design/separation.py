@@ -15,7 +15,7 @@ from itertools import combinations
 from typing import NamedTuple
 
 from gms_flex_control.data.recording import Recording
-from gms_flex_control.design.motions import Candidate
+from gms_flex_control.design.motions import Candidate, gentlest
 from gms_flex_control.discrepancy.dictionary import Dictionary, may_join
 from gms_flex_control.discrepancy.evidence import state_of
 from gms_flex_control.discrepancy.fitting import (
@@ -40,12 +40,15 @@ from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.robot import EffectSpec, RobotParams
 from gms_flex_control.trajectory import builders
 import numpy as np
+from scipy.special import ndtr
 
 _DRAWS = 4          # from the posterior at two standard deviations, that must keep the limits
 _SIGMAS = 2.0
 _OVER = 0.02        # of a limit beyond it: rounding of encoders and of the reference
 _LARGEST_SD = 1e3   # of a parameter of which nothing is known: a finite precision
 _HARDLY = 0.05      # of the size of an effect, where a fit begins a second time
+_EXPECTED = 0.5     # relative error of an expected gain of log odds: seen on hidden robots
+_LEAST_SCATTER = 0.5  # of log odds
 _ITERATIONS = 3     # of re-tuning along old and new recordings
 
 
@@ -95,9 +98,8 @@ class Beliefs:
 
     @property
     def probabilities(self) -> np.ndarray:
-        """Return that of each hypothesis (H,), equally likely before any recording."""
-        log = 0.5 * np.array([one.evidence for one in self.hypotheses])
-        mass = np.exp(log - log.max())
+        """Return that of each hypothesis (H,), equally likely before, by the odds of the first."""
+        mass = np.exp(-np.maximum(self.odds[0], 0.0))
         return mass / mass.sum()
 
 
@@ -109,10 +111,24 @@ class Prediction(NamedTuple):
     odds: np.ndarray          # (H, H) log odds of row (true) over column expected afterwards
     runs: tuple               # the Recording of each hypothesis
 
-    @property
-    def pairs(self) -> np.ndarray:
-        """Return the lesser log odds of each pair, either of it true, as itertools pairs them."""
-        return np.minimum(self.odds, self.odds.T)[np.triu_indices(len(self.odds), 1)]
+    def after(self, duration: float, so_far: np.ndarray) -> np.ndarray:
+        """Return the log odds (H, H) expected after so long: what they gain grows with time."""
+        return so_far + (self.odds - so_far) * duration / self.duration
+
+
+def resolving(beliefs: Beliefs, odds: np.ndarray, wanted: float) -> float:
+    """
+    Return the probability that a motion leaves one hypothesis, the true one.
+
+    ``odds`` (H, H) are the log odds expected after it, ``wanted`` are those that leave one of a
+    pair. A gain g of log odds scatters by 2 g (as of all Gaussian likelihoods), and is itself
+    expected with an error of `_EXPECTED` g; each hypothesis is true with its probability.
+    """
+    gain = np.maximum(odds - beliefs.odds, 0.0)
+    share = ndtr((odds - wanted) / np.sqrt(_LEAST_SCATTER ** 2 + 2.0 * gain
+                                           + (_EXPECTED * gain) ** 2))
+    np.fill_diagonal(share, 1.0)
+    return float(beliefs.probabilities @ share.min(axis=1))
 
 
 def beliefs_of(recordings: Sequence[Recording], robot: RobotParams,
@@ -210,8 +226,47 @@ def _smaller(spec):
     return replace(spec, values=(_HARDLY * spec.values[0], *spec.values[1:]))
 
 
-def predicted(beliefs: Beliefs, candidate: Candidate, duration: float, gains: ControllerParams,
-              limits: Limits, *, period: float, substeps: int = 20, seed: int = 0
+class Loop(NamedTuple):
+    """The closed loop in which robots of the hypotheses are simulated."""
+
+    gains: ControllerParams   # of the controller, which believes the robot as believed
+    limits: Limits
+    period: float             # sample time [s]
+    fitted: tuple             # RobotParams of each hypothesis
+    kept: tuple               # those that must keep the limits: as fitted, and drawn around
+
+    def run(self, robot, believed, candidate, duration):
+        """Return the Plan and the Run of a robot; SimulationError if it diverges."""
+        plan = closed_loop_plan(robot, believed, candidate, duration, self.gains,
+                                period=self.period)
+        return plan, run_plan(plan)
+
+    def keeps(self, robot, believed, candidate, duration) -> bool:
+        """Return whether a robot keeps the limits along a motion."""
+        try:
+            return keeps(self.run(robot, believed, candidate, duration)[1], self.limits)
+        except SimulationError:
+            return False
+
+
+def loop_of(beliefs: Beliefs, gains: ControllerParams, limits: Limits, *, period: float,
+            duration: float, seed: int = 0) -> Loop:
+    """
+    Return the Loop with each hypothesis as the robot, as fitted and at two standard deviations.
+
+    A robot that crosses a limit even along the slowest swings, as one that oscillates at any
+    speed does, is refuted by the recordings, in which the same controller did not: it need keep
+    none.
+    """
+    rng, so_far = np.random.default_rng(seed), beliefs.likelihood
+    fitted = tuple(one.robot(so_far) for one in beliefs.hypotheses)
+    drawn = [one.robot(so_far, _SIGMAS, rng) for one in beliefs.hypotheses for _ in range(_DRAWS)]
+    loop, slow = Loop(gains, limits, period, fitted, ()), gentlest(limits, beliefs.robot.joints)
+    return loop._replace(kept=tuple(one for one in (*fitted, *drawn)
+                                    if loop.keeps(one, beliefs.robot, slow, duration)))
+
+
+def predicted(beliefs: Beliefs, candidate: Candidate, duration: float, loop: Loop, seed: int = 0
               ) -> Prediction | None:
     """
     Return how far a motion is expected to separate every pair of hypotheses.
@@ -224,14 +279,10 @@ def predicted(beliefs: Beliefs, candidate: Candidate, duration: float, gains: Co
         The motion.
     duration : float
         Of it [s].
-    gains : ControllerParams
-        Of the controller, which believes the robot as believed.
-    limits : Limits
-        That each simulated robot must keep, also two standard deviations from its fit.
-    period : float
-        Sample time [s].
-    substeps, seed : int
-        Of the simulation.
+    loop : Loop
+        From `loop_of`.
+    seed : int
+        Of null simulations.
 
     Returns
     -------
@@ -239,25 +290,16 @@ def predicted(beliefs: Beliefs, candidate: Candidate, duration: float, gains: Co
         None if a limit would be crossed.
 
     """
-    rng, count = np.random.default_rng(seed), len(beliefs.hypotheses)
-    so_far = beliefs.likelihood
-
-    def plan_with(robot):
-        return closed_loop_plan(robot, beliefs.robot, candidate, duration, gains, period=period,
-                                substeps=substeps, seed=seed)
-
-    plans = [plan_with(one.robot(so_far)) for one in beliefs.hypotheses]
-    try:
-        runs = [run_plan(plan) for plan in plans]
-        drawn = [run_plan(plan_with(one.robot(so_far, _SIGMAS, rng)))
-                 for one in beliefs.hypotheses for _ in range(_DRAWS)]
-    except SimulationError:
+    so_far, count = beliefs.likelihood, len(beliefs.hypotheses)
+    if not all(loop.keeps(one, beliefs.robot, candidate, duration) for one in loop.kept):
         return None
-    if not all(keeps(run, limits) for run in (*runs, *drawn)):
+    try:
+        runs = [loop.run(one, beliefs.robot, candidate, duration) for one in loop.fitted]
+    except SimulationError:
         return None
     odds = np.zeros((count, count))
     noise = np.vstack([so_far.noise, np.sqrt(np.mean(so_far.noise ** 2, axis=0))])
-    recordings = [to_recording(run, plan) for run, plan in zip(runs, plans, strict=True)]
+    recordings = [to_recording(run, plan) for plan, run in runs]
     for a, recording in enumerate(recordings):
         motions = [*so_far.motions, motion_of(recording, beliefs.robot)]
         likelihood = Likelihood(motions, beliefs.robot, seed, cautious=True).with_noise(noise)

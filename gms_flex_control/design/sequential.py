@@ -19,6 +19,7 @@ from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.robot import RobotParams
 import numpy as np
 
+HOPELESS = 0.02  # probability of leaving one below which nothing is recorded any more
 ONE_LEFT, BUDGET, INSEPARABLE = 'one_left', 'budget_spent', 'inseparable'
 
 
@@ -109,8 +110,8 @@ def separate(recordings: Sequence[Recording], robot: RobotParams, sets: Sequence
             return ended(BUDGET)
         plan = plan_next(left, gains, limits, period=period, odds=odds,
                          longest=min(longest, room), say=say)
-        if not plan.pairs(True) and rounds:  # what the first recordings foresee is a poor guess
-            return ended(INSEPARABLE if room >= longest else BUDGET, plan)
+        if plan.probability < HOPELESS and rounds:  # a first recording foresees badly
+            return ended(INSEPARABLE, plan)
         say(plan.sentence())
         recording = drive(plan, len(rounds) + 1)
         rounds.append(Round(plan, recording))
