@@ -20,7 +20,7 @@ from gms_flex_control.design.motions import Candidate, random_moves
 from gms_flex_control.design.plan import clipped
 from gms_flex_control.design.separation import beliefs_of, keeps
 from gms_flex_control.design.sequential import separate
-from gms_flex_control.errors import GmsFlexError, SimulationError
+from gms_flex_control.errors import ConfigError, GmsFlexError, SimulationError
 from gms_flex_control.file_io import write_text
 from gms_flex_control.hardware.limits import Limits
 from gms_flex_control.reports.figures import save_figure
@@ -204,8 +204,12 @@ def _designed(robot, item, kept):
         return recording
 
     begun = time.process_time()
-    found = separate([robot.first], robot.believed, robot.sets, robot.gains, robot.limits, driven,
-                     period=PERIOD, odds=ODDS, budget=BUDGET, longest=BUDGET)
+    try:
+        found = separate([robot.first], robot.believed, robot.sets, robot.gains, robot.limits,
+                         driven, period=PERIOD, odds=ODDS, budget=BUDGET, longest=BUDGET)
+    except ConfigError:  # every motion would cross a limit
+        return {'time': 0.0, 'verdict': 'refused', 'rounds': 0,
+                'seconds': time.process_time() - begun, 'answer': 'open'}
     return {'time': found.spent, 'verdict': found.verdict, 'rounds': len(found.rounds),
             'seconds': time.process_time() - begun,
             'answer': _answer(robot, [one.effects for one in found.left])}

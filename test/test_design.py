@@ -6,12 +6,20 @@
 from dataclasses import replace
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 from gms_flex_control.cli.main import main
 from gms_flex_control.data.writer import write_recording
 from gms_flex_control.design.motions import candidates, random_moves
 from gms_flex_control.design.plan import NextRecording, plan_next, SHORTEST, surviving
-from gms_flex_control.design.separation import beliefs_of, log_odds, Prediction, resolving
+from gms_flex_control.design.separation import (
+    beliefs_of,
+    keeps,
+    log_odds,
+    loop_of,
+    Prediction,
+    resolving,
+)
 from gms_flex_control.design.sequential import BUDGET, INSEPARABLE, separate
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.experiment.simulated import Plan, simulate
@@ -84,6 +92,25 @@ def test_the_planned_motion_is_expected_to_separate_what_is_left_and_keeps_limit
     assert (np.abs(found.dq_link) <= 1.1 * LIMITS.velocity).all()
 
 
+def test_a_robot_that_oscillates_at_any_speed_is_refuted_by_what_was_recorded(robot, gains):
+    """A lag of 50 ms makes the loop unstable: such a robot need keep no limit."""
+    lagging = replace(robot, effects=(
+        EffectSpec(name='actuator_lag', joint='joint2', values=(0.05,)),))
+    beliefs = SimpleNamespace(robot=robot, likelihood=None, hypotheses=[
+        SimpleNamespace(robot=lambda *args, one=one: one) for one in (robot, lagging)])
+    loop = loop_of(beliefs, gains, LIMITS, period=PERIOD, duration=5.0)
+    assert loop.fitted == (robot, lagging)
+    assert loop.kept and all(one is robot for one in loop.kept)
+
+
+def test_torque_may_be_at_its_limit_at_peaks_only():
+    still = np.zeros((1000, 4, 2))
+    for clipped, kept in ((9, True), (11, False)):
+        command = np.zeros((1000, 2))
+        command[:clipped, 1] = -LIMITS.torque[1]
+        assert keeps(SimpleNamespace(true=still, command=command), LIMITS) == kept
+
+
 def test_limits_that_no_motion_keeps_are_refused(robot, gains, forward_only):
     tight = replace(LIMITS, torsion=[1e-4, 1e-4])
     beliefs = beliefs_of([forward_only[1]], robot, [BIAS, ASYMMETRY])
@@ -119,7 +146,7 @@ def test_rounds_in_simulation_leave_the_true_name(robot, forward_only, tmp_path,
 
 def test_what_predicts_the_same_ends_as_inseparable_and_no_budget_as_spent(
         robot, gains, forward_only, monkeypatch):
-    """A plan that separates nothing is driven once: the first recording may foresee badly."""
+    """A plan that separates nothing is driven twice: the first recordings may foresee badly."""
     monkeypatch.setattr('gms_flex_control.design.plan.predicted', lambda beliefs, candidate,
                         duration, loop: Prediction(candidate, duration, beliefs.odds, ()))
 
@@ -136,7 +163,7 @@ def test_what_predicts_the_same_ends_as_inseparable_and_no_budget_as_spent(
         found = separate([forward_only[1]], robot, [BIAS, ASYMMETRY], gains, LIMITS, drive,
                          period=PERIOD, budget=budget, longest=30.0)
         assert found.verdict == verdict and len(found.left) == 2
-        assert driven == ([1] if budget > SHORTEST else [])
+        assert driven == ([1, 2] if budget > SHORTEST else [])
         assert all(one.words in found.sentence() for one in found.left)
 
 

@@ -45,6 +45,7 @@ from scipy.special import ndtr
 _DRAWS = 4          # from the posterior at two standard deviations, that must keep the limits
 _SIGMAS = 2.0
 _OVER = 0.02        # of a limit beyond it: rounding of encoders and of the reference
+_CLIPPED = 0.01     # of the time that torque may be at its limit: peaks of friction reversals
 _LARGEST_SD = 1e3   # of a parameter of which nothing is known: a finite precision
 _HARDLY = 0.05      # of the size of an effect, where a fit begins a second time
 _EXPECTED = 0.5     # relative error of an expected gain of log odds: seen on hidden robots
@@ -322,12 +323,14 @@ def closed_loop_plan(robot: RobotParams, believed: RobotParams, candidate: Candi
 
 
 def keeps(run, limits: Limits) -> bool:
-    """Return whether a simulated run keeps range, velocity and torsion; torque is clipped."""
+    """Return whether a simulated run keeps range, velocity and torsion, and is hardly clipped."""
     q_link, dq_link, q_motor, _ = np.moveaxis(run.true, 1, 0)
     over = _OVER * (limits.upper - limits.lower)
+    clipped = np.mean(np.abs(run.command) >= (1.0 - _OVER) * limits.torque, axis=0)
     return bool(np.all(q_link <= limits.upper + over) and np.all(q_link >= limits.lower - over)
                 and np.all(np.abs(dq_link) <= (1.0 + _OVER) * limits.velocity)
-                and np.all(np.abs(q_motor - q_link) <= (1.0 + _OVER) * limits.torsion))
+                and np.all(np.abs(q_motor - q_link) <= (1.0 + _OVER) * limits.torsion)
+                and np.all(clipped <= _CLIPPED))
 
 
 def _state(likelihood, hypothesis, nuisances):

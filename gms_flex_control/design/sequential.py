@@ -19,7 +19,8 @@ from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.robot import RobotParams
 import numpy as np
 
-HOPELESS = 0.02  # probability of leaving one below which nothing is recorded any more
+HOPELESS = 0.02  # probability of leaving one below which nothing more is recorded,
+FORESEEN = 2     # once so many motions were: the first recordings foresee badly
 ONE_LEFT, BUDGET, INSEPARABLE = 'one_left', 'budget_spent', 'inseparable'
 
 
@@ -110,7 +111,7 @@ def separate(recordings: Sequence[Recording], robot: RobotParams, sets: Sequence
             return ended(BUDGET)
         plan = plan_next(left, gains, limits, period=period, odds=odds,
                          longest=min(longest, room), say=say)
-        if plan.probability < HOPELESS and rounds:  # a first recording foresees badly
+        if plan.probability < HOPELESS and len(rounds) >= FORESEEN:
             return ended(INSEPARABLE, plan)
         say(plan.sentence())
         recording = drive(plan, len(rounds) + 1)
