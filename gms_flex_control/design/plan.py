@@ -20,6 +20,7 @@ SHORTEST = 5.0         # length at which motions are compared, and of any [s]
 _AROUND = 4.0          # before and after each motion: on the way to it, and at rest [s]
 _PACES = tuple(1.25 ** k for k in range(8))  # that are tried until all limits are kept
 _PROMISING = 0.9       # probability of leaving one in the shortest time: no other is looked for
+_SIMULATED = 3         # motions at most of which longer ones are simulated
 LIKELY = 0.5           # probability from which a motion is said to separate
 
 
@@ -112,35 +113,38 @@ def plan_next(beliefs: Beliefs, gains: ControllerParams, limits: Limits, *, peri
     first = min(SHORTEST, longest)
     loop = loop_of(beliefs, clipped(gains, limits), limits, period=period, duration=first)
 
-    def choice(one):
-        """Return the best length of a motion, its probability, and that in a second."""
-        lengths = np.arange(first, longest + 0.5)
+    def choice(one, lengths):
+        """Return (probability in a second, probability, length) of the best of lengths."""
         odds = [resolving(beliefs, one.after(length, beliefs.odds), wanted) for length in lengths]
-        k = int(np.argmax(odds / (lengths + _AROUND)))
-        return float(lengths[k]), odds[k], odds[k] / (lengths[k] + _AROUND)
+        return max((p / (length + _AROUND), p, float(length))
+                   for p, length in zip(odds, lengths, strict=True))
+    lengths = np.arange(first, longest + 0.5)
     for kind in zip(*(candidates(limits, beliefs.robot.joints, pace) for pace in _PACES),
                     strict=True):
         say(kind[0].words)
         one = next(filter(None, (predicted(beliefs, candidate, first, loop)
-                                 for candidate in kind if loop.kept)), None)
+                                 for candidate in kind)), None)
         if one is None:
             refused.append(kind[0].name)
             continue
         found.append(one)
-        length, probability, _ = choice(one)
-        if length == first and probability >= _PROMISING:
+        if choice(one, [first])[1] >= _PROMISING:
             break
     if not found:
         raise ConfigError('every motion would cross a limit with a robot of the hypotheses; '
                           'widen the limits, or look at gains with gms_flex tune')
-    found.sort(key=lambda one: -choice(one)[2])
-    best, (length, probability, _) = found[0], choice(found[0])
-    if length != first:
-        say(f'{best.candidate.words}, {length:.0f} s')
-        other = predicted(beliefs, best.candidate, length, loop)
-        if other is not None:
-            best, probability = other, resolving(beliefs, other.odds, wanted)
-    return NextRecording(beliefs=beliefs, wanted=wanted, best=best, probability=probability,
+    found.sort(key=lambda one: -choice(one, lengths)[0])
+    best = max(found, key=lambda one: choice(one, [first])[0])
+    worth = choice(best, [first])
+    for one in found[:_SIMULATED]:  # what a longer motion is worth is simulated
+        promised, _, length = choice(one, lengths)
+        if promised <= worth[0]:
+            break
+        say(f'{one.candidate.words}, {length:.0f} s')
+        longer = one if length == first else predicted(beliefs, one.candidate, length, loop)
+        if longer is not None and choice(longer, [length])[0] > worth[0]:
+            best, worth = longer, choice(longer, [length])
+    return NextRecording(beliefs=beliefs, wanted=wanted, best=best, probability=worth[1],
                          compared=tuple(found), refused=tuple(refused))
 
 

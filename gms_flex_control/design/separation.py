@@ -234,7 +234,7 @@ class Loop(NamedTuple):
     limits: Limits
     period: float             # sample time [s]
     fitted: tuple             # RobotParams of each hypothesis
-    kept: tuple               # those that must keep the limits: as fitted, and drawn around
+    kept: tuple               # those that must keep the limits: as believed, fitted, and drawn
 
     def run(self, robot, believed, candidate, duration):
         """Return the Plan and the Run of a robot; SimulationError if it diverges."""
@@ -263,8 +263,8 @@ def loop_of(beliefs: Beliefs, gains: ControllerParams, limits: Limits, *, period
     fitted = tuple(one.robot(so_far) for one in beliefs.hypotheses)
     drawn = [one.robot(so_far, _SIGMAS, rng) for one in beliefs.hypotheses for _ in range(_DRAWS)]
     loop, slow = Loop(gains, limits, period, fitted, ()), gentlest(limits, beliefs.robot.joints)
-    return loop._replace(kept=tuple(one for one in (*fitted, *drawn)
-                                    if loop.keeps(one, beliefs.robot, slow, duration)))
+    return loop._replace(kept=(beliefs.robot, *(
+        one for one in (*fitted, *drawn) if loop.keeps(one, beliefs.robot, slow, duration))))
 
 
 def predicted(beliefs: Beliefs, candidate: Candidate, duration: float, loop: Loop, seed: int = 0
