@@ -16,7 +16,7 @@ from gms_flex_control import blas
 from gms_flex_control.answer import align
 from gms_flex_control.batches import fingerprint, run_kept
 from gms_flex_control.cli.options import add_batch_options
-from gms_flex_control.design.motions import Candidate, random_moves
+from gms_flex_control.design.motions import Candidate, gentlest, random_moves
 from gms_flex_control.design.plan import clipped
 from gms_flex_control.design.separation import beliefs_of, keeps
 from gms_flex_control.design.sequential import separate
@@ -154,7 +154,11 @@ def tried(item) -> dict | None:
 
 
 def draw(item) -> Robot | None:
-    """Draw a Robot, with smaller and smaller effects until its first recording leaves two."""
+    """
+    Draw a Robot, with smaller and smaller effects until its first recording leaves two.
+
+    Until its controller moves it within the limits, too: with a large delay it oscillates.
+    """
     family = FAMILIES[item.family]
     rng = np.random.default_rng([_SEED, list(FAMILIES).index(item.family), item.seed])
     plant = str(rng.choice(plants.PLANTS))
@@ -168,6 +172,8 @@ def draw(item) -> Robot | None:
     name, j = family.effects[item.seed % len(family.effects)]
     reference = Candidate('first', '', family.motion).trajectory(robot.joints).sample(
         PERIOD * np.arange(round(FIRST / PERIOD)))
+    slow = gentlest(limits, robot.joints).trajectory(robot.joints).sample(
+        PERIOD * np.arange(round(FIRST / PERIOD)))
     try:
         bare = truth.simulate(robot, believed, gains, reference, period=PERIOD)
         given = sizes.MAIN[name](rng, sizes.figures_of(robot, bare, PERIOD)[j])
@@ -177,7 +183,8 @@ def draw(item) -> Robot | None:
             first = drive(true, believed, gains, reference, item.seed)[1]
             beliefs = beliefs_of([first], believed, sets)
             left = [one.effects for one in beliefs.left(np.log(ODDS)).hypotheses]
-            if len(left) > 1 and sets[item.seed % len(sets)] in left:
+            if len(left) > 1 and sets[item.seed % len(sets)] in left and keeps(drive(
+                    true, believed, gains, slow, item.seed)[0], limits):
                 return Robot(true, believed, clipped(gains, limits), limits,
                              sets[item.seed % len(sets)], left, first, plant)
             given = given | {size: _SMALLER * given[size]}

@@ -92,15 +92,20 @@ def test_the_planned_motion_is_expected_to_separate_what_is_left_and_keeps_limit
     assert (np.abs(found.dq_link) <= 1.1 * LIMITS.velocity).all()
 
 
-def test_a_robot_that_oscillates_at_any_speed_is_refuted_by_what_was_recorded(robot, gains):
-    """A lag of 50 ms makes the loop unstable: such a robot need keep no limit."""
+def test_a_robot_that_would_have_crossed_a_limit_along_a_recording_is_refuted(
+        robot, gains, forward_only):
+    """A lag of 50 ms makes the loop unstable: after a recording such a robot need keep nothing."""
     lagging = replace(robot, effects=(
         EffectSpec(name='actuator_lag', joint='joint2', values=(0.05,)),))
-    beliefs = SimpleNamespace(robot=robot, likelihood=None, hypotheses=[
-        SimpleNamespace(robot=lambda *args, one=one: one) for one in (robot, lagging)])
-    loop = loop_of(beliefs, gains, LIMITS, period=PERIOD, duration=5.0)
+    beliefs = SimpleNamespace(robot=robot, likelihood=None, recordings=[forward_only[1]],
+                              hypotheses=[SimpleNamespace(robot=lambda *args, one=one: one)
+                                          for one in (robot, lagging)])
+    loop = loop_of(beliefs, gains, LIMITS, period=PERIOD)
     assert loop.fitted == (robot, lagging)
-    assert loop.kept and all(one is robot for one in loop.kept)
+    assert len(loop.kept) == 6 and all(one is robot for one in loop.kept)
+    blind = SimpleNamespace(**vars(beliefs) | {'recordings': [replace(
+        forward_only[1], reference=np.full_like(forward_only[1].reference, np.nan))]})
+    assert lagging in loop_of(blind, gains, LIMITS, period=PERIOD).kept
 
 
 def test_torque_may_be_at_its_limit_at_peaks_only():

@@ -111,7 +111,7 @@ def plan_next(beliefs: Beliefs, gains: ControllerParams, limits: Limits, *, peri
     """
     wanted, found, refused = float(np.log(odds)), [], []
     first = min(SHORTEST, longest)
-    loop = loop_of(beliefs, clipped(gains, limits), limits, period=period, duration=first)
+    loop = loop_of(beliefs, clipped(gains, limits), limits, period=period)
 
     def choice(one, lengths):
         """Return (probability in a second, probability, length) of the best of lengths."""

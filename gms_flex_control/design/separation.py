@@ -15,7 +15,7 @@ from itertools import combinations
 from typing import NamedTuple
 
 from gms_flex_control.data.recording import Recording
-from gms_flex_control.design.motions import Candidate, gentlest
+from gms_flex_control.design.motions import Candidate
 from gms_flex_control.discrepancy.dictionary import Dictionary, may_join
 from gms_flex_control.discrepancy.evidence import state_of
 from gms_flex_control.discrepancy.fitting import (
@@ -39,6 +39,7 @@ from gms_flex_control.hardware.limits import Limits
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.robot import EffectSpec, RobotParams
 from gms_flex_control.trajectory import builders
+from gms_flex_control.trajectory.polynomials import Trajectory
 import numpy as np
 from scipy.special import ndtr
 
@@ -46,6 +47,7 @@ _DRAWS = 4          # from the posterior at two standard deviations, that must k
 _SIGMAS = 2.0
 _OVER = 0.02        # of a limit beyond it: rounding of encoders and of the reference
 _CLIPPED = 0.01     # of the time that torque may be at its limit: peaks of friction reversals
+_THINNED = 10       # rows of a recorded reference of which one is kept
 _LARGEST_SD = 1e3   # of a parameter of which nothing is known: a finite precision
 _HARDLY = 0.05      # of the size of an effect, where a fit begins a second time
 _EXPECTED = 0.5     # relative error of an expected gain of log odds: seen on hidden robots
@@ -87,6 +89,7 @@ class Beliefs:
     """What the recordings so far say: hypotheses and the noise of the drives."""
 
     robot: RobotParams        # as believed
+    recordings: tuple         # of Recording
     hypotheses: tuple         # of Hypothesis, the likeliest first
     likelihood: Likelihood    # of the recordings
     odds: np.ndarray          # (H, H) log odds of row over column, see `log_odds`
@@ -163,7 +166,7 @@ def beliefs_of(recordings: Sequence[Recording], robot: RobotParams,
     dictionary = Dictionary(likelihood, base, only=set().union(*sets))
     found = sorted((_fitted(likelihood, base, nuisances, dictionary, frozenset(one))
                     for one in sets), key=lambda one: -one.evidence)
-    return Beliefs(robot, tuple(found), likelihood, log_odds(
+    return Beliefs(robot, tuple(recordings), tuple(found), likelihood, log_odds(
         likelihood, [one.model for one in found], [one.evidence for one in found]))
 
 
@@ -250,21 +253,40 @@ class Loop(NamedTuple):
             return False
 
 
+class Recorded(NamedTuple):
+    """The reference of a recording, as a motion."""
+
+    name: str
+    reference: Trajectory
+
+    def trajectory(self, _) -> Trajectory:
+        """Return the reference, its time from 0."""
+        return self.reference
+
+
 def loop_of(beliefs: Beliefs, gains: ControllerParams, limits: Limits, *, period: float,
-            duration: float, seed: int = 0) -> Loop:
+            seed: int = 0) -> Loop:
     """
     Return the Loop with each hypothesis as the robot, as fitted and at two standard deviations.
 
-    A robot that crosses a limit even along the slowest swings, as one that oscillates at any
-    speed does, is refuted by the recordings, in which the same controller did not: it need keep
-    none.
+    A robot that would have crossed a limit along a recorded reference is refuted by the recording
+    and need keep none.
     """
-    rng, so_far = np.random.default_rng(seed), beliefs.likelihood
+    rng, so_far, believed = np.random.default_rng(seed), beliefs.likelihood, beliefs.robot
     fitted = tuple(one.robot(so_far) for one in beliefs.hypotheses)
     drawn = [one.robot(so_far, _SIGMAS, rng) for one in beliefs.hypotheses for _ in range(_DRAWS)]
-    loop, slow = Loop(gains, limits, period, fitted, ()), gentlest(limits, beliefs.robot.joints)
-    return loop._replace(kept=(beliefs.robot, *(
-        one for one in (*fitted, *drawn) if loop.keeps(one, beliefs.robot, slow, duration))))
+    loop = Loop(gains, limits, period, fitted, ())
+    driven = [recorded_motion(one) for one in beliefs.recordings
+              if np.isfinite(one.reference[:, 0]).all(axis=1).sum() > _THINNED]
+    return loop._replace(kept=(believed, *(robot for robot in (*fitted, *drawn) if all(
+        loop.keeps(robot, believed, motion, motion.reference.end) for motion in driven))))
+
+
+def recorded_motion(recording: Recording) -> Recorded:
+    """Return the motion through every tenth row of a recorded reference (T, 5, n)."""
+    known = np.flatnonzero(np.isfinite(recording.reference[:, 0]).all(axis=1))[::_THINNED]
+    return Recorded(recording.source, builders.through(
+        recording.time[known] - recording.time[known[0]], recording.reference[known]))
 
 
 def predicted(beliefs: Beliefs, candidate: Candidate, duration: float, loop: Loop, seed: int = 0
