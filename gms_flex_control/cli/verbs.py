@@ -183,7 +183,7 @@ _NEXT = Verb(
                help='drive it with the nodes that run, record, and go on'),
         option('--simulate', nargs='+', metavar='FILE',
                help='likewise with a simulated robot, of these files'),
-        number('--budget', 'S', 60.0, 'robot time of --run and --simulate', least=4.0, most=36e3),
+        number('--budget', 'S', 60.0, 'robot time of --run and --simulate', least=5.0, most=36e3),
         option('--odds', type=float, default=99.0, least=1.5, most=1e9,
                help='wanted between every pair (default: %(default)g)'),
         number('--longest', 'S', 60.0, 'motion', least=8.0, most=3600.0),
