@@ -29,6 +29,7 @@ from node_harness import (
 import numpy as np
 import pytest
 from rclpy.serialization import deserialize_message, serialize_message
+from std_msgs.msg import MultiArrayDimension
 from test_nodes_lockstep import assert_equal
 from test_nodes_loop import (  # noqa: F401  they hold here as well
     listen,
@@ -190,4 +191,25 @@ def test_joint_states_are_read_as_they_are_whatever_came_before():
         message = JointState(name=list(names), position=position, velocity=velocity, effort=effort)
         for stamp in (0, 1_700_000_000_123_456_789):
             messages.set_stamp(message.header.stamp, stamp)
+            assert read(serialize_message(message)) == message
+
+
+def test_arrays_are_read_as_they_are_whatever_came_before():
+    read = Deserialized(Float64MultiArray).message
+    for labels, data in (
+            (('joint', 'stamp:1000', 'source:/a#1'), [1.0, 2.0]),
+            (('joint', 'stamp:2345', 'source:/a#1'), [-0.0, float('inf')]),
+            (('joint', 'stamp:23x5', 'source:/a#1'), [1.0, 2.0]),
+            (('joint', 'stamp:-234', 'source:/a#1'), [1.0, 2.0]),
+            (('joint', 'stamp:2345', 'source:/b#1'), [1.0, 2.0]),
+            (('joint', 'stamp:2346', 'source:/b#1'), [1.0, 2.0, 3.0]),
+            (('source:stamp:2346', 'stamp:2346'), [1.0, 2.0]),
+            (('source:stamp:2347', 'stamp:2346'), [1.0, 2.0]),
+            (('stamp:2346', 'stamp:2346'), [1.0]), (('stamp:2347', 'stamp:2346'), [1.0]),
+            ((), [1.0]), ((), [2.0]), ((), []), (('stamp:1',), []),
+            (('joint', 'stamp:1000', 'source:/a#1'), [1.0, 2.0])):
+        for size in (1, 2):
+            message = Float64MultiArray(data=data)
+            message.layout.dim = [MultiArrayDimension(label=label, size=size, stride=1)
+                                  for label in labels]
             assert read(serialize_message(message)) == message

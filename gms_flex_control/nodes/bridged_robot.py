@@ -78,7 +78,7 @@ class BridgedRobot(SupervisedRobot):
     def _on_command(self, message):
         """Return whether the message is a command, to be obeyed or not."""
         now, bridge = self.now(), self._bridge
-        source = messages.read_source(message)
+        stamp, source = messages.read_marks(message)
         with self._lock:
             try:
                 torque = messages.read_command(message, len(self._map.joints))
@@ -86,7 +86,7 @@ class BridgedRobot(SupervisedRobot):
                 bridge.refuse_command(str(error))
                 self._health.warn('command', f'command refused: {error}')
                 return False
-            if bridge.take_command(torque, messages.read_stamp(message), source, now):
+            if bridge.take_command(torque, stamp, source, now):
                 self._send()
             self._settle()
         return True

@@ -185,10 +185,10 @@ class ControllerNode(Node):
             self._counts['references refused'] += 1
             self.health.warn('reference', f'reference refused: {error}')
             return False
-        stamp = messages.read_stamp(message)
+        stamp, source = messages.read_marks(message)
         if stamp is None:
             stamp = follower.last or 0
-        follower.keep(stamp, reference, messages.read_source(message))
+        follower.keep(stamp, reference, source)
         if self._waiting is not None and stamp == self._waiting:
             self._answer(self._waiting)
         return follower.is_fresh(stamp)

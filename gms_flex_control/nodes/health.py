@@ -114,14 +114,17 @@ class Health:
 
     def guard(self, callback) -> Callable:
         """Return ``callback`` such that it holds the lock, and as `shield` has it."""
-        return self.shield(callback, self._lock)
+        return self._wrapped(callback, self._lock)
 
-    def shield(self, callback, lock=nullcontext()) -> Callable:
+    def shield(self, callback) -> Callable:
         """
         Return ``callback`` such that an exception ends in a fault, not in a dead executor.
 
         The handler of a service then answers with ``success`` false, if its response has it.
         """
+        return self._wrapped(callback, nullcontext())
+
+    def _wrapped(self, callback, lock):
         name = callback.__name__.strip('_')
 
         @wraps(callback)

@@ -225,22 +225,23 @@ class ReferenceWriter:
         return self._writer.write(rows, stamp)
 
 
+def read_marks(message) -> tuple:
+    """Return stamp [ns], None without one, and source, '' without, in a Float64MultiArray."""
+    stamp, source = None, ''
+    for dimension in reversed(message.layout.dim):  # the first ones count
+        label = dimension.label
+        if label.startswith(_STAMP):
+            stamp = None
+            with suppress(ValueError):  # anyone may have written the label
+                stamp = int(label[len(_STAMP):])
+        elif label.startswith(_SOURCE):
+            source = label[len(_SOURCE):]
+    return (stamp if stamp is None or abs(stamp) < _LARGEST_STAMP else None), source
+
+
 def read_stamp(message) -> int | None:
     """Return the stamp [ns] in the layout of a Float64MultiArray, or None without one."""
-    for dimension in message.layout.dim:
-        if dimension.label.startswith(_STAMP):
-            with suppress(ValueError):  # anyone may have written the label
-                stamp = int(dimension.label[len(_STAMP):])
-                return stamp if abs(stamp) < _LARGEST_STAMP else None
-    return None
-
-
-def read_source(message) -> str:
-    """Return who sent a command or reference, as its layout says; '' without that."""
-    for dimension in message.layout.dim:
-        if dimension.label.startswith(_SOURCE):
-            return dimension.label[len(_SOURCE):]
-    return ''
+    return read_marks(message)[0]
 
 
 def read_command(message, n) -> array:

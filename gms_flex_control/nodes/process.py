@@ -35,7 +35,8 @@ LAUNCHED = 'GMS_FLEX_LAUNCHED'  # set in the environment of what our launch file
 WAY_OUT = 'allow rtprio in /etc/security/limits.conf'  # where no priority is permitted
 _PR_SET_PDEATHSIG, _PR_SET_TIMERSLACK = 1, 29
 _SCHED_SETATTR = {'x86_64': 314, 'aarch64': 274}  # numbers of the system call
-SHORT, LATER = 100_000, 1_000_000  # slices: the shortest there is, and of who lets it go first [ns]
+# slices of time: the shortest there is, and one that lets those with the shortest go first [ns]
+SHORT, LATER = 100_000, 1_000_000
 _NICE = 10
 RANGE = 'ROS_AUTOMATIC_DISCOVERY_RANGE'
 _BUILT_IN = 'FASTDDS_BUILTIN_TRANSPORTS'
@@ -146,8 +147,8 @@ def run_node(make_node, args=None, time_slice=SHORT) -> int:
 
     ``make_node`` returns the node; it has ``run(spinner)``, which returns when
     ``spinner.goes_on()`` is false, and ``finish()``, which publishes what must be last. Several
-    have ``nodes``. ``time_slice`` is as of `shorten_slices`. Return the exit code: 0 after a signal, 2 if parameters or arguments were
-    refused.
+    have ``nodes``. ``time_slice`` is that of `shorten_slices`. Return the exit code: 0 after a
+    signal, 2 if parameters or arguments were refused.
     """
     sys.setswitchinterval(5e-4)  # a busy thread may delay the loop by this, not by 5 ms
     shorten_slices(time_slice)
@@ -300,7 +301,7 @@ class _SchedAttr(ctypes.Structure):
 
 def shorten_slices(time_slice=SHORT) -> None:
     """
-    Ask for slices of time as short as ``time_slice`` [ns], for this thread and all that it starts from now on (Linux).
+    Ask for short slices of time, for this thread and all that it starts from now on (Linux).
 
     Whoever asks for less at a time is let run sooner when it wakes, at no cost to the shares:
     Linux from 6.12 on does so without any privilege, an older one takes no notice.

@@ -106,7 +106,7 @@ class TopicLink:
                 publisher.publish(message)
             else:
                 message.data = data
-                publisher.publish(self._array[0].data())
+                publisher.handle.publish_raw(self._array[0].data())  # as an Outlet does
 
     def beat(self) -> None:
         """Signal to the guardian that the bridge lives."""

@@ -125,8 +125,7 @@ class SimulatedRobot(SupervisedRobot):
             self._refused += 1
             self._health.warn('command', f'command refused: {error}')
             return False
-        stamp, now = messages.read_stamp(message), time.monotonic_ns()
-        source = messages.read_source(message)
+        (stamp, source), now = messages.read_marks(message), time.monotonic_ns()
         conflict = '' if self._lockstep else self._commands.hear(source, now)
         if conflict:
             self._fail_passing(conflict)

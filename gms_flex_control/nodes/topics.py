@@ -15,7 +15,6 @@ object only so many times a second. An executor hands out messages in the order 
 storm's before all others; so whatever comes, all topics of the node are looked at.
 """
 
-from array import array
 from collections import defaultdict
 from collections.abc import Iterator
 import struct
@@ -134,9 +133,9 @@ class Inbox:
             raw=True, event_callbacks=process.NO_EVENTS)
 
     def _empty(self, first):
-        """Take ``first`` (bytes), for which nothing waits, then what there is here and elsewhere."""
-        for messages in ([first], self._waiting()):
-            self._take(messages)
+        """Take ``first`` (bytes) without delay, then what waits here and elsewhere."""
+        self._take([first])
+        self._take(self._waiting())
         for box in self._boxes:
             if box is not self:
                 box._take(box._waiting())
