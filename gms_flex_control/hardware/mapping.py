@@ -3,10 +3,8 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """From a robot's names, units and clocks to joint angles, torques and one time, and back."""
 
-from array import array
 from dataclasses import dataclass
 import math
-from operator import is_
 
 from gms_flex_control.compiled import compiled
 from gms_flex_control.errors import GmsFlexError, ParameterError
@@ -201,21 +199,9 @@ class _Plan:
             (c, names.index(name)) for c, name in enumerate(joint_map.effort_names)
             if c >= len(joint_map.names) and name in names], dtype=int).reshape(-1, 2)
         self.nothing = np.full(len(names), np.nan)
-        self._fields, self._numbers = (None,), None
 
     def numbers(self, fields) -> list:
-        """
-        Return ``fields`` of a message as arrays, NaN for an empty one; check lengths.
-
-        A message that is used again has its numbers in the same arrays.
-        """
-        if not all(map(is_, fields, self._fields)):
-            self._numbers = self._found(fields)
-            reused = all(isinstance(values, array) and values for values in fields)
-            self._fields = fields if reused else (None,)
-        return self._numbers
-
-    def _found(self, fields):
+        """Return ``fields`` of a message as arrays, NaN for an empty one; check lengths."""
         found = []
         for what, values in zip(('positions', 'velocities', 'efforts'), fields, strict=True):
             if len(values) != len(self.names) and (len(values) or what == 'positions'):
