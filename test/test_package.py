@@ -167,7 +167,7 @@ def test_every_picture_is_shown_and_made_by_a_script():
     r'PYTHONPATH=(\S+) \$\(BIN\)/python (\S+)', (ROOT / 'Makefile').read_text()))
 def test_a_script_of_the_makefile_finds_what_it_imports(script):
     path, file = script
-    done = subprocess.run([sys.executable, '-c', 'import runpy, sys; runpy.run_path(sys.argv[1])',
-                           file], cwd=ROOT, env=os.environ | {'PYTHONPATH': path},
-                          capture_output=True, text=True, check=False)
+    start = 'import runpy, sys; runpy.run_path(sys.argv[1])'
+    done = subprocess.run([sys.executable, '-P', '-c', start, file], cwd=ROOT, check=False,
+                          env=os.environ | {'PYTHONPATH': path}, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
