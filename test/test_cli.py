@@ -18,7 +18,7 @@ import time
 import warnings
 
 from bench import __main__ as bench
-from gms_flex_control.answer import command
+from gms_flex_control import answer
 from gms_flex_control.cli import main as tool
 from gms_flex_control.cli.verbs import GROUPS
 from gms_flex_control.data.bag import BagWarning
@@ -159,7 +159,7 @@ def test_the_next_command_names_a_tool_that_is_not_on_the_path(monkeypatch):
     """As after `make demo`, which calls the one of .venv."""
     monkeypatch.setattr(sys, 'argv', ['.venv/bin/gms_flex', 'demo'])
     monkeypatch.setenv('PATH', '')
-    assert command('view', 'my bag') == ".venv/bin/gms_flex view 'my bag'"
+    assert answer.command('view', 'my bag') == ".venv/bin/gms_flex view 'my bag'"
 
 
 def test_hints_install_from_the_clone():
