@@ -44,13 +44,13 @@ bench-real: .venv/.with-bench  ## Ask real machines, beside least squares, write
 	@$(BIN)/python -m bench real-machines --out bench_real_output --docs
 
 screenshots: .venv/.with-test  ## Make the pictures of docs/view.md anew (needs chromium)
-	@PYTHONPATH=test $(BIN)/python scripts/screenshots.py
+	@PYTHONPATH=test:. $(BIN)/python scripts/screenshots.py
 
 pictures: .venv/.with-test  ## Make the other pictures of README and docs anew (needs chromium)
-	@PYTHONPATH=test $(BIN)/python scripts/pictures.py
+	@PYTHONPATH=test:. $(BIN)/python scripts/pictures.py
 
 newcomers: .venv/.with-test  ## Follow the tutorials in fresh clones, write docs/newcomers.md
-	@PYTHONPATH=test $(BIN)/python scripts/newcomers.py
+	@PYTHONPATH=test:. $(BIN)/python scripts/newcomers.py
 
 docs: .venv/.with-docs  ## Make the documentation site in docs/_build/html
 	@$(BIN)/python scripts/draw_architecture.py

@@ -3,7 +3,10 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """What a verb ends with and its page begins with: a sentence, three numbers, a command."""
 
+from pathlib import Path
 import shlex
+from shutil import which
+import sys
 from typing import NamedTuple
 
 import numpy as np
@@ -45,8 +48,10 @@ def unbroken(text: str) -> str:
 
 
 def command(verb: str, *words) -> str:
-    """Return a command line of gms_flex that a shell takes as it is."""
-    return shlex.join(['gms_flex', verb, *map(str, words)])
+    """Return a command line of gms_flex that a shell takes as it is, on its path or not."""
+    called = Path(sys.argv[0])
+    tool = called if called.name == 'gms_flex' and not which('gms_flex') else 'gms_flex'
+    return shlex.join(map(str, [tool, verb, *words]))
 
 
 def align(header, rows) -> str:

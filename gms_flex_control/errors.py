@@ -58,9 +58,12 @@ def own_warnings() -> Generator[list, None, None]:
         yield caught
 
 
-def did_you_mean(name, known) -> str:
-    """Return '; did you mean ...?' with the nearest of ``known``, or a list of all of them."""
+def nearest(name, known) -> str:
+    """Return '; did you mean ...?' with the nearest of ``known``; '' if none is near."""
     near = get_close_matches(str(name), list(known), n=1, cutoff=0.5)
-    if near:
-        return f'; did you mean {near[0]!r}?'
-    return f"; known: {', '.join(known)}" if known else ''
+    return f'; did you mean {near[0]!r}?' if near else ''
+
+
+def did_you_mean(name, known) -> str:
+    """Return the same, or a list of all that is ``known``."""
+    return nearest(name, known) or (f"; known: {', '.join(known)}" if known else '')

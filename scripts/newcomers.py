@@ -5,7 +5,7 @@
 """
 Write docs/newcomers.md: how long three newcomers take, from a clone to the end of their tutorial.
 
-    PYTHONPATH=test .venv/bin/python scripts/newcomers.py     # or: make newcomers
+    PYTHONPATH=test:. .venv/bin/python scripts/newcomers.py     # or: make newcomers
 
 Each begins in an empty home without any Python package and follows one tutorial to the letter.
 """

@@ -5,7 +5,7 @@
 """
 Make the pictures of README and docs that `gms_flex` draws, by the commands that stand beside them.
 
-    PYTHONPATH=test .venv/bin/python scripts/pictures.py [NAME ...]     # or: make pictures
+    PYTHONPATH=test:. .venv/bin/python scripts/pictures.py [NAME ...]     # or: make pictures
 
 The rest of docs/images is made by scripts/screenshots.py and scripts/draw_architecture.py.
 """

@@ -5,7 +5,7 @@
 """
 Make the pictures of `gms_flex view` in docs/images, with an installed Chromium.
 
-    PYTHONPATH=test .venv/bin/python scripts/screenshots.py     # or: make screenshots
+    PYTHONPATH=test:. .venv/bin/python scripts/screenshots.py     # or: make screenshots
 """
 
 from pathlib import Path

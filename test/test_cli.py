@@ -18,6 +18,7 @@ import time
 import warnings
 
 from bench import __main__ as bench
+from gms_flex_control import answer
 from gms_flex_control.cli import main as tool
 from gms_flex_control.cli.verbs import GROUPS
 from gms_flex_control.data.bag import BagWarning
@@ -127,6 +128,19 @@ def test_bad_input_is_said_in_one_sentence(verb, tmp_path, capsys):
     assert not places['dir'].exists()
 
 
+@pytest.mark.parametrize(('arguments', 'sentence'), [
+    ('view live --namespace a.b', "--namespace: '/a.b/plant' is no full name of a node"),
+    ('view live --controller arm', "--controller: 'arm' is no full name of a node"),
+    ('urdf --limits {robot}', 'no limits.<joint> is in it'),
+    ('next {empty} --robot {robot} --limits {bridge} --out x', 'name a folder that gms_flex')])
+def test_what_is_wrong_with_an_option_is_said(arguments, sentence, tmp_path, capsys):
+    words = arguments.format(robot=ROOT / 'config' / 'robot.yaml', empty=tmp_path,
+                             bridge=ROOT / 'config' / 'bridge.yaml').split()
+    assert tool.main(words) == tool.BAD_INPUT
+    told = capsys.readouterr().err
+    assert sentence in told and told.count('\n') == 1 and 'Errno' not in told
+
+
 @pytest.mark.parametrize('arguments', [
     'record --all --out {dir}', 'view live', 'faults --list', 'demo --out {dir}',
     'demo-identify --out {dir}', 'demo-discrepancy --out {dir}',
@@ -139,6 +153,13 @@ def test_without_ros_the_extra_is_named(arguments, tmp_path, capsys, monkeypatch
     printed, told = capsys.readouterr()
     assert printed == '' and told.count('\n') == 1 and "'.[ros]'" in told
     assert not out.exists()
+
+
+def test_the_next_command_names_a_tool_that_is_not_on_the_path(monkeypatch):
+    """As after `make demo`, which calls the one of .venv."""
+    monkeypatch.setattr(sys, 'argv', ['.venv/bin/gms_flex', 'demo'])
+    monkeypatch.setenv('PATH', '')
+    assert answer.command('view', 'my bag') == ".venv/bin/gms_flex view 'my bag'"
 
 
 def test_hints_install_from_the_clone():

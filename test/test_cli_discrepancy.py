@@ -219,7 +219,7 @@ def test_a_wrong_option_is_refused_before_anything_is_read(tmp_path, folder, cap
 
 @pytest.mark.parametrize('more', [[], ['--each']])
 @pytest.mark.parametrize('verb', ['discrepancy', 'identify'])
-def test_what_is_fitted_is_not_held_out_by_another_path_nor_as_a_copy(
+def test_what_is_fitted_is_not_given_again_by_another_path_nor_as_a_copy(
         folder, tmp_path, capsys, verb, more):
     shutil.copytree(folder / 'held_out', tmp_path / 'copy')
     for other in (folder / 'x' / '..' / 'held_out', tmp_path / 'copy'):
@@ -228,6 +228,10 @@ def test_what_is_fitted_is_not_held_out_by_another_path_nor_as_a_copy(
                      *more]) == 2
         error = capsys.readouterr().err
         assert 'is among the bags and in --holdout' in error and error.count('\n') == 1
+        assert main([verb, str(folder / 'held_out'), str(other), '--robot',
+                     str(folder / 'robot.yaml'), '--out', str(tmp_path / 'out'), *more]) == 2
+        error = capsys.readouterr().err
+        assert 'is given twice' in error and error.count('\n') == 1
     assert not (tmp_path / 'out').exists()
 
 

@@ -4,8 +4,10 @@
 """Every node ends by a signal with exit code 0, and the controller's last torque is zero."""
 
 import json
+import os
 from pathlib import Path
 import signal
+import subprocess
 import sys
 import time
 
@@ -131,6 +133,16 @@ def test_help_says_what_a_node_is_and_how_it_is_started(tmp_path):
         for name, node in nodes.items():
             assert node.wait() == 0
             assert f'usage: ros2 run gms_flex_control {name} --ros-args' in node.printed()
+
+
+def test_help_that_nobody_reads_to_its_end_is_no_error():
+    """As of `plant_node --help | head -1`."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    done = subprocess.run([*executable('plant_node'), '--help'], stdout=writer, text=True,
+                          stderr=subprocess.PIPE, check=False)
+    os.close(writer)
+    assert done.returncode == -signal.SIGPIPE and done.stderr == ''
 
 
 def test_what_a_launch_has_started_ends_with_it(tmp_path):

@@ -6,6 +6,7 @@
 import ast
 from importlib import import_module, util
 import json
+import os
 from pathlib import Path
 import re
 import shutil
@@ -160,3 +161,13 @@ def test_every_picture_is_shown_and_made_by_a_script():
     assert pictures == set(re.findall(r'\]\((?:docs/|\.\./)?images/([^)]+)\)', pages))
     for name in pictures:  # screenshots.py names what it makes without the ending
         assert f"'{name}'" in scripts or f"'{Path(name).stem}'" in scripts, name
+
+
+@pytest.mark.parametrize('script', re.findall(
+    r'PYTHONPATH=(\S+) \$\(BIN\)/python (\S+)', (ROOT / 'Makefile').read_text()))
+def test_a_script_of_the_makefile_finds_what_it_imports(script):
+    path, file = script
+    start = 'import runpy, sys; runpy.run_path(sys.argv[1])'
+    done = subprocess.run([sys.executable, '-P', '-c', start, file], cwd=ROOT, check=False,
+                          env=os.environ | {'PYTHONPATH': path}, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr

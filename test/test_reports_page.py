@@ -9,7 +9,7 @@ import json
 from pathlib import Path
 import re
 
-from gms_flex_control.answer import Answer, command, measured
+from gms_flex_control.answer import Answer, command, measured, Number
 from gms_flex_control.cli.terminal import answer_text
 from gms_flex_control.reports.figures import COLOURS, finished, stacked_panels
 from gms_flex_control.reports.page import decimate, merge_grids, Report, Series
@@ -200,6 +200,19 @@ def test_charts_fit_after_the_window_was_another_size(crowded):
     page.until("document.querySelector('.u-over').getBoundingClientRect().height > 300")
     page.click('[data-act=large]')
     page.until("document.querySelector('.u-over').getBoundingClientRect().height < 250")
+
+
+def test_the_numbers_of_the_answer_fit_a_telephone(browser, tmp_path):
+    """Those of an identification, which have the longest titles."""
+    numbers = (Number('torque error of joint2 [% of the drive torque]', '14.2', '1.07', '0.0359'),
+               Number('forward.coulomb of joint2 [N m]', '-', '0.0908', '0.000703'))
+    titles = ('Coulomb + viscous', 'identified', 'noise floor')
+    page = Report('r', Answer('s', titles, numbers, 'c'))
+    browser.screen(400, 860)
+    browser.visit(page.write(tmp_path / 'report.html').as_uri())
+    browser.until("document.querySelectorAll('table.numbers').length === 1")
+    assert browser.ask("""(() => { const box = document.querySelector('.scroll');
+        return box.scrollWidth - box.clientWidth; })()""") == 0
 
 
 def test_details_are_drawn_when_they_open_and_paper_shows_them(browser, tmp_path):

@@ -250,6 +250,7 @@ def test_a_file_that_cannot_be_read_is_named(place, tmp_path):
     ('kd_link: 0.8 ', 'kd_lnk: 0.8 ', "did you mean 'gains.joint1.kd_link'?"),
     ('compensation: gms ', 'compensation: gsm ',
      "disturbance_observer, got 'gsm'; did you mean 'gms'?"),
+    ('compensation: gms ', 'compensation: magic ', "disturbance_observer, got 'magic'"),
     ('      joint2:', '      joint3:', "unknown joint 'joint3'; did you mean 'joint2'?"),
     ('torque_limit: 2.0 ', '# ', 'gains.joint1.torque_limit is missing: largest motor torque'),
     ('filter_bandwidth: 100.0 ', 'filter_bandwidth: 0.0 ', 'must be from 0.001 to 100000 rad/s'),
@@ -259,7 +260,7 @@ def test_what_is_wrong_in_a_controller_file_is_said(robot, old, new, sentence, t
     with pytest.raises((ConfigError, ParameterError)) as error:
         load_controller(path, robot)
     assert str(error.value).startswith(str(path))
-    assert sentence in str(error.value)
+    assert sentence in str(error.value) and str(error.value).count('lugre') <= 1
 
 
 def test_reordered_joints_keep_their_values(robot, tmp_path):

@@ -121,10 +121,12 @@ class Table4:
                                 if run.trajectory == places[0][0]
                                 and run.compensation in (WITHOUT, best))
         with_it = 'Without compensation' if best == WITHOUT else f'With compensation {best}'
-        first = numbers[0]
-        beside = f', without it {first.before} mrad' if '-' not in (best, first.before) else ''
-        return Answer(f'{with_it} the links follow within {first.after} mrad (rms){beside}; the '
-                      'noise floor is what the steps of the encoder alone make of a reading.',
+        without = 1e3 * np.fmax.reduce([
+            self.figure('rms', trajectory, WITHOUT, joint) for trajectory, joint in places])
+        beside = (f', without it within {without:.3g} mrad'
+                  if best != WITHOUT and math.isfinite(without) else '')
+        return Answer(f'{with_it} the links follow within {numbers[0].after} mrad (rms){beside}; '
+                      'the noise floor is what the steps of the encoder alone make of a reading.',
                       ('without', best, 'noise floor'), tuple(numbers),
                       command('view', *sources))
 

@@ -178,7 +178,10 @@ def _report(folder):
     try:
         report = json.loads(path.read_text(encoding='utf-8'))
         sources = [report[name] for name in ('sources', 'credible', 'findings', 'minor')][0]
-    except (OSError, ValueError, KeyError) as error:
+    except OSError as error:
+        raise ConfigError(f'{path}: cannot be read ({error.strerror}); name a folder that '
+                          'gms_flex discrepancy wrote') from error
+    except (ValueError, KeyError) as error:
         raise ConfigError(f'{path}: no result of gms_flex discrepancy ({error})') from error
     missing = [bag for bag in sources if not Path(bag).exists()]
     if missing:

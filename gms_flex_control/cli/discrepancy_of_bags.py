@@ -13,7 +13,7 @@ from textwrap import fill
 from gms_flex_control.batches import content_of
 from gms_flex_control.cli import each_bag
 from gms_flex_control.cli.identify_bags import read_experiment_of
-from gms_flex_control.cli.terminal import conclude, refuse_fitted, refuse_unwritable, say
+from gms_flex_control.cli.terminal import conclude, refuse_repeated, refuse_unwritable, say
 from gms_flex_control.discrepancy.closed_loop import stretch_of, with_closed_loop
 from gms_flex_control.discrepancy.compared import as_found, compare
 from gms_flex_control.discrepancy.learning import learn
@@ -36,7 +36,7 @@ _FILES = ('robot', 'models', 'controller', 'holdout')  # options that name files
 def discrepancy_verb(args) -> int:
     """Compare, write and print; return the exit code of the verdict."""
     _refuse_out(Path(args.out), args)
-    refuse_fitted(args.bags, args.holdout)
+    refuse_repeated(args.bags, args.holdout)
     _options_of(args)
     if args.each:
         found = each_bag.run_each(args, ask_bag, *items_of(args), discrepancy_text)

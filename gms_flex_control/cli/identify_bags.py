@@ -10,7 +10,7 @@ from pathlib import Path
 
 from gms_flex_control.batches import content_of
 from gms_flex_control.cli import each_bag
-from gms_flex_control.cli.terminal import conclude, refuse_fitted, refuse_unwritable, say
+from gms_flex_control.cli.terminal import conclude, refuse_repeated, refuse_unwritable, say
 from gms_flex_control.data.conditions import conditions_of, with_conditions
 from gms_flex_control.data.reader import joint_names, read_experiment
 from gms_flex_control.data.recording import link_names, MOTOR_SUFFIX
@@ -29,7 +29,7 @@ from gms_flex_control.schema.files import load_robot
 def identify_verb(args) -> int:
     """Identify, write and print; return 0, with --each 1 if a bag could not be identified."""
     refuse_unwritable(args.out)
-    refuse_fitted(args.bags, args.holdout)
+    refuse_repeated(args.bags, args.holdout)
     if args.each:
         found = each_bag.run_each(args, identify_bag, *items_of(args),
                                   bags_summary.identification_text)

@@ -132,6 +132,8 @@ def urdf(args) -> int:
         raise ConfigError(f'the URDF of this robot is {robot.arm.frames.source}: limits and '
                           '<ros2_control> belong into that file')
     limits = load_limits(args.limits, robot.joints) if args.limits else None
+    if args.limits and limits is None:
+        raise ConfigError(f'--limits {" ".join(args.limits)}: no limits.<joint> is in it')
     text = robot_urdf(robot, name=args.name, motors=not args.links_only, limits=limits,
                       plugin=args.ros2_control)
     write_or_print(text, args.out, f'{robot.n_joints} joints')

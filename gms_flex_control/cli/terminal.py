@@ -74,17 +74,19 @@ def refuse_unwritable(out) -> None:
                           'another folder') from error
 
 
-def refuse_fitted(bags, holdout) -> None:
-    """Raise ConfigError if a bag that is fitted, or a copy of it, is also held out."""
-    fitted = {}
-    for bag in bags if holdout else ():
-        fitted.setdefault(_sizes(bag), []).append(bag)
-    for bag in holdout:
-        for other in fitted.get(_sizes(bag), ()):
+def refuse_repeated(bags, holdout) -> None:
+    """Raise ConfigError if a bag, or a copy of it, is given twice, to be fitted or held out."""
+    given = {}
+    for bag, held_out in [*((bag, False) for bag in bags), *((bag, True) for bag in holdout)]:
+        alike = given.setdefault(_sizes(bag), [])
+        for other, fitted in alike:
             if _folder_of(bag) == _folder_of(other) or _digest(bag) == _digest(other):
                 copied = '' if bag == other else f', with the same content as {other},'
-                raise ConfigError(f'{bag}{copied} is among the bags and in --holdout; held-out '
-                                  'data must not be fitted: leave it out of one of them')
+                raise ConfigError(f'{bag}{copied} ' + (
+                    'is among the bags and in --holdout; held-out data must not be fitted: leave '
+                    'it out of one of them' if fitted and held_out else
+                    'is given twice, which makes data look more certain; leave one out'))
+        alike.append((bag, not held_out))
 
 
 def _folder_of(bag):

@@ -4,6 +4,7 @@
 """The verb `view`: a bag or the running loop in a browser."""
 
 from contextlib import nullcontext
+import re
 import signal
 import sys
 import time
@@ -59,7 +60,11 @@ def _view(args):
         live_view = import_ros('gms_flex_control.nodes.viewer',
                                '; bags can be viewed without').LiveView
         space = f'/{args.namespace.strip("/")}' if args.namespace.strip('/') else ''
-        return live_view(space, args.controller or f'{space}/cascade_controller')
+        controller = args.controller or f'{space}/cascade_controller'
+        for option, name in (('namespace', f'{space}/plant'), ('controller', controller)):
+            if not re.fullmatch(r'(/[A-Za-z_]\w*)+', name, re.ASCII):
+                raise ConfigError(f'--{option}: {name!r} is no full name of a node')
+        return live_view(space, controller)
     say(f'reading {", ".join(args.what)}')
     return nullcontext(open_bag(
         first, load_robot(args.robot) if args.robot else None, default=load_robot(robot_file()),

@@ -30,6 +30,7 @@ def _start(name):
         print(f'{name}: {error}', file=sys.stderr)
         return 2
     if sys.argv[1:2] in (['-h'], ['--help']):
+        signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # `head` takes no more
         print(_HELP.format(name=name, summary=module.__doc__.strip()))
         return 0
     return module.main()

@@ -8,7 +8,7 @@ from functools import cache
 import math
 from typing import Any
 
-from gms_flex_control.errors import ConfigError, did_you_mean, ParameterError
+from gms_flex_control.errors import ConfigError, nearest, ParameterError
 import numpy as np
 
 REQUIRED = object()
@@ -117,7 +117,7 @@ def checked(key: Key, value) -> Any:
                           f'{f" [{key.unit}]" if key.unit else ""}, got {value!r}')
     if key.choices and typed not in key.choices:
         raise ConfigError(f"{key.name} must be one of {', '.join(key.choices)}, got {typed!r}"
-                          f'{did_you_mean(typed, key.choices)}')
+                          f'{nearest(typed, key.choices)}')
     if key.kind in ('double', 'integer', 'double_array'):
         for number in typed if key.kind == 'double_array' else (typed,):
             _check_range(key, number)

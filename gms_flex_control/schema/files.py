@@ -92,7 +92,7 @@ def located(error, paths, places) -> Exception:
     message = str(error)
     name = message.split(' ', 1)[0].rstrip(':')
     below = (key for key in places if key == name or key.startswith(f'{name}.'))
-    place = places.get(next(below, ''), ', '.join(str(path) for path in paths))
+    place = places.get(next(below, ''), ', '.join(dict.fromkeys(map(str, paths))))
     return type(error)(f'{place}: {message}')
 
 

@@ -107,7 +107,7 @@ def _uncertainty_key(name, joints):
     _require_place(name, joint, joints)
     if kind not in UNCERTAIN:
         raise ConfigError(f'{name}: unknown kind of parameter {kind!r}'
-                          f'{did_you_mean(kind, UNCERTAIN)}; known: {", ".join(UNCERTAIN)}')
+                          f'{did_you_mean(kind, UNCERTAIN)}')
     return Key(name, f'relative standard deviation: {UNCERTAIN[kind].description}', '1',
                lower=LEAST_SD, upper=LARGEST_SD)
 

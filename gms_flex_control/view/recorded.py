@@ -65,10 +65,9 @@ def open_bag(path, robot=None, *, default=None, joints=None, motors=None,
     if not scene.known:
         notes.append('lengths and friction are not known: links drawn alike; --robot FILE '
                      'names the robot file')
-    if others:
-        notes.append(f'pale lines: {", ".join(Path(other).resolve().name for other in others)}')
+    title, *pale = (Path(bag).resolve().name for bag in (path, *others))
     return BagView(recording, scene, torque, sticking, origin=origin, notes=notes,
-                   title=Path(path).resolve().name, over=over)
+                   title=f'{title}, pale: {", ".join(pale)}' if pale else title, over=over)
 
 
 class BagView:

@@ -1,0 +1,42 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""A process that comes later, such as a command of ros2, finds our nodes at once."""
+
+import time
+
+from node_harness import CONFIG, DISCOVERY, FILES, JointState, Lab, rclpy, STATES
+import pytest
+
+NO_HANDLERS = rclpy.signals.SignalHandlerOptions.NO
+pytestmark = pytest.mark.flaky(reruns=2)  # another process may delay any one search
+
+
+@pytest.mark.parametrize('discovery', ['SUBNET', 'LOCALHOST'])
+def test_a_process_that_comes_later_finds_the_nodes_at_once(tmp_path, monkeypatch, discovery):
+    """By default Fast DDS announces a node every 3 s: who misses an answer waits so long."""
+    with Lab(tmp_path) as lab:
+        lab.environment[DISCOVERY] = discovery
+        monkeypatch.setenv(DISCOVERY, discovery)
+        files = [*FILES, CONFIG / 'sinusoid.yaml']
+        states = lab.listen(JointState, STATES)
+        for name in ('controller_node', 'trajectory_node', 'plant_node'):
+            lab.start(name, files=files)
+        lab.until(lambda: states)
+        searched = [seconds_until_found({'cascade_controller', 'trajectory', 'plant'}, lab.domain)
+                    for _ in range(8)]
+        assert max(searched) < 2.0, searched
+
+
+def seconds_until_found(names, domain):
+    """Return how long a new participant takes to see nodes (set of str)."""
+    context, begun = rclpy.Context(), time.monotonic()
+    rclpy.init(context=context, domain_id=domain, signal_handler_options=NO_HANDLERS)
+    node = rclpy.create_node('late', context=context)
+    try:
+        while not names <= set(node.get_node_names()) and time.monotonic() < begun + 10.0:
+            time.sleep(0.01)
+        return time.monotonic() - begun
+    finally:
+        node.destroy_node()
+        rclpy.shutdown(context=context)
