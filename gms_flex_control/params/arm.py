@@ -167,6 +167,12 @@ class ArmParams:
         """Return the arm with mass and inertia of its links times ``factor`` (n_joints,)."""
         return replace(self, mass=self.mass * factor, inertia=(self.inertia.T * factor).T)
 
+    def axis(self, joint: int) -> 'ArmParams':
+        """Return one of decoupled axes as an arm of its own."""
+        return replace(self, **{name: getattr(self, name)[[joint]] for name in (
+            'mass', 'length', 'com', 'inertia', 'motor_inertia', 'stiffness', 'damping',
+            'offset')})
+
     @property
     def rigid(self) -> np.ndarray:
         """Return which joints have no motor side of their own, bool (n_joints,)."""
