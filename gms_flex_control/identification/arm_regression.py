@@ -45,6 +45,7 @@ from gms_flex_control.identification.uncertainty import block_sums, clustered, i
 from gms_flex_control.params.arm import ArmParams, carrying
 from gms_flex_control.params.robot import RobotParams
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 _THINNING = 8       # samples of a smoothing window that are enough
 _MEMORY = 4.0       # samples that the low-pass makes alike
@@ -117,6 +118,7 @@ class _Rows(NamedTuple):
     known: np.ndarray      # (S, n) torque of what is known [N m]
     slope: np.ndarray      # (S, n, n) of joint j by the angle of joint i [N m/rad]
     torque: np.ndarray     # (S, n) as recorded
+    change: np.ndarray     # (S, n) of the torque over time [N m/s]
     friction: np.ndarray   # (S, n, 8)
     rate: np.ndarray       # (S, n)
     block: np.ndarray      # (S,) int, of time
@@ -197,7 +199,7 @@ class _Fit:
         return guess
 
     def _own(self, j, chosen):
-        """Return the columns that are eliminated for a joint: friction, offsets, load (S', F)."""
+        """Return the columns that are eliminated for a joint: friction, offsets, delay (S', F)."""
         rows, columns = self._rows, []
         recording = rows.recording[chosen]
         friction = rows.friction[chosen, j]
@@ -208,6 +210,8 @@ class _Fit:
             columns.append((recording == r)[:, None].astype(float))
         if self._loaded[j]:
             columns.append(self._load_column(j)[chosen, None])
+        # by how much later torque is recorded than angles; at last, as others are found by place
+        columns.append(rows.change[chosen, j:j + 1])
         return np.concatenate(columns, axis=1)
 
     def _load_column(self, j):
@@ -367,12 +371,12 @@ def _rows_of(recordings, robot, sides, arm, lead, slopes_of):
 
 def _segment_rows(segment, arm, lead, recording, usual, slopes_of):
     """Return what _Rows has of a segment but the recording, blocks counted from 0."""
-    every = max(segment.window // _THINNING, 1)
-    motion = tuple(np.ascontiguousarray(values[::every]) for values in (
-        filled(segment.angle), segment.rate, segment.acceleration))
-    angle, rate, _ = motion
-    torque = low_pass(torque_at_samples(segment), segment.window)[::every]
+    every = 2 * (segment.window // (2 * _THINNING)) + 1
     window = max(segment.window // every, 1)
+    motion, torque = _differences(segment, every, recording.period)
+    angle = motion[0]
+    rate = np.ascontiguousarray(segment.rate[every:-every:every][:len(angle)])
+    torque = low_pass(torque, window)
     loaded = carrying(arm, recording.load)
     if len(lead):
         regressor = link_regressors(*motion, arm)[:, :, lead]
@@ -396,4 +400,24 @@ def _segment_rows(segment, arm, lead, recording, usual, slopes_of):
         regressor, known, slope, friction))
     block = (every * np.arange(len(rate)) * recording.period / BLOCK_TIME).astype(int)
     inner = slice(2 * window, -2 * window, max(window // 2, 1))
-    return tuple(part[inner] for part in (regressor, known, slope, torque, friction, rate, block))
+    change = np.gradient(torque, every * recording.period, axis=0)
+    return tuple(part[inner] for part in (regressor, known, slope, torque, change, friction, rate,
+                                          block))
+
+
+def _differences(segment, every, period):
+    """
+    Return angle, rate and acceleration (S, n) of every so many samples, and the torque there.
+
+    Of a torque that is held between samples, a second difference of the angle is the mean over
+    both sides, weighted by a triangle; the torque is weighted likewise, so that no filter comes
+    between them.
+    """
+    torque = torque_at_samples(segment)
+    for _ in range(2):  # a triangle
+        torque = uniform_filter1d(torque, every, axis=0, mode='nearest')
+    angle, torque = (uniform_filter1d(one, every, axis=0, mode='nearest')[::every]
+                     for one in (filled(segment.angle), torque))
+    before, at, after, step = angle[:-2], angle[1:-1], angle[2:], every * period
+    motion = at, (after - before) / (2.0 * step), (after - 2.0 * at + before) / step ** 2
+    return tuple(map(np.ascontiguousarray, motion)), torque[1:-1]
