@@ -9,8 +9,11 @@ from bench.hidden_arms.wrong_links import base_values, hidden_arm, moved
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.null_simulation import null_simulation
 from gms_flex_control.discrepancy.residuals import unexplained
+from gms_flex_control.errors import IdentificationError
 from gms_flex_control.identification.arm_estimates import difference_estimates
 from gms_flex_control.identification.arm_regression import fit_base_parameters, fit_differences
+from gms_flex_control.identification.assumed_robot import believed_model
+from gms_flex_control.identification.recording_checks import require
 from gms_flex_control.params.bodies import Body
 from gms_flex_control.simulation import plant
 import numpy as np
@@ -119,3 +122,23 @@ def test_discrepancy_takes_the_load_from_the_recording(hidden):
     assert np.all(left[1:] < 0.3 * bare[1:]), (left, bare)  # the first joint is vertical
     again = null_simulation(motion, constants, np.random.default_rng(0))
     assert again.load is motion.load
+
+
+@pytest.mark.parametrize(('changed', 'sentence'), [
+    ({'q_link': np.degrees}, 'joint1 goes to .* rad, its limits in the URDF end at .*: its angles '
+                             'look like degrees; record radians'),
+    ({'tau_motor': lambda tau: tau * [1, 1, 1, -1, 1, 1]},
+     'the torque of joint4 has the wrong sign: .*reverse it'),
+    ({'joints': lambda names: (*names[:5], 'flange')},
+     "has no joint 'joint6', it has joint1, .*flange; use the names of the recording"),
+])
+@pytest.mark.parametrize('whole', [False, True])
+def test_a_recording_that_is_not_of_this_urdf_is_refused_in_a_sentence(
+        changed, sentence, whole, hidden):
+    robot, arm, (bare, _) = hidden
+    wrong = replace(bare, **{name: change(getattr(bare, name)) for name, change in
+                             changed.items()})
+    given = robot if whole else replace(robot, arm=arm)
+    with pytest.raises(IdentificationError, match=sentence):
+        require(wrong, believed_model(given, whole, False), rough=whole)
+    assert not require(bare, believed_model(given, whole, False), rough=whole)

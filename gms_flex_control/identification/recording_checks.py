@@ -12,6 +12,7 @@ too_short           too few samples or seconds
 clock               stamps jump, are out of order or in another unit
 dropped             samples are missing
 missing             channels, or parts of them, are no number
+angle_unit          angles are in degrees
 still               a joint never moves
 one_direction       a joint moves one way only
 jump                an angle jumps
@@ -58,6 +59,9 @@ def check(recording: Recording, robot: RobotParams, rough=False) -> tuple[Findin
     found = [*sampling_checks.length(signals), *sampling_checks.clock(signals),
              *sampling_checks.missing(signals, robot)]
     if any(finding.severity == 'refuse' for finding in found):
+        return tuple(found)
+    found += sampling_checks.units(signals, robot)
+    if any(finding.kind == 'angle_unit' for finding in found):
         return tuple(found)
     found += sampling_checks.broken(signals)
     if any(finding.kind == 'jump' for finding in found):
