@@ -9,11 +9,13 @@ from bench.hidden_arms.wrong_links import base_values, hidden_arm, moved
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.null_simulation import null_simulation
 from gms_flex_control.discrepancy.residuals import unexplained
-from gms_flex_control.errors import IdentificationError
+from gms_flex_control.errors import BagError, IdentificationError
 from gms_flex_control.identification.arm_estimates import difference_estimates
 from gms_flex_control.identification.arm_regression import fit_base_parameters, fit_differences
 from gms_flex_control.identification.assumed_robot import believed_model
+from gms_flex_control.identification.identify import Data
 from gms_flex_control.identification.recording_checks import require
+from gms_flex_control.identification.smoothing import rms
 from gms_flex_control.params.bodies import Body
 from gms_flex_control.simulation import plant
 import numpy as np
@@ -113,6 +115,8 @@ def test_currents_of_one_known_constant_tell_the_others(hidden):
 
 def test_discrepancy_takes_the_load_from_the_recording(hidden):
     """Without the load what is left of the torque is several times as much."""
+    with pytest.raises(BagError, match='its load is unknown; gms_flex identify finds it'):
+        motion_of(replace(hidden[2][1], load=None, load_unknown=True), hidden[0])
     robot, arm, (_, heavy) = hidden
     given, true = replace(robot, arm=arm), replace(heavy, tau_motor=(
         heavy.tau_motor - OFFSET) / SCALE, q_link=heavy.q_link - ZERO)
@@ -142,3 +146,42 @@ def test_a_recording_that_is_not_of_this_urdf_is_refused_in_a_sentence(
     with pytest.raises(IdentificationError, match=sentence):
         require(wrong, believed_model(given, whole, False), rough=whole)
     assert not require(bare, believed_model(given, whole, False), rough=whole)
+
+
+def test_a_load_that_is_unknown_is_found_beside_a_recording_without_one(hidden):
+    """Mass within 1 %, centre of mass within 2 mm, both within 4 standard deviations."""
+    robot, _, (bare, heavy) = hidden
+    recordings = [bare, replace(heavy, load=None, load_unknown=True)]
+    recordings = [replace(one, tau_motor=one.tau_motor / SCALE) for one in recordings]
+    found = fit_base_parameters(recordings, robot).differences
+    load = found.loads[1]
+    assert load.body.mass == pytest.approx(LOAD.mass, abs=min(4.0 * load.mass_sd, 0.3))
+    assert np.all(np.abs(load.body.com - LOAD.com) < np.minimum(4.0 * load.com_sd, 2e-3))
+    names = [one.name for part in difference_estimates(found, robot.joints, ('a', 'b'))
+             for one in part]
+    assert {'recordings.2.load.mass', 'recordings.2.load.com_z'} <= set(names)
+    with pytest.raises(IdentificationError, match='the load of every recording is unknown'):
+        fit_base_parameters(recordings[1:], robot)
+
+
+def test_known_links_tell_an_unknown_load_of_one_recording(hidden):
+    robot, arm, (bare, heavy) = hidden
+    heavy = replace(heavy, tau_motor=(heavy.tau_motor - OFFSET) / SCALE,
+                    q_link=heavy.q_link - ZERO)
+    found = fit_differences([replace(heavy, load=None, load_unknown=True)],
+                            replace(robot, arm=arm)).loads[0]
+    assert found.body.mass == pytest.approx(LOAD.mass, abs=0.1)
+    np.testing.assert_allclose(found.body.com, LOAD.com, atol=2e-3)
+    none = replace(bare, tau_motor=bare.tau_motor / SCALE, load_unknown=True)
+    with pytest.raises(IdentificationError, match='which is none: leave load away'):
+        fit_differences([none], replace(robot, arm=arm))
+
+
+def test_friction_is_fitted_beside_the_load_that_was_found(hidden):
+    """The torque left for friction is the same as with the load stated."""
+    robot, arm, (_, heavy) = hidden
+    given, nothing = replace(robot, arm=arm), replace(heavy, load=None)
+    heavy, lost, without = (
+        Data(((replace(one, temperature=''), ()),), (), given).bundle.segments[0].torque
+        for one in (heavy, replace(nothing, load_unknown=True), nothing))
+    assert rms((lost - heavy).ravel()) < 0.05 * rms((without - heavy).ravel())

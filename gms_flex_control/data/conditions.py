@@ -8,7 +8,7 @@ It stands in ``recording.yaml`` in the folder of the bag, ``my_bag.recording.yam
 that is a single file:
 
     load: {mass: 5.0, com: [0.0, 0.0, 0.08], inertia: [0.02, 0.0, 0.0, 0.02, 0.0, 0.01]}
-    temperature: cold
+    temperature: cold                        # load: unknown is something to be found
     torque_constant: {joint1: 12.4, joint2: {value: 9.1, sd: 0.05}, joint3: unknown}
 """
 
@@ -20,7 +20,8 @@ from pathlib import Path
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.errors import ConfigError, did_you_mean, ParameterError
 from gms_flex_control.file_io import read_yaml
-from gms_flex_control.params.arm import Body, require_body
+from gms_flex_control.params.arm import require_body
+from gms_flex_control.params.bodies import Body
 import numpy as np
 from ruamel.yaml.error import YAMLError
 
@@ -37,6 +38,7 @@ class Conditions:
     """What is known of one recording."""
 
     load: Body | None = None   # carried, in the frame at the end of the arm
+    load_unknown: bool = False  # whether something is carried that nothing is known of
     temperature: str = ''      # label; recordings of one label have the same friction
     torque_constant: dict | None = None  # per joint value [N m per unit of effort], relative sd;
     #                                      (1, inf) where unknown. None: efforts are torques
@@ -54,8 +56,10 @@ def conditions_of(bag) -> Conditions:
         raise ConfigError(f'{file}: is not YAML ({str(error).splitlines()[0]})') from error
     try:
         values = _mapping(data or {}, _KEYS, '')
+        unknown = values.get('load') == UNKNOWN
         return Conditions(
-            load=_load(values['load']) if 'load' in values else None,
+            load=_load(values['load']) if 'load' in values and not unknown else None,
+            load_unknown=unknown,
             temperature=str(values.get('temperature', '')),
             torque_constant=_constants(values['torque_constant'])
             if 'torque_constant' in values else None)
@@ -70,9 +74,11 @@ def with_conditions(recording: Recording, conditions: Conditions,
 
     ``motors`` are further names by which constants may be given, in the order of the joints.
     """
-    constants = conditions.torque_constant
+    constants, recording = conditions.torque_constant, replace(
+        recording, load=conditions.load, load_unknown=conditions.load_unknown,
+        temperature=conditions.temperature)
     if constants is None:
-        return replace(recording, load=conditions.load, temperature=conditions.temperature)
+        return recording
     known = {**{joint: joint for joint in recording.joints},
              **{motor: joint for motor, joint in zip(motors, recording.joints, strict=False)
                 if motor}}
@@ -80,13 +86,12 @@ def with_conditions(recording: Recording, conditions: Conditions,
     if wrong is not None:
         raise ConfigError(f'{recording.source}: torque_constant names {wrong!r}, the recording '
                           f'has {", ".join(recording.joints)}{did_you_mean(wrong, known)}')
-    values, deviations = np.ones(recording.n_joints), np.zeros(recording.n_joints)
+    values, doubt = np.ones(recording.n_joints), np.zeros(recording.n_joints)
     for name, (value, sd) in constants.items():
         j = recording.joints.index(known[name])
-        values[j], deviations[j] = value, sd
-    return replace(
-        recording, load=conditions.load, temperature=conditions.temperature, scale_sd=deviations,
-        tau_motor=recording.tau_motor * values, command=recording.command * values)
+        values[j], doubt[j] = value, sd
+    return replace(recording, scale_sd=doubt, tau_motor=recording.tau_motor * values,
+                   command=recording.command * values)
 
 
 def _mapping(data, allowed, where):

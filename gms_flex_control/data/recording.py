@@ -24,7 +24,7 @@ class Phase(NamedTuple):
 # what has a column for each joint
 _OF_JOINTS = ('q_link', 'dq_link', 'q_motor', 'dq_motor', 'tau_motor', 'command', 'reference',
               'friction_hat', 'scale_sd')
-_NOT_SAMPLED = ('joints', 'source', 'load', 'temperature')
+_NOT_SAMPLED = ('joints', 'source', 'load', 'load_unknown', 'temperature')
 
 
 def _unknown():
@@ -53,6 +53,7 @@ class Recording:
     friction_hat: np.ndarray = _unknown()  # (T, n), the observer's estimate [N m]
     supply: np.ndarray = _unknown()        # (T,), voltage of the drives' supply [V]
     load: Body | None = None   # carried, in the frame at the end of the arm
+    load_unknown: bool = False  # whether something is carried that nothing is known of
     temperature: str = ''      # label; recordings of one label have the same friction
     scale_sd: np.ndarray = 0.0  # (n,), relative, of torques whose scale is not known
 

@@ -4,9 +4,10 @@
 """
 Base parameters of an arm of a URDF from recordings, by weighted least squares on the regressor.
 
-    torque = scale (known + regressor parameters + slope zero) + friction + offset
+    torque = scale (known + regressor parameters + tip load + slope zero) + friction + offset
 
-``scale`` is what is recorded of a torque, ``known`` that of known loads, ``zero`` by how much
+``scale`` is what is recorded of a torque, ``known`` that of known loads, ``load`` the ten numbers
+of one that is unknown, ``zero`` by how much
 link encoders read more than in the first recording. Friction of each direction and temperature,
 and an offset by recording, are eliminated joint by joint; every joint counts by its own noise,
 robustly. Regressor and torque pass through one low-pass. Of links that are relied on the same
@@ -25,6 +26,7 @@ from gms_flex_control.identification.base_parameters import regress, weighting_o
 from gms_flex_control.identification.inertial_parameters import (
     all_parameters,
     base_of,
+    body_of,
     link_regressors,
     meaning_of,
     names_of,
@@ -42,7 +44,8 @@ from gms_flex_control.identification.segments import (
 )
 from gms_flex_control.identification.smoothing import low_pass
 from gms_flex_control.identification.uncertainty import block_sums, clustered, inverse_of
-from gms_flex_control.params.arm import ArmParams, carrying
+from gms_flex_control.params.arm import ArmParams
+from gms_flex_control.params.bodies import at_end, Body, carrying
 from gms_flex_control.params.robot import RobotParams
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -50,13 +53,25 @@ from scipy.ndimage import uniform_filter1d
 _THINNING = 8       # samples of a smoothing window that are enough
 _MEMORY = 4.0       # samples that the low-pass makes alike
 _ZERO_SD = 0.02     # of an encoder's zero between recordings [rad]
-_DRIVE_SD = 0.1     # of the logarithm of a torque's scale, where a known load identifies it
+_LOAD_SD = 1.0      # of an unknown load, as bodies of the mass of the whole arm
+_LOAD_SIZE = 0.3    # and so large [m]
+_DRIVE_SD = 0.1     # of the logarithm of a torque's scale, where a known load tells it
 _UNKNOWN_SD = 0.5   # the same of currents, around what the URDF's masses give
 _ROUNDS = 8         # of Gauss and Newton: scales multiply parameters
 _SETTLED = 1e-5     # change of a logarithm of a scale that ends them
 _STEP = 1e-5        # of a zero, for slopes [rad]
 _LOADED = 5.0       # standard errors beyond which friction grows with the load
+_SURE = 3.0         # standard deviations of its mass that an unknown load has at least
+_TRIFLE = 5e-4      # and of the mass of the arm: links are not known better
 _ADDS = 0.005       # and at least so much of the torque carried
+
+
+class FoundLoad(NamedTuple):
+    """An unknown load as it was found, in the frame at the end of the arm."""
+
+    body: Body
+    mass_sd: float     # [kg]
+    com_sd: np.ndarray  # (3,) [m]
 
 
 class Differences(NamedTuple):
@@ -74,6 +89,7 @@ class Differences(NamedTuple):
     usual: np.ndarray       # (n,), rate that these are for [rad/s]
     loaded: np.ndarray      # (n,), friction per torque carried, 0 where it does not grow
     loaded_sd: np.ndarray   # (n,)
+    loads: dict             # number of a recording to its FoundLoad, of unknown ones
 
     def cleared(self, segment: Segment, recording: int) -> Segment:
         """
@@ -115,6 +131,7 @@ class _Rows(NamedTuple):
     """Samples of all recordings."""
 
     regressor: np.ndarray  # (S, n, B)
+    tip: np.ndarray        # (S, n, 10) of a load's ten numbers in the frame of the last link
     known: np.ndarray      # (S, n) torque of what is known [N m]
     slope: np.ndarray      # (S, n, n) of joint j by the angle of joint i [N m/rad]
     torque: np.ndarray     # (S, n) as recorded
@@ -133,12 +150,18 @@ def alike(friction: np.ndarray) -> np.ndarray:
 def fit_base_parameters(recordings: Sequence[Recording], robot: RobotParams) -> BaseFit:
     """Estimate the base parameters of a robot of kind urdf, joints in its order."""
     arm, sides = _driven(recordings, robot)
+    if all(one.load_unknown for one in recordings):
+        raise IdentificationError(
+            f'{recordings[0].source}: the load of every recording is unknown, which cannot be '
+            'told from the last link: add a recording without a load or with a known one, or '
+            'rely on the links of the URDF (without --estimate all)')
     base = base_of(arm)
     fit = _Fit(recordings, robot, sides, arm, *base)
     fit.solve()
     found = fit.nearest()
     if len(recordings) > 1:  # slopes by zeros are of the arm found
-        fit = _Fit(recordings, robot, sides, arm, *base, slopes_of=found)
+        loads = {r: one.body for r, one in fit.loads().items()}
+        fit = _Fit(recordings, robot, sides, arm, *base, slopes_of=found, loads=loads)
         fit.solve()
         found = fit.nearest()
     return fit.result(robot, found)
@@ -147,7 +170,8 @@ def fit_base_parameters(recordings: Sequence[Recording], robot: RobotParams) -> 
 def fit_differences(recordings: Sequence[Recording], robot: RobotParams) -> Differences | None:
     """Return what differs between recordings of known links; None of one of known torques."""
     arm, sides = _driven(recordings, robot)
-    if len(recordings) == 1 and not np.any(recordings[0].scale_sd):
+    if len(recordings) == 1 and not (np.any(recordings[0].scale_sd)
+                                     or recordings[0].load_unknown):
         return None
     fit = _Fit(recordings, robot, sides, arm, np.zeros(0, dtype=int), np.zeros((0, 0)))
     fit.solve()
@@ -162,20 +186,29 @@ def _driven(recordings, robot):
 class _Fit:
     """Least squares of one set of rows; ``lead`` and ``combination`` as of `base_of`."""
 
-    def __init__(self, recordings, robot, sides, arm, lead, combination, slopes_of=None):
+    def __init__(self, recordings, robot, sides, arm, lead, combination, slopes_of=None,
+                 loads=None):
         self._robot, self._arm, self._lead, self._combination = robot, arm, lead, combination
+        self._sources = [one.source for one in recordings]
         self._labels = tuple(dict.fromkeys(one.temperature for one in recordings))
         self._label = np.array([self._labels.index(one.temperature) for one in recordings])
-        self._rows, self._usual = _rows_of(recordings, robot, sides, arm, lead, slopes_of or arm)
+        self._rows, self._usual = _rows_of(recordings, robot, sides, arm, lead, [
+            carrying(slopes_of or arm, (loads or {}).get(r, one.load))
+            for r, one in enumerate(recordings)])
         n, count = arm.n_joints, len(lead)
         doubt = np.max([one.scale_sd for one in recordings], axis=0)
-        loads = {one.load and (one.load.mass, *one.load.com) for one in recordings}
+        loads = {one.load and (one.load.mass, *one.load.com) for one in recordings
+                 if not one.load_unknown}
+        self._unknown = [r for r, one in enumerate(recordings) if one.load_unknown]
         self._prior_sd = np.where(np.isinf(doubt), _UNKNOWN_SD, np.maximum(
             doubt, _DRIVE_SD if len(loads) > 1 else 0.0))
         self._free = np.flatnonzero(self._prior_sd > 0.0)
         zeros = n * (len(recordings) - 1)
         self._parts = [slice(0, count), slice(count, count + zeros),
                        slice(count + zeros, count + zeros + len(self._free))]
+        at = self._parts[2].stop
+        self._parts.append(slice(at, at + 10 * len(self._unknown)))
+        self._load_values = np.zeros((len(recordings), 10))
         self._values, self._zeros = np.zeros(count), np.zeros((len(recordings), n))
         self._scale, self._loaded = np.ones(n), np.zeros(n, dtype=bool)
         self._guess = self._guessed_scales(recordings, np.isinf(doubt))
@@ -222,7 +255,8 @@ class _Fit:
         """Return the torque of the links at the present values (S, n) [N m]."""
         rows = self._rows
         moved = np.einsum('sji,si->sj', rows.slope, self._zeros[rows.recording])
-        return rows.known + rows.regressor @ self._values + moved
+        carried = np.einsum('sjk,sk->sj', rows.tip, self._load_values[rows.recording])
+        return rows.known + rows.regressor @ self._values + carried + moved
 
     def solve(self):
         """Find parameters, zeros and scales; then once more where friction grows with load."""
@@ -254,23 +288,28 @@ class _Fit:
                 np.arange(len(rows.block)))
 
     def _iterate(self):
-        rows, count = self._rows, self._parts[2].stop
+        rows, count = self._rows, self._parts[3].stop
         precision = np.zeros(count)
         precision[self._parts[1]] = _ZERO_SD ** -2
         precision[self._parts[2]] = self._prior_sd[self._free] ** -2
+        size, mass = _LOAD_SIZE, _LOAD_SD * self._arm.mass.sum()
+        precision[self._parts[3]] = np.tile(
+            mass * np.repeat([1.0, size, size ** 2], [1, 3, 6]), len(self._unknown)) ** -2.0
         weighting = None
         for _ in range(_ROUNDS if len(self._free) else 1):
             model = self._torque()
             columns = self._columns(model)
             pull = np.zeros(count)
             pull[self._parts[1]] = -self._zeros[1:].ravel()
+            pull[self._parts[3]] = -self._load_values[self._unknown].ravel()
             pull[self._parts[2]] = np.log(self._guess / self._scale)[self._free]
             left = rows.torque - self._scale * model
             weighting = weighting or weighting_of(columns, left, rows.rate, self._own)
             self._step, self._normal, self._pieces = regress(
                 columns, left, rows.rate, rows.block, self._own, precision, pull, weighting)
             step = self._step
-            values, zeros, scales = (step[part] for part in self._parts)
+            values, zeros, scales, loads = (step[part] for part in self._parts)
+            self._load_values[self._unknown] += loads.reshape(-1, 10)
             self._values = self._values + values
             self._zeros[1:] += zeros.reshape(self._zeros[1:].shape)
             self._scale[self._free] *= np.exp(np.clip(scales, -1.0, 1.0))
@@ -278,13 +317,14 @@ class _Fit:
                 break
 
     def _columns(self, model):
-        """Return derivatives (S, n, P) by parameters, zeros and logarithms of scales."""
+        """Return derivatives (S, n, P) by parameters, zeros, logarithms of scales and loads."""
         rows, (samples, n) = self._rows, model.shape
         zeros = np.zeros((samples, n, len(self._zeros), n))
         zeros[np.arange(samples), :, rows.recording] = rows.slope
         scales = (model[:, :, None] * np.eye(n))[:, :, self._free]
-        whole = np.concatenate([rows.regressor, zeros[:, :, 1:].reshape(samples, n, -1), scales],
-                               axis=2)
+        loads = [rows.tip * (rows.recording == r)[:, None, None] for r in self._unknown]
+        whole = np.concatenate([rows.regressor, zeros[:, :, 1:].reshape(samples, n, -1), scales,
+                                *loads], axis=2)
         return self._scale[:, None] * whole
 
     def _covariance(self):
@@ -295,6 +335,25 @@ class _Fit:
             scores[:len(sums)] += sums
         inverse = inverse_of(self._normal)
         return clustered(inverse, scores, _MEMORY), inverse
+
+    def loads(self):
+        """Return the FoundLoads by recording."""
+        covariance, found = self._covariance()[0][self._parts[3], self._parts[3]], {}
+        for k, r in enumerate(self._unknown):
+            own = covariance[10 * k:10 * k + 4, 10 * k:10 * k + 4]
+            mass, *moment = self._load_values[r, :4]
+            if not mass > max(_SURE * np.sqrt(own[0, 0]), _TRIFLE * self._arm.mass.sum()):
+                raise IdentificationError(
+                    f'{self._sources[r]}: the unknown load has a mass of {mass:.3g} kg within '
+                    f'{np.sqrt(own[0, 0]):.2g} (standard deviation), which is none: leave load '
+                    'away in recording.yaml, or move the arm more')
+            com = np.array(moment) / mass
+            slopes = np.concatenate([-com[:, None], np.eye(3)], axis=1) / mass
+            turn = self._arm.frames.end_rotation.T
+            spread = turn @ slopes @ own @ slopes.T @ turn.T
+            found[r] = FoundLoad(at_end(body_of(self._load_values[r]), self._arm.frames),
+                                 float(np.sqrt(own[0, 0])), np.sqrt(np.diag(spread)))
+        return found
 
     def nearest(self):
         """Return the arm nearest to the URDF that has the base parameters."""
@@ -342,7 +401,8 @@ class _Fit:
                 loaded[:, j] = self._tried_load((j, left, rows))
                 self._loaded[j] = True
         return Differences(self._scale, scale_sd, self._prior_sd, self._zeros, zero_sd, offset,
-                           self._labels, level, change[self._label], self._usual, *loaded)
+                           self._labels, level, change[self._label], self._usual, *loaded,
+                           self.loads())
 
     def _changes(self, j, curve, changes):
         """Return friction of ``changes`` (L - 1, 4) over that of the first temperature (8,)."""
@@ -356,14 +416,14 @@ class _Fit:
 
 
 def _rows_of(recordings, robot, sides, arm, lead, slopes_of):
-    """Return the _Rows of recordings, ``slopes_of`` the arm of the slopes, and usual rates."""
+    """Return the _Rows of recordings, ``slopes_of`` the arms of the slopes, and usual rates."""
     pieces = [(r, segment) for r, recording in enumerate(recordings)
               for segment in segments_of(recording, robot, sides)]
     usual = np.sqrt(np.mean(np.concatenate([one.rate for _, one in pieces]) ** 2, axis=0))
     parts, used, several = [], 0, len(recordings) > 1
     for r, segment in pieces:
         part = _segment_rows(segment, arm, lead, recordings[r], usual,
-                             slopes_of if several else None)
+                             slopes_of[r] if several else None)
         parts.append((*part[:-1], part[-1] + used, np.full(len(part[-1]), r)))
         used = parts[-1][-2][-1] + 1
     return _Rows(*(np.concatenate(part) for part in zip(*parts, strict=True))), usual
@@ -386,23 +446,26 @@ def _segment_rows(segment, arm, lead, recording, usual, slopes_of):
     else:
         regressor = np.zeros((*rate.shape, 0))
         known = chain.inverse_dynamics(*motion, loaded)
+    tip = np.zeros((*rate.shape, 10))
+    if recording.load_unknown:
+        last = 10 * (arm.n_joints - 1)
+        tip = link_regressors(*motion, arm)[:, :, last:last + 10]
     slope = np.zeros((*rate.shape, arm.n_joints))
     if slopes_of is not None:
-        of = carrying(slopes_of, recording.load)
         for i, step in enumerate(_STEP * np.eye(arm.n_joints)):
             # torque of the true angle, which is the reading less the zero
-            slope[:, :, i] = (chain.inverse_dynamics(angle - step, *motion[1:], of)
-                              - chain.inverse_dynamics(angle + step, *motion[1:], of)) / (
-                                  2.0 * _STEP)
+            slope[:, :, i] = (
+                chain.inverse_dynamics(angle - step, *motion[1:], slopes_of)
+                - chain.inverse_dynamics(angle + step, *motion[1:], slopes_of)) / (2.0 * _STEP)
     friction = np.stack([friction_regressors(*one) for one in zip(rate.T, usual, strict=True)],
                         axis=1)
-    regressor, known, slope, friction = (low_pass(one, window) for one in (
-        regressor, known, slope, friction))
+    regressor, tip, known, slope, friction = (low_pass(one, window) for one in (
+        regressor, tip, known, slope, friction))
     block = (every * np.arange(len(rate)) * recording.period / BLOCK_TIME).astype(int)
     inner = slice(2 * window, -2 * window, max(window // 2, 1))
     change = np.gradient(torque, every * recording.period, axis=0)
-    return tuple(part[inner] for part in (regressor, known, slope, torque, change, friction, rate,
-                                          block))
+    return tuple(part[inner] for part in (regressor, tip, known, slope, torque, change, friction,
+                                          rate, block))
 
 
 def _differences(segment, every, period):

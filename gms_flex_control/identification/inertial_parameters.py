@@ -18,6 +18,7 @@ from dataclasses import replace
 from gms_flex_control.dynamics import chain, spatial
 from gms_flex_control.identification.uncertainty import inverse_of
 from gms_flex_control.params.arm import ArmParams
+from gms_flex_control.params.bodies import Body
 import numpy as np
 from scipy.linalg import qr
 from scipy.optimize import least_squares
@@ -29,6 +30,7 @@ MOTOR = 'motor_inertia'
 _POSES = 200        # of random motion, more than enough for the rank
 _SAME = 1e-8        # of the largest diagonal element of R: rank
 _SLIGHT = 1e-6      # of a coefficient that is not worth a word
+_POINT = 1e-9       # of mass times length squared: next to a point [m^2]
 _PRIOR_SD = 0.3     # of a change of a Cholesky factor, and of the logarithm of motor inertia
 
 
@@ -146,6 +148,19 @@ def with_parameters(arm: ArmParams, links: np.ndarray, motors=(), rigid=None) ->
     if rigid is not None:
         motor[rigid] = motors
     return replace(arm, mass=mass, com=com, inertia=inertia, motor_inertia=motor)
+
+
+def body_of(parameters: np.ndarray) -> Body:
+    """
+    Return the body nearest to ten numbers, of which inertias may be hardly known.
+
+    Mass and centre of mass are as they are; second moments about it are at least next to none.
+    """
+    mass, com = parameters[0], parameters[1:4] / parameters[0]
+    second = _pseudo_inertia(parameters)[:3, :3] - mass * np.outer(com, com)
+    size, axes = np.linalg.eigh(second)
+    second = (axes * np.maximum(size, _POINT * mass)) @ axes.T
+    return Body(float(mass), com, np.trace(second) * np.eye(3) - second)
 
 
 def _pseudo_inertia(parameters):

@@ -51,7 +51,7 @@ def check(recording: Recording, robot: RobotParams, rough=False) -> tuple[Findin
     if absent:
         return tuple(absent)
     signals = recording.of_joints(robot.joints)
-    if signals.load is not None and robot.arm.frames is None:
+    if (signals.load is not None or signals.load_unknown) and robot.arm.frames is None:
         return (Finding('load', robot.joints[-1], 'refuse', (
             f'{recording.source}: has a load, which needs an arm of a URDF; write the robot file '
             'with arm.kind: urdf, or add the load to its last link')),)
