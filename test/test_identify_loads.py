@@ -6,14 +6,16 @@
 from dataclasses import replace
 
 from bench.hidden_arms.wrong_links import base_values, hidden_arm, moved
+from gms_flex_control.data.conditions import Conditions, with_conditions
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.null_simulation import null_simulation
 from gms_flex_control.discrepancy.residuals import unexplained
-from gms_flex_control.errors import BagError, IdentificationError
+from gms_flex_control.errors import BagError, ConfigError, IdentificationError
 from gms_flex_control.identification.arm_estimates import difference_estimates
 from gms_flex_control.identification.arm_regression import fit_base_parameters, fit_differences
 from gms_flex_control.identification.assumed_robot import believed_model
 from gms_flex_control.identification.identify import Data
+from gms_flex_control.identification.inertial_parameters import all_parameters, base_of
 from gms_flex_control.identification.recording_checks import require
 from gms_flex_control.identification.smoothing import rms
 from gms_flex_control.params.bodies import Body
@@ -186,3 +188,37 @@ def test_friction_is_fitted_beside_the_load_that_was_found(hidden):
     stated, found = (Data(((one, ()),), (), given).bundle.segments[0].torque[
         :, PER_LOAD == 0.0] for one in (heavy, replace(heavy, load=None, load_unknown=True)))
     assert rms((found - stated).ravel()) < 0.05 * rms(stated.ravel())
+
+
+def test_friction_of_a_motor_that_two_joints_turn_is_told_from_theirs(hidden):
+    """Coupled wrist: within 3 %; base parameters stay, which coupled motors as alone spoil."""
+    robot, arm, (bare, _) = hidden
+    bare = replace(bare, tau_motor=bare.tau_motor / SCALE, temperature='')
+    together = np.eye(6)
+    together[5, 4] = 1.0
+    turning = np.gradient(bare.q_link @ together[5], bare.period)
+    further = np.outer(15.0 * np.tanh(turning / 0.005) + 5.0 * turning, together[5])
+    of_motors = replace(bare, tau_motor=(bare.tau_motor + further) @ np.linalg.inv(together))
+    recording = with_conditions(of_motors, Conditions(coupling={'joint6': {'joint5': 1.0}}))
+    np.testing.assert_allclose(recording.tau_motor, bare.tau_motor + further, atol=1e-9)
+    found, alone = (fit_base_parameters([one], robot)
+                    for one in (recording, replace(recording, coupling=None)))
+    coupled = found.differences.coupled
+    np.testing.assert_allclose(coupled.friction[5], [15.0, 5.0], rtol=0.03)
+    assert not coupled.friction[:5].any()
+    names = [one.name for part in difference_estimates(found.differences, robot.joints, ('a',))
+             for one in part]
+    assert names.count('friction.joint6.coupled_coulomb') == 1
+    truth = base_of(arm, together)[1] @ all_parameters(arm)
+    known = found.error < 0.05 * np.abs(found.values)
+    assert known.sum() >= 20
+    np.testing.assert_allclose(found.values[known], truth[known], rtol=0.03)
+    assert np.median(alone.error) > 2.0 * np.median(found.error)
+
+
+@pytest.mark.parametrize(('coupling', 'sentence'), [
+    ({'joint6': {'joint7': 1.0}}, "coupling names 'joint7', the recording has"),
+    ({'joint6': {'joint6': 1.0}}, 'coupling.joint6 names joint6 itself')])
+def test_a_coupling_of_no_joint_is_refused(coupling, sentence, hidden):
+    with pytest.raises(ConfigError, match=sentence):
+        with_conditions(hidden[2][0], Conditions(coupling=coupling))

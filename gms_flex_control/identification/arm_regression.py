@@ -74,6 +74,23 @@ class FoundLoad(NamedTuple):
     com_sd: np.ndarray  # (3,) [m]
 
 
+class Coupled(NamedTuple):
+    """Friction and inertia of motors that several joints turn, alike in all recordings."""
+
+    coupling: np.ndarray    # (n, n) of the recordings
+    friction: np.ndarray    # (n, 2) Coulomb [N m] and viscous [N m s/rad]; 0 of other motors
+    friction_sd: np.ndarray  # (n, 2)
+    inertia: np.ndarray     # (n,) of motors of rigid joints, else 0 [kg m^2]
+
+    def torque(self, segment: Segment) -> np.ndarray:
+        """Return the torque (T, n) on joints beyond that of motors which turn with their own."""
+        out = _beyond_own(segment.acceleration, self.inertia, self.coupling)
+        for m in np.flatnonzero(self.friction.any(axis=1)):
+            out += np.outer(_plain_friction(segment.rate @ self.coupling[m]) @ self.friction[m],
+                            self.coupling[m])
+        return out
+
+
 class Differences(NamedTuple):
     """What differs between R recordings of one robot with n joints, and torques from true ones."""
 
@@ -90,6 +107,7 @@ class Differences(NamedTuple):
     loaded: np.ndarray      # (n,), friction per torque carried, 0 where it does not grow
     loaded_sd: np.ndarray   # (n,)
     loads: dict             # number of a recording to its FoundLoad, of unknown ones
+    coupled: Coupled | None  # None where each motor turns with its joint alone
 
     def cleared(self, segment: Segment, recording: int) -> Segment:
         """
@@ -98,13 +116,15 @@ class Differences(NamedTuple):
         That is with its encoder zeros, offsets and temperature. Of a recording that was not
         fitted, only the scale of torques is known.
         """
+        beyond = 0.0 if self.coupled is None else self.coupled.torque(segment)
         if recording >= len(self.zero):
-            return replace(segment, torque=segment.torque / self.scale)
+            return replace(segment, torque=segment.torque / self.scale - beyond)
         more = np.stack([alike(friction_regressors(rate, usual)) @ change for rate, usual, change
                          in zip(segment.rate.T, self.usual, self.change[recording], strict=True)],
                         axis=1)
         return replace(segment, angle=segment.angle - self.zero[recording],
-                       torque=(segment.torque - self.offset[recording] - more) / self.scale)
+                       torque=(segment.torque - self.offset[recording] - more) / self.scale
+                       - beyond)
 
 
 class BaseFit(NamedTuple):
@@ -137,6 +157,7 @@ class _Rows(NamedTuple):
     torque: np.ndarray     # (S, n) as recorded
     change: np.ndarray     # (S, n) of the torque over time [N m/s]
     friction: np.ndarray   # (S, n, 8)
+    coupled: np.ndarray    # (S, n, 2 M) of friction of M motors that several joints turn
     rate: np.ndarray       # (S, n)
     block: np.ndarray      # (S,) int, of time
     recording: np.ndarray  # (S,) int
@@ -155,7 +176,7 @@ def fit_base_parameters(recordings: Sequence[Recording], robot: RobotParams) -> 
             f'{recordings[0].source}: the load of every recording is unknown, which cannot be '
             'told from the last link: add a recording without a load or with a known one, or '
             'rely on the links of the URDF (without --estimate all)')
-    base = base_of(arm)
+    base = base_of(arm, recordings[0].coupling)
     fit = _Fit(recordings, robot, sides, arm, *base)
     fit.solve()
     found = fit.nearest()
@@ -171,7 +192,8 @@ def fit_differences(recordings: Sequence[Recording], robot: RobotParams) -> Diff
     """Return what differs between recordings of known links; None of one of known torques."""
     arm, sides = _driven(recordings, robot)
     if len(recordings) == 1 and not (np.any(recordings[0].scale_sd)
-                                     or recordings[0].load_unknown):
+                                     or recordings[0].load_unknown
+                                     or recordings[0].coupling is not None):
         return None
     fit = _Fit(recordings, robot, sides, arm, np.zeros(0, dtype=int), np.zeros((0, 0)))
     fit.solve()
@@ -209,6 +231,11 @@ class _Fit:
         at = self._parts[2].stop
         self._parts.append(slice(at, at + 10 * len(self._unknown)))
         self._load_values = np.zeros((len(recordings), 10))
+        self._coupling = recordings[0].coupling
+        self._shared = _coupled_motors(recordings)
+        at = self._parts[3].stop
+        self._parts.append(slice(at, at + 2 * len(self._shared)))
+        self._coupled = np.zeros(2 * len(self._shared))
         self._values, self._zeros = np.zeros(count), np.zeros((len(recordings), n))
         self._scale, self._loaded = np.ones(n), np.zeros(n, dtype=bool)
         self._guess = self._guessed_scales(recordings, np.isinf(doubt))
@@ -256,7 +283,8 @@ class _Fit:
         rows = self._rows
         moved = np.einsum('sji,si->sj', rows.slope, self._zeros[rows.recording])
         carried = np.einsum('sjk,sk->sj', rows.tip, self._load_values[rows.recording])
-        return rows.known + rows.regressor @ self._values + carried + moved
+        return (rows.known + rows.regressor @ self._values + carried + moved
+                + rows.coupled @ self._coupled)
 
     def solve(self):
         """Find parameters, zeros and scales; then once more where friction grows with load."""
@@ -288,19 +316,22 @@ class _Fit:
                 np.arange(len(rows.block)))
 
     def _iterate(self):
-        rows, count = self._rows, self._parts[3].stop
+        rows, count = self._rows, self._parts[4].stop
         precision = np.zeros(count)
         precision[self._parts[1]] = _ZERO_SD ** -2
         precision[self._parts[2]] = self._prior_sd[self._free] ** -2
         size, mass = _LOAD_SIZE, _LOAD_SD * self._arm.mass.sum()
         precision[self._parts[3]] = np.tile(
             mass * np.repeat([1.0, size, size ** 2], [1, 3, 6]), len(self._unknown)) ** -2.0
+        precision[self._parts[4]] = np.sum(rows.coupled ** 2, axis=(0, 1)) / np.sum(
+            rows.torque[:, self._shared] ** 2)
         weighting = None
         for _ in range(_ROUNDS if len(self._free) else 1):
             model = self._torque()
             columns = self._columns(model)
             pull = np.zeros(count)
             pull[self._parts[1]] = -self._zeros[1:].ravel()
+            pull[self._parts[4]] = -self._coupled
             pull[self._parts[3]] = -self._load_values[self._unknown].ravel()
             pull[self._parts[2]] = np.log(self._guess / self._scale)[self._free]
             left = rows.torque - self._scale * model
@@ -308,7 +339,8 @@ class _Fit:
             self._step, self._normal, self._pieces = regress(
                 columns, left, rows.rate, rows.block, self._own, precision, pull, weighting)
             step = self._step
-            values, zeros, scales, loads = (step[part] for part in self._parts)
+            values, zeros, scales, loads, coupled = (step[part] for part in self._parts)
+            self._coupled = self._coupled + coupled
             self._load_values[self._unknown] += loads.reshape(-1, 10)
             self._values = self._values + values
             self._zeros[1:] += zeros.reshape(self._zeros[1:].shape)
@@ -324,7 +356,7 @@ class _Fit:
         scales = (model[:, :, None] * np.eye(n))[:, :, self._free]
         loads = [rows.tip * (rows.recording == r)[:, None, None] for r in self._unknown]
         whole = np.concatenate([rows.regressor, zeros[:, :, 1:].reshape(samples, n, -1), scales,
-                                *loads], axis=2)
+                                *loads, rows.coupled], axis=2)
         return self._scale[:, None] * whole
 
     def _covariance(self):
@@ -335,6 +367,18 @@ class _Fit:
             scores[:len(sums)] += sums
         inverse = inverse_of(self._normal)
         return clustered(inverse, scores, _MEMORY), inverse
+
+    def _found_coupled(self):
+        """Return the Coupled, None where there is none."""
+        if self._coupling is None:
+            return None
+        n, covariance = len(self._scale), self._covariance()[0][self._parts[4], self._parts[4]]
+        friction, spread = np.zeros((2, n, 2))
+        friction[self._shared] = self._coupled.reshape(-1, 2)
+        spread[self._shared] = np.sqrt(np.diag(covariance)).reshape(-1, 2)
+        arm = self._arm if not len(self._lead) else self.nearest()
+        return Coupled(self._coupling, friction, spread,
+                       np.where(self._arm.rigid, arm.motor_inertia, 0.0))
 
     def loads(self):
         """Return the FoundLoads by recording."""
@@ -402,7 +446,7 @@ class _Fit:
                 self._loaded[j] = True
         return Differences(self._scale, scale_sd, self._prior_sd, self._zeros, zero_sd, offset,
                            self._labels, level, change[self._label], self._usual, *loaded,
-                           self.loads())
+                           self.loads(), self._found_coupled())
 
     def _changes(self, j, curve, changes):
         """Return friction of ``changes`` (L - 1, 4) over that of the first temperature (8,)."""
@@ -420,16 +464,17 @@ def _rows_of(recordings, robot, sides, arm, lead, slopes_of):
     pieces = [(r, segment) for r, recording in enumerate(recordings)
               for segment in segments_of(recording, robot, sides)]
     usual = np.sqrt(np.mean(np.concatenate([one.rate for _, one in pieces]) ** 2, axis=0))
+    motors = _coupled_motors(recordings)
     parts, used, several = [], 0, len(recordings) > 1
     for r, segment in pieces:
-        part = _segment_rows(segment, arm, lead, recordings[r], usual,
+        part = _segment_rows(segment, arm, lead, recordings[r], usual, motors,
                              slopes_of[r] if several else None)
         parts.append((*part[:-1], part[-1] + used, np.full(len(part[-1]), r)))
         used = parts[-1][-2][-1] + 1
     return _Rows(*(np.concatenate(part) for part in zip(*parts, strict=True))), usual
 
 
-def _segment_rows(segment, arm, lead, recording, usual, slopes_of):
+def _segment_rows(segment, arm, lead, recording, usual, motors, slopes_of):
     """Return what _Rows has of a segment but the recording, blocks counted from 0."""
     every = 2 * (segment.window // (2 * _THINNING)) + 1
     window = max(segment.window // every, 1)
@@ -439,13 +484,16 @@ def _segment_rows(segment, arm, lead, recording, usual, slopes_of):
     torque = low_pass(torque, window)
     loaded = carrying(arm, recording.load)
     if len(lead):
-        regressor = link_regressors(*motion, arm)[:, :, lead]
+        regressor = link_regressors(*motion, arm, recording.coupling)[:, :, lead]
         known = np.zeros(rate.shape)
         if recording.load is not None:
             known = chain.inverse_dynamics(*motion, loaded) - chain.inverse_dynamics(*motion, arm)
     else:
         regressor = np.zeros((*rate.shape, 0))
         known = chain.inverse_dynamics(*motion, loaded)
+        if recording.coupling is not None:
+            known += _beyond_own(motion[2], np.where(arm.rigid, arm.motor_inertia, 0.0),
+                                 recording.coupling)
     tip = np.zeros((*rate.shape, 10))
     if recording.load_unknown:
         last = 10 * (arm.n_joints - 1)
@@ -459,13 +507,39 @@ def _segment_rows(segment, arm, lead, recording, usual, slopes_of):
                 - chain.inverse_dynamics(angle + step, *motion[1:], slopes_of)) / (2.0 * _STEP)
     friction = np.stack([friction_regressors(*one) for one in zip(rate.T, usual, strict=True)],
                         axis=1)
-    regressor, tip, known, slope, friction = (low_pass(one, window) for one in (
-        regressor, tip, known, slope, friction))
+    coupled = np.zeros((*rate.shape, 0))
+    for m in motors:
+        own = _plain_friction(rate @ recording.coupling[m])
+        coupled = np.concatenate([coupled, own[:, None] * recording.coupling[m][:, None]], axis=2)
+    regressor, tip, known, slope, friction, coupled = (low_pass(one, window) for one in (
+        regressor, tip, known, slope, friction, coupled))
     block = (every * np.arange(len(rate)) * recording.period / BLOCK_TIME).astype(int)
     inner = slice(2 * window, -2 * window, max(window // 2, 1))
     change = np.gradient(torque, every * recording.period, axis=0)
     return tuple(part[inner] for part in (regressor, tip, known, slope, torque, change, friction,
-                                          rate, block))
+                                          coupled, rate, block))
+
+
+def _coupled_motors(recordings):
+    """Return the motors (M,) that several joints turn; recordings have to agree."""
+    first = recordings[0].coupling
+    for one in recordings:
+        if (one.coupling is None) != (first is None) or (
+                first is not None and not np.array_equal(one.coupling, first)):
+            raise IdentificationError(f'{one.source}: its coupling is another than that of '
+                                      f'{recordings[0].source}: give both the same')
+    return [] if first is None else [
+        m for m, row in enumerate(first) if np.any(np.delete(row, m))]
+
+
+def _plain_friction(rate):
+    """Return columns (T, 2) of Coulomb and viscous friction, both directions alike."""
+    return np.stack([np.sign(rate), rate], axis=1)
+
+
+def _beyond_own(acceleration, inertia, coupling):
+    """Return the torque (T, n) of motors by their coupling beyond that of their own joint."""
+    return (acceleration @ coupling.T * inertia) @ coupling - acceleration * inertia
 
 
 def _differences(segment, every, period):
