@@ -5,12 +5,8 @@
 
 from collections.abc import Sequence
 
-from gms_flex_control.identification.arm_regression import (
-    BaseFit,
-    Coupled,
-    Differences,
-    FoundLoad,
-)
+from gms_flex_control.identification.arm_differences import Coupled, Differences, FoundLoad
+from gms_flex_control.identification.arm_regression import BaseFit
 from gms_flex_control.identification.result import (
     CONFIDENT,
     Estimate,

@@ -15,42 +15,39 @@ fit gives what differs between recordings.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 from gms_flex_control.data.recording import Recording
-from gms_flex_control.dynamics import chain
 from gms_flex_control.errors import IdentificationError
-from gms_flex_control.identification.axis_fit import friction_regressors, robust
+from gms_flex_control.identification.arm_differences import (
+    alike,
+    Coupled,
+    coupled_motors,
+    Differences,
+    FoundLoad,
+)
+from gms_flex_control.identification.arm_rows import rows_of
+from gms_flex_control.identification.axis_fit import robust
 from gms_flex_control.identification.base_parameters import regress, weighting_of
 from gms_flex_control.identification.inertial_parameters import (
     all_parameters,
     base_of,
     body_of,
-    link_regressors,
     meaning_of,
     names_of,
     nearest_arm,
     UNITS,
 )
-from gms_flex_control.identification.objective import BLOCK_TIME
 from gms_flex_control.identification.segments import (
     drive_sides,
-    filled,
     rigid_where,
-    Segment,
-    segments_of,
-    torque_at_samples,
 )
-from gms_flex_control.identification.smoothing import low_pass
 from gms_flex_control.identification.uncertainty import block_sums, clustered, inverse_of
 from gms_flex_control.params.arm import ArmParams
-from gms_flex_control.params.bodies import at_end, Body, carrying
+from gms_flex_control.params.bodies import at_end, carrying
 from gms_flex_control.params.robot import RobotParams
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 
-_THINNING = 8       # samples of a smoothing window that are enough
 _MEMORY = 4.0       # samples that the low-pass makes alike
 _ZERO_SD = 0.02     # of an encoder's zero between recordings [rad]
 _LOAD_SD = 1.0      # of an unknown load, as bodies of the mass of the whole arm
@@ -59,72 +56,10 @@ _DRIVE_SD = 0.1     # of the logarithm of a torque's scale, where a known load t
 _UNKNOWN_SD = 0.5   # the same of currents, around what the URDF's masses give
 _ROUNDS = 8         # of Gauss and Newton: scales multiply parameters
 _SETTLED = 1e-5     # change of a logarithm of a scale that ends them
-_STEP = 1e-5        # of a zero, for slopes [rad]
 _LOADED = 5.0       # standard errors beyond which friction grows with the load
 _SURE = 3.0         # standard deviations of its mass that an unknown load has at least
 _TRIFLE = 5e-4      # and of the mass of the arm: links are not known better
 _ADDS = 0.005       # and at least so much of the torque carried
-
-
-class FoundLoad(NamedTuple):
-    """An unknown load as it was found, in the frame at the end of the arm."""
-
-    body: Body
-    mass_sd: float     # [kg]
-    com_sd: np.ndarray  # (3,) [m]
-
-
-class Coupled(NamedTuple):
-    """Friction and inertia of motors that several joints turn, alike in all recordings."""
-
-    coupling: np.ndarray    # (n, n) of the recordings
-    friction: np.ndarray    # (n, 2) Coulomb [N m] and viscous [N m s/rad]; 0 of other motors
-    friction_sd: np.ndarray  # (n, 2)
-    inertia: np.ndarray     # (n,) of motors of rigid joints, else 0 [kg m^2]
-
-    def torque(self, segment: Segment) -> np.ndarray:
-        """Return the torque (T, n) on joints beyond that of motors which turn with their own."""
-        out = _beyond_own(segment.acceleration, self.inertia, self.coupling)
-        for m in np.flatnonzero(self.friction.any(axis=1)):
-            out += np.outer(_plain_friction(segment.rate @ self.coupling[m]) @ self.friction[m],
-                            self.coupling[m])
-        return out
-
-
-class Differences(NamedTuple):
-    """What differs between R recordings of one robot with n joints, and torques from true ones."""
-
-    scale: np.ndarray       # (n,), recorded torque over true torque
-    scale_sd: np.ndarray    # (n,), relative; 0 where the scale was taken as known
-    prior_sd: np.ndarray    # (n,), before the recordings were seen
-    zero: np.ndarray        # (R, n), of link encoders, less that of the first [rad]
-    zero_sd: np.ndarray     # (R, n)
-    offset: np.ndarray      # (R, n), of torques as recorded, less that of the first
-    labels: tuple           # (L,) of str, temperatures
-    level: np.ndarray       # (L, n), friction over that of the first temperature
-    change: np.ndarray      # (R, n, 4), coefficients of the friction that it has more
-    usual: np.ndarray       # (n,), rate that these are for [rad/s]
-    loaded: np.ndarray      # (n,), friction per torque carried, 0 where it does not grow
-    loaded_sd: np.ndarray   # (n,)
-    loads: dict             # number of a recording to its FoundLoad, of unknown ones
-    coupled: Coupled | None  # None where each motor turns with its joint alone
-
-    def cleared(self, segment: Segment, recording: int) -> Segment:
-        """
-        Return a segment of a recording as it were with true torques in the first recording.
-
-        That is with its encoder zeros, offsets and temperature. Of a recording that was not
-        fitted, only the scale of torques is known.
-        """
-        beyond = 0.0 if self.coupled is None else self.coupled.torque(segment)
-        if recording >= len(self.zero):
-            return replace(segment, torque=segment.torque / self.scale - beyond)
-        more = np.stack([alike(friction_regressors(rate, usual)) @ change for rate, usual, change
-                         in zip(segment.rate.T, self.usual, self.change[recording], strict=True)],
-                        axis=1)
-        return replace(segment, angle=segment.angle - self.zero[recording],
-                       torque=(segment.torque - self.offset[recording] - more) / self.scale
-                       - beyond)
 
 
 class BaseFit(NamedTuple):
@@ -145,27 +80,6 @@ class BaseFit(NamedTuple):
     def error(self) -> np.ndarray:
         """Return the standard deviations (B,)."""
         return np.sqrt(np.diag(self.covariance))
-
-
-class _Rows(NamedTuple):
-    """Samples of all recordings."""
-
-    regressor: np.ndarray  # (S, n, B)
-    tip: np.ndarray        # (S, n, 10) of a load's ten numbers in the frame of the last link
-    known: np.ndarray      # (S, n) torque of what is known [N m]
-    slope: np.ndarray      # (S, n, n) of joint j by the angle of joint i [N m/rad]
-    torque: np.ndarray     # (S, n) as recorded
-    change: np.ndarray     # (S, n) of the torque over time [N m/s]
-    friction: np.ndarray   # (S, n, 8)
-    coupled: np.ndarray    # (S, n, 2 M) of friction of M motors that several joints turn
-    rate: np.ndarray       # (S, n)
-    block: np.ndarray      # (S,) int, of time
-    recording: np.ndarray  # (S,) int
-
-
-def alike(friction: np.ndarray) -> np.ndarray:
-    """Return columns (S, 4) of friction that both directions have alike, of those by direction."""
-    return friction[:, :4] + friction[:, 4:]
 
 
 def fit_base_parameters(recordings: Sequence[Recording], robot: RobotParams) -> BaseFit:
@@ -214,7 +128,7 @@ class _Fit:
         self._sources = [one.source for one in recordings]
         self._labels = tuple(dict.fromkeys(one.temperature for one in recordings))
         self._label = np.array([self._labels.index(one.temperature) for one in recordings])
-        self._rows, self._usual = _rows_of(recordings, robot, sides, arm, lead, [
+        self._rows, self._usual = rows_of(recordings, robot, sides, arm, lead, [
             carrying(slopes_of or arm, (loads or {}).get(r, one.load))
             for r, one in enumerate(recordings)])
         n, count = arm.n_joints, len(lead)
@@ -232,7 +146,7 @@ class _Fit:
         self._parts.append(slice(at, at + 10 * len(self._unknown)))
         self._load_values = np.zeros((len(recordings), 10))
         self._coupling = recordings[0].coupling
-        self._shared = _coupled_motors(recordings)
+        self._shared = coupled_motors(recordings)
         at = self._parts[3].stop
         self._parts.append(slice(at, at + 2 * len(self._shared)))
         self._coupled = np.zeros(2 * len(self._shared))
@@ -457,104 +371,3 @@ class _Fit:
         friction = rows.friction[seen, j]
         usual = friction @ (0.5 * np.tile(curve[:4] + curve[4:], 2))
         return changes @ alike(friction).T @ usual / max(usual @ usual, 1e-300)
-
-
-def _rows_of(recordings, robot, sides, arm, lead, slopes_of):
-    """Return the _Rows of recordings, ``slopes_of`` the arms of the slopes, and usual rates."""
-    pieces = [(r, segment) for r, recording in enumerate(recordings)
-              for segment in segments_of(recording, robot, sides)]
-    usual = np.sqrt(np.mean(np.concatenate([one.rate for _, one in pieces]) ** 2, axis=0))
-    motors = _coupled_motors(recordings)
-    parts, used, several = [], 0, len(recordings) > 1
-    for r, segment in pieces:
-        part = _segment_rows(segment, arm, lead, recordings[r], usual, motors,
-                             slopes_of[r] if several else None)
-        parts.append((*part[:-1], part[-1] + used, np.full(len(part[-1]), r)))
-        used = parts[-1][-2][-1] + 1
-    return _Rows(*(np.concatenate(part) for part in zip(*parts, strict=True))), usual
-
-
-def _segment_rows(segment, arm, lead, recording, usual, motors, slopes_of):
-    """Return what _Rows has of a segment but the recording, blocks counted from 0."""
-    every = 2 * (segment.window // (2 * _THINNING)) + 1
-    window = max(segment.window // every, 1)
-    motion, torque = _differences(segment, every, recording.period)
-    angle = motion[0]
-    rate = np.ascontiguousarray(segment.rate[every:-every:every][:len(angle)])
-    torque = low_pass(torque, window)
-    loaded = carrying(arm, recording.load)
-    if len(lead):
-        regressor = link_regressors(*motion, arm, recording.coupling)[:, :, lead]
-        known = np.zeros(rate.shape)
-        if recording.load is not None:
-            known = chain.inverse_dynamics(*motion, loaded) - chain.inverse_dynamics(*motion, arm)
-    else:
-        regressor = np.zeros((*rate.shape, 0))
-        known = chain.inverse_dynamics(*motion, loaded)
-        if recording.coupling is not None:
-            known += _beyond_own(motion[2], np.where(arm.rigid, arm.motor_inertia, 0.0),
-                                 recording.coupling)
-    tip = np.zeros((*rate.shape, 10))
-    if recording.load_unknown:
-        last = 10 * (arm.n_joints - 1)
-        tip = link_regressors(*motion, arm)[:, :, last:last + 10]
-    slope = np.zeros((*rate.shape, arm.n_joints))
-    if slopes_of is not None:
-        for i, step in enumerate(_STEP * np.eye(arm.n_joints)):
-            # torque of the true angle, which is the reading less the zero
-            slope[:, :, i] = (
-                chain.inverse_dynamics(angle - step, *motion[1:], slopes_of)
-                - chain.inverse_dynamics(angle + step, *motion[1:], slopes_of)) / (2.0 * _STEP)
-    friction = np.stack([friction_regressors(*one) for one in zip(rate.T, usual, strict=True)],
-                        axis=1)
-    coupled = np.zeros((*rate.shape, 0))
-    for m in motors:
-        own = _plain_friction(rate @ recording.coupling[m])
-        coupled = np.concatenate([coupled, own[:, None] * recording.coupling[m][:, None]], axis=2)
-    regressor, tip, known, slope, friction, coupled = (low_pass(one, window) for one in (
-        regressor, tip, known, slope, friction, coupled))
-    block = (every * np.arange(len(rate)) * recording.period / BLOCK_TIME).astype(int)
-    inner = slice(2 * window, -2 * window, max(window // 2, 1))
-    change = np.gradient(torque, every * recording.period, axis=0)
-    return tuple(part[inner] for part in (regressor, tip, known, slope, torque, change, friction,
-                                          coupled, rate, block))
-
-
-def _coupled_motors(recordings):
-    """Return the motors (M,) that several joints turn; recordings have to agree."""
-    first = recordings[0].coupling
-    for one in recordings:
-        if (one.coupling is None) != (first is None) or (
-                first is not None and not np.array_equal(one.coupling, first)):
-            raise IdentificationError(f'{one.source}: its coupling is another than that of '
-                                      f'{recordings[0].source}: give both the same')
-    return [] if first is None else [
-        m for m, row in enumerate(first) if np.any(np.delete(row, m))]
-
-
-def _plain_friction(rate):
-    """Return columns (T, 2) of Coulomb and viscous friction, both directions alike."""
-    return np.stack([np.sign(rate), rate], axis=1)
-
-
-def _beyond_own(acceleration, inertia, coupling):
-    """Return the torque (T, n) of motors by their coupling beyond that of their own joint."""
-    return (acceleration @ coupling.T * inertia) @ coupling - acceleration * inertia
-
-
-def _differences(segment, every, period):
-    """
-    Return angle, rate and acceleration (S, n) of every so many samples, and the torque there.
-
-    Of a torque that is held between samples, a second difference of the angle is the mean over
-    both sides, weighted by a triangle; the torque is weighted likewise, so that no filter comes
-    between them.
-    """
-    torque = torque_at_samples(segment)
-    for _ in range(2):  # a triangle
-        torque = uniform_filter1d(torque, every, axis=0, mode='nearest')
-    angle, torque = (uniform_filter1d(one, every, axis=0, mode='nearest')[::every]
-                     for one in (filled(segment.angle), torque))
-    before, at, after, step = angle[:-2], angle[1:-1], angle[2:], every * period
-    motion = at, (after - before) / (2.0 * step), (after - 2.0 * at + before) / step ** 2
-    return tuple(map(np.ascontiguousarray, motion)), torque[1:-1]
