@@ -18,7 +18,7 @@ from gms_flex_control.identification.identify import Data
 from gms_flex_control.identification.inertial_parameters import all_parameters, base_of
 from gms_flex_control.identification.recording_checks import require
 from gms_flex_control.identification.smoothing import rms
-from gms_flex_control.params.bodies import Body
+from gms_flex_control.params.arm import Body
 from gms_flex_control.simulation import plant
 import numpy as np
 import pytest

@@ -21,7 +21,7 @@ from gms_flex_control.answer import align
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.identification.arm_regression import fit_base_parameters
 from gms_flex_control.identification.inertial_parameters import base_of, link_regressors
-from gms_flex_control.params.bodies import Body
+from gms_flex_control.params.arm import Body
 import numpy as np
 from scipy.signal import butter, decimate, filtfilt
 

@@ -11,13 +11,12 @@ import xml.etree.ElementTree as ElementTree
 from gms_flex_control import load_robot, Recording
 from gms_flex_control.dynamics.chain import mass_matrices
 from gms_flex_control.identification.inertial_parameters import all_parameters, base_of
-from gms_flex_control.params.arm import ArmParams
-from gms_flex_control.params.bodies import Body
+from gms_flex_control.params.arm import ArmParams, Body
 from gms_flex_control.schema.urdf_arm import read_links
 import numpy as np
 
 ARM = Path(__file__).parents[2] / 'examples' / 'industrial_arm' / 'robot.yaml'
-STEP, EVERY = 5e-4, 4   # s; steps of a sample
+STEP, EVERY = 2.5e-4, 8  # s; steps of a sample
 MOTORS = 1.2             # times the motor inertia believed
 COUNTS = 2e6            # of the encoders, per revolution
 TOOL = 'tool_centre'     # link at the end of the arm, in whose frame loads are given
@@ -116,8 +115,9 @@ def moved(urdf, arm: ArmParams, seconds, seed=0, noise=0.002, load=None, per_loa
         applied = stiff * (wanted - data.qpos) + 0.08 * stiff * (rate - data.qvel) + (
             data.qfrc_bias)
         for _ in range(EVERY):
-            friction = warm * (coulomb * np.tanh(data.qvel / 0.005) + viscous * data.qvel)
-            friction += per_load * np.abs(applied - friction) * np.tanh(data.qvel / 0.005)
+            turning = data.qvel + 0.5 * STEP * data.qacc  # at the time of the angles
+            friction = warm * (coulomb * np.tanh(turning / 0.005) + viscous * turning)
+            friction += per_load * np.abs(applied - friction) * np.tanh(turning / 0.005)
             data.qfrc_applied[:] = applied - friction
             mujoco.mj_step(model, data)
     torque += noise * torque.std(axis=0) * rng.standard_normal(torque.shape)

@@ -21,8 +21,7 @@ from pathlib import Path
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.errors import ConfigError, did_you_mean, ParameterError
 from gms_flex_control.file_io import read_yaml
-from gms_flex_control.params.arm import require_body
-from gms_flex_control.params.bodies import Body
+from gms_flex_control.params.arm import Body, require_body
 import numpy as np
 from ruamel.yaml.error import YAMLError
 
@@ -91,12 +90,13 @@ def with_conditions(recording: Recording, conditions: Conditions,
     if wrong is not None:
         raise ConfigError(f'{recording.source}: torque_constant names {wrong!r}, the recording '
                           f'has {", ".join(recording.joints)}{did_you_mean(wrong, known)}')
-    values, doubt = np.ones(recording.n_joints), np.zeros(recording.n_joints)
+    values, deviations = np.ones(recording.n_joints), np.zeros(recording.n_joints)
     for name, (value, sd) in constants.items():
         j = recording.joints.index(known[name])
-        values[j], doubt[j] = value, sd
-    return _uncoupled(replace(recording, scale_sd=doubt, tau_motor=recording.tau_motor * values,
-                              command=recording.command * values), conditions.coupling)
+        values[j], deviations[j] = value, sd
+    return _uncoupled(replace(
+        recording, scale_sd=deviations, tau_motor=recording.tau_motor * values,
+        command=recording.command * values), conditions.coupling)
 
 
 def _uncoupled(recording, coupling):

@@ -43,8 +43,7 @@ from gms_flex_control.identification.segments import (
     rigid_where,
 )
 from gms_flex_control.identification.uncertainty import block_sums, clustered, inverse_of
-from gms_flex_control.params.arm import ArmParams
-from gms_flex_control.params.bodies import at_end, carrying
+from gms_flex_control.params.arm import ArmParams, at_end, carrying
 from gms_flex_control.params.robot import RobotParams
 import numpy as np
 
@@ -52,7 +51,7 @@ _MEMORY = 4.0       # samples that the low-pass makes alike
 _ZERO_SD = 0.02     # of an encoder's zero between recordings [rad]
 _LOAD_SD = 1.0      # of an unknown load, as bodies of the mass of the whole arm
 _LOAD_SIZE = 0.3    # and so large [m]
-_DRIVE_SD = 0.1     # of the logarithm of a torque's scale, where a known load tells it
+_DRIVE_SD = 0.1     # of the logarithm of a torque's scale, where a known load identifies it
 _UNKNOWN_SD = 0.5   # the same of currents, around what the URDF's masses give
 _ROUNDS = 8         # of Gauss and Newton: scales multiply parameters
 _SETTLED = 1e-5     # change of a logarithm of a scale that ends them

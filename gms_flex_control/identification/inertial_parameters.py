@@ -17,8 +17,7 @@ from dataclasses import replace
 
 from gms_flex_control.dynamics import chain, spatial
 from gms_flex_control.identification.uncertainty import inverse_of
-from gms_flex_control.params.arm import ArmParams
-from gms_flex_control.params.bodies import Body
+from gms_flex_control.params.arm import ArmParams, Body
 import numpy as np
 from scipy.linalg import qr
 from scipy.optimize import least_squares

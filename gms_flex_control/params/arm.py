@@ -239,6 +239,12 @@ def at_last_link(load: Body, frames: Frames) -> Body:
     return moved(load, frames.end_rotation, frames.end)
 
 
+def at_end(load: Body, frames: Frames) -> Body:
+    """Return a load given in the frame of the last link in the frame at the end of a chain."""
+    back = frames.end_rotation.T
+    return moved(load, back, -back @ frames.end)
+
+
 def carrying(arm: ArmParams, load: Body | None) -> ArmParams:
     """Return an arm of kind urdf with a load, given in the frame at its end, on its last link."""
     if load is None:
