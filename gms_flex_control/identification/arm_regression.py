@@ -51,6 +51,7 @@ _MEMORY = 4.0       # samples that the low-pass makes alike
 _ZERO_SD = 0.02     # of an encoder's zero between recordings [rad]
 _LOAD_SD = 1.0      # of an unknown load, as bodies of the mass of the whole arm
 _LOAD_SIZE = 0.3    # and so large [m]
+_VAGUE_SD = 1e3     # the same of base parameters: those of a joint that stands have a variance
 _DRIVE_SD = 0.1     # of the logarithm of a torque's scale, where a known load identifies it
 _UNKNOWN_SD = 0.5   # the same of currents, around what the URDF's masses give
 _ROUNDS = 8         # of Gauss and Newton: scales multiply parameters
@@ -233,9 +234,11 @@ class _Fit:
         precision = np.zeros(count)
         precision[self._parts[1]] = _ZERO_SD ** -2
         precision[self._parts[2]] = self._prior_sd[self._free] ** -2
-        size, mass = _LOAD_SIZE, _LOAD_SD * self._arm.mass.sum()
-        precision[self._parts[3]] = np.tile(
-            mass * np.repeat([1.0, size, size ** 2], [1, 3, 6]), len(self._unknown)) ** -2.0
+        size, mass = _LOAD_SIZE, self._arm.mass.sum()
+        body = mass * np.repeat([1.0, size, size ** 2], [1, 3, 6])
+        precision[self._parts[3]] = np.tile(_LOAD_SD * body, len(self._unknown)) ** -2.0
+        own = np.append(np.tile(body, len(self._scale)), np.full(len(self._scale), body[-1]))
+        precision[self._parts[0]] = (_VAGUE_SD * own[self._lead]) ** -2.0
         precision[self._parts[4]] = np.sum(rows.coupled ** 2, axis=(0, 1)) / np.sum(
             rows.torque[:, self._shared] ** 2)
         weighting = None
@@ -243,6 +246,7 @@ class _Fit:
             model = self._torque()
             columns = self._columns(model)
             pull = np.zeros(count)
+            pull[self._parts[0]] = -self._values
             pull[self._parts[1]] = -self._zeros[1:].ravel()
             pull[self._parts[4]] = -self._coupled
             pull[self._parts[3]] = -self._load_values[self._unknown].ravel()
