@@ -68,7 +68,7 @@ def score_of(values, error, truth) -> Score:
     """Return the Score of values and standard deviations (B,)."""
     known = error < KNOWN * np.abs(values)
     off = np.abs(values - truth)
-    relative = (off / np.abs(truth))[known]
+    relative = (off / np.maximum(np.abs(truth), np.abs(values)))[known]
     return Score(int(known.sum()), float(relative.max()), float(np.median(relative)),
                  float(np.mean(off[known] < _CONFIDENT * error[known])))
 

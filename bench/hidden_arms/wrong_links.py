@@ -16,7 +16,7 @@ from gms_flex_control.schema.urdf_arm import read_links
 import numpy as np
 
 ARM = Path(__file__).parents[2] / 'examples' / 'industrial_arm' / 'robot.yaml'
-STEP, EVERY = 2.5e-4, 8  # s; steps of a sample
+STEP, EVERY = 5e-4, 4   # s; steps of a sample
 MOTORS = 1.2             # times the motor inertia believed
 COUNTS = 2e6            # of the encoders, per revolution
 TOOL = 'tool_centre'     # link at the end of the arm, in whose frame loads are given
@@ -91,6 +91,7 @@ def moved(urdf, arm: ArmParams, seconds, seed=0, noise=0.002, load=None, per_loa
     import mujoco
     model = mujoco.MjModel.from_xml_string(loaded(urdf, load))
     model.opt.gravity[:], model.opt.timestep = arm.gravity, STEP
+    model.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4  # others lag by half a step, which shows
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
     model.dof_armature[:] = MOTORS * arm.motor_inertia
     data, n, rng = mujoco.MjData(model), arm.n_joints, np.random.default_rng(seed)
@@ -109,13 +110,12 @@ def moved(urdf, arm: ArmParams, seconds, seed=0, noise=0.002, load=None, per_loa
     angle, torque = np.empty((2, samples, n))
     applied = np.zeros(n)
     for k in range(samples):
-        # of semi-implicit steps positions lead by half of one
-        angle[k], torque[k] = data.qpos - 0.5 * STEP * data.qvel, applied
+        angle[k], torque[k] = data.qpos, applied
         wanted, rate = reference(k * EVERY * STEP)
         applied = stiff * (wanted - data.qpos) + 0.08 * stiff * (rate - data.qvel) + (
             data.qfrc_bias)
         for _ in range(EVERY):
-            turning = data.qvel + 0.5 * STEP * data.qacc  # at the time of the angles
+            turning = data.qvel + 0.5 * STEP * data.qacc  # in the middle of the step
             friction = warm * (coulomb * np.tanh(turning / 0.005) + viscous * turning)
             friction += per_load * np.abs(applied - friction) * np.tanh(turning / 0.005)
             data.qfrc_applied[:] = applied - friction

@@ -15,7 +15,7 @@ def test_only_parameters_that_claim_to_be_known_are_judged():
     values, error = np.array([1.01, 2.0, -4.4, 5.0]), np.array([0.01, 0.01, 0.1, 1.0])
     score = score_of(values, error, truth)
     assert score.known == 3
-    assert score.worst == pytest.approx(0.1) and score.usual == pytest.approx(0.01)
+    assert score.worst == pytest.approx(0.4 / 4.4) and score.usual == pytest.approx(0.01 / 1.01)
     assert score.held == pytest.approx(2.0 / 3.0)
 
 
