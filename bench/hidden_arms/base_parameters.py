@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from bench.hidden_arms.wrong_links import base_values, hidden_arm, moved
+from gms_flex_control import blas
 from gms_flex_control.answer import align
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.identification.arm_regression import fit_base_parameters
@@ -104,7 +105,8 @@ def run(args) -> int:
         first, last = map(int, args.seeds.split(':'))
     except ValueError:
         raise ConfigError(f'--seeds {args.seeds!r}: give A:B, such as 0:20') from None
-    scores = [scores_of(seed, args.seconds) for seed in range(first, last)]
+    with blas.in_one_thread():
+        scores = [scores_of(seed, args.seconds) for seed in range(first, last)]
     if args.out:
         Path(args.out).write_text(json.dumps(
             [{way: one._asdict() for way, one in each.items()} for each in scores],

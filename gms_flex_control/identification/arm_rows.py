@@ -74,7 +74,7 @@ def _segment_rows(segment, arm, lead, recording, usual, motors, slopes_of):
         known = chain.inverse_dynamics(*motion, loaded)
         if recording.coupling is not None:
             known += beyond_own(motion[2], np.where(arm.rigid, arm.motor_inertia, 0.0),
-                                 recording.coupling)
+                                recording.coupling)
     tip = np.zeros((*rate.shape, 10))
     if recording.load_unknown:
         last = 10 * (arm.n_joints - 1)
