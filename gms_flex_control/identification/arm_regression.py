@@ -125,7 +125,7 @@ class _Fit:
     def __init__(self, recordings, robot, sides, arm, lead, combination, slopes_of=None,
                  loads=None):
         self._robot, self._arm, self._lead, self._combination = robot, arm, lead, combination
-        self._sources = [one.source for one in recordings]
+        self._sources, self._sides = [one.source for one in recordings], sides
         self._labels = tuple(dict.fromkeys(one.temperature for one in recordings))
         self._label = np.array([self._labels.index(one.temperature) for one in recordings])
         self._rows, self._usual = rows_of(recordings, robot, sides, arm, lead, [
@@ -184,8 +184,8 @@ class _Fit:
             columns.append((recording == r)[:, None].astype(float))
         if self._loaded[j]:
             columns.append(self._load_column(j)[chosen, None])
-        # by how much later torque is recorded than angles; at last, as others are found by place
-        columns.append(rows.change[chosen, j:j + 1])
+        if self._sides[j] == 'motor':  # by how much later its torque is recorded than angles
+            columns.append(rows.change[chosen, j:j + 1])  # at last: others are found by place
         return np.concatenate(columns, axis=1)
 
     def _load_column(self, j):
