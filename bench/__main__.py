@@ -12,23 +12,27 @@ from gms_flex_control.cli.main import parser_of
 PROG = 'python -m bench'
 GROUPS = {
     'on this machine': {'speed': 'bench.speed.speed', 'joints': 'bench.joints',
+                        'growth': 'bench.growth',
                         'faults': 'bench.faults.faults'},
     'on robots that are simulated': {
         'recover': 'bench.recover', 'coverage': 'bench.coverage',
         'hide': 'bench.hidden_robots.hide', 'score': 'bench.hidden_robots.score',
-        'hidden-arms': 'bench.hidden_arms.hidden_arms', 'learn': 'bench.learn',
+        'hidden-arms': 'bench.hidden_arms.hidden_arms',
+        'base-parameters': 'bench.hidden_arms.base_parameters', 'learn': 'bench.learn',
         'next': 'bench.next'},
     'on recordings of real ones': {'real-machines': 'bench.real_machines.real_machines'}}
 EXAMPLES = {verb: [f'{PROG} {verb} {options}'.rstrip() for options in each]
             for verb, each in {
     'speed': ('--quick', '--only loop step --json'),
     'joints': ('', '--most 3 --json'),
+    'growth': ('--verbs identify', '--out growth'),
     'faults': ('--list', '--short --logs fault_logs'),
     'recover': ('--seeds 3', '--seeds 20 --out recovery'),
     'coverage': ('--seeds 100:104 --out coverage',),
     'hide': ('--effect backlash --out hidden', '--kind single double --seeds 0:5 --out hidden'),
     'score': ('--out quick', '--kind single --seeds 0:20 --no-peers --out singles'),
     'hidden-arms': ('--seeds 0:5 --clean 0:2', '--arms light --seeds 10:20 --clean 0:0'),
+    'base-parameters': ('', '--seeds 0:5'),
     'learn': ('--seeds 0:1 --clean 0:2 --machines --out learned', '--out learned'),
     'next': ('--seeds 0:1 --out next', '--families "lag, delay" --seeds 0:4 --out lag'),
     'real-machines': ('--first', 'kr300_axis1 --out bench_real_output')}.items()}

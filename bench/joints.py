@@ -60,14 +60,18 @@ def spatial_robot(robot, path):
         inertia=links.inertia, length=np.zeros(n), gravity=[0.0, -9.81, 0.0]))
 
 
-def loop_of(robot):
-    """Return a function that runs the closed loop once; raise SimulationError if it diverges."""
-    one = np.ones(robot.n_joints)
-    gains = ControllerParams(
+def gains_of(n):
+    """Return ControllerParams of n joints."""
+    one = np.ones(n)
+    return ControllerParams(
         compensation='gms', kd_link=20.0 * one, lambda_link=10.0 * one, kd_motor=20.0 * one,
         lambda_motor=80.0 * one, observer_gain=one, sign_slope=50.0 * one,
         filter_bandwidth=100.0 * one, torque_limit=1e3 * one)
-    motion = builders.sinusoid(0.3 * one, 3.0)
+
+
+def loop_of(robot):
+    """Return a function that runs the closed loop once; raise SimulationError if it diverges."""
+    gains, motion = gains_of(robot.n_joints), builders.sinusoid(np.full(robot.n_joints, 0.3), 3.0)
 
     def run():
         return loop.run(robot, robot, gains, motion, duration=_DURATION,

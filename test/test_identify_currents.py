@@ -74,6 +74,8 @@ def test_a_load_is_a_body_in_the_frame_at_the_end_of_the_arm(tmp_path):
     assert load.mass == 2.0 and load.com[2] == 0.1 and np.all(np.diag(load.inertia) > 0.0)
     assert stated(tmp_path, 'load: {mass: 0}\n').load is None
     assert conditions_of(tmp_path / 'nowhere').load is None
+    lost = stated(tmp_path, 'load: unknown\n')
+    assert lost.load is None and lost.load_unknown
 
 
 @pytest.mark.parametrize(('text', 'sentence'), [
@@ -86,6 +88,8 @@ def test_a_load_is_a_body_in_the_frame_at_the_end_of_the_arm(tmp_path):
     ('torque_constant: 3', 'must name joints'),
     ('torque_constant: {joint1: 0}', 'value must not be 0'),
     ('torque_constant: {joint1: {vlaue: 3}}', "unknown key 'vlaue'"),
+    ('coupling: {joint6: joint5}', 'coupling must name joints whose motor others turn as well'),
+    ('coupling: {joint6: {joint5: one}}', 'coupling.joint6.joint5 must be a number'),
     ('load: [', 'is not YAML')])
 def test_a_wrong_file_is_refused_in_one_sentence(tmp_path, text, sentence):
     with pytest.raises(ConfigError, match=sentence) as caught:

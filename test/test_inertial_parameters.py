@@ -5,10 +5,11 @@
 
 from dataclasses import replace
 
+from bench.hidden_arms.base_parameters import ordinary_least_squares
+from bench.hidden_arms.wrong_links import base_values, believed, hidden_arm, moved
 from gms_flex_control.dynamics import chain
 from gms_flex_control.identification.arm_estimates import base_estimates
 from gms_flex_control.identification.arm_regression import fit_base_parameters
-from gms_flex_control.identification.axis_fit import friction_regressors
 from gms_flex_control.identification.friction_map import friction_torque
 from gms_flex_control.identification.inertial_parameters import (
     base_of,
@@ -19,7 +20,6 @@ from gms_flex_control.identification.segments import segments_of
 from gms_flex_control.identification.smoothing import low_pass, rms
 from gms_flex_control.params.arm import require_body
 from gms_flex_control.schema.files import load_robot, save_robot
-from hidden_arm import base_values, believed, hidden_arm, moved
 import numpy as np
 import pytest
 
@@ -27,10 +27,9 @@ pytest.importorskip('mujoco', reason="MuJoCo is the extra 'bench'")
 
 
 @pytest.fixture(scope='module')
-def hidden(tmp_path_factory):
+def hidden():
     """Return the true arm, the robot as believed and a recording."""
-    robot = believed()
-    urdf, arm = hidden_arm(tmp_path_factory.mktemp('hidden'), robot)
+    robot, arm, urdf = hidden_arm()
     return arm, robot, moved(urdf, robot.arm, 16.0)
 
 
@@ -68,23 +67,8 @@ def test_well_known_base_parameters_are_true_and_beat_ordinary_least_squares(hid
     assert np.all(off < 5.0 * found.error)
     started = np.abs(found.described - truth)
     assert np.median(off[known] / started[known]) < 0.05
-    ordinary = np.abs(ordinary_values(hidden) - truth)
+    ordinary = np.abs(ordinary_least_squares(hidden[2], hidden[1].arm)[0] - truth)
     assert np.median(off[known] / ordinary[known]) < 1.0
-
-
-def ordinary_values(hidden):
-    """Return base parameters by least squares of all joints' torques alike, not filtered."""
-    _, robot, recording = hidden
-    arm, period = robot.arm, recording.period
-    rate = np.gradient(recording.q_link, period, axis=0)
-    columns = link_regressors(recording.q_link, rate, np.gradient(rate, period, axis=0), arm)[
-        :, :, base_of(arm)[0]][::5]
-    torque, n = recording.tau_motor[::5], arm.n_joints
-    friction = np.zeros((*torque.shape, 8 * n))
-    for j in range(n):
-        friction[:, j, 8 * j:8 * j + 8] = friction_regressors(rate[::5, j])
-    table = np.concatenate([columns, friction], axis=2).reshape(torque.size, -1)
-    return np.linalg.lstsq(table, torque.ravel(), rcond=None)[0][:columns.shape[2]]
 
 
 def test_the_nearest_arm_has_these_base_parameters_and_is_made_of_bodies(hidden, found, tmp_path):

@@ -8,8 +8,9 @@ It stands in ``recording.yaml`` in the folder of the bag, ``my_bag.recording.yam
 that is a single file:
 
     load: {mass: 5.0, com: [0.0, 0.0, 0.08], inertia: [0.02, 0.0, 0.0, 0.02, 0.0, 0.01]}
-    temperature: cold
+    temperature: cold                        # load: unknown is something to be found
     torque_constant: {joint1: 12.4, joint2: {value: 9.1, sd: 0.05}, joint3: unknown}
+    coupling: {joint6: {joint5: 1.0}}        # the motor of joint6 turns with joint6 + 1.0 joint5
 """
 
 from collections.abc import Sequence
@@ -26,7 +27,7 @@ from ruamel.yaml.error import YAMLError
 
 NAME = 'recording.yaml'
 UNKNOWN = 'unknown'
-_KEYS = ('load', 'temperature', 'torque_constant')
+_KEYS = ('load', 'temperature', 'torque_constant', 'coupling')
 _OF_LOAD = ('mass', 'com', 'inertia')
 _OF_CONSTANT = ('value', 'sd')
 _POINT = 1e-9  # of mass times length squared: inertia of a load that is next to a point
@@ -37,9 +38,11 @@ class Conditions:
     """What is known of one recording."""
 
     load: Body | None = None   # carried, in the frame at the end of the arm
+    load_unknown: bool = False  # whether something is carried that nothing is known of
     temperature: str = ''      # label; recordings of one label have the same friction
     torque_constant: dict | None = None  # per joint value [N m per unit of effort], relative sd;
     #                                      (1, inf) where unknown. None: efforts are torques
+    coupling: dict | None = None  # per joint whose motor others turn as well, how far they do
 
 
 def conditions_of(bag) -> Conditions:
@@ -54,11 +57,14 @@ def conditions_of(bag) -> Conditions:
         raise ConfigError(f'{file}: is not YAML ({str(error).splitlines()[0]})') from error
     try:
         values = _mapping(data or {}, _KEYS, '')
+        unknown = values.get('load') == UNKNOWN
         return Conditions(
-            load=_load(values['load']) if 'load' in values else None,
+            load=_load(values['load']) if 'load' in values and not unknown else None,
+            load_unknown=unknown,
             temperature=str(values.get('temperature', '')),
             torque_constant=_constants(values['torque_constant'])
-            if 'torque_constant' in values else None)
+            if 'torque_constant' in values else None,
+            coupling=_coupling(values['coupling']) if 'coupling' in values else None)
     except (ConfigError, ParameterError) as error:
         raise ConfigError(f'{file}: {error}') from error
 
@@ -68,11 +74,15 @@ def with_conditions(recording: Recording, conditions: Conditions,
     """
     Return a recording with what is known of it; efforts of known constants become torques [N m].
 
+    Those of motors that several joints turn become torques of the joints.
+
     ``motors`` are further names by which constants may be given, in the order of the joints.
     """
-    constants = conditions.torque_constant
+    constants, recording = conditions.torque_constant, replace(
+        recording, load=conditions.load, load_unknown=conditions.load_unknown,
+        temperature=conditions.temperature)
     if constants is None:
-        return replace(recording, load=conditions.load, temperature=conditions.temperature)
+        return _uncoupled(recording, conditions.coupling)
     known = {**{joint: joint for joint in recording.joints},
              **{motor: joint for motor, joint in zip(motors, recording.joints, strict=False)
                 if motor}}
@@ -84,9 +94,34 @@ def with_conditions(recording: Recording, conditions: Conditions,
     for name, (value, sd) in constants.items():
         j = recording.joints.index(known[name])
         values[j], deviations[j] = value, sd
-    return replace(
-        recording, load=conditions.load, temperature=conditions.temperature, scale_sd=deviations,
-        tau_motor=recording.tau_motor * values, command=recording.command * values)
+    return _uncoupled(replace(
+        recording, scale_sd=deviations, tau_motor=recording.tau_motor * values,
+        command=recording.command * values), conditions.coupling)
+
+
+def _uncoupled(recording, coupling):
+    """Return a recording with torques of joints, efforts being those of coupled motors."""
+    if coupling is None:
+        return recording
+    matrix, joints = np.eye(recording.n_joints), recording.joints
+    for motor, others in coupling.items():
+        for joint, ratio in others.items():
+            for name in (motor, joint):
+                if name not in joints:
+                    raise ConfigError(
+                        f'{recording.source}: coupling names {name!r}, the recording has '
+                        f'{", ".join(joints)}{did_you_mean(name, joints)}')
+            if motor == joint:
+                raise ConfigError(f'{recording.source}: coupling.{motor} names {joint} itself; '
+                                  'name the other joints that turn its motor')
+            matrix[joints.index(motor), joints.index(joint)] = ratio
+    loose = [motor for motor in coupling if np.isinf(np.broadcast_to(
+        recording.scale_sd, len(joints))[joints.index(motor)])]
+    if loose:
+        raise ConfigError(f'{recording.source}: the motor of {loose[0]} is coupled, but its '
+                          'torque constant is unknown: state it in recording.yaml')
+    return replace(recording, coupling=matrix, tau_motor=recording.tau_motor @ matrix,
+                   command=recording.command @ matrix)
 
 
 def _mapping(data, allowed, where):
@@ -117,6 +152,14 @@ def _load(data):
         inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         require_body('load', mass, inertia)
     return Body(mass, com, inertia)
+
+
+def _coupling(data):
+    if not isinstance(data, dict) or not all(isinstance(one, dict) for one in data.values()):
+        raise ConfigError('coupling must name joints whose motor others turn as well, such as '
+                          f'{{joint6: {{joint5: 1.0}}}}, got {data!r}')
+    return {motor: {joint: _numbers(ratio, 1, f'coupling.{motor}.{joint}')[0]
+                    for joint, ratio in others.items()} for motor, others in data.items()}
 
 
 def _constants(data):

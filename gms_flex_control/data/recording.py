@@ -24,7 +24,7 @@ class Phase(NamedTuple):
 # what has a column for each joint
 _OF_JOINTS = ('q_link', 'dq_link', 'q_motor', 'dq_motor', 'tau_motor', 'command', 'reference',
               'friction_hat', 'scale_sd')
-_NOT_SAMPLED = ('joints', 'source', 'load', 'temperature')
+_NOT_SAMPLED = ('joints', 'source', 'load', 'load_unknown', 'temperature', 'coupling')
 
 
 def _unknown():
@@ -53,8 +53,10 @@ class Recording:
     friction_hat: np.ndarray = _unknown()  # (T, n), the observer's estimate [N m]
     supply: np.ndarray = _unknown()        # (T,), voltage of the drives' supply [V]
     load: Body | None = None   # carried, in the frame at the end of the arm
+    load_unknown: bool = False  # whether something is carried that nothing is known of
     temperature: str = ''      # label; recordings of one label have the same friction
     scale_sd: np.ndarray = 0.0  # (n,), relative, of torques whose scale is not known
+    coupling: np.ndarray | None = None  # (n, n), angles of motors by those of joints; None: alone
 
     def __post_init__(self):
         n, samples = len(self.joints), len(self.time)
@@ -90,7 +92,9 @@ class Recording:
             raise BagError(f'{self.source}: has no joint {absent[0]!r}, it has '
                            f'{", ".join(self.joints)}')
         columns = [self.joints.index(joint) for joint in joints]
-        return replace(self, joints=tuple(joints), **{
+        coupling = self.coupling if self.coupling is None else self.coupling[
+            np.ix_(columns, columns)]
+        return replace(self, joints=tuple(joints), coupling=coupling, **{
             name: getattr(self, name)[..., columns] for name in _OF_JOINTS})
 
     @property

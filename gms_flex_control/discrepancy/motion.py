@@ -196,6 +196,9 @@ def motion_of(recording, robot) -> Motion:
 
 def require_known(recording, robot):
     """Raise BagError where a recording has a load or torques that the robot's model cannot use."""
+    if recording.load_unknown:
+        raise BagError(f'{recording.source}: its load is unknown; gms_flex identify finds it '
+                       '(recordings.1.load), then state it in recording.yaml')
     if recording.load is not None and robot.arm.frames is None:
         raise BagError(f'{recording.source}: has a load, which needs an arm of a URDF; write the '
                        'robot file with arm.kind: urdf, or add the load to its last link')

@@ -131,23 +131,20 @@ class Free(NamedTuple):
     joint: str
     equation: str      # 'link' or 'motor'
     variable: str
-    rows: np.ndarray   # (K, R) of its triangles
+    triangles: tuple   # of ndarray (S, K): its values along each recording
 
 
 class FreeFunctions:
     """All free functions along the recordings of a Likelihood."""
 
     def __init__(self, likelihood):
-        self._likelihood = likelihood
-        robot, jobs = likelihood.robot, []
+        self._likelihood, self._all, robot = likelihood, [], likelihood.robot
         for j, joint in enumerate(robot.joints):
             shapes = _shapes(likelihood, j)
-            for side, equation in enumerate(('link', 'motor')):
+            for equation in ('link', 'motor'):
                 if equation == 'motor' and (robot.arm.rigid[j] or joint in likelihood.unseen):
                     continue
-                jobs += [(joint, equation, name, hats, j + side * robot.n_joints)
-                         for name, hats in shapes.items()]
-        self._all = list(likelihood.pool.map(lambda job: _function(likelihood, *job), jobs))
+                self._all += [(joint, equation, name, hats) for name, hats in shapes.items()]
 
     def ranked(self, model, columns, joint=None) -> list:
         """
@@ -168,16 +165,29 @@ class FreeFunctions:
         found = self._likelihood.pool.map(lambda one: self._gained(normal, *one), here)
         return sorted(found, key=lambda one: -one.evidence)
 
-    def _gained(self, normal, joint, equation, variable, rows, square):
+    def _gained(self, normal, joint, equation, variable, triangles):
         """Return a function as a Free."""
         likelihood, level = self._likelihood, self._likelihood.level_of(joint)
+        rows = self._rows(joint, equation, triangles)
         least = normal.beside(rows, pull=1.0 / level ** 2)
         scaled = level * rows
         _, occam = np.linalg.slogdet(np.eye(len(rows)) + (
             scaled * likelihood.weights(least.sums)) @ scaled.T)
+        torque = np.concatenate(triangles) @ least.added
         return Free(normal.alone.cost - least.cost - occam - 2.0 * np.log(len(self._all)),
-                    float(np.sqrt(max(least.added @ square @ least.added, 0.0))),
-                    joint, equation, variable, rows)
+                    float(np.sqrt(np.mean(torque ** 2))), joint, equation, variable, triangles)
+
+    def _rows(self, joint, equation, triangles):
+        """Return the whitened residuals (K, R) of triangles; all functions' fill the memory."""
+        likelihood, n = self._likelihood, self._likelihood.robot.n_joints
+        column = likelihood.robot.joints.index(joint) + n * (equation == 'motor')
+        rows = []
+        for k in range(triangles[0].shape[1]):
+            torques = [np.zeros((len(own), 2 * n)) for own in triangles]
+            for torque, own in zip(torques, triangles, strict=True):
+                torque[:, column] = own[:, k]
+            rows.append(likelihood.rows_of(torques))
+        return np.array(rows)
 
     def left_in(self, model, columns, caution=1.0):
         """Return the free function that a model lacks, a Free, None where nothing matters."""
@@ -186,9 +196,10 @@ class FreeFunctions:
             if (free.evidence <= EVIDENCE
                     or free.torque <= _LEAST * self._likelihood.level_of(free.joint)):
                 continue
+            rows = self._rows(free.joint, free.equation, free.triangles)
             if without is None:
-                without = self._predicted(model, columns, free.rows[:0])
-            gain = gain_over(self._predicted(model, columns, free.rows) - without)
+                without = self._predicted(model, columns, rows[:0])
+            gain = gain_over(self._predicted(model, columns, rows) - without)
             if gain._replace(sigmas=gain.sigmas / caution).is_real:
                 return free
         return None
@@ -236,18 +247,6 @@ def _shapes(likelihood, j):
             found[f'{name} times the direction of motion'] = [
                 hats * way[:, None] for hats, way in zip(found[name], moving, strict=True)]
     return found
-
-
-def _function(likelihood, joint, equation, name, hats, column):
-    """Return what `Free` begins with, rows (K, R) and mean products (K, K) of the triangles."""
-    rows = []
-    for k in range(hats[0].shape[1]):
-        torques = [np.zeros((len(own), 2 * likelihood.robot.n_joints)) for own in hats]
-        for torque, own in zip(torques, hats, strict=True):
-            torque[:, column] = own[:, k]
-        rows.append(likelihood.rows_of(torques))
-    every = np.concatenate(hats)
-    return joint, equation, name, np.array(rows), every.T @ every / len(every)
 
 
 def _direction(rate):

@@ -5,7 +5,8 @@
 
 from collections.abc import Sequence
 
-from gms_flex_control.identification.arm_regression import BaseFit, Differences
+from gms_flex_control.identification.arm_differences import Coupled, Differences, FoundLoad
+from gms_flex_control.identification.arm_regression import BaseFit
 from gms_flex_control.identification.result import (
     CONFIDENT,
     Estimate,
@@ -13,6 +14,7 @@ from gms_flex_control.identification.result import (
     NO_INTERVAL,
     NOT_IDENTIFIABLE,
 )
+import numpy as np
 
 _WIDE = 0.5         # half an interval this large a part of the value says nothing
 _LEARNT = 0.5       # of the prior standard deviation: the recordings identify a scale
@@ -71,7 +73,44 @@ def difference_estimates(found: Differences, joints: Sequence[str], sources: Seq
                     f'recordings.{r + 1}.{joint}.zero', 'rad', float(value),
                     Interval(float(value - half), float(value + half)), (),
                     f'of the link encoder in {source}, less that in the first recording'))
+    for m in range(len(joints) if found.coupled else 0):
+        rows[m] += coupled_estimates(found.coupled, m, joints)
+    for r, load in found.loads.items():
+        rows[-1] += load_estimates(load, f'recordings.{r + 1}.load', sources[r])
     return [tuple(part) for part in rows]
+
+
+def coupled_estimates(coupled: Coupled, m: int, joints: Sequence[str]) -> list:
+    """Return the Estimates of the friction of a motor that several joints turn, or none."""
+    if not coupled.friction[m].any():
+        return []
+    turns = ' + '.join(f'{ratio:g} {joint}' for ratio, joint in zip(
+        coupled.coupling[m], joints, strict=True) if ratio)
+    return [Estimate(
+        f'friction.{joints[m]}.coupled_{part}', unit, float(value), Interval(
+            float(value - CONFIDENT * sd), float(value + CONFIDENT * sd)), (),
+        f'of the motor, which turns with {turns}, both directions alike')
+        for part, unit, value, sd in zip(('coulomb', 'viscous'), ('N m', 'N m s/rad'),
+                                         coupled.friction[m], coupled.friction_sd[m],
+                                         strict=True)]
+
+
+def load_estimates(load: FoundLoad, name: str, source: str) -> list:
+    """Return the Estimates of a load that was unknown."""
+    body, upper = load.body, np.triu_indices(3)
+    written = (f'load: {{mass: {body.mass:.4g}, com: [{_listed(body.com)}], '
+               f'inertia: [{_listed(body.inertia[upper])}]}}')
+    rows = [('mass', 'kg', body.mass, load.mass_sd, f'carried in {source}; for recording.yaml: '
+             f'{written}')]
+    rows += [(f'com_{axis}', 'm', value, sd, '') for axis, value, sd in zip(
+        'xyz', body.com, load.com_sd, strict=True)]
+    return [Estimate(f'{name}.{part}', unit, float(value), Interval(
+        float(value - CONFIDENT * sd), float(value + CONFIDENT * sd)), (), note)
+        for part, unit, value, sd, note in rows]
+
+
+def _listed(values):
+    return ', '.join(f'{value:.4g}' for value in values)
 
 
 def scale_estimate(found: Differences, j: int, joint: str) -> Estimate:

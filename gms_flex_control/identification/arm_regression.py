@@ -4,9 +4,10 @@
 """
 Base parameters of an arm of a URDF from recordings, by weighted least squares on the regressor.
 
-    torque = scale (known + regressor parameters + slope zero) + friction + offset
+    torque = scale (known + regressor parameters + tip load + slope zero) + friction + offset
 
-``scale`` is what is recorded of a torque, ``known`` that of known loads, ``zero`` by how much
+``scale`` is what is recorded of a torque, ``known`` that of known loads, ``load`` the ten numbers
+of one that is unknown, ``zero`` by how much
 link encoders read more than in the first recording. Friction of each direction and temperature,
 and an offset by recording, are eliminated joint by joint; every joint counts by its own noise,
 robustly. Regressor and torque pass through one low-pass. Of links that are relied on the same
@@ -14,80 +15,51 @@ fit gives what differs between recordings.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 from gms_flex_control.data.recording import Recording
-from gms_flex_control.dynamics import chain
 from gms_flex_control.errors import IdentificationError
-from gms_flex_control.identification.axis_fit import friction_regressors, robust
+from gms_flex_control.identification.arm_differences import (
+    alike,
+    Coupled,
+    coupled_motors,
+    Differences,
+    FoundLoad,
+)
+from gms_flex_control.identification.arm_rows import rows_of
+from gms_flex_control.identification.axis_fit import robust
 from gms_flex_control.identification.base_parameters import regress, weighting_of
 from gms_flex_control.identification.inertial_parameters import (
     all_parameters,
     base_of,
-    link_regressors,
+    body_of,
     meaning_of,
     names_of,
     nearest_arm,
     UNITS,
 )
-from gms_flex_control.identification.objective import BLOCK_TIME
 from gms_flex_control.identification.segments import (
     drive_sides,
-    filled,
     rigid_where,
-    Segment,
-    segments_of,
-    torque_at_samples,
 )
-from gms_flex_control.identification.smoothing import low_pass
 from gms_flex_control.identification.uncertainty import block_sums, clustered, inverse_of
-from gms_flex_control.params.arm import ArmParams, carrying
+from gms_flex_control.params.arm import ArmParams, at_end, carrying
 from gms_flex_control.params.robot import RobotParams
 import numpy as np
 
-_THINNING = 8       # samples of a smoothing window that are enough
 _MEMORY = 4.0       # samples that the low-pass makes alike
 _ZERO_SD = 0.02     # of an encoder's zero between recordings [rad]
+_LOAD_SD = 1.0      # of an unknown load, as bodies of the mass of the whole arm
+_LOAD_SIZE = 0.3    # and so large [m]
+_VAGUE_SD = 1e3     # the same of base parameters: those of a joint that stands have a variance
 _DRIVE_SD = 0.1     # of the logarithm of a torque's scale, where a known load identifies it
 _UNKNOWN_SD = 0.5   # the same of currents, around what the URDF's masses give
 _ROUNDS = 8         # of Gauss and Newton: scales multiply parameters
 _SETTLED = 1e-5     # change of a logarithm of a scale that ends them
-_STEP = 1e-5        # of a zero, for slopes [rad]
 _LOADED = 5.0       # standard errors beyond which friction grows with the load
+_SURE = 3.0         # standard deviations of its mass that an unknown load has at least
+_TRIFLE = 5e-4      # and of the mass of the arm: links are not known better
 _ADDS = 0.005       # and at least so much of the torque carried
-
-
-class Differences(NamedTuple):
-    """What differs between R recordings of one robot with n joints, and torques from true ones."""
-
-    scale: np.ndarray       # (n,), recorded torque over true torque
-    scale_sd: np.ndarray    # (n,), relative; 0 where the scale was taken as known
-    prior_sd: np.ndarray    # (n,), before the recordings were seen
-    zero: np.ndarray        # (R, n), of link encoders, less that of the first [rad]
-    zero_sd: np.ndarray     # (R, n)
-    offset: np.ndarray      # (R, n), of torques as recorded, less that of the first
-    labels: tuple           # (L,) of str, temperatures
-    level: np.ndarray       # (L, n), friction over that of the first temperature
-    change: np.ndarray      # (R, n, 4), coefficients of the friction that it has more
-    usual: np.ndarray       # (n,), rate that these are for [rad/s]
-    loaded: np.ndarray      # (n,), friction per torque carried, 0 where it does not grow
-    loaded_sd: np.ndarray   # (n,)
-
-    def cleared(self, segment: Segment, recording: int) -> Segment:
-        """
-        Return a segment of a recording as it were with true torques in the first recording.
-
-        That is with its encoder zeros, offsets and temperature. Of a recording that was not
-        fitted, only the scale of torques is known.
-        """
-        if recording >= len(self.zero):
-            return replace(segment, torque=segment.torque / self.scale)
-        more = np.stack([alike(friction_regressors(rate, usual)) @ change for rate, usual, change
-                         in zip(segment.rate.T, self.usual, self.change[recording], strict=True)],
-                        axis=1)
-        return replace(segment, angle=segment.angle - self.zero[recording],
-                       torque=(segment.torque - self.offset[recording] - more) / self.scale)
 
 
 class BaseFit(NamedTuple):
@@ -110,33 +82,21 @@ class BaseFit(NamedTuple):
         return np.sqrt(np.diag(self.covariance))
 
 
-class _Rows(NamedTuple):
-    """Samples of all recordings."""
-
-    regressor: np.ndarray  # (S, n, B)
-    known: np.ndarray      # (S, n) torque of what is known [N m]
-    slope: np.ndarray      # (S, n, n) of joint j by the angle of joint i [N m/rad]
-    torque: np.ndarray     # (S, n) as recorded
-    friction: np.ndarray   # (S, n, 8)
-    rate: np.ndarray       # (S, n)
-    block: np.ndarray      # (S,) int, of time
-    recording: np.ndarray  # (S,) int
-
-
-def alike(friction: np.ndarray) -> np.ndarray:
-    """Return columns (S, 4) of friction that both directions have alike, of those by direction."""
-    return friction[:, :4] + friction[:, 4:]
-
-
 def fit_base_parameters(recordings: Sequence[Recording], robot: RobotParams) -> BaseFit:
     """Estimate the base parameters of a robot of kind urdf, joints in its order."""
     arm, sides = _driven(recordings, robot)
-    base = base_of(arm)
+    if all(one.load_unknown for one in recordings):
+        raise IdentificationError(
+            f'{recordings[0].source}: the load of every recording is unknown, which cannot be '
+            'told from the last link: add a recording without a load or with a known one, or '
+            'rely on the links of the URDF (without --estimate all)')
+    base = base_of(arm, recordings[0].coupling)
     fit = _Fit(recordings, robot, sides, arm, *base)
     fit.solve()
     found = fit.nearest()
     if len(recordings) > 1:  # slopes by zeros are of the arm found
-        fit = _Fit(recordings, robot, sides, arm, *base, slopes_of=found)
+        loads = {r: one.body for r, one in fit.loads().items()}
+        fit = _Fit(recordings, robot, sides, arm, *base, slopes_of=found, loads=loads)
         fit.solve()
         found = fit.nearest()
     return fit.result(robot, found)
@@ -145,7 +105,9 @@ def fit_base_parameters(recordings: Sequence[Recording], robot: RobotParams) -> 
 def fit_differences(recordings: Sequence[Recording], robot: RobotParams) -> Differences | None:
     """Return what differs between recordings of known links; None of one of known torques."""
     arm, sides = _driven(recordings, robot)
-    if len(recordings) == 1 and not np.any(recordings[0].scale_sd):
+    if len(recordings) == 1 and not (np.any(recordings[0].scale_sd)
+                                     or recordings[0].load_unknown
+                                     or recordings[0].coupling is not None):
         return None
     fit = _Fit(recordings, robot, sides, arm, np.zeros(0, dtype=int), np.zeros((0, 0)))
     fit.solve()
@@ -160,20 +122,34 @@ def _driven(recordings, robot):
 class _Fit:
     """Least squares of one set of rows; ``lead`` and ``combination`` as of `base_of`."""
 
-    def __init__(self, recordings, robot, sides, arm, lead, combination, slopes_of=None):
+    def __init__(self, recordings, robot, sides, arm, lead, combination, slopes_of=None,
+                 loads=None):
         self._robot, self._arm, self._lead, self._combination = robot, arm, lead, combination
+        self._sources, self._sides = [one.source for one in recordings], sides
         self._labels = tuple(dict.fromkeys(one.temperature for one in recordings))
         self._label = np.array([self._labels.index(one.temperature) for one in recordings])
-        self._rows, self._usual = _rows_of(recordings, robot, sides, arm, lead, slopes_of or arm)
+        self._rows, self._usual = rows_of(recordings, robot, sides, arm, lead, [
+            carrying(slopes_of or arm, (loads or {}).get(r, one.load))
+            for r, one in enumerate(recordings)])
         n, count = arm.n_joints, len(lead)
         doubt = np.max([one.scale_sd for one in recordings], axis=0)
-        loads = {one.load and (one.load.mass, *one.load.com) for one in recordings}
+        loads = {one.load and (one.load.mass, *one.load.com) for one in recordings
+                 if not one.load_unknown}
+        self._unknown = [r for r, one in enumerate(recordings) if one.load_unknown]
         self._prior_sd = np.where(np.isinf(doubt), _UNKNOWN_SD, np.maximum(
             doubt, _DRIVE_SD if len(loads) > 1 else 0.0))
         self._free = np.flatnonzero(self._prior_sd > 0.0)
         zeros = n * (len(recordings) - 1)
         self._parts = [slice(0, count), slice(count, count + zeros),
                        slice(count + zeros, count + zeros + len(self._free))]
+        at = self._parts[2].stop
+        self._parts.append(slice(at, at + 10 * len(self._unknown)))
+        self._load_values = np.zeros((len(recordings), 10))
+        self._coupling = recordings[0].coupling
+        self._shared = coupled_motors(recordings)
+        at = self._parts[3].stop
+        self._parts.append(slice(at, at + 2 * len(self._shared)))
+        self._coupled = np.zeros(2 * len(self._shared))
         self._values, self._zeros = np.zeros(count), np.zeros((len(recordings), n))
         self._scale, self._loaded = np.ones(n), np.zeros(n, dtype=bool)
         self._guess = self._guessed_scales(recordings, np.isinf(doubt))
@@ -197,7 +173,7 @@ class _Fit:
         return guess
 
     def _own(self, j, chosen):
-        """Return the columns that are eliminated for a joint: friction, offsets, load (S', F)."""
+        """Return the columns that are eliminated for a joint: friction, offsets, delay (S', F)."""
         rows, columns = self._rows, []
         recording = rows.recording[chosen]
         friction = rows.friction[chosen, j]
@@ -208,6 +184,8 @@ class _Fit:
             columns.append((recording == r)[:, None].astype(float))
         if self._loaded[j]:
             columns.append(self._load_column(j)[chosen, None])
+        if self._sides[j] == 'motor':  # by how much later its torque is recorded than angles
+            columns.append(rows.change[chosen, j:j + 1])  # at last: others are found by place
         return np.concatenate(columns, axis=1)
 
     def _load_column(self, j):
@@ -218,7 +196,9 @@ class _Fit:
         """Return the torque of the links at the present values (S, n) [N m]."""
         rows = self._rows
         moved = np.einsum('sji,si->sj', rows.slope, self._zeros[rows.recording])
-        return rows.known + rows.regressor @ self._values + moved
+        carried = np.einsum('sjk,sk->sj', rows.tip, self._load_values[rows.recording])
+        return (rows.known + rows.regressor @ self._values + carried + moved
+                + rows.coupled @ self._coupled)
 
     def solve(self):
         """Find parameters, zeros and scales; then once more where friction grows with load."""
@@ -250,23 +230,35 @@ class _Fit:
                 np.arange(len(rows.block)))
 
     def _iterate(self):
-        rows, count = self._rows, self._parts[2].stop
+        rows, count = self._rows, self._parts[4].stop
         precision = np.zeros(count)
         precision[self._parts[1]] = _ZERO_SD ** -2
         precision[self._parts[2]] = self._prior_sd[self._free] ** -2
+        size, mass = _LOAD_SIZE, self._arm.mass.sum()
+        body = mass * np.repeat([1.0, size, size ** 2], [1, 3, 6])
+        precision[self._parts[3]] = np.tile(_LOAD_SD * body, len(self._unknown)) ** -2.0
+        own = np.append(np.tile(body, len(self._scale)), np.full(len(self._scale), body[-1]))
+        precision[self._parts[0]] = (_VAGUE_SD * own[self._lead]) ** -2.0
+        precision[self._parts[4]] = np.sum(rows.coupled ** 2, axis=(0, 1)) / np.sum(
+            rows.torque[:, self._shared] ** 2)
         weighting = None
         for _ in range(_ROUNDS if len(self._free) else 1):
             model = self._torque()
             columns = self._columns(model)
             pull = np.zeros(count)
+            pull[self._parts[0]] = -self._values
             pull[self._parts[1]] = -self._zeros[1:].ravel()
+            pull[self._parts[4]] = -self._coupled
+            pull[self._parts[3]] = -self._load_values[self._unknown].ravel()
             pull[self._parts[2]] = np.log(self._guess / self._scale)[self._free]
             left = rows.torque - self._scale * model
             weighting = weighting or weighting_of(columns, left, rows.rate, self._own)
             self._step, self._normal, self._pieces = regress(
                 columns, left, rows.rate, rows.block, self._own, precision, pull, weighting)
             step = self._step
-            values, zeros, scales = (step[part] for part in self._parts)
+            values, zeros, scales, loads, coupled = (step[part] for part in self._parts)
+            self._coupled = self._coupled + coupled
+            self._load_values[self._unknown] += loads.reshape(-1, 10)
             self._values = self._values + values
             self._zeros[1:] += zeros.reshape(self._zeros[1:].shape)
             self._scale[self._free] *= np.exp(np.clip(scales, -1.0, 1.0))
@@ -274,13 +266,14 @@ class _Fit:
                 break
 
     def _columns(self, model):
-        """Return derivatives (S, n, P) by parameters, zeros and logarithms of scales."""
+        """Return derivatives (S, n, P) by parameters, zeros, logarithms of scales and loads."""
         rows, (samples, n) = self._rows, model.shape
         zeros = np.zeros((samples, n, len(self._zeros), n))
         zeros[np.arange(samples), :, rows.recording] = rows.slope
         scales = (model[:, :, None] * np.eye(n))[:, :, self._free]
-        whole = np.concatenate([rows.regressor, zeros[:, :, 1:].reshape(samples, n, -1), scales],
-                               axis=2)
+        loads = [rows.tip * (rows.recording == r)[:, None, None] for r in self._unknown]
+        whole = np.concatenate([rows.regressor, zeros[:, :, 1:].reshape(samples, n, -1), scales,
+                                *loads, rows.coupled], axis=2)
         return self._scale[:, None] * whole
 
     def _covariance(self):
@@ -291,6 +284,37 @@ class _Fit:
             scores[:len(sums)] += sums
         inverse = inverse_of(self._normal)
         return clustered(inverse, scores, _MEMORY), inverse
+
+    def _found_coupled(self):
+        """Return the Coupled, None where there is none."""
+        if self._coupling is None:
+            return None
+        n, covariance = len(self._scale), self._covariance()[0][self._parts[4], self._parts[4]]
+        friction, spread = np.zeros((2, n, 2))
+        friction[self._shared] = self._coupled.reshape(-1, 2)
+        spread[self._shared] = np.sqrt(np.diag(covariance)).reshape(-1, 2)
+        arm = self._arm if not len(self._lead) else self.nearest()
+        return Coupled(self._coupling, friction, spread,
+                       np.where(self._arm.rigid, arm.motor_inertia, 0.0))
+
+    def loads(self):
+        """Return the FoundLoads by recording."""
+        covariance, found = self._covariance()[0][self._parts[3], self._parts[3]], {}
+        for k, r in enumerate(self._unknown):
+            own = covariance[10 * k:10 * k + 4, 10 * k:10 * k + 4]
+            mass, *moment = self._load_values[r, :4]
+            if not mass > max(_SURE * np.sqrt(own[0, 0]), _TRIFLE * self._arm.mass.sum()):
+                raise IdentificationError(
+                    f'{self._sources[r]}: the unknown load has a mass of {mass:.3g} kg within '
+                    f'{np.sqrt(own[0, 0]):.2g} (standard deviation), which is none: leave load '
+                    'away in recording.yaml, or move the arm more')
+            com = np.array(moment) / mass
+            slopes = np.concatenate([-com[:, None], np.eye(3)], axis=1) / mass
+            turn = self._arm.frames.end_rotation.T
+            spread = turn @ slopes @ own @ slopes.T @ turn.T
+            found[r] = FoundLoad(at_end(body_of(self._load_values[r]), self._arm.frames),
+                                 float(np.sqrt(own[0, 0])), np.sqrt(np.diag(spread)))
+        return found
 
     def nearest(self):
         """Return the arm nearest to the URDF that has the base parameters."""
@@ -338,7 +362,8 @@ class _Fit:
                 loaded[:, j] = self._tried_load((j, left, rows))
                 self._loaded[j] = True
         return Differences(self._scale, scale_sd, self._prior_sd, self._zeros, zero_sd, offset,
-                           self._labels, level, change[self._label], self._usual, *loaded)
+                           self._labels, level, change[self._label], self._usual, *loaded,
+                           self.loads(), self._found_coupled())
 
     def _changes(self, j, curve, changes):
         """Return friction of ``changes`` (L - 1, 4) over that of the first temperature (8,)."""
@@ -349,51 +374,3 @@ class _Fit:
         friction = rows.friction[seen, j]
         usual = friction @ (0.5 * np.tile(curve[:4] + curve[4:], 2))
         return changes @ alike(friction).T @ usual / max(usual @ usual, 1e-300)
-
-
-def _rows_of(recordings, robot, sides, arm, lead, slopes_of):
-    """Return the _Rows of recordings, ``slopes_of`` the arm of the slopes, and usual rates."""
-    pieces = [(r, segment) for r, recording in enumerate(recordings)
-              for segment in segments_of(recording, robot, sides)]
-    usual = np.sqrt(np.mean(np.concatenate([one.rate for _, one in pieces]) ** 2, axis=0))
-    parts, used, several = [], 0, len(recordings) > 1
-    for r, segment in pieces:
-        part = _segment_rows(segment, arm, lead, recordings[r], usual,
-                             slopes_of if several else None)
-        parts.append((*part[:-1], part[-1] + used, np.full(len(part[-1]), r)))
-        used = parts[-1][-2][-1] + 1
-    return _Rows(*(np.concatenate(part) for part in zip(*parts, strict=True))), usual
-
-
-def _segment_rows(segment, arm, lead, recording, usual, slopes_of):
-    """Return what _Rows has of a segment but the recording, blocks counted from 0."""
-    every = max(segment.window // _THINNING, 1)
-    motion = tuple(np.ascontiguousarray(values[::every]) for values in (
-        filled(segment.angle), segment.rate, segment.acceleration))
-    angle, rate, _ = motion
-    torque = low_pass(torque_at_samples(segment), segment.window)[::every]
-    window = max(segment.window // every, 1)
-    loaded = carrying(arm, recording.load)
-    if len(lead):
-        regressor = link_regressors(*motion, arm)[:, :, lead]
-        known = np.zeros(rate.shape)
-        if recording.load is not None:
-            known = chain.inverse_dynamics(*motion, loaded) - chain.inverse_dynamics(*motion, arm)
-    else:
-        regressor = np.zeros((*rate.shape, 0))
-        known = chain.inverse_dynamics(*motion, loaded)
-    slope = np.zeros((*rate.shape, arm.n_joints))
-    if slopes_of is not None:
-        of = carrying(slopes_of, recording.load)
-        for i, step in enumerate(_STEP * np.eye(arm.n_joints)):
-            # torque of the true angle, which is the reading less the zero
-            slope[:, :, i] = (chain.inverse_dynamics(angle - step, *motion[1:], of)
-                              - chain.inverse_dynamics(angle + step, *motion[1:], of)) / (
-                                  2.0 * _STEP)
-    friction = np.stack([friction_regressors(*one) for one in zip(rate.T, usual, strict=True)],
-                        axis=1)
-    regressor, known, slope, friction = (low_pass(one, window) for one in (
-        regressor, known, slope, friction))
-    block = (every * np.arange(len(rate)) * recording.period / BLOCK_TIME).astype(int)
-    inner = slice(2 * window, -2 * window, max(window // 2, 1))
-    return tuple(part[inner] for part in (regressor, known, slope, torque, friction, rate, block))

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import time
 import warnings
 
+from gms_flex_control import blas
 from gms_flex_control.errors import IdentificationError, own_warnings
 from gms_flex_control.friction.stribeck import steady_friction
 from gms_flex_control.identification.arm_estimates import difference_estimates
@@ -105,7 +106,7 @@ def identify(takes: Sequence, robot: RobotParams, *, holdouts: Sequence = (),
     begin, options, say = time.monotonic(), options or Options(), say or (lambda text: None)
     takes, holdouts = ([one if isinstance(one, tuple) else (one, ()) for one in several]
                        for several in (takes, holdouts))
-    with own_warnings() as caught:
+    with own_warnings() as caught, blas.in_one_thread():  # joints have threads of their own
         say('checking the data')
         whole = options.estimate == 'all'
         model = believed_model(robot, whole, options.force)
@@ -113,6 +114,10 @@ def identify(takes: Sequence, robot: RobotParams, *, holdouts: Sequence = (),
             for finding in require(recording, model, force=options.force, rough=whole):
                 if finding.kind != 'torque_scale' or not whole:
                     warnings.warn(finding.text, stacklevel=2)
+        unknown = next((one.source for one, _ in holdouts if one.load_unknown), None)
+        if unknown:
+            raise IdentificationError(f'{unknown}: its load is unknown, so that nothing can be '
+                                      'predicted; give this recording to be fitted as well')
         currents = _currents_of(takes, robot, whole)
         data = Data(takes, holdouts, model, whole)
         fits = data.fit(options, say)
@@ -168,7 +173,9 @@ class Data:
         if self.differences:
             parts = [[self.differences.cleared(one, r) for one in part]
                      for r, part in enumerate(parts)]
-        parts, self.robot = one_by_one(parts, self.robot, [one.load for one in recordings],
+        found = self.differences.loads if self.differences else {}
+        loads = [found[r].body if r in found else one.load for r, one in enumerate(recordings)]
+        parts, self.robot = one_by_one(parts, self.robot, loads,
                                        self.differences and self.differences.loaded)
         if whole:
             parts = [[replace(one, torque=one.torque - self.arm_fit.constant,

@@ -17,7 +17,7 @@ from dataclasses import replace
 
 from gms_flex_control.dynamics import chain, spatial
 from gms_flex_control.identification.uncertainty import inverse_of
-from gms_flex_control.params.arm import ArmParams
+from gms_flex_control.params.arm import ArmParams, Body
 import numpy as np
 from scipy.linalg import qr
 from scipy.optimize import least_squares
@@ -29,21 +29,24 @@ MOTOR = 'motor_inertia'
 _POSES = 200        # of random motion, more than enough for the rank
 _SAME = 1e-8        # of the largest diagonal element of R: rank
 _SLIGHT = 1e-6      # of a coefficient that is not worth a word
+_POINT = 1e-9       # of mass times length squared: next to a point [m^2]
 _PRIOR_SD = 0.3     # of a change of a Cholesky factor, and of the logarithm of motor inertia
 
 
-def link_regressors(angle, rate, acceleration, arm: ArmParams) -> np.ndarray:
+def link_regressors(angle, rate, acceleration, arm: ArmParams, coupling=None) -> np.ndarray:
     """
     Return the torque (S, n, P) of each joint per unit of each inertial parameter.
 
     Along angles, rates and accelerations (S, n). P are the ten numbers of each link, as
-    `inertial_parameters` orders them, and the motor inertia of each rigid joint.
+    `inertial_parameters` orders them, and the motor inertia of each rigid joint; ``coupling``
+    (n, n) is that of a Recording.
     """
     n = arm.n_joints
     motion = [np.ascontiguousarray(one, dtype=float) for one in (angle, rate, acceleration)]
     columns = np.empty((len(motion[0]), n, 10 * n))
     spatial.regressor_along(*motion, spatial.constants_of(arm), columns)
-    motors = motion[2][:, :, None] * np.eye(n)[:, arm.rigid]
+    coupling = np.eye(n) if coupling is None else coupling
+    motors = (motion[2] @ coupling.T)[:, None, arm.rigid] * coupling.T[:, arm.rigid]
     return np.concatenate([columns, motors], axis=2)
 
 
@@ -57,7 +60,7 @@ def inertial_parameters(arm: ArmParams) -> np.ndarray:
                            about[:, rows, columns]], axis=1).ravel()
 
 
-def base_of(arm: ArmParams) -> tuple[np.ndarray, np.ndarray]:
+def base_of(arm: ArmParams, coupling=None) -> tuple[np.ndarray, np.ndarray]:
     """
     Return which parameters lead base parameters (B,), and these per unit of each (B, P).
 
@@ -65,7 +68,7 @@ def base_of(arm: ArmParams) -> tuple[np.ndarray, np.ndarray]:
     """
     rng, shape = np.random.default_rng(0), (_POSES, arm.n_joints)
     regressor = link_regressors(chain.configurations(arm, _POSES), rng.standard_normal(shape),
-                                3.0 * rng.standard_normal(shape), arm)
+                                3.0 * rng.standard_normal(shape), arm, coupling)
     table = regressor.reshape(-1, regressor.shape[2])
     size = np.linalg.norm(table, axis=0)
     scaled = table / np.where(size > _SAME * size.max(), size, np.inf)
@@ -146,6 +149,19 @@ def with_parameters(arm: ArmParams, links: np.ndarray, motors=(), rigid=None) ->
     if rigid is not None:
         motor[rigid] = motors
     return replace(arm, mass=mass, com=com, inertia=inertia, motor_inertia=motor)
+
+
+def body_of(parameters: np.ndarray) -> Body:
+    """
+    Return the body nearest to ten numbers, of which inertias may be hardly known.
+
+    Mass and centre of mass are as they are; second moments about it are at least next to none.
+    """
+    mass, com = parameters[0], parameters[1:4] / parameters[0]
+    second = _pseudo_inertia(parameters)[:3, :3] - mass * np.outer(com, com)
+    size, axes = np.linalg.eigh(second)
+    second = (axes * np.maximum(size, _POINT * mass)) @ axes.T
+    return Body(float(mass), com, np.trace(second) * np.eye(3) - second)
 
 
 def _pseudo_inertia(parameters):

@@ -137,38 +137,62 @@ class Objective:
     Evaluates parameters of one joint against all data of a Bundle.
 
     ``others`` are the parameters of all joints, those of ``joint`` unused; ``chosen`` Segment ->
-    bool (T,) are the samples that count, by default those of tests of the joint.
+    bool (T,) are the samples that count, by default those of tests of the joint. All links of a
+    chain move; of axes that do not act on each other only the joint's own.
     """
 
     def __init__(self, bundle: Bundle, joint: int, others: Sequence[np.ndarray], chosen=None):
         self._bundle, self.joint, self._others = bundle, joint, list(others)
         self._chosen = chosen
-        self._links = chain.constants_of(bundle.arm)
-        moved = range(len(self._others)) if bundle.arm.kind == 'planar' else [joint]
-        self._carried = np.array([joint, *(other for other in moved if other != joint)])
-        self._alone = self._carried[:1]
+        together = bundle.arm.kind == 'planar'
+        self._moved = list(range(bundle.arm.n_joints)) if together else [joint]
+        self._own = self._moved.index(joint)
+        self._links = chain.constants_of(bundle.arm if together else bundle.arm.axis(joint))
+        self._carried = np.array([self._own, *(k for k in range(len(self._moved))
+                                               if k != self._own)])
 
     def predict(self, segment, theta, directions=None, sharpness=1.0):
         """
-        Return predicted angles and innovations (T, n), and the Jacobian (T, P) of a segment.
+        Return the joint's predicted angles and innovations (T,), and their Jacobian (T, P).
 
         Contiguous arrays only go into the kernel, which is compiled anew for any other layout.
         """
         directions = np.zeros((len(theta), 0)) if directions is None else directions
-        bundle, n = self._bundle, segment.angle.shape[1]
-        extra = self.extra(segment)
-        samples, width = len(segment.angle), directions.shape[1]
+        samples, n, width = len(segment.angle), len(self._moved), directions.shape[1]
         predicted, innovation = np.empty((2, samples, n))
         jacobian = np.empty((samples, width))
         predictor.predict(
-            np.ascontiguousarray(segment.angle), np.ascontiguousarray(segment.rate[0]),
-            segment.torque, extra, theta[len(theta) - extra.shape[1]:], bundle.period, self._links,
-            self.friction(theta), self._carried if width else self._alone,
-            np.ascontiguousarray(directions),
-            bundle.observer_gains(sharpness), bundle.half,
+            *self._given(segment, theta), self._carried if width else self._carried[:1],
+            np.ascontiguousarray(directions), *self._observer(sharpness),
             records.build(gms.state_layout(n, MOST_BLOCKS)), plant.workspace(n), predicted,
             innovation, jacobian)
-        return predicted, innovation, jacobian
+        return predicted[:, self._own], innovation[:, self._own], jacobian
+
+    def simulate_freely(self, segment, theta, first: int, stride: int, horizon: int, starts: int):
+        """Return the joint's angles (starts, horizon) of `predictor.simulate_freely`."""
+        n = len(self._moved)
+        predicted, blocks = np.empty((starts, horizon, n)), gms.state_layout(n, MOST_BLOCKS)
+        predictor.simulate_freely(
+            *self._given(segment, theta), self._own, *self._observer(), first, stride, horizon,
+            records.build(blocks), records.build(blocks), plant.workspace(n), predicted)
+        return predicted[:, :, self._own]
+
+    def replay(self, angle, segment, theta):
+        """Return the friction (T,) of the joint along ``angle`` (T, n) and a segment's rate."""
+        return gms.replay(angle[:, self._moved], segment.rate[:, self._moved],
+                          self._bundle.period, self._friction(theta))[:, self._own]
+
+    def _given(self, segment, theta):
+        """Return what is known of a segment and its links, as the predictor takes it."""
+        extra = self.extra(segment)
+        return (*(np.ascontiguousarray(part[..., self._moved]) for part in (
+            segment.angle, segment.rate[0], segment.torque)), extra,
+            theta[len(theta) - extra.shape[1]:], self._bundle.period, self._links,
+            self._friction(theta))
+
+    def _observer(self, sharpness=1.0):
+        gains = self._bundle.observer_gains(sharpness)[:, self._moved]
+        return np.ascontiguousarray(gains), self._bundle.half[self._moved]
 
     def extra(self, segment):
         """Return the further torques per unit of their coefficients, shape (T, R)."""
@@ -176,11 +200,10 @@ class Objective:
         return (np.zeros((len(segment.angle), 0)) if make is None else
                 np.ascontiguousarray(make(segment)))
 
-    def friction(self, theta):
-        """Return the constants of all joints, ``theta`` those of this one."""
-        thetas = list(self._others)
-        thetas[self.joint] = theta
-        return friction_record(thetas)
+    def _friction(self, theta):
+        """Return the constants of all joints that move, ``theta`` those of this one."""
+        return friction_record([theta if k == self.joint else self._others[k]
+                                for k in self._moved])
 
     def counted(self, segment):
         """Return which samples count, bool (T,)."""
@@ -208,8 +231,7 @@ class Objective:
             counted = self.counted(segment)
             if counted.any():
                 _, innovation, jacobian = self.predict(segment, theta, directions, sharpness)
-                pools += _pools(counted, innovation[:, self.joint], jacobian,
-                                self._bundle.period)
+                pools += _pools(counted, innovation, jacobian, self._bundle.period)
         arrays = [np.array(part) for part in zip(*pools, strict=True)]
         return Evaluation(*arrays, floor or self.floor_of(arrays[0]))
 
@@ -227,8 +249,7 @@ class Objective:
             counted = self.counted(segment)
             if counted.sum() < 2 * lags:
                 continue
-            error = np.where(counted, self.predict(segment, theta, directions[:, :0], 1.0)[1][
-                :, self.joint], 0.0)
+            error = np.where(counted, self.predict(segment, theta, directions[:, :0])[1], 0.0)
             blocks = np.add.reduceat(error ** 2, np.arange(0, len(error), length))
             level = np.sqrt(np.repeat(blocks, length)[:len(error)] / length)
             scaled = np.divide(error, level, out=np.zeros_like(error), where=level > 0.0)

@@ -12,18 +12,14 @@ sentence says so.
 
 from collections.abc import Callable, Sequence
 
-from gms_flex_control import records
 from gms_flex_control.data.signal_analysis import standing_out
-from gms_flex_control.dynamics import chain
 from gms_flex_control.dynamics.chain import inverse_dynamics
-from gms_flex_control.friction import gms
-from gms_flex_control.identification.coordinates import Coordinates, MOST_BLOCKS
+from gms_flex_control.identification.coordinates import Coordinates
 from gms_flex_control.identification.friction_map import friction_torque
 from gms_flex_control.identification.objective import Bundle, Objective
 from gms_flex_control.identification.result import HeldOut, Loop, Trace
 from gms_flex_control.identification.segments import moving, smooth_angle, standing
 from gms_flex_control.identification.smoothing import low_pass, low_pass_bandwidth, rms
-from gms_flex_control.simulation import plant, predictor
 import numpy as np
 
 HORIZON = 0.5       # of a free simulation [s]
@@ -45,7 +41,7 @@ _MUCH = 0.1           # of the squares of what is left: a ripple below is not wo
 def _model_friction(objective, segment, theta, period):
     """Return friction of the joint (T,) along the smoothed motion, further torques included."""
     angle = smooth_angle(segment, period)
-    tau = gms.replay(angle, segment.rate, period, objective.friction(theta))[:, objective.joint]
+    tau = objective.replay(angle, segment, theta)
     extra = objective.extra(segment)
     return tau - extra @ theta[len(theta) - extra.shape[1]:]
 
@@ -89,29 +85,19 @@ def free_run_error(objective: Objective, bundle: Bundle, theta: np.ndarray,
     A simulation counts if all of its samples are chosen; NaN if no segment is long enough.
     """
     horizon, stride = round(HORIZON / bundle.period), round(_STRIDE / bundle.period)
-    links, joint, total, count = chain.constants_of(bundle.arm), objective.joint, 0.0, 0
+    joint, first, total, count = objective.joint, stride, 0.0, 0
     for segment in bundle.segments:
-        samples, n = segment.angle.shape
-        first = stride
-        starts = max((samples - 1 - horizon - first) // stride + 1, 0)
+        starts = max((len(segment.angle) - 1 - horizon - first) // stride + 1, 0)
         keep = chosen(segment) & segment.tested[:, joint]
         if not starts or not keep.any():
             continue
-        extra = objective.extra(segment)
-        predicted = np.empty((starts, horizon, n))
-        blocks = gms.state_layout(n, MOST_BLOCKS)
-        predictor.simulate_freely(
-            np.ascontiguousarray(segment.angle), np.ascontiguousarray(segment.rate[0]),
-            segment.torque, extra, theta[len(theta) - extra.shape[1]:], bundle.period, links,
-            objective.friction(theta), joint, bundle.observer_gains(), bundle.half, first,
-            stride, horizon, records.build(blocks), records.build(blocks), plant.workspace(n),
-            predicted)
+        predicted = objective.simulate_freely(segment, theta, first, stride, horizon, starts)
         for start in range(starts):
             rows = slice(first + start * stride, first + start * stride + horizon)
             measured = segment.angle[rows, joint]
             known = np.isfinite(measured) & keep[rows]
             if known.all():
-                total += np.sum((predicted[start, :, joint] - measured) ** 2)
+                total += np.sum((predicted[start] - measured) ** 2)
                 count += horizon
     return float(np.sqrt(total / count)) if count else np.nan
 
@@ -132,8 +118,7 @@ def held_out_errors(objective: Objective, bundle: Bundle, theta: np.ndarray, sim
         if not keep.any():
             continue
         window = segment.window
-        innovations.append(objective.predict(segment, theta, np.zeros((len(theta), 0)), 1.0)[1][
-            keep, joint])
+        innovations.append(objective.predict(segment, theta)[1][keep])
         keep &= moving(segment, joint, step, bundle.half[joint])
         measured = friction_torque(segment, bundle.arm)[:, joint]
         for errors, parameters in ((off, theta), (plain, simple)):
@@ -222,14 +207,13 @@ def presliding_reach(bundle: Bundle, joint: int, theta: np.ndarray) -> float:
 def loops_of(objective: Objective, bundle: Bundle, theta: np.ndarray) -> tuple:
     """Return at most six hysteresis Loops (Fig. 4) of the joint, of the largest torque."""
     joint, loops = objective.joint, []
-    none = np.zeros((len(theta), 0))
     for segment in bundle.segments:
         torque = _standing_torque(segment, bundle.arm)[:, joint]
         pieces = list(_presliding_parts(segment, joint, min(theta[[0, 4]]), torque,
                                         bundle.period))
         if not pieces:
             continue
-        predicted = objective.predict(segment, theta, none, 1.0)[0][:, joint]
+        predicted = objective.predict(segment, theta)[0]
         for rows in pieces:
             thin = slice(rows.start, rows.stop, max(1, (rows.stop - rows.start) // _LONGEST_LOOP))
             origin = np.nanmean(segment.angle[rows, joint])

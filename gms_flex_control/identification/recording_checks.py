@@ -12,6 +12,7 @@ too_short           too few samples or seconds
 clock               stamps jump, are out of order or in another unit
 dropped             samples are missing
 missing             channels, or parts of them, are no number
+angle_unit          angles are in degrees
 still               a joint never moves
 one_direction       a joint moves one way only
 jump                an angle jumps
@@ -50,7 +51,7 @@ def check(recording: Recording, robot: RobotParams, rough=False) -> tuple[Findin
     if absent:
         return tuple(absent)
     signals = recording.of_joints(robot.joints)
-    if signals.load is not None and robot.arm.frames is None:
+    if (signals.load is not None or signals.load_unknown) and robot.arm.frames is None:
         return (Finding('load', robot.joints[-1], 'refuse', (
             f'{recording.source}: has a load, which needs an arm of a URDF; write the robot file '
             'with arm.kind: urdf, or add the load to its last link')),)
@@ -58,6 +59,9 @@ def check(recording: Recording, robot: RobotParams, rough=False) -> tuple[Findin
     found = [*sampling_checks.length(signals), *sampling_checks.clock(signals),
              *sampling_checks.missing(signals, robot)]
     if any(finding.severity == 'refuse' for finding in found):
+        return tuple(found)
+    found += sampling_checks.units(signals, robot)
+    if any(finding.kind == 'angle_unit' for finding in found):
         return tuple(found)
     found += sampling_checks.broken(signals)
     if any(finding.kind == 'jump' for finding in found):

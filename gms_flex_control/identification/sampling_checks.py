@@ -192,6 +192,22 @@ def motion(signals: Recording) -> list[Finding]:
     return found
 
 
+def units(signals: Recording, robot: RobotParams) -> list[Finding]:
+    """Return a finding for the first joint whose angles fit the limits of a URDF as degrees."""
+    frames = robot.arm.frames
+    for j, joint in enumerate(signals.joints if frames else ()):
+        most = float(np.nanmax(np.abs(signals.q_link[:, j] + robot.arm.offset[j])))
+        limit = max(abs(frames.lower[j]), abs(frames.upper[j]))
+        if frames.prismatic[j] or not np.isfinite(limit):
+            continue
+        if most > limits.BEYOND * limit and np.radians(most) < limits.BEYOND * limit:
+            return [Finding('angle_unit', joint, 'refuse', (
+                f'{signals.source}: {joint} goes to {most:.3g} rad, its limits in the URDF end at '
+                f'{limit:.3g}: its angles look like degrees; record radians, or import them with '
+                'their unit (import-csv)'))]
+    return []
+
+
 def _one_way(source, joint, filtered):
     steps = np.diff(filtered.value)[is_moving(filtered.first)[1:]]
     forward, backward = steps[steps > 0].sum(), -steps[steps < 0].sum()

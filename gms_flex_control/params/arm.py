@@ -167,6 +167,12 @@ class ArmParams:
         """Return the arm with mass and inertia of its links times ``factor`` (n_joints,)."""
         return replace(self, mass=self.mass * factor, inertia=(self.inertia.T * factor).T)
 
+    def axis(self, joint: int) -> 'ArmParams':
+        """Return one of decoupled axes as an arm of its own."""
+        return replace(self, **{name: getattr(self, name)[[joint]] for name in (
+            'mass', 'length', 'com', 'inertia', 'motor_inertia', 'stiffness', 'damping',
+            'offset')})
+
     @property
     def rigid(self) -> np.ndarray:
         """Return which joints have no motor side of their own, bool (n_joints,)."""
@@ -231,6 +237,12 @@ def joined(bodies: Sequence[Body]) -> Body:
 def at_last_link(load: Body, frames: Frames) -> Body:
     """Return a load given in the frame at the end of a chain in the frame of its last link."""
     return moved(load, frames.end_rotation, frames.end)
+
+
+def at_end(load: Body, frames: Frames) -> Body:
+    """Return a load given in the frame of the last link in the frame at the end of a chain."""
+    back = frames.end_rotation.T
+    return moved(load, back, -back @ frames.end)
 
 
 def carrying(arm: ArmParams, load: Body | None) -> ArmParams:

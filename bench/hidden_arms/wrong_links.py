@@ -1,21 +1,23 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""An arm whose links are not those of its URDF, moved by MuJoCo, which is independent of us."""
+"""A rigid arm whose links are not those of its URDF, moved by MuJoCo, which is independent."""
 
 from dataclasses import replace
 from pathlib import Path
+import tempfile
 import xml.etree.ElementTree as ElementTree
 
 from gms_flex_control import load_robot, Recording
 from gms_flex_control.dynamics.chain import mass_matrices
-from gms_flex_control.identification.inertial_parameters import base_of, inertial_parameters
+from gms_flex_control.identification.inertial_parameters import all_parameters, base_of
 from gms_flex_control.params.arm import ArmParams, Body
 from gms_flex_control.schema.urdf_arm import read_links
 import numpy as np
 
-ARM = Path(__file__).parents[1] / 'examples' / 'industrial_arm' / 'robot.yaml'
+ARM = Path(__file__).parents[2] / 'examples' / 'industrial_arm' / 'robot.yaml'
 STEP, EVERY = 5e-4, 4   # s; steps of a sample
+MOTORS = 1.2             # times the motor inertia believed
 COUNTS = 2e6            # of the encoders, per revolution
 TOOL = 'tool_centre'     # link at the end of the arm, in whose frame loads are given
 
@@ -44,6 +46,23 @@ def hidden_urdf(seed=0):
     return ElementTree.tostring(root, encoding='unicode')
 
 
+def hidden_arm(seed=0):
+    """Return the robot as believed, the true arm and its URDF."""
+    robot, text = believed(), hidden_urdf(seed)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / 'arm.urdf'
+        path.write_text(text)
+        links = read_links(path, robot.joints)
+    return robot, replace(
+        robot.arm, mass=links.mass, com=links.com, inertia=links.inertia,
+        motor_inertia=MOTORS * robot.arm.motor_inertia), text
+
+
+def base_values(arm: ArmParams) -> np.ndarray:
+    """Return the base parameters (B,) of an arm of rigid joints."""
+    return base_of(arm)[1] @ all_parameters(arm)
+
+
 def loaded(urdf, load: Body | None):
     """Return a URDF whose tool carries a load as a link of its own."""
     if load is None:
@@ -62,21 +81,6 @@ def loaded(urdf, load: Body | None):
     return ElementTree.tostring(root, encoding='unicode')
 
 
-def hidden_arm(folder, like):
-    """Write the hidden URDF to a folder; return its text and the arm of a robot made of it."""
-    path = folder / 'arm.urdf'
-    path.write_text(hidden_urdf())
-    links = read_links(path, like.joints)
-    return path.read_text(), replace(
-        like.arm, mass=links.mass, com=links.com, inertia=links.inertia,
-        motor_inertia=1.2 * like.arm.motor_inertia)
-
-
-def base_values(arm):
-    """Return the base parameters of an arm, joints rigid."""
-    return base_of(arm)[1] @ np.concatenate([inertial_parameters(arm), arm.motor_inertia])
-
-
 def moved(urdf, arm: ArmParams, seconds, seed=0, noise=0.002, load=None, per_load=0.0, warm=1.0):
     """
     Return a Recording of PD control along sinusoids, friction in the joints.
@@ -87,8 +91,9 @@ def moved(urdf, arm: ArmParams, seconds, seed=0, noise=0.002, load=None, per_loa
     import mujoco
     model = mujoco.MjModel.from_xml_string(loaded(urdf, load))
     model.opt.gravity[:], model.opt.timestep = arm.gravity, STEP
+    model.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4  # others lag by half a step, which shows
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
-    model.dof_armature[:] = 1.2 * arm.motor_inertia
+    model.dof_armature[:] = MOTORS * arm.motor_inertia
     data, n, rng = mujoco.MjData(model), arm.n_joints, np.random.default_rng(seed)
     frequency, phase = rng.uniform(0.1, 0.6, (3, n)), rng.uniform(0.0, 2.0 * np.pi, (3, n))
     size = 0.25 * np.minimum(arm.frames.upper - arm.frames.lower, 2.0 * np.pi) / 2.0
@@ -110,8 +115,9 @@ def moved(urdf, arm: ArmParams, seconds, seed=0, noise=0.002, load=None, per_loa
         applied = stiff * (wanted - data.qpos) + 0.08 * stiff * (rate - data.qvel) + (
             data.qfrc_bias)
         for _ in range(EVERY):
-            friction = warm * (coulomb * np.tanh(data.qvel / 0.005) + viscous * data.qvel)
-            friction += per_load * np.abs(applied - friction) * np.tanh(data.qvel / 0.005)
+            turning = data.qvel + 0.5 * STEP * data.qacc  # in the middle of the step
+            friction = warm * (coulomb * np.tanh(turning / 0.005) + viscous * turning)
+            friction += per_load * np.abs(applied - friction) * np.tanh(turning / 0.005)
             data.qfrc_applied[:] = applied - friction
             mujoco.mj_step(model, data)
     torque += noise * torque.std(axis=0) * rng.standard_normal(torque.shape)

@@ -1,0 +1,127 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""
+How time and memory of identify and discrepancy grow with joints and with minutes of data.
+
+    .venv/bin/python -m bench growth --out growth
+
+Recordings at 500 Hz of chains in space as of bench.joints, each joint on a sinusoid of its own.
+Every case is a process, so that memory is its own.
+"""
+
+from dataclasses import replace
+import json
+from multiprocessing import get_context
+import os
+from pathlib import Path
+import resource
+import tempfile
+import time
+from typing import NamedTuple
+
+from bench.joints import gains_of, planar_robot, spatial_robot
+from gms_flex_control.answer import align
+from gms_flex_control.discrepancy.workflow import find_discrepancy
+from gms_flex_control.experiment.simulated import Plan, simulate
+from gms_flex_control.identification.identify import identify
+from gms_flex_control.trajectory import builders
+from matplotlib.figure import Figure
+import numpy as np
+
+_PERIOD_NS, _SUBSTEPS = 2_000_000, 20
+_AMPLITUDE, _SLOWEST, _FASTEST = 0.5, 7.0, 3.0  # of the motion [rad], periods of joints [s]
+_COUNTS = 1e6         # of encoders, per revolution
+_JOINTS, _MINUTES = (1, 2, 3, 4, 5, 6), (0.5, 1.0, 2.0, 4.0)
+_USUAL_JOINTS, _USUAL_MINUTES = 6, 1.0
+VERBS = 'identify', 'discrepancy'
+
+
+class Cost(NamedTuple):
+    """What one case takes."""
+
+    verb: str
+    joints: int
+    minutes: float
+    seconds: float
+    megabytes: float
+
+
+def recorded(joints: int, minutes: float):
+    """Return a robot in space and a recording of it."""
+    with tempfile.TemporaryDirectory() as folder:
+        robot = spatial_robot(planar_robot(joints), Path(folder) / 'chain.urdf')
+    robot = replace(robot, encoder=replace(robot.encoder, counts=_COUNTS))
+    motion = builders.sinusoid(np.full(joints, _AMPLITUDE),
+                               np.linspace(_SLOWEST, _FASTEST, joints))
+    return robot, simulate(Plan(
+        robot=robot, model=robot, gains=gains_of(joints), trajectory=motion, motion='sinusoid',
+        duration=60.0 * minutes, q_link=np.zeros(joints), period_ns=_PERIOD_NS,
+        substeps=_SUBSTEPS, seed=0))
+
+
+def cost_of(verb: str, joints: int, minutes: float) -> Cost:
+    """Return the Cost of a verb on one recording."""
+    robot, recording = recorded(joints, minutes)
+    begun = time.monotonic()
+    if verb == 'identify':
+        identify([recording], robot)
+    else:
+        find_discrepancy([recording], robot)
+    return Cost(verb, joints, minutes, time.monotonic() - begun,
+                resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0)
+
+
+def draw(costs, path) -> None:
+    """Draw seconds and memory over joints and over minutes as PNG."""
+    figure = Figure(figsize=(9.0, 5.0), layout='constrained')
+    panels = figure.subplots(2, 2, sharex='col', sharey='row')
+    for row, (value, words) in zip(panels, (('seconds', 'time [s]'),
+                                            ('megabytes', 'memory [MB]')), strict=True):
+        for axes, (over, label, fixed) in zip(row, (
+                ('joints', f'joints, {_USUAL_MINUTES:g} min', ('minutes', _USUAL_MINUTES)),
+                ('minutes', f'minutes, {_USUAL_JOINTS} joints', ('joints', _USUAL_JOINTS))),
+                strict=True):
+            for verb in VERBS:
+                own = sorted((getattr(one, over), getattr(one, value)) for one in costs
+                             if one.verb == verb and getattr(one, fixed[0]) == fixed[1])
+                if own:
+                    axes.plot(*zip(*own, strict=True), 'o-', label=verb)
+            axes.set(xlabel=label, ylabel=words, ylim=(0.0, None))
+            axes.spines[['top', 'right']].set_visible(False)
+    panels[0][0].legend(frameon=False)
+    figure.savefig(path, dpi=100)
+
+
+def add_parser(subparsers) -> None:
+    """Add the verb to the tool's parser."""
+    parser = subparsers.add_parser(
+        'growth', help='time and memory of identify and discrepancy by joints and minutes',
+        description='Measure identify and discrepancy on recordings of 1 to 6 joints in space and '
+                    'of half a minute to four; print and draw time and memory.')
+    parser.add_argument('--verbs', nargs='+', choices=VERBS, default=list(VERBS))
+    parser.add_argument('--joints', nargs='*', type=int, default=list(_JOINTS), metavar='N')
+    parser.add_argument('--minutes', nargs='*', type=float, default=list(_MINUTES), metavar='M')
+    parser.add_argument('--out', metavar='DIR', help='growth.json and growth.png')
+    parser.set_defaults(run=run)
+
+
+def run(args) -> int:
+    """Measure, print and draw; return 0."""
+    cases = dict.fromkeys((*((n, _USUAL_MINUTES) for n in args.joints),
+                           *((_USUAL_JOINTS, m) for m in args.minutes)))
+    costs, context = [], get_context('spawn')
+    for verb in args.verbs:
+        for joints, minutes in cases:
+            with context.Pool(1, maxtasksperchild=1) as pool:
+                costs.append(pool.apply(cost_of, (verb, joints, minutes)))
+    print(align(['verb', 'joints', 'minutes', 'time [s]', 'memory [MB]'], [
+        [one.verb, f'{one.joints}', f'{one.minutes:g}', f'{one.seconds:.1f}',
+         f'{one.megabytes:.0f}'] for one in costs]))
+    if args.out:
+        out = Path(args.out)
+        out.mkdir(parents=True, exist_ok=True)
+        (out / 'growth.json').write_text(json.dumps(
+            [one._asdict() for one in costs], indent=1) + os.linesep)
+        draw(costs, out / 'growth.png')
+    return 0

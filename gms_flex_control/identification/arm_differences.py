@@ -1,0 +1,101 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""What differs between recordings of one robot, or is found beside its links."""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+from gms_flex_control.errors import IdentificationError
+from gms_flex_control.identification.axis_fit import friction_regressors
+from gms_flex_control.identification.segments import Segment
+from gms_flex_control.params.arm import Body
+import numpy as np
+
+
+class FoundLoad(NamedTuple):
+    """An unknown load as it was found, in the frame at the end of the arm."""
+
+    body: Body
+    mass_sd: float     # [kg]
+    com_sd: np.ndarray  # (3,) [m]
+
+
+class Coupled(NamedTuple):
+    """Friction and inertia of motors that several joints turn, alike in all recordings."""
+
+    coupling: np.ndarray    # (n, n) of the recordings
+    friction: np.ndarray    # (n, 2) Coulomb [N m] and viscous [N m s/rad]; 0 of other motors
+    friction_sd: np.ndarray  # (n, 2)
+    inertia: np.ndarray     # (n,) of motors of rigid joints, else 0 [kg m^2]
+
+    def torque(self, segment: Segment) -> np.ndarray:
+        """Return what acts on joints (T, n) beyond motors that turn with their own [N m]."""
+        out = beyond_own(segment.acceleration, self.inertia, self.coupling)
+        for m in np.flatnonzero(self.friction.any(axis=1)):
+            out += np.outer(plain_friction(segment.rate @ self.coupling[m]) @ self.friction[m],
+                            self.coupling[m])
+        return out
+
+
+class Differences(NamedTuple):
+    """What differs between R recordings of one robot with n joints, and torques from true ones."""
+
+    scale: np.ndarray       # (n,), recorded torque over true torque
+    scale_sd: np.ndarray    # (n,), relative; 0 where the scale was taken as known
+    prior_sd: np.ndarray    # (n,), before the recordings were seen
+    zero: np.ndarray        # (R, n), of link encoders, less that of the first [rad]
+    zero_sd: np.ndarray     # (R, n)
+    offset: np.ndarray      # (R, n), of torques as recorded, less that of the first
+    labels: tuple           # (L,) of str, temperatures
+    level: np.ndarray       # (L, n), friction over that of the first temperature
+    change: np.ndarray      # (R, n, 4), coefficients of the friction that it has more
+    usual: np.ndarray       # (n,), rate that these are for [rad/s]
+    loaded: np.ndarray      # (n,), friction per torque carried, 0 where it does not grow
+    loaded_sd: np.ndarray   # (n,)
+    loads: dict             # number of a recording to its FoundLoad, of unknown ones
+    coupled: Coupled | None  # None where each motor turns with its joint alone
+
+    def cleared(self, segment: Segment, recording: int) -> Segment:
+        """
+        Return a segment of a recording as it were with true torques in the first recording.
+
+        That is with its encoder zeros, offsets and temperature. Of a recording that was not
+        fitted, only the scale of torques is known.
+        """
+        beyond = 0.0 if self.coupled is None else self.coupled.torque(segment)
+        if recording >= len(self.zero):
+            return replace(segment, torque=segment.torque / self.scale - beyond)
+        more = np.stack([alike(friction_regressors(rate, usual)) @ change for rate, usual, change
+                         in zip(segment.rate.T, self.usual, self.change[recording], strict=True)],
+                        axis=1)
+        return replace(segment, angle=segment.angle - self.zero[recording],
+                       torque=(segment.torque - self.offset[recording] - more) / self.scale
+                       - beyond)
+
+
+def alike(friction: np.ndarray) -> np.ndarray:
+    """Return columns (S, 4) of friction that both directions have alike, of those by direction."""
+    return friction[:, :4] + friction[:, 4:]
+
+
+def coupled_motors(recordings):
+    """Return the motors (M,) that several joints turn; recordings have to agree."""
+    first = recordings[0].coupling
+    for one in recordings:
+        if (one.coupling is None) != (first is None) or (
+                first is not None and not np.array_equal(one.coupling, first)):
+            raise IdentificationError(f'{one.source}: its coupling is another than that of '
+                                      f'{recordings[0].source}: give both the same')
+    return [] if first is None else [
+        m for m, row in enumerate(first) if np.any(np.delete(row, m))]
+
+
+def beyond_own(acceleration, inertia, coupling):
+    """Return the torque (T, n) of motors by their coupling beyond that of their own joint."""
+    return (acceleration @ coupling.T * inertia) @ coupling - acceleration * inertia
+
+
+def plain_friction(rate):
+    """Return columns (T, 2) of Coulomb and viscous friction, both directions alike."""
+    return np.stack([np.sign(rate), rate], axis=1)
