@@ -337,7 +337,7 @@ def test_more_noise_than_drives_have_is_unexplained(monkeypatch, rms, expected):
 
 def test_what_makes_a_model_worse_is_no_finding(named, monkeypatch):
     """It is listed apart, in the words too, and changes no verdict."""
-    monkeypatch.setattr(workflow, '_best_predicting',
+    monkeypatch.setattr(workflow, '_written',
                         lambda likelihood, found, *_: found.before)
     case, before = named
     result = find_discrepancy([case.recording], case.nominal, holdout=[case.held_out])

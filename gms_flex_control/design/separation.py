@@ -159,7 +159,8 @@ def log_odds(likelihood: Likelihood, models: Sequence[Fitted], evidence: Sequenc
     the recording and of the null simulations scatter by 4 sum d^2 each: of this `PLAUSIBLE`
     standard deviations are subtracted.
     """
-    noise = [likelihood.encoder_noise.pair(one.robot, one.x) / np.sqrt(2.0) for one in models]
+    noise = [np.subtract(*likelihood.of_pair(one.robot, one.x)) / np.sqrt(2.0)
+             for one in models]
     odds = 0.5 * np.subtract.outer(evidence, evidence)
     for a, b in combinations(range(len(models)), 2):
         weight = np.minimum(*(likelihood.weights(models[k].sums.groups) for k in (a, b)))

@@ -158,10 +158,8 @@ class Likelihood:
         self.clean = (clean - self.usual) * np.sqrt((count + 1) / (count - 1))
         if not self._held_out:
             self.encoder_noise = EncoderNoise(
-                self, lambda robot, x: [self.rows_of(self.residuals(run, robot, x))
-                                        for run in self._pair],
-                *self._null, [[self.rows_of(run) for run in pair]
-                              for pair in self._null_residuals], self._cautious)
+                self, *self._null, [[self.rows_of(run) for run in pair]
+                                    for pair in self._null_residuals], self._cautious)
 
     def torque_noise(self, m, rng, size=None) -> np.ndarray:
         """Return the residual torque (S, 2 n) of white torque noise in a recording."""
@@ -209,7 +207,7 @@ class Likelihood:
         ``exact``: what noise adds is simulated, not extrapolated from the null.
         """
         of_noise, groups = self.encoder_noise, self.groups
-        noise = of_noise.pair(robot, x) if exact else of_noise.along(robot, x)
+        noise = np.subtract(*self.of_pair(robot, x)) if exact else of_noise.along(robot, x)
         own = 0.5 * of_noise.own_sums
         added, most = 0.5 * groups.sums(noise ** 2) - own, _MOST_ADDED * own
         whole = groups.sums(rows ** 2)
@@ -276,6 +274,10 @@ class Likelihood:
     def rows(self, robot, x) -> np.ndarray:
         """Return whitened residuals of a model (R,), less what every null simulation shows."""
         return self.rows_of(self.residuals(self.motions, robot, x)) - self.usual
+
+    def of_pair(self, robot, x) -> list:
+        """Return whitened residuals (R,) of a model along two null simulations of one motion."""
+        return [self.rows_of(self.residuals(run, robot, x)) for run in self._pair]
 
     def residuals(self, motions, robot, x) -> list:
         """Return residual torques per unit of commanded torque, (S, 2 n) of each motion [N m]."""

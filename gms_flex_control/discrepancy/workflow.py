@@ -13,6 +13,7 @@ from gms_flex_control.discrepancy import describe
 from gms_flex_control.discrepancy.data_faults import faults_of
 from gms_flex_control.discrepancy.evidence import credible, posterior
 from gms_flex_control.discrepancy.findings import (
+    as_given,
     findings_of,
     is_noisy,
     judged,
@@ -42,6 +43,7 @@ from gms_flex_control.discrepancy.thresholds import (
     BETTER,
     CLEARLY,
     PLAUSIBLE,
+    PRACTICAL,
     PRACTICAL_FLOOR,
 )
 from gms_flex_control.params.robot import RobotParams
@@ -132,7 +134,7 @@ def _compared(motions, holdout, robot, options, say):
             findings = []  # they only resemble some of it
     more = left is not None or np.any(gap.after ** 2 > BETTER * np.nan_to_num(gap.floor) ** 2)
     whole = whole if left else found
-    after = _best_predicting(likelihood, found, whole, held_out, [
+    after = _written(likelihood, found, whole, held_out, [
         searched, predicting_subset(likelihood, whole, held_out)] if more else [])
     if after is not found.best:
         gap = held_out.gap(found.before, after)
@@ -250,25 +252,44 @@ def _explain_most(gap):
     return gap.energy_ratio <= 0.5 and not worse
 
 
-def _best_predicting(likelihood, found, whole, held_out, further):
+def _written(likelihood, found, whole, held_out, further):
     """
     Return the State that predicts torque and free runs best on held-out data.
 
     That with the effects found, unless another is clearly better: with fewer, with such as only
-    resemble what is missing, or ``further`` States. None of these is written that worsens torque
-    or free runs. A known parameter beyond its prior takes no effect's place: it is a wrong belief.
+    resemble what is missing, ``further`` States, or known parameters as given. None is written
+    that predicts torque, the drive's torque or free runs worse than the model as given does; one
+    with effects, not by what matters, nor than re-tuning alone. A known parameter beyond its prior
+    takes no effect's place: it is a wrong belief.
     """
-    known, best = likelihood.known, {}
+    known, given, best = likelihood.known, as_given(likelihood, found.before, found.nuisances), {}
     limit = plausible_limit(likelihood, found.best.model)
     for state in sorted(found.tried, key=lambda state: -state.evidence):
         if np.all(np.abs(state.model.x) / likelihood.sd <= limit):
             best.setdefault(len(state.key(known)), state)
-    others = [state for state in (found.before, whole.best,
-                                  *(best[size] for size in sorted(best)[:_SIZES]), *further)
-              if state is not found.best]
-    other = min((one for one in others if one is found.before
-                 or not held_out.worsens(one, found.before)), key=held_out.energy)
-    return other if CLEARLY * held_out.energy(other) < held_out.energy(found.best) else found.best
+    named = bool(found.best.key(known))
+    worse = any(held_out.worsens(found.best, one, PRACTICAL * named)
+                for one in (given, found.before)[:1 + named])
+    others = [found.before, whole.best, *(best[size] for size in sorted(best)[:_SIZES]), *further]
+    if worse and named:
+        others.append(as_given(likelihood, found.best, found.nuisances))
+    others = [one for one in others if not held_out.worsens(one, given) and (
+        held_out.other or _explains_most(held_out, one, found, known))]
+    other = min((given, *others), key=held_out.energy)
+    if worse or CLEARLY * held_out.energy(other) < held_out.energy(found.best):
+        return other
+    return found.best
+
+
+def _explains_most(held_out, state, found, known):
+    """
+    Return whether effects of a State explain more than they leave, if it has others than found.
+
+    Blocks of a recording are much like what was fitted: what only resembles the cause must show
+    more there than on other recordings.
+    """
+    return state.key(known) <= found.best.key(known) or 2.0 * np.sum(
+        held_out.errors(state).torque ** 2) < np.sum(held_out.errors(found.before).torque ** 2)
 
 
 def _tried(found):
