@@ -349,6 +349,21 @@ def test_what_makes_a_model_worse_is_no_finding(named, monkeypatch):
     np.testing.assert_allclose(result.gap.after, result.gap.retuned, rtol=1e-3)
 
 
+def test_no_model_is_written_that_predicts_worse_than_the_one_given():
+    """The robot that was fitted has an effect; the one that is predicted is as believed."""
+    rng, time = np.random.default_rng(3), np.arange(7000) * 2e-3
+    robot, gains = draw_robot(rng, 'stiff')
+    reference, recordings = draw_reference(rng, 'rich', 'stiff', time), []
+    for effects in ((EffectSpec(name='motor_viscous', joint='joint1', values=(0.03,)),), ()):
+        motion = simulate(replace(robot, effects=effects), robot, gains, reference, seed=1)
+        q_link, _, q_motor, _ = np.moveaxis(motion.measured, 1, 0)
+        recordings.append(recorded(robot, time, q_link, q_motor, motion.command, reference))
+    result = find_discrepancy(recordings[:1], robot, Options(most=1), holdout=recordings[1:])
+    assert [one.effect for one in result.minor] == ['motor_viscous'] and not result.findings
+    assert result.robot.effects == ()
+    assert np.linalg.norm(result.gap.after) <= np.linalg.norm(result.gap.before)
+
+
 def test_what_differs_between_recordings_is_no_effect():
     """A zero that an encoder lost and a new offset of a drive are said of their recording."""
     case = make_case('clean', 0, duration=SHORT)

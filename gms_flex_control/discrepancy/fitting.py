@@ -269,10 +269,8 @@ def fit(likelihood, robot, x, columns, first=None, plausible=np.inf, iterations=
             own = effect_columns(likelihood, model.robot, model.x, model.rows, numbers[known:])
         step, most = foreseen(likelihood, model, np.concatenate([columns, own]), numbers,
                               plausible=plausible)
-        if most < _ENOUGH:
-            break
         values = values_of(model.robot, numbers)
-        for shrink in _SHRINK:
+        for shrink in _SHRINK if most > _ENOUGH else _SHRINK[:1]:
             other = likelihood.fitted(
                 at_values(model.robot, numbers, values + shrink * step[len(x):]),
                 model.x + shrink * step[:len(x)])

@@ -19,6 +19,7 @@ from gms_flex_control.discrepancy.residuals import (
     SENSOR,
 )
 from gms_flex_control.discrepancy.result import Gap
+from gms_flex_control.discrepancy.thresholds import INERTIAL
 from gms_flex_control.discrepancy.validation import FOLDS, steps
 from gms_flex_control.effects import signals as sig
 from gms_flex_control.errors import SimulationError
@@ -30,7 +31,6 @@ _FARTHEST = 10.0      # errors of free runs that run away count as so much [rad]
 _SEED = 991           # of the null simulation behind the noise floor, used in no fit
 HORIZON, STRIDE = 0.5, 0.5   # length of a run, and from one start to the next [s]
 _STEP = 4e-4                 # of the integration [s]
-_INERTIAL = 0.1              # of what the model leaves, that acceleration takes at least
 
 
 class Errors(NamedTuple):
@@ -230,7 +230,7 @@ def _runs_inform(likelihood):
                     + chain.flexible * chain.motor_inertia * motion.states[:, 5])
         taken += np.mean(inertial ** 2, axis=0)
         left += np.mean(whitening.torque_rows(residual[:, :n] + residual[:, n:]) ** 2, axis=0)
-    return bool(np.any(taken > _INERTIAL ** 2 * left))
+    return bool(np.any(taken > INERTIAL ** 2 * left))
 
 
 # --- free runs ----------------------------------------------------------------------------------

@@ -73,6 +73,17 @@ class Fitted:
         return self.sums.cost
 
 
+class NullRuns(NamedTuple):
+    """Null simulations of a model."""
+
+    robot: object       # RobotParams
+    x: np.ndarray       # (P,) nuisance parameters
+    clean: list         # of runs, each a list of residual torques (S, 2 n) of a recording [N m]
+    pair: list          # of two runs, each a list of Motion
+    by_step: list       # residual torques of the pair with each nuisance parameter a little off,
+                        # and as simulated
+
+
 class Likelihood:
     """
     The likelihood of models along recordings, and its derivatives.
@@ -98,34 +109,41 @@ class Likelihood:
 
     def __init__(self, motions, robot, seed=0, widened=1.0, held_out=False, cautious=False):
         self.motions, self.robot, self._seed = tuple(motions), robot, seed
-        self.known = len(robot.effects)  # effects of any model that are no discovery
         prior = {kind: widened * sd for kind, sd in PRIOR.items()}
         stated = {(kind, robot.joints.index(joint) if joint in robot.joints else -1):
                   widened * sd for (kind, joint), sd in robot.uncertainty.items()}
         self.nuisances = nuisances_of(plant.constants_of(robot), prior, stated) + (
             () if held_out else of_recordings(self.motions, robot))
         self.sd = np.array([one.sd for one in self.nuisances])
-        self.coulomb = 0.5 * (robot.friction.forward.coulomb + robot.friction.backward.coulomb)
         self.pool = ThreadPoolExecutor(os.cpu_count() or 1)
         self._scales, self._held_out = scales_of(self.motions, robot), held_out
         self._cautious = cautious
         self._simulate(robot, np.zeros(len(self.nuisances)))
 
+    @property
+    def known(self):
+        """Return how many effects of any model are no discovery."""
+        return len(self.robot.effects)
+
+    @property
+    def coulomb(self):
+        """Return Coulomb friction (n,), the mean of both directions [N m]."""
+        friction = self.robot.friction
+        return 0.5 * (friction.forward.coulomb + friction.backward.coulomb)
+
     # --- noise -------------------------------------------------------------------------------
 
     def _simulate(self, robot, x):
         """Make the null simulations of a model, without torque noise, and whiten by them."""
-        constants, self._null = self.constants(robot, x), (robot, x)
+        constants = self.constants(robot, x)
         runs = list(self.pool.map(lambda k: [null_simulation(
             motion, constants, np.random.default_rng([self._seed, k]))
             for motion in self.motions], range(_NULL_RUNS)))
-        self._clean = list(self.pool.map(
+        clean = list(self.pool.map(
             lambda run: [unexplained(motion, constants) for motion in run], runs))
-        self._pair = runs[:2]
-        if not self._held_out:  # at each nuisance parameter a little off, and as simulated
-            self._null_residuals = list(self.pool.map(
-                lambda step: [self.residuals(run, robot, x + step) for run in self._pair],
-                (*(NUISANCE_STEP * np.eye(len(x))), np.zeros(len(x)))))
+        steps = () if self._held_out else (*(NUISANCE_STEP * np.eye(len(x))), np.zeros(len(x)))
+        self._null = NullRuns(robot, x, clean, runs[:2], list(self.pool.map(
+            lambda step: [self.residuals(run, robot, x + step) for run in runs[:2]], steps)))
         self._whiten(np.zeros((len(self.motions), 2 * robot.n_joints)))
 
     def simulated_as(self, model):
@@ -144,13 +162,12 @@ class Likelihood:
         """Whiten by the null simulations, with torque noise (M, 2 n) in them."""
         self.noise, floor = noise, PRACTICAL_FLOOR * np.tile(self.coulomb, 2)
         runs = [[residual + self.torque_noise(m, np.random.default_rng([self._seed, 7, k, m]))
-                 for m, residual in enumerate(run)] for k, run in enumerate(self._clean)]
+                 for m, residual in enumerate(run)] for k, run in enumerate(self._null.clean)]
         self.whitenings = [
             Whitening(np.stack(clean[_NULL_RUNS - _MEASURED_BY:]), motion.period, floor,
                       motion.known)
             for motion, clean in zip(self.motions, zip(*runs, strict=True), strict=True)]
         self.groups = Groups(self.motions, self.whitenings)
-        self._least = np.maximum(self.groups.count - _LOW * np.sqrt(2.0 * self.groups.count), 0.0)
         clean = np.stack([self.rows_of(run) for run in runs])
         # what filters leave at every reversal, say, though nothing is missing: so they do of the
         # recording, whose rows scatter by that of this mean as well
@@ -158,8 +175,9 @@ class Likelihood:
         self.clean = (clean - self.usual) * np.sqrt((count + 1) / (count - 1))
         if not self._held_out:
             self.encoder_noise = EncoderNoise(
-                self, *self._null, [[self.rows_of(run) for run in pair]
-                                    for pair in self._null_residuals], self._cautious)
+                self, self._null.robot, self._null.x,
+                [[self.rows_of(run) for run in pair] for pair in self._null.by_step],
+                self._cautious)
 
     def torque_noise(self, m, rng, size=None) -> np.ndarray:
         """Return the residual torque (S, 2 n) of white torque noise in a recording."""
@@ -213,7 +231,8 @@ class Likelihood:
         whole = groups.sums(rows ** 2)
         # a recording that is quieter than null simulations has less noise to be cleared of
         share = np.minimum(whole / np.maximum(own + np.maximum(added, 0.0), 1e-300), 1.0)
-        least = np.minimum(whole, self._least)  # clearing is no merit below what chance does
+        chance = groups.count - _LOW * np.sqrt(2.0 * groups.count)
+        least = np.minimum(whole, np.maximum(chance, 0.0))  # below, clearing is no merit
         cleared = np.maximum(whole - share * np.minimum(added, most), least)
         return Sums(cleared, self.misfit(cleared) + float(np.sum((x / self.sd) ** 2)),
                     share * ((cleared > least) & (added < most)))
@@ -277,7 +296,7 @@ class Likelihood:
 
     def of_pair(self, robot, x) -> list:
         """Return whitened residuals (R,) of a model along two null simulations of one motion."""
-        return [self.rows_of(self.residuals(run, robot, x)) for run in self._pair]
+        return [self.rows_of(self.residuals(run, robot, x)) for run in self._null.pair]
 
     def residuals(self, motions, robot, x) -> list:
         """Return residual torques per unit of commanded torque, (S, 2 n) of each motion [N m]."""
@@ -363,7 +382,7 @@ class Likelihood:
         """Return what null simulations leave in motion, torque noise too, rms (2 n,) [N m]."""
         squares = [[one ** 2 for one in self._behind_low_pass([
             residual + self.torque_noise(m, np.random.default_rng([self._seed, 9, k, m]))
-            for m, residual in enumerate(run)])] for k, run in enumerate(self._clean[:2])]
+            for m, residual in enumerate(run)])] for k, run in enumerate(self._null.clean[:2])]
         return np.sqrt(self._in_motion([np.mean(one, axis=0)
                                         for one in zip(*squares, strict=True)]))
 

@@ -258,27 +258,33 @@ def _written(likelihood, found, whole, held_out, further):
 
     That with the effects found, unless another is clearly better: with fewer, with such as only
     resemble what is missing, ``further`` States, or known parameters as given. None is written
-    that predicts torque, the drive's torque or free runs worse than the model as given does; one
-    with effects, not by what matters, nor than re-tuning alone. A known parameter beyond its prior
-    takes no effect's place: it is a wrong belief.
+    that predicts torque, the drive's torque or free runs worse than the model as given, which may
+    have been fitted to the blocks left out; effects must not do so by what matters, nor clearly
+    worse than re-tuning alone. A known parameter beyond its prior takes no effect's place: it is
+    a wrong belief.
     """
     known, given, best = likelihood.known, as_given(likelihood, found.before, found.nuisances), {}
     limit = plausible_limit(likelihood, found.best.model)
     for state in sorted(found.tried, key=lambda state: -state.evidence):
         if np.all(np.abs(state.model.x) / likelihood.sd <= limit):
             best.setdefault(len(state.key(known)), state)
-    named = bool(found.best.key(known))
-    worse = any(held_out.worsens(found.best, one, PRACTICAL * named)
-                for one in (given, found.before)[:1 + named])
+    clearly = CLEARLY ** 0.5 - 1.0
+
+    def is_safe(state):
+        if not state.key(known):
+            return not held_out.worsens(state, given)
+        return not (held_out.worsens(state, given, PRACTICAL if held_out.other else clearly)
+                    or held_out.worsens(state, found.before, clearly))
     others = [found.before, whole.best, *(best[size] for size in sorted(best)[:_SIZES]), *further]
-    if worse and named:
+    safe = is_safe(found.best)
+    if not safe:
         others.append(as_given(likelihood, found.best, found.nuisances))
-    others = [one for one in others if not held_out.worsens(one, given) and (
+    others = [one for one in others if is_safe(one) and (
         held_out.other or _explains_most(held_out, one, found, known))]
     other = min((given, *others), key=held_out.energy)
-    if worse or CLEARLY * held_out.energy(other) < held_out.energy(found.best):
-        return other
-    return found.best
+    if safe and CLEARLY * held_out.energy(other) >= held_out.energy(found.best):
+        return found.best
+    return other
 
 
 def _explains_most(held_out, state, found, known):
