@@ -311,7 +311,8 @@ def _dropped(likelihood, found, index):
 
 def _without(likelihood, found, *dropped):
     """Return the State of a search's end without effects (indices), all else re-tuned."""
-    less, _ = without(likelihood, found.best.model, found.best.columns, *dropped)  # derivatives anew: much may move
+    # derivatives anew: much may move
+    less, _ = without(likelihood, found.best.model, found.best.columns, *dropped)
     return state_of(likelihood, *refitted(likelihood, less, found.nuisances), found.hypotheses)
 
 

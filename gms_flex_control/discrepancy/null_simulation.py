@@ -16,6 +16,7 @@ and curvature are cleared of their difference, linear in all parameters.
 """
 
 from dataclasses import replace
+from typing import NamedTuple
 
 from gms_flex_control.compiled import compiled
 from gms_flex_control.data.signal_analysis import quantum
@@ -115,6 +116,16 @@ def _read(angle, like, noise, rng):
     shift = step * rng.uniform()
     noisy = angle + own * rng.standard_normal(len(angle))
     return np.round((noisy + shift) / step) * step - shift if step > 0.0 else noisy
+
+
+class NullRuns(NamedTuple):
+    """Null simulations of a model."""
+
+    robot: object       # RobotParams
+    x: np.ndarray       # (P,) nuisance parameters
+    clean: tuple        # of runs, each a list of residual torques (S, 2 n) of a recording [N m]
+    pair: tuple         # of two runs, each a list of Motion
+    by_step: list       # of the pair, each nuisance parameter `NUISANCE_STEP` off, then as it is
 
 
 # --- what encoder noise adds --------------------------------------------------------------------

@@ -34,7 +34,6 @@ from gms_flex_control.discrepancy.result import (
     Credible,
     Discrepancy,
     FOUND,
-    Noise,
     Tried,
     UNEXPLAINED,
 )
@@ -44,14 +43,12 @@ from gms_flex_control.discrepancy.thresholds import (
     CLEARLY,
     PLAUSIBLE,
     PRACTICAL,
-    PRACTICAL_FLOOR,
 )
+from gms_flex_control.discrepancy.torque_noise import noise_of, white_noise
 from gms_flex_control.params.robot import RobotParams
 import numpy as np
 
 _SIZES = 4            # of sets that may predict better than the one found
-_EVEN = 2.0           # times the white part: noise of more is slow or fast
-_FAST_OCTAVES = 2     # highest ones: above 5 Hz
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -170,7 +167,7 @@ def _result(likelihood, found, after, findings, left, gap):
 def _with_noise(likelihood):
     """Return the Likelihood with the white torque noise of its recordings."""
     model, _ = retuned(likelihood, likelihood.robot, np.zeros(len(likelihood.nuisances)))
-    return likelihood.with_noise(likelihood.white_noise(model))
+    return likelihood.with_noise(white_noise(likelihood, model))
 
 
 def _again(likelihood, found, options, say):
@@ -188,8 +185,8 @@ def _again(likelihood, found, options, say):
     say('once more, with the noise of such a robot')
     other = likelihood.simulated_as(model)
     # beside more effects there is less that may be taken for noise
-    other = other.with_noise(np.minimum(likelihood.noise, other.white_noise(
-        other.fitted(model.robot, model.x))))
+    other = other.with_noise(np.minimum(likelihood.noise, white_noise(
+        other, other.fitted(model.robot, model.x))))
     return other, search(other, most=options.most, excluded=options.without, begin=found, say=say)
 
 
@@ -199,37 +196,6 @@ def _sound(likelihood, found):
         if likelihood.is_followed(state.model):
             return found._replace(best=state)
     return found
-
-
-def noise_of(likelihood, model):
-    """Return the torque noise of each equation beyond what encoders make, tuple of Noise."""
-    robot, found = model.robot, []
-    n, total = robot.n_joints, likelihood.excess_torque(model)
-    white = np.sqrt(np.mean(likelihood.noise ** 2, axis=0))
-    response = likelihood.noise_response()
-    levels = _octave_levels(likelihood, model)
-    for c in range(2 * n):
-        rms = float(np.hypot(total[c], white[c] * response[c]))
-        if rms < PRACTICAL_FLOOR * likelihood.coulomb[c % n]:
-            continue
-        slow, fast = levels[c]
-        colour = ('white' if max(slow, fast) < _EVEN else 'slow' if slow >= fast else 'fast')
-        found.append(Noise(robot.joints[c % n], 'link' if c < n else 'motor', float(white[c]),
-                           rms, colour))
-    return tuple(found)
-
-
-def _octave_levels(likelihood, model):
-    """Return noise levels of slow and of fast octaves of each equation in motion, (2 n, 2)."""
-    groups, out = likelihood.groups, np.zeros((2 * likelihood.robot.n_joints, 2))
-    levels = model.sums.groups / groups.count
-    for c in range(len(out)):
-        for side, fast in enumerate((False, True)):
-            mine = np.unique(groups.group[(groups.channel == c)
-                                          & ((groups.part < _FAST_OCTAVES) == fast)])
-            if len(mine):
-                out[c, side] = np.average(levels[mine], weights=groups.count[mine])
-    return out
 
 
 def _left_over(likelihood, model, free, gap, measured=None):
