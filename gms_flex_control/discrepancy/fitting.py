@@ -18,6 +18,7 @@ _ANGLES = {'phase': 0.02, 'direction': 0.02, 'order': 0.02}
 _REACH, _ANGLE_REACH = 60.0, 25.0  # largest change at once, in steps
 _SHRINK = (1.0, 0.3, 0.1)     # of a step that does not help
 _ENOUGH = 0.3                 # decrease of the cost below which a fit has ended
+_TRIFLE = 0.1                 # likewise, foreseen: only the whole step is tried for it
 _NEAR = 2.0                   # steps of a derivative within which it is kept
 _PHASE_SD = np.pi / np.sqrt(3.0)  # of a phase that nothing is known of
 _LEAST_SHARE = 0.3            # of the squares of a derivative that is not encoder noise
@@ -270,7 +271,7 @@ def fit(likelihood, robot, x, columns, first=None, plausible=np.inf, iterations=
         step, most = foreseen(likelihood, model, np.concatenate([columns, own]), numbers,
                               plausible=plausible)
         values = values_of(model.robot, numbers)
-        for shrink in _SHRINK if most > _ENOUGH else _SHRINK[:1]:
+        for shrink in _SHRINK if most > _TRIFLE else _SHRINK[:1]:
             other = likelihood.fitted(
                 at_values(model.robot, numbers, values + shrink * step[len(x):]),
                 model.x + shrink * step[:len(x)])

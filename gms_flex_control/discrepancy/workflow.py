@@ -132,7 +132,8 @@ def _compared(motions, holdout, robot, options, say):
     more = left is not None or np.any(gap.after ** 2 > BETTER * np.nan_to_num(gap.floor) ** 2)
     whole = whole if left else found
     after = _written(likelihood, found, whole, held_out, [
-        searched, predicting_subset(likelihood, whole, held_out)] if more else [])
+        searched, predicting_subset(likelihood, whole, held_out)] if more else [],
+        {one.key for one in findings if one.main})
     if after is not found.best:
         gap = held_out.gap(found.before, after)
     result = _result(likelihood, found, after, findings, left, gap)
@@ -218,16 +219,16 @@ def _explain_most(gap):
     return gap.energy_ratio <= 0.5 and not worse
 
 
-def _written(likelihood, found, whole, held_out, further):
+def _written(likelihood, found, whole, held_out, further, main):
     """
     Return the State that predicts torque and free runs best on held-out data.
 
     That with the effects found, unless another is clearly better: with fewer, with such as only
     resemble what is missing, ``further`` States, or known parameters as given. None is written
     that predicts torque, the drive's torque or free runs worse than the model as given, which may
-    have been fitted to the blocks left out; effects must not do so by what matters, nor clearly
-    worse than re-tuning alone. A known parameter beyond its prior takes no effect's place: it is
-    a wrong belief.
+    have been fitted to the blocks left out; effects must not do so by what matters, nor worse than
+    re-tuning alone, clearly so where one of them is ``main`` (set of keys). A known parameter
+    beyond its prior takes no effect's place: it is a wrong belief.
     """
     known, given, best = likelihood.known, as_given(likelihood, found.before, found.nuisances), {}
     limit = plausible_limit(likelihood, found.best.model)
@@ -237,10 +238,11 @@ def _written(likelihood, found, whole, held_out, further):
     clearly = CLEARLY ** 0.5 - 1.0
 
     def is_safe(state):
-        if not state.key(known):
+        effects = state.key(known)
+        if not effects:
             return not held_out.worsens(state, given)
-        return not (held_out.worsens(state, given, PRACTICAL if held_out.other else clearly)
-                    or held_out.worsens(state, found.before, clearly))
+        return not (held_out.worsens(state, given, PRACTICAL if held_out.other else clearly) or
+                    held_out.worsens(state, found.before, clearly if effects & main else 0.0))
     others = [found.before, whole.best, *(best[size] for size in sorted(best)[:_SIZES]), *further]
     safe = is_safe(found.best)
     if not safe:
