@@ -226,9 +226,9 @@ def _written(likelihood, found, whole, held_out, further, main):
     That with the effects found, unless another is clearly better: with fewer, with such as only
     resemble what is missing, ``further`` States, or known parameters as given. None is written
     that predicts torque, the drive's torque or free runs worse than the model as given, which may
-    have been fitted to the blocks left out; effects must not do so by what matters, nor worse than
-    re-tuning alone, clearly so where one of them is ``main`` (set of keys). A known parameter
-    beyond its prior takes no effect's place: it is a wrong belief.
+    have been fitted to the blocks left out, or effects worse than re-tuning alone; where one of
+    them is ``main`` (set of keys), not by what matters, and not clearly. A known parameter beyond
+    its prior takes no effect's place: it is a wrong belief.
     """
     known, given, best = likelihood.known, as_given(likelihood, found.before, found.nuisances), {}
     limit = plausible_limit(likelihood, found.best.model)
@@ -239,10 +239,9 @@ def _written(likelihood, found, whole, held_out, further, main):
 
     def is_safe(state):
         effects = state.key(known)
-        if not effects:
-            return not held_out.worsens(state, given)
-        return not (held_out.worsens(state, given, PRACTICAL if held_out.other else clearly) or
-                    held_out.worsens(state, found.before, clearly if effects & main else 0.0))
+        trifle = (PRACTICAL if held_out.other else clearly, clearly) if effects & main else (0, 0)
+        return not (held_out.worsens(state, given, trifle[0]) or effects and held_out.worsens(
+            state, found.before, trifle[1]))
     others = [found.before, whole.best, *(best[size] for size in sorted(best)[:_SIZES]), *further]
     safe = is_safe(found.best)
     if not safe:
