@@ -13,9 +13,9 @@ from gms_flex_control.discrepancy.describe import (
     of_noise,
     torque_scale,
 )
-from gms_flex_control.discrepancy.findings import _share, Worth
+from gms_flex_control.discrepancy.findings import Worth
 from gms_flex_control.discrepancy.likelihood import Likelihood
-from gms_flex_control.discrepancy.remainder import Free, signature_of
+from gms_flex_control.discrepancy.remainder import signature_of
 from gms_flex_control.discrepancy.result import Noise, Signature
 from gms_flex_control.discrepancy.validation import Gain
 from gms_flex_control.discrepancy.workflow import _known_off
@@ -59,17 +59,6 @@ def test_an_effect_that_changes_nothing_that_is_fitted_is_none():
     assert not idle._replace(evidence=1.0, gain=Gain(50.0, 5.0, 10)).is_real()
     assert idle._replace(gain=Gain(50.0, 5.0, 10)).is_real()
     assert not idle._replace(gain=Gain(50.0, 5.0, 10)).is_real(caution=3.0)
-
-
-@pytest.mark.parametrize(('beside', 'expected'), [(290.0, np.inf), (0.0, 0.2)])
-def test_a_function_that_explains_something_else_takes_no_effects_place(beside, expected):
-    """It gains 300 without the effect, which gains 60: all of it, or none, beside it as well."""
-    free = Free(300.0, 0.1, 'j', 'link', 'time', np.zeros((0, 0)))
-    functions = SimpleNamespace(ranked=lambda model, columns, joint: [free])
-    worth = Worth(0, 0.1, 1.0, 60.0, 60.0, 60.0, Gain(50.0, 5.0, 10), None,
-                  SimpleNamespace(columns=None))
-    spec = EffectSpec(name='torque_ripple', joint='j', values=(0.01, 6.0, 0.0))
-    assert _share(functions, spec, worth, None, {free.key: beside}) == pytest.approx(expected)
 
 
 def test_a_known_effect_that_gains_by_chance_alone_is_not_told():
