@@ -156,13 +156,10 @@ def judged(likelihood, found) -> tuple:
     found, worths = _pruned(likelihood, _timed(likelihood, found))
     functions, whole = FreeFunctions(likelihood), found
     while True:
-        best = found.best.model, found.best.columns
-        ranked = functions.ranked(*best)
-        left = functions.left_in(*best, caution_of(likelihood), ranked)
+        left = functions.left_in(found.best.model, found.best.columns, caution_of(likelihood))
         if not worths or left is None and not is_noisy(likelihood, found.best.model):
             return found, worths, left, whole
-        beside = {free.key: max(free.evidence, 0.0) for free in ranked}
-        shares = [_share(functions, found.best.model.robot.effects[one.index], one, left, beside)
+        shares = [_share(functions, found.best.model.robot.effects[one.index], one, left)
                   for one in worths]
         if min(shares) > RESEMBLES:
             return found, worths, left, whole
@@ -219,17 +216,17 @@ def _alone(likelihood, found, worths, held_out):
     return (other, others) if others else (found, worths)
 
 
-def _share(functions, spec, one, left, beside):
+def _share(functions, spec, one, left):
     """
     Return the share of the evidence there is for something that an effect, a Worth, has.
 
     Of what a free function would in its place; and of what is left over its own variable, where
-    its shape is not that of what is there. A function is in its place if it gains most of what the
-    effect does more than ``beside`` it, by key: else it explains something else.
+    its shape is not that of what is there.
     """
-    instead = [free.evidence for free in functions.ranked(one.less, one.rest.columns, spec.joint)
-               if 2.0 * (free.evidence - beside[free.key]) > one.outright]
-    share = one.outright / instead[0] if instead and instead[0] > 0.0 else np.inf
+    free = functions.ranked(one.less, one.rest.columns, spec.joint)
+    if not free or free[0].evidence <= 0.0:
+        return np.inf
+    share = one.outright / free[0].evidence
     if left is not None and left.joint == spec.joint and find(spec.name).evidence in left.variable:
         share = min(share, one.outright / max(one.outright + left.evidence, 1e-12))
     return share

@@ -133,11 +133,6 @@ class Free(NamedTuple):
     variable: str
     rows: np.ndarray   # (K, R) of its triangles
 
-    @property
-    def key(self):
-        """Return (joint, equation, variable)."""
-        return self.joint, self.equation, self.variable
-
 
 class FreeFunctions:
     """All free functions along the recordings of a Likelihood."""
@@ -184,14 +179,10 @@ class FreeFunctions:
                     float(np.sqrt(max(least.added @ square @ least.added, 0.0))),
                     joint, equation, variable, rows)
 
-    def left_in(self, model, columns, caution=1.0, ranked=None):
-        """
-        Return the free function that a model lacks, a Free, None where nothing matters.
-
-        ``ranked`` is what `ranked` returns of the model, if that is known.
-        """
+    def left_in(self, model, columns, caution=1.0):
+        """Return the free function that a model lacks, a Free, None where nothing matters."""
         without = None
-        for free in (ranked or self.ranked(model, columns))[:_TRIED]:
+        for free in self.ranked(model, columns)[:_TRIED]:
             if (free.evidence <= EVIDENCE
                     or free.torque <= _LEAST * self._likelihood.level_of(free.joint)):
                 continue
