@@ -273,6 +273,13 @@ def test_a_reversed_torque_is_called_so_whatever_gravity_and_springs_do(load, lo
     assert kinds(wrong) == ['sign'] and 'set sign: -1' in wrong.summary()
 
 
+def test_friction_that_falls_with_speed_one_way_is_no_reversed_torque(load):
+    """Only reversed does it grow with speed; but it drives the joint all the time."""
+    speed = 1.0 + 0.5 * np.sin(2.0 * np.pi * LONG / 3.0)
+    turned = np.cumsum(speed) * 2e-3
+    assert load({'t': LONG, 'q': turned, 'tau': 0.5 - 0.2 * speed}, MOVED).suspicions == ()
+
+
 def test_a_torque_no_machine_has_is_called_so(load):
     tau = friction(SPEED, 0.5, 0.2) * 1e9
     assert kinds(load({'t': LONG, 'q': SWING, 'tau': tau}, MOVED)) == ['scale']

@@ -208,7 +208,7 @@ def test_noise_of_encoders_that_two_models_show_differently_is_no_evidence(robot
     alike = log_odds(beliefs.likelihood, [models[0]] * 2, [3.0, 1.0])
     assert alike == pytest.approx(np.array([[0.0, 1.0], [-1.0, 0.0]]))
     odds = log_odds(beliefs.likelihood, models, [3.0, 1.0])
-    noise = [beliefs.likelihood.encoder_noise.pair(one.robot, one.x) for one in models]
+    noise = [np.subtract(*beliefs.likelihood.of_pair(one.robot, one.x)) for one in models]
     weight = np.minimum(*(beliefs.likelihood.weights(one.sums.groups) for one in models))
     margin = 2.0 * np.sqrt(weight @ (noise[0] - noise[1]) ** 2)
     assert odds[0, 1] == pytest.approx(1.0 - margin) and odds[1, 0] == pytest.approx(-1.0 - margin)

@@ -104,7 +104,7 @@ def test_a_softer_spring_has_less_density_where_noise_is_not_of_encoders(robot, 
 def state(evidence, *effects):
     """Return a State of effects (name, joint) with 2 log evidence."""
     specs = tuple(SimpleNamespace(name=name, joint=joint) for name, joint in effects)
-    return State(SimpleNamespace(robot=SimpleNamespace(effects=specs)), None, evidence)
+    return State(SimpleNamespace(robot=SimpleNamespace(effects=specs)), None, None, evidence)
 
 
 A, B = ('a', 'joint1'), ('b', 'joint2')

@@ -157,7 +157,7 @@ def test_the_same_robot_costs_the_same_however_it_is_said(robot, gains, name, nu
     plain = likelihood.fitted(robot, x)
     spec = EffectSpec(name=name, joint=robot.joints[likelihood.nuisances[index].joint],
                       values=(ratio,))
-    likelihood.encoder_noise.learn(replace(spec, values=(0.1,)), [(0, (0.1,))])
+    likelihood.encoder_noise.learn(likelihood, replace(spec, values=(0.1,)), [(0, (0.1,))])
     same = with_effect(robot, spec)
     x[index] = 1.0 / (1.0 + ratio) - 1.0
     other = likelihood.fitted(same, x)

@@ -10,6 +10,7 @@ from discrepancy_runs import likelihood_of, retuned_of
 from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.discrepancy.result import COMPLETE, FOUND
 from gms_flex_control.discrepancy.thresholds import PRACTICAL
+from gms_flex_control.discrepancy.torque_noise import white_noise
 from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
 from gms_flex_control.params.robot import EffectSpec
 import numpy as np
@@ -25,7 +26,7 @@ def test_white_torque_noise_is_measured(seed, population):
     case = make_case('clean', seed, population=population, duration=SHORT)
     likelihood = likelihood_of(case)
     model, _ = retuned_of(likelihood)
-    told = likelihood.white_noise(model)[0, likelihood.robot.n_joints:]
+    told = white_noise(likelihood, model)[0, likelihood.robot.n_joints:]
     np.testing.assert_allclose(told, case.truth.torque_noise, rtol=0.25)
 
 
@@ -33,7 +34,7 @@ def test_of_drives_without_noise_next_to_none_is_told():
     """Less than half a percent of F_s, which is a twelfth of what noisy drives have."""
     case = make_case('clean', 4, duration=SHORT)
     likelihood = likelihood_of(case)
-    told = likelihood.white_noise(retuned_of(likelihood)[0])[0]
+    told = white_noise(likelihood, retuned_of(likelihood)[0])[0]
     assert np.all(told[2:] < 0.005 * case.nominal.friction.forward.static)
 
 
@@ -41,10 +42,11 @@ def test_noise_that_was_measured_is_not_measured_again():
     """With it in the null simulations the recording is as loud as they are."""
     case = make_case('clean', 4, population='noise_6', duration=SHORT)
     likelihood = likelihood_of(case)
-    noisy = likelihood.with_noise(likelihood.white_noise(retuned_of(likelihood)[0]))
+    noisy = likelihood.with_noise(white_noise(likelihood, retuned_of(likelihood)[0]))
     model, _ = retuned_of(noisy)
     assert np.mean(model.rows ** 2) == pytest.approx(np.mean(noisy.clean ** 2), rel=0.3)
-    np.testing.assert_allclose(noisy.white_noise(model)[0, 2:], case.truth.torque_noise, rtol=0.25)
+    told = white_noise(noisy, model)[0, 2:]
+    np.testing.assert_allclose(told, case.truth.torque_noise, rtol=0.25)
 
 
 def test_a_robot_with_noisy_drives_lacks_nothing():

@@ -91,7 +91,7 @@ def test_a_perfect_model_is_at_its_floor(case):
     """Torque and free runs of the true robot, against those of its null simulations."""
     likelihood = Likelihood([motion_of(case.recording, case.truth.robot)], case.truth.robot)
     model, columns = retuned_of(likelihood, 0.0)
-    gap = HeldOut(likelihood).gap(*(2 * [State(model, columns, 0.0)]))
+    gap = HeldOut(likelihood).gap(*(2 * [State(model, columns, columns[:0], 0.0)]))
     np.testing.assert_allclose(torque_rms(likelihood, model), gap.floor, rtol=0.3)
     np.testing.assert_allclose(free_rms(likelihood, model), gap.free_floor, rtol=0.5)
     np.testing.assert_allclose(gap.before, gap.floor, rtol=0.3)

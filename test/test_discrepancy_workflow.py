@@ -337,7 +337,7 @@ def test_more_noise_than_drives_have_is_unexplained(monkeypatch, rms, expected):
 
 def test_what_makes_a_model_worse_is_no_finding(named, monkeypatch):
     """It is listed apart, in the words too, and changes no verdict."""
-    monkeypatch.setattr(workflow, '_best_predicting',
+    monkeypatch.setattr(workflow, '_written',
                         lambda likelihood, found, *_: found.before)
     case, before = named
     result = find_discrepancy([case.recording], case.nominal, holdout=[case.held_out])
@@ -347,6 +347,21 @@ def test_what_makes_a_model_worse_is_no_finding(named, monkeypatch):
     assert [one.key for one in result.minor] == [(true.name, true.joint)]
     assert f'the model predicts better without them: {true.name} of {true.joint}.' in result.words
     np.testing.assert_allclose(result.gap.after, result.gap.retuned, rtol=1e-3)
+
+
+def test_no_model_is_written_that_predicts_worse_than_the_one_given():
+    """The robot that was fitted has an effect; the one that is predicted is as believed."""
+    rng, time = np.random.default_rng(3), np.arange(7000) * 2e-3
+    robot, gains = draw_robot(rng, 'stiff')
+    reference, recordings = draw_reference(rng, 'rich', 'stiff', time), []
+    for effects in ((EffectSpec(name='motor_viscous', joint='joint1', values=(0.03,)),), ()):
+        motion = simulate(replace(robot, effects=effects), robot, gains, reference, seed=1)
+        q_link, _, q_motor, _ = np.moveaxis(motion.measured, 1, 0)
+        recordings.append(recorded(robot, time, q_link, q_motor, motion.command, reference))
+    result = find_discrepancy(recordings[:1], robot, Options(most=1), holdout=recordings[1:])
+    assert [one.effect for one in result.minor] == ['motor_viscous'] and not result.findings
+    assert result.robot.effects == ()
+    assert np.linalg.norm(result.gap.after) <= np.linalg.norm(result.gap.before)
 
 
 def test_what_differs_between_recordings_is_no_effect():

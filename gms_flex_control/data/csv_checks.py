@@ -52,6 +52,7 @@ _TRAVEL = 20.0           # steps of the encoder gone at least
 _LEFT = 0.01             # share of the torque's variance that motion may explain
 _EXPLAINED = 0.5         # share of that which it explains,
 _REVERSED = 0.3          # so much more of it with the sign reversed
+_DRIVEN = 0.5             # of the size of its power: a torque that does so much work drives
 _FRICTION = (1e-5, 1e5)  # of a recorded machine [N m]
 
 
@@ -231,6 +232,7 @@ class _Judged(NamedTuple):
     fit: object       # sign_fit of inertia, Coulomb and viscous friction
     friction: float   # at the largest speed [N m]
     speed: float      # [rad/s]
+    work: float       # of the torque, over that of the size of its power
 
 
 def _torques(import_map, time, joints):
@@ -255,15 +257,18 @@ def _torques(import_map, time, joints):
             angle.first[rows])], free)
         if fit.left > _LEFT:
             speed = float(np.abs(angle.first).max())
+            power = torque.value[rows] * angle.first[rows]
             yield _Judged(f'{joint.name}.{name}', f'{joint.name}.{name} (column '
                           f'{joint.channels[name].column!r})', fit,
-                          float(fit.weights[1] + fit.weights[2] * speed), speed)
+                          float(fit.weights[1] + fit.weights[2] * speed), speed,
+                          float(np.sum(power) / max(np.sum(np.abs(power)), 1e-300)))
 
 
 def _torque(judged):
     """Find a torque that accelerates and overcomes friction only with its sign reversed."""
     fit = judged.fit
-    if fit.opposite > _EXPLAINED and fit.opposite > fit.as_is + _REVERSED:
+    if (fit.opposite > _EXPLAINED and fit.opposite > fit.as_is + _REVERSED
+            and judged.work < _DRIVEN):
         yield Suspicion('sign', judged.place, f'{judged.what} has the wrong sign: only reversed '
                         'does it accelerate the joint and overcome friction; set sign: -1')
     elif fit.as_is > _EXPLAINED and judged.friction > 0 and not (

@@ -33,6 +33,7 @@ from gms_flex_control.discrepancy.likelihood import Fitted, Likelihood, with_eff
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.nuisance import with_nuisances
 from gms_flex_control.discrepancy.thresholds import PLAUSIBLE
+from gms_flex_control.discrepancy.torque_noise import white_noise
 from gms_flex_control.errors import ConfigError, SimulationError
 from gms_flex_control.experiment.simulated import Plan, run_plan, to_recording
 from gms_flex_control.hardware.limits import Limits
@@ -161,7 +162,7 @@ def beliefs_of(recordings: Sequence[Recording], robot: RobotParams,
     """
     likelihood = Likelihood([motion_of(one, robot) for one in recordings], robot, cautious=True)
     model, _ = retuned(likelihood, robot, np.zeros(len(likelihood.nuisances)))
-    likelihood = likelihood.with_noise(likelihood.white_noise(model))
+    likelihood = likelihood.with_noise(white_noise(likelihood, model))
     base, nuisances = retuned(likelihood, robot, model.x, PLAUSIBLE)
     dictionary = Dictionary(likelihood, base, only=set().union(*sets))
     found = sorted((_fitted(likelihood, base, nuisances, dictionary, frozenset(one))
@@ -179,7 +180,8 @@ def log_odds(likelihood: Likelihood, models: Sequence[Fitted], evidence: Sequenc
     the recording and of the null simulations scatter by 4 sum d^2 each: of this `PLAUSIBLE`
     standard deviations are subtracted.
     """
-    noise = [likelihood.encoder_noise.pair(one.robot, one.x) / np.sqrt(2.0) for one in models]
+    noise = [np.subtract(*likelihood.of_pair(one.robot, one.x)) / np.sqrt(2.0)
+             for one in models]
     odds = 0.5 * np.subtract.outer(evidence, evidence)
     for a, b in combinations(range(len(models)), 2):
         weight = np.minimum(*(likelihood.weights(models[k].sums.groups) for k in (a, b)))

@@ -5,7 +5,7 @@
 
 from typing import NamedTuple
 
-from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE, FOUND
+from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE, FOUND, UNEXPLAINED
 from gms_flex_control.effects.registry import find, in_words, names
 import numpy as np
 
@@ -109,12 +109,14 @@ def paragraph(result, unseen=(), known_off=None) -> tuple:
     if result.stand_ins:
         names_of = ' and '.join(f'{one.name} of {one.joint}' for one in result.stand_ins)
         left = min(result.gap.energy_ratio, 1.0)
-        parts.append((
-            f'The written model has {names_of} as well: it predicts better so, though by '
-            'less than what matters in practice.' if result.verdict == COMPLETE else
-            f'The written model has {names_of} in its place: this explains '
-            f'{100.0 * (1.0 - left):.0f} % of what is missing and predicts better, but it only '
-            f'resembles the cause; {100.0 * left:.0f} % remains unexplained.', True))
+        parts.append((f'The written model has {names_of} ' + {
+            COMPLETE: 'as well: it predicts better so, though by less than what matters in '
+                      'practice.',
+            FOUND: 'beside these: it predicts better so, but that only resembles what else is '
+                   'missing.',
+            UNEXPLAINED: f'in its place: this explains {100.0 * (1.0 - left):.0f} % of what is '
+                         'missing and predicts better, but it only resembles the cause; '
+                         f'{100.0 * left:.0f} % remains unexplained.'}[result.verdict], True))
     parts.append((_gap(result), False))
     more = [*_noise(result)]
     if result.recordings:

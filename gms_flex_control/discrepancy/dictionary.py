@@ -168,7 +168,8 @@ class Dictionary:
             if issubclass(kind, Change):  # its further ratios, one by one
                 sets += [(k, tuple(_RATIO_STEP * (np.arange(len(values)) == k)))
                          for k in range(1, len(values)) if kind.parameters[k].unit == '1']
-            likelihood.encoder_noise.learn(EffectSpec(name=name, joint=joint, values=values), sets)
+            likelihood.encoder_noise.learn(likelihood, EffectSpec(
+                name=name, joint=joint, values=values), sets)
         list(likelihood.pool.map(learn, linear))
         for column, spec in zip(self.columns, self._specs, strict=True):
             column *= likelihood.encoder_noise.informative_of(spec)[

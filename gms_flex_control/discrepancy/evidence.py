@@ -36,8 +36,15 @@ class State(NamedTuple):
     """A model, its derivatives and its evidence."""
 
     model: Fitted
-    columns: np.ndarray  # (C, R) by nuisance parameters, then numbers of effects
-    evidence: float      # 2 log, but for a constant
+    nuisances: np.ndarray  # (P, R) derivatives by nuisance parameters, which many States share
+    own: np.ndarray        # (V, R) derivatives by numbers of effects
+    evidence: float        # 2 log, but for a constant
+    plausible: object = np.inf  # standard deviations that nuisance parameters may go, (P,) or one
+
+    @property
+    def columns(self):
+        """Return the derivatives (C, R) by nuisance parameters, then numbers of effects."""
+        return np.concatenate([self.nuisances, self.own])
 
     def key(self, known):
         """Return the effects that were added, frozenset of (effect, joint)."""
@@ -62,7 +69,8 @@ def state_of(likelihood, model, columns, hypotheses):
     evidence = (-exact.cost - prior_cost(likelihood, model) - occam
                 + 2.0 * log_determinant(likelihood, model)
                 - 2.0 * added * np.log(max(hypotheses, 2)))
-    return State(model, columns, float(evidence) if np.isfinite(evidence) else -np.inf)
+    return State(model, columns[:len(model.x)], columns[len(model.x):],
+                 float(evidence) if np.isfinite(evidence) else -np.inf)
 
 
 def log_determinant(likelihood, model):

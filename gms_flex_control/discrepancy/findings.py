@@ -15,9 +15,11 @@ from gms_flex_control.discrepancy.describe import evidence_of
 from gms_flex_control.discrepancy.dictionary import may_join
 from gms_flex_control.discrepancy.evidence import posterior, State, state_of
 from gms_flex_control.discrepancy.fitting import (
+    effect_columns,
     fit,
     informative,
     is_at_limit,
+    is_within,
     numbers_of,
     prior_of,
     refitted,
@@ -84,16 +86,26 @@ def plausible_limit(likelihood, model) -> np.ndarray:
     return np.maximum(PLAUSIBLE, np.abs(model.x) / likelihood.sd)
 
 
+def as_given(likelihood, state, nuisances) -> State:
+    """Return a State with its effects fitted beside known parameters as they are given."""
+    x = np.zeros(len(likelihood.nuisances))
+    model = fit(likelihood, state.model.robot, x, nuisances, plausible=0.0)
+    own = effect_columns(likelihood, model.robot, x, model.rows, numbers_of(likelihood,
+                                                                            model.robot))
+    return State(model, nuisances, own, -np.inf, 0.0)
+
+
 def _worth_of(likelihood, found, i):
     """Return what the i-th effect of a search's end is worth."""
-    model, columns, _ = found.best
+    model, columns = found.best.model, found.best.columns
     spec = model.robot.effects[i]
     less, others = without(likelihood, model, columns, i)
     change = less.rows - model.rows
     own, loss = _beside(likelihood, model, less, others, change)
-    anything = fit(likelihood, less.robot, model.x, others)
-    limit = plausible_limit(likelihood, model)
-    plausible = fit(likelihood, less.robot, model.x, others, plausible=limit)
+    anything, limit = fit(likelihood, less.robot, model.x, others), plausible_limit(
+        likelihood, model)
+    plausible = anything if is_within(likelihood, anything, limit) else fit(
+        likelihood, less.robot, model.x, others, plausible=limit)
     gain = gain_of(likelihood, (model, columns), (plausible, others), change, limit)
     if is_at_limit(spec, model.robot) or (find(spec.name).of_feedback and not _predicts(
             likelihood, found, spec, plausible)):
@@ -161,8 +173,7 @@ def predictive(likelihood, found, worths, held_out) -> tuple:
         energy = held_out.energy(found.best)
         if len(worths) == 1:
             break
-        without_each = {one.index: held_out.energy(_without(likelihood, found, one.index))
-                        for one in worths}
+        without_each = {one.index: held_out.energy(one.rest) for one in worths}
         worst = min(without_each, key=without_each.get)
         if CLEARLY * without_each[worst] > energy:
             break
@@ -300,7 +311,8 @@ def _dropped(likelihood, found, index):
 
 def _without(likelihood, found, *dropped):
     """Return the State of a search's end without effects (indices), all else re-tuned."""
-    less, _ = without(likelihood, *found.best[:2], *dropped)  # derivatives anew: much may move
+    # derivatives anew: much may move
+    less, _ = without(likelihood, found.best.model, found.best.columns, *dropped)
     return state_of(likelihood, *refitted(likelihood, less, found.nuisances), found.hypotheses)
 
 
@@ -326,7 +338,7 @@ def findings_of(likelihood, found, worths, held_out) -> list:
         others, kind = _rivals(found, one, spec), find(spec.name)
         alike = {name for name, _, share in others if share > _ALIKE or (
             name in kind.confusable and share > kind.declared_from)}
-        before = held_out.torque(one.rest._replace(model=one.less), limit)
+        before = held_out.torque(one.rest._replace(model=one.less, plausible=limit))
         better = np.sqrt(np.maximum(before ** 2 - after ** 2, 0.0)) / likelihood.coulomb
         out.append(Finding(
             effect=spec.name, joint=spec.joint, values=_values(likelihood, found, one.index),
@@ -356,7 +368,7 @@ def _values(likelihood, found, index):
     Or by how far null simulations scatter, if that is more: the curvature assumes that rows are
     independent.
     """
-    model, columns, _ = found.best
+    model, columns = found.best.model, found.best.columns
     numbers, weight = numbers_of(likelihood, model.robot), likelihood.weights(model.sums.groups)
     prior = prior_of(likelihood, model, numbers)
     free, scale = prior.free, prior.sd[prior.free]

@@ -18,6 +18,7 @@ _ANGLES = {'phase': 0.02, 'direction': 0.02, 'order': 0.02}
 _REACH, _ANGLE_REACH = 60.0, 25.0  # largest change at once, in steps
 _SHRINK = (1.0, 0.3, 0.1)     # of a step that does not help
 _ENOUGH = 0.3                 # decrease of the cost below which a fit has ended
+_TRIFLE = 0.1                 # likewise, foreseen: only the whole step is tried for it
 _NEAR = 2.0                   # steps of a derivative within which it is kept
 _PHASE_SD = np.pi / np.sqrt(3.0)  # of a phase that nothing is known of
 _LEAST_SHARE = 0.3            # of the squares of a derivative that is not encoder noise
@@ -135,6 +136,11 @@ def is_at_limit(spec, robot) -> bool:
             kind.parameters, spec.values, *bounds_of(spec, robot), strict=True))
 
 
+def is_within(likelihood, model, plausible) -> bool:
+    """Return whether nuisance parameters are within so many deviations of their priors."""
+    return bool(np.all(np.abs(model.x) <= plausible * likelihood.sd))
+
+
 def effect_columns(likelihood, robot, x, rows, numbers) -> np.ndarray:
     """Return derivatives (V, R) of whitened residuals by parameters of effects."""
     values = values_of(robot, numbers)
@@ -167,17 +173,25 @@ def prior_of(likelihood, model, numbers=None) -> Prior:
 
 
 def step_of(likelihood, model, columns, numbers, weight=None, plausible=np.inf) -> np.ndarray:
+    """Return the step of `foreseen`."""
+    return foreseen(likelihood, model, columns, numbers, weight, plausible)[0]
+
+
+def foreseen(likelihood, model, columns, numbers, weight=None, plausible=np.inf) -> tuple:
     """
     Return the step (C,) of all that is free to where a model is likeliest, to first order.
+
+    And by how much the cost falls there at most.
 
     ``weight`` (R,) of the residuals is that of the model unless given; nuisance parameters go no
     farther than ``plausible`` standard deviations of their priors.
     """
     prior = prior_of(likelihood, model, numbers)
     weight = likelihood.weights(model.sums.groups) if weight is None else weight
-    return solve(_cleared(likelihood, model, columns, numbers, weight) + np.diag(prior.pull),
-                 likelihood.slopes(columns, model, weight, numbers) - prior.pull * prior.values,
-                 *limits(model, numbers, prior, plausible * likelihood.sd))
+    downhill = likelihood.slopes(columns, model, weight, numbers) - prior.pull * prior.values
+    step = solve(_cleared(likelihood, model, columns, numbers, weight) + np.diag(prior.pull),
+                 downhill, *limits(model, numbers, prior, plausible * likelihood.sd))
+    return step, 2.0 * float(step @ downhill)
 
 
 def _cleared(likelihood, model, columns, numbers, weight):
@@ -254,10 +268,10 @@ def fit(likelihood, robot, x, columns, first=None, plausible=np.inf, iterations=
         numbers = numbers_of(likelihood, model.robot, first)
         if own is None:
             own = effect_columns(likelihood, model.robot, model.x, model.rows, numbers[known:])
-        step = step_of(likelihood, model, np.concatenate([columns, own]), numbers,
-                       plausible=plausible)
+        step, most = foreseen(likelihood, model, np.concatenate([columns, own]), numbers,
+                              plausible=plausible)
         values = values_of(model.robot, numbers)
-        for shrink in _SHRINK:
+        for shrink in _SHRINK if most > _TRIFLE else _SHRINK[:1]:
             other = likelihood.fitted(
                 at_values(model.robot, numbers, values + shrink * step[len(x):]),
                 model.x + shrink * step[:len(x)])

@@ -19,7 +19,7 @@ from gms_flex_control.discrepancy.residuals import (
     SENSOR,
 )
 from gms_flex_control.discrepancy.result import Gap
-from gms_flex_control.discrepancy.thresholds import CLEARLY, PLAUSIBLE
+from gms_flex_control.discrepancy.thresholds import INERTIAL
 from gms_flex_control.discrepancy.validation import FOLDS, steps
 from gms_flex_control.effects import signals as sig
 from gms_flex_control.errors import SimulationError
@@ -31,13 +31,13 @@ _FARTHEST = 10.0      # errors of free runs that run away count as so much [rad]
 _SEED = 991           # of the null simulation behind the noise floor, used in no fit
 HORIZON, STRIDE = 0.5, 0.5   # length of a run, and from one start to the next [s]
 _STEP = 4e-4                 # of the integration [s]
-_INERTIAL = 0.1              # of what the model leaves, that acceleration takes at least
 
 
 class Errors(NamedTuple):
     """How far a model is from data held out."""
 
     torque: np.ndarray  # (n,) residual torque of each joint in motion, rms [N m]
+    drive: np.ndarray   # (n,) of the sum of its equations, in which its spring has no part [N m]
     free: np.ndarray    # (n,) free-run error, rms [rad]; NaN without runs
     energy: float       # by which models are compared, see `HeldOut.energy`
 
@@ -78,39 +78,39 @@ class HeldOut:
         return self._errors[id(state.model)][1]
 
     def _errors_of(self, state):
-        torque, squares = self.torque(state), _free_squares(
+        (torque, _, drive), squares = _torque(self._measured, self._parts(state)), _free_squares(
             self._measured, _whole(self._measured, state.model))
         runs = np.sum(squares, axis=1)
         free = np.exp(np.mean(np.log(np.maximum(runs, 1e-30)))) if len(runs) else 1.0
-        return Errors(torque, _rms(squares),
+        return Errors(torque, drive, _rms(squares),
                       float(np.sum((torque / self._likelihood.coulomb) ** 2) * free))
 
-    def worsens(self, state, other) -> bool:
-        """Return whether a State has clearly larger torques or free-run errors than another."""
-        one, two = self.errors(state), self.errors(other)
-        scale = self._likelihood.coulomb
-        return bool(any(
-            np.nansum(a ** 2) > CLEARLY * np.nansum(b ** 2)
-            for a, b in ((one.torque / scale, two.torque / scale), (one.free, two.free))))
-
-    def torque(self, state, plausible=np.inf) -> np.ndarray:
+    def worsens(self, state, other, trifle=0.0) -> bool:
         """
-        Return the residual torque of each joint in motion, rms (n,) [N m].
+        Return whether a State predicts anything worse than another, by more than a ``trifle``.
 
-        Nuisance parameters of folds may go ``plausible`` standard deviations.
+        That is a share of residual torque, of the drive's torque, or of free-run errors.
         """
-        return _torque(self._measured, self._parts(state, plausible))[0]
+        one, two, scale = self.errors(state), self.errors(other), self._likelihood.coulomb
+        most = (1.0 + trifle) ** 2
+        return bool(any(np.nansum(a ** 2) > most * np.nansum(b ** 2) for a, b in (
+            (one.torque / scale, two.torque / scale), (one.drive / scale, two.drive / scale),
+            (one.free, two.free))))
+
+    def torque(self, state) -> np.ndarray:
+        """Return the residual torque of each joint in motion, rms (n,) [N m]."""
+        return _torque(self._measured, self._parts(state))[0]
 
     def gap(self, before, after) -> Gap:
         """Return the Gap of States: parameters re-tuned as far as plausible, effects found."""
         likelihood, measured = self._likelihood, self._measured
         given = likelihood.fitted(likelihood.robot, np.zeros(len(likelihood.nuisances)))
-        parts = {'before': _whole(measured, given), 'retuned': self._parts(before, PLAUSIBLE),
+        parts = {'before': _whole(measured, given), 'retuned': self._parts(before),
                  'after': self._parts(after)}
         torque = {name: _torque(measured, one) for name, one in parts.items()}
         clean, whole = _clean(measured, after.model), _whole(measured, after.model)
         floor = _torque(measured, whole, clean) if clean else [np.full(measured.robot.n_joints,
-                                                                       np.nan)] * 2
+                                                                       np.nan)]
         free = {name: _rms(_free_squares(measured, parts[name])) for name in ('retuned', 'after')}
         noise = np.nan_to_num(floor[0])
         above = [float(np.sum(np.maximum(torque[name][0] ** 2 - noise ** 2, 0.0)))
@@ -123,14 +123,15 @@ class HeldOut:
             free_floor=_rms(_free_squares(measured, whole, clean)) if clean else floor[0],
             energy_ratio=above[1] / above[0] if above[0] > 0.0 else 1.0)
 
-    def _parts(self, state, plausible=np.inf):
+    def _parts(self, state):
         """Return what predicts which held-out moments: a State as it is, or refitted in folds."""
         model, likelihood = state.model, self._likelihood
         if self.other is not None:
             return _whole(self.other, model)
         numbers = numbers_of(likelihood, model.robot)
         values, found = values_of(model.robot, numbers), []
-        for k, (_, step) in enumerate(steps(likelihood, model, state.columns, plausible)):
+        for k, (_, step) in enumerate(steps(likelihood, model, state.columns,
+                                              state.plausible)):
             robot = at_values(model.robot, numbers, values + step[len(model.x):])
             masks = [whitening.settled & (block % FOLDS == k) for whitening, block in zip(
                 likelihood.whitenings, likelihood.groups.block_at, strict=True)]
@@ -164,9 +165,9 @@ def _clean(likelihood, model):
 
 
 def _torque(likelihood, parts, motions=None):
-    """Return residual torques (n,) of each joint in motion and at rest, rms [N m]."""
+    """Return residual torques (n,) in motion, at rest, and of drives in motion, rms [N m]."""
     n = likelihood.robot.n_joints
-    squares, counts = np.zeros((2, n)), np.zeros((2, n))
+    squares, counts, drive = np.zeros((2, n)), np.zeros((2, n)), np.zeros(n)
     for robot, x, masks in parts:
         if motions:  # simulated, none of which is particular
             x = likelihood.as_robot(x)
@@ -175,13 +176,15 @@ def _torque(likelihood, parts, motions=None):
             whitening = likelihood.whitenings[m]
             if motions:
                 residual = residual + likelihood.torque_noise(m, np.random.default_rng(_SEED))
-            rows = whitening.torque_rows(residual) ** 2
-            still = likelihood.groups.at_rest[m]
+            rows, still = whitening.torque_rows(residual), likelihood.groups.at_rest[m]
+            link, motor = rows[:, :n], rows[:, n:]
             for side, where in enumerate((~still & mask[:, None], still & mask[:, None])):
-                squares[side] += np.sum((rows[:, :n] + rows[:, n:]) * where, axis=0)
+                squares[side] += np.sum((link ** 2 + motor ** 2) * where, axis=0)
                 counts[side] += where.sum(axis=0)
+            drive += np.sum((link + motor) ** 2 * (~still & mask[:, None]), axis=0)
     moving, still = np.sqrt(squares / np.maximum(counts, 1))
-    return np.where(counts[0] > 0, moving, still), np.where(counts[1] > 0, still, np.nan)
+    return (np.where(counts[0] > 0, moving, still), np.where(counts[1] > 0, still, np.nan),
+            np.sqrt(drive / np.maximum(counts[0], 1)))
 
 
 def _rms(squares):
@@ -227,7 +230,7 @@ def _runs_inform(likelihood):
                     + chain.flexible * chain.motor_inertia * motion.states[:, 5])
         taken += np.mean(inertial ** 2, axis=0)
         left += np.mean(whitening.torque_rows(residual[:, :n] + residual[:, n:]) ** 2, axis=0)
-    return bool(np.any(taken > _INERTIAL ** 2 * left))
+    return bool(np.any(taken > INERTIAL ** 2 * left))
 
 
 # --- free runs ----------------------------------------------------------------------------------

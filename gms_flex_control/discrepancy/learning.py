@@ -17,7 +17,7 @@ from gms_flex_control.discrepancy.evidence import State, state_of
 from gms_flex_control.discrepancy.findings import plausible_limit
 from gms_flex_control.discrepancy.fitting import (
     at_values,
-    extended,
+    effect_columns,
     informative,
     numbers_of,
     prior_cost,
@@ -31,7 +31,7 @@ from gms_flex_control.discrepancy.likelihood import Likelihood, with_effect
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.nuisance import with_nuisances
 from gms_flex_control.discrepancy.result import LearnedTerm
-from gms_flex_control.discrepancy.thresholds import CLEARLY, EVIDENCE, UNSEEN
+from gms_flex_control.discrepancy.thresholds import CLEARLY, EVIDENCE, PLAUSIBLE, UNSEEN
 from gms_flex_control.discrepancy.validation import gain_of
 from gms_flex_control.effects import learned as shapes
 from gms_flex_control.params.robot import EffectSpec
@@ -135,7 +135,9 @@ class _Learning:
     def __init__(self, likelihood, measured, before, say):
         self._likelihood, self._measured, self._say = likelihood, measured, say
         self._nuisances = likelihood.columns(before.robot, before.x, before.rows)
-        self._before = State(before, extended(likelihood, before, self._nuisances), -np.inf)
+        self._before = State(before, self._nuisances, effect_columns(
+            likelihood, before.robot, before.x, before.rows, numbers_of(likelihood, before.robot)),
+            -np.inf, PLAUSIBLE)
         self._caution = UNSEEN if likelihood.unseen else 1.0
         joints = range(likelihood.robot.n_joints)
         self._ranges = [_ranges(likelihood, j) for j in joints]
@@ -184,8 +186,8 @@ class _Learning:
     def _gain(self, one, state):
         """Return the Gain of a candidate on blocks left out, over the model without it."""
         likelihood, change = self._likelihood, state.model.rows - one.state.model.rows
-        return gain_of(likelihood, one.state[:2], state[:2], change,
-                       plausible_limit(likelihood, one.state.model))
+        return gain_of(likelihood, *((each.model, each.columns) for each in (one.state, state)),
+                       change, plausible_limit(likelihood, one.state.model))
 
     def _closer(self, state, gap):
         """Return the Gap of a model if it is clearly less in torque and no more in free runs."""

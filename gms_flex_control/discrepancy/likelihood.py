@@ -28,6 +28,7 @@ from gms_flex_control.discrepancy.null_simulation import (
     EncoderNoise,
     NUISANCE_STEP,
     null_simulation,
+    NullRuns,
 )
 from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.discrepancy.thresholds import LARGEST_NOISE, PRACTICAL_FLOOR
@@ -41,13 +42,10 @@ import numpy as np
 _HIGHEST = (LARGEST_NOISE / PRACTICAL_FLOOR) ** 2  # variance of noise over null simulations
 _NULL_RUNS = 9         # simulations in which nothing is missing
 _MEASURED_BY = 6       # of these: by which residuals are whitened
-_MEDIAN = 0.4549       # of the square of a standard normal number
 _LEAST_SCALE, _MOST_SCALE = 0.1, 2.0  # of the torque that was commanded: drives give no more
-_DRAWS = 4             # of unit noise
 _WILD = 4.0            # times the squared torque that the recording lacks: driven wild
 _LOW = 4.0             # standard deviations of chi square: sums below are no merit of a model
 _MOST_ADDED = 3.0      # times what encoders add to the null simulations: as of twice the inertia
-_OCTAVES_OF_NOISE = 3  # highest ones, of which the quietest shows the white part of noise
 
 
 class Sums(NamedTuple):
@@ -97,35 +95,43 @@ class Likelihood:
     """
 
     def __init__(self, motions, robot, seed=0, widened=1.0, held_out=False, cautious=False):
-        self.motions, self.robot, self._seed = tuple(motions), robot, seed
-        self.known = len(robot.effects)  # effects of any model that are no discovery
+        self.motions, self.robot, self.seed = tuple(motions), robot, seed
         prior = {kind: widened * sd for kind, sd in PRIOR.items()}
         stated = {(kind, robot.joints.index(joint) if joint in robot.joints else -1):
                   widened * sd for (kind, joint), sd in robot.uncertainty.items()}
         self.nuisances = nuisances_of(plant.constants_of(robot), prior, stated) + (
             () if held_out else of_recordings(self.motions, robot))
         self.sd = np.array([one.sd for one in self.nuisances])
-        self.coulomb = 0.5 * (robot.friction.forward.coulomb + robot.friction.backward.coulomb)
         self.pool = ThreadPoolExecutor(os.cpu_count() or 1)
         self._scales, self._held_out = scales_of(self.motions, robot), held_out
         self._cautious = cautious
         self._simulate(robot, np.zeros(len(self.nuisances)))
 
+    @property
+    def known(self):
+        """Return how many effects of any model are no discovery."""
+        return len(self.robot.effects)
+
+    @property
+    def coulomb(self):
+        """Return Coulomb friction (n,), the mean of both directions [N m]."""
+        friction = self.robot.friction
+        return 0.5 * (friction.forward.coulomb + friction.backward.coulomb)
+
     # --- noise -------------------------------------------------------------------------------
 
     def _simulate(self, robot, x):
         """Make the null simulations of a model, without torque noise, and whiten by them."""
-        constants, self._null = self.constants(robot, x), (robot, x)
-        runs = list(self.pool.map(lambda k: [null_simulation(
-            motion, constants, np.random.default_rng([self._seed, k]))
-            for motion in self.motions], range(_NULL_RUNS)))
-        self._clean = list(self.pool.map(
-            lambda run: [unexplained(motion, constants) for motion in run], runs))
-        self._pair = runs[:2]
-        if not self._held_out:  # at each nuisance parameter a little off, and as simulated
-            self._null_residuals = list(self.pool.map(
-                lambda step: [self.residuals(run, robot, x + step) for run in self._pair],
-                (*(NUISANCE_STEP * np.eye(len(x))), np.zeros(len(x)))))
+        constants = self.constants(robot, x)
+
+        def run(k):
+            made = [null_simulation(motion, constants, np.random.default_rng([self.seed, k]))
+                    for motion in self.motions]
+            return made if k < 2 else None, [unexplained(motion, constants) for motion in made]
+        runs, clean = zip(*self.pool.map(run, range(_NULL_RUNS)), strict=True)
+        steps = () if self._held_out else (*(NUISANCE_STEP * np.eye(len(x))), np.zeros(len(x)))
+        self._null = NullRuns(robot, x, clean, runs[:2], list(self.pool.map(
+            lambda step: [self.residuals(run, robot, x + step) for run in runs[:2]], steps)))
         self._whiten(np.zeros((len(self.motions), 2 * robot.n_joints)))
 
     def simulated_as(self, model):
@@ -143,14 +149,13 @@ class Likelihood:
     def _whiten(self, noise):
         """Whiten by the null simulations, with torque noise (M, 2 n) in them."""
         self.noise, floor = noise, PRACTICAL_FLOOR * np.tile(self.coulomb, 2)
-        runs = [[residual + self.torque_noise(m, np.random.default_rng([self._seed, 7, k, m]))
-                 for m, residual in enumerate(run)] for k, run in enumerate(self._clean)]
+        runs = [[residual + self.torque_noise(m, np.random.default_rng([self.seed, 7, k, m]))
+                 for m, residual in enumerate(run)] for k, run in enumerate(self._null.clean)]
         self.whitenings = [
             Whitening(np.stack(clean[_NULL_RUNS - _MEASURED_BY:]), motion.period, floor,
                       motion.known)
             for motion, clean in zip(self.motions, zip(*runs, strict=True), strict=True)]
         self.groups = Groups(self.motions, self.whitenings)
-        self._least = np.maximum(self.groups.count - _LOW * np.sqrt(2.0 * self.groups.count), 0.0)
         clean = np.stack([self.rows_of(run) for run in runs])
         # what filters leave at every reversal, say, though nothing is missing: so they do of the
         # recording, whose rows scatter by that of this mean as well
@@ -158,10 +163,9 @@ class Likelihood:
         self.clean = (clean - self.usual) * np.sqrt((count + 1) / (count - 1))
         if not self._held_out:
             self.encoder_noise = EncoderNoise(
-                self, lambda robot, x: [self.rows_of(self.residuals(run, robot, x))
-                                        for run in self._pair],
-                *self._null, [[self.rows_of(run) for run in pair]
-                              for pair in self._null_residuals], self._cautious)
+                self, self._null.robot, self._null.x,
+                [[self.rows_of(run) for run in pair] for pair in self._null.by_step],
+                self._cautious)
 
     def torque_noise(self, m, rng, size=None) -> np.ndarray:
         """Return the residual torque (S, 2 n) of white torque noise in a recording."""
@@ -170,35 +174,6 @@ class Likelihood:
             self.noise[m] if size is None else size)
         return np.concatenate([motion.through_filter(drawn[:, :n]),
                                motion.through_filter(drawn[:, n:])], axis=1)
-
-    def white_noise(self, model) -> np.ndarray:
-        """
-        Return the white torque noise beyond the null simulations, (M, 2 n) per sample [N m].
-
-        Nuisance parameters of ``model`` are re-tuned. The quietest of the high octaves decides:
-        what is missing shows in some, noise in all. It is not more than drives make.
-        """
-        out, squares, groups = np.zeros_like(self.noise), model.rows ** 2, self.groups
-        for m in range(len(self.motions)):
-            mine = groups.recording == m
-            unit = [np.zeros((len(one.time), out.shape[1])) for one in self.motions]
-            response = np.zeros(int(mine.sum()))
-            for k in range(_DRAWS):
-                unit[m] = self.torque_noise(m, np.random.default_rng([self._seed, 8, k, m]), 1.0)
-                response += self.rows_of(unit)[mine] ** 2 / _DRAWS
-            for c in range(out.shape[1]):
-                excess = []
-                for octave in range(_OCTAVES_OF_NOISE):
-                    here = (groups.channel[mine] == c) & (groups.part[mine] == octave)
-                    if here.any():  # by medians: what is missing acts in some moments
-                        size = np.maximum(response[here], 1e-300)
-                        clean = np.mean(self.clean[:, mine][:, here] ** 2, axis=0)
-                        excess.append(np.median((squares[mine][here] - _MEDIAN * clean) / size)
-                                      / _MEDIAN * (1.0 + 1.0 / np.sqrt(here.sum())))
-                if excess:
-                    out[m, c] = np.sqrt(max(min(excess) + self.noise[m, c] ** 2, 0.0))
-        most = LARGEST_NOISE * np.tile(self.coulomb, 2) / np.maximum(self.noise_response(), 1e-300)
-        return np.minimum(out, most)
 
     # --- likelihood --------------------------------------------------------------------------
 
@@ -209,13 +184,14 @@ class Likelihood:
         ``exact``: what noise adds is simulated, not extrapolated from the null.
         """
         of_noise, groups = self.encoder_noise, self.groups
-        noise = of_noise.pair(robot, x) if exact else of_noise.along(robot, x)
+        noise = np.subtract(*self.of_pair(robot, x)) if exact else of_noise.along(robot, x)
         own = 0.5 * of_noise.own_sums
         added, most = 0.5 * groups.sums(noise ** 2) - own, _MOST_ADDED * own
         whole = groups.sums(rows ** 2)
         # a recording that is quieter than null simulations has less noise to be cleared of
         share = np.minimum(whole / np.maximum(own + np.maximum(added, 0.0), 1e-300), 1.0)
-        least = np.minimum(whole, self._least)  # clearing is no merit below what chance does
+        chance = groups.count - _LOW * np.sqrt(2.0 * groups.count)
+        least = np.minimum(whole, np.maximum(chance, 0.0))  # below, clearing is no merit
         cleared = np.maximum(whole - share * np.minimum(added, most), least)
         return Sums(cleared, self.misfit(cleared) + float(np.sum((x / self.sd) ** 2)),
                     share * ((cleared > least) & (added < most)))
@@ -276,6 +252,10 @@ class Likelihood:
     def rows(self, robot, x) -> np.ndarray:
         """Return whitened residuals of a model (R,), less what every null simulation shows."""
         return self.rows_of(self.residuals(self.motions, robot, x)) - self.usual
+
+    def of_pair(self, robot, x) -> list:
+        """Return whitened residuals (R,) of a model along two null simulations of one motion."""
+        return [self.rows_of(self.residuals(run, robot, x)) for run in self._null.pair]
 
     def residuals(self, motions, robot, x) -> list:
         """Return residual torques per unit of commanded torque, (S, 2 n) of each motion [N m]."""
@@ -347,7 +327,7 @@ class Likelihood:
         """
         constants = self.constants(model.robot, model.x)
         try:
-            runs = [null_simulation(motion, constants, np.random.default_rng(self._seed))
+            runs = [null_simulation(motion, constants, np.random.default_rng(self.seed))
                     for motion in self.motions]
         except SimulationError:
             return False
@@ -360,8 +340,8 @@ class Likelihood:
     def clean_torque(self) -> np.ndarray:
         """Return what null simulations leave in motion, torque noise too, rms (2 n,) [N m]."""
         squares = [[one ** 2 for one in self._behind_low_pass([
-            residual + self.torque_noise(m, np.random.default_rng([self._seed, 9, k, m]))
-            for m, residual in enumerate(run)])] for k, run in enumerate(self._clean[:2])]
+            residual + self.torque_noise(m, np.random.default_rng([self.seed, 9, k, m]))
+            for m, residual in enumerate(run)])] for k, run in enumerate(self._null.clean[:2])]
         return np.sqrt(self._in_motion([np.mean(one, axis=0)
                                         for one in zip(*squares, strict=True)]))
 
@@ -372,12 +352,6 @@ class Likelihood:
         count = sum(one.sum(axis=0) for one in where)
         return sum(np.sum(square * one, axis=0) for square, one in zip(
             squares, where, strict=True)) / np.maximum(count, 1)
-
-    def noise_response(self) -> np.ndarray:
-        """Return the rms behind the low-pass of white torque noise of unit size (2 n,)."""
-        rows = self.whitenings[0].torque_rows(
-            self.torque_noise(0, np.random.default_rng([self._seed, 8, 0]), 1.0))
-        return np.sqrt(np.mean(rows ** 2, axis=0))
 
     def torque_rms(self, one, other) -> float:
         """Return the rms by which residual torques of two models differ, larger equation."""

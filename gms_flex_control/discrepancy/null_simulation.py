@@ -16,6 +16,7 @@ and curvature are cleared of their difference, linear in all parameters.
 """
 
 from dataclasses import replace
+from typing import NamedTuple
 
 from gms_flex_control.compiled import compiled
 from gms_flex_control.data.signal_analysis import quantum
@@ -117,6 +118,16 @@ def _read(angle, like, noise, rng):
     return np.round((noisy + shift) / step) * step - shift if step > 0.0 else noisy
 
 
+class NullRuns(NamedTuple):
+    """Null simulations of a model."""
+
+    robot: object       # RobotParams
+    x: np.ndarray       # (P,) nuisance parameters
+    clean: tuple        # of runs, each a list of residual torques (S, 2 n) of a recording [N m]
+    pair: tuple         # of two runs, each a list of Motion
+    by_step: list       # of the pair, each nuisance parameter `NUISANCE_STEP` off, then as it is
+
+
 # --- what encoder noise adds --------------------------------------------------------------------
 
 
@@ -128,8 +139,6 @@ class EncoderNoise:
     ----------
     likelihood : Likelihood
         With its groups.
-    residuals_of : callable
-        Robot and nuisance parameters (P,) to whitened residuals of two null simulations.
     robot, x : RobotParams and ndarray, shape (P,)
         Of the null simulations.
     by_step : sequence of pair of ndarray, shape (R,)
@@ -139,9 +148,9 @@ class EncoderNoise:
 
     """
 
-    def __init__(self, likelihood, residuals_of, robot, x, by_step, cautious=False):
+    def __init__(self, likelihood, robot, x, by_step, cautious=False):
         self._groups, self._known = likelihood.groups, likelihood.known
-        self._residuals_of, self._robot, self._x = residuals_of, robot, x
+        self._robot, self._x = robot, x
         self._begun = by_step[-1]
         self.own = self._begun[0] - self._begun[1]
         self.own_sums = self._groups.sums(self.own ** 2)
@@ -164,16 +173,14 @@ class EncoderNoise:
                   > 2.0 * _MOSTLY * self._groups.sums((pair[0] - self._begun[0]) ** 2))
         return noise / step, ~hidden[self._groups.group]
 
-    def pair(self, robot, x):
-        """Return the difference (R,) of the residuals of a model along both null simulations."""
-        return np.subtract(*self._residuals_of(robot, x))
-
-    def learn(self, spec, linear):
+    def learn(self, likelihood, spec, linear):
         """
         Learn how noise shows in the derivatives by an effect.
 
         Parameters
         ----------
+        likelihood : Likelihood
+            With the null simulations.
         spec : EffectSpec
             At a small size.
         linear : sequence of (int, tuple)
@@ -185,7 +192,7 @@ class EncoderNoise:
         for k, values in linear:
             changed = replace(self._robot, effects=(*self._robot.effects,
                                                     replace(spec, values=values)))
-            shown[k] = self._shown(self._residuals_of(changed, self._x), values[k])
+            shown[k] = self._shown(likelihood.of_pair(changed, self._x), values[k])
         self._by_effect[spec.name, spec.joint] = shown[:, 0], shown[:, 1]
 
     def of_effect(self, spec) -> np.ndarray:

@@ -17,6 +17,7 @@ from gms_flex_control.discrepancy.fitting import (
     extended,
     fit,
     is_at_limit,
+    is_within,
     refitted,
     retuned,
     without,
@@ -112,7 +113,7 @@ class _Search:
         say('every effect along the motion')
         only = begin.near(self._known) if begin else None
         self.dictionary, self.tried = Dictionary(likelihood, plausible, excluded, only), {}
-        self.before = State(plausible, self.nuisances, -np.inf)  # no more than a yardstick
+        self.before = State(plausible, self.nuisances, self.nuisances[:0], -np.inf, PLAUSIBLE)
         self.best = self._tried(*retuned(
             likelihood, likelihood.robot, np.where(np.abs(x) > np.abs(plausible.x), x,
                                                    plausible.x), columns=self.nuisances))
@@ -123,6 +124,9 @@ class _Search:
     def _tried(self, model, columns):
         """Return a model as a State, the best of those tried with the same effects."""
         state = state_of(self._likelihood, model, columns, self.hypotheses)
+        shared = np.array_equal(state.nuisances, self.nuisances)
+        state = state._replace(nuisances=self.nuisances if shared else state.nuisances.copy(),
+                               own=state.own.copy())
         if self._is_at_limit(model):
             state = state._replace(evidence=-np.inf)  # where the search ends is no value
         key = state.key(self._known)
@@ -192,8 +196,8 @@ class _Search:
         """
         model = state.model
         yield model, state.columns, np.inf
-        if np.any(np.abs(model.x) > PLAUSIBLE * self._likelihood.sd):
-            columns = np.concatenate([self.nuisances, state.columns[len(model.x):]])
+        if not is_within(self._likelihood, model, PLAUSIBLE):
+            columns = np.concatenate([self.nuisances, state.own])
             yield (fit(self._likelihood, model.robot, model.x, columns, plausible=PLAUSIBLE),
                    columns, PLAUSIBLE)
 
@@ -236,8 +240,10 @@ class _Search:
         """Try a model without some effects, and with another in their place."""
         likelihood, model = self._likelihood, self.best.model
         less, others = without(likelihood, model, self.best.columns, *dropped)
-        states = [self._tried(fit(likelihood, less.robot, model.x, others), others)]
-        less = fit(likelihood, less.robot, model.x, others, plausible=PLAUSIBLE)
+        anything = fit(likelihood, less.robot, model.x, others)
+        states = [self._tried(anything, others)]
+        less = anything if is_within(likelihood, anything, PLAUSIBLE) else fit(
+            likelihood, less.robot, model.x, others, plausible=PLAUSIBLE)
         loss, keys = less.cost - model.cost, {
             (model.robot.effects[i].name, model.robot.effects[i].joint) for i in dropped}
         for one in self.dictionary.ranked(less, others, PLAUSIBLE)[:_SHORTLIST]:

@@ -7,6 +7,10 @@
 # effects that improve it less are listed apart and change no verdict. Twice the noise below.
 PRACTICAL = 0.01
 
+# Share of the torque that the believed model leaves which acceleration must take for free runs to
+# say anything: with less, angles follow from errors of the torque alone.
+INERTIAL = 0.1
+
 # White noise that is added to null simulations, as a share of Coulomb friction, rms up to
 # whitening.HIGHEST, so that filters' own errors never count.
 PRACTICAL_FLOOR = 0.5 * PRACTICAL

@@ -13,6 +13,7 @@ from gms_flex_control.discrepancy import describe
 from gms_flex_control.discrepancy.data_faults import faults_of
 from gms_flex_control.discrepancy.evidence import credible, posterior
 from gms_flex_control.discrepancy.findings import (
+    as_given,
     findings_of,
     is_noisy,
     judged,
@@ -33,7 +34,6 @@ from gms_flex_control.discrepancy.result import (
     Credible,
     Discrepancy,
     FOUND,
-    Noise,
     Tried,
     UNEXPLAINED,
 )
@@ -42,14 +42,13 @@ from gms_flex_control.discrepancy.thresholds import (
     BETTER,
     CLEARLY,
     PLAUSIBLE,
-    PRACTICAL_FLOOR,
+    PRACTICAL,
 )
+from gms_flex_control.discrepancy.torque_noise import noise_of, white_noise
 from gms_flex_control.params.robot import RobotParams
 import numpy as np
 
 _SIZES = 4            # of sets that may predict better than the one found
-_EVEN = 2.0           # times the white part: noise of more is slow or fast
-_FAST_OCTAVES = 2     # highest ones: above 5 Hz
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,8 +131,9 @@ def _compared(motions, holdout, robot, options, say):
             findings = []  # they only resemble some of it
     more = left is not None or np.any(gap.after ** 2 > BETTER * np.nan_to_num(gap.floor) ** 2)
     whole = whole if left else found
-    after = _best_predicting(likelihood, found, whole, held_out, [
-        searched, predicting_subset(likelihood, whole, held_out)] if more else [])
+    after = _written(likelihood, found, whole, held_out, [
+        searched, predicting_subset(likelihood, whole, held_out)] if more else [],
+        {one.key for one in findings if one.main})
     if after is not found.best:
         gap = held_out.gap(found.before, after)
     result = _result(likelihood, found, after, findings, left, gap)
@@ -168,7 +168,7 @@ def _result(likelihood, found, after, findings, left, gap):
 def _with_noise(likelihood):
     """Return the Likelihood with the white torque noise of its recordings."""
     model, _ = retuned(likelihood, likelihood.robot, np.zeros(len(likelihood.nuisances)))
-    return likelihood.with_noise(likelihood.white_noise(model))
+    return likelihood.with_noise(white_noise(likelihood, model))
 
 
 def _again(likelihood, found, options, say):
@@ -186,8 +186,8 @@ def _again(likelihood, found, options, say):
     say('once more, with the noise of such a robot')
     other = likelihood.simulated_as(model)
     # beside more effects there is less that may be taken for noise
-    other = other.with_noise(np.minimum(likelihood.noise, other.white_noise(
-        other.fitted(model.robot, model.x))))
+    other = other.with_noise(np.minimum(likelihood.noise, white_noise(
+        other, other.fitted(model.robot, model.x))))
     return other, search(other, most=options.most, excluded=options.without, begin=found, say=say)
 
 
@@ -197,37 +197,6 @@ def _sound(likelihood, found):
         if likelihood.is_followed(state.model):
             return found._replace(best=state)
     return found
-
-
-def noise_of(likelihood, model):
-    """Return the torque noise of each equation beyond what encoders make, tuple of Noise."""
-    robot, found = model.robot, []
-    n, total = robot.n_joints, likelihood.excess_torque(model)
-    white = np.sqrt(np.mean(likelihood.noise ** 2, axis=0))
-    response = likelihood.noise_response()
-    levels = _octave_levels(likelihood, model)
-    for c in range(2 * n):
-        rms = float(np.hypot(total[c], white[c] * response[c]))
-        if rms < PRACTICAL_FLOOR * likelihood.coulomb[c % n]:
-            continue
-        slow, fast = levels[c]
-        colour = ('white' if max(slow, fast) < _EVEN else 'slow' if slow >= fast else 'fast')
-        found.append(Noise(robot.joints[c % n], 'link' if c < n else 'motor', float(white[c]),
-                           rms, colour))
-    return tuple(found)
-
-
-def _octave_levels(likelihood, model):
-    """Return noise levels of slow and of fast octaves of each equation in motion, (2 n, 2)."""
-    groups, out = likelihood.groups, np.zeros((2 * likelihood.robot.n_joints, 2))
-    levels = model.sums.groups / groups.count
-    for c in range(len(out)):
-        for side, fast in enumerate((False, True)):
-            mine = np.unique(groups.group[(groups.channel == c)
-                                          & ((groups.part < _FAST_OCTAVES) == fast)])
-            if len(mine):
-                out[c, side] = np.average(levels[mine], weights=groups.count[mine])
-    return out
 
 
 def _left_over(likelihood, model, free, gap, measured=None):
@@ -250,25 +219,50 @@ def _explain_most(gap):
     return gap.energy_ratio <= 0.5 and not worse
 
 
-def _best_predicting(likelihood, found, whole, held_out, further):
+def _written(likelihood, found, whole, held_out, further, main):
     """
     Return the State that predicts torque and free runs best on held-out data.
 
     That with the effects found, unless another is clearly better: with fewer, with such as only
-    resemble what is missing, or ``further`` States. None of these is written that worsens torque
-    or free runs. A known parameter beyond its prior takes no effect's place: it is a wrong belief.
+    resemble what is missing, ``further`` States, or known parameters as given. None is written
+    that predicts torque, the drive's torque or free runs worse than the model as given, which may
+    have been fitted to the blocks left out, or effects worse than re-tuning alone; where one of
+    them is ``main`` (set of keys), not by what matters, and not clearly. A known parameter beyond
+    its prior takes no effect's place: it is a wrong belief.
     """
-    known, best = likelihood.known, {}
+    known, given, best = likelihood.known, as_given(likelihood, found.before, found.nuisances), {}
     limit = plausible_limit(likelihood, found.best.model)
     for state in sorted(found.tried, key=lambda state: -state.evidence):
         if np.all(np.abs(state.model.x) / likelihood.sd <= limit):
             best.setdefault(len(state.key(known)), state)
-    others = [state for state in (found.before, whole.best,
-                                  *(best[size] for size in sorted(best)[:_SIZES]), *further)
-              if state is not found.best]
-    other = min((one for one in others if one is found.before
-                 or not held_out.worsens(one, found.before)), key=held_out.energy)
-    return other if CLEARLY * held_out.energy(other) < held_out.energy(found.best) else found.best
+    clearly = CLEARLY ** 0.5 - 1.0
+
+    def is_safe(state):
+        effects = state.key(known)
+        trifle = (PRACTICAL if held_out.other else clearly, clearly) if effects & main else (0, 0)
+        return not (held_out.worsens(state, given, trifle[0]) or effects and held_out.worsens(
+            state, found.before, trifle[1]))
+    others = [found.before, whole.best, *(best[size] for size in sorted(best)[:_SIZES]), *further]
+    safe = is_safe(found.best)
+    if not safe:
+        others.append(as_given(likelihood, found.best, found.nuisances))
+    others = [one for one in others if is_safe(one) and (
+        held_out.other or _explains_most(held_out, one, found, known))]
+    other = min((given, *others), key=held_out.energy)
+    if safe and CLEARLY * held_out.energy(other) >= held_out.energy(found.best):
+        return found.best
+    return other
+
+
+def _explains_most(held_out, state, found, known):
+    """
+    Return whether effects of a State explain more than they leave, if it has others than found.
+
+    Blocks of a recording are much like what was fitted: what only resembles the cause must show
+    more there than on other recordings.
+    """
+    return state.key(known) <= found.best.key(known) or 2.0 * np.sum(
+        held_out.errors(state).torque ** 2) < np.sum(held_out.errors(found.before).torque ** 2)
 
 
 def _tried(found):

@@ -1,0 +1,87 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""
+Torque noise of drives and loads, which no encoder makes: its white part, and all of it.
+
+The quietest octave tells the white part: noise shows in every octave, a missing effect in some.
+"""
+
+from gms_flex_control.discrepancy.result import Noise
+from gms_flex_control.discrepancy.thresholds import LARGEST_NOISE, PRACTICAL_FLOOR
+import numpy as np
+
+_MEDIAN = 0.4549       # of the square of a standard normal number
+_DRAWS = 4             # of unit noise
+_OCTAVES_OF_NOISE = 3  # highest ones, of which the quietest shows the white part of noise
+_EVEN = 2.0            # times the white part: noise of more is slow or fast
+_FAST_OCTAVES = 2      # highest ones: above 5 Hz
+
+
+def white_noise(likelihood, model) -> np.ndarray:
+    """
+    Return the white torque noise beyond the null simulations, (M, 2 n) per sample [N m].
+
+    Nuisance parameters of ``model`` are re-tuned. The quietest of the high octaves decides:
+    what is missing shows in some, noise in all. It is not more than drives make.
+    """
+    out, squares, groups = np.zeros_like(likelihood.noise), model.rows ** 2, likelihood.groups
+    for m in range(len(likelihood.motions)):
+        mine = groups.recording == m
+        unit = [np.zeros((len(one.time), out.shape[1])) for one in likelihood.motions]
+        response = np.zeros(int(mine.sum()))
+        for k in range(_DRAWS):
+            rng = np.random.default_rng([likelihood.seed, 8, k, m])
+            unit[m] = likelihood.torque_noise(m, rng, 1.0)
+            response += likelihood.rows_of(unit)[mine] ** 2 / _DRAWS
+        for c in range(out.shape[1]):
+            excess = []
+            for octave in range(_OCTAVES_OF_NOISE):
+                here = (groups.channel[mine] == c) & (groups.part[mine] == octave)
+                if here.any():  # by medians: what is missing acts in some moments
+                    size = np.maximum(response[here], 1e-300)
+                    clean = np.mean(likelihood.clean[:, mine][:, here] ** 2, axis=0)
+                    excess.append(np.median((squares[mine][here] - _MEDIAN * clean) / size)
+                                  / _MEDIAN * (1.0 + 1.0 / np.sqrt(here.sum())))
+            if excess:
+                out[m, c] = np.sqrt(max(min(excess) + likelihood.noise[m, c] ** 2, 0.0))
+    most = LARGEST_NOISE * np.tile(likelihood.coulomb, 2)
+    return np.minimum(out, most / np.maximum(noise_response(likelihood), 1e-300))
+
+
+def noise_response(likelihood) -> np.ndarray:
+    """Return the rms behind the low-pass of white torque noise of unit size (2 n,)."""
+    rows = likelihood.whitenings[0].torque_rows(
+        likelihood.torque_noise(0, np.random.default_rng([likelihood.seed, 8, 0]), 1.0))
+    return np.sqrt(np.mean(rows ** 2, axis=0))
+
+
+def noise_of(likelihood, model):
+    """Return the torque noise of each equation beyond what encoders make, tuple of Noise."""
+    robot, found = model.robot, []
+    n, total = robot.n_joints, likelihood.excess_torque(model)
+    white = np.sqrt(np.mean(likelihood.noise ** 2, axis=0))
+    response = noise_response(likelihood)
+    levels = _octave_levels(likelihood, model)
+    for c in range(2 * n):
+        rms = float(np.hypot(total[c], white[c] * response[c]))
+        if rms < PRACTICAL_FLOOR * likelihood.coulomb[c % n]:
+            continue
+        slow, fast = levels[c]
+        colour = ('white' if max(slow, fast) < _EVEN else 'slow' if slow >= fast else 'fast')
+        found.append(Noise(robot.joints[c % n], 'link' if c < n else 'motor', float(white[c]),
+                           rms, colour))
+    return tuple(found)
+
+
+def _octave_levels(likelihood, model):
+    """Return noise levels of slow and of fast octaves of each equation in motion, (2 n, 2)."""
+    groups, out = likelihood.groups, np.zeros((2 * likelihood.robot.n_joints, 2))
+    levels = model.sums.groups / groups.count
+    for c in range(len(out)):
+        for side, fast in enumerate((False, True)):
+            mine = np.unique(groups.group[(groups.channel == c)
+                                          & ((groups.part < _FAST_OCTAVES) == fast)])
+            if len(mine):
+                out[c, side] = np.average(levels[mine], weights=groups.count[mine])
+    return out
