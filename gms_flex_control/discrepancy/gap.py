@@ -130,8 +130,8 @@ class HeldOut:
             return _whole(self.other, model)
         numbers = numbers_of(likelihood, model.robot)
         values, found = values_of(model.robot, numbers), []
-        for k, (_, step) in enumerate(steps(likelihood, model, state.columns,
-                                              state.plausible)):
+        of_folds = steps(likelihood, model, state.columns, state.plausible)
+        for k, (_, step) in enumerate(of_folds):
             robot = at_values(model.robot, numbers, values + step[len(model.x):])
             masks = [whitening.settled & (block % FOLDS == k) for whitening, block in zip(
                 likelihood.whitenings, likelihood.groups.block_at, strict=True)]
