@@ -13,7 +13,7 @@ from gms_flex_control.cli.terminal import conclude, import_ros, refuse_unwritabl
 from gms_flex_control.data.reader import read_recording
 from gms_flex_control.design.excitation import Bounds, plan_excitation, sentence
 from gms_flex_control.design.plan import clipped, LIKELY, plan_next, surviving, write_plan
-from gms_flex_control.design.separation import beliefs_of, closed_loop_plan, resolving
+from gms_flex_control.design.separation import beliefs_of, closed_loop_plan
 from gms_flex_control.design.sequential import ONE_LEFT, separate
 from gms_flex_control.effects.registry import find
 from gms_flex_control.errors import ConfigError
@@ -61,7 +61,7 @@ def next_recording(args) -> int:
         return int(plan.probability < LIKELY)
     numbers = tuple(Number(
         f'{one.duration:.0f} s of {one.candidate.words}',
-        f'{100.0 * resolving(plan.beliefs, one.odds, plan.wanted):.0f} %', '', '')
+        f'{100.0 * plan.share(one):.0f} %', '', '')
         for one in plan.compared[:3])
     conclude(Answer(plan.sentence(), ('leaves the true one', '', ''), numbers, command(
         'simulate', '--robot', *args.robot, '--trajectory', trajectory, '--duration',

@@ -6,6 +6,7 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from gms_flex_control.errors import ConfigError
 from gms_flex_control.hardware.limits import Limits
 from gms_flex_control.schema.node_keys import trajectory_keys
 from gms_flex_control.schema.node_values import trajectory_from_values
@@ -55,7 +56,7 @@ def candidates(limits: Limits, joints: Sequence[str], pace: float = 1.0, seed: i
         Of postures and phases.
 
     """
-    reach = _reach(limits)
+    reach = _reach(limits, joints)
     several = 'all joints' if len(joints) > 1 else joints[0]
 
     def swing(name, words, amplitude, slower=1.0):
@@ -76,7 +77,8 @@ def candidates(limits: Limits, joints: Sequence[str], pace: float = 1.0, seed: i
                   limits, joints, pace, seed + 1),
         _postures('slow_postures', f'slow moves with holds at {_POSTURES} postures', reach,
                   limits, joints, _SLOW * pace, seed)]
-    for j, joint in enumerate(joints if len(joints) > 1 else ()):
+    for j in np.flatnonzero(reach) if len(joints) > 1 else ():
+        joint = joints[j]
         alone = np.where(np.arange(len(joints)) == j, reach, 0.0)
         found += [swing(f'{joint}_alone', f'wide fast swings of {joint} alone, the others held',
                         alone),
@@ -87,19 +89,25 @@ def candidates(limits: Limits, joints: Sequence[str], pace: float = 1.0, seed: i
 
 def gentlest(limits: Limits, joints: Sequence[str]) -> Candidate:
     """Return slow swings, slower than any candidate."""
-    return _swing('gentlest', 'the slowest swings', _reach(limits), limits, joints, _GENTLE)
+    return _swing('gentlest', 'the slowest swings', _reach(limits, joints), limits, joints,
+                  _GENTLE)
 
 
 def random_moves(limits: Limits, joints: Sequence[str], seed: int, pace: float = 1.0
                  ) -> Candidate:
     """Return moves through random postures, which designed motions are compared with."""
-    return _postures('random_moves', 'moves through random postures', _reach(limits), limits,
-                     joints, pace, seed, 40)
+    return _postures('random_moves', 'moves through random postures', _reach(limits, joints),
+                     limits, joints, pace, seed, 40)
 
 
-def _reach(limits):
-    """Return the amplitudes about zero that references may have (n,)."""
-    return _OF_LIMIT * np.minimum(limits.upper, -limits.lower)
+def _reach(limits, joints):
+    """Return the amplitudes about zero that references may have (n,); 0 at an end of the range."""
+    reach = _OF_LIMIT * np.minimum(limits.upper, -limits.lower) + 0.0  # never -0
+    for joint, one in zip(joints, reach, strict=True):
+        if one < 0.0 or not reach.any():
+            raise ConfigError(f'limits.{joint}: motions swing about zero, which lower and upper '
+                              'leave out; let its angle be zero within them (arm.offset)')
+    return reach
 
 
 def _swing(name, words, amplitude, limits, joints, slower):

@@ -19,6 +19,7 @@ MOST = 4               # hypotheses that are separated at once
 SHORTEST = 5.0         # length at which motions are compared, and of any [s]
 _AROUND = 4.0          # before and after each motion: on the way to it, and at rest [s]
 _PACES = tuple(1.25 ** k for k in range(8))  # that are tried until all limits are kept
+_ENOUGH = 0.8          # probability of leaving one: the shortest motion with it is recorded
 _PROMISING = 0.9       # probability of leaving one in the shortest time: no other is looked for
 _SIMULATED = 3         # motions at most of which longer ones are simulated
 LIKELY = 0.5           # probability from which a motion is said to separate
@@ -34,6 +35,10 @@ class NextRecording:
     probability: float        # that it leaves one hypothesis, the true one
     compared: tuple           # of Prediction at one length, the best first
     refused: tuple            # names of motions that would cross a limit
+
+    def share(self, one: Prediction) -> float:
+        """Return the probability that a motion leaves one hypothesis, the true one."""
+        return float(self.beliefs.probabilities @ resolving(self.beliefs, one.odds, self.wanted))
 
     def sentence(self) -> str:
         """Return what to record and what it will show."""
@@ -80,7 +85,8 @@ def plan_next(beliefs: Beliefs, gains: ControllerParams, limits: Limits, *, peri
     """
     Choose the motion, and its length, that leaves the true hypothesis soonest.
 
-    That with most probability of doing so in a second, what is around a motion included.
+    The shortest that does so with a probability of `_ENOUGH`; where none does, that with most
+    probability in a second, what is around a motion included.
 
     Parameters
     ----------
@@ -114,10 +120,15 @@ def plan_next(beliefs: Beliefs, gains: ControllerParams, limits: Limits, *, peri
     loop = loop_of(beliefs, clipped(gains, limits), limits, period=period)
 
     def choice(one, lengths):
-        """Return (probability in a second, probability, length) of the best of lengths."""
-        odds = [resolving(beliefs, one.after(length, beliefs.odds), wanted) for length in lengths]
-        return max((p / (length + _AROUND), p, float(length))
-                   for p, length in zip(odds, lengths, strict=True))
+        """Return (worth, the more the better; probability, length) of the best of lengths."""
+        found = []
+        for length in lengths:
+            share = beliefs.probabilities @ resolving(
+                beliefs, one.after(length, beliefs.odds), wanted)
+            pace = 1.0 / (length + _AROUND)
+            found.append(((share >= _ENOUGH, pace if share >= _ENOUGH else share * pace),
+                          float(share), float(length)))
+        return max(found)
     lengths = np.arange(first, longest + 0.5)
     for kind in zip(*(candidates(limits, beliefs.robot.joints, pace) for pace in _PACES),
                     strict=True):
@@ -133,7 +144,7 @@ def plan_next(beliefs: Beliefs, gains: ControllerParams, limits: Limits, *, peri
     if not found:
         raise ConfigError('every motion would cross a limit with a robot of the hypotheses; '
                           'widen the limits, or look at gains with gms_flex tune')
-    found.sort(key=lambda one: -choice(one, lengths)[0])
+    found.sort(key=lambda one: choice(one, lengths)[0], reverse=True)
     best = max(found, key=lambda one: choice(one, [first])[0])
     worth = choice(best, [first])
     for one in found[:_SIMULATED]:  # what a longer motion is worth is simulated

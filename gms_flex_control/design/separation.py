@@ -121,19 +121,19 @@ class Prediction(NamedTuple):
         return so_far + (self.odds - so_far) * duration / self.duration
 
 
-def resolving(beliefs: Beliefs, odds: np.ndarray, wanted: float) -> float:
+def resolving(beliefs: Beliefs, odds: np.ndarray, wanted: float) -> np.ndarray:
     """
-    Return the probability that a motion leaves one hypothesis, the true one.
+    Return the probability (H,) that a motion leaves a hypothesis alone, if that is the true one.
 
     ``odds`` (H, H) are the log odds expected after it, ``wanted`` are those that leave one of a
     pair. A gain g of log odds scatters by 2 g (as of all Gaussian likelihoods), and is itself
-    expected with an error of `_EXPECTED` g; each hypothesis is true with its probability.
+    expected with an error of `_EXPECTED` g.
     """
     gain = np.maximum(odds - beliefs.odds, 0.0)
     share = ndtr((odds - wanted) / np.sqrt(_LEAST_SCATTER ** 2 + 2.0 * gain
                                            + (_EXPECTED * gain) ** 2))
     np.fill_diagonal(share, 1.0)
-    return float(beliefs.probabilities @ share.min(axis=1))
+    return share.min(axis=1)
 
 
 def beliefs_of(recordings: Sequence[Recording], robot: RobotParams,
@@ -312,7 +312,7 @@ def predicted(beliefs: Beliefs, candidate: Candidate, duration: float, loop: Loo
     Returns
     -------
     Prediction or None
-        None if a limit would be crossed.
+        None if a limit would be crossed, or nothing can be foreseen.
 
     """
     so_far, count = beliefs.likelihood, len(beliefs.hypotheses)
@@ -331,6 +331,8 @@ def predicted(beliefs: Beliefs, candidate: Candidate, duration: float, loop: Loo
         states = [_state(likelihood, one, so_far.nuisances) for one in beliefs.hypotheses]
         odds[a] = log_odds(likelihood, [one.model for one in states],
                            [one.evidence for one in states])[a]
+    if not np.isfinite(odds).all():  # a fit that has no determinant foresees nothing
+        return None
     return Prediction(candidate, duration, odds, tuple(recordings))
 
 
