@@ -23,6 +23,7 @@ from typing import NamedTuple
 from bench.joints import gains_of, planar_robot, spatial_robot
 from gms_flex_control.answer import align
 from gms_flex_control.discrepancy.workflow import find_discrepancy
+from gms_flex_control.errors import ConfigError
 from gms_flex_control.experiment.simulated import Plan, simulate
 from gms_flex_control.identification.identify import identify
 from gms_flex_control.trajectory import builders
@@ -108,6 +109,9 @@ def add_parser(subparsers) -> None:
 
 def run(args) -> int:
     """Measure, print and draw; return 0."""
+    if not all(0 < n <= max(_JOINTS) for n in args.joints) or not all(m > 0.0 for m in args.minutes):
+        raise ConfigError(f'--joints takes 1 to {max(_JOINTS)}, --minutes more than 0; got '
+                          f'{args.joints} and {args.minutes}')
     cases = dict.fromkeys((*((n, _USUAL_MINUTES) for n in args.joints),
                            *((_USUAL_JOINTS, m) for m in args.minutes)))
     costs, context = [], get_context('spawn')

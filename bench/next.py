@@ -111,7 +111,7 @@ def add_parser(subparsers):
                         choices=FAMILIES, help='default: all')
     add_batch_options(parser)
     parser.add_argument('--out', default='next', metavar='DIR',
-                        help='next.json, next.png, journal (default: %(default)s)')
+                        help='next.json, next_bench.png, journal (default: %(default)s)')
     parser.set_defaults(run=run)
 
 
@@ -125,7 +125,7 @@ def run(args) -> int:
     write_text(Path(args.out) / 'next.json', json.dumps(rows, indent=1) + '\n')
     print('\n\n'.join(text_of(rows)))
     if rows:
-        save_figure(figure_of(rows), Path(args.out) / 'next.png')
+        save_figure(figure_of(rows), Path(args.out) / 'next_bench.png')
     return 0
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from gms_flex_control.data.csv_import import import_csv
+from gms_flex_control.data.recording import NOT_SAMPLED
 from gms_flex_control.identification.assumed_robot import rigid_joints
 from gms_flex_control.schema.files import load_robot
 import numpy as np
@@ -17,7 +18,6 @@ HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
 VARIABLE = 'GMS_FLEX_SHARED_DATA'
 BAND = 8.0                     # of the low-pass: that of the tool's residual torque [Hz]
-_NOT_SAMPLED = ('joints', 'source', 'load', 'temperature', 'scale_sd')
 
 
 class Piece(NamedTuple):
@@ -122,7 +122,7 @@ def between(recording, begin, end):
     if inside.all():
         return recording
     cut = {field.name: getattr(recording, field.name)[inside] for field in fields(recording)
-           if field.name not in _NOT_SAMPLED}
+           if field.name not in (*NOT_SAMPLED, 'scale_sd')}
     return replace(recording, **cut | {'time': cut['time'] - cut['time'][0]})
 
 

@@ -24,7 +24,7 @@ class Phase(NamedTuple):
 # what has a column for each joint
 _OF_JOINTS = ('q_link', 'dq_link', 'q_motor', 'dq_motor', 'tau_motor', 'command', 'reference',
               'friction_hat', 'scale_sd')
-_NOT_SAMPLED = ('joints', 'source', 'load', 'load_unknown', 'temperature', 'coupling')
+NOT_SAMPLED = ('joints', 'source', 'load', 'load_unknown', 'temperature', 'coupling')
 
 
 def _unknown():
@@ -61,7 +61,7 @@ class Recording:
     def __post_init__(self):
         n, samples = len(self.joints), len(self.time)
         for one in fields(self):
-            if one.name in _NOT_SAMPLED:
+            if one.name in NOT_SAMPLED:
                 continue
             shape = {'time': (samples,), 'supply': (samples,), 'scale_sd': (n,),
                      'reference': (samples, 5, n)}.get(one.name, (samples, n))
