@@ -109,7 +109,7 @@ def add_parser(subparsers) -> None:
 
 def run(args) -> int:
     """Measure, print and draw; return 0."""
-    if not all(0 < n <= max(_JOINTS) for n in args.joints) or not all(m > 0.0 for m in args.minutes):
+    if not (set(args.joints) <= set(_JOINTS) and all(m > 0.0 for m in args.minutes)):
         raise ConfigError(f'--joints takes 1 to {max(_JOINTS)}, --minutes more than 0; got '
                           f'{args.joints} and {args.minutes}')
     cases = dict.fromkeys((*((n, _USUAL_MINUTES) for n in args.joints),
