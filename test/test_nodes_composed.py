@@ -4,6 +4,7 @@
 """Plant or bridge, controller and trajectory in one process: as three, and to the last bit."""
 
 from pathlib import Path
+import struct
 
 from bridge_lab import ask, bridge_lab, move
 from gms_flex_control.data.reader import read_recording
@@ -192,6 +193,22 @@ def test_joint_states_are_read_as_they_are_whatever_came_before():
         for stamp in (0, 1_700_000_000_123_456_789):
             messages.set_stamp(message.header.stamp, stamp)
             assert read(serialize_message(message)) == message
+
+
+def test_messages_of_the_other_byte_order_are_read_beside_ours():
+    """Zeros look the same in both orders; what comes behind them must not be taken as they are."""
+    arrays, states = Deserialized(Float64MultiArray).message, Deserialized().message
+    for values, both in (([0.0, 0.0], False), ([1.0, 0.1], False), ([0.0, 0.0], True),
+                         ([1.0, 0.1], True)):
+        numbers = struct.pack('>2d', *values)
+        array = Float64MultiArray(data=values)
+        state = JointState(position=values, velocity=values, effort=values)
+        assert arrays(struct.pack('>4x3I4x', 0, 0, 2) + numbers) == array
+        assert states(struct.pack('>4x3I4x2I', 0, 0, 1, 0, 2) + numbers
+                      + 2 * (struct.pack('>I4x', 2) + numbers)) == state
+        if both:
+            assert arrays(serialize_message(array)) == array
+            assert states(serialize_message(state)) == state
 
 
 def test_arrays_are_read_as_they_are_whatever_came_before():

@@ -4,9 +4,13 @@
 """A loop that does not keep up says so while it runs, and its stamps stay near the clock."""
 
 import signal
+import sys
 import time
+from types import SimpleNamespace
 
 from gms_flex_control.hardware.supervision import Lateness
+from gms_flex_control.nodes import pacing
+from gms_flex_control.nodes.topics import Direct
 from node_harness import (
     array_message,
     COMMANDS,
@@ -19,6 +23,7 @@ from node_harness import (
 import numpy as np
 import pytest
 
+Time = pytest.importorskip('rclpy.time').Time
 DiagnosticArray = pytest.importorskip('diagnostic_msgs.msg').DiagnosticArray
 PERIOD = 20_000_000  # [ns]
 
@@ -53,6 +58,53 @@ def test_a_plant_whose_controller_answers_every_second_state_warns(tmp_path):
             return '% of the states of the last second had no fresh command' in plant.printed()
 
         lab.until(warned)
+
+
+class JumpingArm:
+    """An arm that is answered at once, and the clock of its node, which jumps ahead once."""
+
+    period, active = PERIOD, False
+
+    def __init__(self):
+        self.ticks, self.deadlines = 0, []
+
+    def begin(self, stamp):
+        """Publish the first state."""
+        self.stamp, self.command = stamp, (0.0, stamp, 0)
+
+    def end_sample(self, deadline):
+        """Publish the next state."""
+        self.deadlines.append(deadline)
+        self.ticks += 1
+        self.begin(self.stamp + self.period)
+
+    def is_last(self):
+        """Return whether the run is over."""
+        return self.ticks == 6
+
+    def now(self):
+        """Return the time of the node."""
+        return Time(nanoseconds=time.time_ns() + 10**9 * (self.ticks > 2))
+
+    def simulate(self, _torque=None):
+        """Do nothing."""
+
+    watch = simulate
+
+
+def test_a_state_is_due_a_period_after_the_last_one_where_the_clock_jumps_ahead(monkeypatch):
+    """A jump is seen just before a deadline, which is not late then, nor early."""
+    monkeypatch.setattr(pacing, '_READY', PERIOD // 2)  # for a busy machine
+    arm, interval = JumpingArm(), sys.getswitchinterval()
+    node = SimpleNamespace(get_clock=lambda: arm, direct=Direct(),
+                           health=SimpleNamespace(warn=lambda *_: None))
+    pace = pacing.Paced(arm, arm, node, {'command_timeout': 0.1})
+    try:
+        pace.run(SimpleNamespace(goes_on=lambda: True))
+    finally:
+        sys.setswitchinterval(interval)
+    assert pace.left_out > 40
+    assert min(np.diff(arm.deadlines)) >= PERIOD
 
 
 @pytest.mark.flaky(reruns=2)  # other processes of the machine can delay real nodes

@@ -3,12 +3,13 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Bursts of messages of no use: what matters among them is heard; and priority over others."""
 
+from functools import partial
 import os
 
 from bridge_lab import ask
 from gms_flex_control.nodes.health import Health
 from gms_flex_control.nodes.messages import EFFORT, ReferenceWriter
-from gms_flex_control.nodes.topics import Direct, Inbox
+from gms_flex_control.nodes.topics import all_waiting, Direct, Inbox, Outlet
 from node_harness import (
     array_message,
     COMMANDS,
@@ -24,6 +25,7 @@ from node_harness import (
 )
 import numpy as np
 import pytest
+from rclpy.serialization import serialize_message
 from std_msgs.msg import Bool
 
 # other processes of the machine can delay real nodes beyond any bound
@@ -102,6 +104,19 @@ def test_what_waits_behind_a_burst_on_another_topic_is_looked_at_before_its_end(
     assert heard[-1] == 'single' and len(heard) < BURST // 4  # behind the newest of the burst
 
 
+def test_who_speaks_or_listens_after_the_end_of_its_node_gets_an_error(lab):
+    """A callback that outlasts the end of a process must not touch memory that is free."""
+    node = rclpy.create_node('ended', context=lab.node.context)
+    node.direct = Direct()
+    outlet = Outlet(node, JointState, 'ended')
+    subscription = node.create_subscription(JointState, 'ended', print, 1, raw=True)
+    node.destroy_node()
+    for call in (partial(outlet._publish, serialize_message(joint_state(0))),
+                 outlet.count_others, partial(list, all_waiting(subscription, 1))):
+        with pytest.raises(RuntimeError, match='pointer is invalid'):
+            call()
+
+
 def test_a_message_too_long_for_any_robot_is_refused_unread(lab):
     long = joint_state(0, [0.1] * 10**5, names=[f'joint{k}' for k in range(10**5)])
 
@@ -111,6 +126,17 @@ def test_a_message_too_long_for_any_robot_is_refused_unread(lab):
     lab.until(is_refused)
     send_state(lab)
     answer(lab)
+
+
+def test_bytes_that_are_no_message_are_refused_without_a_fault(lab):
+    def is_refused():
+        for data in (b'', b'\0\1\0\0', serialize_message(joint_state(0))[:-1]):
+            lab.states.publish(data)
+        return '/joint_states: 4 bytes are refused' in lab.controller.printed()
+    lab.until(is_refused)
+    send_state(lab)
+    answer(lab)
+    assert 'FAULT' not in lab.controller.printed()
 
 
 @pytest.mark.parametrize('odd', [

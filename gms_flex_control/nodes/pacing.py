@@ -118,7 +118,7 @@ class Paced:
             with self._lock:
                 left_out = self._follow_clock(max(deadline - time.monotonic_ns(), 0))
             if left_out > 0:  # no more than it is late: the clock may have been set
-                late = time.monotonic_ns() - deadline
+                late = max(time.monotonic_ns() - deadline, 0)  # looked at before it, as a rule
                 deadline += min(left_out, late // arm.period) * arm.period
             if not ahead:
                 process.sleep_until(deadline)

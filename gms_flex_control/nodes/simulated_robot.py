@@ -77,7 +77,9 @@ class _Arm:
         """Publish the state there is, ready before the ``deadline`` at which it leaves [ns]."""
         message = self._writer.write(self._plant.measured, self._plant.applied, self.stamp)
         while time.monotonic_ns() < deadline:
-            pass  # a sleep would end too late, and what it finds would be cold
+            # a sleep would end too late, and what it finds would be cold; who waits for the lock
+            # gets the interpreter no sooner, see _SWITCH and _READY in pacing.py
+            pass
         self.timing.published()
         self.outlet.publish(message)
 

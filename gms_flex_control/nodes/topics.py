@@ -18,6 +18,7 @@ storm's before all others; so whatever comes, all topics of the node are looked 
 from collections import defaultdict
 from collections.abc import Iterator
 import struct
+import sys
 import threading
 import time
 
@@ -35,7 +36,8 @@ _MOST_LOOKS = 16   # of accepted messages that are remembered
 _LONGEST = 65536   # bytes of a message; a thousand joints need no more
 # what does not change from message to message: frame and first names; first label
 _FIXED = {JointState: slice(12, 48), Float64MultiArray: slice(4, 18)}
-_TIME, _TIME_AT = struct.Struct('<iI'), 4  # of a header, behind the encapsulation
+_TIME, _TIME_AT = struct.Struct('=iI'), 4  # of a header, behind the encapsulation
+_NATIVE = b'\0\1' if sys.byteorder == 'little' else b'\0\0'  # first bytes: the byte order
 _STAMP = 'stamp:'
 _GAP = 8  # bytes between two sequences of doubles: length and padding
 
@@ -63,7 +65,9 @@ class Outlet:
         self._publisher = node.create_publisher(kind, topic, process.publisher_qos(mode))
         self._hearers = node.direct.hearers[self._publisher.topic_name]
         self._serialized = None
-        # of rclpy's handle: what Publisher does around it takes longer than the call
+        # of rclpy's handle: what Publisher does around it takes longer than the call. It keeps a
+        # node that ends in another thread from freeing the handle meanwhile, which cannot be:
+        # the call holds the interpreter's lock throughout, and a later one raises RCLError
         self._publish, self.count_others = (self._publisher.handle.publish_raw,
                                             self._publisher.handle.get_subscription_count)
 
@@ -151,7 +155,17 @@ class Inbox:
             else:
                 self._look_into(data)
         for data in good[-_KEPT:]:
-            self._handle(self._message_of(data))
+            self._give(data)
+
+    def _give(self, data):
+        """Return what the handler returns for a message; None if the bytes are none."""
+        try:
+            message = self._message_of(data)
+        except RuntimeError:  # of the middleware: it ends too early, or its lengths are wrong
+            self._health.warn(f'bytes of {self._topic}', f'{self._topic}: {len(data)} bytes are '
+                              f'refused, they make no {self._kind.__name__}; who sends them?')
+            return None
+        return self._handle(message)
 
     def _look_into(self, data):
         """Give a message of a look not known to the handler, if there are not too many."""
@@ -166,7 +180,7 @@ class Inbox:
             if self._odd < 1.0:
                 return
         self._odd -= 1.0
-        if self._handle(self._message_of(data)):
+        if self._give(data):
             self._looks.append((len(data), data[_FIXED[self._kind]]))
             del self._looks[:-_MOST_LOOKS]
 
@@ -236,18 +250,20 @@ class Deserialized:
         message = deserialize_message(data, self._kind)
         self._message, self._size = message, None
         if self._kind is JointState:
-            labels, begin, fields = [], _TIME_AT + _TIME.size, ('position', 'velocity', 'effort')
+            labels, fields = [], ('position', 'velocity', 'effort')
+            same, begin = [slice(_TIME_AT)], _TIME_AT + _TIME.size
         else:
-            labels, begin, fields = _stamp_dimensions(message), _TIME_AT, ('data',)
+            labels, fields = _stamp_dimensions(message), ('data',)
+            same, begin = [], 0
         numbers = [memoryview(getattr(message, field)).cast('B') for field in fields]
         places = _places(len(data), len(numbers[0]) // 8, len(numbers))
-        # of other lengths or another byte order, they do not stand there
-        fit = all(values and data[place] == values
-                  for place, values in zip(places, numbers, strict=True))
+        # of other lengths they do not stand there, of another byte order zeros do
+        fit = data[:2] == _NATIVE and all(values and data[place] == values for place, values in
+                                          zip(places, numbers, strict=True))
         if not fit or data.count(_STAMP.encode()) > 1:
             return message
         self._labels = []
-        self._same = [slice(begin, places[0].start),
+        self._same = [*same, slice(begin, places[0].start),
                       *(slice(place.start - _GAP, place.start - 4) for place in places[1:])]
         if labels:
             place = _place_of(labels[0].label.encode(), data)
