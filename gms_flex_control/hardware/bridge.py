@@ -106,7 +106,7 @@ class ControllerSide:
         self.torque = np.zeros(len(params.joint_map.joints))  # given to the robot last [N m]
         self.given = 0           # when that was [ns]
         self.answered = None     # stamp of the newest state a command answered
-        self.held_back = np.zeros_like(self.torque)  # share of recent time, by the rate limit
+        self.held_back = [0.0] * len(self.torque)  # share of recent time, by the rate limit
         self.lateness = Lateness()
         self.refused = ''
         self.worst_answer = 0    # [ns]
@@ -328,6 +328,6 @@ class Bridge:
         outcome = self.supervisor.enable(self.obstacle(now))
         if outcome.success:
             self.take_torque_away()
-            self.controller.held_back = np.zeros_like(self.torque)
+            self.controller.held_back = [0.0] * len(self.torque)
             self._enabled, self.controller.given = self.robot.stamp, now
         return outcome
