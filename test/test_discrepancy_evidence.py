@@ -9,6 +9,7 @@ from types import SimpleNamespace
 from discrepancy_runs import driven_motion
 from gms_flex_control.discrepancy.evidence import (
     credible,
+    finite,
     log_determinant,
     posterior,
     State,
@@ -120,6 +121,14 @@ def test_probabilities_of_models_sum_to_one_and_follow_the_evidence():
     assert shares[1] / shares[2] == pytest.approx(np.exp(2.0))
     assert posterior([state(-1e5, A), state(-2e5, B)], 0)[0][1] == pytest.approx(1.0)
     assert [names for names, _ in posterior([state(0.0, A), state(1.0, A, B)], 1)] == [{B}, set()]
+
+
+def test_evidence_that_is_no_number_speaks_for_nothing():
+    """Nor does the difference of two; probabilities stay numbers."""
+    assert finite(3.0) == 3.0
+    assert {finite(one) for one in (np.nan, np.inf, -np.inf)} == {-np.inf}
+    assert posterior([state(-np.inf, A), state(-np.inf, B)], 0) == [({A}, 0.5), ({B}, 0.5)]
+    assert posterior([state(-np.inf, A), state(7.0, B)], 0) == [({B}, 1.0), ({A}, 0.0)]
 
 
 @pytest.mark.parametrize(('shares', 'mass', 'count'), [

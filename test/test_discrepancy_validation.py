@@ -11,7 +11,14 @@ from bench.hidden_robots.cases import make_case
 from discrepancy_runs import as_believed, likelihood_of, retuned_of
 from gms_flex_control.discrepancy.evidence import State
 from gms_flex_control.discrepancy.fitting import extended, fit
-from gms_flex_control.discrepancy.gap import all_known, free_rms, HeldOut, HORIZON, torque_rms
+from gms_flex_control.discrepancy.gap import (
+    all_known,
+    Errors,
+    free_rms,
+    HeldOut,
+    HORIZON,
+    torque_rms,
+)
 from gms_flex_control.discrepancy.likelihood import Likelihood, with_effect
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.thresholds import PLAUSIBLE
@@ -95,6 +102,24 @@ def test_a_perfect_model_is_at_its_floor(case):
     np.testing.assert_allclose(torque_rms(likelihood, model), gap.floor, rtol=0.3)
     np.testing.assert_allclose(free_rms(likelihood, model), gap.free_floor, rtol=0.5)
     np.testing.assert_allclose(gap.before, gap.floor, rtol=0.3)
+
+
+def test_errors_are_those_of_a_state_not_of_its_model_alone(likelihood):
+    """Refitted to blocks, known parameters go anywhere with the one, nowhere with the other."""
+    model, columns = retuned_of(likelihood)
+    free, held_out = State(model, columns, columns[:0], 0.0), HeldOut(likelihood)
+    fixed = free._replace(plausible=1e-9)
+    assert np.any(held_out.errors(free).torque != held_out.errors(fixed).torque)
+    assert held_out.errors(free) is held_out.errors(free)
+
+
+def test_a_model_whose_error_is_no_number_is_never_better(likelihood, monkeypatch):
+    errors = {'good': np.ones(2), 'bad': np.array([np.nan, 0.1])}
+    held_out, none = HeldOut(likelihood), np.full(2, np.nan)  # without free runs
+    monkeypatch.setattr(held_out, 'errors',
+                        lambda name: Errors(errors[name], errors[name], none, 0.0))
+    assert held_out.worsens('bad', 'good') and not held_out.worsens('good', 'bad')
+    assert not held_out.worsens('good', 'good')
 
 
 def test_a_wrong_model_is_far_above_its_floor(case, likelihood):

@@ -70,7 +70,12 @@ def state_of(likelihood, model, columns, hypotheses):
                 + 2.0 * log_determinant(likelihood, model)
                 - 2.0 * added * np.log(max(hypotheses, 2)))
     return State(model, columns[:len(model.x)], columns[len(model.x):],
-                 float(evidence) if np.isfinite(evidence) else -np.inf)
+                 finite(evidence))
+
+
+def finite(evidence) -> float:
+    """Return an evidence, or a difference of two; what is no number speaks for nothing."""
+    return float(evidence) if np.isfinite(evidence) else -np.inf
 
 
 def log_determinant(likelihood, model):
@@ -129,7 +134,8 @@ def posterior(states, known):
     """
     Return the probabilities of States that were tried, those of equal effects once.
 
-    List of (frozenset of effects beside the first ``known``, probability), the likeliest first.
+    List of (frozenset of effects beside the first ``known``, probability), the likeliest first;
+    all alike where the evidence of none is finite.
     """
     best = {}
     for state in states:
@@ -137,7 +143,7 @@ def posterior(states, known):
         best[key] = max(best.get(key, -np.inf), state.evidence)
     keys = sorted(best, key=lambda key: -best[key])
     log = 0.5 * np.array([best[key] for key in keys])
-    mass = np.exp(log - log.max())
+    mass = np.exp(log - log.max()) if np.isfinite(log.max()) else np.ones(len(log))
     return list(zip(keys, (mass / mass.sum()).tolist(), strict=True))
 
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from gms_flex_control.discrepancy.describe import evidence_of
 from gms_flex_control.discrepancy.dictionary import may_join
-from gms_flex_control.discrepancy.evidence import posterior, State, state_of
+from gms_flex_control.discrepancy.evidence import finite, posterior, State, state_of
 from gms_flex_control.discrepancy.fitting import (
     effect_columns,
     fit,
@@ -111,7 +111,7 @@ def _worth_of(likelihood, found, i):
             likelihood, found, spec, plausible)):
         gain = gain._replace(nats=min(gain.nats, 0.0))
     rest = state_of(likelihood, anything, others, found.hypotheses)
-    evidence = found.best.evidence - rest.evidence
+    evidence = finite(found.best.evidence - rest.evidence)
     return Worth(i, likelihood.torque_rms(less, model), min(loss / own, 1.0) if own > 0.0 else 0.0,
                  max(plausible.cost - model.cost, 0.0), evidence,
                  evidence + plausible.cost - anything.cost, gain, plausible, rest)
@@ -234,9 +234,9 @@ def _share(functions, spec, one, left):
 
 def is_noisy(likelihood, model) -> bool:
     """Return whether a model leaves more than drives make of noise, and than encoders do."""
-    return bool(np.any(likelihood.excess_torque(model) > np.maximum(
+    return not np.all(likelihood.excess_torque(model) <= np.maximum(
         LARGEST_NOISE * np.tile(likelihood.coulomb, 2),
-        caution_of(likelihood) * likelihood.clean_torque())))
+        caution_of(likelihood) * likelihood.clean_torque()))  # also where it is not finite
 
 
 def caution_of(likelihood):
@@ -342,7 +342,7 @@ def findings_of(likelihood, found, worths, held_out) -> list:
         better = np.sqrt(np.maximum(before ** 2 - after ** 2, 0.0)) / likelihood.coulomb
         out.append(Finding(
             effect=spec.name, joint=spec.joint, values=_values(likelihood, found, one.index),
-            main=bool(better.max() >= PRACTICAL), torque=one.torque,
+            main=bool(np.any(better >= PRACTICAL)), torque=one.torque,
             share=min(one.loss / whole, 1.0), score=one.evidence, held_out=one.gain,
             probability=float(sum(mass for names, mass in models
                                   if (spec.name, spec.joint) in names)),

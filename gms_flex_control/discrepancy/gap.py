@@ -73,9 +73,9 @@ class HeldOut:
 
     def errors(self, state) -> Errors:
         """Return the Errors of a State."""
-        if id(state.model) not in self._errors:  # the model is kept, so that its id is its own
-            self._errors[id(state.model)] = state.model, self._errors_of(state)
-        return self._errors[id(state.model)][1]
+        if id(state) not in self._errors:  # the State is kept, so that its id is its own
+            self._errors[id(state)] = state, self._errors_of(state)
+        return self._errors[id(state)][1]
 
     def _errors_of(self, state):
         (torque, _, drive), squares = _torque(self._measured, self._parts(state)), _free_squares(
@@ -83,7 +83,7 @@ class HeldOut:
         runs = np.sum(squares, axis=1)
         free = np.exp(np.mean(np.log(np.maximum(runs, 1e-30)))) if len(runs) else 1.0
         return Errors(torque, drive, _rms(squares),
-                      float(np.sum((torque / self._likelihood.coulomb) ** 2) * free))
+                      _known(np.sum((torque / self._likelihood.coulomb) ** 2) * free))
 
     def worsens(self, state, other, trifle=0.0) -> bool:
         """
@@ -93,7 +93,7 @@ class HeldOut:
         """
         one, two, scale = self.errors(state), self.errors(other), self._likelihood.coulomb
         most = (1.0 + trifle) ** 2
-        return bool(any(np.nansum(a ** 2) > most * np.nansum(b ** 2) for a, b in (
+        return bool(any(_known(np.sum(a ** 2)) > most * _known(np.sum(b ** 2)) for a, b in (
             (one.torque / scale, two.torque / scale), (one.drive / scale, two.drive / scale),
             (one.free, two.free))))
 
@@ -115,13 +115,14 @@ class HeldOut:
         noise = np.nan_to_num(floor[0])
         above = [float(np.sum(np.maximum(torque[name][0] ** 2 - noise ** 2, 0.0)))
                  for name in ('retuned', 'after')]
+        ratio = above[1] / above[0] if above[0] > 0.0 else 1.0
         return Gap(
             joints=likelihood.robot.joints,
             **{name: one[0] for name, one in torque.items()}, floor=floor[0],
             rest_before=torque['retuned'][1], rest_after=torque['after'][1],
             free_before=free['retuned'], free_after=free['after'],
             free_floor=_rms(_free_squares(measured, whole, clean)) if clean else floor[0],
-            energy_ratio=above[1] / above[0] if above[0] > 0.0 else 1.0)
+            energy_ratio=ratio if np.isfinite(ratio) else 1.0)
 
     def _parts(self, state):
         """Return what predicts which held-out moments: a State as it is, or refitted in folds."""
@@ -137,6 +138,11 @@ class HeldOut:
                 likelihood.whitenings, likelihood.groups.block_at, strict=True)]
             found.append((robot, model.x + step[:len(model.x)], masks))
         return found
+
+
+def _known(error):
+    """Return an error, infinite where it is no number: no model with it predicts better."""
+    return float(error) if np.isfinite(error) else np.inf
 
 
 def torque_rms(likelihood, model) -> np.ndarray:

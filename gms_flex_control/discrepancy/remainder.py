@@ -12,7 +12,7 @@ resembles what is there.
 from typing import NamedTuple
 
 from gms_flex_control.discrepancy.describe import torque_scale
-from gms_flex_control.discrepancy.evidence import NormalEquations
+from gms_flex_control.discrepancy.evidence import finite, NormalEquations
 from gms_flex_control.discrepancy.fitting import informative, numbers_of, prior_of
 from gms_flex_control.discrepancy.result import Signature
 from gms_flex_control.discrepancy.thresholds import EVIDENCE, PRACTICAL
@@ -174,7 +174,8 @@ class FreeFunctions:
         _, occam = np.linalg.slogdet(np.eye(len(rows)) + (
             scaled * likelihood.weights(least.sums)) @ scaled.T)
         torque = np.concatenate(triangles) @ least.added
-        return Free(normal.alone.cost - least.cost - occam - 2.0 * np.log(len(self._all)),
+        return Free(finite(normal.alone.cost - least.cost - occam
+                           - 2.0 * np.log(len(self._all))),
                     float(np.sqrt(np.mean(torque ** 2))), joint, equation, variable, triangles)
 
     def _rows(self, joint, equation, triangles):
