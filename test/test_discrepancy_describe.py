@@ -11,12 +11,13 @@ from gms_flex_control.discrepancy.describe import (
     evidence_of,
     first_of,
     of_noise,
+    of_not_added,
     torque_scale,
 )
 from gms_flex_control.discrepancy.findings import Worth
 from gms_flex_control.discrepancy.likelihood import Likelihood
 from gms_flex_control.discrepancy.remainder import signature_of
-from gms_flex_control.discrepancy.result import Noise, Signature
+from gms_flex_control.discrepancy.result import Discrepancy, FOUND, Noise, Signature
 from gms_flex_control.discrepancy.validation import Gain
 from gms_flex_control.discrepancy.workflow import _known_off
 from gms_flex_control.params.robot import EffectSpec
@@ -41,6 +42,22 @@ def test_noise_is_told_by_drive_and_colour():
     assert said == 'drive of j: 12.3 mN m per sample, 4 mN m rms up to 8 Hz, white'
     assert of_noise(Noise('j', 'link', 0.0, 4000.0, 'slow')) == (
         'link of j: 4 kN m rms up to 8 Hz, mostly slow')
+
+
+@pytest.mark.parametrize(('written', 'expected'), [
+    ('jkl', ''), ('jk', 'no model with it predicts everything as well: it is named'),
+    ('j', 'no model with them predicts everything as well: they are named')])
+def test_what_matters_and_is_not_in_the_model_is_said(written, expected):
+    robot = SimpleNamespace(effects=[EffectSpec(name='backlash', joint=joint, values=(0.01,))
+                                     for joint in written])
+    result = Discrepancy(verdict=FOUND, robot=robot, findings=tuple(
+        SimpleNamespace(effect='backlash', joint=joint, key=('backlash', joint), values=())
+        for joint in 'jkl'))
+    assert [one.joint for one in result.added] == list(written)
+    said = of_not_added(result)
+    assert expected in said and bool(expected) == bool(said)
+    assert [f'backlash of {joint}' in said for joint in 'jkl'] == [
+        joint not in written for joint in 'jkl']
 
 
 @pytest.mark.parametrize(('variable', 'joint', 'expected'), [

@@ -13,6 +13,7 @@ from bench.hidden_robots.plants import draw_belief, draw_robot
 from bench.hidden_robots.truth import simulate
 from discrepancy_runs import recorded
 from gms_flex_control.discrepancy import workflow
+from gms_flex_control.discrepancy.describe import named as described
 from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE, FOUND, UNEXPLAINED
 from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
 from gms_flex_control.effects import registry
@@ -21,6 +22,8 @@ from gms_flex_control.identification.assumed_robot import rigid_joints
 from gms_flex_control.identification.identify import identify
 from gms_flex_control.identification.identify import Options as Identify
 from gms_flex_control.params.robot import EffectSpec
+from gms_flex_control.reports.answers import discrepancy_answer
+from gms_flex_control.reports.discrepancy_values import report_values
 from identified_axis import pendulum
 import numpy as np
 import pytest
@@ -324,9 +327,9 @@ def test_one_effect_is_found_in_the_place_of_two():
         (spec.name, spec.joint) for spec in truth.effects], result.words
 
 
-@pytest.mark.parametrize(('rms', 'expected'), [(9e-3, False), (11e-3, True)])
+@pytest.mark.parametrize(('rms', 'expected'), [(9e-3, False), (11e-3, True), (np.nan, True)])
 def test_more_noise_than_drives_have_is_unexplained(monkeypatch, rms, expected):
-    """A tenth of Coulomb friction, behind the low-pass."""
+    """A tenth of Coulomb friction, behind the low-pass; and what is no number."""
     monkeypatch.setattr(workflow, 'signature_of', lambda likelihood, model, share, free: share)
     likelihood = SimpleNamespace(unseen=set(), coulomb=np.full(1, 0.1),
                                  clean_torque=lambda: np.zeros(2),
@@ -335,18 +338,34 @@ def test_more_noise_than_drives_have_is_unexplained(monkeypatch, rms, expected):
     assert (left == 1.0) is expected
 
 
-def test_what_makes_a_model_worse_is_no_finding(named, monkeypatch):
-    """It is listed apart, in the words too, and changes no verdict."""
+def test_what_makes_a_model_worse_is_named_and_not_added(named, monkeypatch):
+    """It is named all the same, in the words and in the answer: something is missing."""
     monkeypatch.setattr(workflow, '_written',
                         lambda likelihood, found, *_: found.before)
     case, before = named
     result = find_discrepancy([case.recording], case.nominal, holdout=[case.held_out])
     assert result.tried == before.tried  # the same seed, the same numbers
     true, = case.truth.effects
-    assert result.verdict == COMPLETE and not result.findings and result.robot.effects == ()
-    assert [one.key for one in result.minor] == [(true.name, true.joint)]
-    assert f'the model predicts better without them: {true.name} of {true.joint}.' in result.words
+    assert (result.verdict, result.robot.effects, result.added) == (UNEXPLAINED, (), ())
+    assert [one.key for one in result.not_added] == [(true.name, true.joint)]
+    said = f'The recordings show {described(result.findings[0])}, but no model with it predicts'
+    assert result.words.startswith(said)
+    assert discrepancy_answer(result, '').sentence.startswith(said)
+    assert report_values(result)['findings'][0]['added'] is False
     np.testing.assert_allclose(result.gap.after, result.gap.retuned, rtol=1e-3)
+
+
+@pytest.mark.parametrize(('base', 'wrist', 'expected'), [
+    (2.9, 0.1, True), (2.9, 0.9, False), (1.0, 0.9, False)])
+def test_what_effects_explain_counts_by_the_friction_of_each_joint(base, wrist, expected):
+    """Of 30 N m at a base 3 are missing, of 1 N m at a wrist all."""
+    def state(torque, *effects):
+        return SimpleNamespace(torque=np.array(torque), key=lambda known: set(effects))
+    before = state([3.0, 1.0])
+    assert workflow._may_stand_in(
+        SimpleNamespace(coulomb=np.array([30.0, 1.0]), known=0),
+        SimpleNamespace(errors=lambda one: one), state([base, wrist], 'other'),
+        SimpleNamespace(before=before, best=before)) == expected
 
 
 def test_no_model_is_written_that_predicts_worse_than_the_one_given():

@@ -86,6 +86,16 @@ def named(finding):
             f'{in_words(finding.effect)})')
 
 
+def of_not_added(result):
+    """Return a sentence on findings that matter and are not in the model written, '' if none."""
+    shown = result.not_added[:_IN_FULL]
+    if not shown:
+        return ''
+    them, are = ('them', 'they are') if len(shown) > 1 else ('it', 'it is')
+    return (f'The recordings show {"; ".join(named(one) for one in shown)}, but no model with '
+            f'{them} predicts everything as well: {are} named and not added.')
+
+
 def of_noise(noise):
     """Return a Noise in words."""
     scale = torque_scale(noise.rms)
@@ -139,16 +149,18 @@ def _verdict(result):
     if result.verdict == COMPLETE:
         yield ('Nothing that matters is missing: the residual is noise, and no effect of the '
                'catalogue improves held-out prediction by as much as matters in practice.', False)
-    shown = result.findings[:_IN_FULL]
+    shown = result.added[:_IN_FULL]
     if shown:
         yield f'The model lacks {"; ".join(named(one) for one in shown)}.', False
-    for one in shown:
+    if result.not_added:
+        yield of_not_added(result), bool(shown)
+    for one in (*shown, *result.not_added[:_IN_FULL]):
         if one.confusable_with:
             yield (f'{one.effect} of {one.joint} is indistinguishable here from '
                    f'{" or ".join(one.confusable_with)}; discriminating experiment: '
                    f'{one.discriminated_by}.'), True
     added = {(spec.name, spec.joint) for spec in result.robot.effects}
-    beside = [*result.findings[_IN_FULL:], *(one for one in result.minor if one.key in added)]
+    beside = [*result.added[_IN_FULL:], *(one for one in result.minor if one.key in added)]
     if beside:
         yield f'Too small to matter in practice: {_briefly(beside)}.', True
     without = [one for one in result.minor if one.key not in added]
@@ -161,7 +173,7 @@ def _remainder(result):
     """Yield how much is explained, and what remains: sentence, whether a detail."""
     gap, left = result.gap, result.unexplained
     if result.verdict == FOUND and left is not None and left.share > _REMAINS:
-        sure = min(one.probability for one in result.findings)
+        sure = min(one.probability for one in result.added)
         yield (f'That explains {100.0 * (1.0 - gap.energy_ratio):.0f} % of what is missing '
                f'({sure:.2f} sure); {100.0 * gap.energy_ratio:.0f} % remains unexplained: '
                f'{left.sentence}', True)

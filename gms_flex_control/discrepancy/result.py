@@ -147,8 +147,8 @@ class Discrepancy:
     """Everything that is reported about a model and its recordings."""
 
     verdict: str              # COMPLETE, FOUND, UNEXPLAINED or BAD_DATA
-    findings: tuple = ()      # of Finding that matter, the largest first
-    minor: tuple = ()         # of Finding: small, or ``robot`` predicts better without
+    findings: tuple = ()      # of Finding that matter: those in ``robot`` first, the largest first
+    minor: tuple = ()         # of Finding that are small
     stand_ins: tuple = ()     # of EffectSpec in ``robot`` that only resemble what is missing
     models: tuple = ()        # of Credible, the likeliest first
     noise: tuple = ()         # of Noise of the recordings
@@ -170,6 +170,18 @@ class Discrepancy:
         """Return the Discrepancy with further sentences, of which none is in the answer."""
         return replace(self, words=' '.join(filter(None, (self.words, *sentences))),
                        details=' '.join(filter(None, (self.details, *sentences))))
+
+    @property
+    def added(self):
+        """Return findings that matter and are in ``robot``."""
+        return tuple(one for one in self.findings if any(
+            one.key == (spec.name, spec.joint) for spec in self.robot.effects))
+
+    @property
+    def not_added(self):
+        """Return findings that matter, but no model with them predicts everything as well."""
+        added = self.added
+        return tuple(one for one in self.findings if one not in added)
 
     @property
     def named(self):

@@ -52,6 +52,18 @@ BETTER = 2.0
 # either.
 CLEARLY = 1.1
 
+# Share by which rms torque or free runs may be worse and not clearly so. With effects that matter:
+# on blocks left out, to which the given model may have been fitted, and against re-tuning alone.
+NOT_CLEARLY = CLEARLY ** 0.5 - 1.0
+
+# Likewise on other recordings, against the given model: what matters in no effect, matters here
+# neither. Without effects that matter nothing may be worse.
+WORSE = PRACTICAL
+
+# Squared held-out torque that effects may leave, as a share of that without them, where they may
+# only resemble what is missing: they explain more than they leave.
+MOST_LEFT = 0.5
+
 # Share of the evidence of a free function of one variable that an effect must have in its place
 # to be named: true effects reach 0.9 to 3.7 on hidden robots, resemblances 0.1 to 0.85.
 RESEMBLES = 0.9

@@ -41,8 +41,10 @@ from gms_flex_control.discrepancy.search import search
 from gms_flex_control.discrepancy.thresholds import (
     BETTER,
     CLEARLY,
+    MOST_LEFT,
+    NOT_CLEARLY,
     PLAUSIBLE,
-    PRACTICAL,
+    WORSE,
 )
 from gms_flex_control.discrepancy.torque_noise import noise_of, white_noise
 from gms_flex_control.params.robot import RobotParams
@@ -127,7 +129,7 @@ def _compared(motions, holdout, robot, options, say):
     left = _left_over(likelihood, found.best.model, free, gap, held_out.other)
     if left is not None:
         findings = [one for one in findings if not left.is_of(one)]
-        if not (any(one.main for one in findings) and _explain_most(gap)):
+        if not (any(one.main for one in findings) and _may_be_named(gap)):
             findings = []  # they only resemble some of it
     more = left is not None or np.any(gap.after ** 2 > BETTER * np.nan_to_num(gap.floor) ** 2)
     whole = whole if left else found
@@ -146,11 +148,12 @@ def _result(likelihood, found, after, findings, left, gap):
     """Return the Discrepancy, without words, that writes the State ``after``."""
     known, joints = likelihood.known, likelihood.robot.joints
     changes = list(zip(likelihood.nuisances, after.model.x.tolist(), strict=True))
-    main = tuple(one for one in findings if one.main and one.key in after.key(known))
-    named = {one.key for one in findings}
+    added, named = after.key(known), {one.key for one in findings}
+    main = sorted((one for one in findings if one.main), key=lambda one: one.key not in added)
     return Discrepancy(
-        verdict=FOUND if main else UNEXPLAINED if left else COMPLETE,
-        findings=main, minor=tuple(one for one in findings if one not in main),
+        verdict=(FOUND if any(one.key in added for one in main)
+                 else UNEXPLAINED if left or main else COMPLETE),
+        findings=tuple(main), minor=tuple(one for one in findings if not one.main),
         models=tuple(Credible(tuple(sorted(names)), mass) for names, mass in credible(
             posterior(found.tried, known))),
         stand_ins=tuple(spec for spec in after.model.robot.effects[known:]
@@ -213,10 +216,14 @@ def _left_over(likelihood, model, free, gap, measured=None):
     return None
 
 
-def _explain_most(gap):
-    """Return whether effects explain more than they leave, and free runs are no worse."""
+def _may_be_named(gap):
+    """
+    Return whether effects may be named though something is left, by the Gap with all of them.
+
+    They explain more than they leave, and free runs are no worse.
+    """
     worse = np.nansum(gap.free_after ** 2) > CLEARLY * np.nansum(gap.free_before ** 2)
-    return gap.energy_ratio <= 0.5 and not worse
+    return gap.energy_ratio <= MOST_LEFT and not worse
 
 
 def _written(likelihood, found, whole, held_out, further, main):
@@ -235,34 +242,36 @@ def _written(likelihood, found, whole, held_out, further, main):
     for state in sorted(found.tried, key=lambda state: -state.evidence):
         if np.all(np.abs(state.model.x) / likelihood.sd <= limit):
             best.setdefault(len(state.key(known)), state)
-    clearly = CLEARLY ** 0.5 - 1.0
 
     def is_safe(state):
         effects = state.key(known)
-        trifle = (PRACTICAL if held_out.other else clearly, clearly) if effects & main else (0, 0)
-        return not (held_out.worsens(state, given, trifle[0]) or effects and held_out.worsens(
-            state, found.before, trifle[1]))
+        matters = bool(effects & main)
+        return not (held_out.worsens(
+            state, given, matters * (WORSE if held_out.other else NOT_CLEARLY))
+            or effects and held_out.worsens(state, found.before, matters * NOT_CLEARLY))
     others = [found.before, whole.best, *(best[size] for size in sorted(best)[:_SIZES]), *further]
     safe = is_safe(found.best)
     if not safe:
         others.append(as_given(likelihood, found.best, found.nuisances))
     others = [one for one in others if is_safe(one) and (
-        held_out.other or _explains_most(held_out, one, found, known))]
+        held_out.other or _may_stand_in(likelihood, held_out, one, found))]
     other = min((given, *others), key=held_out.energy)
     if safe and CLEARLY * held_out.energy(other) >= held_out.energy(found.best):
         return found.best
     return other
 
 
-def _explains_most(held_out, state, found, known):
+def _may_stand_in(likelihood, held_out, state, found):
     """
-    Return whether effects of a State explain more than they leave, if it has others than found.
+    Return whether a State may be written that may have other effects than those found.
 
-    Blocks of a recording are much like what was fitted: what only resembles the cause must show
-    more there than on other recordings.
+    Others must explain more than they leave. Blocks of a recording are much like what was
+    fitted: what only resembles the cause must show more there than on other recordings.
     """
-    return state.key(known) <= found.best.key(known) or 2.0 * np.sum(
-        held_out.errors(state).torque ** 2) < np.sum(held_out.errors(found.before).torque ** 2)
+    left, whole = (np.sum((held_out.errors(one).torque / likelihood.coulomb) ** 2)
+                   for one in (state, found.before))
+    return (state.key(likelihood.known) <= found.best.key(likelihood.known)
+            or left < MOST_LEFT * whole)
 
 
 def _tried(found):

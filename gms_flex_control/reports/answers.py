@@ -7,7 +7,13 @@ from pathlib import Path
 from textwrap import fill
 
 from gms_flex_control.answer import align, Answer, command, measured, Number
-from gms_flex_control.discrepancy.describe import angle_scale, Scale, torque_scale, value_words
+from gms_flex_control.discrepancy.describe import (
+    angle_scale,
+    of_not_added,
+    Scale,
+    torque_scale,
+    value_words,
+)
 from gms_flex_control.identification.result import (
     data_sentence,
     DOUBTFUL,
@@ -201,15 +207,17 @@ def _values(result):
 
 
 def _lacking(result):
-    if not result.findings:
-        return ('Something is missing that no effect of the catalogue explains: '
-                f'{result.unexplained.sentence}' if result.unexplained is not None else
+    if not result.added:
+        left = result.unexplained
+        return ' '.join(filter(None, (
+            of_not_added(result), left and 'Something is missing that no effect of the catalogue '
+            f'explains: {left.sentence}'))) or (
                 'Nothing that matters is missing: on held-out data the error of the model does '
                 'not exceed the noise floor, which encoders and torque noise alone produce.')
     effects = ' and '.join(
         f'{one.effect} of {one.joint} ({value_words(one)}'
         + (f'; indistinguishable here from {", ".join(one.confusable_with)})'
-           if one.confusable_with else ')') for one in result.findings)
+           if one.confusable_with else ')') for one in result.added)
     gap = result.gap
     changes = [_change(*figures) for figures in (
         ('the residual torque', gap.retuned, gap.after, gap.floor),
@@ -218,7 +226,7 @@ def _lacking(result):
     at_floor = [name for name, _, there in changes if there]
     which = 'both' if len(at_floor) == 2 else ''.join(at_floor)
     where = f', {which} to about the noise floor, which' if at_floor else '. The noise floor'
-    found = 'it' if len(result.findings) == 1 else 'them'
+    found = 'it' if len(result.added) == 1 else 'them'
     return (f'The model lacks {effects}: with {found}, on held-out data, '
             f'{" and ".join(change for _, change, _ in changes)}{where} is what encoders and '
             'torque noise alone would leave.')

@@ -26,7 +26,7 @@ from gms_flex_control.reports.pictures import (
 import numpy as np
 
 TITLES = {COMPLETE: 'Nothing is missing', FOUND: 'Effects the model lacks',
-          UNEXPLAINED: 'Something is missing that the catalogue does not name',
+          UNEXPLAINED: 'Something is missing that no effect explains well enough',
           BAD_DATA: 'The data are at fault'}
 MOST_PICTURES = 8     # findings with a picture and a chart of their own
 

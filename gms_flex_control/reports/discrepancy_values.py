@@ -34,7 +34,8 @@ def report_values(result, *, holdout=(), models=()) -> dict:
         'format': REPORT_FORMAT, 'version': __version__, 'verdict': result.verdict,
         'words': result.words, 'sources': result.sources, 'holdout': holdout,
         'seconds': result.seconds, 'faults': result.faults,
-        'findings': [_finding_values(finding, joints) for finding in result.findings],
+        'findings': [_finding_values(finding, joints) | {'added': finding in result.added}
+                     for finding in result.findings],
         'minor': [_finding_values(finding, joints) for finding in result.minor],
         'credible': [{'effects': [{'effect': effect, 'joint': joint} for effect, joint in
                                   model.effects], 'probability': model.probability}
@@ -149,7 +150,8 @@ def write_robot(result, path) -> None:
 def _comment(result):
     lines = [f'What gms_flex discrepancy {__version__} made of a robot file and of '
              f'{", ".join(result.sources)}.', f'Verdict: {result.verdict}.']
-    for heading, findings in (('Effects that were missing', result.findings),
+    for heading, findings in (('Effects that were missing', result.added),
+                              ('Found, but not added', result.not_added),
                               ('Small effects', result.minor)):
         if findings:
             lines.append(f'{heading}: ' + '; '.join(named(one) for one in findings) + '.')
