@@ -9,6 +9,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 from gms_flex_control.cli.main import main
+from gms_flex_control.data.conditions import conditions_of
 from gms_flex_control.data.writer import write_recording
 from gms_flex_control.design.motions import candidates, random_moves
 from gms_flex_control.design.plan import NextRecording, plan_next, SHORTEST, surviving
@@ -129,7 +130,11 @@ CONFIG = Path(__file__).parents[1] / 'config'
 def test_rounds_in_simulation_leave_the_true_name(robot, forward_only, tmp_path, capsys):
     biased, recording = forward_only
     save_robot(biased, tmp_path / 'true.yaml')
-    write_recording(tmp_path / 'bag', recording, robot.motors)
+    write_recording(tmp_path / 'bag', replace(  # in amperes; the simulated robot's is torque
+        recording, tau_motor=20.0 * recording.tau_motor, command=20.0 * recording.command),
+                    robot.motors)
+    (tmp_path / 'bag' / 'recording.yaml').write_text(
+        'torque_constant: {joint1: 0.05, joint2: 0.05}\ntemperature: warm\n')
     (tmp_path / 'gap').mkdir()
     (tmp_path / 'gap' / 'report.json').write_text(json.dumps({
         'sources': [str(tmp_path / 'bag')], 'credible': [], 'findings': [], 'minor': []}))
@@ -137,11 +142,18 @@ def test_rounds_in_simulation_leave_the_true_name(robot, forward_only, tmp_path,
                  CONFIG / 'bridge.yaml', '--effects', 'constant_link_torque:joint2',
                  'friction_asymmetry:joint2', '--simulate', tmp_path / 'true.yaml', '--budget',
                  '30', '--out', tmp_path / 'rounds']
+    repeated = [*arguments[:8], *[arguments[8]] * 2, *arguments[9:]]
+    for wrong, sentence in ((repeated, 'is named twice'), (
+            [*arguments[:8], *[arguments[8]] * 4, *arguments[9:]], 'at most 4 are separated')):
+        assert main(list(map(str, wrong))) == 2
+        assert sentence in capsys.readouterr().err
     assert main(list(map(str, arguments))) == 0
     values = json.loads((tmp_path / 'rounds' / 'separation.json').read_text())
     assert values['left'] == ['constant_link_torque of joint2']
     assert 0.0 < values['robot_time'] <= 30.0
     assert values['robot_time'] == sum(one['best']['duration'] for one in values['rounds'])
+    known = conditions_of(tmp_path / 'rounds' / '1' / 'bag')
+    assert known.temperature == 'warm' and known.torque_constant is None
     printed = capsys.readouterr().out
     assert 'is left, with a probability of' in printed
     assert f' {tmp_path / "rounds" / "1" / "bag"} ' in printed  # in the next command

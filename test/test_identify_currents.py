@@ -7,7 +7,14 @@ from dataclasses import replace
 import json
 
 from gms_flex_control.cli.main import main
-from gms_flex_control.data.conditions import conditions_of, with_conditions
+from gms_flex_control.data.conditions import (
+    Conditions,
+    conditions_of,
+    OF_ROBOT,
+    repeat_conditions,
+    with_conditions,
+)
+from gms_flex_control.data.recording import Recording
 from gms_flex_control.data.writer import write_recording
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.errors import BagError, ConfigError, IdentificationError
@@ -89,6 +96,7 @@ def test_a_load_is_a_body_in_the_frame_at_the_end_of_the_arm(tmp_path):
     ('torque_constant: {joint1: 0}', 'value must not be 0'),
     ('torque_constant: {joint1: {vlaue: 3}}', "unknown key 'vlaue'"),
     ('coupling: {joint6: joint5}', 'coupling must name joints whose motor others turn as well'),
+    ('coupling: {joint9: {}}', 'coupling must name joints whose motor others turn as well'),
     ('coupling: {joint6: {joint5: one}}', 'coupling.joint6.joint5 must be a number'),
     ('load: [', 'is not YAML')])
 def test_a_wrong_file_is_refused_in_one_sentence(tmp_path, text, sentence):
@@ -100,6 +108,54 @@ def test_a_wrong_file_is_refused_in_one_sentence(tmp_path, text, sentence):
 def test_a_constant_of_no_joint_is_refused(amperes, tmp_path):
     with pytest.raises(ConfigError, match="names 'joint2'"):
         with_conditions(amperes, stated(tmp_path, 'torque_constant: {joint2: 1.0}\n'))
+
+
+@pytest.fixture
+def wrist():
+    """Return a recording of three joints, of the first no torque, of the second one lost."""
+    torque = np.arange(12.0).reshape(4, 3)
+    torque[:, 0], torque[2, 1] = np.nan, np.nan
+    return Recording(joints=('a', 'b', 'c'), time=np.arange(4.0), source='wrist',
+                     tau_motor=torque, command=2.0 * torque)
+
+
+def test_torque_that_is_missing_is_missing_of_the_joints_of_its_motor_alone(wrist):
+    found = with_conditions(wrist, Conditions(coupling={'c': {'b': 0.5}}))
+    lost = [10.0 - 3.0 * k for k in (3, 2, 1, 0)]
+    torque = np.array([[np.nan, b + 0.5 * c, c] for b, c in zip(lost, (2, 5, 8, 11), strict=True)])
+    torque[2, 1] = np.nan
+    np.testing.assert_array_equal(found.tau_motor, torque)
+    np.testing.assert_array_equal(found.command, 2.0 * torque)
+
+
+@pytest.mark.parametrize(('constants', 'sentence'), [
+    ('b: unknown, c: 9.1', 'b has a coupled motor, but its torque constant is not known'),
+    ('b: 9.1, c: unknown', 'c has a coupled motor'),
+    ('b: 9.1, c: {value: 9.1, sd: 0.1}', 'state it without sd in recording.yaml')])
+def test_torques_of_coupled_motors_are_not_added_to_currents(wrist, tmp_path, constants, sentence):
+    known = stated(tmp_path, f'torque_constant: {{a: unknown, {constants}}}\n'
+                             'coupling: {c: {b: 0.5}}\n')
+    with pytest.raises(ConfigError, match=sentence):
+        with_conditions(wrist, known)
+
+
+def test_what_is_known_of_a_recording_is_repeated_beside_the_next(tmp_path):
+    """All of a bag, or of the robot alone where efforts are recorded in another way."""
+    for name in ('old', 'new', 'simulated'):
+        (tmp_path / name).mkdir()
+    stated(tmp_path / 'old', 'load: {mass: 2}\ntemperature: warm\ntorque_constant: {a: 3.0}\n')
+    repeat_conditions(tmp_path / 'old', tmp_path / 'new')
+    repeat_conditions(tmp_path / 'old', tmp_path / 'simulated', OF_ROBOT)
+    new, simulated = (conditions_of(tmp_path / name) for name in ('new', 'simulated'))
+    assert new.load.mass == simulated.load.mass == 2.0
+    assert new.temperature == simulated.temperature == 'warm'
+    assert new.torque_constant == {'a': (3.0, 0.0)} and simulated.torque_constant is None
+
+
+def test_coupled_motors_need_an_arm_of_a_urdf():
+    recording = replace(experiment(rigid=True)[0], coupling=np.eye(1))
+    with pytest.raises(IdentificationError, match='coupled motors, whose friction needs an arm'):
+        identify([recording], axis(rigid=True))
 
 
 def test_a_load_needs_an_arm_of_a_urdf(tmp_path):

@@ -218,6 +218,7 @@ def test_friction_of_a_motor_that_two_joints_turn_is_told_from_theirs(hidden):
 
 
 @pytest.mark.parametrize(('coupling', 'sentence'), [
+    ({'joint9': {}}, "coupling names 'joint9'"),
     ({'joint6': {'joint7': 1.0}}, "coupling names 'joint7', the recording has"),
     ({'joint6': {'joint6': 1.0}}, 'coupling.joint6 names joint6 itself')])
 def test_a_coupling_of_no_joint_is_refused(coupling, sentence, hidden):

@@ -8,6 +8,7 @@ from dataclasses import replace
 from bench.hidden_arms.base_parameters import ordinary_least_squares
 from bench.hidden_arms.wrong_links import base_values, believed, hidden_arm, moved
 from gms_flex_control.dynamics import chain
+from gms_flex_control.errors import IdentificationError
 from gms_flex_control.identification.arm_estimates import base_estimates
 from gms_flex_control.identification.arm_regression import fit_base_parameters
 from gms_flex_control.identification.friction_map import friction_torque
@@ -93,6 +94,19 @@ def test_what_the_motion_does_not_move_is_said(hidden):
             for part in base_estimates(result, robot.joints) for one in part}
     assert rows['arm.joint6.motor_inertia'].flags == ('not identifiable',)
     assert 'hardly moves it' in rows['arm.joint6.motor_inertia'].note
+
+
+def test_a_recording_that_the_low_pass_leaves_nothing_of_is_refused(hidden):
+    """Two seconds at 10 Hz are a piece, but shorter than the filter."""
+    _, robot, recording = hidden
+    every = round(0.1 / recording.period)
+    few = slice(0, 20 * every, every)
+    short = replace(recording, time=recording.time[few], **{
+        name: getattr(recording, name)[few] for name in (
+            'q_link', 'dq_link', 'q_motor', 'dq_motor', 'tau_motor', 'command', 'reference',
+            'friction_hat', 'supply')})
+    with pytest.raises(IdentificationError, match='too short for the filter of the regression'):
+        fit_base_parameters([short], robot)
 
 
 def test_what_the_links_leave_of_the_torque_is_the_friction(hidden, found):

@@ -9,11 +9,19 @@ from typing import NamedTuple
 
 from gms_flex_control import blas
 from gms_flex_control.answer import Answer, command, Number
+from gms_flex_control.cli.identify_bags import read_experiment_of
 from gms_flex_control.cli.terminal import conclude, import_ros, refuse_unwritable, say
-from gms_flex_control.data.reader import read_recording
+from gms_flex_control.data.conditions import conditions_of, OF_ROBOT, repeat_conditions
 from gms_flex_control.design.excitation import Bounds, plan_excitation, sentence
-from gms_flex_control.design.plan import clipped, LIKELY, plan_next, surviving, write_plan
-from gms_flex_control.design.separation import beliefs_of, closed_loop_plan
+from gms_flex_control.design.plan import (
+    clipped,
+    LIKELY,
+    MOST,
+    plan_next,
+    surviving,
+    write_plan,
+)
+from gms_flex_control.design.separation import beliefs_of, closed_loop_plan, loaded
 from gms_flex_control.design.sequential import ONE_LEFT, separate
 from gms_flex_control.effects.registry import find
 from gms_flex_control.errors import ConfigError
@@ -41,7 +49,7 @@ class Task(NamedTuple):
 
     def recordings(self) -> list:
         """Return the recordings so far."""
-        return [read_recording(bag, self.robot.joints, self.robot.motors) for bag in self.bags]
+        return [read_experiment_of(bag, self.robot)[0] for bag in self.bags]
 
 
 def next_recording(args) -> int:
@@ -95,7 +103,8 @@ def _carry_out(task, args, out):
     """Plan and record in turn; return 0 if one explanation is left, else 1."""
     if (out / '1').exists():
         raise ConfigError(f'--out {out} has recordings of an earlier run; name another folder')
-    drive = _by_ros(out) if args.with_ros else _in_simulation(task, load_robot(args.simulate), out)
+    drive = _by_ros(task, out) if args.with_ros else _in_simulation(
+        task, load_robot(args.simulate), out)
     found = separate(task.recordings(), task.robot, task.sets, task.gains, task.limits, drive,
                      period=task.period, odds=args.odds, budget=args.budget,
                      longest=args.longest, say=say)
@@ -104,29 +113,36 @@ def _carry_out(task, args, out):
 
 
 def _in_simulation(task, robot, out):
-    """Return what drives a simulated robot (RobotParams)."""
+    """Return what drives a simulated robot (RobotParams), loaded as in the last recording."""
     if robot.joints != task.robot.joints:
         raise ConfigError(f'--simulate: joints {", ".join(robot.joints)} are not those of --robot '
                           f'({", ".join(task.robot.joints)})')
 
+    load = conditions_of(task.bags[-1]).load
+    if load is not None and robot.arm.frames is None:
+        raise ConfigError(f'--simulate: {task.bags[-1]} has a load, which needs an arm of a URDF')
+
     def drive(plan, number):
         write_files(plan, out / str(number))
-        return simulate_to_bag(closed_loop_plan(
-            robot, task.robot, plan.best.candidate, plan.best.duration, task.gains,
-            period=task.period, seed=number), out / str(number) / 'bag')
+        bag = out / str(number) / 'bag'
+        simulate_to_bag(closed_loop_plan(
+            loaded(robot, load), task.robot, plan.best.candidate, plan.best.duration, task.gains,
+            period=task.period, seed=number), bag)
+        repeat_conditions(task.bags[-1], bag, OF_ROBOT)
+        return read_experiment_of(bag, task.robot)[0]
     return drive
 
 
-def _by_ros(out):
-    """Return what drives the robot of the running nodes."""
+def _by_ros(task, out):
+    """Return what drives the robot of the running nodes, loaded as in the last recording."""
     runner = import_ros('gms_flex_control.nodes.motion_runner')
 
     def drive(plan, number):
         write_files(plan, out / str(number))
-        runner.drive_motion(plan.best.candidate.parameters, plan.best.duration,
-                            out / str(number) / 'bag', say=say)
-        joints = plan.beliefs.robot
-        return read_recording(out / str(number) / 'bag', joints.joints, joints.motors)
+        bag = out / str(number) / 'bag'
+        runner.drive_motion(plan.best.candidate.parameters, plan.best.duration, bag, say=say)
+        repeat_conditions(task.bags[-1], bag)
+        return read_experiment_of(bag, task.robot)[0]
     return drive
 
 
@@ -191,7 +207,10 @@ def _report(folder):
 
 
 def sets_of(texts, robot) -> list:
-    """Return explanations given as EFFECT:JOINT+EFFECT:JOINT."""
+    """Return explanations given as EFFECT:JOINT+EFFECT:JOINT; ConfigError if one is repeated."""
+    if len(texts) > MOST:
+        raise ConfigError(f'--effects: {len(texts)} explanations, at most {MOST} are separated at '
+                          'once; name the likeliest')
     sets = []
     for text in texts:
         one = set()
@@ -202,6 +221,9 @@ def sets_of(texts, robot) -> list:
                 raise ConfigError(f'--effects {text}: joint {joint!r} must be one of '
                                   f'{", ".join((*robot.joints, WHOLE_ARM))}')
             one.add((effect, joint))
+        if one in sets:
+            raise ConfigError(f'--effects {text}: is named twice, and nothing separates it from '
+                              'itself')
         sets.append(frozenset(one))
     return sets
 

@@ -15,12 +15,13 @@ that is a single file:
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+import json
 import math
 from pathlib import Path
 
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.errors import ConfigError, did_you_mean, ParameterError
-from gms_flex_control.file_io import read_yaml
+from gms_flex_control.file_io import read_yaml, write_text
 from gms_flex_control.params.arm import Body, require_body
 import numpy as np
 from ruamel.yaml.error import YAMLError
@@ -28,6 +29,7 @@ from ruamel.yaml.error import YAMLError
 NAME = 'recording.yaml'
 UNKNOWN = 'unknown'
 _KEYS = ('load', 'temperature', 'torque_constant', 'coupling')
+OF_ROBOT = ('load', 'temperature')  # and not of how its efforts are recorded
 _OF_LOAD = ('mass', 'com', 'inertia')
 _OF_CONSTANT = ('value', 'sd')
 _POINT = 1e-9  # of mass times length squared: inertia of a load that is next to a point
@@ -47,8 +49,7 @@ class Conditions:
 
 def conditions_of(bag) -> Conditions:
     """Return the Conditions of a bag; ConfigError if its file is wrong."""
-    path = Path(bag)
-    file = path / NAME if path.is_dir() else path.with_name(f'{path.stem}.{NAME}')
+    file = _file_of(bag)
     if not file.is_file():
         return Conditions()
     try:
@@ -67,6 +68,19 @@ def conditions_of(bag) -> Conditions:
             coupling=_coupling(values['coupling']) if 'coupling' in values else None)
     except (ConfigError, ParameterError) as error:
         raise ConfigError(f'{file}: {error}') from error
+
+
+def repeat_conditions(bag, new, keys: Sequence[str] = _KEYS) -> None:
+    """State in the folder of a new bag what is known of another, or some ``keys`` of it."""
+    if _file_of(bag).is_file():
+        values = read_yaml(_file_of(bag), 'safe') or {}
+        write_text(_file_of(new), json.dumps(  # which is YAML
+            {key: value for key, value in values.items() if key in keys}, default=str) + '\n')
+
+
+def _file_of(bag):
+    path = Path(bag)
+    return path / NAME if path.is_dir() else path.with_name(f'{path.stem}.{NAME}')
 
 
 def with_conditions(recording: Recording, conditions: Conditions,
@@ -105,23 +119,29 @@ def _uncoupled(recording, coupling):
         return recording
     matrix, joints = np.eye(recording.n_joints), recording.joints
     for motor, others in coupling.items():
+        for name in (motor, *others):
+            if name not in joints:
+                raise ConfigError(
+                    f'{recording.source}: coupling names {name!r}, the recording has '
+                    f'{", ".join(joints)}{did_you_mean(str(name), joints)}')
+        if motor in others:
+            raise ConfigError(f'{recording.source}: coupling.{motor} names {motor} itself; '
+                              'name the other joints that turn its motor')
         for joint, ratio in others.items():
-            for name in (motor, joint):
-                if name not in joints:
-                    raise ConfigError(
-                        f'{recording.source}: coupling names {name!r}, the recording has '
-                        f'{", ".join(joints)}{did_you_mean(name, joints)}')
-            if motor == joint:
-                raise ConfigError(f'{recording.source}: coupling.{motor} names {joint} itself; '
-                                  'name the other joints that turn its motor')
             matrix[joints.index(motor), joints.index(joint)] = ratio
-    loose = [motor for motor in coupling if np.isinf(np.broadcast_to(
-        recording.scale_sd, len(joints))[joints.index(motor)])]
-    if loose:
-        raise ConfigError(f'{recording.source}: the motor of {loose[0]} is coupled, but its '
-                          'torque constant is unknown: state it in recording.yaml')
-    return replace(recording, coupling=matrix, tau_motor=recording.tau_motor @ matrix,
-                   command=recording.command @ matrix)
+    pairs = np.argwhere(matrix - np.eye(len(joints)))  # of a motor and a joint that it turns
+    loose = next((j for j in pairs.ravel() if recording.scale_sd[j] > 0.0), None)
+    if loose is not None:
+        raise ConfigError(f'{recording.source}: {joints[loose]} has a coupled motor, but its '
+                          'torque constant is not known: state it without sd in recording.yaml')
+
+    def of_joints(efforts):
+        torque = efforts.copy()  # no product of matrices: one NaN would be of all joints
+        for motor, joint in pairs:
+            torque[:, joint] += matrix[motor, joint] * efforts[:, motor]
+        return torque
+    return replace(recording, coupling=matrix, tau_motor=of_joints(recording.tau_motor),
+                   command=of_joints(recording.command))
 
 
 def _mapping(data, allowed, where):
@@ -155,7 +175,8 @@ def _load(data):
 
 
 def _coupling(data):
-    if not isinstance(data, dict) or not all(isinstance(one, dict) for one in data.values()):
+    if not isinstance(data, dict) or not data or not all(
+            isinstance(one, dict) and one for one in data.values()):
         raise ConfigError('coupling must name joints whose motor others turn as well, such as '
                           f'{{joint6: {{joint5: 1.0}}}}, got {data!r}')
     return {motor: {joint: _numbers(ratio, 1, f'coupling.{motor}.{joint}')[0]

@@ -37,6 +37,7 @@ from gms_flex_control.discrepancy.torque_noise import white_noise
 from gms_flex_control.errors import ConfigError, SimulationError
 from gms_flex_control.experiment.simulated import Plan, run_plan, to_recording
 from gms_flex_control.hardware.limits import Limits
+from gms_flex_control.params.arm import Body, carrying
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.robot import EffectSpec, RobotParams
 from gms_flex_control.trajectory import builders
@@ -240,11 +241,12 @@ class Loop(NamedTuple):
     period: float             # sample time [s]
     fitted: tuple             # RobotParams of each hypothesis
     kept: tuple               # those that must keep the limits: as believed, fitted, and drawn
+    load: Body | None = None  # that the robot carries
 
     def run(self, robot, believed, candidate, duration):
         """Return the Plan and the Run of a robot; SimulationError if it diverges."""
-        plan = closed_loop_plan(robot, believed, candidate, duration, self.gains,
-                                period=self.period)
+        plan = closed_loop_plan(loaded(robot, self.load), believed, candidate, duration,
+                                self.gains, period=self.period)
         return plan, run_plan(plan)
 
     def keeps(self, robot, believed, candidate, duration) -> bool:
@@ -272,16 +274,16 @@ def loop_of(beliefs: Beliefs, gains: ControllerParams, limits: Limits, *, period
     Return the Loop with each hypothesis as the robot, as fitted and at two standard deviations.
 
     A robot that would have crossed a limit along a recorded reference is refuted by the recording
-    and need keep none.
+    and need keep none. The load is that of the last recording.
     """
     rng, so_far, believed = np.random.default_rng(seed), beliefs.likelihood, beliefs.robot
     fitted = tuple(one.robot(so_far) for one in beliefs.hypotheses)
     drawn = [one.robot(so_far, _SIGMAS, rng) for one in beliefs.hypotheses for _ in range(_DRAWS)]
-    loop = Loop(gains, limits, period, fitted, ())
-    driven = [recorded_motion(one) for one in beliefs.recordings
+    loop = Loop(gains, limits, period, fitted, (), beliefs.recordings[-1].load)
+    driven = [(loop._replace(load=one.load), recorded_motion(one)) for one in beliefs.recordings
               if np.isfinite(one.reference[:, 0]).all(axis=1).sum() > _THINNED]
     return loop._replace(kept=(believed, *(robot for robot in (*fitted, *drawn) if all(
-        loop.keeps(robot, believed, motion, motion.reference.end) for motion in driven))))
+        then.keeps(robot, believed, motion, motion.reference.end) for then, motion in driven))))
 
 
 def recorded_motion(recording: Recording) -> Recorded:
@@ -324,7 +326,7 @@ def predicted(beliefs: Beliefs, candidate: Candidate, duration: float, loop: Loo
         return None
     odds = np.zeros((count, count))
     noise = np.vstack([so_far.noise, np.sqrt(np.mean(so_far.noise ** 2, axis=0))])
-    recordings = [to_recording(run, plan) for plan, run in runs]
+    recordings = [replace(to_recording(run, plan), load=loop.load) for plan, run in runs]
     for a, recording in enumerate(recordings):
         motions = [*so_far.motions, motion_of(recording, beliefs.robot)]
         likelihood = Likelihood(motions, beliefs.robot, seed, cautious=True).with_noise(noise)
@@ -346,6 +348,11 @@ def closed_loop_plan(robot: RobotParams, believed: RobotParams, candidate: Candi
                 trajectory=builders.approach(builders.at_rest(start), trajectory, 0.0),
                 motion=candidate.name, duration=duration, period_ns=round(1e9 * period),
                 substeps=substeps, seed=seed, q_link=start)
+
+
+def loaded(robot: RobotParams, load: Body | None) -> RobotParams:
+    """Return a robot that carries a load, given in the frame at the end of its arm."""
+    return robot if load is None else replace(robot, arm=carrying(robot.arm, load))
 
 
 def keeps(run, limits: Limits) -> bool:

@@ -114,8 +114,8 @@ def may_join(spec, robot, known) -> bool:
     Return whether an effect may be added to a robot: not twice, and none that undoes another.
 
     The torque constant together with the stiffness would scale a whole joint, which no motion
-    tells from other torque: the trivial solution would minimise the cost. The first effects,
-    ``known`` many, have a size that nothing moves, so they undo none.
+    distinguishes from other torque: the trivial solution would minimise the cost. The first
+    effects, ``known`` many, have a size that nothing moves, so they undo none.
     """
     if any((one.name, one.joint) == (spec.name, spec.joint) for one in robot.effects):
         return False

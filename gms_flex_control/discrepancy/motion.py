@@ -77,7 +77,7 @@ class Motion:
     states: np.ndarray         # (S, 6, n) smoothed motion there
     second: np.ndarray         # (S, 2, n) filtered second differences of readings [rad/s^2]
     drive: np.ndarray          # (S, n) the torque commands behind the same filter [N m]
-    torsion_rest: np.ndarray     # (S, n) torsion as read, filtered, less the smoothed one [rad]
+    torsion_rest: np.ndarray   # (S, n) torsion as read, filtered, less the smoothed one [rad]
     standing: np.ndarray       # (S, n) whether the encoder sees the link stand, bool
     known: np.ndarray          # (S,) whether all angles were read, bool; else a straight line
     commanded: bool            # ``command`` is what was asked for; else torque as measured

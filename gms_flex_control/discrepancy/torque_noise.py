@@ -4,7 +4,8 @@
 """
 Torque noise of drives and loads, which no encoder makes: its white part, and all of it.
 
-The quietest octave tells the white part: noise shows in every octave, a missing effect in some.
+The quietest octave distinguishes the white part: noise shows in every octave, a missing effect
+in some.
 """
 
 from gms_flex_control.discrepancy.result import Noise

@@ -21,7 +21,7 @@ class Stage(IntEnum):
     """Where in the model an effect acts; the stages run in this order in every substep."""
 
     ACTUATOR = 0  # torque command -> torque of the motor
-    TORSION = 1     # q_motor - q_link -> torsion the spring sees
+    TORSION = 1   # q_motor - q_link -> torsion the spring sees
     SPRING = 2    # torsion -> spring torque
     FRICTION = 3  # friction torque of the link
     LINK = 4      # extra torque on the link

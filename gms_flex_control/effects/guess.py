@@ -22,7 +22,7 @@ class Scales(NamedTuple):
     friction: float   # F_s and viscous friction at that speed, mean of both directions [N m]
     torque: float     # largest command [N m]
     spring: float     # standard deviation of the spring torque [N m]
-    torsion: float      # standard deviation of the torsion [rad]; 0 where rigid
+    torsion: float    # standard deviation of the torsion [rad]; 0 where rigid
     speed: float      # rms of the link's rate [rad/s]
     inertia: float    # J [kg m^2]
     link_inertia: float  # about the joint [kg m^2]

@@ -60,7 +60,7 @@ _NEEDS_CONSTANT = ('a constant torque is separated from friction by motion both 
 _SCALE = Estimate(
     'arm.torque_scale', '', 1.0, NO_INTERVAL, (NOT_IDENTIFIABLE,),
     'all torques, stiffnesses and inertias go with the scale of the recorded torque; these data '
-    'does not identify it, a known mass added to the link would')
+    'do not identify it, a known mass added to the link would')
 
 
 class ArmFit(NamedTuple):

@@ -7,11 +7,10 @@ Base parameters of an arm of a URDF from recordings, by weighted least squares o
     torque = scale (known + regressor parameters + tip load + slope zero) + friction + offset
 
 ``scale`` is what is recorded of a torque, ``known`` that of known loads, ``load`` the ten numbers
-of one that is unknown, ``zero`` by how much
-link encoders read more than in the first recording. Friction of each direction and temperature,
-and an offset by recording, are eliminated joint by joint; every joint counts by its own noise,
-robustly. Regressor and torque pass through one low-pass. Of links that are relied on the same
-fit gives what differs between recordings.
+of one that is unknown, ``zero`` by how much link encoders read more than in the first recording.
+Friction of each direction and temperature, and an offset by recording, are eliminated joint by
+joint; every joint counts by its own noise, robustly. Regressor and torque pass through one
+low-pass. Of links that are relied on the same fit gives what differs between recordings.
 """
 
 from collections.abc import Sequence
@@ -224,10 +223,9 @@ class _Fit:
                                                   _MEMORY)[0, 0]))
 
     def _left(self, j):
-        """Return a joint, the torque its links do not explain, and where it moves."""
-        rows = self._rows
-        return (j, rows.torque[:, j] - self._scale[j] * self._torque()[:, j],
-                np.arange(len(rows.block)))
+        """Return a joint, where it moves the torque its links do not explain, and these rows."""
+        rows = self._moving[j]
+        return j, (self._rows.torque[:, j] - self._scale[j] * self._torque()[:, j])[rows], rows
 
     def _iterate(self):
         rows, count = self._rows, self._parts[4].stop
@@ -242,7 +240,7 @@ class _Fit:
         precision[self._parts[4]] = np.sum(rows.coupled ** 2, axis=(0, 1)) / np.sum(
             rows.torque[:, self._shared] ** 2)
         weighting = None
-        for _ in range(_ROUNDS if len(self._free) else 1):
+        for k in range(_ROUNDS if len(self._free) else 1):
             model = self._torque()
             columns = self._columns(model)
             pull = np.zeros(count)
@@ -255,14 +253,14 @@ class _Fit:
             weighting = weighting or weighting_of(columns, left, rows.rate, self._own)
             self._step, self._normal, self._pieces = regress(
                 columns, left, rows.rate, rows.block, self._own, precision, pull, weighting)
-            step = self._step
+            step, self._moving = self._step, [rows for rows, _ in weighting]
             values, zeros, scales, loads, coupled = (step[part] for part in self._parts)
             self._coupled = self._coupled + coupled
             self._load_values[self._unknown] += loads.reshape(-1, 10)
             self._values = self._values + values
             self._zeros[1:] += zeros.reshape(self._zeros[1:].shape)
             self._scale[self._free] *= np.exp(np.clip(scales, -1.0, 1.0))
-            if np.all(np.abs(scales) < _SETTLED):
+            if k and np.all(np.abs(scales) < _SETTLED):  # first, parameters of 0 leave scales be
                 break
 
     def _columns(self, model):

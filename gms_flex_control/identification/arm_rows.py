@@ -6,6 +6,7 @@
 from typing import NamedTuple
 
 from gms_flex_control.dynamics import chain
+from gms_flex_control.errors import IdentificationError
 from gms_flex_control.identification.arm_differences import (
     beyond_own,
     coupled_motors,
@@ -41,7 +42,11 @@ class Rows(NamedTuple):
 
 
 def rows_of(recordings, robot, sides, arm, lead, slopes_of):
-    """Return the Rows of recordings, ``slopes_of`` the arms of the slopes, and usual rates."""
+    """
+    Return the Rows of recordings, ``slopes_of`` the arms of the slopes, and usual rates.
+
+    Raises IdentificationError where the low-pass leaves nothing of a recording.
+    """
     pieces = [(r, segment) for r, recording in enumerate(recordings)
               for segment in segments_of(recording, robot, sides)]
     usual = np.sqrt(np.mean(np.concatenate([one.rate for _, one in pieces]) ** 2, axis=0))
@@ -50,17 +55,29 @@ def rows_of(recordings, robot, sides, arm, lead, slopes_of):
     for r, segment in pieces:
         part = _segment_rows(segment, arm, lead, recordings[r], usual, motors,
                              slopes_of[r] if several else None)
-        parts.append((*part[:-1], part[-1] + used, np.full(len(part[-1]), r)))
-        used = parts[-1][-2][-1] + 1
+        if part is not None:
+            parts.append((*part[:-1], part[-1] + used, np.full(len(part[-1]), r)))
+            used = parts[-1][-2][-1] + 1
+    short = set(range(len(recordings))).difference(part[-1][0] for part in parts)
+    if short:
+        raise IdentificationError(
+            f'{recordings[min(short)].source}: its pieces without a gap are too short for the '
+            'filter of the regression; record longer')
     return Rows(*(np.concatenate(part) for part in zip(*parts, strict=True))), usual
 
 
 def _segment_rows(segment, arm, lead, recording, usual, motors, slopes_of):
-    """Return what Rows has of a segment but the recording, blocks counted from 0."""
+    """
+    Return what Rows has of a segment but the recording, blocks counted from 0.
+
+    None of a segment so short that the low-pass sees its ends everywhere.
+    """
     every = 2 * (segment.window // (2 * _THINNING)) + 1
     window = max(segment.window // every, 1)
     motion, torque = _differences(segment, every, recording.period)
     angle = motion[0]
+    if len(angle) <= 4 * window:
+        return None
     rate = np.ascontiguousarray(segment.rate[every:-every:every][:len(angle)])
     torque = low_pass(torque, window)
     loaded = carrying(arm, recording.load)

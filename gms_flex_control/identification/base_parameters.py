@@ -31,10 +31,10 @@ from scipy.optimize import least_squares
 
 _SLOWEST = 0.05
 _PRIOR_SD = 1.0     # of masses and inertias around those described, of logarithms
-_COM_SD = 0.2     # of the link's length: of the centre of mass
+_COM_SD = 0.2       # of the link's length: of the centre of mass
 _WIDE = 0.5
-_SAME = 1e-9      # of the largest singular value: no column of its own
-_DETERMINED = 0.95      # share of a parameter that the data must determine
+_SAME = 1e-9        # of the largest singular value: no column of its own
+_DETERMINED = 0.95  # share of a parameter that the data must determine
 
 
 def _base_names(n, has_gravity):

@@ -26,6 +26,7 @@ torque_sign         the torque is reversed
 torque_scale        the torque is off by a factor
 unexplained         the torque does not belong to the motion
 load                a load on an arm that is not one of a URDF
+coupling            coupled motors on an arm that is not one of a URDF
 ==================  =============================================================
 """
 
@@ -55,6 +56,10 @@ def check(recording: Recording, robot: RobotParams, rough=False) -> tuple[Findin
         return (Finding('load', robot.joints[-1], 'refuse', (
             f'{recording.source}: has a load, which needs an arm of a URDF; write the robot file '
             'with arm.kind: urdf, or add the load to its last link')),)
+    if recording.coupling is not None and robot.arm.frames is None:
+        return (Finding('coupling', robot.joints[-1], 'refuse', (
+            f'{recording.source}: has coupled motors, whose friction needs an arm of a URDF; '
+            'write the robot file with arm.kind: urdf')),)
     robot = replace(robot, arm=carrying(robot.arm, signals.load))
     found = [*sampling_checks.length(signals), *sampling_checks.clock(signals),
              *sampling_checks.missing(signals, robot)]
