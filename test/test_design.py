@@ -20,6 +20,7 @@ from gms_flex_control.design.separation import (
     loop_of,
     Prediction,
     resolving,
+    stops_within,
 )
 from gms_flex_control.design.sequential import BUDGET, INSEPARABLE, separate
 from gms_flex_control.errors import ConfigError
@@ -213,6 +214,13 @@ def test_the_motion_is_chosen_that_confirms_the_truth_soonest_whichever_it_is(
     plan = plan_next(beliefs, gains, LIMITS, period=PERIOD, longest=20.0)
     assert plan.best.candidate.name == 'strokes' and plan.probability > 0.8
     assert SHORTEST < plan.best.duration <= 20.0
+
+
+def test_a_motion_that_cannot_be_stopped_within_the_limits_is_driven_slower():
+    """At 2 s of braking a swing goes on by a second of its speed: half the pace keeps it."""
+    for pace, kept in ((1.0, False), (2.5, True)):
+        one = next(one for one in candidates(LIMITS, JOINTS, pace) if one.name == 'fast_swings')
+        assert stops_within(one, JOINTS, 8.0, LIMITS) == kept
 
 
 def test_motions_swing_about_zero_within_the_range():

@@ -40,6 +40,7 @@ from gms_flex_control.hardware.limits import Limits
 from gms_flex_control.params.arm import Body, carrying
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.robot import EffectSpec, RobotParams
+from gms_flex_control.schema.node_keys import trajectory_keys
 from gms_flex_control.trajectory import builders
 from gms_flex_control.trajectory.polynomials import Trajectory
 import numpy as np
@@ -52,6 +53,7 @@ _CLIPPED = 0.01     # of the time that torque may be at its limit: peaks of fric
 _THINNED = 10       # rows of a recorded reference of which one is kept
 _LARGEST_SD = 1e3   # of a parameter of which nothing is known: a finite precision
 _HARDLY = 0.05      # of the size of an effect, where a fit begins a second time
+_PHASES = 0.05      # between the times at which the motion may be stopped [s]
 _EXPECTED = 0.5     # relative error of an expected gain of log odds: seen on hidden robots
 _LEAST_SCATTER = 0.5  # of log odds
 _ITERATIONS = 3     # of re-tuning along old and new recordings
@@ -318,7 +320,8 @@ def predicted(beliefs: Beliefs, candidate: Candidate, duration: float, loop: Loo
 
     """
     so_far, count = beliefs.likelihood, len(beliefs.hypotheses)
-    if not all(loop.keeps(one, beliefs.robot, candidate, duration) for one in loop.kept):
+    if not (stops_within(candidate, beliefs.robot.joints, duration, loop.limits)
+            and all(loop.keeps(one, beliefs.robot, candidate, duration) for one in loop.kept)):
         return None
     try:
         runs = [loop.run(one, beliefs.robot, candidate, duration) for one in loop.fitted]
@@ -336,6 +339,22 @@ def predicted(beliefs: Beliefs, candidate: Candidate, duration: float, loop: Loo
     if not np.isfinite(odds).all():  # a fit that has no determinant foresees nothing
         return None
     return Prediction(candidate, duration, odds, tuple(recordings))
+
+
+def stops_within(candidate: Candidate, joints: Sequence[str], duration: float, limits: Limits
+                 ) -> bool:
+    """
+    Return whether ``~/stop`` of trajectory_node after a duration [s] keeps range and velocity.
+
+    It may come later by the time of the way to the beginning, which is left out at zero.
+    """
+    way = {key.name: key.default for key in trajectory_keys(joints)}['trajectory.approach_time']
+    states = candidate.trajectory(joints).sample(np.arange(duration, duration + way, _PHASES))
+    stops = np.stack([builders.braked(state, 0.0, duration=way).sample(
+        np.arange(0.0, way, _PHASES))[:, :2] for state in states])
+    angle, velocity = np.moveaxis(stops, 2, 0)
+    return bool(np.all(angle <= limits.upper) and np.all(angle >= limits.lower)
+                and np.all(np.abs(velocity) <= limits.velocity))
 
 
 def closed_loop_plan(robot: RobotParams, believed: RobotParams, candidate: Candidate,

@@ -124,8 +124,7 @@ class Motion:
 
     def _brake_from(self, state):
         time, duration = self._now(), self.values['trajectory.approach_time']
-        goal = state[0] + 0.5 * duration * state[1]
-        self.current = builders.approach(state, builders.hold(goal), time, duration=duration)
+        self.current = builders.braked(state, time, duration=duration)
         self.running = self.has_points = False
 
     def go(self) -> None:

@@ -6,6 +6,7 @@
 from contextlib import suppress
 import os
 import sys
+import time
 
 from gms_flex_control.errors import GmsFlexError, TrajectoryError
 from gms_flex_control.nodes import joint_trajectory, messages, process
@@ -27,6 +28,8 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 _LONGEST_DELAY = round(0.1 * NANOSECONDS)  # a state older than the last by less was overtaken
+# Elsewhere the state is answered meanwhile; what is published here is for the next one.
+_SHARE, _LONGEST_WAIT = 0.3, 1e-3  # of the period; [s]
 _NO_STATE = 'no joint state has come yet'
 
 
@@ -46,6 +49,7 @@ class TrajectoryNode(Node):
         self.direct = direct or Direct()
         parameters = NodeParameters(self, reference_names_keys)
         values, joints = parameters.values, parameters.joints
+        self._gives_way = direct is None and values['mode'] != 'lockstep'
         self._lockstep, self._links = values['mode'] == 'lockstep', Links(joints)
         frames = frames_from_values(values, joints)
         offset = np.array([values[f'arm.{joint}.offset'] for joint in joints])
@@ -128,6 +132,8 @@ class TrajectoryNode(Node):
                 self.get_logger().info(ended)
             if self._following is not None:
                 self._following.look(stamp)
+            if self._gives_way:
+                time.sleep(min(_SHARE * period / NANOSECONDS, _LONGEST_WAIT))
             self._publish(stamp + period)
         motion.last = stamp
         self._counts['states followed'] += 1

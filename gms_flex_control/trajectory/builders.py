@@ -324,3 +324,9 @@ def approach(state, trajectory, time, *, duration=2.0) -> Trajectory:
     way = polynomials([time], [duration], [hermite(state, begin, duration)])
     moved = trajectory.shifted(time + duration)
     return joined([way, moved], end=moved.end)
+
+
+def braked(state, time, *, duration=2.0) -> Trajectory:
+    """Return the way to rest from a state as of `approach`, as far as half its speed would go."""
+    goal = state[0] + 0.5 * duration * state[1]
+    return approach(state, hold(goal), time, duration=duration)
