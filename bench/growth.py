@@ -13,7 +13,6 @@ Every case is a process, so that memory is its own.
 from dataclasses import replace
 import json
 from multiprocessing import get_context
-import os
 from pathlib import Path
 import resource
 import tempfile
@@ -25,6 +24,7 @@ from gms_flex_control.answer import align
 from gms_flex_control.discrepancy.workflow import find_discrepancy
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.experiment.simulated import Plan, simulate
+from gms_flex_control.file_io import write_text
 from gms_flex_control.identification.identify import identify
 from gms_flex_control.trajectory import builders
 from matplotlib.figure import Figure
@@ -125,7 +125,7 @@ def run(args) -> int:
     if args.out:
         out = Path(args.out)
         out.mkdir(parents=True, exist_ok=True)
-        (out / 'growth.json').write_text(json.dumps(
-            [one._asdict() for one in costs], indent=1) + os.linesep)
+        write_text(out / 'growth.json', json.dumps(
+            [one._asdict() for one in costs], indent=1) + '\n')
         draw(costs, out / 'growth.png')
     return 0

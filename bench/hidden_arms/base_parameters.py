@@ -12,14 +12,13 @@ joint, all joints alike, standard deviations as if samples were independent.
 """
 
 import json
-import os
-from pathlib import Path
 from typing import NamedTuple
 
 from bench.hidden_arms.wrong_links import base_values, hidden_arm, moved
+from bench.hidden_robots.hide import seeds_of
 from gms_flex_control import blas
 from gms_flex_control.answer import align
-from gms_flex_control.errors import ConfigError
+from gms_flex_control.file_io import write_text
 from gms_flex_control.identification.arm_regression import fit_base_parameters
 from gms_flex_control.identification.inertial_parameters import base_of, link_regressors
 from gms_flex_control.params.arm import Body
@@ -101,16 +100,13 @@ def add_parser(subparsers) -> None:
 
 def run(args) -> int:
     """Print the table; return 0."""
-    try:
-        first, last = map(int, args.seeds.split(':'))
-    except ValueError:
-        raise ConfigError(f'--seeds {args.seeds!r}: give A:B, such as 0:20') from None
+    seeds = seeds_of(args.seeds)
     with blas.in_one_thread():
-        scores = [scores_of(seed, args.seconds) for seed in range(first, last)]
+        scores = [scores_of(seed, args.seconds) for seed in seeds]
     if args.out:
-        Path(args.out).write_text(json.dumps(
+        write_text(args.out, json.dumps(
             [{way: one._asdict() for way, one in each.items()} for each in scores],
-            indent=1) + os.linesep)
+            indent=1) + '\n')
     rows = []
     for way in scores[0]:
         own = [each[way] for each in scores]

@@ -13,6 +13,7 @@ from gms_flex_control.schema.node_values import trajectory_from_values
 from gms_flex_control.trajectory.polynomials import Trajectory
 import numpy as np
 
+APPROACH = 2.0         # to the beginning of a motion, and to rest: of the trajectory node [s]
 _OF_LIMIT = 0.8        # share of each limit that a reference uses: the robot overshoots
 _QUICK, _QUICKEST = 4.0, 8.0  # velocity limits that moves, and swings, gain in a second
 _SLOW, _CREEP = 2.5, 20.0  # times the shortest period or time that the limits allow

@@ -15,7 +15,7 @@ from itertools import combinations
 from typing import NamedTuple
 
 from gms_flex_control.data.recording import Recording
-from gms_flex_control.design.motions import Candidate
+from gms_flex_control.design.motions import APPROACH, Candidate
 from gms_flex_control.discrepancy.dictionary import Dictionary, may_join
 from gms_flex_control.discrepancy.evidence import state_of
 from gms_flex_control.discrepancy.fitting import (
@@ -40,7 +40,6 @@ from gms_flex_control.hardware.limits import Limits
 from gms_flex_control.params.arm import Body, carrying
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.robot import EffectSpec, RobotParams
-from gms_flex_control.schema.node_keys import trajectory_keys
 from gms_flex_control.trajectory import builders
 from gms_flex_control.trajectory.polynomials import Trajectory
 import numpy as np
@@ -348,10 +347,9 @@ def stops_within(candidate: Candidate, joints: Sequence[str], duration: float, l
 
     It may come later by the time of the way to the beginning, which is left out at zero.
     """
-    way = {key.name: key.default for key in trajectory_keys(joints)}['trajectory.approach_time']
-    states = candidate.trajectory(joints).sample(np.arange(duration, duration + way, _PHASES))
-    stops = np.stack([builders.braked(state, 0.0, duration=way).sample(
-        np.arange(0.0, way, _PHASES))[:, :2] for state in states])
+    states = candidate.trajectory(joints).sample(np.arange(duration, duration + APPROACH, _PHASES))
+    stops = np.stack([builders.braked(state, 0.0, duration=APPROACH).sample(
+        np.arange(0.0, APPROACH, _PHASES))[:, :2] for state in states])
     angle, velocity = np.moveaxis(stops, 2, 0)
     return bool(np.all(angle <= limits.upper) and np.all(angle >= limits.lower)
                 and np.all(np.abs(velocity) <= limits.velocity))

@@ -8,6 +8,7 @@ from pathlib import Path
 import time
 
 from gms_flex_control.data.writer import BagWriter
+from gms_flex_control.design.motions import APPROACH
 from gms_flex_control.errors import GmsFlexError
 from gms_flex_control.experiment.driven import TOPICS
 from gms_flex_control.nodes.messages import NANOSECONDS, to_nanoseconds
@@ -22,7 +23,6 @@ from sensor_msgs.msg import JointState
 
 _BOUND = 10.0    # for an answer [s]
 _SILENCE = 5.0   # without a joint state: the robot has stopped talking [s]
-APPROACH = 2.0   # to the beginning of a motion, and to rest: of the trajectory node [s]
 
 
 class RunError(GmsFlexError):
