@@ -108,8 +108,8 @@ def _earlier(out):
         return []
     if not isinstance(earlier, dict) or 'verdict' not in earlier:  # of another verb
         return []
-    return [path for pattern in ('robot.yaml', 'gap.png', 'evidence_*.png', 'map_*.png',
-                                 'over_*.png') for path in out.glob(pattern)]
+    return [path for pattern in ('robot.yaml', 'gap.png', 'evidence_*.png', 'map_*.png')
+            for path in out.glob(pattern)]
 
 
 def _printed(result, compared, values, args):

@@ -38,13 +38,13 @@ class ChainMatrices(NamedTuple):
 
 
 @lru_cache(maxsize=256)
-def constants_of(arm):
+def constants_of(arm) -> np.record:
     """Return an ArmParams as the record the kernels take."""
     return spatial.constants_of(arm) if arm.frames is not None else planar.constants_of(arm)
 
 
 @cache
-def work_layout(n):
+def work_layout(n) -> np.dtype:
     """
     Return the dtype of the kernels' work space, of any kind of arm with n joints.
 
@@ -109,7 +109,7 @@ def reference_torque(dq, ddq, d3q, velocity, acceleration, links, work, out):
 
 
 @compiled
-def rigid_body_along(states, second, links, work, bias, inertial):
+def rigid_body_along(states, second, links, work, bias, inertial) -> None:
     """Fill ``C dq + g`` and ``M second``, (T, n) each [N m], along a motion (T, >= 2, n)."""
     for k in range(states.shape[0]):
         rigid_body(states[k, 0], states[k, 1], second[k], links, work, bias[k], inertial[k])

@@ -27,7 +27,7 @@ import numpy as np
 
 
 @cache
-def constants_layout(n):
+def constants_layout(n) -> np.dtype:
     """
     Return the dtype of an arm of n joints as kernels take it.
 
@@ -45,7 +45,7 @@ def constants_layout(n):
         ('stiffness', FLOAT, vector), ('damping', FLOAT, vector))
 
 
-def constants_of(arm):
+def constants_of(arm) -> np.record:
     """Return an ArmParams as the record the kernels take."""
     n = arm.n_joints
     planar = arm.kind == 'planar'
@@ -68,14 +68,14 @@ def constants_of(arm):
         damping=np.where(arm.rigid, 0.0, arm.damping))
 
 
-def work_fields(n):
+def work_fields(n) -> tuple:
     """Return the fields of the work space that these kernels alone need, in absolute angles."""
     return (*((name, FLOAT, (n,)) for name in ('omega', 'alpha', 'jerk')),
             ('velocity', FLOAT, (3, n)), ('change', FLOAT, (3, n)))
 
 
 @compiled
-def pose(q, links, work):
+def pose(q, links, work) -> None:
     """Write cosines and sines of the absolute angles at joint angles ``q`` (n,)."""
     multiply(links.orientation, q, work.omega)
     for i in range(q.shape[0]):
@@ -84,7 +84,7 @@ def pose(q, links, work):
 
 
 @compiled
-def mass_matrix(links, work):
+def mass_matrix(links, work) -> None:
     """Write the upper triangle of M in absolute angles, after `pose`."""
     cosine, sine = work.cosine, work.sine
     for i in range(links.moment.shape[0]):
@@ -94,7 +94,7 @@ def mass_matrix(links, work):
 
 
 @compiled
-def accelerations(q, dq, links, work):
+def accelerations(q, dq, links, work) -> None:
     """Write accelerations under ``work.tau`` into ``work.acceleration``; see dynamics.chain."""
     n = links.moment.shape[0]  # known when compiled, as every shape in a record
     omega, cosine, sine, right = work.omega, work.cosine, work.sine, work.right
@@ -114,7 +114,7 @@ def accelerations(q, dq, links, work):
 
 
 @compiled
-def mass_times(vector, links, work, out):
+def mass_times(vector, links, work, out) -> None:
     """Write M of the pose in ``work`` times ``vector`` (n,) into ``out``; see dynamics.chain."""
     n = links.moment.shape[0]
     multiply(links.orientation, vector, work.alpha)
@@ -128,7 +128,7 @@ def mass_times(vector, links, work, out):
 
 
 @compiled
-def mass_solve(vector, links, work, out):
+def mass_solve(vector, links, work, out) -> None:
     """Write the inverse of M times ``vector`` into ``out``; see dynamics.chain."""
     multiply_transposed(links.inverse, vector, work.right)
     solve_factorised(work.matrix, work.right)
@@ -136,7 +136,7 @@ def mass_solve(vector, links, work, out):
 
 
 @compiled
-def mass_between(carried, links, work, out):
+def mass_between(carried, links, work, out) -> None:
     """Write the rows and columns ``carried`` (m,) of M into ``out``; see dynamics.chain."""
     m, n = carried.shape[0], links.moment.shape[0]
     for a in range(m):
@@ -152,7 +152,7 @@ def mass_between(carried, links, work, out):
 
 
 @compiled
-def rigid_body(q, dq, ddq, links, work, bias, inertial):
+def rigid_body(q, dq, ddq, links, work, bias, inertial) -> None:
     """Write ``C dq + g`` into ``bias`` and ``M ddq`` into ``inertial``; see dynamics.chain."""
     n = q.shape[0]
     pose(q, links, work)
@@ -173,7 +173,7 @@ def rigid_body(q, dq, ddq, links, work, bias, inertial):
 
 
 @compiled
-def reference_torque(dq, ddq, d3q, velocity, acceleration, links, work, out):
+def reference_torque(dq, ddq, d3q, velocity, acceleration, links, work, out) -> None:
     """
     Write ``M dr + C r + g`` and two derivatives into ``out`` (3, n); see dynamics.chain.
 

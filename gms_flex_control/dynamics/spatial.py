@@ -24,7 +24,7 @@ import numpy as np
 
 
 @cache
-def constants_layout(n):
+def constants_layout(n) -> np.dtype:
     """
     Return the dtype of a spatial arm of n joints as kernels take it.
 
@@ -43,7 +43,7 @@ def constants_layout(n):
         ('stiffness', FLOAT, vector), ('damping', FLOAT, vector))
 
 
-def constants_of(arm):
+def constants_of(arm) -> np.record:
     """Return an ArmParams of kind urdf as the record the kernels take."""
     rows, columns = np.triu_indices(3)
     return records.build(
@@ -55,7 +55,7 @@ def constants_of(arm):
         damping=np.where(arm.rigid, 0.0, arm.damping))
 
 
-def carrying(links, load: Body):
+def carrying(links, load: Body) -> np.record:
     """Return a copy of a record whose last link carries a body, given in that link's frame."""
     out, (rows, columns) = links.copy(), np.triu_indices(3)
     own = np.empty((3, 3))
@@ -65,7 +65,7 @@ def carrying(links, load: Body):
     return out
 
 
-def work_fields(n):
+def work_fields(n) -> tuple:
     """Return the fields of the work space that these kernels alone need."""
     return (*((name, FLOAT, (n, 3)) for name in ('axis', 'place', 'lever', 'centre')),
             ('about_centre', FLOAT, (n, 6)), ('force_sum', FLOAT, (n, 3)),
@@ -74,7 +74,7 @@ def work_fields(n):
 
 
 @compiled
-def pose(q, links, work):
+def pose(q, links, work) -> None:
     """
     Write axes, places, centres of mass and inertias in the base frame, at angles ``q`` (n,).
 
@@ -105,7 +105,7 @@ def pose(q, links, work):
 
 
 @compiled
-def mass_matrix(links, work):
+def mass_matrix(links, work) -> None:
     """Write M (n, n) from the composite bodies beyond each joint, after `pose`."""
     n = links.motor_inertia.shape[0]
     mass, first, second = 0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -136,7 +136,7 @@ def mass_matrix(links, work):
 
 
 @compiled
-def bias_torque(dq, links, work, out):
+def bias_torque(dq, links, work, out) -> None:
     """Write ``C dq + g`` at rates ``dq`` (n,) into ``out`` (n,), after `pose`."""
     n = links.motor_inertia.shape[0]
     omega, alpha, origin = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
@@ -176,7 +176,7 @@ def _swung(omega, alpha, arm):
 
 
 @compiled
-def accelerations(q, dq, links, work):
+def accelerations(q, dq, links, work) -> None:
     """Write accelerations under ``work.tau`` into ``work.acceleration``; see dynamics.chain."""
     pose(q, links, work)
     mass_matrix(links, work)
@@ -190,7 +190,7 @@ def accelerations(q, dq, links, work):
 
 
 @compiled
-def mass_times(vector, links, work, out):
+def mass_times(vector, links, work, out) -> None:
     """Write M of the pose in ``work`` times ``vector`` (n,) into ``out``; see dynamics.chain."""
     n = links.motor_inertia.shape[0]
     for i in range(n):
@@ -201,7 +201,7 @@ def mass_times(vector, links, work, out):
 
 
 @compiled
-def mass_solve(vector, links, work, out):
+def mass_solve(vector, links, work, out) -> None:
     """Write the inverse of M times ``vector`` into ``out``; see dynamics.chain."""
     for i in range(links.motor_inertia.shape[0]):
         out[i] = vector[i]
@@ -209,7 +209,7 @@ def mass_solve(vector, links, work, out):
 
 
 @compiled
-def mass_between(carried, links, work, out):
+def mass_between(carried, links, work, out) -> None:
     """Write the rows and columns ``carried`` (m,) of M into ``out``; see dynamics.chain."""
     for a in range(carried.shape[0]):
         for b in range(carried.shape[0]):
@@ -217,7 +217,7 @@ def mass_between(carried, links, work, out):
 
 
 @compiled
-def rigid_body(q, dq, ddq, links, work, bias, inertial):
+def rigid_body(q, dq, ddq, links, work, bias, inertial) -> None:
     """Write ``C dq + g`` into ``bias`` and ``M ddq`` into ``inertial``; see dynamics.chain."""
     pose(q, links, work)
     mass_matrix(links, work)
@@ -226,7 +226,7 @@ def rigid_body(q, dq, ddq, links, work, bias, inertial):
 
 
 @compiled
-def regressor(q, dq, ddq, links, out):
+def regressor(q, dq, ddq, links, out) -> None:
     """
     Write the torque of each joint per unit of ten numbers of each link into ``out`` (n, 10 n).
 
@@ -300,14 +300,14 @@ def _add_columns(i, column, force, moment, axes, places, links, out):
 
 
 @compiled
-def regressor_along(q, dq, ddq, links, out):
+def regressor_along(q, dq, ddq, links, out) -> None:
     """Fill `regressor` (T, n, 10 n) along a motion, angles, rates and accelerations (T, n)."""
     for k in range(q.shape[0]):
         regressor(q[k], dq[k], ddq[k], links, out[k])
 
 
 @compiled
-def places_along(q, links, work, out):
+def places_along(q, links, work, out) -> None:
     """Fill ``out`` (T, n + 1, 3) with places of joints and the last link's centre of mass [m]."""
     n = q.shape[1]
     for k in range(q.shape[0]):
@@ -320,7 +320,7 @@ def places_along(q, links, work, out):
 
 
 @compiled
-def reference_torque(dq, ddq, d3q, velocity, acceleration, links, work, out):
+def reference_torque(dq, ddq, d3q, velocity, acceleration, links, work, out) -> None:
     """Write ``M dr + C r + g`` and two derivatives into ``out`` (3, n); see dynamics.chain."""
     n, zero = links.motor_inertia.shape[0], (0.0, 0.0, 0.0)
     nothing = (zero, zero, zero)

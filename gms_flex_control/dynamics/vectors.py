@@ -12,51 +12,53 @@ matrices of any size, as arrays.
 
 from gms_flex_control.compiled import compiled
 
+Vector = Columns = Series = Symmetric = tuple
+
 
 @compiled
-def vector(values):
+def vector(values) -> Vector:
     """Return an array (3,) as a vector."""
     return values[0], values[1], values[2]
 
 
 @compiled
-def store(out, v):
+def store(out, v) -> None:
     """Write a vector into an array (3,)."""
     out[0], out[1], out[2] = v[0], v[1], v[2]
 
 
 @compiled
-def add(a, b):
+def add(a, b) -> Vector:
     """Return a + b."""
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
 @compiled
-def subtract(a, b):
+def subtract(a, b) -> Vector:
     """Return a - b."""
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
 @compiled
-def scale(factor, a):
+def scale(factor, a) -> Vector:
     """Return a vector times a number."""
     return factor * a[0], factor * a[1], factor * a[2]
 
 
 @compiled
-def dot(a, b):
+def dot(a, b) -> float:
     """Return the scalar product."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @compiled
-def cross(a, b):
+def cross(a, b) -> Vector:
     """Return the vector product."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 @compiled
-def combine(columns, v):
+def combine(columns, v) -> Vector:
     """Return a matrix, given by its columns, times a vector."""
     x, y, z = columns
     return (x[0] * v[0] + y[0] * v[1] + z[0] * v[2], x[1] * v[0] + y[1] * v[1] + z[1] * v[2],
@@ -64,33 +66,33 @@ def combine(columns, v):
 
 
 @compiled
-def project(columns, v):
+def project(columns, v) -> Vector:
     """Return the transpose of a matrix, given by its columns, times a vector."""
     return dot(columns[0], v), dot(columns[1], v), dot(columns[2], v)
 
 
 @compiled
-def rotation(values):
+def rotation(values) -> Columns:
     """Return an array (3, 3) as columns."""
     return ((values[0, 0], values[1, 0], values[2, 0]), (values[0, 1], values[1, 1], values[2, 1]),
             (values[0, 2], values[1, 2], values[2, 2]))
 
 
 @compiled
-def symmetric(values):
+def symmetric(values) -> Symmetric:
     """Return an array (6,) as a symmetric matrix."""
     return values[0], values[1], values[2], values[3], values[4], values[5]
 
 
 @compiled
-def symmetric_times(s, v):
+def symmetric_times(s, v) -> Vector:
     """Return a symmetric matrix times a vector."""
     return (s[0] * v[0] + s[1] * v[1] + s[2] * v[2], s[1] * v[0] + s[3] * v[1] + s[4] * v[2],
             s[2] * v[0] + s[4] * v[1] + s[5] * v[2])
 
 
 @compiled
-def rotated(s, columns):
+def rotated(s, columns) -> Symmetric:
     """Return R S R' of a symmetric matrix S and the columns of R."""
     x, y, z = columns
     a = add(scale(s[0], x), add(scale(s[1], y), scale(s[2], z)))
@@ -102,57 +104,57 @@ def rotated(s, columns):
 
 
 @compiled
-def store_series(out, s):
+def store_series(out, s) -> None:
     """Write a series into an array (3, 3), one row per order."""
     for k in range(3):
         store(out[k], s[k])
 
 
 @compiled
-def load_series(values):
+def load_series(values) -> Series:
     """Return an array (3, 3) as a series."""
     return vector(values[0]), vector(values[1]), vector(values[2])
 
 
 @compiled
-def add_series(a, b):
+def add_series(a, b) -> Series:
     """Return a + b."""
     return add(a[0], b[0]), add(a[1], b[1]), add(a[2], b[2])
 
 
 @compiled
-def cross_series(a, b):
+def cross_series(a, b) -> Series:
     """Return the vector product of two series."""
     return (cross(a[0], b[0]), add(cross(a[1], b[0]), cross(a[0], b[1])),
             add(add(cross(a[2], b[0]), cross(a[1], b[1])), cross(a[0], b[2])))
 
 
 @compiled
-def constant_cross(a, b):
+def constant_cross(a, b) -> Series:
     """Return the vector product of a constant vector and a series."""
     return cross(a, b[0]), cross(a, b[1]), cross(a, b[2])
 
 
 @compiled
-def scale_series(factor, a):
+def scale_series(factor, a) -> Series:
     """Return a number times a series."""
     return scale(factor, a[0]), scale(factor, a[1]), scale(factor, a[2])
 
 
 @compiled
-def symmetric_times_series(s, a):
+def symmetric_times_series(s, a) -> Series:
     """Return a constant symmetric matrix times a series."""
     return symmetric_times(s, a[0]), symmetric_times(s, a[1]), symmetric_times(s, a[2])
 
 
 @compiled
-def product(a, b):
+def product(a, b) -> Vector:
     """Return the product of two series of numbers."""
     return a[0] * b[0], a[1] * b[0] + a[0] * b[1], a[2] * b[0] + a[1] * b[1] + a[0] * b[2]
 
 
 @compiled
-def turned(c, s, a):
+def turned(c, s, a) -> Series:
     """Return a series of vectors turned about z by the angle of cosine and sine, series too."""
     cx = product(c, (a[0][0], a[1][0], a[2][0]))
     cy = product(c, (a[0][1], a[1][1], a[2][1]))
@@ -163,13 +165,13 @@ def turned(c, s, a):
 
 
 @compiled
-def turned_back(c, s, a):
+def turned_back(c, s, a) -> Series:
     """Return a series of vectors turned about z by minus the angle of cosine and sine."""
     return turned(c, (-s[0], -s[1], -s[2]), a)
 
 
 @compiled
-def multiply(matrix, vector, out):
+def multiply(matrix, vector, out) -> None:
     """Write ``matrix`` (n, n) times ``vector`` (n,) into ``out`` (n,)."""
     n = matrix.shape[0]
     for i in range(n):
@@ -180,7 +182,7 @@ def multiply(matrix, vector, out):
 
 
 @compiled
-def multiply_transposed(matrix, vector, out):
+def multiply_transposed(matrix, vector, out) -> None:
     """Write the transpose of ``matrix`` (n, n) times ``vector`` (n,) into ``out`` (n,)."""
     n = matrix.shape[0]
     for i in range(n):
@@ -191,7 +193,7 @@ def multiply_transposed(matrix, vector, out):
 
 
 @compiled
-def factorise(matrix):
+def factorise(matrix) -> None:
     """Factorise a symmetric positive definite matrix (n, n) in its upper triangle, in place."""
     n = matrix.shape[0]
     for i in range(n):
@@ -204,7 +206,7 @@ def factorise(matrix):
 
 
 @compiled
-def solve_factorised(matrix, vector):
+def solve_factorised(matrix, vector) -> None:
     """Solve for ``vector`` (n,) in place, the matrix of `factorise`."""
     n = matrix.shape[0]
     for i in range(n):

@@ -12,6 +12,8 @@ import math
 
 from gms_flex_control.compiled import compiled_effect
 from gms_flex_control.errors import ParameterError
+from gms_flex_control.params.friction import StribeckParams
+from gms_flex_control.params.robot import RobotParams
 import numpy as np
 
 LEAST_RELATIVE = -0.8   # least relative error searched for: ratios near -1 are implausible
@@ -78,7 +80,7 @@ class Effect(ABC):
 
     @staticmethod
     @abstractmethod
-    def guesses(scales):
+    def guesses(scales) -> list:
         """Return how the effect might act on a joint of Scales (guess.py), list of Guess."""
 
     @classmethod
@@ -112,7 +114,7 @@ class Effect(ABC):
         return 1.0
 
     @staticmethod
-    def in_friction(steady, direction, values):
+    def in_friction(steady, direction, values) -> StribeckParams:
         """
         Return the StribeckParams of one direction (1, -1) with the effect in them.
 
@@ -178,7 +180,7 @@ class Term(Effect):
 
     @staticmethod
     @abstractmethod
-    def apply(s, p, memory, dt):
+    def apply(s, p, memory, dt) -> None:
         """
         Change the signals of one joint; compiled, so plain scalar code only.
 
@@ -189,7 +191,7 @@ class Term(Effect):
 
     @classmethod
     @cache
-    def compiled(cls):
+    def compiled(cls) -> object:
         """Return the numba C function of ``apply``; compiled once, when first used."""
         return compiled_effect(cls.apply)
 
@@ -199,5 +201,5 @@ class Change(Effect):
 
     @staticmethod
     @abstractmethod
-    def change(robot, joint, values):
+    def change(robot, joint, values) -> RobotParams:
         """Return the RobotParams with the effect at index ``joint``, 0 for the whole arm."""

@@ -37,7 +37,7 @@ class Scales(NamedTuple):
     presliding: float = np.inf  # displacement at which the softest block slips [rad]
 
     @property
-    def rigid(self):
+    def rigid(self) -> bool:
         """Return whether the joint has no spring."""
         return self.torsion <= 0.0
 
@@ -52,19 +52,19 @@ class Guess(NamedTuple):
     within: Callable = lambda c: 1.0  # coefficients -> share that the bounds allow, 0 to 1
 
     @property
-    def is_linear(self):
+    def is_linear(self) -> bool:
         """Return whether the effect is proportional to its first parameter."""
         size = self.probes[0][0]
         return len(self.probes) == 1 and size != 0.0 and self.values([0.5])[0] == 0.5 * size
 
 
-def linear(size, *fixed, positive=False):
+def linear(size, *fixed, positive=False) -> list[Guess]:
     """Return the guess of an effect proportional to its first parameter, list of one."""
     return [Guess(((size, *fixed),), lambda c: (c[0] * size, *fixed),
                   0.0 if positive else -np.inf)]
 
 
-def wave(size, *fixed):
+def wave(size, *fixed) -> list[Guess]:
     """
     Return the guess of an effect that adds like ``size sin(... + phase)``, list of one.
 
@@ -76,24 +76,24 @@ def wave(size, *fixed):
                              float(np.arctan2(c[1], c[0]))))]
 
 
-def waves(size, orders):
+def waves(size, orders) -> list[Guess]:
     """Return the guesses of `wave` for each order, the parameter after the size."""
     return [guess for order in orders for guess in wave(size, order)]
 
 
-def orders(span, highest, lowest=1.0):
+def orders(span, highest, lowest=1.0) -> np.ndarray:
     """Return orders within bounds that motion over a span [rad] can distinguish."""
     step = np.clip(np.pi / max(span, 1e-6), 0.25, 1.0)
     return np.arange(lowest, highest + 0.5 * step, step)
 
 
-def sizes(values, *fixed):
+def sizes(values, *fixed) -> list[Guess]:
     """Return guesses of an effect that is not linear in its first parameter, one per value."""
     return [Guess(((value, *fixed),), lambda c, value=value: (value, *fixed), 0.0, 3.0)
             for value in values]
 
 
-def shapes(size, values, positive=True):
+def shapes(size, values, positive=True) -> list[Guess]:
     """Return guesses linear in the first parameter for each value of the second."""
     return [Guess(((size, value),), lambda c, value=value: (c[0] * size, value),
                   0.0 if positive else -np.inf)

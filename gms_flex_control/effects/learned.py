@@ -51,7 +51,7 @@ _STILL = Parameter('still', 'rad/s', 'rate of which three count as motion', 0.0,
 
 
 @compiled
-def curve(at, p):
+def curve(at, p) -> float:
     """
     Return a piecewise linear curve at a place.
 
@@ -107,12 +107,12 @@ class Learned(Term):
     size = 'friction'         # usual size of a weight, of effects.guess.Scales
 
     @classmethod
-    def guesses(cls, scales):
+    def guesses(cls, scales) -> list:
         """Return nothing: the search for names does not propose it."""
         return []
 
     @classmethod
-    def typical(cls, scales):
+    def typical(cls, scales) -> tuple[float | None, ...]:
         """Return usual sizes of its parameters, tuple of float or None."""
         size = getattr(scales, cls.size) if cls.size else 1.0
         return (size,) * cls.count + (None,) * (len(cls.parameters) - cls.count)
@@ -128,7 +128,7 @@ class LearnedPosition(Learned):
     parameters = _curve('rad', 'link angle')
 
     @staticmethod
-    def apply(s, p, memory, dt):
+    def apply(s, p, memory, dt) -> None:
         """Change the signals of one joint."""
         s[LINK_TORQUE] += curve(s[Q_LINK], p)
 
@@ -142,7 +142,7 @@ class LearnedTorsion(Learned):
     parameters = _curve('rad', 'torsion')
 
     @staticmethod
-    def apply(s, p, memory, dt):
+    def apply(s, p, memory, dt) -> None:
         """Change the signals of one joint."""
         s[SPRING] += curve(s[TORSION], p)
 
@@ -156,7 +156,7 @@ class LearnedRateFriction(Learned):
     parameters = *_curve('rad/s', 'speed', 0.0), _STILL
 
     @staticmethod
-    def apply(s, p, memory, dt):
+    def apply(s, p, memory, dt) -> None:
         """Change the signals of one joint."""
         s[FRICTION] += curve(abs(s[DQ_LINK]), p) * _sign(s[DQ_LINK], p[_SIGN])
 
@@ -173,7 +173,7 @@ class LearnedPositionFriction(Learned):
                   Parameter('reach', 'rad', 'displacement from rest to sliding', 0.0, fixed=True))
 
     @staticmethod
-    def apply(s, p, memory, dt):
+    def apply(s, p, memory, dt) -> None:
         """Change the signals of one joint."""
         if p[_SIGN] > 0.0:
             memory[2] = _stop((s[Q_LINK] - memory[0]) * memory[1], p[_SIGN], memory[2])
@@ -190,7 +190,7 @@ class LearnedPositionDrag(Learned):
     parameters = *_curve('rad', 'link angle', 0.0), _STILL
 
     @staticmethod
-    def apply(s, p, memory, dt):
+    def apply(s, p, memory, dt) -> None:
         """Change the signals of one joint."""
         s[FRICTION] += curve(s[Q_LINK], p) * _sign(s[DQ_LINK], p[_SIGN])
 
@@ -204,7 +204,7 @@ class LearnedLoadFriction(Learned):
     parameters = *_curve('N m', 'torque carried', 0.0), _STILL
 
     @staticmethod
-    def apply(s, p, memory, dt):
+    def apply(s, p, memory, dt) -> None:
         """Change the signals of one joint."""
         s[FRICTION] += curve(abs(s[SPRING]), p) * _sign(s[DQ_LINK], p[_SIGN])
 
@@ -221,7 +221,7 @@ class LearnedHysteresis(Learned):
     parameters = (*_weights(STOPS, 'N m', 0.0), *_range('rad', 'yield of an element'))
 
     @staticmethod
-    def apply(s, p, memory, dt):
+    def apply(s, p, memory, dt) -> None:
         """Change the signals of one joint."""
         moved, yields = (s[Q_LINK] - memory[0]) * memory[1], p[STOPS]
         memory[0], memory[1] = s[Q_LINK], 1.0
@@ -246,7 +246,7 @@ class LearnedResonance(Learned):
                   Parameter('damping', '1', 'damping ratio of all', 0.0, 0.99, fixed=True))
 
     @staticmethod
-    def apply(s, p, memory, dt):
+    def apply(s, p, memory, dt) -> None:
         """Change the signals of one joint."""
         frequency, damping = p[MODES], p[MODES + 2]
         if frequency > 0.0 and p[MODES + 1] > frequency:
@@ -282,7 +282,7 @@ class LearnedDrift(Learned):
     parameters = _curve('s', 'time', -0.8, 4.0, '1')
 
     @staticmethod
-    def apply(s, p, memory, dt):
+    def apply(s, p, memory, dt) -> None:
         """Change the signals of one joint."""
         s[FRICTION] *= 1.0 + curve(s[TIME], p)
 

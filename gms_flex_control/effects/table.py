@@ -15,6 +15,7 @@ from gms_flex_control.effects.base import Change, Effect, Stage
 from gms_flex_control.effects.registry import find
 from gms_flex_control.effects.signals import WIDTH
 from gms_flex_control.errors import ParameterError
+from gms_flex_control.params.robot import RobotParams
 from gms_flex_control.records import FLOAT
 import numpy as np
 
@@ -31,7 +32,7 @@ LAYOUT = records.layout(
     ('params', FLOAT, (MAX_PARAMS,)))
 
 
-def with_changes(robot):
+def with_changes(robot) -> RobotParams:
     """
     Return the robot with every effect that is a `Change` put into its parameters.
 
@@ -47,12 +48,12 @@ def with_changes(robot):
     return robot
 
 
-def is_friction(kind):
+def is_friction(kind) -> bool:
     """Return whether parameters of the friction model express an effect as well."""
     return kind.in_friction is not Effect.in_friction
 
 
-def with_friction(robot):
+def with_friction(robot) -> RobotParams:
     """Return a robot with all effects in its friction parameters that these can express."""
     friction, left = robot.friction, []
     for spec in robot.effects:
@@ -68,7 +69,7 @@ def with_friction(robot):
     return replace(robot, friction=friction, effects=tuple(left))
 
 
-def build(effects, joints, arm=None):
+def build(effects, joints, arm=None) -> np.record:
     """
     Return EffectSpecs of terms, as `with_changes` leaves them, as a record of `LAYOUT`.
 
@@ -99,7 +100,7 @@ def build(effects, joints, arm=None):
 
 
 @compiled
-def run_stage(stage, signals, memory, dt, table):
+def run_stage(stage, signals, memory, dt, table) -> None:
     """Apply the terms of one stage in place to ``signals`` (n, WIDTH) and ``memory``."""
     for k in range(table.stage_start[stage], table.stage_start[stage + 1]):
         call_effect(table.address[k],

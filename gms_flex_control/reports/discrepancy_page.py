@@ -209,12 +209,12 @@ def _add_residuals(report, along, behind, picture):
                 'grey where the motion did not go.')
     over = residual_views.over_all(along, before, after, null)
     for j, joint in enumerate(along.joints):
-        name = f'{file_stem(joint)}_{j + 1}'
         report.figure(picture(maps_figure(residual_views.maps_of(along, before, after, j), joint),
-                              f'map_{name}.png'), f'{joint}: maps of the missing torque')
+                              f'map_{file_stem(joint)}_{j + 1}.png'),
+                      f'{joint}: maps of the missing torque')
         for equation, _ in along.channels(j):
             own = [one for one in over if (one.joint, one.equation) == (joint, equation)]
-            report.figure(picture(over_figure(own), f'over_{name}_{equation}.png'),
+            report.figure(over_figure(own),
                           f'{joint}: missing in the {equation} equation, over each variable')
     report.table(
         ('joint', 'equation', 'variable', WITHOUT, WITH, 'by chance',

@@ -23,5 +23,5 @@ class ActuatorDeadzone(Term):
     guesses = staticmethod(lambda s: sizes(s.friction * np.geomspace(0.02, 1.0, 10)))
 
     @staticmethod
-    def apply(s, p, memory, dt):
+    def apply(s, p, memory, dt) -> None:
         s[TORQUE] -= min(max(s[TORQUE], -p[0]), p[0])

@@ -25,7 +25,7 @@ class ActuatorLag(Term):
     excludes = staticmethod(lambda rigid: ('input_delay',))  # their sum alone shows
 
     @staticmethod
-    def apply(s, p, memory, dt):
+    def apply(s, p, memory, dt) -> None:
         if p[0] > 0.0:
             short, gone = memory[0] - s[TORQUE], -np.expm1(-dt / p[0])
             memory[0] -= short * gone

@@ -21,5 +21,5 @@ class ActuatorSaturation(Term):
     guesses = staticmethod(lambda s: sizes(s.torque * np.linspace(0.2, 0.95, 16)))
 
     @staticmethod
-    def apply(s, p, memory, dt):
+    def apply(s, p, memory, dt) -> None:
         s[TORQUE] = min(max(s[TORQUE], -p[0]), p[0])

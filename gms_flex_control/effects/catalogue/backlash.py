@@ -23,7 +23,7 @@ class Backlash(Term):
         lambda s: [] if s.rigid else sizes(s.torsion * np.geomspace(0.01, 0.6, 12)))
 
     @staticmethod
-    def apply(s, p, memory, dt):
+    def apply(s, p, memory, dt) -> None:
         e = s[TORSION]
         s[TORSION] = e - min(max(e, -p[0]), p[0])
         if -p[0] < e < p[0]:

@@ -31,7 +31,7 @@ class BaseFlexibility(Term):
         Parameter('damping', '1', 'damping ratio', lower=0.0, upper=0.99))
 
     @staticmethod
-    def guesses(scales):
+    def guesses(scales) -> list:
         heavy = 5.0 * scales.link_inertia
         return [Guess(((frequency, heavy, 0.05),),
                       lambda c, frequency=frequency: (
@@ -39,7 +39,7 @@ class BaseFlexibility(Term):
                 for frequency in np.geomspace(3.0, 15.0, 9)]
 
     @staticmethod
-    def apply(s, p, memory, dt):
+    def apply(s, p, memory, dt) -> None:
         w = 2.0 * np.pi * p[0]
         if w > 0.0 and p[1] > 0.0:
             rest = (s[FRICTION] - s[TORQUE]) / (p[1] * w * w)

@@ -23,5 +23,5 @@ class ConstantLinkTorque(Term):
     guesses = staticmethod(lambda s: linear(0.1 * s.friction))
 
     @staticmethod
-    def apply(s, p, memory, dt):
+    def apply(s, p, memory, dt) -> None:
         s[LINK_TORQUE] += p[0]

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from gms_flex_control.effects.base import Change, Parameter
 from gms_flex_control.effects.guess import linear
+from gms_flex_control.params.robot import RobotParams
 import numpy as np
 
 
@@ -23,7 +24,7 @@ class CoulombError(Change):
     guesses = staticmethod(lambda s: linear(0.1))
 
     @staticmethod
-    def change(robot, joint, values):
+    def change(robot, joint, values) -> RobotParams:
         factor = np.ones(robot.n_joints)
         factor[joint] += values[0]
         sides = {side: replace(steady, static=steady.static * factor,

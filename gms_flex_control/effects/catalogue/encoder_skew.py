@@ -21,5 +21,5 @@ class EncoderSkew(Term):
     guesses = staticmethod(lambda s: [] if s.rigid else linear(0.0005))
 
     @staticmethod
-    def apply(s, p, memory, dt):
+    def apply(s, p, memory, dt) -> None:
         s[SENSED_MOTOR] -= p[0] * (s[DQ_MOTOR] - 0.5 * p[0] * s[DDQ_MOTOR])

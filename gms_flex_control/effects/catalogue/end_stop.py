@@ -22,7 +22,7 @@ class EndStop(Term):
                   typical=lambda s: s.friction / 0.01))
 
     @staticmethod
-    def guesses(scales):
+    def guesses(scales) -> list:
         span, stiffness = scales.highest - scales.lowest, scales.friction / 0.05
         inside = span * np.array([0.02, 0.05, 0.1, 0.18])
         above, below = scales.highest - inside, scales.lowest + inside
@@ -30,7 +30,7 @@ class EndStop(Term):
                 for angle in (*above[above > 0.0], *below[below < 0.0])]
 
     @staticmethod
-    def apply(s, p, memory, dt):
+    def apply(s, p, memory, dt) -> None:
         depth = s[Q_LINK] - p[0]
         if depth * p[0] > 0.0:
             s[LINK_TORQUE] -= p[1] * depth

@@ -8,6 +8,7 @@ from dataclasses import replace
 from gms_flex_control.effects.base import LEAST_RELATIVE, Parameter, Stage, Term
 from gms_flex_control.effects.guess import linear
 from gms_flex_control.effects.signals import DQ_LINK, FRICTION
+from gms_flex_control.params.friction import StribeckParams
 import numpy as np
 
 
@@ -25,13 +26,13 @@ class FrictionAsymmetry(Term):
     guesses = staticmethod(lambda s: linear(0.1))
 
     @staticmethod
-    def in_friction(steady, direction, values):
+    def in_friction(steady, direction, values) -> StribeckParams:
         factor = np.maximum(1.0 + direction * values[0], 0.05)  # levels stay above zero
         return replace(steady, static=steady.static * factor, coulomb=steady.coulomb * factor,
                        viscous=steady.viscous * factor)
 
     @staticmethod
-    def apply(s, p, memory, dt):
+    def apply(s, p, memory, dt) -> None:
         if s[DQ_LINK] > 0.0:
             s[FRICTION] *= 1.0 + p[0]
         elif s[DQ_LINK] < 0.0:

@@ -34,7 +34,7 @@ class FrictionBacklash(Term):
                   typical=lambda s: 0.1 * (s.highest - s.lowest)))
 
     @staticmethod
-    def guesses(scales):
+    def guesses(scales) -> list:
         span, size = scales.highest - scales.lowest, _FORCE * scales.friction
         if not (scales.rigid and span):
             return []
@@ -44,7 +44,7 @@ class FrictionBacklash(Term):
                 for reach in span * np.geomspace(3e-3, 0.1, 3)]
 
     @staticmethod
-    def apply(s, p, memory, dt):
+    def apply(s, p, memory, dt) -> None:
         moved = (s[Q_LINK] - memory[0]) * memory[1]
         memory[0], memory[1] = s[Q_LINK], 1.0
         gap, reach = p[1], p[2]

@@ -22,6 +22,6 @@ class FrictionDrift(Term):
     guesses = staticmethod(lambda s: linear(0.1, s.duration))
 
     @staticmethod
-    def apply(s, p, memory, dt):
+    def apply(s, p, memory, dt) -> None:
         if p[1] > 0.0:
             s[FRICTION] *= 1.0 + p[0] * min(s[TIME] / p[1], 1.0)

@@ -28,12 +28,12 @@ class FrictionHysteresis(Term):
                   typical=lambda s: 0.1 * (s.highest - s.lowest)))
 
     @staticmethod
-    def guesses(scales):
+    def guesses(scales) -> list:
         span = scales.highest - scales.lowest
         return shapes(0.1 * scales.friction, span * np.geomspace(1e-3, 0.2, 6)) if span else []
 
     @staticmethod
-    def apply(s, p, memory, dt):
+    def apply(s, p, memory, dt) -> None:
         moved, reach = (s[Q_LINK] - memory[0]) * memory[1], p[1]
         memory[0], memory[1] = s[Q_LINK], 1.0
         if reach > 0.0:

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from gms_flex_control.effects.base import Change, Parameter
 from gms_flex_control.effects.guess import wave
+from gms_flex_control.params.robot import RobotParams
 import numpy as np
 
 STANDARD_GRAVITY = 9.80665  # [m/s^2], conventional value (3rd CGPM, 1901)
@@ -32,7 +33,7 @@ class GravityTilt(Change):
     guesses = staticmethod(lambda s: wave(0.002))
 
     @staticmethod
-    def change(robot, joint, values):
+    def change(robot, joint, values) -> RobotParams:
         tilt, direction = values
         arm = robot.arm
         if arm.frames is None:

@@ -30,7 +30,7 @@ class InputDelay(Term):
     excludes = staticmethod(lambda rigid: ('actuator_lag',))  # their sum alone shows
 
     @staticmethod
-    def apply(s, p, memory, dt):
+    def apply(s, p, memory, dt) -> None:
         if p[0] <= 0.0:
             return
         newest = int(memory[1])

@@ -25,5 +25,5 @@ class KinematicError(Term):
     guesses = staticmethod(lambda s: [] if s.rigid else wave(0.02 * s.torsion))
 
     @staticmethod
-    def apply(s, p, memory, dt):
+    def apply(s, p, memory, dt) -> None:
         s[TORSION] += p[0] * np.sin(2.0 * s[Q_MOTOR] + p[1])

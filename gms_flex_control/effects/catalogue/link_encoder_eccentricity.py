@@ -24,5 +24,5 @@ class LinkEncoderEccentricity(Term):
     guesses = staticmethod(lambda s: [] if s.rigid else wave(0.02 * s.torsion))
 
     @staticmethod
-    def apply(s, p, memory, dt):
+    def apply(s, p, memory, dt) -> None:
         s[SENSED_LINK] += p[0] * np.sin(s[Q_LINK] + p[1])

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from gms_flex_control.effects.base import Change, Parameter
 from gms_flex_control.effects.guess import linear
+from gms_flex_control.params.robot import RobotParams
 import numpy as np
 
 
@@ -24,7 +25,7 @@ class LinkInertiaError(Change):
     excludes = staticmethod(lambda rigid: ('torque_gain',) if rigid else ())
 
     @staticmethod
-    def change(robot, joint, values):
+    def change(robot, joint, values) -> RobotParams:
         factor = np.ones(robot.n_joints)
         factor[joint] += values[0]
         return replace(robot, arm=robot.arm.scaled(factor))

@@ -28,6 +28,6 @@ class LoadFriction(Term):
     guesses = staticmethod(lambda s: linear(0.1, s.spring, positive=True))
 
     @staticmethod
-    def apply(s, p, memory, dt):
+    def apply(s, p, memory, dt) -> None:
         if p[1] > 0.0:
             s[FRICTION] *= 1.0 + p[0] * abs(s[SPRING]) / p[1]

@@ -32,6 +32,6 @@ class LowSpeedFriction(Term):
         lambda s: shapes(0.1, s.speed * np.geomspace(0.03, 0.6, 5), positive=False))
 
     @staticmethod
-    def apply(s, p, memory, dt):
+    def apply(s, p, memory, dt) -> None:
         if p[1] > 0.0:
             s[FRICTION] *= 1.0 + p[0] * np.exp(-abs(s[DQ_LINK]) / p[1])

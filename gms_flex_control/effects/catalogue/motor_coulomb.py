@@ -21,5 +21,5 @@ class MotorCoulomb(Term):
     holding_torque = staticmethod(lambda values: values[0])
 
     @staticmethod
-    def apply(s, p, memory, dt):
+    def apply(s, p, memory, dt) -> None:
         s[MOTOR_TORQUE] -= p[0] * min(max(s[DQ_MOTOR] * 1e3, -1.0), 1.0)

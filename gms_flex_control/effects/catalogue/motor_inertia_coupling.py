@@ -28,14 +28,14 @@ class MotorInertiaCoupling(Term):
     guesses = staticmethod(lambda s: linear(0.3 * s.inertia))
 
     @staticmethod
-    def on_arm(values, arm, joint):
+    def on_arm(values, arm, joint) -> tuple[float, ...]:
         if arm.frames is None or joint == 0:
             return values
         turning = not arm.frames.prismatic[joint - 1:joint + 1].any()
         return (turning * values[0] * arm.frames.rotation[joint][2, 2],)
 
     @staticmethod
-    def apply(s, p, memory, dt):
+    def apply(s, p, memory, dt) -> None:
         if s[sig.JOINT] > 0.5:
             s[sig.LINK_TORQUE - sig.WIDTH] -= p[0] * s[sig.DDQ_MOTOR]
             s[sig.MOTOR_TORQUE] -= p[0] * s[sig.DDQ_LINK - sig.WIDTH]

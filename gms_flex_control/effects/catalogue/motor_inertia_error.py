@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from gms_flex_control.effects.base import Change, Parameter
 from gms_flex_control.effects.guess import linear
+from gms_flex_control.params.robot import RobotParams
 
 
 class MotorInertiaError(Change):
@@ -21,13 +22,13 @@ class MotorInertiaError(Change):
     excludes = staticmethod(lambda rigid: ('torque_gain',) if rigid else ())
 
     @staticmethod
-    def guesses(scales):
+    def guesses(scales) -> list:
         if scales.rigid and scales.link_inertia > 0.0:
             return []  # the joint's inertia is that of its link, too
         return linear(0.1)
 
     @staticmethod
-    def change(robot, joint, values):
+    def change(robot, joint, values) -> RobotParams:
         motor_inertia = robot.arm.motor_inertia.copy()
         motor_inertia[joint] *= 1.0 + values[0]
         return replace(robot, arm=replace(robot.arm, motor_inertia=motor_inertia))

@@ -20,5 +20,5 @@ class MotorTorqueBias(Term):
     guesses = staticmethod(lambda s: linear(0.1 * s.friction))
 
     @staticmethod
-    def apply(s, p, memory, dt):
+    def apply(s, p, memory, dt) -> None:
         s[MOTOR_TORQUE] += p[0]

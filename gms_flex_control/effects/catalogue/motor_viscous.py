@@ -21,5 +21,5 @@ class MotorViscous(Term):
     guesses = staticmethod(lambda s: linear(0.1 * s.friction / s.speed, positive=True))
 
     @staticmethod
-    def apply(s, p, memory, dt):
+    def apply(s, p, memory, dt) -> None:
         s[MOTOR_TORQUE] -= p[0] * s[DQ_MOTOR]

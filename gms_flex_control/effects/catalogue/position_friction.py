@@ -27,5 +27,5 @@ class PositionFriction(Term):
     guesses = staticmethod(lambda s: waves(0.1, orders(s.highest - s.lowest, 6.0)))
 
     @staticmethod
-    def apply(s, p, memory, dt):
+    def apply(s, p, memory, dt) -> None:
         s[FRICTION] *= 1.0 + p[0] * np.cos(p[1] * s[Q_LINK] + p[2])

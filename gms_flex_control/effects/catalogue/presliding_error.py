@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from gms_flex_control.effects.base import Change, Parameter
 from gms_flex_control.effects.guess import Guess
+from gms_flex_control.params.robot import RobotParams
 import numpy as np
 
 _RESOLVED = 4  # counts of an encoder within which no block slips: fewer show no loop
@@ -31,14 +32,14 @@ class PreslidingError(Change):
                   upper=1.0, typical=0.3))
 
     @staticmethod
-    def guesses(scales):
+    def guesses(scales) -> list:
         """Return how it might be there, list of Guess; not where counts hide presliding."""
         if scales.count * _RESOLVED > scales.presliding:
             return []
         return [Guess(((-0.3, 0.0),), lambda c: (max(-0.3 * c[0], -0.9), 0.0))]
 
     @staticmethod
-    def change(robot, joint, values):
+    def change(robot, joint, values) -> RobotParams:
         friction = robot.friction
         stiffness, weight = friction.stiffness.copy(), friction.weight.copy()
         order = np.argsort(np.argsort(stiffness[joint], kind='stable'), kind='stable')

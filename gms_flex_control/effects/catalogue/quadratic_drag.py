@@ -22,5 +22,5 @@ class QuadraticDrag(Term):
     guesses = staticmethod(lambda s: linear(0.1 * s.friction / s.speed ** 2, positive=True))
 
     @staticmethod
-    def apply(s, p, memory, dt):
+    def apply(s, p, memory, dt) -> None:
         s[LINK_TORQUE] -= p[0] * s[DQ_LINK] * abs(s[DQ_LINK])

@@ -11,7 +11,7 @@ import numpy as np
 _BEYOND = 1.0  # for how long the first and the last torque are held outside the recording [s]
 
 
-def torque_at_angles(torque, period, delay):
+def torque_at_angles(torque, period, delay) -> np.ndarray:
     """
     Return torques as they acted where the recorded angles belong.
 
@@ -65,11 +65,11 @@ class RecordingDelay(Term):
     guesses = staticmethod(lambda s: linear(0.0005))
 
     @staticmethod
-    def torque_acted(torque, period, values):
+    def torque_acted(torque, period, values) -> np.ndarray:
         return torque_at_angles(torque, period, values[0])
 
     @staticmethod
-    def apply(s, p, memory, dt):
+    def apply(s, p, memory, dt) -> None:
         for j in range(int(s[sig.JOINTS])):
             k = sig.WIDTH * j
             s[k + sig.SENSED_LINK] -= p[0] * (s[k + sig.DQ_LINK] - 0.5 * p[0] * s[

@@ -20,5 +20,5 @@ class SpringCubic(Term):
     guesses = staticmethod(lambda s: [] if s.rigid else linear(0.1 * s.spring / s.torsion ** 3))
 
     @staticmethod
-    def apply(s, p, memory, dt):
+    def apply(s, p, memory, dt) -> None:
         s[SPRING] += p[0] * s[TORSION] ** 3

@@ -20,5 +20,5 @@ class SpringDamping(Term):
     guesses = staticmethod(lambda s: [] if s.rigid else linear(0.003, positive=True))
 
     @staticmethod
-    def apply(s, p, memory, dt):
+    def apply(s, p, memory, dt) -> None:
         s[SPRING] += p[0] * s[TORSION_RATE]

@@ -26,7 +26,7 @@ class SpringHysteresis(Term):
         0.1 * s.friction, s.torsion * np.geomspace(0.02, 2.0, 8)))
 
     @staticmethod
-    def apply(s, p, memory, dt):
+    def apply(s, p, memory, dt) -> None:
         e_before, torque, begun = memory[0], memory[1], memory[2]
         if begun > 0.0 and p[1] > 0.0:
             torque += p[0] / p[1] * (s[TORSION] - e_before)

@@ -22,5 +22,5 @@ class SpringOffset(Term):
     guesses = staticmethod(lambda s: [] if s.rigid else linear(0.05 * s.torsion))
 
     @staticmethod
-    def apply(s, p, memory, dt):
+    def apply(s, p, memory, dt) -> None:
         s[TORSION] += p[0]

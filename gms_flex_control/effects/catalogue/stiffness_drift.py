@@ -22,6 +22,6 @@ class StiffnessDrift(Term):
     guesses = staticmethod(lambda s: [] if s.rigid else linear(0.1, s.duration))
 
     @staticmethod
-    def apply(s, p, memory, dt):
+    def apply(s, p, memory, dt) -> None:
         if p[1] > 0.0:
             s[SPRING] *= 1.0 + p[0] * min(s[TIME] / p[1], 1.0)

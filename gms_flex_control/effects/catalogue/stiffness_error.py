@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from gms_flex_control.effects.base import Change, Parameter
 from gms_flex_control.effects.guess import linear
+from gms_flex_control.params.robot import RobotParams
 
 
 class StiffnessError(Change):
@@ -23,7 +24,7 @@ class StiffnessError(Change):
     excludes = staticmethod(lambda rigid: () if rigid else ('torque_gain',))
 
     @staticmethod
-    def change(robot, joint, values):
+    def change(robot, joint, values) -> RobotParams:
         stiffness = robot.arm.stiffness.copy()
         stiffness[joint] *= 1.0 + values[0]
         return replace(robot, arm=replace(robot.arm, stiffness=stiffness))

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from gms_flex_control.effects.base import Change, Parameter
 from gms_flex_control.effects.guess import linear
+from gms_flex_control.params.robot import RobotParams
 import numpy as np
 
 
@@ -23,7 +24,7 @@ class StribeckError(Change):
     guesses = staticmethod(lambda s: linear(0.1))
 
     @staticmethod
-    def change(robot, joint, values):
+    def change(robot, joint, values) -> RobotParams:
         ratio = np.zeros(robot.n_joints)
         ratio[joint] = values[0]
         sides = {side: replace(steady, static=np.maximum(

@@ -23,7 +23,7 @@ class SupplySag(Term):
     torque_scale = staticmethod(lambda values, supply: 1.0 + values[0] * (supply - values[1]))
 
     @staticmethod
-    def guesses(scales):
+    def guesses(scales) -> list:
         if scales.supply <= 0.0:
             return []
         volts, size = scales.supply, 0.05
@@ -36,6 +36,6 @@ class SupplySag(Term):
         return [Guess(((size, volts), (size, volts - 1.0)), values)]
 
     @staticmethod
-    def apply(s, p, memory, dt):
+    def apply(s, p, memory, dt) -> None:
         if s[SUPPLY] > 0.0:
             s[TORQUE] *= 1.0 + p[0] * (s[SUPPLY] - p[1])

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from gms_flex_control.effects.base import Change, Parameter
 from gms_flex_control.effects.guess import linear
+from gms_flex_control.params.robot import RobotParams
 import numpy as np
 
 
@@ -28,7 +29,7 @@ class TipPayload(Change):
     guesses = staticmethod(lambda s: linear(0.05, positive=True))
 
     @staticmethod
-    def change(robot, joint, values):
+    def change(robot, joint, values) -> RobotParams:
         arm = robot.arm
         mass, com, inertia = arm.mass.copy(), arm.com.copy(), arm.inertia.copy()
         end = arm.length[-1] if arm.frames is None else arm.frames.end

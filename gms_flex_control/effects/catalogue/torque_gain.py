@@ -25,5 +25,5 @@ class TorqueGain(Term):
     torque_scale = staticmethod(lambda values, supply: 1.0 + values[0])
 
     @staticmethod
-    def apply(s, p, memory, dt):
+    def apply(s, p, memory, dt) -> None:
         s[TORQUE] *= 1.0 + p[0]

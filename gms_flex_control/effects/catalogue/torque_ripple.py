@@ -29,5 +29,5 @@ class TorqueRipple(Term):
         0.05 * s.friction, (*orders(s.turned, HIGHEST_ORDER, 2.0), *s.fine_orders)))
 
     @staticmethod
-    def apply(s, p, memory, dt):
+    def apply(s, p, memory, dt) -> None:
         s[MOTOR_TORQUE] += p[0] * np.sin(p[1] * s[Q_MOTOR] + p[2])

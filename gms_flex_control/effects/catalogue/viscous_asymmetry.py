@@ -8,6 +8,7 @@ from dataclasses import replace
 from gms_flex_control.effects.base import Parameter, Stage, Term
 from gms_flex_control.effects.guess import linear
 from gms_flex_control.effects.signals import DQ_LINK, FRICTION
+from gms_flex_control.params.friction import StribeckParams
 import numpy as np
 
 
@@ -26,10 +27,10 @@ class ViscousAsymmetry(Term):
     guesses = staticmethod(lambda s: linear(0.1 * s.friction / s.speed))
 
     @staticmethod
-    def in_friction(steady, direction, values):
+    def in_friction(steady, direction, values) -> StribeckParams:
         return replace(steady, viscous=np.maximum(
             steady.viscous + direction * values[0], 0.0))
 
     @staticmethod
-    def apply(s, p, memory, dt):
+    def apply(s, p, memory, dt) -> None:
         s[FRICTION] += p[0] * abs(s[DQ_LINK])

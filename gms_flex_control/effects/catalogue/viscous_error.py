@@ -8,6 +8,7 @@ from dataclasses import replace
 from gms_flex_control.effects.base import Parameter, Stage, Term
 from gms_flex_control.effects.guess import linear
 from gms_flex_control.effects.signals import DQ_LINK, FRICTION
+from gms_flex_control.params.friction import StribeckParams
 import numpy as np
 
 
@@ -26,15 +27,15 @@ class ViscousError(Term):
     guesses = staticmethod(lambda s: linear(0.1 * s.friction / s.speed))
 
     @classmethod
-    def search_bounds(cls, joint_index, robot):
+    def search_bounds(cls, joint_index, robot) -> tuple[list[float], list[float]]:
         """Return what is looked for, two lists: all of it may be gone either way."""
         steady = robot.friction.forward, robot.friction.backward
         return [-max(float(one.viscous[joint_index]) for one in steady)], [cls.parameters[0].upper]
 
     @staticmethod
-    def in_friction(steady, direction, values):
+    def in_friction(steady, direction, values) -> StribeckParams:
         return replace(steady, viscous=np.maximum(steady.viscous + values[0], 0.0))
 
     @staticmethod
-    def apply(s, p, memory, dt):
+    def apply(s, p, memory, dt) -> None:
         s[FRICTION] += p[0] * s[DQ_LINK]
