@@ -183,7 +183,7 @@ class _Problem:
             (-omega ** 2 * sine, -omega ** 2 * cosine))]
         self._omega = np.tile(omega, 2)
 
-    def start(self, rng):
+    def start(self, rng) -> np.ndarray:
         """Return numbers to begin with, well within the ranges and velocities."""
         n = self.robot.n_joints
         found = rng.standard_normal((2 * self._harmonics + 1, n)) / np.sqrt(self._harmonics)
@@ -197,13 +197,13 @@ class _Problem:
         table = x.reshape(-1, self.robot.n_joints) * self._range
         return table[:-1], self._middle + table[-1]
 
-    def motion(self, x):
+    def motion(self, x) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return angle, rate and acceleration (S, n) over one period."""
         coefficients, offset = self._numbers(x)
         angle, rate, acceleration = (basis @ coefficients for basis in self._bases)
         return angle + offset, rate, acceleration
 
-    def cost(self, x):
+    def cost(self, x) -> float:
         """Return the logarithm of the condition number, with penalties."""
         motion = self.motion(x)
         number, size = condition_number(*motion, self.robot, self._lead)
@@ -212,7 +212,7 @@ class _Problem:
         return np.log(number) - _SIZE * np.mean(np.log(size)) + _PENALTY * np.sum(
             excess ** 2) / len(motion[0])
 
-    def slope(self, x):
+    def slope(self, x) -> np.ndarray:
         """Return the derivatives of the cost."""
         here, out = self.cost(x), np.empty(len(x))
         for k in range(len(x)):
@@ -221,7 +221,7 @@ class _Problem:
             out[k] = (self.cost(moved) - here) / _STEP
         return out
 
-    def shares(self, angle, rate, acceleration):
+    def shares(self, angle, rate, acceleration) -> dict[str, float]:
         """Return by name what a motion (S, n) takes of each limit, 1 at the limit."""
         bounds, arm = self.bounds, self.robot.arm
         middle = 0.5 * (bounds.lower + bounds.upper)
@@ -242,7 +242,7 @@ class _Problem:
         return np.where(rate > 0.0, way * forward.coulomb + forward.viscous * rate,
                         way * backward.coulomb + backward.viscous * rate)
 
-    def within(self, x, repeats):
+    def within(self, x, repeats) -> Excitation:
         """Return the Excitation, smaller or with longer ramps until all of it is within."""
         coefficients, offset = self._numbers(x)
         ramp, count = max(0.2 * self._period, 1.0), self._harmonics
@@ -277,7 +277,7 @@ class _Problem:
             name: share for name, share in used.items() if share > 0.0},
             clearance=self._capsules.least(motion[0]))
 
-    def usual_motion(self):
+    def usual_motion(self) -> np.ndarray:
         """Return a motion (S, n) for comparison: sinusoids over half of what the limits allow."""
         n = self.robot.n_joints
         period = self._period / (1.0 + np.arange(n) % self._harmonics)

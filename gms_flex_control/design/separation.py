@@ -244,7 +244,7 @@ class Loop(NamedTuple):
     kept: tuple               # those that must keep the limits: as believed, fitted, and drawn
     load: Body | None = None  # that the robot carries
 
-    def run(self, robot, believed, candidate, duration):
+    def run(self, robot, believed, candidate, duration) -> tuple:
         """Return the Plan and the Run of a robot; SimulationError if it diverges."""
         plan = closed_loop_plan(loaded(robot, self.load), believed, candidate, duration,
                                 self.gains, period=self.period)

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from gms_flex_control.discrepancy.motion import supply_voltage
 from gms_flex_control.discrepancy.nuisance import with_nuisances
+from gms_flex_control.discrepancy.result import Discrepancy
 from gms_flex_control.errors import BagError
 from gms_flex_control.simulation.loop import Loop
 import numpy as np
@@ -52,7 +53,7 @@ class ClosedLoop(NamedTuple):
     course_after: np.ndarray    # (T, n) [rad]
 
 
-def stretch_of(recording):
+def stretch_of(recording) -> Stretch:
     """
     Return the Stretch of a Recording of a robot under the cascade controller.
 
@@ -97,7 +98,7 @@ def _resampled(grid, time, values):
     return np.stack(columns, axis=1).reshape(values.shape)
 
 
-def simulated(robot, believed, gains, stretch, seed=_SEED):
+def simulated(robot, believed, gains, stretch, seed=_SEED) -> np.ndarray:
     """
     Return the link angles (T, n) that the closed loop of a robot would have measured [rad].
 
@@ -112,7 +113,7 @@ def simulated(robot, believed, gains, stretch, seed=_SEED):
     return loop.run(stretch.reference, gains, supply=stretch.supply).measured[:, 0]
 
 
-def closed_loop_of(behind, recordings, gains):
+def closed_loop_of(behind, recordings, gains) -> ClosedLoop:
     """
     Return the ClosedLoop of recordings with references, with the models before and after.
 
@@ -143,7 +144,7 @@ def _rms(runs, others):
     return np.sqrt(np.concatenate(squares).mean(axis=0))
 
 
-def with_closed_loop(result, recordings, gains):
+def with_closed_loop(result, recordings, gains) -> Discrepancy:
     """
     Return a Discrepancy of which gap and words have the closed loop, too; bad data as they are.
 
@@ -162,7 +163,7 @@ def with_closed_loop(result, recordings, gains):
     return replace(result.saying(sentence_of(again)), gap=replace(result.gap, closed_loop=again))
 
 
-def sentence_of(again):
+def sentence_of(again) -> str:
     """Return a ClosedLoop in words."""
     errors = ', '.join(
         f'{1e3 * before:.3g} -> {1e3 * after:.3g} mrad ({joint}, noise floor '

@@ -14,7 +14,7 @@ import numpy as np
 _OF_TORQUE = ('swapped_joints', 'swapped_sides', 'torque_sign', 'torque_scale', 'unexplained')
 
 
-def faults_of(recordings, robot):
+def faults_of(recordings, robot) -> list:
     """
     Return the findings of `identification.recording_checks` in what the equations will use.
 

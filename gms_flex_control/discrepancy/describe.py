@@ -19,7 +19,7 @@ class Scale(NamedTuple):
     unit: str
     factor: float
 
-    def text(self, value):
+    def text(self, value) -> str:
         """Return a value in SI units as a number of this unit, three digits; '-' if absent."""
         return f'{self.factor * value:.3g}' if np.isfinite(value) else '-'
 
@@ -28,12 +28,12 @@ _TORQUES = ((0.9, Scale('mN m', 1e3)), (900.0, Scale('N m', 1.0)), (np.inf, Scal
 _ANGLES = ((0.9, Scale('mrad', 1e3)), (np.inf, Scale('rad', 1.0)))
 
 
-def torque_scale(values):
+def torque_scale(values) -> Scale:
     """Return the Scale that suits torques (any shape) [N m]."""
     return _suiting(_TORQUES, values)
 
 
-def angle_scale(values):
+def angle_scale(values) -> Scale:
     """Return the Scale that suits angles (any shape) [rad]."""
     return _suiting(_ANGLES, values)
 
@@ -44,23 +44,23 @@ def _suiting(scales, values):
     return next(scale for limit, scale in scales if largest < limit)
 
 
-def first_of(texts, count):
+def first_of(texts, count) -> str:
     """Return the first few texts as sentences, and how many more there are."""
     more = [f'({len(texts) - count} more in the report.)'] if len(texts) > count else []
     return ' '.join([f'{text.rstrip(".")}.' for text in texts[:count]] + more)
 
 
-def capitalised(text):
+def capitalised(text) -> str:
     """Return a text (not empty) with a capital at its beginning, the rest as it is."""
     return text[0].upper() + text[1:]
 
 
-def of_faults(texts):
+def of_faults(texts) -> str:
     """Return a sentence on faults of the data (texts) that end the run."""
     return f'The data are at fault, not the model: {first_of(texts, 4)}'
 
 
-def evidence_of(one, others):
+def evidence_of(one, others) -> str:
     """Return one sentence on why an effect is named, from its Worth and its rivals."""
     scale = torque_scale(one.torque)
     sentence = (f'it contributes {scale.text(one.torque)} {scale.unit} rms, '
@@ -74,19 +74,19 @@ def evidence_of(one, others):
     return sentence + '.'
 
 
-def value_words(finding):
+def value_words(finding) -> str:
     """Return the values of a finding, such as 'half_gap 0.0021 rad'."""
     return ', '.join(f'{v.name} {v.value:.4g}{"" if v.unit == "1" else " " + v.unit}'
                      for v in finding.values)
 
 
-def named(finding):
+def named(finding) -> str:
     """Return a finding in few words."""
     return (f'{finding.effect} of {finding.joint} ({value_words(finding)}; '
             f'{in_words(finding.effect)})')
 
 
-def of_not_added(result):
+def of_not_added(result) -> str:
     """Return a sentence on findings that matter and are not in the model written, '' if none."""
     shown = result.not_added[:_IN_FULL]
     if not shown:
@@ -96,7 +96,7 @@ def of_not_added(result):
             f'{them} predicts everything as well: {are} named and not added.')
 
 
-def of_noise(noise):
+def of_noise(noise) -> str:
     """Return a Noise in words."""
     scale = torque_scale(noise.rms)
     where = f'drive of {noise.joint}' if noise.equation == 'motor' else f'link of {noise.joint}'

@@ -17,7 +17,7 @@ from gms_flex_control.discrepancy.fitting import informative, numbers_of, prior_
 from gms_flex_control.discrepancy.likelihood import with_effect
 from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.effects.base import Change, Stage, Term
-from gms_flex_control.effects.guess import HIGHEST_ORDER
+from gms_flex_control.effects.guess import Guess, HIGHEST_ORDER
 from gms_flex_control.effects.registry import find, names
 from gms_flex_control.params.robot import EffectSpec, WHOLE_ARM
 import numpy as np
@@ -36,7 +36,7 @@ class Ranked(NamedTuple):
     spec: EffectSpec
 
     @property
-    def key(self):
+    def key(self) -> tuple[str, str]:
         """Return (effect, joint)."""
         return self.spec.name, self.spec.joint
 
@@ -95,7 +95,7 @@ def guesses_of(likelihood, excluded=(), fine=None, only=None) -> list:
     return found
 
 
-def allowed(guess, lower, upper):
+def allowed(guess, lower, upper) -> Guess:
     """Return a Guess whose values keep within the bounds of an effect's parameters."""
     size = guess.probes[0][0]
     if guess.is_linear and size > 0.0:  # its coefficient has bounds, too

@@ -42,16 +42,16 @@ class State(NamedTuple):
     plausible: object = np.inf  # standard deviations that nuisance parameters may go, (P,) or one
 
     @property
-    def columns(self):
+    def columns(self) -> np.ndarray:
         """Return the derivatives (C, R) by nuisance parameters, then numbers of effects."""
         return np.concatenate([self.nuisances, self.own])
 
-    def key(self, known):
+    def key(self, known) -> frozenset:
         """Return the effects that were added, frozenset of (effect, joint)."""
         return frozenset((spec.name, spec.joint) for spec in self.model.robot.effects[known:])
 
 
-def state_of(likelihood, model, columns, hypotheses):
+def state_of(likelihood, model, columns, hypotheses) -> State:
     """
     Return a model at its likeliest, with its evidence, a State.
 
@@ -78,7 +78,7 @@ def finite(evidence) -> float:
     return float(evidence) if np.isfinite(evidence) else -np.inf
 
 
-def log_determinant(likelihood, model):
+def log_determinant(likelihood, model) -> float | np.ndarray:
     """
     Return the logarithm of the determinant of rows by readings, of what is not encoder noise.
 
@@ -104,7 +104,7 @@ def log_determinant(likelihood, model):
 
 
 @compiled
-def spring_torques(states, drive, time, period, constants, state, work, spring):
+def spring_torques(states, drive, time, period, constants, state, work, spring) -> None:
     """Fill the torques (T, n) of springs along a motion (T, 6, n)."""
     for k in range(drive.shape[0]):
         plant.take_place(k, states, drive[k], time[k], state, work)
@@ -130,7 +130,7 @@ def stiffness_along(motion, constants) -> np.ndarray:
     return np.sum(torque * torsion, axis=0) / np.maximum(np.sum(torsion ** 2, axis=0), 1e-300)
 
 
-def posterior(states, known):
+def posterior(states, known) -> list[tuple[frozenset, float]]:
     """
     Return the probabilities of States that were tried, those of equal effects once.
 
@@ -147,7 +147,7 @@ def posterior(states, known):
     return list(zip(keys, (mass / mass.sum()).tolist(), strict=True))
 
 
-def credible(models, mass=CREDIBLE):
+def credible(models, mass=CREDIBLE) -> list:
     """Return the fewest models (of `posterior`) that hold so much of the probability."""
     shares = np.cumsum([share for _, share in models])
     return models[:int(np.searchsorted(shares, mass)) + 1]

@@ -63,7 +63,7 @@ class Worth(NamedTuple):
     rest: State        # likewise, known parameters anywhere
 
     @property
-    def weight(self):
+    def weight(self) -> float:
         """
         Return by what effects are ranked [N m]: between all its torque and what is its alone.
 
@@ -71,7 +71,7 @@ class Worth(NamedTuple):
         """
         return self.torque * self.share ** 0.25
 
-    def is_real(self, caution=1.0):
+    def is_real(self, caution=1.0) -> bool:
         """Return whether evidence and held-out data speak for it, with so much ``caution``."""
         return self.evidence > EVIDENCE and self.gain._replace(
             sigmas=self.gain.sigmas / caution).is_real
@@ -239,7 +239,7 @@ def is_noisy(likelihood, model) -> bool:
         caution_of(likelihood) * likelihood.clean_torque()))  # also where it is not finite
 
 
-def caution_of(likelihood):
+def caution_of(likelihood) -> float:
     """Return times as many standard errors as usual that held-out data must show."""
     return UNSEEN if likelihood.unseen else 1.0
 

@@ -6,8 +6,10 @@
 from dataclasses import replace
 from typing import NamedTuple
 
+from gms_flex_control.discrepancy.likelihood import Fitted
 from gms_flex_control.discrepancy.nuisance import LARGEST
 from gms_flex_control.effects.registry import find
+from gms_flex_control.params.robot import RobotParams
 import numpy as np
 
 _RIDGE = 1e-10                # of the diagonal, where parameters are nearly one
@@ -107,7 +109,7 @@ def values_of(robot, numbers) -> np.ndarray:
     return np.array([robot.effects[n.effect].values[n.parameter] for n in numbers])
 
 
-def at_values(robot, numbers, values):
+def at_values(robot, numbers, values) -> RobotParams:
     """Return a robot with parameters of its effects at values (V,), kept within bounds."""
     lists = [list(spec.values) for spec in robot.effects]
     for number, value in zip(numbers, values, strict=True):
@@ -234,7 +236,7 @@ def limits(model, numbers, prior, farthest=np.inf) -> tuple:
     return low, high
 
 
-def fit(likelihood, robot, x, columns, first=None, plausible=np.inf, iterations=8):
+def fit(likelihood, robot, x, columns, first=None, plausible=np.inf, iterations=8) -> Fitted:
     """
     Move nuisance parameters and the numbers of effects to where a model is likeliest.
 

@@ -244,7 +244,7 @@ def _runs_inform(likelihood):
 
 @compiled
 def run_freely(states, command, pushed, supply, time, period, substeps, starts, horizon, constants,
-               state, replayed, work, link, motor):
+               state, replayed, work, link, motor) -> None:
     """
     Fill angles (S, horizon, n) of runs from the measured state at each of ``starts`` (S,).
 

@@ -33,7 +33,7 @@ class Formula(NamedTuple):
     unknowns: int
 
 
-def formula_of(x, y):
+def formula_of(x, y) -> Formula:
     """
     Return the simplest Formula that is nearly as close to a curve as the closest.
 
@@ -93,7 +93,7 @@ def _error(y, fitted):
     return float(np.sqrt(np.mean((y - fitted) ** 2) / np.mean(y ** 2)))
 
 
-def curve_of(spec, span):
+def curve_of(spec, span) -> tuple[np.ndarray, np.ndarray]:
     """Return places and values of a term's curve over a range, (P,) each."""
     p = np.array(spec.values)
     inside = np.clip(np.linspace(*p[shapes.KNOTS:shapes.KNOTS + 2], _POINTS), *span)
@@ -101,7 +101,7 @@ def curve_of(spec, span):
     return x, np.array([shapes.curve(one, p) for one in x])
 
 
-def described(spec, span):
+def described(spec, span) -> tuple[str, float]:
     """
     Return what a learned term looks like, and the error of that.
 
@@ -161,7 +161,7 @@ def _in_words(formula, unit, name):
             f'{numbers[2]:.2g} {unit} wide')
 
 
-def words_of(terms, before=None, after=None):
+def words_of(terms, before=None, after=None) -> str:
     """Return sentences on LearnedTerms, and on the Gaps without and with them."""
     if not terms:
         return ('No learned term predicts data left out of the fit better: what is unexplained '
@@ -174,7 +174,7 @@ def words_of(terms, before=None, after=None):
             f'free runs {change(before.free_after, after.free_after)} times what it was without.')
 
 
-def words_of_drift(spec, span):
+def words_of_drift(spec, span) -> str:
     """Return a sentence on a change of friction over a range of time, which is not written."""
     return (f'What is unexplained includes {described(spec, span)[0]}: it belongs to this '
             'recording and is not in the model.')

@@ -30,7 +30,7 @@ from gms_flex_control.discrepancy.learned_words import described, words_of, word
 from gms_flex_control.discrepancy.likelihood import Likelihood, with_effect
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.nuisance import with_nuisances
-from gms_flex_control.discrepancy.result import LearnedTerm
+from gms_flex_control.discrepancy.result import Discrepancy, LearnedTerm
 from gms_flex_control.discrepancy.thresholds import CLEARLY, EVIDENCE, PLAUSIBLE, UNSEEN
 from gms_flex_control.discrepancy.validation import gain_of
 from gms_flex_control.effects import learned as shapes
@@ -62,12 +62,12 @@ class _Candidate(NamedTuple):
     others: np.ndarray    # columns without it (C, R)
 
     @property
-    def spec(self):
+    def spec(self) -> EffectSpec:
         """Return the term."""
         return self.state.model.robot.effects[-1]
 
 
-def learn(result, *, holdout=(), say=lambda text: None):
+def learn(result, *, holdout=(), say=lambda text: None) -> Discrepancy:
     """
     Return a Discrepancy with terms learned for what it leaves unexplained.
 
@@ -144,12 +144,12 @@ class _Learning:
         self._begun = [spec for j in joints for spec in _specs(likelihood, j, self._ranges[j])]
         self._count = len(self._begun) * (1 + len(_ZOOMS))
 
-    def state(self, model):
+    def state(self, model) -> State:
         """Return a model fitted again as a State."""
         model, columns = refitted(self._likelihood, model, self._nuisances)
         return state_of(self._likelihood, model, columns, self._count)
 
-    def run(self, state):
+    def run(self, state) -> tuple:
         """Return a State with terms, LearnedTerm of each, its Gap, words on a drift or ''."""
         terms, gap = [], self._gap(state)
         while len(terms) < MOST_TERMS:

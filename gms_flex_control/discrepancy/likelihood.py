@@ -14,7 +14,7 @@ from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from dataclasses import dataclass, replace
 import os
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 from gms_flex_control.discrepancy.motion import scales_of
 from gms_flex_control.discrepancy.nuisance import (
@@ -36,6 +36,7 @@ from gms_flex_control.discrepancy.whitening import Groups, Whitening
 from gms_flex_control.effects.guess import Scales
 from gms_flex_control.effects.registry import find
 from gms_flex_control.errors import SimulationError
+from gms_flex_control.params.robot import RobotParams
 from gms_flex_control.simulation import plant
 import numpy as np
 
@@ -66,7 +67,7 @@ class Fitted:
     sums: Sums        # of the rows
 
     @property
-    def cost(self):
+    def cost(self) -> float:
         """Return -2 log of likelihood times prior, but for constants."""
         return self.sums.cost
 
@@ -108,12 +109,12 @@ class Likelihood:
         self._simulate(robot, np.zeros(len(self.nuisances)))
 
     @property
-    def known(self):
+    def known(self) -> int:
         """Return how many effects of any model are no discovery."""
         return len(self.robot.effects)
 
     @property
-    def coulomb(self):
+    def coulomb(self) -> np.ndarray:
         """Return Coulomb friction (n,), the mean of both directions [N m]."""
         friction = self.robot.friction
         return 0.5 * (friction.forward.coulomb + friction.backward.coulomb)
@@ -134,13 +135,13 @@ class Likelihood:
             lambda step: [self.residuals(run, robot, x + step) for run in runs[:2]], steps)))
         self._whiten(np.zeros((len(self.motions), 2 * robot.n_joints)))
 
-    def simulated_as(self, model):
+    def simulated_as(self, model) -> Self:
         """Return the Likelihood whose null simulations are those of a Fitted, without noise."""
         other = copy(self)
         other._simulate(model.robot, model.x)
         return other
 
-    def with_noise(self, noise):
+    def with_noise(self, noise) -> Self:
         """Return the Likelihood with white torque noise (M, 2 n) in its null simulations."""
         other = copy(self)
         other._whiten(noise)
@@ -196,7 +197,7 @@ class Likelihood:
         return Sums(cleared, self.misfit(cleared) + float(np.sum((x / self.sd) ** 2)),
                     share * ((cleared > least) & (added < most)))
 
-    def misfit(self, sums):
+    def misfit(self, sums) -> np.ndarray:
         """Return -2 log likelihood of sums (..., G) at the likeliest noise levels."""
         level = self.noise_levels(sums)
         return np.sum(self.groups.count * np.log(level) + np.asarray(sums) / level, axis=-1)
@@ -365,7 +366,7 @@ class Likelihood:
         return self._scales[joints.index(joint) if joint in joints else 0]
 
     @property
-    def unseen(self):
+    def unseen(self) -> set[str]:
         """Return the joints whose links have no encoder, set of str."""
         return {motion.joints[link.joint] for motion in self.motions for link in motion.unseen}
 
@@ -375,6 +376,6 @@ class Likelihood:
         return float(self.coulomb[joints.index(joint)] if joint in joints else self.coulomb.min())
 
 
-def with_effect(robot, spec):
+def with_effect(robot, spec) -> RobotParams:
     """Return a robot with one more effect."""
     return replace(robot, effects=(*robot.effects, spec))

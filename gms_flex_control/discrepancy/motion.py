@@ -11,9 +11,10 @@ equation leaves. One equation per joint remains, that of link and motor together
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple, Self
 
 from gms_flex_control import records
+from gms_flex_control.data.recording import Recording
 from gms_flex_control.data.signal_analysis import quantum
 from gms_flex_control.dynamics import spatial
 from gms_flex_control.dynamics.chain import own_inertia
@@ -87,7 +88,7 @@ class Motion:
     load: Body | None = None   # that was carried, in the frame of the last link
     _kept: dict = field(init=False, repr=False, default_factory=dict)
 
-    def once(self, key, make):
+    def once(self, key, make) -> Any:
         """Return what ``make`` returns, of the last few keys without calling it again."""
         found = self._kept.pop(key, None)
         found = make() if found is None else found
@@ -96,7 +97,7 @@ class Motion:
             self._kept.pop(old, None)
         return found
 
-    def carrying(self, constants):
+    def carrying(self, constants) -> np.record:
         """Return the kernels' record of a model with the load that was carried."""
         if self.load is None:
             return constants
@@ -104,16 +105,16 @@ class Motion:
         boxed['chain'][0] = spatial.carrying(constants.chain, self.load)
         return boxed[0]
 
-    def through_filter(self, torque):
+    def through_filter(self, torque) -> np.ndarray:
         """Return torques (T, n) held over samples as the equations see them, shape (S, n)."""
         return thinned(_held_triangle(torque), self.factor)
 
     @cached_property
-    def push(self):
+    def push(self) -> np.ndarray:
         """Return ``pushed`` as the equations see it (S, n) [N m]."""
         return self.through_filter(self.pushed)
 
-    def with_torque(self, command):
+    def with_torque(self, command) -> Self:
         """Return the Motion with other torques held from sample to sample, (T, n) [N m]."""
         return replace(self, command=command, drive=self.through_filter(command))
 
@@ -194,7 +195,7 @@ def motion_of(recording, robot) -> Motion:
     return replace(motion, known=known[::motion.factor], load=load)
 
 
-def require_known(recording, robot):
+def require_known(recording, robot) -> None:
     """Raise BagError where a recording has a load or torques that the robot's model cannot use."""
     if recording.load_unknown:
         raise BagError(f'{recording.source}: its load is unknown; gms_flex identify finds it '
@@ -323,7 +324,7 @@ def _usual_torque(recording, j):
     return 1.0 if known is None else max(float(np.std(known)), 1e-12)
 
 
-def with_links(recording, robot):
+def with_links(recording, robot) -> Recording:
     """Return a Recording with the computed angles of links that have no encoder."""
     unseen = unseen_links(recording, robot)
     if not unseen:

@@ -13,7 +13,9 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from gms_flex_control import records
-from gms_flex_control.params.robot import KINDS
+from gms_flex_control.discrepancy.motion import Motion
+from gms_flex_control.params.arm import ArmParams
+from gms_flex_control.params.robot import KINDS, RobotParams
 from gms_flex_control.simulation import plant
 import numpy as np
 
@@ -52,7 +54,7 @@ class Nuisance(NamedTuple):
     fields: tuple         # of (part, field, index) of the kernels' record
     signs: tuple          # +1 or -1 for each field
 
-    def apply(self, boxed, value):
+    def apply(self, boxed, value) -> None:
         """Change a boxed record of simulation.plant.constants_of in place by ``value``."""
         for (part, field, index), sign in zip(self.fields, self.signs, strict=True):
             boxed[part][field][0][index] *= 1.0 + sign * value
@@ -66,7 +68,7 @@ class RotorNuisance(NamedTuple):
     name = 'motor_inertia'
     fields = (('chain', 'motor_inertia', ...), ('chain', 'rigid_inertia', ...))
 
-    def apply(self, boxed, value):
+    def apply(self, boxed, value) -> None:
         """Change a boxed record of simulation.plant.constants_of in place by ``value``."""
         own, seen, inverse = (boxed['chain'][name][0] for name in (
             'motor_inertia', 'rigid_inertia', 'inverse'))
@@ -89,20 +91,20 @@ class OfRecording(NamedTuple):
     unit: float           # of the kind [rad], [N m], 1 or [samples]
     fields = ()
 
-    def apply(self, boxed, value):
+    def apply(self, boxed, value) -> None:
         """Leave a record of simulation.plant.constants_of as it is: no robot has it."""
 
-    def words(self, joints, value):
+    def words(self, joints, value) -> str:
         """Return ``value`` units in words, of a robot with ``joints``."""
         kind = OF_RECORDING[self.name]
         return (f'{kind.what} of {joints[self.joint]} {kind.factor * value * self.unit:+.3g} '
                 f'{kind.unit} in recording {self.recording + 1}')
 
-    def is_reported(self, value):
+    def is_reported(self, value) -> bool:
         """Return whether ``value`` units matter."""
         return abs(value) > OF_RECORDING[self.name].least
 
-    def recorded(self, motion, value):
+    def recorded(self, motion, value) -> Motion:
         """Return a Motion cleared of ``value`` units."""
         size, j = value * self.unit, self.joint
         if self.name == 'zero_of_recording':
@@ -121,7 +123,7 @@ class OfRecording(NamedTuple):
         return motion.with_torque(torque)
 
 
-def of_recordings(motions, robot):
+def of_recordings(motions, robot) -> tuple:
     """Return the nuisance parameters of all recordings (Motions) but the first, tuple."""
     level = 0.5 * (robot.friction.forward.coulomb + robot.friction.backward.coulomb)
     unseen, found = {link.joint for motion in motions for link in motion.unseen}, []
@@ -135,7 +137,7 @@ def of_recordings(motions, robot):
     return tuple(found)
 
 
-def nuisances_of(constants, prior, stated=None):
+def nuisances_of(constants, prior, stated=None) -> tuple:
     """
     Return the nuisance parameters of a robot, tuple of Nuisance and RotorNuisance.
 
@@ -192,7 +194,7 @@ def nuisances_of(constants, prior, stated=None):
     return tuple(found)
 
 
-def tuned(constants, nuisances, values):
+def tuned(constants, nuisances, values) -> np.record:
     """Return a copy of constants with nuisance parameters at ``values`` (P,)."""
     boxed = records.boxed(constants)
     for nuisance, value in zip(nuisances, values, strict=True):
@@ -201,7 +203,7 @@ def tuned(constants, nuisances, values):
     return boxed[0]
 
 
-def with_nuisances(robot, nuisances, x):
+def with_nuisances(robot, nuisances, x) -> RobotParams:
     """
     Return a robot whose own parameters are what its nuisance parameters ``x`` (P,) make them.
 
@@ -249,7 +251,7 @@ def _with_record(robot, record):
         attraction=np.array(friction.attraction)))
 
 
-def with_base(arm, links):
+def with_base(arm, links) -> ArmParams:
     """Return an arm whose links have the inertia and moments of the kernels' record."""
     if arm.frames:
         rows, columns = np.triu_indices(3)

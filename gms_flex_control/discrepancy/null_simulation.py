@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 from gms_flex_control.compiled import compiled
 from gms_flex_control.data.signal_analysis import quantum
-from gms_flex_control.discrepancy.motion import encoder_step, make_motion
+from gms_flex_control.discrepancy.motion import encoder_step, make_motion, Motion
 from gms_flex_control.discrepancy.nuisance import OF_SHAPE
 from gms_flex_control.discrepancy.residuals import fresh_state
 from gms_flex_control.dynamics.chain import own_inertia
@@ -41,7 +41,7 @@ _MOSTLY = 0.3         # of the squares of a derivative: noise shows more than th
 
 @compiled
 def simulate_along(states, command, supply, time, period, substeps, gains, constants, state, work,
-                   held, pushed, link, motor):
+                   held, pushed, link, motor) -> None:
     """
     Fill torques and angles (T, n) of a run along ``motion`` (T, 6, n).
 
@@ -67,7 +67,7 @@ def simulate_along(states, command, supply, time, period, substeps, gains, const
         plant.advance(state, held[k], time[k], period, substeps, constants, work)
 
 
-def null_simulation(motion, constants, rng):
+def null_simulation(motion, constants, rng) -> Motion:
     """
     Return the Motion that a model makes of a recording, read through encoders like those of it.
 
@@ -173,7 +173,7 @@ class EncoderNoise:
                   > 2.0 * _MOSTLY * self._groups.sums((pair[0] - self._begun[0]) ** 2))
         return noise / step, ~hidden[self._groups.group]
 
-    def learn(self, likelihood, spec, linear):
+    def learn(self, likelihood, spec, linear) -> None:
         """
         Learn how noise shows in the derivatives by an effect.
 

@@ -33,7 +33,7 @@ _LEAST = 3.0 * PRACTICAL  # of Coulomb friction: a function that is free fits so
 _TRIED = 4            # functions of most evidence, of which one may be real
 
 
-def variables(motion, j):
+def variables(motion, j) -> dict[str, np.ndarray]:
     """Return what a residual of joint ``j`` may depend on: dict of str to (S,)."""
     states = motion.states
     rate = states[:, 1, j]
@@ -46,14 +46,14 @@ def variables(motion, j):
         strict=True))
 
 
-def of_others(motion, j):
+def of_others(motion, j) -> dict[str, np.ndarray]:
     """Return where the other joints are and how fast: dict of str to (S,)."""
     return {f'{name} of {joint}': motion.states[:, place, k]
             for k, joint in enumerate(motion.joints) if k != j
             for place, name in enumerate(('link angle', 'link rate'))}
 
 
-def dependence(values, residual):
+def dependence(values, residual) -> float:
     """Return the share of a residual's (S,) variance that bins of values explain."""
     edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, _BINS + 1)[1:-1]))
     places = np.searchsorted(edges, values)
@@ -63,7 +63,7 @@ def dependence(values, residual):
                  / max(np.sum((residual - residual.mean()) ** 2), 1e-300))
 
 
-def tone(rows, period):
+def tone(rows, period) -> tuple[float, float]:
     """Return frequency [Hz] and share of power of the strongest line of a residual (S,)."""
     power = np.abs(np.fft.rfft((rows - rows.mean()) * np.hanning(len(rows)))) ** 2
     k = int(np.argmax(power[1:])) + 1
@@ -71,7 +71,7 @@ def tone(rows, period):
     return k / (len(rows) * period), float(near / max(power.sum(), 1e-300))
 
 
-def signature_of(likelihood, model, share, free=None):
+def signature_of(likelihood, model, share, free=None) -> Signature:
     """
     Return the Signature of what a model, with all that was found, leaves.
 
@@ -190,7 +190,7 @@ class FreeFunctions:
             rows.append(likelihood.rows_of(torques))
         return np.array(rows)
 
-    def left_in(self, model, columns, caution=1.0):
+    def left_in(self, model, columns, caution=1.0) -> 'Free | None':
         """Return the free function that a model lacks, a Free, None where nothing matters."""
         without = None
         for free in self.ranked(model, columns)[:_TRIED]:

@@ -54,7 +54,7 @@ class Evidence:
     own: Binned      # what the effect itself contributes
 
     @property
-    def title(self):
+    def title(self) -> str:
         """Return what is shown, without the name of the effect."""
         times = f', times {self.times}' if self.times else ''
         return f'missing in the {self.equation} equation of {self.of_joint}{times}'
@@ -73,11 +73,11 @@ class Along:
         return np.concatenate([one[whitening.settled] for one, whitening in zip(
             rows, self.likelihood.whitenings, strict=True)])
 
-    def residual(self, model):
+    def residual(self, model) -> np.ndarray:
         """Return residual torques (S, 2n) of a Fitted behind the low-pass [N m]."""
         return self._kept(self.likelihood.torque(model))
 
-    def null(self, model):
+    def null(self, model) -> np.ndarray:
         """Return residuals (S, 2n) of a null simulation of a Fitted, torque noise in it."""
         constants = self.likelihood.constants(model.robot, model.x)
         rows = []
@@ -89,7 +89,7 @@ class Along:
                 + self.likelihood.torque_noise(m, rng)))
         return self._kept(rows)
 
-    def variables(self, j):
+    def variables(self, j) -> dict[str, np.ndarray]:
         """Return what residuals of joint ``j`` may depend on, dict of str to (S,)."""
         if j not in self._variables:
             parts = []
@@ -103,14 +103,14 @@ class Along:
                                   for name in parts[0]}
         return self._variables[j]
 
-    def channels(self, j):
+    def channels(self, j) -> list[tuple[str, int]]:
         """Return (equation, column) of each equation of joint ``j``."""
         if self.likelihood.robot.arm.rigid[j]:
             return [('link', j)]
         return [('link', j), ('motor', len(self.joints) + j)]
 
 
-def further(motion, j):
+def further(motion, j) -> dict[str, np.ndarray]:
     """Return which way joint ``j`` moves and how far since it turned: dict of str to (S,)."""
     angle, rate = motion.states[:, 0, j], motion.states[:, 1, j]
     last = np.maximum.accumulate(np.where(rate != 0.0, np.arange(len(rate)), 0))
@@ -126,7 +126,7 @@ def _moves(rate):
     return np.abs(rate) > _MOVING * np.sqrt(np.mean(rate ** 2))
 
 
-def binned(x, y, edges=None):
+def binned(x, y, edges=None) -> Binned:
     """
     Return the Binned means of y (S,) over bins of x (S,); bins of few samples are left out.
 
@@ -144,7 +144,7 @@ def binned(x, y, edges=None):
     return Binned(means(x), mean, 1.96 * spread / np.sqrt(_INDEPENDENT * count[full]))
 
 
-def bin_edges(x):
+def bin_edges(x) -> np.ndarray:
     """Return inner edges of bins of x (S,), half of them even in x, half in samples."""
     bins = int(np.clip(len(x) // (4 * _LEAST), 4, BINS))
     even = np.linspace(*np.quantile(x, (0.003, 0.997)), bins // 2 + 1)
@@ -152,7 +152,7 @@ def bin_edges(x):
     return np.unique(np.concatenate([even, alike]))
 
 
-def evidence_of(along, model, finding):
+def evidence_of(along, model, finding) -> Evidence:
     """
     Return how a Finding of a Fitted shows against its own variable, an Evidence.
 
@@ -179,7 +179,7 @@ def evidence_of(along, model, finding):
         after=binned(x, rest, edges), own=binned(x, own, edges))
 
 
-def follows(x, y):
+def follows(x, y) -> float:
     """Return the share of the mean square of y (S,) that its means over bins of x make."""
     places = np.searchsorted(bin_edges(x), x)
     count = np.maximum(np.bincount(places), 1)
@@ -245,7 +245,7 @@ class Map(NamedTuple):
     after: np.ndarray
 
 
-def maps_of(along, before, after, j):
+def maps_of(along, before, after, j) -> list:
     """Return Maps of the residuals (S, 2n) of two models in the equations of joint ``j``."""
     values, rigid = along.variables(j), along.likelihood.robot.arm.rigid[j]
     pairs = [(0, 'link angle', 'link rate'), (0, 'link acceleration', 'link rate')]
@@ -287,7 +287,7 @@ class Over(NamedTuple):
     off_zero: tuple    # of the bins whose 95 % band leaves zero out: likewise
 
 
-def over_all(along, *residuals):
+def over_all(along, *residuals) -> list[Over]:
     """
     Return what residuals (S, 2n) depend on, list of Over by joint, equation and variable.
 
@@ -307,7 +307,7 @@ def over_all(along, *residuals):
     return found
 
 
-def over_of(result):
+def over_of(result) -> list[Over]:
     """Return what the residuals of a Discrepancy depend on, list of Over; of bad data none."""
     if result.behind is None:
         return []
@@ -315,6 +315,6 @@ def over_of(result):
     return over_all(along, *residuals_of(along, result.behind))
 
 
-def residuals_of(along, behind):
+def residuals_of(along, behind) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return residuals (S, 2n) before, after, and of a null simulation."""
     return along.residual(behind.before), along.residual(behind.after), along.null(behind.after)

@@ -42,7 +42,7 @@ _OF_BODIES = {  # by a field that the record of that kind of arm has
 
 
 @compiled
-def mean_applied(command, supply, time, period, constants, state, work, out):
+def mean_applied(command, supply, time, period, constants, state, work, out) -> None:
     """Write the mean torque (T, n) of the actuators from each sample to the next."""
     s, effects = work.signals, constants.effects
     samples, n = command.shape
@@ -60,7 +60,7 @@ def mean_applied(command, supply, time, period, constants, state, work, out):
 
 
 @compiled
-def replay_friction(k, states, period, constants, state, work):
+def replay_friction(k, states, period, constants, state, work) -> None:
     """Move the blocks to sample ``k`` and write the friction torques into ``work.friction``."""
     for j in range(states.shape[2]):
         state.dq_link[j] = states[k, 1, j]
@@ -71,7 +71,7 @@ def replay_friction(k, states, period, constants, state, work):
 
 
 @compiled
-def friction_along(states, period, constants, state, work, friction):
+def friction_along(states, period, constants, state, work, friction) -> None:
     """Fill ``friction`` (T, n) [N m] along a motion (T, 6, n); state and work are overwritten."""
     for k in range(states.shape[0]):
         replay_friction(k, states, period, constants, state, work)
@@ -80,7 +80,8 @@ def friction_along(states, period, constants, state, work, friction):
 
 
 @compiled
-def clear_sensor_errors(states, friction, drive, time, period, constants, state, work, true, bend):
+def clear_sensor_errors(states, friction, drive, time, period, constants, state, work, true,
+                        bend) -> None:
     """
     Fill motion ``true`` (T, 6, n) and by how much second differences ``bend`` (T, 2, n) too far.
 
@@ -117,7 +118,7 @@ def clear_sensor_errors(states, friction, drive, time, period, constants, state,
 
 @compiled
 def residuals_along(states, second, friction, bias, inertial, carried, drive, rest, time, period,
-                    weight, constants, state, work, out):
+                    weight, constants, state, work, out) -> None:
     """
     Fill the residual torques ``out`` (T, 2 n) of link and motor equations [N m].
 

@@ -4,7 +4,7 @@
 """What a comparison of a model with recordings ended with, as plain values."""
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 from gms_flex_control.effects.registry import find
 import numpy as np
@@ -44,12 +44,12 @@ class Finding:
     rms_after: np.ndarray   # (n,) with it [N m]
 
     @property
-    def key(self):
+    def key(self) -> tuple[str, str]:
         """Return (effect, joint)."""
         return self.effect, self.joint
 
     @property
-    def parameters(self):
+    def parameters(self) -> dict[str, float]:
         """Return the values by name, dict of str to float."""
         return {value.name: value.value for value in self.values}
 
@@ -97,7 +97,7 @@ class Signature(NamedTuple):
     variable: str      # what it depends on most; '' where on none alone
     sentence: str
 
-    def is_of(self, finding):
+    def is_of(self, finding) -> bool:
         """
         Return whether it depends on what a Finding of the joint depends on.
 
@@ -166,24 +166,24 @@ class Discrepancy:
     details: str = ''         # what of it the answer of the command line leaves out
     behind: Behind | None = None  # the search, for figures
 
-    def saying(self, *sentences):
+    def saying(self, *sentences) -> Self:
         """Return the Discrepancy with further sentences, of which none is in the answer."""
         return replace(self, words=' '.join(filter(None, (self.words, *sentences))),
                        details=' '.join(filter(None, (self.details, *sentences))))
 
     @property
-    def added(self):
+    def added(self) -> tuple:
         """Return findings that matter and are in ``robot``."""
         return tuple(one for one in self.findings if any(
             one.key == (spec.name, spec.joint) for spec in self.robot.effects))
 
     @property
-    def not_added(self):
+    def not_added(self) -> tuple:
         """Return findings that matter, but no model with them predicts everything as well."""
         added = self.added
         return tuple(one for one in self.findings if one not in added)
 
     @property
-    def named(self):
+    def named(self) -> tuple:
         """Return all findings, those that matter first."""
         return (*self.findings, *self.minor)

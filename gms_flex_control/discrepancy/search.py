@@ -49,7 +49,7 @@ class Found(NamedTuple):
     nuisances: np.ndarray  # (P, R) derivatives by the nuisance parameters, of the last model
     hypotheses: int    # effects of joints that were looked for
 
-    def near(self, known):
+    def near(self, known) -> set[tuple[str, str]]:
         """Return the effects of joints (effect, joint) that came near, set."""
         ranked = self.dictionary.ranked(self.best.model, self.best.columns, PLAUSIBLE)
         return {one.key for one in (*self.first, *ranked)}.union(
@@ -141,7 +141,7 @@ class _Search:
         """Go on with a model, its effects fitted together."""
         self.best = self._tried(*refitted(self._likelihood, model, self.nuisances))
 
-    def take_up(self, begin):
+    def take_up(self, begin) -> None:
         """Go on with the likeliest of the sets that another search found likeliest."""
         self._take(begin.best.model)
         rest = sorted((state for state in begin.tried
@@ -152,7 +152,7 @@ class _Search:
             self._take(state.model)
             self.best = max(best, self.best, key=lambda one: one.evidence)
 
-    def grow(self, most):
+    def grow(self, most) -> None:
         """Add effects to the best sets while the evidence grows."""
         beam = [self.best]
         while (added := len(self.best.model.robot.effects) - self._known) < most:
@@ -224,7 +224,7 @@ class _Search:
             model = state.model
         return state
 
-    def improve(self):
+    def improve(self) -> None:
         """Drop, exchange and merge effects where that has more evidence."""
         for spec in self.best.model.robot.effects[self._known:]:
             there = [(one.name, one.joint) for one in self.best.model.robot.effects]
@@ -256,7 +256,7 @@ class _Search:
             self._say(f'{len(dropped)} effects fewer or others')
             self._take(best.model)
 
-    def settle(self):
+    def settle(self) -> None:
         """Fit all once more by derivatives of the model found: those of the first are stale."""
         model = self.best.model
         if len(model.robot.effects) > self._known:

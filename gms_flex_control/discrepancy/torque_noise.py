@@ -57,7 +57,7 @@ def noise_response(likelihood) -> np.ndarray:
     return np.sqrt(np.mean(rows ** 2, axis=0))
 
 
-def noise_of(likelihood, model):
+def noise_of(likelihood, model) -> tuple[Noise, ...]:
     """Return the torque noise of each equation beyond what encoders make, tuple of Noise."""
     robot, found = model.robot, []
     n, total = robot.n_joints, likelihood.excess_torque(model)

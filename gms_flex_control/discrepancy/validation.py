@@ -9,6 +9,7 @@ order. Errors have Student's distribution: one moment at which friction breaks l
 nothing.
 """
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 from gms_flex_control.discrepancy.fitting import numbers_of, step_of
@@ -35,7 +36,7 @@ class Gain(NamedTuple):
     blocks: int      # in which it acts
 
     @property
-    def is_real(self):
+    def is_real(self) -> bool:
         """Return whether held-out data speak for the effect."""
         return self.nats > HELD_OUT_NATS and (self.blocks < FEW_BLOCKS or self.sigmas > PLAUSIBLE)
 
@@ -55,13 +56,13 @@ def of_blocks(likelihood, left_out, rows, weight) -> np.ndarray:
                        likelihood.groups.blocks)
 
 
-def folds(likelihood):
+def folds(likelihood) -> Iterator[np.ndarray]:
     """Yield which rows (R,) are left out of each fold, bool."""
     for k in range(min(FOLDS, likelihood.groups.blocks)):
         yield likelihood.groups.block % FOLDS == k
 
 
-def steps(likelihood, model, columns, plausible=np.inf):
+def steps(likelihood, model, columns, plausible=np.inf) -> Iterator[tuple]:
     """Yield which rows (R,) are left out of each fold, and the step (C,) of a fit without."""
     numbers, weight = numbers_of(likelihood, model.robot), likelihood.weights(model.sums.groups)
     for left_out in folds(likelihood):
@@ -105,7 +106,7 @@ def gain_over(gains, acts=slice(None)) -> Gain:
     return Gain(float(gains.sum()), float(own.mean() / max(spread, 1e-12)), len(own))
 
 
-def prediction_cost(likelihood, models, joint):
+def prediction_cost(likelihood, models, joint) -> np.ndarray:
     """
     Return how badly models predict the equations of a joint, one sample ahead.
 

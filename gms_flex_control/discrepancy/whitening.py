@@ -95,12 +95,12 @@ class Whitening:
     def _spectra(self, residuals):
         return np.fft.rfft(residuals * self._window, axis=-2)[..., :self._bins, :]
 
-    def rows_of(self, residual):
+    def rows_of(self, residual) -> np.ndarray:
         """Return rows (S, C) of unit variance of residuals (T, C) [N m], see `row_time`."""
         white = np.einsum('fcd,fd->fc', self._roots, self._spectra(residual))
         return self._octaves(self._both_sides(white)) * np.sqrt(self._rows) * self.scale
 
-    def torque_rows(self, residual):
+    def torque_rows(self, residual) -> np.ndarray:
         """Return residuals (T, C) behind a low-pass alone, at the times of the rows [N m]."""
         padded = np.zeros((self._bins + 1, residual.shape[1]), dtype=complex)
         padded[:-1] = self._spectra(residual)
@@ -149,7 +149,7 @@ class Octaves:
             spectrum = _halved(spectrum * low[:, None])
         return np.concatenate([np.fft.ifft(part, axis=0).real for part in (*out, spectrum)])
 
-    def spread(self, power):
+    def spread(self, power) -> np.ndarray:
         """
         Return the variance (C,) of the numbers of each part of noise.
 

@@ -63,7 +63,7 @@ def _kernels(links, name):
 
 
 @compiled_choice
-def accelerations(q, dq, links, work):
+def accelerations(q, dq, links, work) -> None:
     """
     Write the joint accelerations under the torques ``work.tau`` into ``work.acceleration``.
 
@@ -74,31 +74,31 @@ def accelerations(q, dq, links, work):
 
 
 @compiled_choice
-def mass_times(vector, links, work, out):
+def mass_times(vector, links, work, out) -> None:
     """Write M of the pose in ``work`` times ``vector`` (n,) into ``out`` (n,)."""
     return _kernels(links, 'mass_times')
 
 
 @compiled_choice
-def mass_solve(vector, links, work, out):
+def mass_solve(vector, links, work, out) -> None:
     """Write the inverse of M, at the pose of `accelerations`, times ``vector`` into ``out``."""
     return _kernels(links, 'mass_solve')
 
 
 @compiled_choice
-def mass_between(carried, links, work, out):
+def mass_between(carried, links, work, out) -> None:
     """Write the rows and columns ``carried`` (m,) of M at the pose in ``work`` into ``out``."""
     return _kernels(links, 'mass_between')
 
 
 @compiled_choice
-def rigid_body(q, dq, ddq, links, work, bias, inertial):
+def rigid_body(q, dq, ddq, links, work, bias, inertial) -> None:
     """Write ``C dq + g`` into ``bias`` and ``M ddq`` into ``inertial``, both (n,) [N m]."""
     return _kernels(links, 'rigid_body')
 
 
 @compiled_choice
-def reference_torque(dq, ddq, d3q, velocity, acceleration, links, work, out):
+def reference_torque(dq, ddq, d3q, velocity, acceleration, links, work, out) -> None:
     """
     Write ``M dr + C r + g`` and its first and second time derivative into ``out`` (3, n) [N m].
 

@@ -79,7 +79,7 @@ def alike(friction: np.ndarray) -> np.ndarray:
     return friction[:, :4] + friction[:, 4:]
 
 
-def coupled_motors(recordings):
+def coupled_motors(recordings) -> list[int]:
     """Return the motors (M,) that several joints turn; recordings have to agree."""
     first = recordings[0].coupling
     for one in recordings:
@@ -91,11 +91,11 @@ def coupled_motors(recordings):
         m for m, row in enumerate(first) if np.any(np.delete(row, m))]
 
 
-def beyond_own(acceleration, inertia, coupling):
+def beyond_own(acceleration, inertia, coupling) -> np.ndarray:
     """Return the torque (T, n) of motors by their coupling beyond that of their own joint."""
     return (acceleration @ coupling.T * inertia) @ coupling - acceleration * inertia
 
 
-def plain_friction(rate):
+def plain_friction(rate) -> np.ndarray:
     """Return columns (T, 2) of Coulomb and viscous friction, both directions alike."""
     return np.stack([np.sign(rate), rate], axis=1)

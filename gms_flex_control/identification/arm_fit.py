@@ -9,7 +9,7 @@ inertia and gravity are then fitted together with friction through the predictor
 torques, and folded back into the arm.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -78,7 +78,7 @@ class ArmFit(NamedTuple):
     final: tuple = ()  # per joint its Estimates, where no correction is fitted along with friction
     differences: Differences | None = None  # between recordings, of an arm in space
 
-    def extras(self):
+    def extras(self) -> tuple[Callable | None, ...]:
         """Return per joint a function Segment -> further torques (T, R) per correction."""
         return tuple(self._columns(j) if len(chosen) else None
                      for j, chosen in enumerate(self.numbers))
@@ -94,7 +94,7 @@ class ArmFit(NamedTuple):
             return -units * torque[:, joint, chosen]
         return extra
 
-    def corrections(self, joint, theta):
+    def corrections(self, joint, theta) -> np.ndarray:
         """Return what parameters of a joint correct, in the units of the numbers, (R,)."""
         return theta[len(theta) - len(self.units[joint]):] * self.units[joint]
 
@@ -249,7 +249,8 @@ def axis_of(arm: ArmParams, joint: int) -> tuple:
     return inertia, pull * np.cos(arm.offset[joint]), -pull * np.sin(arm.offset[joint])
 
 
-def folded(robot: RobotParams, arm_fit: ArmFit, thetas: Sequence, spreads: Sequence):
+def folded(robot: RobotParams, arm_fit: ArmFit, thetas: Sequence,
+           spreads: Sequence) -> RobotParams:
     """
     Return the robot with the corrections that were fitted along with friction.
 
@@ -297,7 +298,8 @@ def _combined(arm, arm_fit, thetas, spreads):
     return start + covariance @ right, covariance
 
 
-def arm_estimates(robot: RobotParams, arm_fit: ArmFit, thetas: Sequence, spreads: Sequence):
+def arm_estimates(robot: RobotParams, arm_fit: ArmFit, thetas: Sequence,
+                  spreads: Sequence) -> list[tuple]:
     """Return the Estimates of the arm, a tuple per joint, those of the whole with the first."""
     rows = [[] for _ in thetas]
     if _is_chain(robot.arm):

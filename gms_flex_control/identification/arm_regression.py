@@ -199,7 +199,7 @@ class _Fit:
         return (rows.known + rows.regressor @ self._values + carried + moved
                 + rows.coupled @ self._coupled)
 
-    def solve(self):
+    def solve(self) -> None:
         """Find parameters, zeros and scales; then once more where friction grows with load."""
         self._iterate()
         left = [self._left(j) for j in range(len(self._scale))]
@@ -295,7 +295,7 @@ class _Fit:
         return Coupled(self._coupling, friction, spread,
                        np.where(self._arm.rigid, arm.motor_inertia, 0.0))
 
-    def loads(self):
+    def loads(self) -> list:
         """Return the FoundLoads by recording."""
         covariance, found = self._covariance()[0][self._parts[3], self._parts[3]], {}
         for k, r in enumerate(self._unknown):
@@ -314,7 +314,7 @@ class _Fit:
                                  float(np.sqrt(own[0, 0])), np.sqrt(np.diag(spread)))
         return found
 
-    def nearest(self):
+    def nearest(self) -> ArmParams:
         """Return the arm nearest to the URDF that has the base parameters."""
         links = self._parts[0]
         covariance, inverse = (one[links, links] for one in self._covariance())
@@ -322,7 +322,7 @@ class _Fit:
         return nearest_arm(self._robot.arm, self._arm, self._combination, self._values, normal,
                            covariance)
 
-    def result(self, robot, found):
+    def result(self, robot, found) -> BaseFit:
         """Return the BaseFit, ``found`` the nearest arm."""
         rigid, n, links = self._arm.rigid, len(self._scale), self._parts[0]
         names, own = names_of(robot.joints, rigid), self._normal[links, links]
@@ -339,7 +339,7 @@ class _Fit:
             float(np.sqrt(np.linalg.cond(own * np.outer(size, size)))), offset, found,
             self.differences())
 
-    def differences(self):
+    def differences(self) -> Differences:
         """Return the Differences of the recordings."""
         n, error = len(self._scale), np.sqrt(np.diag(self._covariance()[0]))
         scale_sd, zero_sd = np.zeros(n), np.zeros(self._zeros.shape)

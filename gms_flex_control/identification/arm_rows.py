@@ -41,7 +41,7 @@ class Rows(NamedTuple):
     recording: np.ndarray  # (S,) int
 
 
-def rows_of(recordings, robot, sides, arm, lead, slopes_of):
+def rows_of(recordings, robot, sides, arm, lead, slopes_of) -> tuple:
     """
     Return the Rows of recordings, ``slopes_of`` the arms of the slopes, and usual rates.
 

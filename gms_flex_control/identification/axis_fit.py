@@ -85,12 +85,12 @@ class AxisFit(NamedTuple):
     off: float             # robust error on data held out [N m]
 
     @property
-    def gravity_torque(self):
+    def gravity_torque(self) -> float:
         """Return the largest gravity torque [N m]."""
         return float(np.hypot(self.cosine, self.sine))
 
     @property
-    def offset(self):
+    def offset(self) -> float:
         """Return the angle of the centre of mass from the horizontal where q is 0 [rad]."""
         return float(np.arctan2(-self.sine, self.cosine)) if self.has_gravity else 0.0
 
@@ -104,7 +104,7 @@ class Ripple(NamedTuple):
     amplitude_error: float  # standard errors of these
     order_error: float
 
-    def effect(self, joint):
+    def effect(self, joint) -> EffectSpec:
         """Return the EffectSpec that puts it into a model."""
         return EffectSpec(name=RIPPLE, joint=joint,
                           values=(self.amplitude, self.order, self.phase))
@@ -316,7 +316,7 @@ class MotorFit(NamedTuple):
     share: np.ndarray      # (3,), torque of each part over the whole
 
     @property
-    def believed(self):
+    def believed(self) -> np.ndarray:
         """Return which of J, K and d are identifiable, bool (3,)."""
         values = np.array(self[:3])
         known = (values > CONFIDENT * self.error) & (self.share > _SMALLEST)

@@ -8,6 +8,7 @@ A share is one of all samples unless it says otherwise. Where no origin is given
 chosen on recordings with injected faults (docs/data_checks.md), between healthy and faulty ones.
 """
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 from gms_flex_control.data.recording import Recording
@@ -60,7 +61,7 @@ class Finding(NamedTuple):
     text: str      # a sentence: what, where, the value, the way out
 
 
-def sides(recording: Recording, joint: int):
+def sides(recording: Recording, joint: int) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
     """Yield (name, angle, rate) of each side that was recorded of a joint's number."""
     for name, q, dq in (('link', recording.q_link, recording.dq_link),
                         ('motor', recording.q_motor, recording.dq_motor)):

@@ -49,17 +49,17 @@ class Coordinates:
         self._extra = slice(self._weights.stop, self._weights.stop + n_extra)
 
     @property
-    def size(self):
+    def size(self) -> int:
         """Return how many numbers there are."""
         return self._extra.stop
 
     @property
-    def yields(self):
+    def yields(self) -> slice:
         """Return where the logarithms of the yields stand, a slice; empty where fixed."""
         return self._yields
 
     @property
-    def free_weights(self):
+    def free_weights(self) -> bool:
         """Return whether the weights are fitted."""
         return self._weights.stop > self._weights.start
 
@@ -156,7 +156,8 @@ def yield_quantiles(theta: np.ndarray, n_blocks: int) -> np.ndarray:
                             np.concatenate([yields[:1], yields, yields[-1:]])))
 
 
-def equal_blocks(theta: np.ndarray, n_blocks: int, n_extra: int):
+def equal_blocks(theta: np.ndarray, n_blocks: int,
+                 n_extra: int) -> 'tuple[Coordinates, np.ndarray]':
     """Return Coordinates and free numbers of N equal blocks like those of ``theta``."""
     coordinates = Coordinates(n_blocks, n_extra=n_extra)
     return coordinates, coordinates.pack(

@@ -51,7 +51,7 @@ class Start(NamedTuple):
     yields: np.ndarray   # (N_SPREAD,), of the spread [rad]
     straight: tuple      # of Stribeck, forward and backward: the Stribeck part is narrow
 
-    def both(self):
+    def both(self) -> tuple[np.ndarray, np.ndarray]:
         """Return steady parameters (4, 2) forward and backward, as fitted and as straight."""
         return tuple(np.array(pair).T for pair in ((self.forward, self.backward), self.straight))
 

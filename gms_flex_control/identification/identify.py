@@ -196,7 +196,7 @@ class Data:
         self.choices = self._paper_spreads = ()
         self._sources = [take.source for take, _ in takes]
 
-    def fit(self, options, say):
+    def fit(self, options, say) -> list:
         """Return a JointFit per joint."""
         if options.method == 'paper':
             fits, self._paper_spreads = paper_fits(self.bundle)
@@ -209,7 +209,7 @@ class Data:
             self.bundle, j, fits, self.step[j]))
         return [choice.fit for choice in self.choices]
 
-    def results(self, fits):
+    def results(self, fits) -> tuple:
         """Return a JointResult per joint, and the robot with the arm found."""
         thetas = [fit.theta for fit in fits]
         spreads = self._paper_spreads or _per_joint(

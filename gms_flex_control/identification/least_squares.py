@@ -190,7 +190,8 @@ def fit_torque(error: TorqueError, coordinates: Coordinates, free, prior: Prior)
                          method='lm', max_nfev=15, ftol=1e-4, xtol=1e-4).x
 
 
-def torque_slopes(error: TorqueError, coordinates: Coordinates, free):
+def torque_slopes(error: TorqueError, coordinates: Coordinates,
+                  free) -> tuple[np.ndarray, np.ndarray]:
     """Return the unexplained torque (S,) of free numbers and its Jacobian (S, P)."""
     def residual(x):
         return error(coordinates.parameters(x))

@@ -36,7 +36,7 @@ class Bundle(NamedTuple):
     observer: np.ndarray  # bandwidth per joint (n,) [rad/s]
     extras: tuple        # per joint a function Segment -> (T, R) of further torques, or None
 
-    def observer_gains(self, sharpness=1.0):
+    def observer_gains(self, sharpness=1.0) -> np.ndarray:
         """Return gains of rate and angle (2, n), ``sharpness`` times as fast if samples allow."""
         bandwidth = np.minimum(sharpness * self.observer, _FASTEST_STEP / self.period)
         return np.stack([2.0 * bandwidth, bandwidth ** 2])
@@ -81,12 +81,12 @@ class Evaluation:
     floor: float           # innovation below which a block counts as explained [rad]
 
     @property
-    def dispersion(self):
+    def dispersion(self) -> float:
         """Return the weighted square of an innovation that is not zero, on average."""
         return float(np.sum(self.weight * self.square * self.count) / max(self.seen.sum(), 1))
 
     @property
-    def cost(self):
+    def cost(self) -> np.ndarray:
         """
         Return the cost of each block, shape (B,).
 
@@ -97,7 +97,7 @@ class Evaluation:
         return 0.5 * self.count * np.log1p(self.square / self.floor ** 2)
 
     @property
-    def weight(self):
+    def weight(self) -> np.ndarray:
         """Return the weight of each block, the inverse of its variance, shape (B,) [1/rad^2]."""
         return 1.0 / (self.floor ** 2 + self.square)
 
@@ -151,7 +151,8 @@ class Objective:
         self._carried = np.array([self._own, *(k for k in range(len(self._moved))
                                                if k != self._own)])
 
-    def predict(self, segment, theta, directions=None, sharpness=1.0):
+    def predict(self, segment, theta, directions=None,
+                sharpness=1.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """
         Return the joint's predicted angles and innovations (T,), and their Jacobian (T, P).
 
@@ -168,7 +169,8 @@ class Objective:
             innovation, jacobian)
         return predicted[:, self._own], innovation[:, self._own], jacobian
 
-    def simulate_freely(self, segment, theta, first: int, stride: int, horizon: int, starts: int):
+    def simulate_freely(self, segment, theta, first: int, stride: int, horizon: int,
+                        starts: int) -> np.ndarray:
         """Return the joint's angles (starts, horizon) of `predictor.simulate_freely`."""
         n = len(self._moved)
         predicted, blocks = np.empty((starts, horizon, n)), gms.state_layout(n, MOST_BLOCKS)
@@ -177,7 +179,7 @@ class Objective:
             records.build(blocks), records.build(blocks), plant.workspace(n), predicted)
         return predicted[:, :, self._own]
 
-    def replay(self, angle, segment, theta):
+    def replay(self, angle, segment, theta) -> np.ndarray:
         """Return the friction (T,) of the joint along ``angle`` (T, n) and a segment's rate."""
         return gms.replay(angle[:, self._moved], segment.rate[:, self._moved],
                           self._bundle.period, self._friction(theta))[:, self._own]
@@ -194,7 +196,7 @@ class Objective:
         gains = self._bundle.observer_gains(sharpness)[:, self._moved]
         return np.ascontiguousarray(gains), self._bundle.half[self._moved]
 
-    def extra(self, segment):
+    def extra(self, segment) -> np.ndarray:
         """Return the further torques per unit of their coefficients, shape (T, R)."""
         make = self._bundle.extras[self.joint]
         return (np.zeros((len(segment.angle), 0)) if make is None else
@@ -205,7 +207,7 @@ class Objective:
         return friction_record([theta if k == self.joint else self._others[k]
                                 for k in self._moved])
 
-    def counted(self, segment):
+    def counted(self, segment) -> np.ndarray:
         """Return which samples count, bool (T,)."""
         chosen = segment.tested[:, self.joint].copy() if self._chosen is None else self._chosen(
             segment) & segment.tested[:, self.joint]
@@ -213,11 +215,12 @@ class Objective:
         return chosen & np.isfinite(segment.angle[:, self.joint])
 
     @property
-    def counts(self):
+    def counts(self) -> bool:
         """Return whether any sample counts."""
         return any(self.counted(segment).any() for segment in self._bundle.segments)
 
-    def evaluate(self, coordinates, free, sharpness, floor=None, *, derivatives=True):
+    def evaluate(self, coordinates, free, sharpness, floor=None, *,
+                 derivatives=True) -> Evaluation:
         """
         Return the Evaluation of free numbers.
 
@@ -261,13 +264,13 @@ class Objective:
         end = np.argmax(correlation < 0.05) or lags
         return float(1.0 + 2.0 * correlation[1:end].sum())
 
-    def floor_of(self, square):
+    def floor_of(self, square) -> float:
         """Return the floor [rad] that mean squares of blocks (B,) call for."""
         usual = np.sqrt(np.median(square))
         return max(_EXPLAINED * usual, self.finest, 1e-12)
 
     @property
-    def finest(self):
+    def finest(self) -> float:
         """Return the innovation [rad] below which the steps of the predictor are what errs."""
         return _FINEST * 2.0 * self._bundle.half[self.joint]
 

@@ -46,7 +46,8 @@ def _model_friction(objective, segment, theta, period):
     return tau - extra @ theta[len(theta) - extra.shape[1]:]
 
 
-def coulomb_viscous(objective: Objective, bundle: Bundle, step: float, chosen: Callable):
+def coulomb_viscous(objective: Objective, bundle: Bundle, step: float,
+                    chosen: Callable) -> np.ndarray:
     """
     Fit Coulomb and viscous friction alone, each direction its own, by least squares.
 

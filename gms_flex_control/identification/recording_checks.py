@@ -81,7 +81,7 @@ def check(recording: Recording, robot: RobotParams, rough=False) -> tuple[Findin
     return tuple(found)
 
 
-def require(recording: Recording, robot: RobotParams, force=False, rough=False):
+def require(recording: Recording, robot: RobotParams, force=False, rough=False) -> list:
     """
     Return the warnings of `check`, with ``force`` all findings.
 

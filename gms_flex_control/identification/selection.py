@@ -94,7 +94,7 @@ class JointFit(NamedTuple):
     evaluation: Evaluation | None = None  # on all data
 
     @property
-    def theta(self):
+    def theta(self) -> np.ndarray:
         """Return the parameters."""
         return self.coordinates.parameters(self.free)
 
@@ -109,7 +109,8 @@ def _fit_candidate(bundle, joint, thetas, n_blocks, n_extra):
     return coordinates, free
 
 
-def choose(bundle: Bundle, joint: int, thetas: Sequence, fits: Sequence, blocks: Sequence):
+def choose(bundle: Bundle, joint: int, thetas: Sequence, fits: Sequence,
+           blocks: Sequence) -> tuple:
     """
     Return Candidates, the pair whose held-out error no other beats beyond chance, its rivals.
 
@@ -184,7 +185,8 @@ def fit_joint(bundle: Bundle, joint: int, thetas: Sequence, blocks: Sequence) ->
     return _unsearched(*choose(bundle, joint, thetas, fits, blocks))._replace(fits=tuple(fits))
 
 
-def fit_again(bundle: Bundle, joint: int, thetas: Sequence, fit: JointFit, blocks: Sequence):
+def fit_again(bundle: Bundle, joint: int, thetas: Sequence, fit: JointFit,
+              blocks: Sequence) -> JointFit:
     """
     Return a JointFit with the number of blocks that is best from where the search ended.
 
@@ -217,7 +219,7 @@ class Choice(NamedTuple):
     spread: Spread | None  # None where the innovations decided
 
     @property
-    def sentences(self):
+    def sentences(self) -> tuple[str, ...]:
         """Return what is to be said of the kind, a tuple of str."""
         return _SENTENCES[self.kind]
 
@@ -252,7 +254,8 @@ def choose_fit(bundle: Bundle, joint: int, fits: Sequence[JointFit], step: float
     return contest.finished(TORQUE if other else SIMPLE)
 
 
-def simple_theta(bundle: Bundle, joint: int, fits: Sequence[JointFit], step: float, whole: bool):
+def simple_theta(bundle: Bundle, joint: int, fits: Sequence[JointFit], step: float,
+                 whole: bool) -> np.ndarray:
     """Return the parameters of the simple fit, to all data or without those held out."""
     contest = _contest(bundle, joint, fits, step)
     coordinates, free = contest.simple(contest.whole if whole else contest.first)
@@ -289,11 +292,11 @@ class _Contest:
         return any((chosen(segment) & segment.tested[:, joint] & moving(
             segment, joint, self._step, bundle.half[joint])).any() for segment in bundle.segments)
 
-    def wins(self, fitted):
+    def wins(self, fitted) -> bool:
         """Return whether ``fitted``, _Look -> Coordinates and free numbers, passes all trials."""
         return all(self._passes(trial, fitted) for trial in self.trials)
 
-    def explained(self):
+    def explained(self) -> bool:
         """Return whether the fit by the innovations leaves next to nothing of the torque."""
         error = self._error(self.first.out)
         left = error(self._fit.coordinates.parameters(self._fit.held))
@@ -304,14 +307,14 @@ class _Contest:
         least = self._errors(trial.looks, [self.simple(look) for look in trial.looks])
         return self._penalty(trial) * np.nanmax(found / least) < trial.enough
 
-    def clearly_better(self):
+    def clearly_better(self) -> bool:
         """Return whether the fit of the torque is far better there, and little worse freely."""
         looks = self.trials[-1].looks
         torque, free = (self._errors(looks, [self.by_torque(look) for look in looks])
                         / self._errors(looks, [self.by_innovations(look) for look in looks]))
         return torque < _FAR and not free > _LITTLE
 
-    def by_innovations(self, look):
+    def by_innovations(self, look) -> tuple[Coordinates, np.ndarray]:
         """Return Coordinates and free numbers of the fit by the innovations."""
         if look is self.first:
             return self._fit.coordinates, self._fit.held
@@ -338,7 +341,7 @@ class _Contest:
         found = [np.nanprod(self._errors([look], [pair])) for pair in tried]
         return tried[int(np.argmin(found))]
 
-    def finished(self, kind):
+    def finished(self, kind) -> Choice:
         """Return the Choice of a kind, fitted to all data."""
         coordinates, held = (self.by_torque if kind == TORQUE else self.simple)(self.first)
         error, prior = self._error(everything), prior_of(coordinates, held)

@@ -39,7 +39,7 @@ class _Silence:
         self._watched, self._answered = watched, None  # when, None before the first [s]
         self.zeros, self._longest = 0, 0.0
 
-    def end(self):
+    def end(self) -> bool:
         """Note that a state is answered; return whether zeros were sent before it."""
         now = time.monotonic()
         if self._answered is not None:
@@ -53,17 +53,17 @@ class _Silence:
             return None
         return self._answered + (self.zeros + 1) * _LONGEST_SILENCE - time.monotonic()
 
-    def patience(self):
+    def patience(self) -> float:
         """Return how long to wait for the next message [s]."""
         left = self._left()
         return _LONGEST_SILENCE if left is None else min(max(left, 1e-4), _LONGEST_SILENCE)
 
-    def is_due(self):
+    def is_due(self) -> bool:
         """Return whether zero is to be sent now."""
         left = self._left()
         return left is not None and left <= 0.0
 
-    def longest(self):
+    def longest(self) -> float:
         """Return the longest time between two answers since the last call [s]."""
         longest, self._longest = self._longest, 0.0
         return longest
@@ -86,14 +86,14 @@ class _Outputs:
         self._blocks_pub = Outlet(node, Float64MultiArray, '~/blocks', mode)
         self._sticking_pub = Outlet(node, Float64MultiArray, '~/sticking', mode)
 
-    def command(self, torque, stamp):
+    def command(self, torque, stamp) -> None:
         self.sent[:] = torque
         self._command_pub.publish(self._command.write(torque, stamp))
 
-    def zero(self, stamp):
+    def zero(self, stamp) -> None:
         self.command(self._zero, stamp)
 
-    def state(self, state, left, stamp):
+    def state(self, state, left, stamp) -> None:
         """Publish errors, estimates and blocks; ``left`` as of Handover."""
         self._ticks += 1
         if self._ticks % self._every or not any(publisher.count_hearers() for publisher in (
@@ -112,7 +112,7 @@ class _Outputs:
         if self._sticking_pub.count_hearers():
             self._sticking_pub.publish(self._blocks.write(blocks.sticking.astype(float), stamp))
 
-    def finish(self, stamp):
+    def finish(self, stamp) -> None:
         """Leave zero on the wire, and stay until those who acknowledge have it."""
         self.zero(stamp)
         self._command_pub.wait_for_all_acked(_LONGEST_GOODBYE)

@@ -58,11 +58,11 @@ class _Results:
         self.spinner = None
         self.recorded = self.asked = False  # whether there is a recording, and a comparison asked
 
-    def beside(self, what):
+    def beside(self, what) -> Path:
         """Return the folder for what is made of the recording."""
         return self._bag.with_name(f'{self._bag.name}_{what}')
 
-    def fit(self):
+    def fit(self) -> None:
         """Identify the friction from the bags."""
         left_out = set(self._robot.joints) - {step.joint for step in self._node.plan.experiments}
         if left_out:
@@ -75,7 +75,7 @@ class _Results:
             raise ExperimentError(f'the bag is whole, but its fit failed: {printed}')
         self._node.say(printed)
 
-    def find_discrepancy(self):
+    def find_discrepancy(self) -> None:
         """Compare the bags with the model one believes in, with its friction if identified."""
         friction = self.beside('identified') / 'friction.yaml'
         try:
@@ -116,7 +116,7 @@ class _Results:
         finally:
             self.set_pause(False)
 
-    def set_pause(self, on):
+    def set_pause(self, on) -> None:
         """Let the plant pause or go on, if it can: one in lockstep alone has the service."""
         if self._pause.service_is_ready():
             self._node.see_out(self._pause.call_async(SetBool.Request(data=on)))
@@ -249,7 +249,7 @@ class IdentificationNode(Node):
                 'without torque; is every node running? Start again with '
                 'identification.resume to go on')
 
-    def answer(self, future, who):
+    def answer(self, future, who) -> object:
         """Return the answer of a call."""
         end, self._pending = time.monotonic() + self['patience'], future
         while not future.done():

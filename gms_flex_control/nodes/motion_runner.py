@@ -85,7 +85,7 @@ class _Runner:
     def _on_state(self, message):
         self._stamp, self._heard = to_nanoseconds(message.header.stamp), time.monotonic()
 
-    def run(self, parameters, duration):
+    def run(self, parameters, duration) -> None:
         """Drive the motion and bring it to rest."""
         self._until(self._trajectory.is_ready, 'the services of /trajectory are not there: start '
                     'plant_node or the bridge, controller_node and trajectory_node first',
@@ -133,7 +133,7 @@ class _Runner:
         self._recorder.poll()
         self._executor.spin_once(timeout_sec=0.02)
 
-    def close(self):
+    def close(self) -> None:
         """Stop a motion that still goes on, and end the recording."""
         try:
             if self._moving:

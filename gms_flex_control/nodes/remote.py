@@ -101,7 +101,7 @@ class RemoteNode:
         return answer_of(self._clients[kind], request, self._do)
 
 
-def answer_of(client, request, do):
+def answer_of(client, request, do) -> object:
     """Wait for the response to a request; None if there is none in time."""
     done, answers = threading.Event(), []
 

@@ -48,13 +48,13 @@ class _Arm:
         self._writer = messages.JointStateWriter(robot.joints, robot.motors)
         self.outlet = Outlet(node, JointState, 'joint_states', values['mode'])
 
-    def begin(self, stamp):
+    def begin(self, stamp) -> None:
         """Measure, and publish the first state."""
         self.stamp = stamp
         self._plant.measure()
         self.publish()
 
-    def simulate(self, torque):
+    def simulate(self, torque) -> str:
         """Simulate one sample; return which limit is broken (str), '' if none is."""
         measured, limits = self._plant.measured, self._limits
         if limits is not None and torque is not self.zero:
@@ -67,13 +67,13 @@ class _Arm:
                                   f'{torque.tolist()} N m; more substeps or a softer robot')
         return '' if limits is None else limiting.violation(self._joints, measured, limits)
 
-    def end_sample(self, deadline=0):
+    def end_sample(self, deadline=0) -> None:
         """Publish what is measured at the end of a sample, at ``deadline`` by monotonic_ns."""
         self.ticks += 1
         self.stamp += self.period
         self.publish(deadline)
 
-    def publish(self, deadline=0):
+    def publish(self, deadline=0) -> None:
         """Publish the state there is, ready before the ``deadline`` at which it leaves [ns]."""
         message = self._writer.write(self._plant.measured, self._plant.applied, self.stamp)
         while time.monotonic_ns() < deadline:
@@ -83,7 +83,7 @@ class _Arm:
         self.timing.published()
         self.outlet.publish(message)
 
-    def is_last(self):
+    def is_last(self) -> bool:
         """Return whether the sample that ends now is the last of the run."""
         return self._samples is not None and self.ticks + 1 >= self._samples
 

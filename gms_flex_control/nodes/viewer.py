@@ -217,7 +217,7 @@ class _Listener:
             kind, topic, handler, process.subscriber_qos('realtime', _DEPTH), raw=True,
             event_callbacks=process.NO_EVENTS), handler
 
-    def take_all(self):
+    def take_all(self) -> None:
         """Take all messages that wait, in the order in which they came."""
         waiting = []
         for subscription, handler in self._heard_topics:
@@ -231,7 +231,7 @@ class _Listener:
         for _, handler, data in waiting:
             handler(data)
 
-    def pass_on(self, there):
+    def pass_on(self, there) -> None:
         """Give the feed what is complete; ``there`` is whether the controller answers."""
         now = time.monotonic()
         if self._rows is not None and self._rows.restarted:
@@ -250,7 +250,7 @@ class _Listener:
             return f'no joint states for {int(now - self._heard)} s'
         return '' if there else f'{self._controller} is not there'
 
-    def meet(self, robot):
+    def meet(self, robot) -> None:
         """Show the robot (RobotParams) that the controller believes in."""
         self._links, self._motors, self._names = robot.joints, robot.motors, None
         scene, blocks = scene_of(robot), robot.friction.stiffness.shape[1]
@@ -258,7 +258,7 @@ class _Listener:
             self._begin(scene, blocks)
 
     @property
-    def columns(self):
+    def columns(self) -> list[str]:
         """Return the names of the columns of a row."""
         return self._rows.names if self._rows else []
 

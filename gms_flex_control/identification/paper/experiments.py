@@ -70,7 +70,7 @@ class Piece(NamedTuple):
     window: int           # samples of `smooth`
     first: int            # sample from which it counts; those before give the blocks' load
 
-    def smooth(self, values):
+    def smooth(self, values) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return ``values`` (T,), their rate and its rate, smoothed alike."""
         return _smoothed(values, self.period, self.window * self.period)
 

@@ -196,7 +196,7 @@ def fit_map(speed: np.ndarray, torque: np.ndarray) -> tuple[tuple, list[Interval
 
 
 @compiled
-def load_blocks(displacement, level, stiffness, limit, first, torque):
+def load_blocks(displacement, level, stiffness, limit, first, torque) -> None:
     """
     Write the torque (T,) of slipping springs in parallel [N m], driven by displacement (T,).
 
