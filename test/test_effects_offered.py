@@ -10,7 +10,7 @@ from core_runs import push_plant
 from discrepancy_runs import likelihood_of
 from gms_flex_control.discrepancy.dictionary import guesses_of
 from gms_flex_control.effects import registry
-from gms_flex_control.effects.catalogue.viscous_error import ViscousError
+from gms_flex_control.effects.catalogue.friction_level import ViscousError
 from gms_flex_control.errors import ParameterError
 from gms_flex_control.params.robot import EffectSpec
 import numpy as np

@@ -156,7 +156,7 @@ def effects_named(source):
                 yield from known.intersection(re.findall(r'\w+', word))
 
 
-def test_an_effect_is_named_in_its_own_file_only():
+def test_an_effect_is_named_in_the_catalogue_only():
     """It declares what is particular about it; whoever needs that one imports its class."""
     for module, path in MODULES.items():
         if not module.startswith('effects/catalogue/'):
@@ -167,7 +167,7 @@ def test_an_effect_is_named_in_its_own_file_only():
 def test_a_name_of_an_effect_is_found():
     assert set(effects_named('"""A docstring on backlash."""\nx = {"of backlash": encoder_skew}')
                ) == {'backlash', 'encoder_skew'}
-    source = 'from gms_flex_control.effects.catalogue.end_stop import EndStop\nx = EndStop.name'
+    source = 'from gms_flex_control.effects.catalogue.link import EndStop\nx = EndStop.name'
     assert not set(effects_named(source))
 
 

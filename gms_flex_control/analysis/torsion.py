@@ -13,7 +13,7 @@ and how well a mere delay between the two encoders does, is the outcome.
 from dataclasses import dataclass, replace
 
 from gms_flex_control.dynamics.chain import matrices
-from gms_flex_control.effects.catalogue.spring_offset import SpringOffset
+from gms_flex_control.effects.catalogue.spring import SpringOffset
 from gms_flex_control.errors import BagError, ParameterError
 from gms_flex_control.friction.stribeck import steady_friction
 from gms_flex_control.params.arm import ArmParams

@@ -59,7 +59,8 @@ class Effect(ABC):
     `Change`, which alters the parameters once, before the run.
     """
 
-    name: str                 # catalogue name, equal to the name of its module
+    name: str                 # in robot files and reports
+    words = ''                # what it is, such as 'Play in the transmission'
     parameters: tuple         # of Parameter
     whole_arm = False         # stands under effects.arm instead of under a joint
     evidence: str             # what it shows against, of discrepancy.remainder.VARIABLES

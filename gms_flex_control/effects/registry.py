@@ -2,7 +2,7 @@
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """
-All effects: one module each in the catalogue, found by its file name, and those of other packages.
+All effects: the classes of the catalogue by their names, and those of other packages.
 
 A package offers its class in the group ``gms_flex_control.effects``, for example in setup.py::
 
@@ -23,8 +23,12 @@ GROUP = 'gms_flex_control.effects'
 
 @cache
 def _in_catalogue():
-    """Return the names of the catalogue's modules, frozenset of str; nothing is imported."""
-    return frozenset(module.name for module in pkgutil.iter_modules(catalogue.__path__))
+    """Return the effects of the catalogue's modules, dict of str to class."""
+    modules = [import_module(f'{catalogue.__name__}.{module.name}')
+               for module in pkgutil.iter_modules(catalogue.__path__)]
+    return {kind.name: kind for module in modules for kind in vars(module).values()
+            if isinstance(kind, type) and issubclass(kind, Effect)
+            and kind.__module__ == module.__name__}
 
 
 @cache
@@ -35,15 +39,14 @@ def _offered():
 
 @cache
 def names() -> tuple[str, ...]:
-    """Return the names of all effects, sorted; nothing is imported for it."""
-    return tuple(sorted(_in_catalogue().union(_offered())))
+    """Return the names of all effects, sorted."""
+    return tuple(sorted({*_in_catalogue(), *_offered()}))
 
 
 def in_words(name: str) -> str:
-    """Return what an effect of the catalogue is, such as 'Play in the transmission'."""
+    """Return what an effect is, such as 'Play in the transmission'."""
     kind = find(name)
-    described = kind if name in learned.KINDS else inspect.getmodule(kind)
-    return inspect.getdoc(described).splitlines()[0].rstrip('.')
+    return (kind.words or inspect.getdoc(kind).splitlines()[0]).rstrip('.')
 
 
 @cache
@@ -75,10 +78,7 @@ def find(name: str) -> type[Effect]:
             f'effect {name!r} is not in the catalogue{did_you_mean(name, names())}')
     if name in _offered():
         return _loaded(_offered()[name])
-    module = import_module(f'{catalogue.__name__}.{name}')
-    return next(entry for entry in vars(module).values()
-                if isinstance(entry, type) and issubclass(entry, Effect)
-                and getattr(entry, 'name', None) == name)
+    return _in_catalogue()[name]
 
 
 def _loaded(entry):

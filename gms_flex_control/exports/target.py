@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import io
 
 from gms_flex_control.effects import learned, registry
-from gms_flex_control.effects.catalogue.viscous_error import ViscousError
+from gms_flex_control.effects.catalogue.friction_level import ViscousError
 from gms_flex_control.effects.table import with_changes, with_friction
 from gms_flex_control.errors import ConfigError, did_you_mean
 from gms_flex_control.params.arm import in_units

@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-from gms_flex_control.effects.catalogue.constant_link_torque import ConstantLinkTorque
+from gms_flex_control.effects.catalogue.link import ConstantLinkTorque
 from gms_flex_control.identification.arm_differences import Differences
 from gms_flex_control.identification.arm_estimates import base_estimates as spatial_estimates
 from gms_flex_control.identification.arm_regression import fit_base_parameters

@@ -25,7 +25,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from gms_flex_control.data.signal_analysis import derivative_window, smoothed, standing_out
-from gms_flex_control.effects.catalogue.torque_ripple import TorqueRipple
+from gms_flex_control.effects.catalogue.motor import TorqueRipple
 from gms_flex_control.errors import IdentificationError
 from gms_flex_control.identification.objective import BLOCK_TIME
 from gms_flex_control.identification.prediction_error import FEWEST_WAVES

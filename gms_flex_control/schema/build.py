@@ -6,7 +6,7 @@
 from contextlib import contextmanager
 
 from gms_flex_control.effects import registry
-from gms_flex_control.effects.catalogue.gravity_tilt import GravityTilt
+from gms_flex_control.effects.catalogue.link import GravityTilt
 from gms_flex_control.errors import ConfigError, ParameterError
 from gms_flex_control.params.arm import ArmParams, Frames
 from gms_flex_control.params.friction import (

@@ -15,7 +15,7 @@ from pathlib import Path
 import re
 from typing import NamedTuple
 
-from gms_flex_control.effects.catalogue.input_delay import InputDelay
+from gms_flex_control.effects.catalogue.actuator import InputDelay
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.params.robot import EffectSpec, RobotParams
 from gms_flex_control.schema.build import robot_from_values, robot_values

@@ -1,0 +1,205 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Friction that errs in a parameter of the model, differs by direction, or drifts."""
+
+from dataclasses import replace
+
+from gms_flex_control.effects.base import Change, LEAST_RELATIVE, Parameter, Stage, Term
+from gms_flex_control.effects.guess import Guess, linear
+from gms_flex_control.effects.signals import DQ_LINK, FRICTION, TIME
+from gms_flex_control.params.friction import StribeckParams
+from gms_flex_control.params.robot import RobotParams
+import numpy as np
+
+
+class CoulombError(Change):
+    """F_s and F_c -> (1 + ratio) of them, in both directions; block stiffnesses stay."""
+
+    name = 'coulomb_error'
+    words = 'Level of the friction other than believed'
+    evidence = 'link rate'
+    confusable = ('friction_drift',)
+    discriminated_by = 'the same motion at the beginning and at the end of a long run'
+    replaces = 'level'
+    parameters = (Parameter('ratio', '1', 'relative error', lower=-0.95, relative=True,
+                            typical=0.3),)
+    guesses = staticmethod(lambda s: linear(0.1))
+
+    @staticmethod
+    def change(robot, joint, values) -> RobotParams:
+        factor = np.ones(robot.n_joints)
+        factor[joint] += values[0]
+        sides = {side: replace(steady, static=steady.static * factor,
+                               coulomb=steady.coulomb * factor)
+                 for side, steady in (('forward', robot.friction.forward),
+                                      ('backward', robot.friction.backward))}
+        return replace(robot, friction=replace(robot.friction, **sides))
+
+
+class FrictionAsymmetry(Term):
+    """F -> F (1 + ratio sgn(dq_link))."""
+
+    name = 'friction_asymmetry'
+    words = 'Friction stronger one way than the other'
+    stage = Stage.FRICTION
+    evidence = 'link rate'
+    confusable = ('constant_link_torque', 'viscous_asymmetry')
+    discriminated_by = 'motion both ways over the whole range, with rests between'
+    replaces = 'asymmetry'
+    parameters = (Parameter('ratio', '1', 'relative difference', typical=0.2,
+                            searched=(LEAST_RELATIVE, -LEAST_RELATIVE)),)
+    guesses = staticmethod(lambda s: linear(0.1))
+
+    @staticmethod
+    def in_friction(steady, direction, values) -> StribeckParams:
+        factor = np.maximum(1.0 + direction * values[0], 0.05)  # levels stay above zero
+        return replace(steady, static=steady.static * factor, coulomb=steady.coulomb * factor,
+                       viscous=steady.viscous * factor)
+
+    @staticmethod
+    def apply(s, p, memory, dt) -> None:
+        if s[DQ_LINK] > 0.0:
+            s[FRICTION] *= 1.0 + p[0]
+        elif s[DQ_LINK] < 0.0:
+            s[FRICTION] *= 1.0 - p[0]
+
+
+class FrictionDrift(Term):
+    """F -> F (1 + ratio t / duration), and as at its end after the duration."""
+
+    name = 'friction_drift'
+    words = 'Friction that changes over the run, by warming or wear'
+    stage = Stage.FRICTION
+    evidence = 'time'
+    confusable = ('coulomb_error',)
+    discriminated_by = 'the same motion at the beginning and at the end of a long run'
+    parameters = (
+        Parameter('ratio', '1', 'relative change over the duration', relative=True, typical=0.3),
+        Parameter('duration', 's', 'time in which the change happens', lower=0.0, fixed=True))
+    guesses = staticmethod(lambda s: linear(0.1, s.duration))
+
+    @staticmethod
+    def apply(s, p, memory, dt) -> None:
+        if p[1] > 0.0:
+            s[FRICTION] *= 1.0 + p[0] * min(s[TIME] / p[1], 1.0)
+
+
+class ViscousError(Term):
+    """F -> F + slope v."""
+
+    name = 'viscous_error'
+    words = 'Slope of the friction over velocity other than believed'
+    stage = Stage.FRICTION
+    evidence = 'link rate'
+    confusable = ('quadratic_drag',)
+    discriminated_by = 'faster motion, over a range of speeds of 1 to 5'
+    replaces = 'viscous'
+    least_is_value = True     # no viscous friction at all
+    parameters = (Parameter('slope', 'N m s/rad', 'further viscous friction',
+                            typical=lambda s: 0.3 * s.friction / s.speed),)
+    guesses = staticmethod(lambda s: linear(0.1 * s.friction / s.speed))
+
+    @classmethod
+    def search_bounds(cls, joint_index, robot) -> tuple[list[float], list[float]]:
+        """Return what is looked for, two lists: all of it may be gone either way."""
+        steady = robot.friction.forward, robot.friction.backward
+        return [-max(float(one.viscous[joint_index]) for one in steady)], [cls.parameters[0].upper]
+
+    @staticmethod
+    def in_friction(steady, direction, values) -> StribeckParams:
+        return replace(steady, viscous=np.maximum(steady.viscous + values[0], 0.0))
+
+    @staticmethod
+    def apply(s, p, memory, dt) -> None:
+        s[FRICTION] += p[0] * s[DQ_LINK]
+
+
+class ViscousAsymmetry(Term):
+    """F -> F + slope abs(v): viscous friction is larger by slope forward, smaller backward."""
+
+    name = 'viscous_asymmetry'
+    words = 'Viscous friction that differs by direction'
+    stage = Stage.FRICTION
+    evidence = 'link rate'
+    confusable = ('friction_asymmetry',)
+    discriminated_by = 'motion both ways over a range of speeds of 1 to 5'
+    replaces = 'viscous_asymmetry'
+    parameters = (Parameter('slope', 'N m s/rad',
+                            'viscous friction added forward, taken off backward',
+                            typical=lambda s: 0.2 * s.friction / s.speed),)
+    guesses = staticmethod(lambda s: linear(0.1 * s.friction / s.speed))
+
+    @staticmethod
+    def in_friction(steady, direction, values) -> StribeckParams:
+        return replace(steady, viscous=np.maximum(
+            steady.viscous + direction * values[0], 0.0))
+
+    @staticmethod
+    def apply(s, p, memory, dt) -> None:
+        s[FRICTION] += p[0] * abs(s[DQ_LINK])
+
+
+class StribeckError(Change):
+    """F_s -> F_s + ratio F_c, in both directions, but never below F_c."""
+
+    name = 'stribeck_error'
+    words = 'Friction at low speed other than believed'
+    evidence = 'link rate'
+    confusable = ('low_speed_friction',)
+    discriminated_by = 'slow motion at many constant speeds'
+    replaces = 'static'
+    parameters = (Parameter('ratio', '1', 'further friction at rest over the Coulomb level',
+                            lower=-0.95, relative=True, typical=0.3),)
+    guesses = staticmethod(lambda s: linear(0.1))
+
+    @staticmethod
+    def change(robot, joint, values) -> RobotParams:
+        ratio = np.zeros(robot.n_joints)
+        ratio[joint] = values[0]
+        sides = {side: replace(steady, static=np.maximum(
+            steady.static + ratio * steady.coulomb, steady.coulomb))
+            for side, steady in (('forward', robot.friction.forward),
+                                 ('backward', robot.friction.backward))}
+        return replace(robot, friction=replace(robot.friction, **sides))
+
+
+_RESOLVED = 4  # counts of an encoder within which no block slips: fewer show no loop
+
+
+class PreslidingError(Change):
+    """
+    k_i -> (1 + stiffness) k_i; alpha_i -> alpha_i (1 + tilt x_i), their sum kept.
+
+    x_i goes from -1 of the softest block of the joint to 1 of the stiffest, in equal steps.
+    """
+
+    name = 'presliding_error'
+    words = 'Friction before sliding other than believed'
+    evidence = 'time since reversal'
+    confusable = ('friction_hysteresis',)
+    discriminated_by = 'many small reversals, of a few mrad'
+    replaces = 'blocks'
+    parameters = (
+        Parameter('stiffness', '1', 'relative error of all block stiffnesses', lower=-0.95,
+                  typical=0.5),
+        Parameter('tilt', '1', 'load moved from the softer to the stiffer blocks', lower=-1.0,
+                  upper=1.0, typical=0.3))
+
+    @staticmethod
+    def guesses(scales) -> list:
+        """Return how it might be there, list of Guess; not where counts hide presliding."""
+        if scales.count * _RESOLVED > scales.presliding:
+            return []
+        return [Guess(((-0.3, 0.0),), lambda c: (max(-0.3 * c[0], -0.9), 0.0))]
+
+    @staticmethod
+    def change(robot, joint, values) -> RobotParams:
+        friction = robot.friction
+        stiffness, weight = friction.stiffness.copy(), friction.weight.copy()
+        order = np.argsort(np.argsort(stiffness[joint], kind='stable'), kind='stable')
+        tilted = weight[joint] * (1.0 + values[1] * (2.0 * order / max(len(order) - 1, 1) - 1.0))
+        if tilted.sum() > 0.0:
+            weight[joint] = tilted / tilted.sum()
+        stiffness[joint] *= 1.0 + values[0]
+        return replace(robot, friction=replace(friction, stiffness=stiffness, weight=weight))

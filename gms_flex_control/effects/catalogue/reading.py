@@ -1,0 +1,175 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""Effects on what is read: encoders, the stamps of a recording, a base that moves with them."""
+
+from gms_flex_control.effects.base import Parameter, Stage, Term
+from gms_flex_control.effects.guess import Guess, linear, wave
+from gms_flex_control.effects.signals import (
+    DDQ_LINK,
+    DDQ_MOTOR,
+    DQ_LINK,
+    DQ_MOTOR,
+    FRICTION,
+    JOINTS,
+    Q_LINK,
+    SENSED_LINK,
+    SENSED_MOTOR,
+    TORQUE,
+    WIDTH,
+)
+import numpy as np
+
+
+class EncoderSkew(Term):
+    """Measured q_motor(t) -> q_motor(t - delay), to second order in the delay."""
+
+    name = 'encoder_skew'
+    words = 'The two encoders of a joint are not read at the same time'
+    stage = Stage.SENSOR
+    evidence = 'motor rate'
+    discriminated_by = 'motion at constant speeds, slow and fast, both ways'
+    needs_link_encoder = True
+    parameters = (Parameter('delay', 's', 'by which the motor side is older than the link side',
+                            lower=-0.05, upper=0.05, typical=3e-3),)
+    guesses = staticmethod(lambda s: [] if s.rigid else linear(0.0005))
+
+    @staticmethod
+    def apply(s, p, memory, dt) -> None:
+        s[SENSED_MOTOR] -= p[0] * (s[DQ_MOTOR] - 0.5 * p[0] * s[DDQ_MOTOR])
+
+
+class LinkEncoderEccentricity(Term):
+    """measured q_link += amplitude sin(q_link + phase)."""
+
+    name = 'link_encoder_eccentricity'
+    words = 'Link encoder mounted off centre'
+    stage = Stage.SENSOR
+    evidence = 'link angle'
+    discriminated_by = 'whole revolutions without load'
+    needs_link_encoder = True
+    parameters = (
+        Parameter('amplitude', 'rad', 'amplitude of the error', lower=0.0,
+                  typical=lambda s: 0.1 * s.torsion),
+        Parameter('phase', 'rad', 'phase at q_link = 0'))
+    guesses = staticmethod(lambda s: [] if s.rigid else wave(0.02 * s.torsion))
+
+    @staticmethod
+    def apply(s, p, memory, dt) -> None:
+        s[SENSED_LINK] += p[0] * np.sin(s[Q_LINK] + p[1])
+
+
+_BEYOND = 1.0  # for how long the first and the last torque are held outside the recording [s]
+
+
+def torque_at_angles(torque, period, delay) -> np.ndarray:
+    """
+    Return torques as they acted where the recorded angles belong.
+
+    The same delay seen from the torques: exact, where clearing angles of it amplifies their
+    noise from some frequency below 1 / (6 delay) on.
+
+    Parameters
+    ----------
+    torque : ndarray, shape (T, n_joints)
+        As recorded, held over samples [N m].
+    period : float
+        Sample [s].
+    delay : float
+        By which all angles are older than the torques [s].
+
+    Returns
+    -------
+    ndarray, shape (T, n_joints)
+        Mean over each sample [N m].
+
+    """
+    edges = np.arange(len(torque) + 1) * period
+    times = np.concatenate([[-_BEYOND], edges, [edges[-1] + _BEYOND]])
+    lengths = np.concatenate([[_BEYOND], np.full(len(torque), period), [_BEYOND]])
+    held = np.concatenate([torque[:1], torque, torque[-1:]]) * lengths[:, None]
+    total = np.concatenate([np.zeros_like(torque[:1]), np.cumsum(held, axis=0)])
+    return np.stack([np.diff(np.interp(edges - delay, times, column)) / period
+                     for column in total.T], axis=1)
+
+
+class RecordingDelay(Term):
+    """
+    Measured q(t) -> q(t - delay) of all links and motors, to second order in the delay.
+
+    A fault of the recording: the drives act in time, torques are merely stamped early against
+    the angles (delay above zero) or late (below).
+    """
+
+    name = 'recording_delay'
+    words = 'Torques and angles of the recording that were not stamped at the same time'
+    stage = Stage.SENSOR
+    whole_arm = True
+    evidence = 'time since reversal'
+    confusable = ('actuator_lag', 'input_delay')
+    discriminated_by = ('fast motion of each joint in turn: drives are late one by one, a '
+                        'recording at once')
+    needs_link_encoder = True
+    of_feedback = True
+    of_recording = True
+    parameters = (Parameter('delay', 's', 'by which all angles are older than the torques',
+                            lower=-0.02, upper=0.02, typical=3e-3),)
+    guesses = staticmethod(lambda s: linear(0.0005))
+
+    @staticmethod
+    def torque_acted(torque, period, values) -> np.ndarray:
+        return torque_at_angles(torque, period, values[0])
+
+    @staticmethod
+    def apply(s, p, memory, dt) -> None:
+        for j in range(int(s[JOINTS])):
+            k = WIDTH * j
+            s[k + SENSED_LINK] -= p[0] * (s[k + DQ_LINK] - 0.5 * p[0] * s[
+                k + DDQ_LINK])
+            s[k + SENSED_MOTOR] -= p[0] * (s[k + DQ_MOTOR] - 0.5 * p[0] * s[
+                k + DDQ_MOTOR])
+
+
+class BaseFlexibility(Term):
+    """
+    inertia (b'' + 2 damping w b' + w^2 b) = F - u; both encoders of the joint read b less.
+
+    The angles of link and motor count from the resting base, so the motion of the base shows in
+    what is measured: an inertia torque -M b'' on all links after it. ``frequency`` is that of
+    the base alone. Exact for a torque held over a sample; friction follows the true angle.
+    """
+
+    name = 'base_flexibility'
+    words = 'A base that gives way under the torque of a joint'
+    stage = Stage.SENSOR
+    memory_size = 2
+    evidence = 'link acceleration'
+    discriminated_by = 'short pulses of torque with the arm at rest'
+    needs_link_encoder = True
+    acts_along_motion = False  # needs torques that only a simulation has
+    parameters = (
+        Parameter('frequency', 'Hz', 'natural frequency w / 2 pi', lower=0.0),
+        Parameter('inertia', 'kg m^2', 'inertia of the base about the joint', lower=0.0),
+        Parameter('damping', '1', 'damping ratio', lower=0.0, upper=0.99))
+
+    @staticmethod
+    def guesses(scales) -> list:
+        heavy = 5.0 * scales.link_inertia
+        return [Guess(((frequency, heavy, 0.05),),
+                      lambda c, frequency=frequency: (
+                          frequency, heavy / np.clip(c[0], 0.02, 20.0), 0.05), 0.0)
+                for frequency in np.geomspace(3.0, 15.0, 9)]
+
+    @staticmethod
+    def apply(s, p, memory, dt) -> None:
+        w = 2.0 * np.pi * p[0]
+        if w > 0.0 and p[1] > 0.0:
+            rest = (s[FRICTION] - s[TORQUE]) / (p[1] * w * w)
+            swing = w * np.sqrt(1.0 - p[2] * p[2])
+            x, rate = memory[0] - rest, memory[1]
+            cosine, sine = np.cos(swing * dt), np.sin(swing * dt) / swing
+            decay = np.exp(-p[2] * w * dt)
+            memory[0] = rest + decay * (x * cosine + (rate + p[2] * w * x) * sine)
+            memory[1] = decay * (rate * cosine - (p[2] * w * rate + w * w * x) * sine)
+            s[SENSED_LINK] -= memory[0]
+            s[SENSED_MOTOR] -= memory[0]
