@@ -20,13 +20,13 @@ demo: .venv/.with-ros  ## Run the paper's experiment over ROS 2 into demo_output
 	@$(BIN)/gms_flex demo --out demo_output
 
 demo-identify: .venv/.with-ros  ## Run identification over ROS 2 into demo_identify_output/
-	@$(BIN)/gms_flex demo-identify --out demo_identify_output
+	@$(BIN)/python -m bench demo-identify --out demo_identify_output
 
 demo-discrepancy: .venv/.with-ros  ## Hide an effect, find it and drive with it known, over ROS 2
-	@$(BIN)/gms_flex demo-discrepancy --out demo_discrepancy_output
+	@$(BIN)/python -m bench demo-discrepancy --out demo_discrepancy_output
 
 demo-next: .venv/.with-ros  ## Leave two names, design and drive the motion that leaves one, over ROS 2
-	@$(BIN)/gms_flex demo-next --out demo_next_output
+	@$(BIN)/python -m bench demo-next --out demo_next_output
 
 test: lint  ## Run the linters, the tests and a colcon build
 	@$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder

@@ -20,6 +20,9 @@ GROUPS = {
         'hidden-arms': 'bench.hidden_arms.hidden_arms',
         'base-parameters': 'bench.hidden_arms.base_parameters', 'learn': 'bench.learn',
         'next': 'bench.next'},
+    'over ROS 2': {'demo-identify': 'bench.demos.identify',
+                   'demo-discrepancy': 'bench.demos.discrepancy',
+                   'demo-next': 'bench.demos.separate'},
     'on recordings of real ones': {'real-machines': 'bench.real_machines.real_machines'}}
 EXAMPLES = {verb: [f'{PROG} {verb} {options}'.rstrip() for options in each]
             for verb, each in {
@@ -35,6 +38,9 @@ EXAMPLES = {verb: [f'{PROG} {verb} {options}'.rstrip() for options in each]
     'base-parameters': ('', '--seeds 0:5'),
     'learn': ('--seeds 0:1 --clean 0:2 --machines --out learned', '--out learned'),
     'next': ('--seeds 0:1 --out next', '--families "lag, delay" --seeds 0:4 --out lag'),
+    'demo-identify': ('--out demo_identify_output',),
+    'demo-discrepancy': ('--seed 3', '--effect position_friction --duration 30 --out found'),
+    'demo-next': ('', '--seed 3 --out separated'),
     'real-machines': ('--first', 'kr300_axis1 --out bench_real_output')}.items()}
 
 

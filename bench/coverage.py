@@ -17,6 +17,7 @@ from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 from bench.hidden_robots.hide import seeds_of
+from bench.identification_simulated import simulate_identification
 from gms_flex_control.answer import align
 from gms_flex_control.batches import fingerprint, Journal, open_executor, run_batch
 from gms_flex_control.cli.identify_bags import read_experiment_of
@@ -25,7 +26,6 @@ from gms_flex_control.data.recording import Recording
 from gms_flex_control.errors import GmsFlexError
 from gms_flex_control.experiment.believed import scaled_friction
 from gms_flex_control.experiment.identification_plan import plan_identification
-from gms_flex_control.experiment.identification_simulated import simulate_identification
 from gms_flex_control.file_io import write_text
 from gms_flex_control.identification.identify import identify, Options
 from gms_flex_control.identification.result import known_presliding, known_values

@@ -10,13 +10,13 @@ import math
 from pathlib import Path
 from typing import NamedTuple
 
+from bench.identification_simulated import simulate_identification
 from gms_flex_control.answer import align
 from gms_flex_control.batches import fingerprint, Journal, open_executor, run_batch
 from gms_flex_control.cli.options import add_batch_options
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.experiment.believed import scaled_friction
 from gms_flex_control.experiment.identification_plan import read_identification_plan
-from gms_flex_control.experiment.identification_simulated import simulate_identification
 from gms_flex_control.file_io import write_text
 from gms_flex_control.identification.identify import identify
 from gms_flex_control.identification.result import (

@@ -61,7 +61,7 @@ WORKS = {
          'discrepancy_evidence.png': 'example/result/evidence_*_motor_inertia_coupling*.png',
          'discrepancy_map.png': 'example/result/map_*_1.png'}),
     'demo-discrepancy': Work(
-        ('demo-discrepancy --duration 20 --out demo',),
+        ('bench demo-discrepancy --duration 20 --out demo',),
         {'discrepancy_demo.png': 'demo/tracking.png'})}
 
 

@@ -6,9 +6,9 @@
 from dataclasses import replace
 from functools import cache
 
+from bench.identification_simulated import simulate_identification
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.experiment.identification_plan import plan_identification
-from gms_flex_control.experiment.identification_simulated import simulate_identification
 from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
 from gms_flex_control.params.gains import ControllerParams

@@ -12,6 +12,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 TOOL = [sys.executable, '-m', 'gms_flex_control.cli.main']
+BENCH = [sys.executable, '-m', 'bench']
 
 
 def environment_of(**further):
@@ -21,8 +22,9 @@ def environment_of(**further):
 
 
 def run_tool(*words, timeout=200, **environment):
-    """Return the finished process of ``gms_flex``."""
-    return subprocess.run([*TOOL, *map(str, words)], text=True, capture_output=True,
+    """Return the finished process of ``gms_flex``, or of the bench for a demonstration of it."""
+    tool = BENCH if str(words[0]).startswith('demo-') else TOOL
+    return subprocess.run([*tool, *map(str, words)], text=True, capture_output=True,
                           timeout=timeout, check=False, env=environment_of(**environment))
 
 

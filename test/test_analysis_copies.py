@@ -6,7 +6,7 @@
 from dataclasses import replace
 
 from gms_flex_control.analysis.tracking import link_rms, tracking_of_copies
-from gms_flex_control.cli.demos import plan_of
+from gms_flex_control.cli.demo import plan_of
 from gms_flex_control.experiment.believed import mixed_error
 from gms_flex_control.experiment.simulated import simulate
 import numpy as np

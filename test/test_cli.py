@@ -143,8 +143,7 @@ def test_what_is_wrong_with_an_option_is_said(arguments, sentence, tmp_path, cap
 
 @pytest.mark.parametrize('arguments', [
     'record --all --out {dir}', 'view live', 'faults --list', 'demo --out {dir}',
-    'demo-identify --out {dir}', 'demo-discrepancy --out {dir}',
-    'demo-next --out {dir}'])
+    'demo-identify --out {dir}', 'demo-discrepancy --out {dir}', 'demo-next --out {dir}'])
 def test_without_ros_the_extra_is_named(arguments, tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, 'rclpy', None)  # importing it then fails
     out = tmp_path / 'out'

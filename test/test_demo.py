@@ -5,6 +5,7 @@
 
 import json
 
+from bench import __main__ as bench
 from gms_flex_control.cli.main import main
 from gms_flex_control.data.inspection import summarise
 from gms_flex_control.data.reader import read_recording
@@ -79,14 +80,15 @@ def test_nothing_of_the_nodes_is_hidden(outcome):
     assert not any('Traceback' in path.read_text() for path in logs)
 
 
-@pytest.mark.parametrize('verb', ['demo', 'demo-identify', 'demo-discrepancy'])
-def test_a_folder_it_did_not_make_is_left_alone(verb, tmp_path, capsys):
+@pytest.mark.parametrize(('tool', 'prog', 'verb'), [
+    (main, 'gms_flex', 'demo'), (bench.main, bench.PROG, 'demo-identify'),
+    (bench.main, bench.PROG, 'demo-discrepancy'), (bench.main, bench.PROG, 'demo-next')])
+def test_a_folder_it_did_not_make_is_left_alone(tool, prog, verb, tmp_path, capsys):
     (tmp_path / 'thesis.tex').write_text('years of work')
-    assert main([verb, '--out', str(tmp_path)]) == 2
+    assert tool([verb, '--out', str(tmp_path)]) == 2
     assert capsys.readouterr().err == (
-        f'gms_flex {verb}: {tmp_path} exists and was not made by gms_flex {verb}: '
-        'name another --out\n')
-    assert main([verb, '--out', str(tmp_path / 'thesis.tex')]) == 2
+        f'{prog} {verb}: {tmp_path} exists and was not made by {verb}: name another --out\n')
+    assert tool([verb, '--out', str(tmp_path / 'thesis.tex')]) == 2
     assert (tmp_path / 'thesis.tex').read_text() == 'years of work'
 
 

@@ -5,8 +5,8 @@
 
 import json
 
+from bench.demos.hidden_effect import draw_effect, drawable, hide_effect
 from gms_flex_control.data.reader import read_recording
-from gms_flex_control.demonstration import draw_effect, drawable, hide_effect
 from gms_flex_control.effects import registry
 from gms_flex_control.effects.guess import Scales
 from gms_flex_control.errors import ConfigError

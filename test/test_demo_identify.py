@@ -8,12 +8,12 @@ import os
 import pty
 import subprocess
 
-from gms_flex_control.cli import demos
-from gms_flex_control.cli.main import main
+from bench.__main__ import main
+from bench.demos import identify as demos
 from gms_flex_control.data import reader
 from gms_flex_control.errors import IdentificationError
 import numpy as np
-from processes import environment_of, TOOL
+from processes import BENCH, environment_of
 import pytest
 
 PLAN = """/**:
@@ -38,7 +38,7 @@ def outcome(tmp_path_factory):
     (folder / 'plan.yaml').write_text(PLAN)
     terminal, end = pty.openpty()
     process = subprocess.Popen(
-        [*TOOL, 'demo-identify', '--out', str(folder / 'output'), '--plan',
+        [*BENCH, 'demo-identify', '--out', str(folder / 'output'), '--plan',
          str(folder / 'plan.yaml')], text=True, stdout=subprocess.PIPE, stderr=end,
         env=environment_of(ROS_DOMAIN_ID=str(domain)))
     os.close(end)
@@ -87,7 +87,7 @@ def test_the_fit_gets_recording_and_phases_of_a_bag_read_once(outcome, monkeypat
         raise IdentificationError('enough')
 
     monkeypatch.setattr(reader, 'Bag', Counted)
-    monkeypatch.setattr('gms_flex_control.cli.demos.identify', stop)
+    monkeypatch.setattr('bench.demos.identify.identify', stop)
     bag = outcome[0] / 'bag'
     with pytest.raises(IdentificationError, match='enough'):
         demos.fit_experiment(outcome[0], bag, demos.read_experiment())

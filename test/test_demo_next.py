@@ -6,7 +6,6 @@
 import json
 from pathlib import Path
 
-from gms_flex_control.cli.main import main
 from gms_flex_control.data.reader import read_recording
 from gms_flex_control.schema.files import load_limits, load_robot, read_values
 import numpy as np
@@ -48,9 +47,3 @@ def test_the_nodes_drove_what_was_planned_within_the_limits(outcome):
         reached = np.nanmax(np.abs(found.reference[:, 0]), axis=0)
         assert np.all(reached >= np.array(asked) - 0.02)  # braking at the end goes farther
         assert np.all(reached <= np.minimum(limits.upper, -limits.lower))
-
-
-def test_a_folder_of_something_else_is_left_alone(tmp_path, capsys):
-    (tmp_path / 'mine.txt').write_text('mine')
-    assert main(['demo-next', '--out', str(tmp_path)]) == 2
-    assert 'was not made by gms_flex demo-next' in capsys.readouterr().err

@@ -8,13 +8,13 @@ from functools import cache
 from pathlib import Path
 
 from bench.hidden_robots.cases import make_case
+from bench.identification_simulated import simulate_identification
 from gms_flex_control.data.csv_import import import_csv
 from gms_flex_control.data.reader import read_recording
 from gms_flex_control.data.writer import write_recording
 from gms_flex_control.dynamics.chain import matrices
 from gms_flex_control.errors import GmsFlexError, IdentificationError
 from gms_flex_control.experiment.identification_plan import read_identification_plan
-from gms_flex_control.experiment.identification_simulated import simulate_identification
 from gms_flex_control.experiment.simulated import read_plan, simulate
 from gms_flex_control.identification.assumed_robot import rigid_joints
 from gms_flex_control.identification.recording_checks import check, require

@@ -6,9 +6,9 @@
 from dataclasses import replace
 from functools import cache
 
+from bench.identification_simulated import simulate_identification
 from gms_flex_control.errors import IdentificationError
 from gms_flex_control.experiment.identification_plan import plan_identification
-from gms_flex_control.experiment.identification_simulated import simulate_identification
 from gms_flex_control.identification.assumed_robot import believed_model, cleared
 from gms_flex_control.identification.identify import Data
 from gms_flex_control.params.robot import EffectSpec

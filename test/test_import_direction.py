@@ -23,7 +23,7 @@ LAYERS = ['errors', 'file_io', 'batches', 'answer', 'resources', 'blas', 'compil
           'records', 'params', 'friction', 'effects', 'dynamics', 'trajectory',
           'control', 'hardware', 'schema', 'exports', 'simulation', 'data',
           'experiment', 'analysis', 'identification', 'discrepancy', 'design',
-          'demonstration', 'tuning', 'comparison', 'reports', 'results', 'view', 'nodes', 'cli']
+          'tuning', 'comparison', 'reports', 'results', 'view', 'nodes', 'cli']
 ROS = re.compile(r'rclpy|rcl_interfaces|ament_index_python|launch(_ros)?|\w+_(msgs|srvs)')
 BAGS = re.compile(r'rosbags|mcap')
 NOT_INSTALLED = {'bench', 'scripts', 'test'}
@@ -100,7 +100,7 @@ def test_no_module_imports_itself_by_way_of_others():
 
 
 def test_a_cycle_is_found():
-    assert modules_imported('def f():\n    from gms_flex_control.cli.demos import plan_of',
+    assert modules_imported('def f():\n    from gms_flex_control.cli.demo import plan_of',
                             'experiment/simulated.py') == {'cli/demos.py'}
     with pytest.raises(CycleError):
         TopologicalSorter({'a.py': {'b.py'}, 'b.py': {'a.py'}}).prepare()

@@ -11,6 +11,7 @@ import tempfile
 from time import perf_counter
 from typing import NamedTuple
 
+from bench.identification_simulated import simulate_identification
 from bench.speed.numpy_identification import PlainObjective, search
 from bench.speed.timing import Measurement
 from gms_flex_control.data.writer import write_recording
@@ -20,7 +21,6 @@ from gms_flex_control.experiment.identification_plan import (
     plan_identification,
     read_identification_plan,
 )
-from gms_flex_control.experiment.identification_simulated import simulate_identification
 from gms_flex_control.identification.coordinates import Coordinates, N_STEADY
 from gms_flex_control.identification.friction_map import friction_map, start_of
 from gms_flex_control.identification.least_squares import prior_of, refine

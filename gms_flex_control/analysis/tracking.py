@@ -9,14 +9,13 @@ nor the stiffness K, nor the trajectories. What can be compared is the ratio
 MSE without / MSE with compensation on the same robot and trajectory.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 import math
 from typing import NamedTuple
 
 from gms_flex_control.answer import align, Answer, command, measured
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.data.signal_analysis import quantum
-from gms_flex_control.experiment.simulated import simulate
 import numpy as np
 
 HOLD_SETTLING = 1.0   # a reference constant this long counts as holding still [s]
@@ -325,35 +324,3 @@ def _rms_torque(recording, i):
         if known.size:
             return float(np.sqrt(np.mean(known ** 2)))
     return np.nan
-
-
-def tracking_of_copies(plan, model, count=16, spread=1e-3, seed=0) -> np.ndarray:
-    """
-    Return the rms tracking errors (count, n) [rad] of robots whose friction differs a little.
-
-    Compensated well, what is left of an error is made of single events: a link that sticks a
-    moment too long. Whether one happens hangs on friction to a millionth, so one run says little;
-    the median over robots that differ by less than anyone could know says what to expect.
-
-    Parameters
-    ----------
-    plan : Plan
-        Robot, motion and gains.
-    model : RobotParams
-        What the controller believes.
-    count : int
-        How many robots.
-    spread : float
-        Standard deviation of each stiffness of their blocks, relative.
-    seed : int
-        Of these; the same robots for every model.
-
-    """
-    rng, friction, errors = np.random.default_rng(seed), plan.robot.friction, []
-    for _ in range(count):
-        factor = 1.0 + spread * rng.standard_normal(friction.stiffness.shape)
-        robot = replace(plan.robot, friction=replace(
-            friction, stiffness=factor * friction.stiffness))
-        own = replace(plan, robot=robot, model=model)
-        errors.append(link_rms(simulate(own, 'copy')))
-    return np.array(errors)

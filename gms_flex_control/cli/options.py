@@ -4,6 +4,7 @@
 """Options that verbs share, and how a verb of the table becomes a parser."""
 
 from argparse import RawDescriptionHelpFormatter
+from collections.abc import Callable
 from contextlib import contextmanager
 from functools import partial
 from importlib import import_module
@@ -36,7 +37,7 @@ class Verb(NamedTuple):
     """A verb of the tool."""
 
     name: str
-    run: str             # 'module.function' below gms_flex_control.cli, takes the arguments
+    run: str | Callable  # takes the arguments; or 'module.function' below gms_flex_control.cli
     summary: str
     description: str
     options: tuple       # of Option or OneOf
@@ -117,10 +118,12 @@ def add_verb(verb: Verb, subparsers) -> None:
 
 
 def _run(place, args):
-    module, _, function = place.partition('.')
     for action, one in getattr(args, 'ranges', ()):
         _require_range(action.option_strings[0], getattr(args, action.dest), one.least, one.most)
-    verb = getattr(import_module(f'gms_flex_control.cli.{module}'), function)
+    verb = place
+    if isinstance(place, str):
+        module, _, function = place.partition('.')
+        verb = getattr(import_module(f'gms_flex_control.cli.{module}'), function)
     with _compiling_announced():
         return verb(args)
 

@@ -9,7 +9,6 @@ from gms_flex_control.cli.options import (
     JSON,
     LINKS,
     MOTORS,
-    number,
     OneOf,
     option,
     OUT_FILE,
@@ -20,8 +19,6 @@ from gms_flex_control.cli.options import (
 
 SHELLS = ('bash', 'zsh', 'fish')
 DEMO_MOTIONS, DEMO_MODES = ('sinusoid', 'polynomial'), ('none', 'gms_paper', 'gms')
-BELIEVED_FRICTION = 0.8  # of the true one, before the identification of the demo
-ALLOWED = 1.5  # rms error of tracking, identified over true, medians of robots alike
 
 _EFFECTS = Verb(
     'effects', 'robots.effects', 'the effects a robot file can have, with their parameters',
@@ -96,7 +93,7 @@ _URDF = Verb(
     ('urdf --robot robot.yaml --out arm.urdf',
      'urdf --robot robot.yaml --links-only --out rigid.urdf'))
 _DEMO = Verb(
-    'demo', 'demos.demo', "the paper's experiment over ROS 2, with table and report",
+    'demo', 'demo.demo', "the paper's experiment over ROS 2, with table and report",
     'Start plant, controller and trajectory as three processes for every trajectory and '
     "compensation of the paper's section 6, record them into bags, and write Table 4, a report "
     'and pictures. The controller believes a robot with friction x 0.85, stiffness x 1.05 and '
@@ -110,50 +107,6 @@ _DEMO = Verb(
                help='simulated length of each run (default: sinusoid 20, polynomial to its end)'),
         JSON),
     ('demo', 'demo --motions sinusoid --modes none gms --duration 6 --out short'))
-_DEMO_IDENTIFY = Verb(
-    'demo-identify', 'demos.demo_identify', 'the identification experiment over ROS 2',
-    'Start plant, controller, trajectory and identification node as processes in lockstep, faster '
-    'than real time, record the identification experiment (controller and experiment believe '
-    f'friction x {BELIEVED_FRICTION:g}), fit the friction, and track the trajectories of the '
-    'paper with the friction believed before, identified, and true. Exit code 1 if tracking with '
-    f'identified friction is more than {ALLOWED:g} times worse than with the true one.', (
-        out_folder('folder for everything; made anew', 'demo_identify_output'),
-        option('--plan', metavar='YAML',
-               help='parameters of the experiment (default: config/identification_demo.yaml)'),
-        JSON),
-    ('demo-identify --out demo_identify_output',))
-_DEMO_DISCREPANCY = Verb(
-    'demo-discrepancy', 'demos.demo_discrepancy',
-    'hide an effect, find it over ROS 2, drive with it known',
-    'Hide an effect, drawn by a seed, in the simulated robot; drive it with plant, controller and '
-    'trajectory as three processes in lockstep and record a bag; find what the model believed in '
-    'lacks (the tool gets no more than bag and robot file, every parameter 1 to 3 % off); drive '
-    'the same motion with what was found, and with the true model. Exit code 0 if the name is '
-    'right and the gap shrank, 1 if not.', (
-        out_folder('folder for everything; made anew', 'demo_discrepancy_output'),
-        option('--seed', type=int, default=0, metavar='N', least=0,
-               help='of effect, joint, size, errors of the model and motion (default: '
-                    '%(default)s)'),
-        option('--effect', metavar='NAME',
-               help='hide this one of the catalogue; default: one is drawn that a controller can '
-                    'compensate'),
-        number('--duration', 'S', 60.0, 'of the motion, simulated'), JSON),
-    ('demo-discrepancy --seed 3',
-     'demo-discrepancy --effect position_friction --duration 30 --out found'))
-_DEMO_NEXT = Verb(
-    'demo-next', 'demo_next.demo_next',
-    'two names for one recording; designed motions leave one, over ROS 2',
-    'Hide a constant torque on the second link, record moves in one direction, which a friction '
-    'that differs by direction explains as well, then design, drive and record motions until one '
-    'of both names is left. Exit code 1 if it is not the true one.', (
-        option('--effects', nargs='+', metavar='EFFECT:JOINT',
-               default=['constant_link_torque:joint2', 'friction_asymmetry:joint2'],
-               help='explanations (default: %(default)s)'),
-        option('--seed', type=int, default=0, least=0, help='of what is believed of the robot'),
-        number('--budget', 'S', 30.0, 'robot time after the first recording', least=8.0,
-               most=3600.0),
-        out_folder('folder for everything; made anew', 'demo_next_output'), JSON),
-    ('demo-next', 'demo-next --seed 3 --out separated'))
 _COMPLETION = Verb(
     'completion', 'main.completion',
     'complete verbs, options and files by TAB in bash, zsh and fish',
@@ -164,5 +117,4 @@ _COMPLETION = Verb(
      'completion fish > ~/.config/fish/completions/gms_flex.fish'))
 
 OTHERS = (
-    _EFFECTS, _RECORD, _REPAIR, _ANALYSE, _TORSION, _CHECK_GAINS, _URDF, _DEMO, _DEMO_IDENTIFY,
-    _DEMO_DISCREPANCY, _DEMO_NEXT, _COMPLETION)
+    _EFFECTS, _RECORD, _REPAIR, _ANALYSE, _TORSION, _CHECK_GAINS, _URDF, _DEMO, _COMPLETION)

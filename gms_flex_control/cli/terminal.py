@@ -113,7 +113,7 @@ def refuse_foreign(out: Path, verb: str) -> None:
     """Raise BagError if the folder ``out`` holds anything but an earlier run of ``verb``."""
     if out.exists() and not (out.is_dir() and (_marker(out, verb).exists()
                                                or not any(out.iterdir()))):
-        raise BagError(f'{out} exists and was not made by gms_flex {verb}: name another --out')
+        raise BagError(f'{out} exists and was not made by {verb}: name another --out')
 
 
 def prepare(out: Path, verb: str) -> None:

@@ -3,13 +3,11 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Experiments over DDS: node processes in lockstep, started, watched and ended."""
 
-from collections.abc import Generator
-from contextlib import contextmanager, ExitStack
+from contextlib import ExitStack
 from dataclasses import dataclass
 import os
 from pathlib import Path
 import random
-import re
 import shutil
 import signal
 import subprocess
@@ -24,10 +22,9 @@ NODES = ('plant_node', 'controller_node', 'trajectory_node')
 _STOP_BOUND = 10.0    # a process has so long to end after SIGINT [s]
 TOPICS = ('/joint_states', '/effort_controller/commands', '/reference',
           '/cascade_controller/state')
-_LISTENERS = 3        # controller, trajectory and recorder or identification
-_SLOWEST_STEPS = 100  # simulated samples per second on the slowest machine we wait for
-_PROGRESS = re.compile(r'\[identification\]: +(\d+ %, .*)')
-_START_BOUND = 120.0  # for processes to start, compiling included [s]
+LISTENERS = 3        # controller, trajectory and recorder or identification
+SLOWEST_STEPS = 100  # simulated samples per second on the slowest machine we wait for
+START_BOUND = 120.0  # for processes to start, compiling included [s]
 
 
 class ProcessError(GmsFlexError):
@@ -196,7 +193,7 @@ def drive(plan: DrivenPlan, bag: Path, *, log: Path) -> None:
     The recording goes to ``bag``, what the processes print into the folder ``log``. ProcessError
     if a process fails or does not end in time.
     """
-    bound = _START_BOUND + plan.duration * plan.rate / _SLOWEST_STEPS
+    bound = START_BOUND + plan.duration * plan.rate / SLOWEST_STEPS
     with Processes(private_environment(), log) as processes:
         processes.start('recorder', [*executable('gms_flex'), 'record', '--topics', *TOPICS,
                                      '--out', str(bag)])
@@ -206,28 +203,12 @@ def drive(plan: DrivenPlan, bag: Path, *, log: Path) -> None:
         processes.start_node('trajectory', plan.files, {'trajectory.autostart': True})
         # the recorder must hear the first answer, and that comes right after the first state
         processes.wait_for_text('recorder', [f'subscribed to {topic} ' for topic in TOPICS[1:]],
-                                _START_BOUND)
+                                START_BOUND)
         processes.start_node(
             'plant', plan.files if plan.plant is None else [*plan.files, plan.plant],
-            {'rate': plan.rate, 'duration': plan.duration, 'wait_for_subscribers': _LISTENERS})
+            {'rate': plan.rate, 'duration': plan.duration, 'wait_for_subscribers': LISTENERS})
         processes.wait('plant', bound)
         processes.stop_all('trajectory', 'controller', 'recorder')
-
-
-@contextmanager
-def stepped_loop(files, model: Path, plant: Path, rate: float, *, log: Path) -> Generator:
-    """
-    Run plant, controller and trajectory node in lockstep for the ``with`` block.
-
-    Arguments as the fields of DrivenPlan; the reference stays where the robot is.
-    """
-    with Processes(dict(os.environ), log) as processes:
-        processes.start_node('controller', [*files, model])
-        processes.start_node('trajectory', files)
-        processes.start_node('plant', [*files, plant],
-                             {'rate': rate, 'wait_for_subscribers': _LISTENERS})
-        yield processes
-        processes.stop_all('plant', 'trajectory', 'controller')
 
 
 def drive_recorded(plan: DrivenPlan, bag: Path, *, log: Path) -> Recording:
@@ -239,42 +220,3 @@ def drive_recorded(plan: DrivenPlan, bag: Path, *, log: Path) -> Recording:
     bag.parent.mkdir(parents=True, exist_ok=True)
     drive(plan, bag, log=log / bag.name)
     return read_recording(bag)
-
-
-@dataclass(frozen=True, kw_only=True)
-class DrivenIdentification:
-    """One identification experiment over DDS in lockstep."""
-
-    files: tuple     # of Path: robot as it is, and controller parameters
-    model: Path      # robot file that controller and experiment believe in
-    plan: Path       # parameters of the experiment, such as config/identification.yaml
-    duration: float  # expected, simulated [s]
-    rate: float      # joint states per simulated second [Hz]
-
-
-def drive_identification(experiment: DrivenIdentification, bag: Path, *, log: Path,
-                         say=print) -> None:
-    """
-    Run plant, controller, trajectory and identification node until the experiment is over.
-
-    ``say`` gets a line of progress for each step; all else as of `drive`.
-    """
-    believed = [*experiment.files, experiment.model]
-    bound = _START_BOUND + experiment.duration * experiment.rate / _SLOWEST_STEPS
-    said = 0
-    with Processes(private_environment(), log) as processes:
-        def report():
-            nonlocal said
-            lines = _PROGRESS.findall(processes.printed('identification'))
-            for line in lines[said:]:
-                say(line)
-            said = len(lines)
-
-        processes.start_node('controller', believed)
-        processes.start_node('trajectory', experiment.files)
-        processes.start_node('identification', [*believed, experiment.plan],
-                             {'identification.bag': bag, 'identification.fit': False})
-        processes.start_node('plant', experiment.files, {
-            'rate': experiment.rate, 'wait_for_subscribers': _LISTENERS})
-        processes.wait('identification', bound, report)
-        processes.stop_all('plant', 'trajectory', 'controller')

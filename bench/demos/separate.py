@@ -1,26 +1,31 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""The verb `demo-next`: a first recording leaves two names, designed motions over ROS 2 one."""
+"""`python -m bench demo-next`: a recording leaves two names, designed motions over ROS 2 one."""
 
+from collections.abc import Generator
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 import os
 from pathlib import Path
 
+from bench.demos.discrepancy import compile_effects
+from bench.demos.hidden_effect import random_error
 from gms_flex_control import blas
-from gms_flex_control.cli.demos import compile_effects, RATE
+from gms_flex_control.cli.demo import RATE
 from gms_flex_control.cli.designs import report_separation, sets_of, Task, write_files
+from gms_flex_control.cli.options import add_verb, JSON, number, option, out_folder, Verb
 from gms_flex_control.cli.terminal import import_ros, prepare, refuse_foreign, say
 from gms_flex_control.data.reader import read_recording
 from gms_flex_control.design.plan import clipped
 from gms_flex_control.design.sequential import separate
-from gms_flex_control.experiment.believed import random_error
 from gms_flex_control.experiment.driven import (
     drive_recorded,
     DrivenPlan,
+    LISTENERS,
     private_environment,
-    stepped_loop,
+    Processes,
 )
 from gms_flex_control.experiment.simulated import read_plan
 from gms_flex_control.resources import controller_file, robot_file, share_path
@@ -29,15 +34,29 @@ import numpy as np
 
 _TORQUE = 3.0      # times the limits of config/bridge.yaml: those are of a first start
 _PATIENCE = 120.0  # for nodes to start, compiling included [s]
+VERB = Verb(
+    'demo-next', lambda args: demo_next(args),
+    'two names for one recording; designed motions leave one, over ROS 2',
+    'Hide a constant torque on the second link, record moves in one direction, which a friction '
+    'that differs by direction explains as well, then design, drive and record motions until one '
+    'of both names is left. Exit code 1 if it is not the true one.', (
+        option('--effects', nargs='+', metavar='EFFECT:JOINT',
+               default=['constant_link_torque:joint2', 'friction_asymmetry:joint2'],
+               help='explanations (default: %(default)s)'),
+        option('--seed', type=int, default=0, least=0, help='of what is believed of the robot'),
+        number('--budget', 'S', 30.0, 'robot time after the first recording', least=8.0,
+               most=3600.0),
+        out_folder('folder for everything; made anew', 'demo_next_output'), JSON), ())
+add_parser = partial(add_verb, VERB)
 
 
 def demo_next(args) -> int:
     """Drive, design, drive until one name is left; return 0 if it is that of what is hidden."""
     out = Path(args.out)
-    refuse_foreign(out, 'demo-next')
+    refuse_foreign(out, VERB.name)
     runner = import_ros('gms_flex_control.nodes.motion_runner')
     os.environ.update(private_environment())  # of the nodes and of this process
-    prepare(out, 'demo-next')
+    prepare(out, VERB.name)
     believed, plant = (out / f'{name}_robot.yaml' for name in ('believed', 'hidden'))
     motion = share_path() / 'config' / 'demo_next.yaml'
     hidden, task = _written(args, believed, plant, motion, out / 'first')
@@ -78,3 +97,19 @@ def _driven(runner, files, plant, out, plan, number):
         runner.drive_motion(plan.best.candidate.parameters, plan.best.duration, folder / 'bag',
                             patience=_PATIENCE, say=say)
     return read_recording(folder / 'bag', robot.joints, robot.motors)
+
+
+@contextmanager
+def stepped_loop(files, model: Path, plant: Path, rate: float, *, log: Path) -> Generator:
+    """
+    Run plant, controller and trajectory node in lockstep for the ``with`` block.
+
+    Arguments as the fields of DrivenPlan; the reference stays where the robot is.
+    """
+    with Processes(dict(os.environ), log) as processes:
+        processes.start_node('controller', [*files, model])
+        processes.start_node('trajectory', files)
+        processes.start_node('plant', [*files, plant],
+                             {'rate': rate, 'wait_for_subscribers': LISTENERS})
+        yield processes
+        processes.stop_all('plant', 'trajectory', 'controller')

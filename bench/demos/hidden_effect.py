@@ -10,7 +10,6 @@ from gms_flex_control.control.feedforward import compensated
 from gms_flex_control.discrepancy.motion import motion_of, scales_of
 from gms_flex_control.effects import registry
 from gms_flex_control.errors import ConfigError, did_you_mean, ParameterError, SimulationError
-from gms_flex_control.experiment.believed import random_error
 from gms_flex_control.experiment.simulated import Plan, simulate
 from gms_flex_control.params.robot import EffectSpec, RobotParams, WHOLE_ARM
 from gms_flex_control.trajectory import builders
@@ -132,3 +131,29 @@ def _driven(robot, believed, gains, motion):
         robot=robot, model=believed, gains=gains, trajectory=motion, motion='via_points',
         duration=motion.end, period_ns=round(1e9 * PERIOD), substeps=20, seed=0,
         q_link=np.zeros(2)))
+
+
+def random_error(rng, robot, least=0.01, most=0.03) -> RobotParams:
+    """
+    Return a robot as its user may believe it to be: every parameter a little off, no effects.
+
+    Every relative error has a size of ``least`` to ``most`` and either sign; those of mass and
+    inertia of a link are one.
+    """
+    def off(values):
+        shape = np.shape(values)
+        return 1.0 + rng.uniform(least, most, shape) * rng.choice([-1.0, 1.0], shape)
+
+    def off_way(steady):
+        level = off(steady.static)
+        return steady.scaled(static=level, coulomb=level, velocity=off(steady.velocity),
+                             viscous=off(steady.viscous))
+
+    arm, friction = robot.arm, robot.friction
+    links, friction = off(arm.mass), friction.each_way(off_way)  # the order is that of the draws
+    return replace(
+        robot, effects=(),
+        arm=replace(arm.scaled(links), motor_inertia=arm.motor_inertia * off(arm.motor_inertia),
+                    stiffness=arm.stiffness * off(arm.stiffness)),
+        friction=replace(friction, stiffness=friction.stiffness * off(friction.stiffness[:, :1]),
+                         attraction=friction.attraction * off(friction.attraction)))
