@@ -23,7 +23,8 @@ GROUPS = {
     'over ROS 2': {'demo-identify': 'bench.demos.identify',
                    'demo-discrepancy': 'bench.demos.discrepancy',
                    'demo-next': 'bench.demos.separate'},
-    'on recordings of real ones': {'real-machines': 'bench.real_machines.real_machines'}}
+    'on recordings of real ones': {'real-machines': 'bench.real_machines.real_machines',
+                                   'torsion': 'bench.real_machines.spring_or_delay'}}
 EXAMPLES = {verb: [f'{PROG} {verb} {options}'.rstrip() for options in each]
             for verb, each in {
     'speed': ('--quick', '--only loop step --json'),
@@ -41,7 +42,8 @@ EXAMPLES = {verb: [f'{PROG} {verb} {options}'.rstrip() for options in each]
     'demo-identify': ('--out demo_identify_output',),
     'demo-discrepancy': ('--seed 3', '--effect position_friction --duration 30 --out found'),
     'demo-next': ('', '--seed 3 --out separated'),
-    'real-machines': ('--first', 'kr300_axis1 --out bench_real_output')}.items()}
+    'real-machines': ('--first', 'kr300_axis1 --out bench_real_output'),
+    'torsion': ('kr300 --joint axis1 --stiffness 4.58e6 --out torsion',)}.items()}
 
 
 def build_parser():

@@ -5,7 +5,7 @@
 
 from pathlib import Path
 
-from gms_flex_control.analysis.torsion import study
+from bench.real_machines.torsion import study
 from gms_flex_control.data.csv_import import import_csv
 from gms_flex_control.data.reader import read_recording
 from gms_flex_control.data.writer import write_recording

@@ -101,7 +101,7 @@ def test_no_module_imports_itself_by_way_of_others():
 
 def test_a_cycle_is_found():
     assert modules_imported('def f():\n    from gms_flex_control.cli.demo import plan_of',
-                            'experiment/simulated.py') == {'cli/demos.py'}
+                            'experiment/simulated.py') == {'cli/demo.py'}
     with pytest.raises(CycleError):
         TopologicalSorter({'a.py': {'b.py'}, 'b.py': {'a.py'}}).prepare()
 

@@ -6,13 +6,13 @@
 import json
 from pathlib import Path
 
-from gms_flex_control.analysis.torsion import rms, study
-from gms_flex_control.cli.main import main
+from bench.__main__ import main
+from bench.real_machines import spring_or_delay
+from bench.real_machines.torsion import rms, study
 from gms_flex_control.data.csv_import import import_csv
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.data.writer import write_recording
 from gms_flex_control.errors import BagError
-from gms_flex_control.reports import recordings_page
 from gms_flex_control.schema.files import load_robot
 import numpy as np
 import pytest
@@ -58,7 +58,7 @@ def test_the_true_spring_explains_the_torsion_and_a_wrong_one_does_not():
     assert true.explanations[0].relative_error < 0.02
     assert true.explanations[3].stiffness == pytest.approx(K, rel=0.03)
     assert abs(true.explanations[3].delay) < 1e-5
-    assert 'better than a delay' in recordings_page.torsion_verdict(true)
+    assert 'better than a delay' in spring_or_delay.torsion_verdict(true)
     assert study(axis(), 'axis1', K / 2, J).explanations[0].relative_error > 0.5
 
 
@@ -69,7 +69,7 @@ def test_a_delay_between_the_encoders_is_told_from_flexibility():
     assert found.explanations[2].relative_error < 0.05
     assert found.explanations[3].stiffness == pytest.approx(K, rel=0.1)
     stiff = study(delayed, 'axis1', 100 * K, J)
-    assert 'not flexibility' in recordings_page.torsion_verdict(stiff)
+    assert 'not flexibility' in spring_or_delay.torsion_verdict(stiff)
 
 
 def test_uneven_samples_and_gaps_are_put_on_an_even_grid():
@@ -129,6 +129,6 @@ def test_the_first_look_at_a_real_robot_is_as_documented(tmp_path):
         [0.816, 0.098, 0.242, 0.088], abs=0.001)
     assert 1e3 * found.explanations[1].delay == pytest.approx(3.07, abs=0.01)
     documented = (ROOT / 'docs' / 'real_machines.md').read_text(encoding='utf-8')
-    for line in recordings_page.torsion_text(found).splitlines()[1:4]:
+    for line in spring_or_delay.torsion_text(found).splitlines()[1:4]:
         assert line in documented
-    assert recordings_page.write_torsion_report(found, tmp_path).is_file()
+    assert spring_or_delay.write_torsion_report(found, tmp_path).is_file()

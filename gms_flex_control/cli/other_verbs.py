@@ -58,20 +58,6 @@ _ANALYSE = Verb(
         LINKS, MOTORS, JSON),
     ('analyse sinusoid_none sinusoid_gms --out results',
      'analyse before after --label sinusoid_none --label sinusoid_gms --out results'))
-_TORSION = Verb(
-    'torsion', 'recordings.torsion', 'a first flexible-joint model of one recorded axis',
-    'Fit inertia, Coulomb and viscous friction to the torque of one axis, divide the torque by a '
-    'given stiffness, and compare with the measured difference of motor and link encoder. For '
-    'axes that do not act on each other and carry no gravity.', (
-        option('bag', help='bag with angles of both sides and the torque of the motor'),
-        option('--joint', required=True, help='link name'),
-        option('--stiffness', required=True, type=float, metavar='K',
-               help='of the joint [N m/rad]'),
-        option('--motor-inertia', type=float, default=0.0, metavar='J',
-               help='reflected to the joint [kg m^2]; default 0, not known'),
-        option('--out', metavar='DIR', help='folder for report.html, pictures and robot.yaml'),
-        JSON),
-    ('torsion kr300 --joint axis1 --stiffness 4.58e6 --out torsion',))
 _CHECK_GAINS = Verb(
     'check-gains', 'tune.check_gains', 'conditions on the gains: value, limit, verdict',
     'Check the gains against Eq. (39), all rows, against the exact condition per joint, and bound '
@@ -117,4 +103,4 @@ _COMPLETION = Verb(
      'completion fish > ~/.config/fish/completions/gms_flex.fish'))
 
 OTHERS = (
-    _EFFECTS, _RECORD, _REPAIR, _ANALYSE, _TORSION, _CHECK_GAINS, _URDF, _DEMO, _COMPLETION)
+    _EFFECTS, _RECORD, _REPAIR, _ANALYSE, _CHECK_GAINS, _URDF, _DEMO, _COMPLETION)

@@ -1,14 +1,11 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""The verbs on recordings of a robot: `import-csv`, `analyse`, `torsion`."""
+"""The verbs on recordings of a robot: `import-csv`, `analyse`."""
 
-from dataclasses import asdict
 import json
-import math
 from pathlib import Path
 
-from gms_flex_control.analysis.torsion import study
 from gms_flex_control.analysis.tracking import Run
 from gms_flex_control.cli.terminal import conclude
 from gms_flex_control.data import metadata
@@ -24,7 +21,6 @@ from gms_flex_control.params.arm import in_currents
 from gms_flex_control.params.gains import COMPENSATIONS
 from gms_flex_control.reports import recordings_page
 from gms_flex_control.resources import share_path
-from gms_flex_control.schema.files import save_robot
 
 UNLABELLED = 'unlabelled'
 
@@ -107,37 +103,3 @@ def _split_label(label):
         if label.endswith(f'_{mode}') and len(label) > len(mode) + 1:
             return label[:-len(mode) - 1], mode
     return label, UNLABELLED
-
-
-def torsion(args) -> int:
-    """Fit a first flexible-joint model, write the report if asked to; return 0."""
-    found = study(read_recording(args.bag), args.joint, args.stiffness, args.motor_inertia)
-    print(json.dumps(_torsion_values(found), indent=2, allow_nan=False) if args.json
-          else recordings_page.torsion_text(found))
-    if args.out:
-        page = recordings_page.write_torsion_report(found, args.out)
-        robot = Path(args.out) / 'robot.yaml'
-        given = 'as given' if found.motor_inertia else 'ASSUMED to be half of M + J'
-        save_robot(found.robot, robot, comment=(
-            f'First model of {found.joint} from {found.source}, by gms_flex torsion.\n'
-            'M + J, coulomb and viscous were fitted to the torque; stiffness as given;\n'
-            f'J {given}; Stribeck velocity, block stiffness and attraction are ASSUMED:\n'
-            'the data do not identify them.'))
-        if not args.json:
-            conclude(recordings_page.torsion_answer(found, args.out),
-                     {'report': page, 'robot': robot})
-    return 0
-
-
-def _torsion_values(found):
-    """Return the figures of a TorsionStudy as plain values; no spring is stiffness None."""
-    measured, error = found.torque_error
-    explanations = [asdict(one) | {
-        'stiffness': one.stiffness if math.isfinite(one.stiffness) else None}
-        for one in found.explanations]
-    return {'joint': found.joint, 'source': found.source, 'samples': len(found.time),
-            'inertia': found.inertia, 'motor_inertia': found.motor_inertia,
-            'coulomb': found.coulomb, 'viscous': found.viscous,
-            'torque': {'rms_measured': measured, 'rms_error': error,
-                       'relative_error': error / measured},
-            'torsion_offset': found.torsion_offset, 'explanations': explanations}

@@ -1,15 +1,13 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""What recordings show without a fit: Table 4 with the paper's Figs. 6 to 10, and torsion."""
+"""What recordings show without a fit: Table 4 with the paper's Figs. 6 to 10."""
 
 import json
 from pathlib import Path
 import re
 
-from gms_flex_control.analysis.torsion import rms
 from gms_flex_control.analysis.tracking import link_error, PAPER_WITHOUT, Table4, table4
-from gms_flex_control.answer import align, Answer, command, measured
 from gms_flex_control.file_io import write_text
 from gms_flex_control.reports import figures
 from gms_flex_control.reports.page import Report, Series
@@ -188,86 +186,3 @@ def _free(folder, stem, used):
         path = folder / f'{stem}_{count}.png'
     used.add(path)
     return path
-
-
-def torsion_text(study) -> str:
-    """Return a TorsionStudy as lines of text."""
-    measured_rms, error = study.torque_error
-    first = study.explanations[0]
-    return '\n'.join([
-        f'{study.source}, {study.joint}: {len(study.time)} samples, '
-        f'{int(study.moving.sum())} of them moving',
-        f'inertia M + J {study.inertia:.5g} kg m^2, J taken as {study.motor_inertia:.5g}; '
-        f'Coulomb {study.coulomb[0]:.4g} / {study.coulomb[1]:.4g} N m forward / backward, '
-        f'viscous {study.viscous:.4g} N m s/rad',
-        f'motor torque: rms measured {measured_rms:.4g} N m, rms error {error:.4g} N m, relative '
-        f'error {error / measured_rms:.3f}',
-        f'torsion: rms measured {_mdeg(rms(study.torsion)):.4g} mdeg, rms error '
-        f'{_mdeg(first.rms_error):.4g} mdeg, relative error {first.relative_error:.3f} (mean of '
-        f'{_mdeg(study.torsion_offset):.4g} mdeg taken off)',
-        '', align(*_explanations(study)), '', torsion_verdict(study)])
-
-
-def _explanations(study):
-    header = ['torsion explained by', 'stiffness [N m/rad]', 'delay [ms]', 'rms error [mdeg]',
-              'relative error']
-    return header, [
-        [e.name, f'{e.stiffness:.4g}' if np.isfinite(e.stiffness) else '-',
-         f'{1e3 * e.delay:.3f}', f'{_mdeg(e.rms_error):.3f}', f'{e.relative_error:.3f}']
-        for e in study.explanations]
-
-
-def torsion_verdict(study) -> str:
-    """Return in a sentence or two what the torsion shows."""
-    spring, delay, both, free = study.explanations
-    lines = []
-    if delay.relative_error < spring.relative_error:
-        lines.append(f'A delay of {1e3 * delay.delay:.2f} ms between the encoders explains the '
-                     'torsion better than the spring does: it is not flexibility.')
-    if both.relative_error >= delay.relative_error:
-        lines.append('With the delay, the given spring does not improve the model: these data do '
-                     'not confirm its stiffness.')
-    if free.stiffness < 0:
-        lines.append('With the delay, the best spring has negative stiffness: what remains is '
-                     'not the torsion of a spring.')
-    return ' '.join(lines) or 'The given spring explains the torsion better than a delay does.'
-
-
-def torsion_answer(study, folder) -> Answer:
-    """Return what the torsion shows (Answer), robot.yaml of the study being in ``folder``."""
-    *constrained, free = study.explanations
-    return Answer(
-        f'{torsion_verdict(study)} The floor is what spring and delay together leave, both free.',
-        ('measured', 'left', 'floor'), tuple(
-            measured(f'{one.name} [mdeg]', *np.degrees((rms(study.torsion), one.rms_error,
-                                                        free.rms_error))) for one in constrained),
-        command('discrepancy', study.source, '--robot', Path(folder) / 'robot.yaml', '--out',
-                Path(folder) / 'gap'))
-
-
-def write_torsion_report(study, folder) -> Path:
-    """Write report.html of a TorsionStudy to a folder, and return its path."""
-    folder = Path(folder)
-    report = Report(f'Torsion of {study.joint}', torsion_answer(study, folder),
-                    f'{study.source}: flexible joint of a decoupled axis, measured and modelled')
-    group = f'torsion {study.source}'
-    delayed = study.explanations[1].delay * (study.velocity - study.velocity.mean())
-    report.chart(
-        'torsion: motor - link, without its mean', study.time, [
-            Series('measured', _mdeg(study.torsion), role='c0'),
-            Series('spring torque / stiffness', _mdeg(study.torsion_model), role='reference',
-                   dashed=True),
-            Series('delay between the encoders', _mdeg(delayed), role='c2')],
-        y_label='torsion [mdeg]', group=group)
-    report.heading('Motor torque').chart(
-        'torque', study.time, [
-            Series('measured', study.torque, role='c0'),
-            Series('inertia and friction', study.torque_model, role='reference', dashed=True),
-            Series('error', study.torque - study.torque_model, role='c1', hidden=True)],
-        y_label='torque [N m]', group=group)
-    report.table(*_explanations(study), caption='What explains the torsion')
-    return report.write(folder / 'report.html')
-
-
-def _mdeg(values):
-    return 1e3 * np.degrees(values)
