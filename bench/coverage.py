@@ -24,8 +24,8 @@ from gms_flex_control.cli.identify_bags import read_experiment_of
 from gms_flex_control.cli.options import add_batch_options
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.errors import GmsFlexError
-from gms_flex_control.experiment.believed import scaled_friction
 from gms_flex_control.experiment.identification_plan import plan_identification
+from gms_flex_control.experiment.simulated import scaled_friction
 from gms_flex_control.file_io import write_text
 from gms_flex_control.identification.identify import identify, Options
 from gms_flex_control.identification.result import known_presliding, known_values

@@ -15,9 +15,9 @@ from gms_flex_control.answer import align
 from gms_flex_control.batches import fingerprint, Journal, open_executor, run_batch
 from gms_flex_control.cli.options import add_batch_options
 from gms_flex_control.errors import ConfigError
-from gms_flex_control.experiment.believed import scaled_friction
 from gms_flex_control.experiment.identification_plan import read_identification_plan
-from gms_flex_control.file_io import write_text
+from gms_flex_control.experiment.simulated import scaled_friction
+from gms_flex_control.file_io import controller_file, robot_file, share_path, write_text
 from gms_flex_control.identification.identify import identify
 from gms_flex_control.identification.result import (
     Estimate,
@@ -25,7 +25,6 @@ from gms_flex_control.identification.result import (
     known_values,
     presliding_difference,
 )
-from gms_flex_control.resources import controller_file, robot_file, share_path
 from gms_flex_control.schema.build import controller_values, robot_values
 from gms_flex_control.schema.files import load_controller, load_robot
 import numpy as np

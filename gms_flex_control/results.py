@@ -15,8 +15,8 @@ from dataclasses import dataclass, fields, replace
 import html
 from typing import Any, TYPE_CHECKING
 
-from gms_flex_control.analysis.tracking import Run, Table4, table4
 from gms_flex_control.comparison import prediction, study
+from gms_flex_control.comparison.tracking import Run, Table4, table4
 from gms_flex_control.data.recording import Phase, Recording
 from gms_flex_control.discrepancy import workflow
 from gms_flex_control.discrepancy.result import Discrepancy

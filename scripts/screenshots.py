@@ -15,7 +15,7 @@ import time
 
 from devtools import Browser, chromium
 from gms_flex_control.cli.main import main as gms_flex
-from gms_flex_control.resources import robot_file
+from gms_flex_control.file_io import robot_file
 from gms_flex_control.schema.files import load_robot
 from gms_flex_control.view.recorded import open_bag
 from gms_flex_control.view.server import ViewServer

@@ -8,7 +8,7 @@ from dataclasses import replace
 from gms_flex_control import records
 from gms_flex_control.compiled import compiled
 from gms_flex_control.dynamics import chain, spatial
-from gms_flex_control.experiment import believed
+from gms_flex_control.experiment import simulated
 from gms_flex_control.friction import gms
 from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.params.robot import EncoderParams, RobotParams
@@ -18,7 +18,7 @@ import numpy as np
 
 def scaled_friction(friction, ratio):
     """Return friction whose torques are all ``ratio`` times as large at every motion."""
-    scaled = believed.scaled_friction(friction, ratio)
+    scaled = simulated.scaled_friction(friction, ratio)
     return replace(scaled, attraction=ratio * friction.attraction)
 
 

@@ -5,8 +5,9 @@
 
 from dataclasses import replace
 
-from gms_flex_control.experiment.believed import scaled_friction
-from gms_flex_control.friction.stribeck import steady_friction
+from gms_flex_control.experiment.simulated import scaled_friction
+from gms_flex_control.file_io import robot_file
+from gms_flex_control.friction.gms import steady_friction
 from gms_flex_control.identification.result import (
     Candidate,
     Estimate,
@@ -19,7 +20,6 @@ from gms_flex_control.identification.result import (
     Trace,
 )
 from gms_flex_control.params.key import of_joints
-from gms_flex_control.resources import robot_file
 from gms_flex_control.schema.build import robot_values
 from gms_flex_control.schema.files import load_robot
 import numpy as np

@@ -5,10 +5,9 @@
 
 from dataclasses import replace
 
-from gms_flex_control.analysis.tracking import link_rms, tracking_of_copies
 from gms_flex_control.cli.demo import plan_of
-from gms_flex_control.experiment.believed import mixed_error
-from gms_flex_control.experiment.simulated import simulate
+from gms_flex_control.comparison.tracking import link_rms, tracking_of_copies
+from gms_flex_control.experiment.simulated import mixed_error, simulate
 import numpy as np
 import pytest
 

@@ -5,7 +5,7 @@
 
 import json
 
-from gms_flex_control.analysis.tracking import hold_windows, Run, Table4, table4, track
+from gms_flex_control.comparison.tracking import hold_windows, Run, Table4, table4, track
 from gms_flex_control.data.recording import Recording
 import numpy as np
 import pytest

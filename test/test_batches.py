@@ -13,7 +13,7 @@ from gms_flex_control.batches import Journal, open_executor, Progress, run_batch
 from gms_flex_control.comparison import study
 from gms_flex_control.comparison.study import Condition
 from gms_flex_control.errors import BatchError, SimulationError
-from gms_flex_control.resources import controller_file, robot_file
+from gms_flex_control.file_io import controller_file, robot_file
 from gms_flex_control.schema.files import load_controller, load_robot
 from loopback_cluster import cluster, until
 import numpy as np

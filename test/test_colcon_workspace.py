@@ -114,7 +114,7 @@ def test_the_workspace_has_executables_and_resources(prefix):
 
 def test_the_workspace_runs_its_own_copy(prefix, environment):
     """Sourced, the workspace hides an installation of the same package, and finds its files."""
-    program = ('import gms_flex_control, gms_flex_control.resources as r;'
+    program = ('import gms_flex_control, gms_flex_control.file_io as r;'
                'print(gms_flex_control.__file__); print(r.share_path())')
     result = subprocess.run(
         ['bash', '-c', '. "$0" && exec "$@"', prefix.parent / 'local_setup.bash',

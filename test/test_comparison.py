@@ -20,10 +20,10 @@ from gms_flex_control.experiment.simulated import (
     simulate_to_bag,
     to_recording,
 )
+from gms_flex_control.file_io import controller_file, robot_file, share_path
 from gms_flex_control.params.gains import COMPENSATIONS
 from gms_flex_control.params.robot import EncoderParams
 from gms_flex_control.reports import comparison_page
-from gms_flex_control.resources import controller_file, robot_file, share_path
 from gms_flex_control.schema.build import robot_values
 from gms_flex_control.schema.files import save_values
 from gms_flex_control.simulation import loop

@@ -7,12 +7,12 @@ from dataclasses import replace
 
 from core_runs import model_with_error, single_axis
 from gms_flex_control.control import compensation
+from gms_flex_control.file_io import controller_file, robot_file
 from gms_flex_control.friction import gms
-from gms_flex_control.friction.stribeck import steady_friction, stribeck_level
+from gms_flex_control.friction.gms import steady_friction, stribeck_level
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
 from gms_flex_control.params.gains import COMPENSATIONS, ControllerParams
 from gms_flex_control.params.robot import EffectSpec, EncoderParams
-from gms_flex_control.resources import controller_file, robot_file
 from gms_flex_control.schema.files import load_controller, load_robot
 from gms_flex_control.simulation import loop
 from gms_flex_control.trajectory import builders

@@ -11,7 +11,7 @@ from gms_flex_control.effects import registry
 from gms_flex_control.effects.guess import Scales
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.experiment.simulated import read_plan, simulate
-from gms_flex_control.resources import controller_file
+from gms_flex_control.file_io import controller_file
 from gms_flex_control.schema.files import load_robot
 import numpy as np
 from processes import run_with_nodes

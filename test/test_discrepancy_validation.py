@@ -29,7 +29,7 @@ from gms_flex_control.discrepancy.validation import (
     gain_of,
 )
 from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
-from gms_flex_control.experiment.believed import scaled_friction
+from gms_flex_control.experiment.simulated import scaled_friction
 from gms_flex_control.params.robot import EffectSpec
 import numpy as np
 import pytest

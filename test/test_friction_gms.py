@@ -8,7 +8,7 @@ from dataclasses import replace
 from core_runs import drive_friction, push_plant, single_axis, step_friction
 from gms_flex_control.errors import ParameterError
 from gms_flex_control.friction import gms
-from gms_flex_control.friction.stribeck import steady_friction, stribeck_level
+from gms_flex_control.friction.gms import steady_friction, stribeck_level
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
 from gms_flex_control.simulation import plant
 import numpy as np

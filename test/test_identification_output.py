@@ -6,6 +6,7 @@
 from dataclasses import replace
 import json
 
+from gms_flex_control.file_io import controller_file, robot_file
 from gms_flex_control.identification.output import (
     friction_values,
     report_json,
@@ -19,7 +20,6 @@ from gms_flex_control.identification.result import (
     notes,
     standing,
 )
-from gms_flex_control.resources import controller_file, robot_file
 from gms_flex_control.schema.files import load_controller, load_robot, read_parameters
 from identified import ERRORS, identification
 import numpy as np

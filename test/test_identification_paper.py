@@ -8,7 +8,7 @@ from dataclasses import replace
 from core_runs import step_friction
 from gms_flex_control.errors import IdentificationError
 from gms_flex_control.friction import gms
-from gms_flex_control.friction.stribeck import steady_friction
+from gms_flex_control.friction.gms import steady_friction
 from gms_flex_control.identification.coordinates import MOST_BLOCKS, presliding_curve
 from gms_flex_control.identification.paper.experiments import believable, Piece
 from gms_flex_control.identification.paper.method import (

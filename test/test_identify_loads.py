@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from bench.hidden_arms.wrong_links import base_values, hidden_arm, moved
 from gms_flex_control.data.conditions import Conditions, with_conditions
+from gms_flex_control.data.signal_analysis import rms
 from gms_flex_control.discrepancy.motion import motion_of
 from gms_flex_control.discrepancy.null_simulation import null_simulation
 from gms_flex_control.discrepancy.residuals import unexplained
@@ -17,7 +18,6 @@ from gms_flex_control.identification.assumed_robot import believed_model
 from gms_flex_control.identification.identify import Data
 from gms_flex_control.identification.inertial_parameters import all_parameters, base_of
 from gms_flex_control.identification.recording_checks import require
-from gms_flex_control.identification.smoothing import rms
 from gms_flex_control.params.arm import Body
 from gms_flex_control.simulation import plant
 import numpy as np

@@ -19,10 +19,10 @@ pytestmark = pytest.mark.fast
 PACKAGE = 'gms_flex_control'
 ROOT = Path(gms_flex_control.__file__).parent
 # each may import those before it, and itself; one that does not exist yet does no harm
-LAYERS = ['errors', 'file_io', 'batches', 'answer', 'resources', 'blas', 'compiled',
+LAYERS = ['errors', 'file_io', 'batches', 'answer', 'blas', 'compiled',
           'records', 'params', 'friction', 'effects', 'dynamics', 'trajectory',
           'control', 'hardware', 'schema', 'exports', 'simulation', 'data',
-          'experiment', 'analysis', 'identification', 'discrepancy', 'design',
+          'experiment', 'identification', 'discrepancy', 'design',
           'tuning', 'comparison', 'reports', 'results', 'view', 'nodes', 'cli']
 ROS = re.compile(r'rclpy|rcl_interfaces|ament_index_python|launch(_ros)?|\w+_(msgs|srvs)')
 BAGS = re.compile(r'rosbags|mcap')
@@ -112,8 +112,8 @@ def test_a_cycle_is_found():
     ('friction/gms.py', 'from ..simulation.plant import step', 'above friction'),
     ('data/recording.py', 'from ..cli.main import main', 'above data'),
     ('control/cascade.py', 'import rclpy.node', 'belongs under nodes/'),
-    ('analysis/tracking.py', 'def f():\n    from std_msgs.msg import String', 'under nodes/'),
-    ('analysis/tracking.py', 'if True:\n    from mcap.reader import x', 'under data/'),
+    ('comparison/tracking.py', 'def f():\n    from std_msgs.msg import String', 'under nodes/'),
+    ('comparison/tracking.py', 'if True:\n    from mcap.reader import x', 'under data/'),
     ('cli/demo.py', 'from gms_flex_control.nodes import ros', 'outside a function'),
     ('cli/demo.py', 'def run(args):\n    from bench.speed import timing', 'not installed'),
     ('novel/part.py', '', 'no place in LAYERS'),
@@ -137,7 +137,7 @@ def test_an_allowed_import_passes(module, source):
 # examples of commands
 ALLOWED = {'discrepancy/nuisance.py': {'viscous_asymmetry'},
            'params/robot.py': {'viscous_asymmetry'},
-           **dict.fromkeys(('exports/mujoco.py', 'cli/verbs.py', 'cli/other_verbs.py'),
+           **dict.fromkeys(('exports/mujoco.py', 'cli/verbs.py'),
                            set(registry.names()))}
 
 

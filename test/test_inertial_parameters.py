@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from bench.hidden_arms.base_parameters import ordinary_least_squares
 from bench.hidden_arms.wrong_links import base_values, believed, hidden_arm, moved
+from gms_flex_control.data.signal_analysis import low_pass, rms
 from gms_flex_control.dynamics import chain
 from gms_flex_control.errors import IdentificationError
 from gms_flex_control.identification.arm_estimates import base_estimates
@@ -18,7 +19,6 @@ from gms_flex_control.identification.inertial_parameters import (
     link_regressors,
 )
 from gms_flex_control.identification.segments import segments_of
-from gms_flex_control.identification.smoothing import low_pass, rms
 from gms_flex_control.params.arm import require_body
 from gms_flex_control.schema.files import load_robot, save_robot
 import numpy as np

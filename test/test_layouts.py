@@ -8,8 +8,7 @@ from pathlib import Path
 import re
 import xml.etree.ElementTree as ElementTree
 
-from gms_flex_control.file_io import read_yaml
-from gms_flex_control.resources import robot_file
+from gms_flex_control.file_io import read_yaml, robot_file
 from gms_flex_control.schema.files import load_robot
 from gms_flex_control.schema.urdf import BASE
 import pytest

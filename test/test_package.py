@@ -15,7 +15,7 @@ import sys
 import xml.etree.ElementTree as ElementTree
 
 import gms_flex_control
-from gms_flex_control import resources
+from gms_flex_control import file_io
 from gms_flex_control.effects.base import Change, Effect, Term
 from gms_flex_control.errors import ConfigError
 import pytest
@@ -99,9 +99,9 @@ def test_every_requirement_is_locked():
 
 
 def test_parameter_files_are_found_in_the_source_tree():
-    assert resources.share_path() == ROOT
-    assert resources.robot_file() == ROOT / 'config' / 'robot.yaml'
-    assert resources.controller_file() == ROOT / 'config' / 'controller.yaml'
+    assert file_io.share_path() == ROOT
+    assert file_io.robot_file() == ROOT / 'config' / 'robot.yaml'
+    assert file_io.controller_file() == ROOT / 'config' / 'controller.yaml'
 
 
 def test_without_the_packages_of_pypi_only_bags_are_missing():
@@ -122,8 +122,8 @@ def installed(tmp_path, monkeypatch):
     """Pretend that the package lives in the site-packages of a prefix without its share."""
     package = tmp_path / 'lib' / 'python3.12' / 'site-packages' / 'gms_flex_control'
     package.mkdir(parents=True)
-    monkeypatch.setattr(resources, '__file__', str(package / 'resources.py'))
-    monkeypatch.setattr(resources.sys, 'prefix', str(tmp_path / 'elsewhere'))
+    monkeypatch.setattr(file_io, '__file__', str(package / 'file_io.py'))
+    monkeypatch.setattr(file_io.sys, 'prefix', str(tmp_path / 'elsewhere'))
     monkeypatch.delenv('AMENT_PREFIX_PATH', raising=False)
     return tmp_path
 
@@ -138,18 +138,18 @@ def add_share(prefix):
 
 def test_parameter_files_are_found_in_the_prefix_installed_to(installed):
     share = add_share(installed)
-    assert resources.share_path() == share
+    assert file_io.share_path() == share
 
 
 def test_parameter_files_are_found_through_the_ament_index(installed, monkeypatch):
     share = add_share(installed / 'overlay')
     monkeypatch.setenv('AMENT_PREFIX_PATH', f'{installed / "underlay"}:{installed / "overlay"}')
-    assert resources.share_path() == share
+    assert file_io.share_path() == share
 
 
 def test_a_package_without_its_files_says_where_it_looked(installed):
     with pytest.raises(ConfigError, match=f'none of .*{installed}.* install the package'):
-        resources.share_path()
+        file_io.share_path()
 
 
 def test_every_picture_is_shown_and_made_by_a_script():

@@ -8,7 +8,7 @@ from dataclasses import replace
 import core_runs
 from core_runs import push_plant, scaled_friction, single_axis
 from gms_flex_control.errors import ParameterError
-from gms_flex_control.friction.stribeck import steady_friction
+from gms_flex_control.friction.gms import steady_friction
 from gms_flex_control.params.key import of_joints
 from gms_flex_control.params.robot import EncoderParams
 from gms_flex_control.simulation import loop, plant

@@ -10,12 +10,12 @@ import re
 import warnings
 
 from gms_flex_control.answer import Answer
+from gms_flex_control.file_io import robot_file
 from gms_flex_control.identification.result import FrictionMap, Interval
 from gms_flex_control.reports.answers import identification_text
 from gms_flex_control.reports.identification_page import write_identification_report
 from gms_flex_control.reports.page import Curve, Report, Series
 from gms_flex_control.reports.pictures import loops_figure, map_figure
-from gms_flex_control.resources import robot_file
 from gms_flex_control.schema.files import load_robot
 from html_page import Page
 from identified import ERRORS, identification

@@ -6,7 +6,7 @@
 import json
 import struct
 
-from gms_flex_control.analysis.tracking import Run
+from gms_flex_control.comparison.tracking import Run
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.reports import recordings_page
 import numpy as np

@@ -9,13 +9,12 @@ import re
 
 from gms_flex_control.errors import ConfigError, ParameterError
 from gms_flex_control.experiment.simulated import read_plan, simulate
+from gms_flex_control.file_io import controller_file, robot_file, share_path
 from gms_flex_control.params.gains import COMPENSATIONS
 from gms_flex_control.params.key import offered_range
 from gms_flex_control.params.robot import EffectSpec
-from gms_flex_control.resources import controller_file, robot_file, share_path
 from gms_flex_control.schema.files import load_controller, load_robot, save_robot
-from gms_flex_control.schema.keys import controller_keys
-from gms_flex_control.schema.node_keys import trajectory_keys
+from gms_flex_control.schema.keys import controller_keys, trajectory_keys
 import numpy as np
 import pytest
 

@@ -4,7 +4,7 @@
 """Velocity and torque levels: held, reached smoothly, moved to where they are to begin."""
 
 from gms_flex_control.errors import ConfigError, TrajectoryError
-from gms_flex_control.schema.node_keys import trajectory_keys
+from gms_flex_control.schema.keys import trajectory_keys
 from gms_flex_control.schema.node_values import trajectory_from_values
 from gms_flex_control.trajectory import builders
 import numpy as np

@@ -8,7 +8,7 @@ import xml.etree.ElementTree as ElementTree
 
 from gms_flex_control.cli.main import main
 from gms_flex_control.dynamics.chain import matrices
-from gms_flex_control.resources import robot_file
+from gms_flex_control.file_io import robot_file
 from gms_flex_control.schema.files import load_robot
 from gms_flex_control.schema.urdf import robot_urdf
 import numpy as np

@@ -20,11 +20,11 @@ from gms_flex_control.errors import (
     TrajectoryError,
 )
 from gms_flex_control.experiment.simulated import run_plan
+from gms_flex_control.file_io import robot_file
 from gms_flex_control.identification.friction_map import friction_torque
 from gms_flex_control.identification.segments import one_by_one, Segment
 from gms_flex_control.params.friction import StribeckParams
 from gms_flex_control.params.robot import EffectSpec
-from gms_flex_control.resources import robot_file
 from gms_flex_control.schema.urdf import robot_urdf
 from gms_flex_control.schema.urdf_arm import read_links
 from gms_flex_control.simulation import plant

@@ -20,8 +20,8 @@ from gms_flex_control.data.reader import read_blocks
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.data.writer import BagWriter
 from gms_flex_control.errors import BagError
+from gms_flex_control.file_io import share_path
 from gms_flex_control.friction import gms
-from gms_flex_control.resources import share_path
 from gms_flex_control.schema.files import load_robot
 from gms_flex_control.view.live import Feed, Rows, SILENCE, Status
 from gms_flex_control.view.recorded import BagView, blocks_along, CHUNK, open_bag

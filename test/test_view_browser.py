@@ -10,7 +10,7 @@ import sys
 from gms_flex_control.cli.main import main
 from gms_flex_control.data.reader import read_recording
 from gms_flex_control.data.recording import Recording
-from gms_flex_control.resources import share_path
+from gms_flex_control.file_io import share_path
 from gms_flex_control.schema.files import load_robot
 from gms_flex_control.view.recorded import BagView, open_bag
 from gms_flex_control.view.scene import places, scene_of
@@ -34,7 +34,7 @@ def bag(tmp_path_factory):
 @pytest.fixture(scope='module')
 def server(bag):
     """Serve that bag."""
-    from gms_flex_control.resources import robot_file
+    from gms_flex_control.file_io import robot_file
     with ViewServer(open_bag(bag, default=load_robot(robot_file()))) as running:
         yield running
 

@@ -16,8 +16,8 @@ from gms_flex_control.discrepancy.closed_loop import with_closed_loop
 from gms_flex_control.discrepancy.workflow import find_discrepancy
 from gms_flex_control.experiment.driven import drive_recorded, DrivenPlan
 from gms_flex_control.experiment.simulated import read_plan
+from gms_flex_control.file_io import controller_file, robot_file
 from gms_flex_control.reports.discrepancy_values import write_robot
-from gms_flex_control.resources import controller_file, robot_file
 from gms_flex_control.schema.files import load_controller, load_robot, save_robot, save_values
 
 VERB = Verb(

@@ -5,7 +5,7 @@
 
 from dataclasses import dataclass, replace
 
-from gms_flex_control.analysis.tracking import link_rms
+from gms_flex_control.comparison.tracking import link_rms
 from gms_flex_control.control.feedforward import compensated
 from gms_flex_control.discrepancy.motion import motion_of, scales_of
 from gms_flex_control.effects import registry

@@ -11,14 +11,13 @@ import re
 import time
 from typing import NamedTuple
 
-from gms_flex_control.analysis.tracking import link_rms
 from gms_flex_control.answer import align, Answer, command, measured
 from gms_flex_control.cli.demo import files_of, plan_of, RATE, step_loops
 from gms_flex_control.cli.options import add_verb, JSON, option, out_folder, Verb
-from gms_flex_control.cli.other_verbs import DEMO_MOTIONS
 from gms_flex_control.cli.terminal import conclude, import_ros, prepare, refuse_foreign, say
+from gms_flex_control.cli.verbs import DEMO_MOTIONS
+from gms_flex_control.comparison.tracking import link_rms
 from gms_flex_control.data import reader
-from gms_flex_control.experiment.believed import scaled_friction
 from gms_flex_control.experiment.driven import (
     drive_recorded,
     DrivenPlan,
@@ -29,12 +28,12 @@ from gms_flex_control.experiment.driven import (
     START_BOUND,
 )
 from gms_flex_control.experiment.identification_plan import read_identification_plan
-from gms_flex_control.experiment.simulated import simulate
+from gms_flex_control.experiment.simulated import scaled_friction, simulate
+from gms_flex_control.file_io import controller_file, robot_file, share_path
 from gms_flex_control.identification.identify import identify
 from gms_flex_control.identification.output import write_friction, write_report_json
 from gms_flex_control.reports.answers import identification_text
 from gms_flex_control.reports.identification_page import write_identification_report
-from gms_flex_control.resources import controller_file, robot_file, share_path
 from gms_flex_control.schema.files import load_controller, load_robot, save_robot
 import numpy as np
 

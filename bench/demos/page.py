@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from gms_flex_control import __version__
-from gms_flex_control.analysis.tracking import link_error, link_rms
 from gms_flex_control.answer import align, Answer, command, measured
+from gms_flex_control.comparison.tracking import link_error, link_rms
 from gms_flex_control.control.feedforward import compensated
 from gms_flex_control.discrepancy.result import Discrepancy, Finding
 from gms_flex_control.reports import discrepancy_values

@@ -28,7 +28,7 @@ from gms_flex_control.experiment.driven import (
     Processes,
 )
 from gms_flex_control.experiment.simulated import read_plan
-from gms_flex_control.resources import controller_file, robot_file, share_path
+from gms_flex_control.file_io import controller_file, robot_file, share_path
 from gms_flex_control.schema.files import load_controller, load_limits, load_robot, save_robot
 import numpy as np
 

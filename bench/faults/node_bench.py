@@ -15,7 +15,7 @@ import time
 
 from gms_flex_control.errors import GmsFlexError
 from gms_flex_control.experiment.driven import executable, ros_arguments
-from gms_flex_control.resources import share_path
+from gms_flex_control.file_io import share_path
 import rclpy
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.executors import SingleThreadedExecutor

@@ -14,8 +14,8 @@ from bench.faults.node_bench import (
 )
 from bench.faults.wire import JOINTS, stamp_of
 from diagnostic_msgs.msg import DiagnosticArray
+from gms_flex_control.file_io import robot_file
 from gms_flex_control.nodes.messages import JointStateWriter, NANOSECONDS
-from gms_flex_control.resources import robot_file
 from gms_flex_control.schema.files import load_robot
 from gms_flex_control.simulation.loop import SteppedPlant
 import numpy as np

@@ -24,7 +24,7 @@ from gms_flex_control.experiment.driven import (
     Processes,
     ros_arguments,
 )
-from gms_flex_control.resources import share_path
+from gms_flex_control.file_io import share_path
 
 _START_BOUND, _SETTLE = 120.0, 1.0  # [s]
 _RATES = (500.0, 1000.0)

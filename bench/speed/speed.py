@@ -49,7 +49,7 @@ def add_parser(subparsers):
 def run(args):
     """Measure and print; return 0, or 1 where a target was missed."""
     from bench.speed import mujoco_arm
-    from gms_flex_control.resources import controller_file, robot_file
+    from gms_flex_control.file_io import controller_file, robot_file
     from gms_flex_control.schema.files import load_controller, load_robot
 
     robot = load_robot(args.robot or robot_file())

@@ -21,8 +21,8 @@ from bench.speed.timing import interleaved, Measurement
 from gms_flex_control.dynamics.chain import matrices
 from gms_flex_control.effects.signals import WIDTH
 from gms_flex_control.errors import ConfigError, GmsFlexError
+from gms_flex_control.file_io import controller_file, robot_file
 from gms_flex_control.params.robot import EncoderParams
-from gms_flex_control.resources import controller_file, robot_file
 from gms_flex_control.schema.files import load_controller, load_robot
 from gms_flex_control.simulation import loop, plant
 from gms_flex_control.trajectory.builders import sinusoid

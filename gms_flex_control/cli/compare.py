@@ -13,10 +13,9 @@ from gms_flex_control.cli.terminal import conclude, refuse_unwritable
 from gms_flex_control.cli.verbs import OF_A_BAG, OF_A_PLANT
 from gms_flex_control.comparison import prediction, study
 from gms_flex_control.errors import ConfigError
-from gms_flex_control.file_io import write_text
+from gms_flex_control.file_io import controller_file, robot_file, write_text
 from gms_flex_control.params.arm import in_units
 from gms_flex_control.reports import comparison_page
-from gms_flex_control.resources import controller_file, robot_file
 from gms_flex_control.results import prediction_values
 from gms_flex_control.schema.build import controller_values, robot_values
 from gms_flex_control.schema.files import load_controller, load_robot

@@ -8,17 +8,22 @@ from itertools import product
 from pathlib import Path
 import time
 
-from gms_flex_control.analysis.tracking import Run, table4
 from gms_flex_control.answer import align
-from gms_flex_control.cli.other_verbs import DEMO_MOTIONS
 from gms_flex_control.cli.robots import trajectory_file
 from gms_flex_control.cli.terminal import conclude, import_ros, prepare, refuse_foreign, say
+from gms_flex_control.cli.verbs import DEMO_MOTIONS
+from gms_flex_control.comparison.tracking import Run, table4
 from gms_flex_control.control.controller import SteppedController
-from gms_flex_control.experiment.believed import mixed_error
 from gms_flex_control.experiment.driven import drive_recorded, DrivenPlan
-from gms_flex_control.experiment.simulated import Plan, read_plan, simulate, simulate_to_bag
+from gms_flex_control.experiment.simulated import (
+    mixed_error,
+    Plan,
+    read_plan,
+    simulate,
+    simulate_to_bag,
+)
+from gms_flex_control.file_io import controller_file, robot_file
 from gms_flex_control.reports.recordings_page import write_tracking_report
-from gms_flex_control.resources import controller_file, robot_file
 from gms_flex_control.schema.files import load_robot, save_robot
 from gms_flex_control.simulation.loop import SteppedPlant
 import numpy as np

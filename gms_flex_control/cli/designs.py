@@ -26,13 +26,12 @@ from gms_flex_control.design.sequential import ONE_LEFT, separate
 from gms_flex_control.effects.registry import find
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.experiment.simulated import simulate_to_bag
-from gms_flex_control.file_io import write_text
+from gms_flex_control.file_io import controller_file, write_text
 from gms_flex_control.hardware.limits import Limits
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.robot import RobotParams, WHOLE_ARM
 from gms_flex_control.reports.figures import save_figure
 from gms_flex_control.reports.pictures import next_figure, separated_figure
-from gms_flex_control.resources import controller_file
 from gms_flex_control.schema.files import load_controller, load_limits, load_robot, save_values
 import numpy as np
 

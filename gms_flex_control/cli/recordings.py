@@ -6,8 +6,8 @@
 import json
 from pathlib import Path
 
-from gms_flex_control.analysis.tracking import Run
 from gms_flex_control.cli.terminal import conclude
+from gms_flex_control.comparison.tracking import Run
 from gms_flex_control.data import metadata
 from gms_flex_control.data.conditions import NAME, UNKNOWN
 from gms_flex_control.data.csv_import import currents_in
@@ -16,11 +16,10 @@ from gms_flex_control.data.csv_map import load_map
 from gms_flex_control.data.reader import read_recording
 from gms_flex_control.data.writer import write_recording
 from gms_flex_control.errors import BagError
-from gms_flex_control.file_io import write_text
+from gms_flex_control.file_io import share_path, write_text
 from gms_flex_control.params.arm import in_currents
 from gms_flex_control.params.gains import COMPENSATIONS
 from gms_flex_control.reports import recordings_page
-from gms_flex_control.resources import share_path
 
 UNLABELLED = 'unlabelled'
 

@@ -13,8 +13,8 @@ from gms_flex_control.effects import registry
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.experiment.simulated import read_plan, simulate_to_bag
 from gms_flex_control.exports import mujoco, target
+from gms_flex_control.file_io import controller_file, robot_file, share_path
 from gms_flex_control.params.arm import in_units
-from gms_flex_control.resources import controller_file, robot_file, share_path
 from gms_flex_control.schema.files import load_limits, load_robot
 from gms_flex_control.schema.urdf import robot_urdf
 import numpy as np

@@ -14,12 +14,11 @@ from gms_flex_control.batches import digest_of, fingerprint, run_kept
 from gms_flex_control.cli.terminal import conclude, refuse_unwritable
 from gms_flex_control.control.gain_conditions import check
 from gms_flex_control.errors import ConfigError
-from gms_flex_control.file_io import write_text
+from gms_flex_control.file_io import controller_file, robot_file, write_text
 from gms_flex_control.params.arm import in_units
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.reports import tuning_page
 from gms_flex_control.reports.figures import save_figure
-from gms_flex_control.resources import controller_file, robot_file
 from gms_flex_control.schema.build import controller_values, robot_values
 from gms_flex_control.schema.files import load_controller, load_robot, save_values
 from gms_flex_control.tuning import trial

@@ -12,7 +12,7 @@ import webbrowser
 
 from gms_flex_control.cli.terminal import import_ros, say
 from gms_flex_control.errors import ConfigError
-from gms_flex_control.resources import robot_file
+from gms_flex_control.file_io import robot_file
 from gms_flex_control.schema.files import load_robot
 from gms_flex_control.view.recorded import open_bag
 from gms_flex_control.view.server import is_loopback, ViewServer

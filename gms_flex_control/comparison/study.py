@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
-from gms_flex_control.experiment.believed import scaled_friction
+from gms_flex_control.experiment.simulated import scaled_friction
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.robot import RobotParams
 from gms_flex_control.tuning.linear_loop import Timing

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from gms_flex_control.errors import ConfigError
 from gms_flex_control.hardware.limits import Limits
-from gms_flex_control.schema.node_keys import trajectory_keys
+from gms_flex_control.schema.keys import trajectory_keys
 from gms_flex_control.schema.node_values import trajectory_from_values
 from gms_flex_control.trajectory.polynomials import Trajectory
 import numpy as np

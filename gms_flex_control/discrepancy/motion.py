@@ -15,18 +15,18 @@ from typing import Any, NamedTuple, Self
 
 from gms_flex_control import records
 from gms_flex_control.data.recording import Recording
-from gms_flex_control.data.signal_analysis import quantum
-from gms_flex_control.dynamics import spatial
-from gms_flex_control.dynamics.chain import own_inertia
-from gms_flex_control.effects.guess import Scales
-from gms_flex_control.errors import BagError
-from gms_flex_control.identification.smoothing import (
+from gms_flex_control.data.signal_analysis import (
     derivatives,
     low_pass,
     low_pass_window,
     means_held,
     noise_of,
+    quantum,
 )
+from gms_flex_control.dynamics import spatial
+from gms_flex_control.dynamics.chain import own_inertia
+from gms_flex_control.effects.guess import Scales
+from gms_flex_control.errors import BagError
 from gms_flex_control.params.arm import at_last_link, Body
 from gms_flex_control.simulation import plant
 import numpy as np

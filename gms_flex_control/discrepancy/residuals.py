@@ -14,6 +14,7 @@ from functools import partial
 
 from gms_flex_control import records
 from gms_flex_control.compiled import compiled
+from gms_flex_control.data.signal_analysis import derivatives, low_pass
 from gms_flex_control.discrepancy.motion import (
     filtered_alike,
     second_difference,
@@ -25,7 +26,6 @@ from gms_flex_control.effects import signals as sig
 from gms_flex_control.effects import table as effect_table
 from gms_flex_control.effects.base import Stage
 from gms_flex_control.friction import gms
-from gms_flex_control.identification.smoothing import derivatives, low_pass
 from gms_flex_control.simulation import plant
 import numpy as np
 

@@ -14,8 +14,7 @@ from gms_flex_control.experiment.identification_steps import Limits, Planner, St
 from gms_flex_control.file_io import write_text
 from gms_flex_control.schema.build import complete
 from gms_flex_control.schema.files import located, read_values
-from gms_flex_control.schema.keys import known_keys
-from gms_flex_control.schema.node_keys import EXPERIMENTS, identification_keys
+from gms_flex_control.schema.keys import EXPERIMENTS, identification_keys, known_keys
 from gms_flex_control.schema.node_values import trajectory_from_values
 from gms_flex_control.trajectory.polynomials import Trajectory
 import numpy as np
@@ -101,7 +100,7 @@ def plan_identification(values: dict, robot, gains) -> IdentificationPlan:
     """
     Plan the experiment for a robot as believed and the gains of the controller that will run.
 
-    ``values`` has ``identification.*`` of schema.node_keys.identification_keys. ConfigError if a
+    ``values`` has ``identification.*`` of schema.keys.identification_keys. ConfigError if a
     value is out of range, or a step cannot keep a limit.
     """
     flat = complete(identification_keys(robot.joints), values)

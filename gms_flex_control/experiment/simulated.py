@@ -1,19 +1,19 @@
 # Copyright 2026 The gms_flex_control authors
 #
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
-"""An experiment in this process: read from parameter files, simulated, written as a bag."""
+"""An experiment in this process: read from files, what is believed of the robot, simulated."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from gms_flex_control.data.recording import Recording
 from gms_flex_control.data.writer import write_recording
 from gms_flex_control.errors import ConfigError, ParameterError, SimulationError
+from gms_flex_control.params.friction import FrictionParams
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.params.robot import RobotParams
 from gms_flex_control.schema.build import complete, controller_from_values, robot_from_values
 from gms_flex_control.schema.files import load_robot, located, read_values
-from gms_flex_control.schema.keys import known_keys
-from gms_flex_control.schema.node_keys import plant_node_keys, trajectory_keys
+from gms_flex_control.schema.keys import known_keys, plant_node_keys, trajectory_keys
 from gms_flex_control.schema.node_values import trajectory_from_values
 from gms_flex_control.simulation import loop
 from gms_flex_control.simulation.loop import Run, SteppedPlant
@@ -147,3 +147,24 @@ def simulate_to_bag(plan: Plan, path) -> Recording:
                         'trajectory': plan.motion, 'compensation': plan.gains.compensation,
                         'period_ns': str(plan.period_ns)})
     return recording
+
+
+# the mixed model error of docs/model.md
+FRICTION, STIFFNESS, MASS = 0.85, 1.05, 0.93
+
+
+def scaled_friction(friction, factor) -> FrictionParams:
+    """
+    Return FrictionParams with every torque level scaled; displacements and v_s stay.
+
+    Scaled are static, coulomb, viscous and block stiffness.
+    """
+    return friction.each_way(
+        lambda steady: steady.scaled(static=factor, coulomb=factor, viscous=factor),
+        stiffness=friction.stiffness * factor)
+
+
+def mixed_error(robot) -> RobotParams:
+    """Return the robot with friction x 0.85, joint stiffness x 1.05 and link masses x 0.93."""
+    return replace(robot, friction=scaled_friction(robot.friction, FRICTION), arm=replace(
+        robot.arm.scaled(MASS), stiffness=robot.arm.stiffness * STIFFNESS))

@@ -5,6 +5,7 @@
 
 from typing import NamedTuple
 
+from gms_flex_control.data.signal_analysis import low_pass
 from gms_flex_control.dynamics import chain
 from gms_flex_control.errors import IdentificationError
 from gms_flex_control.identification.arm_differences import (
@@ -16,7 +17,6 @@ from gms_flex_control.identification.axis_fit import friction_regressors
 from gms_flex_control.identification.inertial_parameters import link_regressors
 from gms_flex_control.identification.objective import BLOCK_TIME
 from gms_flex_control.identification.segments import filled, segments_of, torque_at_samples
-from gms_flex_control.identification.smoothing import low_pass
 from gms_flex_control.params.arm import carrying
 import numpy as np
 from scipy.ndimage import uniform_filter1d

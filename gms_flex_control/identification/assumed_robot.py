@@ -17,12 +17,12 @@ import warnings
 from gms_flex_control import records
 from gms_flex_control.compiled import compiled
 from gms_flex_control.data.recording import Recording
+from gms_flex_control.data.signal_analysis import derivatives
 from gms_flex_control.effects import signals as sig
 from gms_flex_control.effects import table as effect_table
 from gms_flex_control.effects.base import Change, Stage
 from gms_flex_control.effects.registry import find
 from gms_flex_control.errors import IdentificationError
-from gms_flex_control.identification.smoothing import derivatives
 from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.params.friction import FrictionParams, StribeckParams
 from gms_flex_control.params.key import of_joints

@@ -15,12 +15,12 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
+from gms_flex_control.data.signal_analysis import low_pass, rms
 from gms_flex_control.friction import gms
 from gms_flex_control.identification.coordinates import Coordinates, friction_record, N_STEADY
 from gms_flex_control.identification.friction_map import friction_torque
 from gms_flex_control.identification.objective import BLOCK_TIME, Bundle, Evaluation, Objective
 from gms_flex_control.identification.segments import moving, smooth_angle
-from gms_flex_control.identification.smoothing import low_pass, rms
 import numpy as np
 from scipy.optimize import least_squares
 

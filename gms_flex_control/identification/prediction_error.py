@@ -12,14 +12,13 @@ sentence says so.
 
 from collections.abc import Callable, Sequence
 
-from gms_flex_control.data.signal_analysis import standing_out
+from gms_flex_control.data.signal_analysis import low_pass, low_pass_bandwidth, rms, standing_out
 from gms_flex_control.dynamics.chain import inverse_dynamics
 from gms_flex_control.identification.coordinates import Coordinates
 from gms_flex_control.identification.friction_map import friction_torque
 from gms_flex_control.identification.objective import Bundle, Objective
 from gms_flex_control.identification.result import HeldOut, Loop, Trace
 from gms_flex_control.identification.segments import moving, smooth_angle, standing
-from gms_flex_control.identification.smoothing import low_pass, low_pass_bandwidth, rms
 import numpy as np
 
 HORIZON = 0.5       # of a free simulation [s]

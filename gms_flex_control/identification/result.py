@@ -6,7 +6,7 @@
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from gms_flex_control.friction.stribeck import steady_friction
+from gms_flex_control.friction.gms import steady_friction
 from gms_flex_control.params.arm import in_currents, in_units
 from gms_flex_control.params.robot import RobotParams
 from gms_flex_control.schema.build import robot_values

@@ -9,16 +9,16 @@ from itertools import zip_longest
 import warnings
 
 from gms_flex_control.data.recording import Recording
-from gms_flex_control.data.signal_analysis import quantum
-from gms_flex_control.dynamics.chain import inverse_dynamics, mass_matrices, matrices
-from gms_flex_control.errors import IdentificationError
-from gms_flex_control.identification.assumed_robot import effect_torque
-from gms_flex_control.identification.smoothing import (
+from gms_flex_control.data.signal_analysis import (
     derivatives,
     means_held,
     noise_of,
+    quantum,
     smoothing_window,
 )
+from gms_flex_control.dynamics.chain import inverse_dynamics, mass_matrices, matrices
+from gms_flex_control.errors import IdentificationError
+from gms_flex_control.identification.assumed_robot import effect_torque
 from gms_flex_control.params.arm import ArmParams, carrying
 from gms_flex_control.params.robot import RobotParams
 import numpy as np

@@ -17,6 +17,7 @@ from dataclasses import replace
 from functools import cache
 from typing import NamedTuple
 
+from gms_flex_control.data.signal_analysis import rms
 from gms_flex_control.identification.coordinates import (
     Coordinates,
     equal_blocks,
@@ -46,7 +47,6 @@ from gms_flex_control.identification.prediction_error import (
 )
 from gms_flex_control.identification.result import Candidate
 from gms_flex_control.identification.segments import moving
-from gms_flex_control.identification.smoothing import rms
 from gms_flex_control.identification.uncertainty import Spread, torque_spread
 from gms_flex_control.simulation.predictor import parameter_rows, PER_DIRECTION, VISCOUS
 import numpy as np

@@ -15,6 +15,7 @@ the sum is no longer well known, the value is one of the model, and no interval 
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from gms_flex_control.data.signal_analysis import rms
 from gms_flex_control.identification.coordinates import (
     Coordinates,
     MOST_BLOCKS,
@@ -32,7 +33,6 @@ from gms_flex_control.identification.result import (
     NOT_IDENTIFIABLE,
     WELL_KNOWN,
 )
-from gms_flex_control.identification.smoothing import rms
 from gms_flex_control.simulation.predictor import BLOCKS, PER_DIRECTION, VELOCITY
 import numpy as np
 from scipy.stats import t as student

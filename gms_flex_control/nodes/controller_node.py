@@ -16,8 +16,7 @@ from gms_flex_control.nodes.messages import NANOSECONDS
 from gms_flex_control.nodes.parameters import NodeParameters
 from gms_flex_control.nodes.topics import Direct, Inbox, Outlet
 from gms_flex_control.schema.build import controller_from_values, robot_from_values
-from gms_flex_control.schema.keys import controller_keys, robot_keys
-from gms_flex_control.schema.node_keys import controller_node_keys
+from gms_flex_control.schema.keys import controller_keys, controller_node_keys, robot_keys
 import numpy as np
 from rclpy.duration import Duration
 from rclpy.node import Node

@@ -26,8 +26,12 @@ from gms_flex_control.nodes.remote import RemoteNode
 from gms_flex_control.nodes.step_runner import StepRunner, Watch
 from gms_flex_control.schema.build import controller_from_values, robot_from_values
 from gms_flex_control.schema.files import save_robot
-from gms_flex_control.schema.keys import controller_keys, robot_keys
-from gms_flex_control.schema.node_keys import identification_keys, identification_node_keys
+from gms_flex_control.schema.keys import (
+    controller_keys,
+    identification_keys,
+    identification_node_keys,
+    robot_keys,
+)
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState

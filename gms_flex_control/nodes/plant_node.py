@@ -13,8 +13,7 @@ from gms_flex_control.nodes.health import Health
 from gms_flex_control.nodes.parameters import NodeParameters
 from gms_flex_control.nodes.simulated_robot import SimulatedRobot
 from gms_flex_control.nodes.topics import all_waiting, DEPTH, Direct
-from gms_flex_control.schema.keys import robot_keys
-from gms_flex_control.schema.node_keys import bridge_keys, plant_node_keys, safety_keys
+from gms_flex_control.schema.keys import bridge_keys, plant_node_keys, robot_keys, safety_keys
 import rclpy
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType

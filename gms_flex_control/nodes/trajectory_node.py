@@ -16,8 +16,7 @@ from gms_flex_control.nodes.motion import Links, LONGEST_PAUSE, Motion
 from gms_flex_control.nodes.parameters import NodeParameters
 from gms_flex_control.nodes.topics import Direct, Inbox, Outlet
 from gms_flex_control.schema.build import frames_from_values
-from gms_flex_control.schema.keys import robot_keys
-from gms_flex_control.schema.node_keys import trajectory_keys
+from gms_flex_control.schema.keys import robot_keys, trajectory_keys
 from gms_flex_control.schema.node_values import trajectory_from_values
 from gms_flex_control.trajectory.polynomials import require_within
 import numpy as np

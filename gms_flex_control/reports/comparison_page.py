@@ -8,7 +8,7 @@ from functools import partial
 from gms_flex_control.answer import align, Answer, command, measured
 from gms_flex_control.comparison import study
 from gms_flex_control.comparison.study import Condition, conditions, CONTESTANTS, NOMINAL
-from gms_flex_control.experiment.believed import FRICTION, MASS, STIFFNESS
+from gms_flex_control.experiment.simulated import FRICTION, MASS, STIFFNESS
 from gms_flex_control.params.arm import in_units
 from gms_flex_control.reports.page import Curve, Report, Series
 import numpy as np

@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 import re
 
-from gms_flex_control.analysis.tracking import link_error, PAPER_WITHOUT, Table4, table4
+from gms_flex_control.comparison.tracking import link_error, PAPER_WITHOUT, Table4, table4
 from gms_flex_control.file_io import write_text
 from gms_flex_control.reports import figures
 from gms_flex_control.reports.page import Report, Series

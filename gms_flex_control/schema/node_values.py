@@ -8,7 +8,7 @@ from gms_flex_control.hardware.bridge import BridgeParams
 from gms_flex_control.hardware.limits import Limits, UNLIMITED
 from gms_flex_control.hardware.mapping import Actuation, JointMap, Reading
 from gms_flex_control.schema.build import complete
-from gms_flex_control.schema.node_keys import bridge_keys, LIMITS, safety_keys, trajectory_keys
+from gms_flex_control.schema.keys import bridge_keys, LIMITS, safety_keys, trajectory_keys
 from gms_flex_control.trajectory import builders
 from gms_flex_control.trajectory.polynomials import Trajectory
 
@@ -79,7 +79,7 @@ def trajectory_from_values(values: dict, joints) -> Trajectory:
     """
     Return the Trajectory chosen by ``trajectory.type``, its own time beginning at 0.
 
-    Of schema.node_keys.trajectory_keys ``values`` may leave out those with a default. ConfigError,
+    Of schema.keys.trajectory_keys ``values`` may leave out those with a default. ConfigError,
     which names the type, if they make no trajectory.
     """
     values = {key.name: key.default for key in trajectory_keys(joints)} | values
