@@ -12,7 +12,7 @@ column was measured on the fast side of a gear. Every mistake is named with its 
 
 from dataclasses import dataclass, field
 import math
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 from gms_flex_control.errors import did_you_mean, ImportDataError
 from gms_flex_control.file_io import read_yaml
@@ -77,6 +77,19 @@ def read_map(path) -> 'MapNode':
     return MapNode(data, str(path), '', 1)
 
 
+def _any(_):
+    return True
+
+
+# kinds of values: types and their words, what a value of them must be and its words
+_KINDS = {'text': (str, 'text in quotes', _any, ''), 'flag': (bool, 'true or false', _any, ''),
+          'column': ((str, int, float), 'a column name or number', _any, ''),
+          'whole': (int, 'a whole number from 0', lambda value: value >= 0,
+                    'a whole number from 0'),
+          'number': ((int, float), 'a number', math.isfinite, 'finite'),
+          'positive': ((int, float), 'a number', lambda value: 0.0 < value < math.inf, 'positive')}
+
+
 class MapNode:
     """One mapping of a YAML file, which knows the line and dotted place of every mistake."""
 
@@ -107,10 +120,6 @@ class MapNode:
             if key not in known:
                 raise self.wrong(f'is no key here{did_you_mean(key, known)}', str(key))
 
-    def value(self, key, default=None) -> object:
-        """Return the plain value of ``key``."""
-        return self._data.get(key, default)
-
     def section(self, key, required=False) -> Self | None:
         """Return a nested mapping, None if it is not there."""
         if key not in self._data:
@@ -123,47 +132,16 @@ class MapNode:
         return MapNode(data, self._path, '.'.join(filter(None, [self._place, key])),
                        self.line(key))
 
-    def _typed(self, key, default, kinds, words):
-        """Return the value of ``key``, of one of some types; bool is no number here."""
-        value = self._data.get(key, default)
-        if key in self._data and (not isinstance(value, kinds)
-                                  or isinstance(value, bool) and kinds is not bool):
+    def value(self, key, kind=None, default=None) -> Any:
+        """Return the value of ``key``, of a kind of _KINDS, ``default`` if it is not there."""
+        if key not in self._data or kind is None:
+            return self._data.get(key, default)
+        value, (types, words, fits, fitting) = self._data[key], _KINDS[kind]
+        if not isinstance(value, types) or isinstance(value, bool) and types is not bool:
             raise self.wrong(f'must be {words}, got {value!r}', key)
-        return value
-
-    def text(self, key, default) -> str:
-        """Return a string."""
-        return str(self._typed(key, default, str, 'text in quotes'))
-
-    def flag(self, key, default=False) -> bool:
-        """Return a bool."""
-        return self._typed(key, default, bool, 'true or false')
-
-    def whole(self, key, default) -> int:
-        """Return an int that is not negative."""
-        value = self._typed(key, default, int, 'a whole number from 0')
-        if value < 0:
-            raise self.wrong(f'must be a whole number from 0, got {value}', key)
-        return int(value)
-
-    def number(self, key, default) -> float | None:
-        """Return a finite float, ``default`` if it is not there."""
-        value = self._typed(key, default, (int, float), 'a number')
-        if key in self._data and not math.isfinite(value):
-            raise self.wrong(f'must be finite, got {value}', key)
-        return value if value is None else float(value)
-
-    def positive(self, key, default) -> float | None:
-        """Return a finite float above 0, ``default`` if it is not there."""
-        value = self._typed(key, default, (int, float), 'a number')
-        if key in self._data and not (math.isfinite(value) and value > 0):
-            raise self.wrong(f'must be positive, got {value}', key)
-        return value if value is None else float(value)
-
-    def column(self, key, default=None) -> str | int | float | None:
-        """Return a column name or number."""
-        value = self._typed(key, default, (str, int, float), 'a column name or number')
-        return float(value) if isinstance(value, float) else value
+        if not fits(value):
+            raise self.wrong(f'must be {fitting}, got {value}', key)
+        return next((plain(value) for plain in (str, float) if isinstance(value, plain)), value)
 
     def unit(self, key, known, default=None) -> str:
         """Return the canonical name of a unit among ``known``."""
@@ -283,10 +261,10 @@ def load_map(path) -> ImportMap:
     if not joints.keys():
         raise joints.wrong('names no joint; add one, such as joint1: {link_position: {...}}')
     result = ImportMap(
-        path=str(path), source=top.text('source', ''), file=_file(top.section('file')),
+        path=str(path), source=top.value('source', 'text', ''), file=_file(top.section('file')),
         time=_time(top.section('time', required=True)),
         joints=tuple(_joint(joints.section(name), name) for name in joints.keys()),
-        resample=top.positive('resample', None))
+        resample=top.value('resample', 'positive'))
     names = [name for joint in result.joints for name in (joint.name, joint.motor) if name]
     for name in names:
         if names.count(name) > 1:
@@ -299,28 +277,28 @@ def _file(node):
     if node is None:
         return FileFormat()
     node.only('delimiter', 'header_rows', 'decimal', 'comment', 'encoding')
-    delimiter = node.text('delimiter', ',')
+    delimiter = node.value('delimiter', 'text', ',')
     delimiter = DELIMITERS.get(delimiter, delimiter)
     if len(delimiter) != 1:
         raise node.wrong(f'must be one character or one of {", ".join(DELIMITERS)}, '
                          f'got {delimiter!r}', 'delimiter')
-    decimal = node.text('decimal', '.')
+    decimal = node.value('decimal', 'text', '.')
     if decimal not in ('.', ',') or decimal == delimiter:
         raise node.wrong(f"must be '.' or ',' and differ from the delimiter {delimiter!r}, "
                          f'got {decimal!r}', 'decimal')
-    encoding = node.text('encoding', 'utf-8')
+    encoding = node.value('encoding', 'text', 'utf-8')
     if encoding not in ENCODINGS:
         raise node.wrong(f'must be one of {", ".join(ENCODINGS)}, got {encoding!r}', 'encoding')
-    return FileFormat(delimiter, node.whole('header_rows', 1), decimal, node.text('comment', ''),
-                      encoding)
+    return FileFormat(delimiter, node.value('header_rows', 'whole', 1), decimal,
+                      node.value('comment', 'text', ''), encoding)
 
 
 def _time(node):
     node.only('column', 'unit', 'rate', 'not_increasing')
-    column, rate = node.column('column'), node.positive('rate', None)
+    column, rate = node.value('column', 'column'), node.value('rate', 'positive')
     if (column is None) == (rate is None):
         raise node.wrong('needs either a column or a fixed rate [Hz], not both')
-    disorder = node.text('not_increasing', 'refuse')
+    disorder = node.value('not_increasing', 'text', 'refuse')
     if disorder not in ('refuse', 'drop'):
         raise node.wrong(f"must be 'refuse' or 'drop', got {disorder!r}", 'not_increasing')
     unit = node.unit('unit', TIME, 's' if column is None else None)
@@ -333,7 +311,7 @@ def _joint(node, name):
     if 'link_position' not in channels:
         raise node.wrong('has no link_position; a joint with one encoder only has it as its '
                          'link_position, without motor')
-    motor = node.text('motor', '')
+    motor = node.value('motor', 'text', '')
     used = [key for key in channels if key.startswith('motor_')]
     if used and not motor:
         raise node.wrong(f'has {used[0]} but no motor name; add motor: {name}_motor')
@@ -354,7 +332,7 @@ def _channel(joint, key):
                        estimate=ESTIMATE_WINDOW)
     node = joint.section(key)
     node.only(*_KEYS[quantity])
-    values = {name: getattr(node, _READ[name])(name, Pwm._field_defaults.get(
+    values = {name: node.value(name, _READ[name], Pwm._field_defaults.get(
         name, getattr(Channel, name, None))) for name in _KEYS[quantity] if name != 'unit'}
     if quantity == 'torque':
         values['pwm'] = Pwm(*(values.pop(name) for name in Pwm._fields))
