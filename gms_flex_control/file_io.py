@@ -3,12 +3,15 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """Files appear whole or not at all, YAML is read as far as it is plain; files of the package."""
 
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager, suppress
 import errno
+import json
+import math
 import os
 from pathlib import Path
 import sys
+from typing import Any
 
 from gms_flex_control.errors import ConfigError
 from ruamel.yaml import YAML
@@ -83,6 +86,29 @@ def write_text(path, text) -> None:
     """Write ``text`` (str) to ``path`` whole or not at all."""
     with atomic_path(path) as temporary:
         temporary.write_text(text, encoding='utf-8')
+
+
+def plain(value, words: Callable = str) -> Any:
+    """Return data as JSON knows it, None for what is not finite, ``words`` applied to texts."""
+    if isinstance(value, dict):
+        return {key: plain(item, words) for key, item in value.items()}
+    if hasattr(value, 'tolist'):
+        value = value.tolist()
+    if isinstance(value, (list, tuple)):
+        return [plain(item, words) for item in value]
+    if isinstance(value, str):
+        return words(value)
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def as_json(value) -> str:
+    """Return `plain` data as strict JSON text."""
+    return json.dumps(plain(value), indent=2, allow_nan=False, ensure_ascii=False)
+
+
+def write_json(path, value) -> None:
+    """Write `as_json` to ``path``, whole or not at all."""
+    write_text(path, as_json(value) + '\n')
 
 
 PACKAGE = 'gms_flex_control'

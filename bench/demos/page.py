@@ -11,6 +11,7 @@ from gms_flex_control.answer import align, Answer, command, measured
 from gms_flex_control.comparison.tracking import link_error, link_rms
 from gms_flex_control.control.feedforward import compensated
 from gms_flex_control.discrepancy.result import Discrepancy, Finding
+from gms_flex_control.file_io import plain, write_json
 from gms_flex_control.reports import discrepancy_values
 from gms_flex_control.reports.answers import gap_numbers, WITH, WITHOUT
 from gms_flex_control.reports.discrepancy_page import add_discrepancy
@@ -66,7 +67,7 @@ class DemoOutcome(NamedTuple):
 
 def _outcome_values(outcome):
     joints, effect = outcome.hidden.robot.joints, outcome.hidden.effect
-    return discrepancy_values.plain({
+    return plain({
         'version': __version__, 'seed': outcome.seed, 'name_right': outcome.named,
         'gap_shrank': outcome.shrank,
         'tracking': {belief: dict(zip(joints, rms, strict=True))
@@ -161,7 +162,7 @@ def write_demo_report(outcome, folder) -> None:
             _add_error(report, outcome, j)
     add_discrepancy(report, outcome.result, folder, opened=True)
     _add_truth(report, outcome)
-    discrepancy_values.write_report_values(_outcome_values(outcome), folder / 'report.json')
+    write_json(folder / 'report.json', _outcome_values(outcome))
     report.write(folder / 'report.html')
 
 

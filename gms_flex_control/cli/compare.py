@@ -4,7 +4,6 @@
 """The verb `compare`: friction compensations side by side, on a plant or along a bag."""
 
 from functools import partial
-import json
 from pathlib import Path
 
 from gms_flex_control.batches import content_of, digest_of, fingerprint, run_kept
@@ -13,7 +12,7 @@ from gms_flex_control.cli.terminal import conclude, refuse_unwritable
 from gms_flex_control.cli.verbs import OF_A_BAG, OF_A_PLANT
 from gms_flex_control.comparison import prediction, study
 from gms_flex_control.errors import ConfigError
-from gms_flex_control.file_io import controller_file, robot_file, write_text
+from gms_flex_control.file_io import as_json, controller_file, robot_file, write_json
 from gms_flex_control.params.arm import in_units
 from gms_flex_control.reports import comparison_page
 from gms_flex_control.results import prediction_values
@@ -34,10 +33,9 @@ def compare_verb(args) -> int:
     refuse_unwritable(args.out)
     shown, values, page, answer, units = _along_bag(args) if files is None else _on_plant(
         args, files)
-    write_text(Path(args.out) / 'comparison.json',
-               json.dumps(values, indent=2, allow_nan=False) + '\n')
+    write_json(Path(args.out) / 'comparison.json', values)
     page.write(Path(args.out) / 'report.html')
-    print(json.dumps(values, indent=2) if args.json else units(shown))
+    print(as_json(values) if args.json else units(shown))
     if not args.json:
         conclude(answer, {'report': Path(args.out) / 'report.html',
                           'numbers': Path(args.out) / 'comparison.json'}, units)

@@ -21,6 +21,7 @@ from gms_flex_control.discrepancy.result import BAD_DATA, COMPLETE
 from gms_flex_control.discrepancy.workflow import find_discrepancy, Options
 from gms_flex_control.effects import registry
 from gms_flex_control.errors import BagError, ConfigError
+from gms_flex_control.file_io import as_json, write_json
 from gms_flex_control.reports import discrepancy_values as files
 from gms_flex_control.reports.answers import discrepancy_answer
 from gms_flex_control.reports.bags_summary import discrepancy_text
@@ -96,7 +97,7 @@ def _write_files(result, compared, holdout, args, becomes=None):
         written.append(out / 'robot.yaml')
     for path in set(earlier) - set(written):  # no longer true
         path.unlink()
-    files.write_report_values(values, out / 'report.json')  # at last
+    write_json(out / 'report.json', values)  # at last
     return values
 
 
@@ -115,7 +116,7 @@ def _earlier(out):
 def _printed(result, compared, values, args):
     out, bad, words = Path(args.out), result.verdict == BAD_DATA, units_of(result)
     if args.json:
-        print(files.as_json(values))
+        print(as_json(values))
     elif bad:
         print(fill(f'gms_flex discrepancy: {result.words}', _WIDTH, break_on_hyphens=False),
               file=sys.stderr)

@@ -6,7 +6,6 @@ from collections import Counter
 from collections.abc import Generator
 from contextlib import contextmanager
 from functools import partial
-import json
 import os
 from pathlib import Path
 import shutil
@@ -25,7 +24,7 @@ from gms_flex_control.batches import (
 from gms_flex_control.blas import alone_in_one_thread
 from gms_flex_control.cli.terminal import conclude
 from gms_flex_control.errors import BatchError, ConfigError, GmsFlexError, own_warnings
-from gms_flex_control.file_io import write_text
+from gms_flex_control.file_io import as_json, write_json, write_text
 from gms_flex_control.identification.output import over_bags
 from gms_flex_control.reports.bags_summary import bags_csv, over_bags_answer, spread_csv, summary
 
@@ -228,11 +227,10 @@ def _write_summary(args, found, text):
     rows = over_bags({name: values for name, values in found.items()
                       if values['reason'] is None})
     values, out = summary(found, rows), Path(args.out)
-    as_json = json.dumps(values, indent=2, allow_nan=False, ensure_ascii=False)
     write_text(out / 'summary.csv', bags_csv(found))
     write_text(out / 'spread.csv', spread_csv(rows))
-    write_text(out / 'summary.json', as_json + '\n')
-    print(as_json if args.json else text(found, rows))
+    write_json(out / 'summary.json', values)
+    print(as_json(values) if args.json else text(found, rows))
     if not args.json:
         conclude(over_bags_answer(found, rows, args.bags), {
             'each bag': out / 'BAG' / 'report.html',

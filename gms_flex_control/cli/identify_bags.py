@@ -4,7 +4,6 @@
 """The verb `identify`: friction parameters from bags, together or each by itself."""
 
 from dataclasses import replace
-import json
 import os
 from pathlib import Path
 
@@ -15,6 +14,7 @@ from gms_flex_control.data.conditions import conditions_of, with_conditions
 from gms_flex_control.data.reader import joint_names, read_experiment
 from gms_flex_control.data.recording import link_names, MOTOR_SUFFIX
 from gms_flex_control.errors import ConfigError
+from gms_flex_control.file_io import as_json
 from gms_flex_control.identification import output
 from gms_flex_control.identification.assumed_robot import only_joints, rigid_joints
 from gms_flex_control.identification.coordinates import MOST_BLOCKS
@@ -41,7 +41,7 @@ def identify_verb(args) -> int:
                         say=(lambda _: None) if args.json else say)
     _write_results(found, out, args.robot or ())
     if args.json:
-        print(json.dumps(output.report_json(found), indent=2, allow_nan=False))
+        print(as_json(output.report_json(found)))
         return 0
     words = found.in_units
     print(words(identification_text(found)))

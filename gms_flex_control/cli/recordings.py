@@ -16,7 +16,7 @@ from gms_flex_control.data.csv_map import load_map
 from gms_flex_control.data.reader import read_recording
 from gms_flex_control.data.writer import write_recording
 from gms_flex_control.errors import BagError
-from gms_flex_control.file_io import share_path, write_text
+from gms_flex_control.file_io import as_json, share_path, write_text
 from gms_flex_control.params.arm import in_currents
 from gms_flex_control.params.gains import COMPENSATIONS
 from gms_flex_control.reports import recordings_page
@@ -65,7 +65,7 @@ def analyse(args) -> int:
             for bag, label in zip(args.bags, labels, strict=True)]
     table = recordings_page.write_tracking_report(runs, args.out)
     if args.json:
-        print(json.dumps(table.as_dict(), indent=2, allow_nan=False))
+        print(as_json(table.as_dict()))
     else:
         print(table.text())
         conclude(table.answer(), {'report': Path(args.out) / 'report.html'})

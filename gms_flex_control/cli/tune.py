@@ -5,7 +5,6 @@
 
 from dataclasses import asdict
 from functools import partial
-import json
 import math
 from pathlib import Path
 
@@ -14,7 +13,7 @@ from gms_flex_control.batches import digest_of, fingerprint, run_kept
 from gms_flex_control.cli.terminal import conclude, refuse_unwritable
 from gms_flex_control.control.gain_conditions import check
 from gms_flex_control.errors import ConfigError
-from gms_flex_control.file_io import controller_file, robot_file, write_text
+from gms_flex_control.file_io import as_json, controller_file, robot_file, write_json
 from gms_flex_control.params.arm import in_units
 from gms_flex_control.params.gains import ControllerParams
 from gms_flex_control.reports import tuning_page
@@ -47,9 +46,9 @@ def tune(args) -> int:
             if not args.json:
                 print(units(f"\n{tuning_page.verify_text(values['verify'], robot)}"))
         _write(args, robot, proposal, demands)
-    write_text(Path(args.out) / 'tuning.json', json.dumps(values, indent=2) + '\n')
+    write_json(Path(args.out) / 'tuning.json', values)
     if args.json:
-        print(json.dumps(values, indent=2))
+        print(as_json(values))
     else:
         written = {} if proposal.unmet else {'gains': Path(args.out) / 'controller.yaml'}
         answer = tuning_page.answer_of(proposal, trials, robot, demands, args.robot or (),
@@ -134,7 +133,7 @@ def check_gains(args) -> int:
     robot = load_robot(args.robot or robot_file())
     report = check(load_controller(args.controller or controller_file(), robot), robot)
     if args.json:
-        print(json.dumps(_gains_values(report), indent=2, allow_nan=False))
+        print(as_json(_gains_values(report)))
     else:
         print(tuning_page.conditions_text(report))
     return 0 if report.met else 1

@@ -7,13 +7,7 @@ from collections.abc import Sequence
 
 from gms_flex_control.identification.arm_differences import Coupled, Differences, FoundLoad
 from gms_flex_control.identification.arm_regression import BaseFit
-from gms_flex_control.identification.result import (
-    CONFIDENT,
-    Estimate,
-    Interval,
-    NO_INTERVAL,
-    NOT_IDENTIFIABLE,
-)
+from gms_flex_control.identification.result import CONFIDENT, Estimate, estimated
 import numpy as np
 
 _WIDE = 0.5         # half an interval this large a part of the value says nothing
@@ -29,22 +23,18 @@ def base_estimates(fit: BaseFit, joints: Sequence[str]) -> list:
     rows = {joint: [] for joint in joints}
     for name, unit, meaning, value, described, error in zip(
             fit.names, fit.units, fit.meanings, fit.values, fit.described, fit.error, strict=True):
-        half = CONFIDENT * float(error)
-        known = half < _WIDE * abs(value)
+        known = CONFIDENT * error < _WIDE * abs(value)
         note = f'base parameter {meaning}, {described:.4g} by the URDF'
-        rows[name.split('.')[0]].append(Estimate(
-            f'arm.{name}', unit, float(value), Interval(value - half, value + half) if known
-            else NO_INTERVAL, () if known else (NOT_IDENTIFIABLE,),
-            note if known else f'{note}; {_NOT_MOVED}'))
+        rows[name.split('.')[0]].append(estimated(
+            f'arm.{name}', unit, value, error, note if known else f'{note}; {_NOT_MOVED}',
+            bool(known)))
     for joint, offset in zip(joints, fit.offset, strict=True):
-        rows[joint].append(Estimate(
-            f'arm.{joint}.torque_offset', 'N m', float(offset), NO_INTERVAL, (),
-            'a constant torque, or half of what friction differs by between the directions, '
-            'where it stays'))
-    rows[joints[0]].insert(0, Estimate(
-        'arm.condition_number', '1', fit.condition, NO_INTERVAL, (),
-        'of the regressor of base parameters, columns scaled: the smaller the better is the '
-        'motion'))
+        rows[joint].append(estimated(
+            f'arm.{joint}.torque_offset', 'N m', offset, None, 'a constant torque, or half of '
+            'what friction differs by between the directions, where it stays'))
+    rows[joints[0]].insert(0, estimated(
+        'arm.condition_number', '1', fit.condition, None, 'of the regressor of base parameters, '
+        'columns scaled: the smaller the better is the motion'))
     return [tuple(rows[joint]) for joint in joints]
 
 
@@ -56,23 +46,17 @@ def difference_estimates(found: Differences, joints: Sequence[str], sources: Seq
         if found.prior_sd[j] > 0.0:
             rows[j].append(scale_estimate(found, j, joint))
         if found.loaded[j] > 0.0:
-            half = CONFIDENT * found.loaded_sd[j]
-            rows[j].append(Estimate(
-                f'friction.{joint}.per_load', '1', float(found.loaded[j]),
-                Interval(*map(float, (found.loaded[j] - half, found.loaded[j] + half))), (),
+            rows[j].append(estimated(
+                f'friction.{joint}.per_load', '1', found.loaded[j], found.loaded_sd[j],
                 'friction grows by this share of the torque that moves the link'))
-        for k, label in enumerate(found.labels[1:], 1):
-            rows[j].append(Estimate(
-                f'friction.{joint}.at_{label}', '1', float(found.level[k, j]), NO_INTERVAL, (),
-                f'friction at {label!r} over that at {found.labels[0]!r}'))
-        for r, source in enumerate(sources):
-            value, error = found.zero[r, j], found.zero_sd[r, j]
-            if abs(value) > _LARGE * error > 0.0:
-                half = CONFIDENT * error
-                rows[j].append(Estimate(
-                    f'recordings.{r + 1}.{joint}.zero', 'rad', float(value),
-                    Interval(float(value - half), float(value + half)), (),
-                    f'of the link encoder in {source}, less that in the first recording'))
+        rows[j] += [estimated(f'friction.{joint}.at_{label}', '1', found.level[k, j], None,
+                              f'friction at {label!r} over that at {found.labels[0]!r}')
+                    for k, label in enumerate(found.labels[1:], 1)]
+        rows[j] += [estimated(f'recordings.{r + 1}.{joint}.zero', 'rad', value, error, 'of the '
+                              f'link encoder in {source}, less that in the first recording')
+                    for r, (source, value, error) in enumerate(zip(
+                        sources, found.zero[:, j], found.zero_sd[:, j], strict=False))
+                    if abs(value) > _LARGE * error > 0.0]
     for m in range(len(joints) if found.coupled else 0):
         rows[m] += coupled_estimates(found.coupled, m, joints)
     for r, load in found.loads.items():
@@ -86,13 +70,11 @@ def coupled_estimates(coupled: Coupled, m: int, joints: Sequence[str]) -> list:
         return []
     turns = ' + '.join(f'{ratio:g} {joint}' for ratio, joint in zip(
         coupled.coupling[m], joints, strict=True) if ratio)
-    return [Estimate(
-        f'friction.{joints[m]}.coupled_{part}', unit, float(value), Interval(
-            float(value - CONFIDENT * sd), float(value + CONFIDENT * sd)), (),
-        f'of the motor, which turns with {turns}, both directions alike')
-        for part, unit, value, sd in zip(('coulomb', 'viscous'), ('N m', 'N m s/rad'),
-                                         coupled.friction[m], coupled.friction_sd[m],
-                                         strict=True)]
+    return [estimated(f'friction.{joints[m]}.coupled_{part}', unit, value, sd, 'of the motor, '
+                      f'which turns with {turns}, both directions alike')
+            for part, unit, value, sd in zip(('coulomb', 'viscous'), ('N m', 'N m s/rad'),
+                                             coupled.friction[m], coupled.friction_sd[m],
+                                             strict=True)]
 
 
 def load_estimates(load: FoundLoad, name: str, source: str) -> list:
@@ -100,13 +82,10 @@ def load_estimates(load: FoundLoad, name: str, source: str) -> list:
     body, upper = load.body, np.triu_indices(3)
     written = (f'load: {{mass: {body.mass:.4g}, com: [{_listed(body.com)}], '
                f'inertia: [{_listed(body.inertia[upper])}]}}')
-    rows = [('mass', 'kg', body.mass, load.mass_sd, f'carried in {source}; for recording.yaml: '
-             f'{written}')]
-    rows += [(f'com_{axis}', 'm', value, sd, '') for axis, value, sd in zip(
-        'xyz', body.com, load.com_sd, strict=True)]
-    return [Estimate(f'{name}.{part}', unit, float(value), Interval(
-        float(value - CONFIDENT * sd), float(value + CONFIDENT * sd)), (), note)
-        for part, unit, value, sd, note in rows]
+    return [estimated(f'{name}.mass', 'kg', body.mass, load.mass_sd,
+                      f'carried in {source}; for recording.yaml: {written}'),
+            *(estimated(f'{name}.com_{axis}', 'm', value, sd) for axis, value, sd in zip(
+                'xyz', body.com, load.com_sd, strict=True))]
 
 
 def _listed(values):
@@ -115,13 +94,9 @@ def _listed(values):
 
 def scale_estimate(found: Differences, j: int, joint: str) -> Estimate:
     """Return the Estimate of what is recorded of a joint's torque."""
-    value, error, prior = found.scale[j], found.scale_sd[j], found.prior_sd[j]
-    half = CONFIDENT * error * value
-    known = error < _LEARNT * prior and half < _WIDE * value
-    return Estimate(
-        f'arm.{joint}.torque_scale', '1', float(value),
-        Interval(float(value - half), float(value + half)) if known else NO_INTERVAL,
-        () if known else (NOT_IDENTIFIABLE,),
-        'recorded over true torque, and results are of true torques: the true torque constant is '
-        f'{1.0 / value:.4g} times the one of recording.yaml, times 1 if that has none'
-        if known else _NEEDS)
+    value, error = found.scale[j], found.scale_sd[j]
+    known = error < _LEARNT * found.prior_sd[j] and CONFIDENT * error < _WIDE
+    return estimated(
+        f'arm.{joint}.torque_scale', '1', value, error * value, 'recorded over true torque, and '
+        f'results are of true torques: the true torque constant is {1.0 / value:.4g} times the '
+        'one of recording.yaml, times 1 if that has none' if known else _NEEDS, bool(known))

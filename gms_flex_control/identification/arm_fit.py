@@ -34,13 +34,7 @@ from gms_flex_control.identification.base_parameters import (
     fit_chain,
     nearest_arm,
 )
-from gms_flex_control.identification.result import (
-    CONFIDENT,
-    Estimate,
-    Interval,
-    NO_INTERVAL,
-    NOT_IDENTIFIABLE,
-)
+from gms_flex_control.identification.result import CONFIDENT, estimated
 from gms_flex_control.identification.segments import filled
 from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.params.robot import EffectSpec, RobotParams
@@ -57,10 +51,10 @@ _NEEDS_MOTOR = ('a motion that makes the motor swing against the link identifies
                 'encoders sampled at one time')
 _NEEDS_CONSTANT = ('a constant torque is separated from friction by motion both ways at the same '
                    'angles and speeds')
-_SCALE = Estimate(
-    'arm.torque_scale', '', 1.0, NO_INTERVAL, (NOT_IDENTIFIABLE,),
-    'all torques, stiffnesses and inertias go with the scale of the recorded torque; these data '
-    'do not identify it, a known mass added to the link would')
+_SCALE = estimated(
+    'arm.torque_scale', '', 1.0, None, 'all torques, stiffnesses and inertias go with the scale '
+    'of the recorded torque; these data do not identify it, a known mass added to the link would',
+    known=False)
 
 
 class ArmFit(NamedTuple):
@@ -317,8 +311,7 @@ def arm_estimates(robot: RobotParams, arm_fit: ArmFit, thetas: Sequence,
         if arm_fit.motors[j] is not None:
             rows[j] += _motor_rows(arm_fit.motors[j], name, bool(robot.arm.rigid[j]))
     rows[0].append(_SCALE)
-    return [tuple(row._replace(interval=NO_INTERVAL) if row.flags else row for row in part)
-            for part in rows]
+    return [tuple(part) for part in rows]
 
 
 def _axis_rows(robot, arm_fit, joint, theta, spread, name):
@@ -332,9 +325,10 @@ def _axis_rows(robot, arm_fit, joint, theta, spread, name):
     rows = [_row(f'{name}.inertia', 'kg m^2', values[0], error[0],
                  'about the joint, centre of mass and motor included', _NEEDS_INERTIA)]
     if arm_fit.shares[joint] < _SLIGHT:
-        rows[0] = rows[0]._replace(flags=(NOT_IDENTIFIABLE,), note=(
-            f'it takes {100 * max(arm_fit.shares[joint], 0.0):.2g} % of the torque in this '
-            f'motion, less than what the model lacks may take: {_NEEDS_INERTIA}'))
+        rows[0] = estimated(
+            f'{name}.inertia', 'kg m^2', values[0], None, f'it takes '
+            f'{100 * max(arm_fit.shares[joint], 0.0):.2g} % of the torque in this motion, less '
+            f'than what the model lacks may take: {_NEEDS_INERTIA}', known=False)
     if 3 in numbers:
         rows.append(_row(f'effects.{robot.joints[joint]}.{CONSTANT}.bias', 'N m', -values[-1],
                          error[-1], 'friction would have to be several times '
@@ -350,38 +344,24 @@ def _axis_rows(robot, arm_fit, joint, theta, spread, name):
                          'gravity; mass and com apart are not identifiable', _NEEDS_GRAVITY))
         error = float(np.sqrt(turn @ spreads @ turn))
         known = error < _WIDE
-        rows.append(Estimate(
-            f'{name}.offset', 'rad', float(angle), Interval(angle - CONFIDENT * error,
-                                                            angle + CONFIDENT * error),
-            () if known else (NOT_IDENTIFIABLE,), '' if known else _NEEDS_GRAVITY))
-    if arm_fit.ripples[joint]:
-        rows += _ripple_rows(arm_fit.ripples[joint],
-                             f'effects.{robot.joints[joint]}.{RIPPLE}')
+        rows.append(estimated(f'{name}.offset', 'rad', angle, error,
+                              '' if known else _NEEDS_GRAVITY, known))
+    ripple, of_ripple = arm_fit.ripples[joint], f'effects.{robot.joints[joint]}.{RIPPLE}'
+    if ripple:
+        rows += [estimated(f'{of_ripple}.amplitude', 'N m', ripple.amplitude,
+                           ripple.amplitude_error,
+                           'taken off the torque before friction was fitted'),
+                 estimated(f'{of_ripple}.order', '1', ripple.order, ripple.order_error,
+                           'periods in 2 pi of the angle')]
     if 1 not in numbers:
-        rows.append(Estimate(f'{name}.gravity_torque', 'N m', 0.0, NO_INTERVAL,
-                             (NOT_IDENTIFIABLE,),
-                             'no gravity is seen in this motion: it does not lower the error on '
-                             'data held out'))
-    return rows
-
-
-def _ripple_rows(ripple, name):
-    rows = []
-    for part, unit, error, note in (
-            ('amplitude', 'N m', ripple.amplitude_error, 'taken off the torque before friction '
-             'was fitted'),
-            ('order', '1', ripple.order_error, 'periods in 2 pi of the angle')):
-        value = getattr(ripple, part)
-        interval = Interval(value - CONFIDENT * error, value + CONFIDENT * error)
-        rows.append(Estimate(f'{name}.{part}', unit, value, interval, (), note))
+        rows.append(estimated(f'{name}.gravity_torque', 'N m', 0.0, None, 'no gravity is seen in '
+                              'this motion: it does not lower the error on data held out', False))
     return rows
 
 
 def _row(name, unit, value, error, meaning, needs):
-    interval = Interval(value - CONFIDENT * error, value + CONFIDENT * error)
     known = CONFIDENT * error < _WIDE * abs(value) and (value > 0.0 or 'bias' in name)
-    return Estimate(name, unit, float(value), Interval(*map(float, interval)),
-                    () if known else (NOT_IDENTIFIABLE,), meaning if known else needs)
+    return estimated(name, unit, value, error, meaning if known else needs, bool(known))
 
 
 def _motor_rows(motor, name, rigid):
@@ -395,7 +375,5 @@ def _motor_rows(motor, name, rigid):
         if not known and motor.skew >= SKEWED:
             note = ('most of the torsion goes with the velocity, as if the two encoders were read '
                     'at different times: that looks like a soft spring or damping and is neither')
-        wide = Interval(float(value - CONFIDENT * error), float(value + CONFIDENT * error))
-        rows.append(Estimate(f'{name}.{part}', unit, float(value), wide,
-                             () if known else (NOT_IDENTIFIABLE,), note))
+        rows.append(estimated(f'{name}.{part}', unit, value, error, note, bool(known)))
     return rows

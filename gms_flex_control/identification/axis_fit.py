@@ -21,7 +21,7 @@ motor's own friction, and an encoder that is read late, which adds ``K delay q'`
 damping.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
 from typing import NamedTuple
 
 from gms_flex_control.data.signal_analysis import derivative_window, smoothed, standing_out
@@ -110,18 +110,29 @@ class Ripple(NamedTuple):
                           values=(self.amplitude, self.order, self.phase))
 
 
-def rows_of(recordings: Sequence, drive: Callable, joint: int) -> Rows:
-    """Return filtered Rows of one axis, moving or not, ``drive`` Recording -> torque (T,)."""
-    parts, used = [], 0
+def filtered(recordings: Sequence, signals_of: Callable) -> Generator[tuple]:
+    """
+    Yield the Derivatives of signals of each recording, and numbers of blocks of time (S,).
+
+    ``signals_of`` Recording -> angles, which set the window of the filter, and others. None of a
+    recording that is too short.
+    """
+    used = 0
     for recording in recordings:
-        angle = recording.q_link[:, joint]
-        window = derivative_window(recording.time, angle)
-        time, motion, torque = smoothed(
-            recording.time, [recording.time, angle, drive(recording)], window)
+        angles, others = signals_of(recording)
+        window = max(derivative_window(recording.time, angle) for angle in angles)
+        time, *signals = smoothed(recording.time, [recording.time, *angles, *others], window)
         if len(time.value):
             block = used + ((time.value - time.value[0]) / BLOCK_TIME).astype(int)
             used = block[-1] + 1
-            parts.append((motion.value, motion.first, motion.second, torque.value, block))
+            yield signals, block
+
+
+def rows_of(recordings: Sequence, drive: Callable, joint: int) -> Rows:
+    """Return filtered Rows of one axis, moving or not, ``drive`` Recording -> torque (T,)."""
+    parts = [(motion.value, motion.first, motion.second, torque.value, block)
+             for (motion, torque), block in filtered(recordings, lambda one: (
+                 [one.q_link[:, joint]], [drive(one)]))]
     if not parts:
         raise IdentificationError('no recording is long enough to identify the inertia')
     return Rows(*(np.concatenate(part) for part in zip(*parts, strict=True)))
@@ -325,18 +336,12 @@ class MotorFit(NamedTuple):
 
 def fit_motor(recordings: Sequence, joint: int) -> MotorFit | None:
     """Fit the motor's equation of one joint, both sides and torque measured; None of too few."""
-    drive, parts, used = held_torque(joint), [], 0
-    for recording in recordings:
-        angles = recording.q_motor[:, joint], recording.q_link[:, joint]
-        window = max(derivative_window(recording.time, angle) for angle in angles)
-        time, motor, link, torque = smoothed(
-            recording.time, [recording.time, *angles, drive(recording)], window)
-        if len(time.value):
-            block = used + ((time.value - time.value[0]) / BLOCK_TIME).astype(int)
-            used = block[-1] + 1
-            torsion, rate = motor.value - link.value, motor.first - link.first
-            parts.append(np.stack([torque.value, motor.second, torsion, rate,
-                                   np.ones(len(torsion)), link.first, np.sign(link.first), block]))
+    drive = held_torque(joint)
+    parts = [np.stack([torque.value, motor.second, motor.value - link.value,
+                       motor.first - link.first, np.ones(len(block)), link.first,
+                       np.sign(link.first), block])
+             for (motor, link, torque), block in filtered(recordings, lambda one: (
+                 [one.q_motor[:, joint], one.q_link[:, joint]], [drive(one)]))]
     if not parts or sum(part.shape[1] for part in parts) < _FEWEST:
         return None
     table = np.concatenate(parts, axis=1)
@@ -347,7 +352,7 @@ def fit_motor(recordings: Sequence, joint: int) -> MotorFit | None:
     inverse = np.linalg.pinv(scaled.T @ scaled, rcond=1e-12, hermitian=True)
     values = inverse @ (scaled.T @ (target * root))
     scores = scaled * (target * root - scaled @ values)[:, None]
-    blocks = np.stack([np.bincount(block, weights=column) for column in scores.T], axis=1)
+    blocks = block_sums(scores, block)
     error = np.sqrt(np.diag(inverse @ (blocks.T @ blocks) @ inverse))[:3]
     explained = 1.0 - np.var(target - columns @ values) / max(np.var(target), 1e-300)
     skew = abs(values[4]) * np.std(columns[:, 4]) / max(

@@ -13,16 +13,9 @@ one described as the data allow.
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from gms_flex_control.data.signal_analysis import derivative_window, smoothed
 from gms_flex_control.dynamics.chain import constants_of
-from gms_flex_control.identification.axis_fit import friction_regressors, robust
-from gms_flex_control.identification.objective import BLOCK_TIME
-from gms_flex_control.identification.result import (
-    CONFIDENT,
-    Estimate,
-    Interval,
-    NOT_IDENTIFIABLE,
-)
+from gms_flex_control.identification.axis_fit import filtered, friction_regressors, robust
+from gms_flex_control.identification.result import CONFIDENT, estimated
 from gms_flex_control.identification.uncertainty import block_sums
 from gms_flex_control.params.arm import ArmParams
 from gms_flex_control.params.robot import RobotParams
@@ -138,19 +131,12 @@ def weighting_of(regressors, torque, rate, friction: Callable) -> list:
 
 
 def _filtered(recordings, drives, n):
-    parts, used = [], 0
-    for recording in recordings:
-        window = max(derivative_window(recording.time, q) for q in recording.q_link.T)
-        channels = smoothed(recording.time, [
-            recording.time, *recording.q_link.T, *(drive(recording) for drive in drives)], window)
-        at = channels[0].value
-        if len(at):
-            block = used + ((at - at[0]) / BLOCK_TIME).astype(int)
-            used = block[-1] + 1
-            angles, torques = channels[1:n + 1], channels[n + 1:]
-            parts.append([*(np.stack([getattr(part, name) for part in angles], axis=1)
-                            for name in ('value', 'first', 'second')),
-                          np.stack([part.value for part in torques], axis=1), block])
+    parts = []
+    for channels, block in filtered(recordings, lambda one: (
+            one.q_link.T, [drive(one) for drive in drives])):
+        parts.append([*(np.stack([getattr(part, name) for part in channels[:n]], axis=1)
+                        for name in ('value', 'first', 'second')),
+                      np.stack([part.value for part in channels[n:]], axis=1), block])
     return [np.concatenate(part) for part in zip(*parts, strict=True)]
 
 
@@ -191,13 +177,11 @@ def base_estimates(values, covariance, determined, n: int, has_gravity: bool) ->
     rows = []
     for (name, unit), value, variance, share in zip(
             _base_names(n, has_gravity), values, np.diag(covariance), determined, strict=True):
-        half = CONFIDENT * float(np.sqrt(variance))
-        interval = Interval(value - half, value + half)
-        known = half < _WIDE * abs(value) and share > _DETERMINED
-        rows.append(Estimate(name, unit, float(value), interval,
-                             () if known else (NOT_IDENTIFIABLE,),
-                             'a base parameter: masses, centres of mass and inertias count only '
-                             'as far as they make it' if known else
-                             'only its sum with others is identifiable where the joints move one '
-                             'at a time: faster motion of all joints together identifies it'))
+        error = float(np.sqrt(variance))
+        known = CONFIDENT * error < _WIDE * abs(value) and share > _DETERMINED
+        rows.append(estimated(name, unit, value, error, (
+            'a base parameter: masses, centres of mass and inertias count only as far as they '
+            'make it') if known else (
+            'only its sum with others is identifiable where the joints move one at a time: '
+            'faster motion of all joints together identifies it'), bool(known)))
     return tuple(rows)

@@ -10,13 +10,12 @@ load, wear, another machine.
 """
 
 from collections import Counter
-import json
 import math
 from textwrap import wrap
 from typing import NamedTuple
 
 from gms_flex_control import __version__
-from gms_flex_control.file_io import write_text
+from gms_flex_control.file_io import plain, write_json
 from gms_flex_control.identification.result import (
     CONFIDENT,
     data_sentence,
@@ -47,13 +46,13 @@ _FEW = {4: 1.363, 5: 1.206, 6: 1.200, 7: 1.140, 8: 1.129, 9: 1.107}
 def report_json(identification: Identification) -> dict:
     """Return an identification as plain data for JSON, without the long arrays; None for NaN."""
     words = identification.in_units
-    return _plain({
+    return plain({
         'format': REPORT_FORMAT, 'version': __version__, 'method': identification.method,
         'sources': identification.sources, 'holdouts': identification.holdouts,
         'recorded': identification.recorded, 'duration': identification.duration,
         'period': identification.period, 'seconds': identification.seconds,
-        'warnings': _plain(identification.warnings, words),
-        'joints': [_plain(_joint(result), words) for result in identification.joints]})
+        'warnings': plain(identification.warnings, words),
+        'joints': [plain(_joint(result), words) for result in identification.joints]})
 
 
 def _joint(result):
@@ -66,24 +65,9 @@ def _joint(result):
         'held_out': result.held_out._asdict(), 'warnings': result.warnings}
 
 
-def _plain(value, words=str):
-    if isinstance(value, dict):
-        return {key: _plain(item, words) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item, words) for item in value]
-    if isinstance(value, str):
-        return words(value)
-    if isinstance(value, np.generic):
-        value = value.item()
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
-
-
 def write_report_json(identification: Identification, path) -> None:
     """Write `report_json` to ``path``, whole or not at all."""
-    write_text(path, json.dumps(report_json(identification), indent=2, allow_nan=False,
-                                ensure_ascii=False) + '\n')
+    write_json(path, report_json(identification))
 
 
 def friction_values(identification: Identification) -> dict:
@@ -186,7 +170,7 @@ def bag_values(identification: Identification) -> dict:
     wherever and however fast it was computed.
     """
     joints = identification.joints
-    return _plain({
+    return plain({
         'estimates': [_estimate(one) for result in joints for one in result.estimates],
         'held_out': {one.joint: one.held_out.relative for one in joints},
         'coulomb_viscous': {one.joint: one.held_out.coulomb_viscous for one in joints},

@@ -46,6 +46,18 @@ class Estimate(NamedTuple):
     note: str              # a sentence on the flags and what motion would identify it; '' without
 
 
+def estimated(name: str, unit: str, value: float, error: float | None = None, note: str = '',
+              known: bool = True) -> Estimate:
+    """
+    Return the Estimate of a value with a normal error, ``error`` its standard deviation.
+
+    Without an interval where that is None. Unless ``known`` it is not identifiable.
+    """
+    value, half = float(value), np.nan if error is None or not known else CONFIDENT * float(error)
+    return Estimate(name, unit, value, Interval(value - half, value + half),
+                    () if known else (NOT_IDENTIFIABLE,), note)
+
+
 class FrictionMap(NamedTuple):
     """Mean friction torque in windows of motion."""
 

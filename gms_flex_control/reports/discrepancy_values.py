@@ -3,17 +3,14 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """A discrepancy as plain values, report.json, robot.yaml, and rows of text."""
 
-import json
-import math
 from textwrap import wrap
 
 from gms_flex_control import __version__
 from gms_flex_control.discrepancy.describe import angle_scale, named, torque_scale
 from gms_flex_control.discrepancy.residual_views import over_of
 from gms_flex_control.effects.registry import find
-from gms_flex_control.file_io import write_text
+from gms_flex_control.file_io import plain
 from gms_flex_control.schema.files import save_robot
-import numpy as np
 
 REPORT_FORMAT = 2
 _COMMENT_WIDTH = 90
@@ -117,29 +114,6 @@ def over_bags_values(result) -> dict:
 
 def _by_joint(joints, values):
     return {joint: float(value) for joint, value in zip(joints, values, strict=True)}
-
-
-def plain(value) -> object:
-    """Return data as JSON knows it: no tuples, no numpy, None for what is not finite."""
-    if isinstance(value, dict):
-        return {key: plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple, np.ndarray)):
-        return [plain(item) for item in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
-
-
-def as_json(values) -> str:
-    """Return plain data as strict JSON text."""
-    return json.dumps(values, indent=2, allow_nan=False, ensure_ascii=False)
-
-
-def write_report_values(values, path) -> None:
-    """Write `report_values` to ``path``, whole or not at all."""
-    write_text(path, as_json(values) + '\n')
 
 
 def write_robot(result, path) -> None:

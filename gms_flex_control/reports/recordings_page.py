@@ -3,12 +3,11 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """What recordings show without a fit: Table 4 with the paper's Figs. 6 to 10."""
 
-import json
 from pathlib import Path
 import re
 
 from gms_flex_control.comparison.tracking import link_error, PAPER_WITHOUT, Table4, table4
-from gms_flex_control.file_io import write_text
+from gms_flex_control.file_io import write_json
 from gms_flex_control.reports import figures
 from gms_flex_control.reports.page import Report, Series
 from matplotlib.figure import Figure
@@ -35,7 +34,7 @@ def write_tracking_report(runs, folder, friction_true=None, title='Tracking repo
     others = {name: table4(some) for name, some in (beside or {}).items()}
     everything = table.as_dict() | {
         name.replace(' ', '_'): other.as_dict() for name, other in others.items()}
-    write_text(folder / 'table4.json', json.dumps(everything, indent=2, allow_nan=False) + '\n')
+    write_json(folder / 'table4.json', everything)
     _save_pictures(runs, folder)
     report = Report(title, table.answer(), subtitle or (
         f'{len(runs)} recording{"s" if len(runs) != 1 else ""}: link angle against reference'))

@@ -7,6 +7,7 @@ import math
 from pathlib import Path
 
 from gms_flex_control.answer import align, Answer, command, measured
+from gms_flex_control.file_io import plain
 from gms_flex_control.params.gains import GAINS
 from gms_flex_control.reports.figures import COLOURS, panels_of, STYLES, WIDTH
 from gms_flex_control.schema.build import controller_values
@@ -187,29 +188,20 @@ def as_values(proposal, robot, timing, trials) -> dict:
     """Return a proposal as plain values for JSON."""
     judgement = proposal.judgement
     report = judgement.conditions
-    return {
+    return plain({
         'met': not proposal.unmet, 'unmet': list(proposal.unmet),
         'gains': controller_values(proposal.gains, robot.joints),
         'timing': timing._asdict(), 'conditions': [
             one.__dict__ | {'met': one.met} for one in report.conditions],
-        'margins': {joint: _finite(one._asdict()) for joint, one in zip(
+        'margins': {joint: one._asdict() for joint, one in zip(
             robot.joints, judgement.joints, strict=True)},
-        'delay_margin': _finite(judgement.delay), 'stable': judgement.stable,
-        'encoder_torque': _finite(judgement.jitter.torque.tolist()),
-        'encoder_jitter': _finite(judgement.jitter.angle.tolist()),
-        'stuck_decay': _finite(judgement.ringing), 'residual_bound': _finite(report.residual),
-        'held_error': _finite(judgement.held.tolist()),
+        'delay_margin': judgement.delay, 'stable': judgement.stable,
+        'encoder_torque': judgement.jitter.torque,
+        'encoder_jitter': judgement.jitter.angle,
+        'stuck_decay': judgement.ringing, 'residual_bound': report.residual,
+        'held_error': judgement.held,
         'trials': {mode: {motion: one._asdict() for motion, one in found.items()}
-                   for mode, found in trials.items()}}
-
-
-def _finite(value):
-    """Return plain values with None for every number that is not finite."""
-    if isinstance(value, dict):
-        return {name: _finite(one) for name, one in value.items()}
-    if isinstance(value, list):
-        return [_finite(one) for one in value]
-    return float(value) if math.isfinite(value) else None
+                   for mode, found in trials.items()}})
 
 
 def tuning_figure(robot, gains, timing) -> Figure:
