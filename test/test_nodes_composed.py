@@ -143,10 +143,20 @@ def test_a_day_long_motion_beyond_the_limits_is_refused_while_the_loop_goes_on(t
         lab.more(states, 10)
 
 
+def report_after(lab, figure):
+    """Return the figures of the plant (dict of int) from the first report that has a figure."""
+    values = lab.until(lambda: next((
+        values for one in lab.reports
+        if figure in (values := {item.key: item.value for item in one.values})), None))
+    return {key: int(value) for key, value in values.items() if value.isdigit()}
+
+
 @pytest.mark.flaky(reruns=5)  # a machine that stands still for 30 ms stops the torque
 def test_a_bridge_in_one_process_moves_a_robot_and_leaves_zero(tmp_path):
     with bridge_lab(tmp_path, composed=True) as lab:
         move(lab)
+        figures = report_after(lab, 'efforts sent ahead')
+        assert figures['efforts sent ahead'] > 0 == figures['efforts corrected']
         assert ask(lab, 'emergency_stop').success
         lab.until(lambda: not any(lab.efforts.last))
         move(lab)

@@ -13,7 +13,7 @@ import numpy as np
 
 
 @compiled
-def _tick(state, measured, reference, dt, constants, work, feeding, fed):
+def tick(state, measured, reference, dt, constants, work, feeding, fed) -> None:
     """Tick the controller and feed effects forward; records come boxed."""
     cascade.tick(state[0], measured[0], reference, dt, constants[0], work[0])
     feedforward.feed(state[0], measured[0], reference, dt, feeding[0], fed[0])
@@ -54,8 +54,14 @@ class SteppedController:
         self.state = views(self._state[0])
         self._command = self.state.command
 
+    @property
+    def boxes(self) -> tuple:
+        """Return state, measurement, constants and work space, as `tick` takes them boxed."""
+        return (self._state, self._measured, self._constants, self._work, self._feeding,
+                self._fed)
+
     def tick(self, reference, dt) -> np.ndarray:
         """Answer ``measured`` with a torque (n_joints,) [N m]; see control.cascade.tick."""
-        _tick(self._state, self._measured, reference, dt, self._constants, self._work,
-              self._feeding, self._fed)
+        tick(self._state, self._measured, reference, dt, self._constants, self._work,
+             self._feeding, self._fed)
         return self._command

@@ -18,6 +18,7 @@ gives the same number again and again, so there has to be a second witness:
 
 import math
 
+from gms_flex_control.compiled import compiled
 from gms_flex_control.effects.registry import find
 import numpy as np
 
@@ -33,59 +34,84 @@ _HALF = 0.5          # of the torque limit
 _FRICTION = 3.0
 
 
-class _Angle:
-    """One encoder: since when it has said the same, and what should have turned it meanwhile."""
+# what is remembered of each angle, row by row: the angle; for how long it is the same, and what
+# should have turned it since; torque now and before, NaN while unknown, and for how long they
+# differ by more than the limit; what was found
+_SAME, _STILL, _TURNED, _TORQUE, _BEFORE, _PUSHED, _FOUND = range(7)
+_BY_RATE, _BY_TORQUE, _TOLD = 1.0, 2.0, 3.0
 
-    __slots__ = ('name', 'turn', 'limit', 'patience', 'angle', 'sentence', 'still', 'turned',
-                 'torque', 'before', 'pushed')
 
-    def __init__(self, name, turn):
-        self.name, self.turn = name, turn
-        self.limit = self.patience = math.inf   # of a torque that has to turn it [N m], [s]
-        self.angle = self.sentence = None
-        self.wait()
+@compiled
+def _wait(memory):
+    """Ask for witnesses from now on; a finding stays."""
+    for row in (_STILL, _TURNED, _PUSHED):
+        memory[row] = 0.0
+    memory[_TORQUE] = memory[_BEFORE] = np.nan
 
-    def wait(self) -> None:
-        """Ask for witnesses from now on; a finding stays."""
-        self.still = self.turned = self.pushed = 0.0
-        self.torque = self.before = None
 
-    def look(self, angle, rate, torque, dt) -> None:
-        """Take the next sample; see `FrozenEncoders.look`."""
-        if angle != self.angle:
-            self.angle, self.sentence = angle, None
-            self.still = self.turned = self.pushed = 0.0
+@compiled
+def look(memory, q_link, dq_link, q_motor, dq_motor, torque, dt, motors, turn, limit,
+         patience) -> bool:
+    """
+    Take the next sample into the ``memory``; return whether an angle is frozen.
+
+    Its columns are the links, then the ``motors`` (indices of joints); see `FrozenEncoders.look`.
+    """
+    n, any_found = len(q_link), False
+    if not 0.0 < dt <= STANDING:
+        _wait(memory)
+        dt = 0.0
+    for i in range(memory.shape[1]):
+        j = i if i < n else motors[i - n]
+        angle, rate = (q_link[j], dq_link[j]) if i < n else (q_motor[j], dq_motor[j])
+        if angle != memory[_SAME, i]:
+            memory[_SAME, i] = angle
+            memory[_STILL, i] = memory[_TURNED, i] = memory[_PUSHED, i] = memory[_FOUND, i] = 0.0
         else:
-            self.still += dt
-            step, most = rate * dt, _SHARE * self.turn
-            self.turned += min(max(step, -most), most) - self.turned * dt / _FORGOTTEN
-        if self.limit < math.inf:
-            self._push(torque, dt)
-        turned, pushed = abs(self.turned) > self.turn, self.pushed > self.patience
-        if (turned or pushed) and self.still > STANDING and self.sentence is None:
-            self.sentence = self._finding(turned)
+            memory[_STILL, i] += dt
+            most = _SHARE * turn
+            memory[_TURNED, i] += (min(max(rate * dt, -most), most)
+                                   - memory[_TURNED, i] * dt / _FORGOTTEN)
+        if i >= n and limit[j] < np.inf:
+            _push(memory[:, i], torque[j], dt, limit[j])
+        turned = abs(memory[_TURNED, i]) > turn
+        if ((turned or i >= n and memory[_PUSHED, i] > patience[j])
+                and memory[_STILL, i] > STANDING and memory[_FOUND, i] == 0.0):
+            memory[_FOUND, i] = _BY_RATE if turned else _BY_TORQUE
+        any_found = any_found or memory[_FOUND, i] > 0.0
+    return any_found
 
-    def _push(self, torque, dt):
-        """Take the torque since the sample before."""
-        if math.isnan(torque):  # what acts later begins anew
-            self.torque = self.before = None
-            self.pushed = 0.0
-            return
-        if self.torque is None:
-            self.torque = torque
-        self.torque += min(1.0, dt / _AVERAGE) * (torque - self.torque)
-        if self.still <= _AVERAGE or self.before is None:
-            self.before = self.torque
-        self.pushed = self.pushed + dt if abs(self.torque - self.before) > self.limit else 0.0
 
-    def _finding(self, turned):
-        why = (f'its velocity implies a motion of {abs(self.turned):.2g} rad: the encoder is '
-               'frozen'
-               if turned else
-               f'its torque changed by {abs(self.torque - self.before):.3g} N m: '
-               'the encoder is frozen or the motor blocked')
-        return (f'{self.name} has been at exactly {self.angle:.6g} rad for '
-                f'{1e3 * self.still:.0f} ms while {why}')
+@compiled
+def _push(one, torque, dt, limit):
+    """Take the torque [N m] since the sample before."""
+    if math.isnan(torque):  # what acts later begins anew
+        one[_TORQUE] = one[_BEFORE] = np.nan
+        one[_PUSHED] = 0.0
+        return
+    if math.isnan(one[_TORQUE]):
+        one[_TORQUE] = torque
+    one[_TORQUE] += min(1.0, dt / _AVERAGE) * (torque - one[_TORQUE])
+    if one[_STILL] <= _AVERAGE or math.isnan(one[_BEFORE]):
+        one[_BEFORE] = one[_TORQUE]
+    one[_PUSHED] = one[_PUSHED] + dt if abs(one[_TORQUE] - one[_BEFORE]) > limit else 0.0
+
+
+@compiled
+def acting(sent, efforts, nothing, torque) -> None:
+    """
+    Write into ``torque`` what is known to act on motors.
+
+    What is ``sent`` need not act; the ``efforts`` that a robot reports, NaN where it does not,
+    count where they are smaller; their signs and units may be anybody's. NaN for a motor of less
+    than ``nothing``: it is given none. All (n_joints,) [N m].
+    """
+    for j in range(len(sent)):
+        torque[j] = sent[j]
+        if abs(efforts[j]) <= nothing[j]:
+            torque[j] = np.nan
+        elif abs(efforts[j]) < abs(sent[j]):
+            torque[j] = math.copysign(efforts[j], sent[j])
 
 
 class FrozenEncoders:
@@ -97,29 +123,27 @@ class FrozenEncoders:
     """
 
     def __init__(self, robot, torque_limit):
-        self._robot = robot
-        turn = max(TURNED, _COUNTS * _count(robot))
-        self._links = [_Angle(name, turn) for name in robot.joints]
-        self._motors = [_Angle(name, turn) if name else None for name in robot.motors]
-        self._angles = [*self._links, *filter(None, self._motors)]
+        self._robot, names = robot, [*robot.joints, *filter(None, robot.motors)]
+        self._names, self._sentences = names, [''] * len(names)
+        self._motors = np.array([j for j, motor in enumerate(robot.motors) if motor], dtype=int)
+        self._turn = max(TURNED, _COUNTS * _count(robot))
+        self.memory = np.zeros((_FOUND + 1, len(names)))
+        self.memory[_SAME] = np.nan
+        _wait(self.memory)
         self.use(torque_limit)
 
     def use(self, torque_limit) -> None:
         """Use another torque limit (n_joints,) [N m]."""
-        arm = self._robot.arm
         limits = torque_thresholds(self._robot, torque_limit)
-        for j, motor in enumerate(self._motors):
-            if motor is not None:
-                motor.limit = float(limits[j])
-                # of the threshold, friction may hold two thirds; the rest has to turn the rotor
-                motor.patience = max(STANDING, math.sqrt(
-                    6.0 * arm.motor_inertia[j] * _given_way(self._robot) / limits[j]))
+        # of the threshold, friction may hold two thirds; the rest has to turn the rotor
+        patience = np.maximum(STANDING, np.sqrt(
+            6.0 * self._robot.arm.motor_inertia * _given_way(self._robot) / limits))
+        self.expected = self._motors, self._turn, limits, patience  # as `look` takes it
 
     def reset(self) -> None:
         """Withdraw every finding."""
-        for one in self._angles:
-            one.sentence = None
-            one.wait()
+        self.memory[_FOUND] = 0.0
+        _wait(self.memory)
 
     def look(self, measured, torque, dt) -> str | None:
         """
@@ -130,23 +154,24 @@ class FrozenEncoders:
         known to get none [N m]. Nothing is known of the time ``dt`` since that state, by the
         stamps [s], if it is not positive or there was a silence.
         """
-        torque = torque.tolist()
-        if not 0.0 < dt <= STANDING:
-            for one in self._angles:
-                one.wait()
-            dt = 0.0
-        for one, angle, rate in zip(self._links, measured.q_link.tolist(),
-                                    measured.dq_link.tolist(), strict=True):
-            one.look(angle, rate, 0.0, dt)
-        for one, angle, rate, given in zip(self._motors, measured.q_motor.tolist(),
-                                           measured.dq_motor.tolist(), torque, strict=True):
-            if one is not None:
-                one.look(angle, rate, given, dt)
-        frozen = [one for one in self._angles if one.sentence]
-        if not frozen:
+        if not look(self.memory, measured.q_link, measured.dq_link, measured.q_motor,
+                    measured.dq_motor, torque, dt, *self.expected):
             return None
-        others = ', '.join(one.name for one in frozen[1:])
-        return frozen[0].sentence + (f'; so are {others}' if others else '')
+        frozen = np.flatnonzero(self.memory[_FOUND])
+        for i in frozen[self.memory[_FOUND, frozen] < _TOLD]:
+            self._sentences[i] = self._finding(i)
+            self.memory[_FOUND, i] = _TOLD
+        others = ', '.join(self._names[i] for i in frozen[1:])
+        return self._sentences[frozen[0]] + (f'; so are {others}' if others else '')
+
+    def _finding(self, i):
+        angle, still, turned, torque, before, _, found = self.memory[:, i]
+        why = (f'its velocity implies a motion of {abs(turned):.2g} rad: the encoder is frozen'
+               if found == _BY_RATE else
+               f'its torque changed by {abs(torque - before):.3g} N m: the encoder is frozen or '
+               'the motor blocked')
+        return (f'{self._names[i]} has been at exactly {angle:.6g} rad for {1e3 * still:.0f} ms '
+                f'while {why}')
 
 
 def torque_thresholds(robot, torque_limit) -> np.ndarray:

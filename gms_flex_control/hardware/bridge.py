@@ -23,7 +23,7 @@ import numpy as np
 
 _KEPT_STATES = 64          # published states that a command may answer
 _NO_COMMAND = 'no command from'
-_LONGEST_RAMP = 0.05       # a torque never rises for longer than that at once [s]
+LONGEST_RAMP = 0.05       # a torque never rises for longer than that at once [s]
 _OFTEN = 0.2               # share of recent time in which a torque that comes late is reported
 
 
@@ -216,7 +216,7 @@ class Bridge:
         controller.refused = ''
         if not self.supervisor.active or (stamp is not None and stamp <= self._enabled):
             return False
-        elapsed = min((now - controller.given) / NANOSECONDS, _LONGEST_RAMP)
+        elapsed = min((now - controller.given) / NANOSECONDS, LONGEST_RAMP)
         command, measured = np.array(command, dtype=float), self.robot.measured
         held = np.zeros(len(command), dtype=bool)
         controller.torque = limiting.limited(command, controller.torque, elapsed,

@@ -51,6 +51,11 @@ class Limits:
         return (self.lower - self.position_margin, self.upper + self.position_margin,
                 self.velocity + self.velocity_margin, self.torsion)
 
+    @cached_property
+    def allowed(self) -> tuple:
+        """Return the limits of torque, its rate, and speed and angles at which it is zero."""
+        return self.torque, self.torque_rate, self.velocity, self.lower, self.upper
+
     def missing(self) -> list:
         """Return names of the limits that some joint lacks and no real robot may lack."""
         return [name for name in ('torque', 'torque_rate', 'velocity', 'lower', 'upper')
@@ -67,14 +72,15 @@ def limited(command, before, elapsed, q, dq, limits, held=None) -> np.ndarray:
     is as fast as it may be. ``held``, bool (n_joints,), is set where the rate alone held it back.
     """
     torque = np.empty(len(command))
-    _limit(command, before, elapsed, q, dq, limits.torque, limits.torque_rate, limits.velocity,
-           limits.lower, limits.upper, torque, np.empty(len(torque), bool) if held is None
-           else held)
+    limit(command, before, elapsed, q, dq, *limits.allowed, torque,
+          np.empty(len(torque), bool) if held is None else held)
     return torque
 
 
 @compiled
-def _limit(command, before, elapsed, q, dq, most, rate, velocity, lower, upper, torque, held):
+def limit(command, before, elapsed, q, dq, most, rate, velocity, lower, upper, torque,
+          held) -> None:
+    """Write into ``torque`` what `limited` returns."""
     for j in range(len(command)):
         rise = rate[j] * max(elapsed, 0.0)
         wanted = min(max(command[j], -most[j]), most[j])
@@ -93,11 +99,12 @@ def is_sound(now, before, elapsed, limits) -> bool:
 
     ``now`` and ``before`` (4, n_joints) are q_link, dq_link, q_motor, dq_motor.
     """
-    return _is_sound(now, before, elapsed, *limits.within)
+    return is_within(now, before, elapsed, *limits.within)
 
 
 @compiled
-def _is_sound(now, before, elapsed, least, most, fastest, torsion):
+def is_within(now, before, elapsed, least, most, fastest, torsion) -> bool:
+    """Return whether a state is sound, see `is_sound`."""
     for j in range(now.shape[1]):
         far = fastest[j] * max(elapsed, _SHORTEST)
         if not (least[j] <= now[0, j] <= most[j] and abs(now[2, j] - now[0, j]) <= torsion[j]

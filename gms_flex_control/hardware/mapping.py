@@ -99,6 +99,11 @@ class JointMap:
         """Return efforts in the robot's units and order from torques (n_joints,) [N m]."""
         return (torque / self._scale)[self._order] + 0.0  # never -0
 
+    @property
+    def arrays(self) -> tuple:
+        """Return channels of motors and actuators, scale, and order of the efforts."""
+        return self._motor_channel, self._effort_channel, self._scale, self._order
+
     def sort(self, state, efforts, otherwise, sides, torque) -> None:
         """
         Sort what was measured by joints: into ``sides`` (4, n_joints) and ``torque`` (n_joints,).
@@ -107,12 +112,13 @@ class JointMap:
         then of the motors. ``efforts`` are by `effort_names`; where the robot measures none (NaN)
         the torque is that of ``otherwise`` (n_joints,) [N m].
         """
-        _sort(state, efforts, otherwise, self._motor_channel, self._effort_channel, self._scale,
-              sides, torque)
+        sort(state, efforts, otherwise, self._motor_channel, self._effort_channel, self._scale,
+             sides, torque)
 
 
 @compiled
-def _sort(state, efforts, otherwise, motor, actuator, scale, sides, torque):
+def sort(state, efforts, otherwise, motor, actuator, scale, sides, torque) -> None:
+    """Sort a state as `JointMap.sort`."""
     for j in range(len(torque)):
         for k in range(2):
             sides[k, j], sides[2 + k, j] = state[k, j], state[k, motor[j]]
@@ -155,6 +161,13 @@ class Timeline:
         self._stamp = stamp
         self._follow(stamp, now)
         return self._keep(stamp + self._offset, now)
+
+    def expected(self, stamp, now) -> int:
+        """Return what `read` would of a sample that is like those before it; 0 of another."""
+        if (stamp in (0, self._stamp) or self._offset is None
+                or abs(now - stamp - self._offset) > _CALM):
+            return 0
+        return stamp + self._offset if stamp + self._offset > self._last else 0
 
     def _is_of_another_clock(self, stamp, now):
         late = now - stamp - self._offset
@@ -254,7 +267,7 @@ class StateMerger:
         """
         plan = self._plan(source, names)
         q, dq, torque = plan.numbers((position, velocity, effort))
-        bad = _first_bad(q, dq, plan.index, plan.slope, plan.offset)
+        bad = first_bad(q, dq, plan.index, plan.slope, plan.offset)
         if bad >= 0:
             k = plan.index[bad]
             raise ReadingError(f'joint states have position {q[k]:g} and velocity {dq[k]:g} for '
@@ -263,13 +276,26 @@ class StateMerger:
         time = self._timelines[source].read(stamp, now)
         if time is None:
             return False
-        estimated, newest = _merge(
+        estimated, newest = merge(
             q, dq, torque, plan.index, plan.channel, plan.slope, plan.offset, plan.others, time,
             self._cutoff, self._skew, self._latest, self._times, self._fresh, self.state,
             self.effort)
         self.estimated += estimated
         self.time = max(newest, self.time)
         return newest > 0
+
+    def expected(self, names, fields, stamp, now) -> tuple:
+        """
+        Return what `merge` takes, of a message of the only source as it always sends them.
+
+        ``fields`` are position, velocity and effort; () for another message.
+        """
+        plan, time = self._plans[0], self._timelines[0].expected(stamp, now)
+        if not time or len(self._plans) > 1 or plan is None or plan.names != names:
+            return ()
+        return (*plan.numbers(fields), plan.index, plan.channel, plan.slope, plan.offset,
+                plan.others, time, self._cutoff, self._skew, self._latest, self._times,
+                self._fresh, self.state, self.effort)
 
     def _plan(self, source, names):
         plan = self._plans[source]
@@ -292,7 +318,7 @@ class StateMerger:
 
 
 @compiled
-def _first_bad(position, velocity, index, slope, offset):
+def first_bad(position, velocity, index, slope, offset) -> int:
     """Return which reading makes no angle, or too fast a one; -1 if none does."""
     for k in range(len(index)):
         angle = position[index[k]] * slope[k] + offset[k]
@@ -303,8 +329,8 @@ def _first_bad(position, velocity, index, slope, offset):
 
 
 @compiled
-def _merge(position, velocity, effort, index, channel, slope, offset, others, time, cutoff, skew,
-           latest, times, fresh, state, efforts):
+def merge(position, velocity, effort, index, channel, slope, offset, others, time, cutoff, skew,
+          latest, times, fresh, state, efforts) -> tuple[int, int]:
     """
     Take readings at a ``time`` [ns] into the ``latest`` (2, m); make a ``state`` (2, m) of them.
 

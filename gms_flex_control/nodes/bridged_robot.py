@@ -10,6 +10,7 @@ from gms_flex_control.hardware.bridge import Bridge
 from gms_flex_control.hardware.mapping import ReadingError
 from gms_flex_control.hardware.supervision import LATE, NOTABLE, Outcome, SupervisedRobot
 from gms_flex_control.nodes import messages, process
+from gms_flex_control.nodes.foresight import Foresight
 from gms_flex_control.nodes.robot_links import DeviceLink, TopicLink
 from gms_flex_control.nodes.topics import Inbox, Outlet
 from gms_flex_control.schema.node_values import bridge_from_values
@@ -44,6 +45,7 @@ class BridgedRobot(SupervisedRobot):
         self._writer = messages.JointStateWriter(joints, motors)
         self._state_pub = Outlet(node, JointState, 'joint_states', ahead=True)
         self._ends, self._passed = False, 0
+        self._foresight, self._ahead = None, None  # what was sent ahead, and when
         link, boxes = DeviceLink if values['bridge.device'] else TopicLink, []
         self._link = link(node, self, values, self._map.command_names, boxes)
         Inbox(node, Float64MultiArray, 'effort_controller/commands', self._on_command,
@@ -53,6 +55,10 @@ class BridgedRobot(SupervisedRobot):
         """Return a time that never jumps, near that of the system at the start [ns]."""
         return time.monotonic_ns() + self._steady
 
+    def foresee(self, controller) -> None:
+        """Send efforts as soon as they can be known; ``controller`` is that of this process."""
+        self._foresight = Foresight(self._bridge, (self._health, controller.health), controller)
+
     # what comes ----------------------------------------------------------------------------
 
     def take_state(self, source, names, position, velocity, effort, stamp) -> bool:
@@ -60,6 +66,8 @@ class BridgedRobot(SupervisedRobot):
         now, bridge, refused = self.now(), self._bridge, False
         with self._lock:
             try:
+                if self._foresight is not None:
+                    self._send_ahead(names, (position, velocity, effort), stamp, now)
                 complete = bridge.take_state(source, names, position, velocity, effort, stamp,
                                              now)
             except ReadingError as error:
@@ -72,12 +80,16 @@ class BridgedRobot(SupervisedRobot):
                     robot.measured, robot.applied, robot.stamp))
                 if controller.lateness.share > NOTABLE:
                     self._health.warn('late', f'{controller.lateness}: {LATE}')
+            if self._ahead is not None:  # the command has not come to that
+                self._send()
             self._settle()
+            if self._foresight is not None:
+                self._foresight.plan()
         return not refused
 
     def _on_command(self, message):
         """Return whether the message is a command, to be obeyed or not."""
-        now, bridge = self.now(), self._bridge
+        now, bridge = self._ahead[1] if self._ahead else self.now(), self._bridge
         stamp, source = messages.read_marks(message)
         with self._lock:
             try:
@@ -93,10 +105,26 @@ class BridgedRobot(SupervisedRobot):
 
     # what goes -----------------------------------------------------------------------------
 
+    def _send_ahead(self, names, fields, stamp, now):
+        efforts = self._foresight.efforts(names, fields, stamp, now)
+        if efforts is not None:
+            self._ahead = efforts, now
+            self._write(efforts)
+            self._bridge.counters['efforts sent ahead'] += 1
+
     def _send(self):
+        """Send what the bridge gives, unless just that was sent ahead."""
+        efforts = self._map.efforts(self._bridge.torque).tolist()
+        ahead, self._ahead = self._ahead, None
+        if ahead is not None and ahead[0] == efforts:
+            return
+        self._bridge.counters['efforts corrected'] += ahead is not None
+        self._write(efforts)
+
+    def _write(self, efforts):
         self._sent = self.now()
         try:
-            self._link.write(self._map.efforts(self._bridge.torque).tolist())
+            self._link.write(efforts)
         except self._link.errors as error:
             self._bridge.fault(str(error))
 

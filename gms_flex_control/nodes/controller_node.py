@@ -135,7 +135,7 @@ class ControllerNode(Node):
         self._counts = dict.fromkeys(('states answered', 'states refused', 'references refused',
                                       'silences'), 0)
         self.health = Health(self, self._figures, self._on_fault, self.direct.lock)
-        self._follower = Follower(robot, gains, values, self.health)
+        self.follower = Follower(robot, gains, values, self.health)
         self._reader = messages.JointStateReader(robot.joints, robot.motors)
         self._silence = _Silence(watched=not self._lockstep)
         self._watched = self.health.guard(self._watch)
@@ -154,6 +154,11 @@ class ControllerNode(Node):
             self.get_logger().info(f'the model has, not compensated: {", ".join(beyond)}')
         process.take_priority(self, values['realtime_priority'])
 
+    @property
+    def sent(self) -> np.ndarray:
+        """Return the last command (n_joints,) [N m], in an array that is used again."""
+        return self._outputs.sent
+
     def run(self, spinner) -> None:
         """Answer joint states until a signal comes."""
         while spinner.goes_on():
@@ -165,7 +170,7 @@ class ControllerNode(Node):
         self._watched()
 
     def _use(self, gains):
-        self._follower.use(gains)
+        self.follower.use(gains)
         self._warn_of_conditions(gains)
 
     def _warn_of_conditions(self, gains):
@@ -177,7 +182,7 @@ class ControllerNode(Node):
 
     def _on_reference(self, message):
         """Return whether the message was accepted, and is of this time."""
-        follower = self._follower
+        follower = self.follower
         try:
             reference = Reference(*messages.read_reference(message, self._robot.n_joints))
         except messages.RefusedError as error:
@@ -194,7 +199,7 @@ class ControllerNode(Node):
 
     def _on_joint_states(self, message):
         """Return whether the message was read and accepted."""
-        stamp, last = messages.to_nanoseconds(message.header.stamp), self._follower.last
+        stamp, last = messages.to_nanoseconds(message.header.stamp), self.follower.last
         if self.health.fault:
             self._outputs.zero(stamp)
             return False
@@ -211,13 +216,13 @@ class ControllerNode(Node):
                 and 0 < last - stamp <= _LONGEST_DELAY):
             return False  # an old one that came late, not one of another clock
         try:
-            self._reader.read(message, self._follower.controller.measured)
+            self._reader.read(message, self.follower.controller.measured)
         except messages.RefusedError as error:
             self._counts['states refused'] += 1
             self.health.warn('joint state', f'joint state refused: {error}')
             return False
-        self._follower.encoders.act(self._outputs.sent, self._reader.motor_efforts(message))
-        if self._lockstep and not self._follower.references.has(stamp):
+        self.follower.encoders.act(self._outputs.sent, self._reader.motor_efforts(message))
+        if self._lockstep and not self.follower.references.has(stamp):
             self._waiting = stamp
         else:
             self._answer(stamp)
@@ -226,7 +231,7 @@ class ControllerNode(Node):
     def _answer(self, stamp):
         self._waiting = None
         self._counts['states answered'] += 1
-        follower = self._follower
+        follower = self.follower
         self._outputs.command(follower.answer(stamp, self._silence.end()), stamp)
         if follower.follows:
             self._outputs.state(follower.controller.state, follower.handover.left, stamp)
@@ -236,7 +241,7 @@ class ControllerNode(Node):
         if self.health.fault or not self._silence.is_due():  # a fault answers every state so
             return
         # the observer is left as it is: what it knows still holds after a short silence
-        self._outputs.zero(self._follower.last)
+        self._outputs.zero(self.follower.last)
         self._silence.zeros += 1
         if self._silence.zeros == 1:
             self._counts['silences'] += 1
@@ -246,23 +251,23 @@ class ControllerNode(Node):
 
     def _on_fault(self):
         self._waiting = None
-        self._outputs.zero(self._follower.last or 0)
+        self._outputs.zero(self.follower.last or 0)
 
     def _on_reset(self, _request, response):
         """End a fault: begin anew from the measured state."""
-        self._follower.reset()
+        self.follower.reset()
         self.health.recover()
         response.success, response.message = True, 'begins anew from the measured state'
         return response
 
     def _figures(self):
-        return {**self._counts, **self._follower.counts,
-                'frozen encoders': self._follower.encoders.count,
+        return {**self._counts, **self.follower.counts,
+                'frozen encoders': self.follower.encoders.count,
                 'longest time between answers [ms]': f'{self._silence.longest() * 1e3:.1f}'}
 
     def finish(self) -> None:
         """Leave zero torque on the wire."""
-        self._outputs.finish(self._follower.last or 0)
+        self._outputs.finish(self.follower.last or 0)
 
 
 def main(args=None) -> int:

@@ -3,12 +3,11 @@
 # Licensed under the Apache License, Version 2.0; see the LICENSE file.
 """What torque answers a joint state: the law, the reference it follows, and what forbids it."""
 
-import math
 import time
 from typing import NamedTuple
 
 from gms_flex_control.control.controller import SteppedController
-from gms_flex_control.control.frozen_encoders import FrozenEncoders
+from gms_flex_control.control.frozen_encoders import acting, FrozenEncoders
 from gms_flex_control.hardware.supervision import SourceWatch
 from gms_flex_control.nodes.health import OK, WARN
 from gms_flex_control.nodes.messages import all_finite, EFFORT, NANOSECONDS
@@ -69,6 +68,14 @@ class References:
         if len(self._kept) > _KEPT:
             del self._kept[next(iter(self._kept)) if last is None else
                            max(self._kept, key=lambda known: abs(known - last))]
+
+    def motions(self) -> tuple:
+        """Return stamps (k,), values (k, 5, n) and their longest use [ns]; () for other ones."""
+        kept = self._kept.values()
+        if not kept or any(reference.quantity == EFFORT for reference in kept):
+            return ()
+        return (np.array(list(self._kept)), np.array([reference.value for reference in kept]),
+                self._timeout)
 
     def has(self, stamp) -> bool:
         """Return whether there is one for exactly this joint state."""
@@ -166,6 +173,11 @@ class Handover:
             self._way = (stamp, builders.approach(
                 offset, builders.hold(np.zeros(offset.shape[1])), 0.0, duration=self._duration))
 
+    @property
+    def is_over(self) -> bool:
+        """Return whether the reference is followed as it is, with all of the torque."""
+        return self._way is None and self._share >= 1.0
+
     def applied(self, stamp, reference) -> np.ndarray:
         """Return ``reference`` (5, n) with what is left of the way added."""
         if self._way is None:
@@ -186,29 +198,23 @@ class Handover:
 
 
 class EncoderWatch:
-    """
-    Look for frozen encoders, state by state.
-
-    What is sent need not act: limits between here and the motor make it less, a robot that is
-    disabled or stopped makes it nothing. The efforts that the robot reports count where they are
-    smaller; their signs and units may be anybody's.
-    """
+    """Look for frozen encoders, state by state."""
 
     def __init__(self, robot, torque_limit, measured):
-        self._judge = FrozenEncoders(robot, torque_limit)
+        self.judge = FrozenEncoders(robot, torque_limit)
         self._measured = measured
-        self._acting = np.zeros(robot.n_joints)
+        self._acting, self._silent = np.zeros(robot.n_joints), np.full(robot.n_joints, np.nan)
         self.frozen, self.began, self.count = '', False, 0   # a finding, whether it is new
         self.use(torque_limit)
 
     def use(self, torque_limit) -> None:
         """Take another torque limit (n_joints,) [N m]."""
-        self._judge.use(torque_limit)
-        self._nothing = (_NOTHING * torque_limit).tolist()
+        self.judge.use(torque_limit)
+        self.nothing = _NOTHING * torque_limit
 
     def reset(self) -> None:
         """Take back what was found."""
-        self._judge.reset()
+        self.judge.reset()
         self.frozen, self.began = '', False
 
     def act(self, torque, efforts) -> None:
@@ -218,17 +224,12 @@ class EncoderWatch:
         ``torque`` (n_joints,) was sent; ``efforts`` are what the robot says it gave, NaN where it
         does not measure that, empty if it says nothing [N m].
         """
-        self._acting[:] = torque
-        for j, effort in enumerate(efforts):
-            if abs(effort) <= self._nothing[j]:
-                self._acting[j] = math.nan
-            elif abs(effort) < abs(torque[j]):
-                self._acting[j] = math.copysign(effort, torque[j])
+        acting(torque, np.array(efforts) if efforts else self._silent, self.nothing, self._acting)
 
     def look(self, elapsed) -> str:
         """Look at the state measured, ``elapsed`` [s] after the one before; return `frozen`."""
         before = self.frozen
-        self.frozen = self._judge.look(self._measured, self._acting, elapsed) or ''
+        self.frozen = self.judge.look(self._measured, self._acting, elapsed) or ''
         self.began = bool(self.frozen) and not before
         self.count += self.began
         return self.frozen
@@ -254,6 +255,7 @@ class Follower:
         self.follows = False     # whether its answer was that of the law
         self._obstacle = ''      # why it was answered with zero, though it was sound
         self._begins = True      # the next state with a motion reference begins a motion
+        self.changes = 0         # of what the next answer depends on
         self.counts = {'observer begun anew': 0, 'two trajectories': 0}
         self._warm_up()
 
@@ -267,12 +269,14 @@ class Follower:
 
     def use(self, gains) -> None:
         """Take other gains."""
+        self.changes += 1
         self.controller.use(gains)
         self._limit = gains.torque_limit
         self.encoders.use(gains.torque_limit)
 
     def reset(self) -> None:
         """Begin anew from the measured state."""
+        self.changes += 1
         self.controller.reset()
         self.references.forget_motion()
         self.encoders.reset()
@@ -284,6 +288,7 @@ class Follower:
 
     def keep(self, stamp, reference, source) -> None:
         """Take a Reference, unless another source's come as well; then nobody's are kept."""
+        self.changes += 1
         if not self._lockstep and self.is_fresh(stamp):
             now = time.monotonic_ns()
             before, rivals = self._sources.conflict(now), self._sources.hear(source, now)
@@ -301,6 +306,7 @@ class Follower:
 
         ``silent`` is whether zero torque was sent since the last one, no state having come.
         """
+        self.changes += 1
         elapsed = 0.0 if self.last is None else (stamp - self.last) / NANOSECONDS
         jumped = self.last is not None and not 0.0 < elapsed <= _LONGEST_TICK
         self.last, self.follows = stamp, False
@@ -323,6 +329,23 @@ class Follower:
             self._say_no_reference(stamp)
             return self._nothing()
         return self._follow(stamp, reference, elapsed)
+
+    def outlook(self, sent) -> tuple:
+        """
+        Return what the next answer depends on, where the law gives it; () else.
+
+        ``sent`` (n_joints,) is the command before; see `hardware.foresight.answer`.
+        """
+        motions = self.references.motions()
+        if not motions or not self.follows or self._begins or not self.handover.is_over:
+            return ()
+        return *self.law(sent), motions
+
+    def law(self, sent) -> tuple:
+        """Return of an `outlook` what it has without references."""
+        judge = self.encoders.judge
+        return ((sent, self.encoders.nothing, judge.memory, *judge.expected),
+                self.controller.boxes)
 
     def _nothing(self):
         """Forget the motion so far; return zero torque."""

@@ -32,6 +32,7 @@ class LoopNode:
         self._trajectory = TrajectoryNode(direct)
         self._plant = PlantNode(  # whose simulation makes the time that the others may take
             direct, parameter_overrides=[Parameter('use_sim_time', value=False)])
+        self._plant.foresee(self._controller)
         self.nodes = [self._plant, self._controller, self._trajectory]
         for node in self.nodes:
             if node.get_parameter('use_sim_time').value:

@@ -59,6 +59,11 @@ class PlantNode(Node):
             hold_service=values['bridge.hold_service'] if bridged else '')
         process.take_priority(self, values['realtime_priority'])
 
+    def foresee(self, controller) -> None:
+        """Let efforts to a real robot leave ahead of all else; see `Foresight`."""
+        if isinstance(self._robot, BridgedRobot):
+            self._robot.foresee(controller)
+
     def run(self, spinner) -> None:
         """Simulate or bridge until a signal comes, or the duration is over."""
         self._safety.start()

@@ -1,0 +1,77 @@
+# Copyright 2026 The gms_flex_control authors
+#
+# Licensed under the Apache License, Version 2.0; see the LICENSE file.
+"""
+Efforts that leave before anything else is done about the joint state they answer.
+
+Bridge and controller of one process pass a state through some hundred calls of Python, which take
+long where other programs have just had the caches. One compiled call comes to the same effort
+where all is as it was. Both then do their work as ever, and have the last word.
+"""
+
+from array import array
+
+from gms_flex_control.hardware.bridge import LONGEST_RAMP, RobotSide
+from gms_flex_control.hardware.foresight import answer
+from gms_flex_control.hardware.mapping import NANOSECONDS
+from gms_flex_control.hardware.supervision import STOOD_STILL
+import numpy as np
+
+
+class Foresight:
+    """
+    What a ``bridge`` sends to its robot once a ``controller`` of this process has answered.
+
+    ``controller`` is a ControllerNode, ``healths`` those of both nodes.
+    """
+
+    def __init__(self, bridge, healths, controller):
+        self._bridge, self._healths = bridge, healths
+        self._controller, self._follower = controller, controller.follower
+        self._outlook, self._changes, self._torque = (), None, None
+        self._efforts = np.zeros(len(bridge.torque))
+        self._warm_up()
+
+    def _warm_up(self):
+        """Compile before the first state comes."""
+        params, n = self._bridge.params, len(self._efforts)
+        names, merger = list(params.joint_map.names), RobotSide(params).merger
+        nothing = [array('d', bytes(8 * len(names)))] * 3
+        merger.take(0, names, *nothing, 1, 1)
+        self._answer(merger.expected(names, nothing, 2, 2), np.zeros(n), 1, (
+            *self._follower.law(self._controller.sent),
+            (np.zeros(1, dtype=int), np.zeros((1, 5, n)), 1)))
+
+    def plan(self) -> None:
+        """Note what the next answer depends on, after each state."""
+        bridge = self._bridge
+        stamp = bridge.robot.stamp
+        self._outlook = ()
+        if bridge.controller.answered == stamp == self._follower.last:  # in the order of things
+            self._outlook = self._follower.outlook(self._controller.sent)
+            self._changes, self._torque = self._follower.changes, bridge.torque
+
+    def efforts(self, names, fields, stamp, now) -> list | None:
+        """
+        Return the efforts that answer a message, as `Bridge.take_state` takes it, in lists.
+
+        None where that has to be found out: something has changed since the state before.
+        """
+        bridge = self._bridge
+        if not (self._outlook and bridge.supervisor.active
+                and self._changes == self._follower.changes and self._torque is bridge.torque
+                and bridge.looked(now) < STOOD_STILL * NANOSECONDS
+                and not any(health.fault for health in self._healths)):
+            return None
+        merging = bridge.robot.merger.expected(names, fields, stamp, now)
+        if not merging or not self._answer(merging, self._torque, now, self._outlook):
+            return None
+        return self._efforts.tolist()
+
+    def _answer(self, merging, torque, now, outlook):
+        bridge = self._bridge
+        limits = bridge.params.limits
+        return answer(merging, bridge.params.joint_map.arrays, limits.within, limits.allowed,
+                      bridge.robot.rows, torque, (
+                          bridge.robot.stamp, now - bridge.controller.given, LONGEST_RAMP),
+                      *outlook, self._efforts)
