@@ -114,6 +114,15 @@ def test_joints_of_another_robot_are_told_by_name_and_drawn_alike(lab):
     assert session['controller'] == '/left/cascade_controller'
 
 
+def test_bytes_that_make_no_message_end_nothing(lab):
+    session = lab.until(lambda: known(lab))
+    for data in (b'\0\1\0\0', b'\0\1\0\0' + 20 * b'\xff'):
+        for publisher in (lab.states, lab.commands, lab.reports):
+            publisher.publish(data)
+    lab.spin(0.5)
+    assert len(rows_of(lab, session)['command.0'])
+
+
 def test_what_belongs_together_is_in_one_row(lab):
     session = lab.until(lambda: known(lab))
     for _ in range(20):

@@ -5,9 +5,11 @@
 
 from array import array
 from collections import deque
+from contextlib import suppress
 from functools import partial
 import math
 from operator import itemgetter
+import struct
 import threading
 import time
 
@@ -229,7 +231,8 @@ class _Listener:
                 waiting.append((taken[1]['received_timestamp'], handler, taken[0]))
         waiting.sort(key=itemgetter(0))
         for _, handler, data in waiting:
-            handler(data)
+            with suppress(RuntimeError, struct.error):  # bytes that make no message
+                handler(data)
 
     def pass_on(self, there) -> None:
         """Give the feed what is complete; ``there`` is whether the controller answers."""
