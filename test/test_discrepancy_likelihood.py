@@ -135,7 +135,9 @@ def test_slopes_are_the_derivative_of_the_cost():
     x = 0.5 * likelihood.sd * np.random.default_rng(2).uniform(-1.0, 1.0, len(likelihood.sd))
     model = likelihood.fitted(likelihood.robot, x)
     columns = likelihood.columns(model.robot, x, model.rows)
-    slopes = likelihood.slopes(columns, model, likelihood.weights(model.sums.groups))
+    noise = likelihood.encoder_noise
+    slopes = likelihood.slopes(noise.known(columns), noise.columns(model.robot, ()), model,
+                               likelihood.weights(model.sums.groups))
     slopes -= x / likelihood.sd ** 2
     told = []
     for i in range(len(x)):

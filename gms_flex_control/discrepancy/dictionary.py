@@ -26,6 +26,7 @@ _AT_BOUND = 0.99      # of what is plausible of a nuisance parameter: it can giv
 _NEW = 1e-6           # of the squares of a guess's columns: nothing else makes so much of them
 _EXACT = 8            # effects of joints whose gain is found within bounds, either way
 _MOST_TRIED = 40      # guesses, to find so many: some have a ladder of sizes
+_AT_ONCE = 64         # columns, kept in single precision, that are taken in double at once
 _RATIO_STEP = 0.1     # of a relative change that an effect is
 
 
@@ -146,7 +147,7 @@ class Dictionary:
         self.guesses = guesses_of(likelihood, excluded, _fine_orders(likelihood, model), only)
         self._specs = [EffectSpec(name=name, joint=joint, values=values)
                        for name, joint, guess in self.guesses for values in guess.probes]
-        self.columns = np.empty((len(self._specs), len(model.rows)))
+        self.columns = np.empty((len(self._specs), len(model.rows)), dtype=np.float32)
 
         def fill(k):
             self.columns[k] = likelihood.rows(
@@ -188,6 +189,12 @@ class Dictionary:
         return np.array([np.asarray(spec.values) @ of_effect[spec.name, spec.joint]
                          for spec in self._specs])
 
+    def _products(self, others):
+        """Return the products (K, N) of columns with others (N, R), in double precision."""
+        parts = (self.columns[k:k + _AT_ONCE] for k in range(0, len(self.columns), _AT_ONCE))
+        return np.concatenate(list(self._likelihood.pool.map(lambda part: part @ others.T,
+                                                             parts)))
+
     def gains(self, model, columns, plausible=np.inf, even=False) -> tuple:
         """
         Return what guesses gain beside a model, bounds left aside (G,), and noise (K,).
@@ -208,17 +215,18 @@ class Dictionary:
         rows = np.concatenate([model.rows * root, pull * prior.values])
         basis, triangle = np.linalg.qr(own.T)
         left = (rows - basis @ (basis.T @ rows))[:len(root)]
-        along = self.columns @ (root[:, None] * basis[:len(root)])
+        along = self._products(root * np.vstack([basis[:len(root)].T, left]))
+        along, right = along[:, :-1], along[:, -1]
         own_noise = likelihood.noise_slopes(model, weight, numbers)
         shared = along @ np.linalg.lstsq(triangle.T, own_noise[free], rcond=1e-10)[0]
         # where it was not learned, noise adds what it adds to all that makes the column: a
         # friction that varies with place is friction
         noise = np.where(self._unknown, shared, self._noise_along(
             likelihood.noise_cleared(model, weight)))
-        right = -(self.columns @ (root * left)) + noise - shared
+        right = noise - shared - right
         gains = np.zeros(len(self.guesses))
         for i, (first, last) in enumerate(zip(self._places[:-1], self._places[1:], strict=True)):
-            part, mine = self.columns[first:last], along[first:last]
+            part, mine = self.columns[first:last].astype(float), along[first:last]
             whole = (part * weight) @ part.T
             gram = whole - mine @ mine.T
             if np.trace(gram) > _NEW * np.trace(whole):
@@ -260,8 +268,8 @@ class Dictionary:
                     continue
                 found.add((name, joint))
                 tried.add(i)
-                minimum = normal.beside(self.columns[part], noise[part], guess.lowest,
-                                        guess.highest)
+                minimum = normal.beside(self.columns[part].astype(float), noise[part],
+                                        guess.lowest, guess.highest)
                 share = guess.within(minimum.added)
                 gain = (normal.alone.cost - minimum.cost if np.any(minimum.added) else 0.0) * (
                     share * (2.0 - share))

@@ -175,37 +175,52 @@ def prior_of(likelihood, model, numbers=None) -> Prior:
 
 
 def step_of(likelihood, model, columns, numbers, weight=None, plausible=np.inf) -> np.ndarray:
-    """Return the step of `foreseen`."""
-    return foreseen(likelihood, model, columns, numbers, weight, plausible)[0]
-
-
-def foreseen(likelihood, model, columns, numbers, weight=None, plausible=np.inf) -> tuple:
     """
     Return the step (C,) of all that is free to where a model is likeliest, to first order.
-
-    And by how much the cost falls there at most.
 
     ``weight`` (R,) of the residuals is that of the model unless given; nuisance parameters go no
     farther than ``plausible`` standard deviations of their priors.
     """
-    prior = prior_of(likelihood, model, numbers)
     weight = likelihood.weights(model.sums.groups) if weight is None else weight
-    downhill = likelihood.slopes(columns, model, weight, numbers) - prior.pull * prior.values
-    step = solve(_cleared(likelihood, model, columns, numbers, weight) + np.diag(prior.pull),
-                 downhill, *limits(model, numbers, prior, plausible * likelihood.sd))
+    noise = likelihood.encoder_noise.columns(model.robot, numbers)
+    shown = likelihood.encoder_noise.known(columns)
+    slope = likelihood.slopes(shown, noise, model, weight)
+    noise *= np.sqrt(0.5 * weight * model.sums.cleared[likelihood.groups.group])
+    shown *= np.sqrt(weight)
+    return _step(likelihood, model, numbers, slope, shown @ shown.T, noise @ noise.T, plausible)[0]
+
+
+def foreseen(likelihood, model, columns, own, numbers, plausible=np.inf) -> tuple:
+    """
+    Return the step (C,) of `step_of`, and by how much the cost falls there at most.
+
+    The derivatives are ``columns``, of which products are kept, then ``own`` (V, R).
+    """
+    weight, noise = 1.0 / likelihood.noise_levels(model.sums.groups), likelihood.encoder_noise
+    of_rows, grams = weight[likelihood.groups.group], likelihood.grams(columns)
+    of_numbers = noise.of_numbers(model.robot, numbers)
+    lost, left = likelihood.noise_cleared(model, of_rows), of_rows * model.rows
+    slope = (np.concatenate([noise.grams.fixed @ lost, of_numbers @ lost])
+             - np.concatenate([grams.fixed @ left, own @ left]))
+    return _step(likelihood, model, numbers, slope, grams.weighted(own, weight),
+                 noise.grams.weighted(of_numbers, 0.5 * weight * model.sums.cleared), plausible)
+
+
+def _step(likelihood, model, numbers, slope, whole, added, plausible):
+    """Return the step by a slope (C,) and products (C, C), and by how much the cost falls."""
+    prior = prior_of(likelihood, model, numbers)
+    downhill = slope - prior.pull * prior.values
+    step = solve(_cleared(whole, added) + np.diag(prior.pull), downhill,
+                 *limits(model, numbers, prior, plausible * likelihood.sd))
     return step, 2.0 * float(step @ downhill)
 
 
-def _cleared(likelihood, model, columns, numbers, weight):
+def _cleared(whole, added):
     """
     Return the products (C, C) of columns, less what encoder noise makes of them on average.
 
     At least `_LEAST_SHARE` of the products of any combination of columns is left.
     """
-    noise = likelihood.encoder_noise.columns(model.robot, numbers)
-    added = 0.5 * (noise * (weight * model.sums.cleared[likelihood.groups.group])) @ noise.T
-    shown = likelihood.encoder_noise.known(columns)
-    whole = (shown * weight) @ shown.T
     size = np.sqrt(np.diag(whole))
     scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0.0)
     value, vector = np.linalg.eigh(whole * np.outer(scale, scale))
@@ -270,8 +285,7 @@ def fit(likelihood, robot, x, columns, first=None, plausible=np.inf, iterations=
         numbers = numbers_of(likelihood, model.robot, first)
         if own is None:
             own = effect_columns(likelihood, model.robot, model.x, model.rows, numbers[known:])
-        step, most = foreseen(likelihood, model, np.concatenate([columns, own]), numbers,
-                              plausible=plausible)
+        step, most = foreseen(likelihood, model, columns, own, numbers, plausible)
         values = values_of(model.robot, numbers)
         for shrink in _SHRINK if most > _TRIFLE else _SHRINK[:1]:
             other = likelihood.fitted(

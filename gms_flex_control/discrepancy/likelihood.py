@@ -32,7 +32,7 @@ from gms_flex_control.discrepancy.null_simulation import (
 )
 from gms_flex_control.discrepancy.residuals import unexplained
 from gms_flex_control.discrepancy.thresholds import LARGEST_NOISE, PRACTICAL_FLOOR
-from gms_flex_control.discrepancy.whitening import Groups, Whitening
+from gms_flex_control.discrepancy.whitening import Band, Grams, Groups, Whitening
 from gms_flex_control.effects.guess import Scales
 from gms_flex_control.effects.registry import find
 from gms_flex_control.errors import SimulationError
@@ -130,9 +130,13 @@ class Likelihood:
                     for motion in self.motions]
             return made if k < 2 else None, [unexplained(motion, constants) for motion in made]
         runs, clean = zip(*self.pool.map(run, range(_NULL_RUNS)), strict=True)
+        bands = [Band(len(motion.time), motion.period, motion.known) for motion in self.motions]
         steps = () if self._held_out else (*(NUISANCE_STEP * np.eye(len(x))), np.zeros(len(x)))
-        self._null = NullRuns(robot, x, clean, runs[:2], list(self.pool.map(
-            lambda step: [self.residuals(run, robot, x + step) for run in runs[:2]], steps)))
+
+        def stepped(step):
+            return [[band.spectra(residual) for band, residual in zip(
+                bands, self.residuals(run, robot, x + step), strict=True)] for run in runs[:2]]
+        self._null = NullRuns(robot, x, clean, runs[:2], list(self.pool.map(stepped, steps)))
         self._whiten(np.zeros((len(self.motions), 2 * robot.n_joints)))
 
     def simulated_as(self, model) -> Self:
@@ -156,7 +160,7 @@ class Likelihood:
             Whitening(np.stack(clean[_NULL_RUNS - _MEASURED_BY:]), motion.period, floor,
                       motion.known)
             for motion, clean in zip(self.motions, zip(*runs, strict=True), strict=True)]
-        self.groups = Groups(self.motions, self.whitenings)
+        self.groups, self._grams = Groups(self.motions, self.whitenings), None
         clean = np.stack([self.rows_of(run) for run in runs])
         # what filters leave at every reversal, say, though nothing is missing: so they do of the
         # recording, whose rows scatter by that of this mean as well
@@ -165,7 +169,9 @@ class Likelihood:
         if not self._held_out:
             self.encoder_noise = EncoderNoise(
                 self, self._null.robot, self._null.x,
-                [[self.rows_of(run) for run in pair] for pair in self._null.by_step],
+                [[self._joined(whitening.rows_of_spectra(one) for whitening, one in zip(
+                    self.whitenings, run, strict=True)) for run in pair]
+                 for pair in self._null.by_step],
                 self._cautious)
 
     def torque_noise(self, m, rng, size=None) -> np.ndarray:
@@ -210,11 +216,19 @@ class Likelihood:
         """Return the weights of the rows (R,) at the likeliest noise levels of sums (G,)."""
         return (1.0 / self.noise_levels(sums))[self.groups.group]
 
-    def slopes(self, columns, model, weight, numbers=()) -> np.ndarray:
-        """Return the downhill slopes of half the cost by nuisances and numbers (C,)."""
-        return (self.encoder_noise.columns(model.robot, numbers)
-                @ self.noise_cleared(model, weight)
-                - self.encoder_noise.known(columns) @ (weight * model.rows))
+    def grams(self, columns) -> Grams:
+        """Return the Grams of what is known of columns (C, R); the last are kept."""
+        if self._grams is None or self._grams[0] is not columns:
+            self._grams = columns, Grams(self.groups, self.encoder_noise.known(columns))
+        return self._grams[1]
+
+    def slopes(self, shown, noise, model, weight) -> np.ndarray:
+        """
+        Return the downhill slopes of half the cost by nuisances and numbers (C,).
+
+        ``shown`` and ``noise`` (C, R) are `EncoderNoise.known` and `EncoderNoise.columns`.
+        """
+        return noise @ self.noise_cleared(model, weight) - shown @ (weight * model.rows)
 
     def noise_slopes(self, model, weight, numbers=()) -> np.ndarray:
         """Return what encoder noise adds to `slopes` (C,) where residuals are informative."""
@@ -247,8 +261,12 @@ class Likelihood:
 
     def rows_of(self, residuals) -> np.ndarray:
         """Return the whitened residuals (R,) of torques (S, 2 n) along each recording."""
-        return np.concatenate([whitening.rows_of(residual).ravel() for whitening, residual in
-                               zip(self.whitenings, residuals, strict=True)])[self.groups.used]
+        return self._joined(whitening.rows_of(residual) for whitening, residual in zip(
+            self.whitenings, residuals, strict=True))
+
+    def _joined(self, rows):
+        """Return rows (S, 2 n) of each recording as one vector (R,)."""
+        return np.concatenate([one.ravel() for one in rows])[self.groups.used]
 
     def rows(self, robot, x) -> np.ndarray:
         """Return whitened residuals of a model (R,), less what every null simulation shows."""

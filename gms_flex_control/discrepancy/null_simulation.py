@@ -23,6 +23,7 @@ from gms_flex_control.data.signal_analysis import quantum
 from gms_flex_control.discrepancy.motion import encoder_step, make_motion, Motion
 from gms_flex_control.discrepancy.nuisance import OF_SHAPE
 from gms_flex_control.discrepancy.residuals import fresh_state
+from gms_flex_control.discrepancy.whitening import Grams
 from gms_flex_control.dynamics.chain import own_inertia
 from gms_flex_control.effects import signals as sig
 from gms_flex_control.errors import SimulationError
@@ -125,7 +126,7 @@ class NullRuns(NamedTuple):
     x: np.ndarray       # (P,) nuisance parameters
     clean: tuple        # of runs, each a list of residual torques (S, 2 n) of a recording [N m]
     pair: tuple         # of two runs, each a list of Motion
-    by_step: list       # of the pair, each nuisance parameter `NUISANCE_STEP` off, then as it is
+    by_step: list       # spectra of the pair, each nuisance `NUISANCE_STEP` off, then as it is
 
 
 # --- what encoder noise adds --------------------------------------------------------------------
@@ -154,24 +155,26 @@ class EncoderNoise:
         self._begun = by_step[-1]
         self.own = self._begun[0] - self._begun[1]
         self.own_sums = self._groups.sums(self.own ** 2)
-        self._by_nuisance, self._informative = np.moveaxis(np.array(
-            [self._shown(pair, NUISANCE_STEP) for pair in by_step[:-1]]).reshape(
-                len(x), 2, len(self.own)), 1, 0)
+        self._by_nuisance = np.empty((len(x), len(self.own)))
+        self._informative = np.empty((len(x), len(self.own_sums)), dtype=bool)
+        for i, pair in enumerate(by_step[:-1]):
+            self._by_nuisance[i], self._informative[i] = self._shown(pair, NUISANCE_STEP)
         self._shapes = np.array([cautious or one.name in OF_SHAPE for one in likelihood.nuisances],
                                 dtype=bool)
-        self._by_effect = {}  # (effect, joint): as `_shown`, (parameters, R) each
+        self.grams = Grams(self._groups, self.known(self._by_nuisance))
+        self._by_effect = {}  # (effect, joint): as `_shown`, a row for each parameter
 
     def _shown(self, pair, step):
         """
-        Return what a ``step`` of a parameter makes of two null simulations, (2, R).
+        Return what a ``step`` of a parameter makes of two null simulations, (R,) and (G,).
 
-        How noise shows in the derivative, and 1 where the derivative is informative: not in
-        groups in which it is mostly noise.
+        How noise shows in the derivative, and which groups inform of the derivative, bool: not
+        those in which it is mostly noise.
         """
         noise = pair[0] - pair[1] - self.own
         hidden = (self._groups.sums(noise ** 2)
                   > 2.0 * _MOSTLY * self._groups.sums((pair[0] - self._begun[0]) ** 2))
-        return noise / step, ~hidden[self._groups.group]
+        return noise / step, ~hidden
 
     def learn(self, likelihood, spec, linear) -> None:
         """
@@ -187,26 +190,29 @@ class EncoderNoise:
             Parameters in which it is linear, and values at which only that one is not zero.
 
         """
-        shown = np.zeros((len(spec.values), 2, len(self.own)))
-        shown[:, 1] = 1.0
+        shown = np.zeros((len(spec.values), len(self.own)))
+        informative = np.ones((len(spec.values), len(self.own_sums)), dtype=bool)
         for k, values in linear:
             changed = replace(self._robot, effects=(*self._robot.effects,
                                                     replace(spec, values=values)))
-            shown[k] = self._shown(likelihood.of_pair(changed, self._x), values[k])
-        self._by_effect[spec.name, spec.joint] = shown[:, 0], shown[:, 1]
+            shown[k], informative[k] = self._shown(likelihood.of_pair(changed, self._x),
+                                                   values[k])
+        self._by_effect[spec.name, spec.joint] = shown, informative
 
     def of_effect(self, spec) -> np.ndarray:
         """Return how noise shows in the derivatives by parameters of an effect, or 0 (K, R)."""
         return self._by_effect.get((spec.name, spec.joint), (np.zeros((len(spec.values), 1)),))[0]
 
     def informative_of(self, spec) -> np.ndarray:
-        """Return 1 where residuals show parameters of an effect, 0 where mostly noise (K, R)."""
-        return self._by_effect.get((spec.name, spec.joint),
-                                   (None, np.ones((len(spec.values), 1))))[1]
+        """Return where residuals show parameters of an effect, not mostly noise, bool (K, R)."""
+        found = self._by_effect.get((spec.name, spec.joint))
+        return (np.ones((len(spec.values), 1), dtype=bool) if found is None
+                else found[1][:, self._groups.group])
 
     def informative(self, robot, numbers) -> np.ndarray:
         """Return `informative_of` of nuisance parameters and numbers (C, R)."""
-        return self._with_numbers(self._informative, self.informative_of, robot, numbers)
+        return self._with_numbers(self._informative[:, self._groups.group], self.informative_of,
+                                  robot, numbers)
 
     def known(self, columns) -> np.ndarray:
         """
@@ -215,15 +221,20 @@ class EncoderNoise:
         That is where residuals are not linear in a nuisance parameter.
         """
         known = columns.copy()
-        known[:len(self._shapes)][self._shapes] *= self._informative[self._shapes]
+        for i in np.flatnonzero(self._shapes):
+            known[i] *= self._informative[i][self._groups.group]
         return known
 
     def columns(self, robot, numbers) -> np.ndarray:
         """Return how noise shows in derivatives by nuisances and numbers (C, R)."""
-        return self.known(self._with_numbers(self._by_nuisance, self.of_effect, robot, numbers))
+        return np.concatenate([self.grams.fixed, self.of_numbers(robot, numbers)])
+
+    def of_numbers(self, robot, numbers) -> np.ndarray:
+        """Return how noise shows in derivatives by numbers of effects (V, R)."""
+        return self._with_numbers(self.grams.fixed[:0], self.of_effect, robot, numbers)
 
     def _with_numbers(self, nuisances, of_effect, robot, numbers):
-        out = np.empty((len(nuisances) + len(numbers), len(self.own)))
+        out = np.empty((len(nuisances) + len(numbers), len(self.own)), dtype=nuisances.dtype)
         out[:len(nuisances)] = nuisances
         for row, one in zip(out[len(nuisances):], numbers, strict=True):
             row[:] = of_effect(robot.effects[one.effect])[one.parameter]

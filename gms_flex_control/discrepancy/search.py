@@ -56,7 +56,8 @@ class Found(NamedTuple):
             *(state.key(known) for state in self.tried))
 
 
-def search(likelihood, *, most=MOST, excluded=(), begin=None, say=lambda text: None) -> Found:
+def search(likelihood, *, most=MOST, excluded=(), begin=None, near=None,
+           say=lambda text: None) -> Found:
     """
     Return the likeliest set of effects.
 
@@ -69,8 +70,9 @@ def search(likelihood, *, most=MOST, excluded=(), begin=None, say=lambda text: N
     excluded : collection of str
         Effects that are left out.
     begin : Found, optional
-        Of a search with other null simulations: its effects are begun with, and what came near
-        is looked for.
+        Of a search with other null simulations: its effects are begun with.
+    near : collection of (str, str), optional
+        Effects of joints that are looked for; default all.
     say : callable, optional
         Called with what is being done.
 
@@ -79,7 +81,7 @@ def search(likelihood, *, most=MOST, excluded=(), begin=None, say=lambda text: N
     Found
 
     """
-    hunt = _Search(likelihood, excluded, begin, say)
+    hunt = _Search(likelihood, excluded, begin, near, say)
     if begin is not None:
         hunt.take_up(begin)
     improved = None
@@ -104,15 +106,14 @@ def count_of(likelihood, excluded) -> int:
 class _Search:
     """The best set so far, and all that were tried."""
 
-    def __init__(self, likelihood, excluded, begin, say):
+    def __init__(self, likelihood, excluded, begin, near, say):
         self._likelihood, self._say, self._known = likelihood, say, likelihood.known
         x = begin.before.model.x if begin else np.zeros(len(likelihood.nuisances))
         # where nuisance parameters stand for something else, nothing would be left to explain
         plausible, self.nuisances = retuned(likelihood, likelihood.robot, x, PLAUSIBLE)
         self.hypotheses = begin.hypotheses if begin else count_of(likelihood, excluded)
         say('every effect along the motion')
-        only = begin.near(self._known) if begin else None
-        self.dictionary, self.tried = Dictionary(likelihood, plausible, excluded, only), {}
+        self.dictionary, self.tried = Dictionary(likelihood, plausible, excluded, near), {}
         self.before = State(plausible, self.nuisances, self.nuisances[:0], -np.inf, PLAUSIBLE)
         self.best = self._tried(*retuned(
             likelihood, likelihood.robot, np.where(np.abs(x) > np.abs(plausible.x), x,

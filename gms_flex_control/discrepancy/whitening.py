@@ -26,6 +26,34 @@ BLOCK = 2.0           # of time, left out as a whole: longer than friction remem
 _FEWEST_SEEN = 40     # residuals of a group that show a noise level
 
 
+class Band:
+    """
+    The spectra of residual torques up to `HIGHEST`, ends and what was not read faded out.
+
+    Parameters
+    ----------
+    samples : int
+        Of residuals.
+    period : float
+        Sample [s].
+    known : ndarray, shape (T,)
+        Whether all angles were read, bool.
+
+    """
+
+    def __init__(self, samples, period, known):
+        length, step = samples * period, 1 << _OCTAVES
+        self.rows = max(2 * min(int(HIGHEST * length), samples // 2) // step, 1) * step
+        self.bins = self.rows // 2
+        ramp = max(round(_RAMP / period), 1)
+        self._window = (_taper(samples, round(_EDGE / period)) * uniform_filter1d(
+            minimum_filter1d(known.astype(float), ramp), ramp))[:, None]
+
+    def spectra(self, residuals) -> np.ndarray:
+        """Return the spectra (..., F, C) of residuals (..., T, C) [N m]."""
+        return np.fft.rfft(residuals * self._window, axis=-2)[..., :self.bins, :].copy()
+
+
 class Whitening:
     """
     Turns residual torques of C equations into numbers of unit variance, the whitened residuals.
@@ -45,15 +73,11 @@ class Whitening:
 
     def __init__(self, clean, period, floor, known):
         self._samples = clean.shape[1]
-        length, step = self._samples * period, 1 << _OCTAVES
-        self._rows = max(2 * min(int(HIGHEST * length), self._samples // 2) // step, 1) * step
-        self._bins = self._rows // 2
+        length, self._band = self._samples * period, Band(self._samples, period, known)
+        self._rows, self._bins = self._band.rows, self._band.bins
         self.row_period = length / self._rows
         self._octaves = Octaves(self._rows, _OCTAVES)
-        ramp = max(round(_RAMP / period), 1)
-        self._window = (_taper(self._samples, round(_EDGE / period)) * uniform_filter1d(
-            minimum_filter1d(known.astype(float), ramp), ramp))[:, None]
-        spectra = self._spectra(clean)
+        spectra = self._band.spectra(clean)
         width = max(round(_BINS * length), 1)
         power = np.einsum('rfc,rfd->fcd', spectra, spectra.conj()) / len(clean)
         power = uniform_filter1d(power.real, width, axis=0, mode='nearest') + 1j * \
@@ -92,18 +116,19 @@ class Whitening:
         out[0] = spectrum[0].real
         return out
 
-    def _spectra(self, residuals):
-        return np.fft.rfft(residuals * self._window, axis=-2)[..., :self._bins, :]
-
     def rows_of(self, residual) -> np.ndarray:
         """Return rows (S, C) of unit variance of residuals (T, C) [N m], see `row_time`."""
-        white = np.einsum('fcd,fd->fc', self._roots, self._spectra(residual))
+        return self.rows_of_spectra(self._band.spectra(residual))
+
+    def rows_of_spectra(self, spectra) -> np.ndarray:
+        """Return rows (S, C) of residuals by their spectra (F, C), of a `Band`."""
+        white = np.einsum('fcd,fd->fc', self._roots, spectra)
         return self._octaves(self._both_sides(white)) * np.sqrt(self._rows) * self.scale
 
     def torque_rows(self, residual) -> np.ndarray:
         """Return residuals (T, C) behind a low-pass alone, at the times of the rows [N m]."""
         padded = np.zeros((self._bins + 1, residual.shape[1]), dtype=complex)
-        padded[:-1] = self._spectra(residual)
+        padded[:-1] = self._band.spectra(residual)
         padded[round(TORQUE_BAND / HIGHEST * self._bins):] = 0.0
         return np.fft.irfft(padded, self._rows, axis=0) * self._rows / self._samples
 
@@ -243,3 +268,33 @@ class Groups:
         found = [one[:, a:b] @ other[:, a:b].T for a, b in zip(self._ends[:-1], self._ends[1:],
                                                                strict=True)]
         return np.reshape(found, (len(found), len(one), len(other)))
+
+
+class Grams:
+    """
+    Products of columns at any weights of groups, where most columns never change.
+
+    Parameters
+    ----------
+    groups : Groups
+        Of the residuals.
+    fixed : ndarray, shape (C, R)
+        Columns that never change.
+
+    """
+
+    def __init__(self, groups, fixed):
+        ordered = groups.ordered(fixed)
+        self.fixed, self._group = fixed, groups.group
+        self._products = groups.products(ordered, ordered)
+
+    def weighted(self, further, weight) -> np.ndarray:
+        """Return the products of fixed columns, then ``further`` (V, R), groups weighted (G,)."""
+        count = len(self.fixed)
+        out = np.empty((count + len(further),) * 2)
+        scaled = further * weight[self._group]
+        out[:count, :count] = np.tensordot(weight, self._products, 1)
+        out[count:, :count] = scaled @ self.fixed.T
+        out[:count, count:] = out[count:, :count].T
+        out[count:, count:] = scaled @ further.T
+        return out

@@ -115,9 +115,8 @@ def find_discrepancy(
 def _compared(motions, holdout, robot, options, say):
     """Return the Discrepancy of motions with a robot as believed."""
     say('null simulations: what recordings look like in which nothing is missing')
-    likelihood = _with_noise(Likelihood(motions, robot, options.seed, widened=options.doubt))
-    found = search(likelihood, most=options.most, excluded=options.without, say=say)
-    likelihood, found = _again(likelihood, found, options, say)
+    likelihood, found = _searched(_with_noise(Likelihood(
+        motions, robot, options.seed, widened=options.doubt)), options, say)
     say('held-out prediction')
     searched = found.best
     found, worths, free, whole = judged(likelihood, found)
@@ -174,24 +173,28 @@ def _with_noise(likelihood):
     return likelihood.with_noise(white_noise(likelihood, model))
 
 
-def _again(likelihood, found, options, say):
+def _searched(likelihood, options, say):
     """
-    Return a search with the noise of a robot like the one found, if that is another.
+    Return a search, with the noise of a robot like the one found if that is another.
 
     Noise depends on the robot: where it sticks, say, encoder counts hide its friction; and torque
     noise was measured beside all that was missing.
     """
-    found = _sound(likelihood, found)
+    found = _sound(likelihood, search(likelihood, most=options.most, excluded=options.without,
+                                      say=say))
     model = found.best.model
     if len(model.robot.effects) == likelihood.known and np.all(
             np.abs(model.x) < PLAUSIBLE * likelihood.sd):
         return likelihood, found
     say('once more, with the noise of such a robot')
-    other = likelihood.simulated_as(model)
+    near, noise = found.near(likelihood.known), likelihood.noise
+    found = found._replace(dictionary=None)  # two of them would fill the memory
+    likelihood = likelihood.simulated_as(model)
     # beside more effects there is less that may be taken for noise
-    other = other.with_noise(np.minimum(likelihood.noise, white_noise(
-        other, other.fitted(model.robot, model.x))))
-    return other, search(other, most=options.most, excluded=options.without, begin=found, say=say)
+    likelihood = likelihood.with_noise(np.minimum(noise, white_noise(
+        likelihood, likelihood.fitted(model.robot, model.x))))
+    return likelihood, search(likelihood, most=options.most, excluded=options.without,
+                              begin=found, near=near, say=say)
 
 
 def _sound(likelihood, found):
