@@ -8,19 +8,29 @@ Base parameters of hidden arms beside ordinary least squares on the same recordi
 
 Ordinary least squares is what FIGAROH does: angles through a Butterworth filter, central
 differences, regressor and torque decimated, friction of Coulomb, viscous part and offset by
-joint, all joints alike, standard deviations as if samples were independent.
+joint, all joints alike, standard deviations as if samples were independent. A second arm has
+flexible joints and GMS friction; its stiffnesses are found first.
 """
 
+from dataclasses import replace
 import json
 from typing import NamedTuple
 
-from bench.hidden_arms.wrong_links import base_values, hidden_arm, moved
+from bench.hidden_arms.hidden_arms import NOISES, robot_near
+from bench.hidden_arms.plant import recording_of
+from bench.hidden_arms.wrong_links import ARM, base_values, hidden_arm, moved
 from bench.hidden_robots.hide import seeds_of
-from gms_flex_control import blas
+from gms_flex_control import blas, load_robot
 from gms_flex_control.answer import align
 from gms_flex_control.file_io import write_text
+from gms_flex_control.identification.arm_fit import with_motors
 from gms_flex_control.identification.arm_regression import fit_base_parameters
-from gms_flex_control.identification.inertial_parameters import base_of, link_regressors
+from gms_flex_control.identification.axis_fit import fit_motor
+from gms_flex_control.identification.inertial_parameters import (
+    all_parameters,
+    base_of,
+    link_regressors,
+)
 from gms_flex_control.params.arm import Body
 import numpy as np
 from scipy.signal import butter, decimate, filtfilt
@@ -82,7 +92,20 @@ def scores_of(seed: int, seconds: float) -> dict:
     truth = base_values(arm)
     return {'one recording': score_of(one.values, one.error, truth),
             'with and without a load': score_of(two.values, two.error, truth),
+            'flexible joints': flexible_score(seed, seconds),
             'ordinary least squares': score_of(*ordinary_least_squares(bare, robot.arm), truth)}
+
+
+def flexible_score(seed: int, seconds: float) -> Score:
+    """Return the Score of the arm with flexible joints, links and friction some 1 % off."""
+    believed, rng = load_robot(ARM), np.random.default_rng(seed)
+    true = robot_near(believed, rng)
+    recording = recording_of(true, believed, None, seconds=seconds,
+                             noise=float(rng.choice(NOISES)), motors_only=False, seed=seed)
+    motors = [fit_motor([recording], j) for j in range(believed.n_joints)]
+    fit = fit_base_parameters([recording], replace(
+        believed, arm=with_motors(believed.arm, motors)))
+    return score_of(fit.values, fit.error, base_of(believed.arm)[1] @ all_parameters(true.arm))
 
 
 def add_parser(subparsers) -> None:

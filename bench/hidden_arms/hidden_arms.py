@@ -34,7 +34,7 @@ _OF_JOINT = (*_SPRING, 'coulomb_error', 'viscous_error', 'position_friction', 'l
              'link_inertia_error', 'motor_inertia_error', 'input_delay')
 _OF_ARM = ('gravity_tilt', 'tip_payload')
 _INERTIA_SD, _STIFFNESS_SD, _FRICTION_SD = 0.01, 0.01, 0.01  # of what is believed
-_NOISES = (0.01, 0.03, 0.06)  # of Coulomb friction
+NOISES = (0.01, 0.03, 0.06)  # of Coulomb friction
 
 
 class Job(NamedTuple):
@@ -109,7 +109,7 @@ def try_job(job: Job) -> Outcome:
     rng = np.random.default_rng([job.seed, job.clean, list(ARMS).index(job.arm)])
     true = robot_near(believed, rng)
     hidden = None if job.clean else hidden_of(believed, rng)
-    noise, motors_only = float(rng.choice(_NOISES)), bool(rng.random() < 0.5)
+    noise, motors_only = float(rng.choice(NOISES)), bool(rng.random() < 0.5)
     recording = recording_of(true, believed, hidden, seconds=job.seconds, noise=noise,
                              motors_only=motors_only, seed=job.seed)
     begun, base = time.monotonic(), _megabytes()

@@ -112,7 +112,7 @@ def estimate_arm(recordings: Sequence, robot: RobotParams) -> ArmFit:
     n = robot.n_joints
     motors = tuple(fit_motor(recordings, j) if _two_sided(recordings, j) else None
                    for j in range(n))
-    robot = replace(robot, arm=_with_motors(robot.arm, motors))
+    robot = replace(robot, arm=with_motors(robot.arm, motors))
     if robot.arm.frames:
         return _in_space(recordings, robot, motors)
     drives = [_drive_of(recordings, robot.arm, j) for j in range(n)]
@@ -185,7 +185,8 @@ def _drive_of(recordings, arm, joint):
     return spring_torque(joint, arm.stiffness[joint], arm.damping[joint])
 
 
-def _with_motors(arm, motors):
+def with_motors(arm: ArmParams, motors: Sequence) -> ArmParams:
+    """Return an arm with the motor sides found, a MotorFit or None for each joint."""
     values = {name: getattr(arm, name).copy()
               for name in ('motor_inertia', 'stiffness', 'damping')}
     for j, motor in enumerate(motors):

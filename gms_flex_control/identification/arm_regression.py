@@ -46,7 +46,7 @@ from gms_flex_control.params.arm import ArmParams, at_end, carrying
 from gms_flex_control.params.robot import RobotParams
 import numpy as np
 
-_MEMORY = 4.0       # samples that the low-pass makes alike
+_MEMORY = 2.1       # samples that the low-pass makes alike: 1 / B(0) of the 8th order B-spline
 _ZERO_SD = 0.02     # of an encoder's zero between recordings [rad]
 _LOAD_SD = 1.0      # of an unknown load, as bodies of the mass of the whole arm
 _LOAD_SIZE = 0.3    # and so large [m]
@@ -183,8 +183,9 @@ class _Fit:
             columns.append((recording == r)[:, None].astype(float))
         if self._loaded[j]:
             columns.append(self._load_column(j)[chosen, None])
+        columns.append(rows.turning[chosen, j])  # at last: others are found by place
         if self._sides[j] == 'motor':  # by how much later its torque is recorded than angles
-            columns.append(rows.change[chosen, j:j + 1])  # at last: others are found by place
+            columns.append(rows.change[chosen, j:j + 1])
         return np.concatenate(columns, axis=1)
 
     def _load_column(self, j):
@@ -250,7 +251,8 @@ class _Fit:
             pull[self._parts[3]] = -self._load_values[self._unknown].ravel()
             pull[self._parts[2]] = np.log(self._guess / self._scale)[self._free]
             left = rows.torque - self._scale * model
-            weighting = weighting or weighting_of(columns, left, rows.rate, self._own)
+            weighting = weighting or weighting_of(columns, left, rows.rate, self._own,
+                                                  rows.recording)
             self._step, self._normal, self._pieces = regress(
                 columns, left, rows.rate, rows.block, self._own, precision, pull, weighting)
             step, self._moving = self._step, [rows for rows, _ in weighting]

@@ -23,6 +23,7 @@ from scipy.ndimage import uniform_filter1d
 
 _THINNING = 8       # samples of a smoothing window that are enough
 _STEP = 1e-5        # of a zero, for slopes [rad]
+_TURNED = (0.003, 0.01, 0.03)  # s at the usual rate: how far from a reversal friction turns over
 
 
 class Rows(NamedTuple):
@@ -35,6 +36,7 @@ class Rows(NamedTuple):
     torque: np.ndarray     # (S, n) as recorded
     change: np.ndarray     # (S, n) of the torque over time [N m/s]
     friction: np.ndarray   # (S, n, 8)
+    turning: np.ndarray    # (S, n, 3) of friction that lags behind a reversal
     coupled: np.ndarray    # (S, n, 2 M) of friction of M motors that several joints turn
     rate: np.ndarray       # (S, n)
     block: np.ndarray      # (S,) int, of time
@@ -105,17 +107,33 @@ def _segment_rows(segment, arm, lead, recording, usual, motors, slopes_of):
                 - chain.inverse_dynamics(angle + step, *motion[1:], slopes_of)) / (2.0 * _STEP)
     friction = np.stack([friction_regressors(*one) for one in zip(rate.T, usual, strict=True)],
                         axis=1)
+    turning = np.stack([_turning(*one) for one in zip(angle.T, rate.T, usual, strict=True)],
+                       axis=1)
     coupled = np.zeros((*rate.shape, 0))
     for m in motors:
         own = plain_friction(rate @ recording.coupling[m])
         coupled = np.concatenate([coupled, own[:, None] * recording.coupling[m][:, None]], axis=2)
-    regressor, tip, known, slope, friction, coupled = (low_pass(one, window) for one in (
-        regressor, tip, known, slope, friction, coupled))
+    regressor, tip, known, slope, friction, turning, coupled = (low_pass(one, window) for one in (
+        regressor, tip, known, slope, friction, turning, coupled))
     block = (every * np.arange(len(rate)) * recording.period / BLOCK_TIME).astype(int)
     inner = slice(2 * window, -2 * window, max(window // 2, 1))
     change = np.gradient(torque, every * recording.period, axis=0)
     return tuple(part[inner] for part in (regressor, tip, known, slope, torque, change, friction,
-                                          coupled, rate, block))
+                                          turning, coupled, rate, block))
+
+
+def _turning(angle, rate, usual):
+    """
+    Return columns (S, 3) of friction that turns over along the way from a reversal.
+
+    Presliding, and friction that lags behind its curve: where a joint reverses it accelerates
+    most, so what is left out here is taken for inertia.
+    """
+    way = np.sign(rate)
+    turns = np.concatenate([[True], way[1:] * way[:-1] < 0.0])
+    travelled = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(angle)))])
+    since = travelled - np.maximum.accumulate(np.where(turns, travelled, 0.0))
+    return way[:, None] * np.exp(-since[:, None] / (usual * np.array(_TURNED)))
 
 
 def _differences(segment, every, period):

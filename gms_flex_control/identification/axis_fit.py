@@ -223,20 +223,26 @@ def _levels(friction, rate):
             if (np.sign(rate) == sign).any() else 0.0 for sign in (1.0, -1.0)]
 
 
-def robust(columns: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, float]:
+def robust(columns: np.ndarray, target: np.ndarray, group: np.ndarray | None = None) -> tuple:
     """
     Return the weights (S,) of rows in a robust regression (Huber), and the residuals' scale.
 
-    The scale is the standard deviation of their bulk; ``columns`` (S, P), ``target`` (S,).
+    The scale is the standard deviation of their bulk, a number, or (S,) that of each row's
+    ``group`` (S,): what carries a load is noisier. ``columns`` (S, P), ``target`` (S,).
     """
     weights, scale = np.ones(len(target)), 1.0
     for _ in range(_ROUNDS):
-        root = np.sqrt(weights)
+        root = np.sqrt(weights) / scale
         values = np.linalg.lstsq(columns * root[:, None], target * root, rcond=1e-10)[0]
         off = np.abs(target - columns @ values)
-        scale = max(float(np.median(off)) / 0.6745, 1e-300)
+        scale = _scale(off) if group is None else np.array([
+            _scale(off[group == one]) for one in range(group.max() + 1)])[group]
         weights = np.minimum(1.0, _HUBER * scale / np.maximum(off, 1e-300))
     return weights, scale
+
+
+def _scale(off):
+    return max(float(np.median(off)) / 0.6745, 1e-300) if len(off) else 1.0
 
 
 def _solution(columns, rows):

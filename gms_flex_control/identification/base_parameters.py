@@ -118,14 +118,18 @@ def regress(regressors, torque, rate, block, friction: Callable, precision=0.0, 
     return values, normal, pieces
 
 
-def weighting_of(regressors, torque, rate, friction: Callable) -> list:
-    """Return for each joint where it moves (S,) and the roots of the weights there."""
+def weighting_of(regressors, torque, rate, friction: Callable, group=None) -> list:
+    """
+    Return for each joint where it moves (S,) and the roots of the weights there.
+
+    Each ``group`` (S,) of rows, such as a recording, counts by its own noise.
+    """
     found = []
     for j in range(torque.shape[1]):
         rows = np.abs(rate[:, j]) > _SLOWEST * np.sqrt(np.mean(rate[:, j] ** 2))
         columns = np.concatenate([regressors[rows, j], friction(j, rows)], axis=1)
         columns = columns[:, columns.any(axis=0)]
-        weights, scale = robust(columns, torque[rows, j])
+        weights, scale = robust(columns, torque[rows, j], None if group is None else group[rows])
         found.append((rows, np.sqrt(weights) / scale))
     return found
 
