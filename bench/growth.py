@@ -7,7 +7,7 @@ How time and memory of identify and discrepancy grow with joints and with minute
     .venv/bin/python -m bench growth --out growth
 
 Recordings at 500 Hz of chains in space as of bench.joints, each joint on a sinusoid of its own.
-Every case is a process, so that memory is its own.
+Every case is a process that is given the recording, so that memory is its own.
 """
 
 from dataclasses import replace
@@ -45,6 +45,7 @@ class Cost(NamedTuple):
     joints: int
     minutes: float
     seconds: float
+    processor: float   # s, of all cores
     megabytes: float
 
 
@@ -61,15 +62,15 @@ def recorded(joints: int, minutes: float):
         substeps=_SUBSTEPS, seed=0))
 
 
-def cost_of(verb: str, joints: int, minutes: float) -> Cost:
+def cost_of(verb: str, minutes: float, robot, recording) -> Cost:
     """Return the Cost of a verb on one recording."""
-    robot, recording = recorded(joints, minutes)
-    begun = time.monotonic()
+    begun, worked = time.monotonic(), time.process_time()
     if verb == 'identify':
         identify([recording], robot)
     else:
         find_discrepancy([recording], robot)
-    return Cost(verb, joints, minutes, time.monotonic() - begun,
+    return Cost(verb, robot.n_joints, minutes, time.monotonic() - begun,
+                time.process_time() - worked,
                 resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0)
 
 
@@ -114,14 +115,15 @@ def run(args) -> int:
                           f'{args.joints} and {args.minutes}')
     cases = dict.fromkeys((*((n, _USUAL_MINUTES) for n in args.joints),
                            *((_USUAL_JOINTS, m) for m in args.minutes)))
-    costs, context = [], get_context('spawn')
-    for verb in args.verbs:
+    costs = []
+    with get_context('spawn').Pool(1, maxtasksperchild=1) as pool:
         for joints, minutes in cases:
-            with context.Pool(1, maxtasksperchild=1) as pool:
-                costs.append(pool.apply(cost_of, (verb, joints, minutes)))
-    print(align(['verb', 'joints', 'minutes', 'time [s]', 'memory [MB]'], [
+            made = pool.apply(recorded, (joints, minutes))
+            costs += [pool.apply(cost_of, (verb, minutes, *made)) for verb in args.verbs]
+    costs.sort(key=lambda one: args.verbs.index(one.verb))
+    print(align(['verb', 'joints', 'minutes', 'time [s]', 'processor [s]', 'memory [MB]'], [
         [one.verb, f'{one.joints}', f'{one.minutes:g}', f'{one.seconds:.1f}',
-         f'{one.megabytes:.0f}'] for one in costs]))
+         f'{one.processor:.1f}', f'{one.megabytes:.0f}'] for one in costs]))
     if args.out:
         out = Path(args.out)
         out.mkdir(parents=True, exist_ok=True)

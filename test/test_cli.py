@@ -33,7 +33,7 @@ ROOT = Path(__file__).resolve().parents[1]
 VERBS = tool.VERBS
 OF_BENCH = tuple(verb for group in bench.GROUPS.values() for verb in group)
 WITHOUT_TABLE = {'urdf', 'completion', 'view', 'export', 'coverage', 'learn', 'real-machines',
-                 'hidden-arms', 'base-parameters', 'growth'}
+                 'hidden-arms', 'base-parameters', 'growth', 'real-arm'}
 BAGS = {'info', 'repair', 'analyse', 'identify', 'discrepancy', 'torsion'}
 NO_BAG = ROOT / 'test' / 'no_such_bag'
 # what is wrong with the input of a verb that takes no bag
@@ -49,7 +49,8 @@ WRONG = {
     'learn': '--machines nonsense --out {dir}',
     'next': '{missing} --robot {missing} --limits {missing} --out {dir}',
     'plan': '--robot {missing} --out {dir}',
-    'hidden-arms': '--seeds many', 'base-parameters': '--seeds many', 'growth': '--joints 0',
+    'real-arm': '--data {missing}', 'hidden-arms': '--seeds many',
+    'base-parameters': '--seeds many', 'growth': '--joints 0',
     'urdf': '--robot {missing}', 'tune': '--robot {missing} --out {dir}', 'compare': '{missing}',
     'view': '{missing}', 'effects': 'backlsh', 'export': '--to mujoco --robot {missing}'}
 

@@ -29,7 +29,7 @@ def test_joints_of_a_recording_to_grow_by_move_unlike_each_other():
 
 
 def test_growth_is_drawn(tmp_path):
-    costs = [Cost(verb, n, 1.0, 10.0 * n, 400.0) for verb in ('identify', 'discrepancy')
+    costs = [Cost(verb, n, 1.0, 10.0 * n, 15.0 * n, 400.0) for verb in ('identify', 'discrepancy')
              for n in (1, 6)]
     draw(costs, tmp_path / 'growth.png')
     assert (tmp_path / 'growth.png').read_bytes().startswith(b'\x89PNG')
