@@ -20,12 +20,13 @@ def test_only_parameters_that_claim_to_be_known_are_judged():
 
 
 def test_joints_of_a_recording_to_grow_by_move_unlike_each_other():
-    robot, recording = recorded(2, 0.2)
+    robot, recording = recorded(6, 0.2)
     assert robot.arm.kind == 'urdf' and recording.period == pytest.approx(2e-3)
     assert recording.time[-1] == pytest.approx(12.0, abs=0.01)
     travel = np.ptp(recording.q_link, axis=0)
     assert np.all(travel > 0.5)
     assert abs(np.corrcoef(recording.q_link.T)[0, 1]) < 0.5
+    assert np.all(np.std(recording.q_link - recording.reference[:, 0], axis=0) < 0.05)
 
 
 def test_growth_is_drawn(tmp_path):

@@ -277,13 +277,22 @@ class _Fit:
         return self._scale[:, None] * whole
 
     def _covariance(self):
+        """
+        Return covariance and inverse of the normal matrix (P, P).
+
+        How many samples count as one is measured by all base parameters together: noise of
+        encoders counts less than white one, what the model lacks counts more. No parameter is
+        said to be better known than that, since few blocks agree by chance.
+        """
         count = int(self._rows.block.max()) + 1
         scores = np.zeros((count, len(self._step)))
         for scaled, target, block in self._pieces:
             sums = block_sums(scaled * (target - scaled @ self._step)[:, None], block)
             scores[:len(sums)] += sums
         inverse = inverse_of(self._normal)
-        return clustered(inverse, scores, _MEMORY), inverse
+        links = self._parts[0] if len(self._lead) else slice(None)
+        memory = np.mean((np.diag(clustered(inverse, scores, 0.0)) / np.diag(inverse))[links])
+        return clustered(inverse, scores, memory), inverse
 
     def _found_coupled(self):
         """Return the Coupled, None where there is none."""
