@@ -204,7 +204,7 @@ def test_warnings_of_numpy_stay_away_and_ours_are_sentences(monkeypatch, capsys)
         print(worker.stderr, end='')
         return 0
 
-    monkeypatch.setattr('gms_flex_control.cli.recordings.info', warns)
+    monkeypatch.setattr('gms_flex_control.cli.bag_files.info', warns)
     monkeypatch.setattr(sys, 'warnoptions', [])
     monkeypatch.delenv('PYTHONWARNINGS', raising=False)
     assert tool.main(['info', 'bag']) == tool.OK
@@ -248,7 +248,7 @@ def test_a_command_that_compiles_says_so_on_a_terminal(terminal, monkeypatch, ca
     def compiles(args):
         return numba.njit(lambda x: x + 1)(-1)
 
-    monkeypatch.setattr('gms_flex_control.cli.recordings.info', compiles)
+    monkeypatch.setattr('gms_flex_control.cli.bag_files.info', compiles)
     monkeypatch.setattr(sys.stderr, 'isatty', lambda: terminal)
     assert tool.main(['info', 'bag']) == tool.OK
     assert capsys.readouterr().err.count('compiling the inner loops') == terminal
@@ -288,7 +288,7 @@ def test_an_error_of_the_program_is_no_finding(monkeypatch, capsys):
     def broken(args):
         raise ZeroDivisionError('of the program')
 
-    monkeypatch.setattr('gms_flex_control.cli.recordings.info', broken)
+    monkeypatch.setattr('gms_flex_control.cli.bag_files.info', broken)
     assert tool.main(['info', 'bag']) == tool.OWN_ERROR
     told = capsys.readouterr().err
     assert 'ZeroDivisionError: of the program' in told
